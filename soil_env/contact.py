@@ -1,0 +1,260 @@
+"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(12) and (18) of the source paper.
+
+Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; the stress distribution is
+Wong & Reece (1967), the shear law Janosi & Hanamoto (1961), the compaction resistance Bekker (1956).
+
+Angles [rad] are measured from the lowest point of the rim, positive toward the front, *front* meaning the side the
+wheel travels to. The contact arc runs from the exit angle `theta2` to the entry angle `theta1`; the normal stress peaks
+at `thetam`.
+
+The motion enters through two numbers without unit, `rim` = r w / v* and `travel` = V / v*, where v* is the rim speed
+(`motion_from_slip`, `motion_from_speeds`). They make Eq. (10) one expression for driving, braking, a locked wheel and
+reverse: j = r [rim (theta1 - theta) - travel (sin theta1 - sin theta)], the sign of j being the sign of the shear stress.
+
+For a given shear modulus and sinkage exponent every force is linear in S, S tan(phi) and c. The kernels therefore return
+integrals over the arc (`ArcIntegrals`), and `forces` combines them. The same integrals serve the simulated world,
+the steady prediction and the identifier's Jacobian.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+#: Gauss-Legendre nodes per zone of the contact arc (front and rear nodes share the normal stress).
+NODES_PER_ZONE = 8
+_x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
+_U2 = (0.5 * (_x + 1.0)) ** 2  # u^2: relative distance of the node from the end of the arc
+_DU2 = 0.5 * _w * 2.0 * (0.5 * (_x + 1.0))  # weight times d(u^2)/du
+
+
+class ArcIntegrals(NamedTuple):
+    """Integrals over the contact arc [theta2, theta1], for S = 1 [m^n] or without stress [-].
+
+    p(theta) is the normal stress for S = 1, e(theta) in [-1, 1] the mobilised share of the shear strength.
+    """
+
+    p_cos: float  # Int p cos(theta)
+    p_sin: float  # Int p sin(theta)
+    pe_cos: float  # Int p e cos(theta)
+    pe_sin: float  # Int p e sin(theta)
+    pe: float  # Int p e
+    e_cos: float  # Int e cos(theta)
+    e_sin: float  # Int e sin(theta)
+    e: float  # Int e
+
+
+class ArcRates(NamedTuple):
+    """Derivatives of the six shear integrals of `ArcIntegrals`, all with one motion variable."""
+
+    pe_cos: float
+    pe_sin: float
+    pe: float
+    e_cos: float
+    e_sin: float
+    e: float
+
+
+class Forces(NamedTuple):
+    """What the soil does to the wheel."""
+
+    load: float  # W [N], Eq. (1), upward on the wheel
+    drawbar_pull: float  # DP [N], Eq. (2), positive forward
+    torque: float  # T [N m], Eq. (3), the torque the soil takes from the axle
+
+
+@njit(cache=True)
+def entry_angle(sinkage, r):
+    """Entry angle theta1 [rad] of a wheel of radius r [m] at the given sinkage [m]: z0 = r (1 - cos theta1)."""
+    return math.acos(max(-1.0, min(1.0, 1.0 - sinkage / r)))
+
+
+@njit(cache=True)
+def slip_ratio(rim_speed, travel_speed, floor):
+    """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse.
+
+    `floor` [m/s] bounds the denominator from below, so that a wheel at rest has slip 0.
+    """
+    scale = max(abs(rim_speed), abs(travel_speed), floor)
+    direction = 1.0 if rim_speed + travel_speed >= 0.0 else -1.0
+    return max(-1.0, min(1.0, direction * (rim_speed - travel_speed) / scale))
+
+
+@njit(cache=True)
+def motion_from_slip(slip):
+    """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1 spins on the spot."""
+    if slip >= 0.0:
+        return 1.0, 1.0 - slip
+    braking = max(1.0 + slip, 1e-9)  # r w / V
+    return 1.0, 1.0 / braking
+
+
+@njit(cache=True)
+def motion_from_speeds(rim_speed, travel_speed, floor):
+    """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and reversal.
+
+    `direction` in (-1, 1) is the smoothed sign of V; `floor` [m/s] is the speed below which the wheel counts as resting.
+    """
+    v = math.sqrt(rim_speed * rim_speed + floor * floor)
+    return rim_speed / v, travel_speed / v, travel_speed / math.sqrt(travel_speed * travel_speed + floor * floor)
+
+
+@njit(cache=True)
+def relative_stress(depth, n):
+    """Normal stress for S = 1 at `depth` [m] on the rim below the entry point, Eq. (7): sigma / S = depth^n."""
+    return depth**n if depth > 0.0 else (1.0 if n == 0.0 else 0.0)
+
+
+@njit(cache=True)
+def mirror_angle(theta, theta1, theta2, thetam):
+    """Angle in the front zone with the same normal stress as `theta`, Eq. (8) for the rear zone, itself in front."""
+    if theta >= thetam:
+        return theta
+    return theta1 - (theta - theta2) / (thetam - theta2) * (theta1 - thetam)
+
+
+@njit(cache=True)
+def mobilised(j, K):
+    """(e, de/dj): share of the shear strength mobilised at shear displacement j [m], Eq. (10), signed as j."""
+    decay = math.exp(-abs(j) / K)
+    return math.copysign(1.0 - decay, j), decay / K
+
+
+@njit(cache=True)
+def _node(theta, theta1, sin1, rim, travel, r, K):
+    """What Eq. (10) gives at one angle: (sin, cos, e, g, lever_rim, lever_travel).
+
+    g = de/dj [1/m]; the levers dj/d(rim) and dj/d(travel) are in metres.
+    """
+    s, c = math.sin(theta), math.cos(theta)
+    lever_rim = r * (theta1 - theta)
+    lever_travel = -r * (sin1 - s)
+    e, g = mobilised(rim * lever_rim + travel * lever_travel, K)
+    return s, c, e, g, lever_rim, lever_travel
+
+
+@njit(cache=True)
+def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r):
+    """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
+
+    Gauss-Legendre nodes at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind, which
+    removes the singularity (theta1 - theta)^n at both ends (relative error about 1e-5); by Eq. (8) the two nodes have
+    the same normal stress. The derivative by K needs no further integrals: see `shear_modulus_rates`.
+    """
+    front, rear = theta1 - thetam, thetam - theta2
+    sin1, cos1 = math.sin(theta1), math.cos(theta1)
+    p_cos = p_sin = pe_cos = pe_sin = pe = e_cos = e_sin = e_sum = 0.0
+    a1 = a2 = a3 = a4 = a5 = a6 = b1 = b2 = b3 = b4 = b5 = b6 = 0.0
+    for k in range(NODES_PER_ZONE):
+        theta_f, theta_r = theta1 - front * _U2[k], theta2 + rear * _U2[k]
+        sf, cf, ef, gf, af, bf = _node(theta_f, theta1, sin1, rim, travel, r, K)
+        sr, cr, er, gr, ar, br = _node(theta_r, theta1, sin1, rim, travel, r, K)
+        p = relative_stress(r * (cf - cos1), n)
+        wf, wr = front * _DU2[k], rear * _DU2[k]
+        f_cos, f_sin, r_cos, r_sin = wf * cf, wf * sf, wr * cr, wr * sr
+        p_cos += p * (f_cos + r_cos)
+        p_sin += p * (f_sin + r_sin)
+        ec, es, e1 = f_cos * ef + r_cos * er, f_sin * ef + r_sin * er, wf * ef + wr * er
+        e_cos += ec
+        e_sin += es
+        e_sum += e1
+        pe_cos += p * ec
+        pe_sin += p * es
+        pe += p * e1
+        af *= gf
+        bf *= gf
+        ar *= gr
+        br *= gr
+        ac, as_, ae = f_cos * af + r_cos * ar, f_sin * af + r_sin * ar, wf * af + wr * ar
+        bc, bs, be = f_cos * bf + r_cos * br, f_sin * bf + r_sin * br, wf * bf + wr * br
+        a1 += p * ac
+        a2 += p * as_
+        a3 += p * ae
+        a4 += ac
+        a5 += as_
+        a6 += ae
+        b1 += p * bc
+        b2 += p * bs
+        b3 += p * be
+        b4 += bc
+        b5 += bs
+        b6 += be
+    integrals = ArcIntegrals(p_cos, p_sin, pe_cos, pe_sin, pe, e_cos, e_sin, e_sum)
+    return integrals, ArcRates(a1, a2, a3, a4, a5, a6), ArcRates(b1, b2, b3, b4, b5, b6)
+
+
+@njit(cache=True)
+def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
+    """`ArcRates` by K [1/m]: de/dK = -(j/K) de/dj with j linear in (rim, travel)."""
+    x, y = -rim / K, -travel / K
+    return ArcRates(
+        x * by_rim.pe_cos + y * by_travel.pe_cos,
+        x * by_rim.pe_sin + y * by_travel.pe_sin,
+        x * by_rim.pe + y * by_travel.pe,
+        x * by_rim.e_cos + y * by_travel.e_cos,
+        x * by_rim.e_sin + y * by_travel.e_sin,
+        x * by_rim.e + y * by_travel.e,
+    )
+
+
+@njit(cache=True)
+def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
+    """`ArcIntegrals` by the paper's rule: composite Simpson with 2m subintervals in each zone, Eq. (18)."""
+    sin1, cos1 = math.sin(theta1), math.cos(theta1)
+    p_cos = p_sin = pe_cos = pe_sin = pe = e_cos = e_sin = e_sum = 0.0
+    for zone in range(2):
+        low, high = (theta2, thetam) if zone == 0 else (thetam, theta1)
+        h = (high - low) / (2 * m)
+        for k in range(2 * m + 1):
+            w = h / 3.0 * (1.0 if k == 0 or k == 2 * m else (4.0 if k % 2 == 1 else 2.0))
+            theta = low + k * h
+            s, c, e, _, _, _ = _node(theta, theta1, sin1, rim, travel, r, K)
+            front = mirror_angle(theta, theta1, theta2, thetam)
+            p = relative_stress(r * (math.cos(front) - cos1), n)
+            p_cos += w * p * c
+            p_sin += w * p * s
+            pe_cos += w * p * e * c
+            pe_sin += w * p * e * s
+            pe += w * p * e
+            e_cos += w * e * c
+            e_sin += w * e * s
+            e_sum += w * e
+    return ArcIntegrals(p_cos, p_sin, pe_cos, pe_sin, pe, e_cos, e_sin, e_sum)
+
+
+@njit(cache=True)
+def forces(integrals, S, tan_phi, c, r, b, direction):
+    """`Forces` from `ArcIntegrals`: Eqs. (1)-(3) with the exact resistance integral of Eq. (11) ("consistent").
+
+    `direction` is the smoothed sign of the travel speed (1 in a steady forward run): behind a turned-round wheel the
+    horizontal part of the normal stress and the vertical part of the shear stress change sign.
+    """
+    q = integrals
+    load = r * b * (S * (q.p_cos + direction * tan_phi * q.pe_sin) + direction * c * q.e_sin)
+    thrust = r * b * (S * tan_phi * q.pe_cos + c * q.e_cos)
+    resistance = direction * r * b * S * q.p_sin
+    torque = r * r * b * (S * tan_phi * q.pe + c * q.e)
+    return Forces(load, thrust - resistance, torque)
+
+
+@njit(cache=True)
+def compaction_resistance(sinkage, S, n, b):
+    """Resistance [N] of Eq. (12), b S z0^(n+1) / (n+1): equal to Eq. (11) only without the rear branch (8)."""
+    return b * S * sinkage ** (n + 1.0) / (n + 1.0)
+
+
+@njit(cache=True)
+def mobilised_modulus(integrals, load, tan_phi, c, r, b, direction):
+    """Sinkage coefficient s [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least 0.
+
+    Eq. (1) is linear in S, so at a given sinkage the coefficient the load mobilises has a closed form.
+    """
+    q = integrals
+    bearing = q.p_cos + direction * tan_phi * q.pe_sin
+    rest = load / (r * b) - direction * c * q.e_sin
+    if bearing <= 1e-12 * q.p_cos or rest <= 0.0:
+        return 0.0
+    return rest / bearing

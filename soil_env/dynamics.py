@@ -1,0 +1,288 @@
+"""State of a driven wheel and one step of it.
+
+    m dV/dt = DP - m g sin(grade)            travel, m = wheel with its share of the body, and payload
+    J dw/dt = T_motor - T                    rotation
+    dz/dt   = B z_w - A z                    sinkage, `effects.excavation_rate`
+    W       = m g cos(grade)                 Eq. (1), met at every instant
+
+z_w is the depth at which undisturbed soil carries the same peak pressure as the wheel now has under it. At a sinkage z the
+load mobilises a sinkage coefficient s, in closed form since Eq. (1) is linear in it (`contact.mobilised_modulus`); equal
+pressure s z^n = S z_w^n then gives z_w = z (s/S)^(1/n). So the balance (1) holds throughout, no root is sought, and the steady state
+of a wheel that does not slip is exactly z_w = z, s = S.
+
+Sliding speed and travel speed answer to force within milliseconds for a slow rover, so (V, r w) are stepped by implicit
+Euler with a safeguarded Newton iteration on analytic derivatives, and z, which is slow, by the exact solution of its law
+with A, B and z_w held over the step.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from soil_env.contact import arc_integrals, entry_angle, forces, mobilised_modulus, motion_from_speeds, slip_ratio
+from soil_env.effects import excavation_rate
+from soil_env.model import steady_state
+from soil_env.parameters import Scenario
+from soil_env.terrain import cell_at, ground_at, leave_rut, stiffened
+
+REST_SPEED = 0.005  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
+SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
+_TOLERANCE = 1e-7  # [m/s] of the Newton iteration
+_MAX_ITERATIONS = 30
+
+#: One wheel. Numbers that follow from the others in the same step are kept for sensors and info.
+WHEEL_STATE = np.dtype(
+    [
+        ("x", np.float64),  # [m] distance along the course
+        ("best_x", np.float64),  # [m] furthest x so far
+        ("speed", np.float64),  # V [m/s]
+        ("wheel_speed", np.float64),  # w [rad/s]
+        ("sinkage", np.float64),  # z [m] below the undisturbed surface
+        ("mass", np.float64),  # [kg]
+        ("motor_torque", np.float64),  # [N m]
+        ("available_torque", np.float64),  # [N m] of the motor at this wheel speed, in the direction of the command
+        ("load", np.float64),  # W [N]
+        ("drawbar_pull", np.float64),  # DP [N]
+        ("torque", np.float64),  # T [N m], soil on wheel
+        ("slip", np.float64),  # [-]
+        ("bearing_sinkage", np.float64),  # z_w [m]
+        ("grade", np.float64),  # [rad] at the wheel
+        ("motor_work", np.float64),  # [J] in the last control period
+        ("travel", np.float64),  # [m] in the last control period
+        ("last_action", np.float64),  # [-1, 1]
+        ("entrapped_time", np.float64),  # [s] the conditions of entrapment have held
+        ("stalled_time", np.float64),  # [s] the conditions of stalling have held
+        ("converged", np.int64),  # 1 unless a Newton iteration of the last control period gave up
+        ("patch", np.int64),
+        ("cell", np.int64),
+        ("steps", np.int64),  # control periods since reset
+    ],
+    align=True,
+)
+
+
+class WorldNumbers(NamedTuple):
+    """What the dynamics take from a `Scenario`."""
+
+    radius: float
+    width: float
+    inertia: float
+    stall_torque: float
+    no_load_speed: float
+    gravity: float
+    relaxation: float  # [m]
+    border: float  # [m]
+    period: float  # [s]
+    substeps: int
+    speed_command: bool
+
+
+def world_numbers(scenario: Scenario) -> WorldNumbers:
+    """Pack what `advance` needs."""
+    w, c = scenario.wheel, scenario.control
+    return WorldNumbers(
+        w.radius,
+        w.width,
+        w.inertia,
+        w.stall_torque,
+        w.no_load_speed,
+        scenario.gravity,
+        scenario.relaxation * w.radius,
+        scenario.course.border,
+        c.period,
+        math.ceil(c.period / c.substep - 1e-9),
+        c.action == "wheel_speed",
+    )
+
+
+class Reaction(NamedTuple):
+    """Soil reaction at one motion, with its derivatives by V and by rim speed u = r w."""
+
+    load: float
+    drawbar_pull: float
+    torque: float
+    modulus: float  # s, mobilised sinkage coefficient
+    dp_v: float
+    dp_u: float
+    torque_v: float
+    torque_u: float
+
+
+@njit(cache=True)
+def reaction(speed, rim_speed, sinkage, load, soil, r, b):
+    """`Reaction` of the soil to a wheel at a given sinkage that carries `load`: Eqs. (1)-(3) with (1) solved for S."""
+    theta1 = entry_angle(sinkage, r)
+    rim, travel, direction = motion_from_speeds(rim_speed, speed, REST_SPEED)
+    q, by_rim, by_travel = arc_integrals(
+        theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, soil.sinkage_exponent, r
+    )
+    tan_phi, c = soil.tan_phi, soil.cohesion
+    s = mobilised_modulus(q, load, tan_phi, c, r, b, direction)
+    f = forces(q, s, tan_phi, c, r, b, direction)
+
+    v2, u2, f2 = speed * speed, rim_speed * rim_speed, REST_SPEED * REST_SPEED
+    scale = math.sqrt(u2 + f2)
+    rim_u, travel_u, travel_v = f2 / scale**3, -speed * rim_speed / scale**3, 1.0 / scale
+    direction_v = f2 / (v2 + f2) ** 1.5
+    bearing = q.p_cos + direction * tan_phi * q.pe_sin
+
+    # d/dV and d/du of the six shear integrals, then of s, DP and T
+    out = (0.0, 0.0, 0.0, 0.0)
+    for which in range(2):
+        x, y, turn = (0.0, travel_v, direction_v) if which == 0 else (rim_u, travel_u, 0.0)
+        pe_cos = x * by_rim.pe_cos + y * by_travel.pe_cos
+        pe_sin = x * by_rim.pe_sin + y * by_travel.pe_sin
+        pe = x * by_rim.pe + y * by_travel.pe
+        e_cos = x * by_rim.e_cos + y * by_travel.e_cos
+        e_sin = x * by_rim.e_sin + y * by_travel.e_sin
+        e = x * by_rim.e + y * by_travel.e
+        ds = 0.0
+        if s > 0.0:
+            ds = -(turn * c * q.e_sin + direction * c * e_sin) - s * tan_phi * (turn * q.pe_sin + direction * pe_sin)
+            ds /= bearing
+        dp = r * b * (ds * (tan_phi * q.pe_cos - direction * q.p_sin) + s * tan_phi * pe_cos + c * e_cos)
+        dp -= r * b * turn * s * q.p_sin
+        dt = r * r * b * (ds * tan_phi * q.pe + s * tan_phi * pe + c * e)
+        out = (dp, out[1], dt, out[3]) if which == 0 else (out[0], dp, out[2], dt)
+    return Reaction(f.load, f.drawbar_pull, f.torque, s, out[0], out[1], out[2], out[3])
+
+
+@njit(cache=True)
+def motor(command, wheel_speed, world):
+    """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
+
+    The command is a share of the stall torque, or of the no-load speed, which a stiff speed loop then follows. Either
+    way the torque stays between the two torque-speed lines +-T_stall (1 -+ w/w_0); `available` is the line on the side of
+    the command.
+    """
+    stall, line = world.stall_torque, world.stall_torque / world.no_load_speed
+    high = min(max(stall - line * wheel_speed, 0.0), stall)
+    low = -min(max(stall + line * wheel_speed, 0.0), stall)
+    if world.speed_command:
+        gain = 10.0 * line
+        torque, slope = gain * (command * world.no_load_speed - wheel_speed), -gain
+    else:
+        torque, slope = command * stall, 0.0
+    available = high if torque >= 0.0 else -low
+    if torque > high:
+        return high, (-line if 0.0 < high < stall else 0.0), available
+    if torque < low:
+        return low, (-line if -stall < low < 0.0 else 0.0), available
+    return torque, slope, available
+
+
+@njit(cache=True)
+def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, command, world, h):
+    """Implicit Euler for (V, u = r w) over h seconds: (V, u, Reaction, converged)."""
+    r, b = world.radius, world.width
+    weight_along = mass * world.gravity * math.sin(grade)
+    cv, cu = h / mass, h * r / world.inertia
+    v, u = speed0, wheel_speed0 * r
+    u0 = u
+    soil_force = reaction(v, u, sinkage, load, soil, r, b)
+    torque, torque_w, _ = motor(command, u / r, world)
+    f1 = v - speed0 - cv * (soil_force.drawbar_pull - weight_along)
+    f2 = u - u0 - cu * (torque - soil_force.torque)
+    for _ in range(_MAX_ITERATIONS):
+        norm = max(abs(f1), abs(f2))
+        if norm < _TOLERANCE:
+            return v, u, soil_force, True
+        a11, a12 = 1.0 - cv * soil_force.dp_v, -cv * soil_force.dp_u
+        a21, a22 = cu * soil_force.torque_v, 1.0 + cu * (soil_force.torque_u - torque_w / r)
+        det = a11 * a22 - a12 * a21
+        if not abs(det) > 1e-12:
+            det = 1e-12
+        dv, du = -(a22 * f1 - a12 * f2) / det, -(a11 * f2 - a21 * f1) / det
+        share = 1.0
+        for _ in range(8):
+            v1, u1 = v + share * dv, u + share * du
+            trial = reaction(v1, u1, sinkage, load, soil, r, b)
+            torque, torque_w, _ = motor(command, u1 / r, world)
+            g1 = v1 - speed0 - cv * (trial.drawbar_pull - weight_along)
+            g2 = u1 - u0 - cu * (torque - trial.torque)
+            if max(abs(g1), abs(g2)) < norm * (1.0 - 0.1 * share):
+                break
+            share *= 0.4
+        v, u, f1, f2, soil_force = v1, u1, g1, g2, trial
+    return v, u, soil_force, max(abs(f1), abs(f2)) < 1e-4
+
+
+@njit(cache=True)
+def bearing_sinkage(sinkage, modulus, soil):
+    """z_w [m]: depth at which undisturbed soil bears the pressure `modulus` z^n, at most 10 z."""
+    n = max(soil.sinkage_exponent, 0.05)
+    return sinkage * min((modulus / soil.sinkage_coefficient) ** (1.0 / n), 10.0)
+
+
+@njit(cache=True)
+def relax_sinkage(sinkage, bearing, speed, slip_speed, soil, length, h):
+    """Sinkage [m] after h seconds of dz/dt = B z_w - A z (`effects.excavation_rate`)."""
+    a, b = excavation_rate(abs(speed), abs(slip_speed), soil.dig_gain, soil.dig_recovery, length)
+    if bearing > sinkage:  # the soil yields under the load at once, travelling or not
+        a += 1.0 / SETTLING_TIME
+        b += 1.0 / SETTLING_TIME
+    if a * h < 1e-12:
+        return sinkage
+    goal = b * bearing / a
+    return goal + (sinkage - goal) * math.exp(-a * h)
+
+
+@njit(cache=True)
+def advance(state, k, command, courses, world):
+    """Drive wheel k for one control period with a command in [-1, 1]; updates state[k] and its rut."""
+    w = state[k]
+    r, b = world.radius, world.width
+    h = world.period / world.substeps
+    x_start = w.x
+    w.motor_work = 0.0
+    w.converged = 1
+    for _ in range(world.substeps):
+        soil, grade, patch = ground_at(courses, k, w.x, w.patch, world.border)
+        soil = stiffened(soil, courses.modulus[k, w.cell])
+        load = w.mass * world.gravity * math.cos(grade)
+        v, u, soil_force, converged = _implicit_speeds(
+            w.speed, w.wheel_speed, w.sinkage, w.mass, load, grade, soil, command, world, h
+        )
+        bearing = bearing_sinkage(w.sinkage, soil_force.modulus, soil)
+        sinkage = relax_sinkage(w.sinkage, bearing, v, u - v, soil, world.relaxation, h)
+        torque, _, available = motor(command, u / r, world)
+
+        w.x += 0.5 * h * (w.speed + v)
+        w.motor_work += h * torque * u / r
+        w.speed, w.wheel_speed = v, u / r
+        w.sinkage = min(max(sinkage, 1e-4 * r), 1.5 * r)
+        w.bearing_sinkage = bearing
+        w.motor_torque, w.available_torque = torque, available
+        w.load, w.drawbar_pull, w.torque = soil_force.load, soil_force.drawbar_pull, soil_force.torque
+        w.grade, w.patch = grade, patch
+        if not converged:
+            w.converged = 0
+        cell = cell_at(courses, w.x)
+        while w.cell != cell:
+            leave_rut(courses, k, w.cell, w.sinkage, bearing)
+            w.cell += 1 if cell > w.cell else -1
+    w.slip = slip_ratio(w.wheel_speed * r, w.speed, REST_SPEED)
+    w.travel = w.x - x_start
+    w.best_x = max(w.best_x, w.x)
+    w.last_action = command
+    w.steps += 1
+
+
+@njit(cache=True)
+def settle(state, k, mass, courses, world):
+    """Put wheel k at rest at the start of its course, sunk in under its own load."""
+    w = state[k]
+    soil, grade, patch = ground_at(courses, k, 0.0, 0, world.border)
+    load = mass * world.gravity * math.cos(grade)
+    rest = steady_state(0.0, load, soil, world.radius, world.width)
+    w.x = w.best_x = w.speed = w.wheel_speed = 0.0
+    w.sinkage = w.bearing_sinkage = rest.sinkage
+    w.mass, w.load, w.grade, w.patch = mass, load, grade, patch
+    w.motor_torque = w.drawbar_pull = w.torque = w.slip = 0.0
+    w.available_torque = world.stall_torque
+    w.motor_work = w.travel = w.last_action = w.entrapped_time = w.stalled_time = 0.0
+    w.converged, w.cell, w.steps = 1, 0, 0

@@ -1,0 +1,187 @@
+"""Strict loading: dataclass fields with units and bounds, and YAML into dataclasses.
+
+Every physical number of the package is a field made by `quantity`, which carries its unit and its admissible range; a
+value outside the range, an unknown key or a wrong type is refused with one line that names the key, the value and what
+was expected (`ParameterError`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import types
+import typing
+from dataclasses import field
+from pathlib import Path
+
+import yaml
+
+
+class ParameterError(ValueError):
+    """A parameter is unknown, of the wrong type or outside its physical range."""
+
+
+# --- fields with units ------------------------------------------------------------------------------------------------
+
+
+def quantity(unit: str, low: float = -math.inf, high: float = math.inf, *, default=dataclasses.MISSING, doc: str = ""):
+    """A dataclass field holding a number in [low, high] of the given unit, or a (low, high) pair of such numbers."""
+    return field(default=default, metadata={"unit": unit, "low": low, "high": high, "doc": doc})
+
+
+def check(instance) -> None:
+    """Raise `ParameterError` if a `quantity` field of `instance` is not finite or out of range."""
+    for f in dataclasses.fields(instance):
+        if "unit" not in f.metadata:
+            continue
+        value = getattr(instance, f.name)
+        low, high = f.metadata["low"], f.metadata["high"]
+        numbers = value if isinstance(value, tuple) else (value,)
+        for x in numbers:
+            if x is None:
+                continue
+            if not (isinstance(x, (int, float)) and math.isfinite(x) and low <= x <= high):
+                raise ParameterError(
+                    f"{type(instance).__name__}.{f.name} = {value!r}: expected a number "
+                    f"in [{low:g}, {high:g}] {f.metadata['unit']}".rstrip()
+                )
+        if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
+            raise ParameterError(f"{type(instance).__name__}.{f.name} = {value!r}: expected low <= high")
+
+
+class Checked:
+    """Base of the parameter classes: checks every `quantity` on construction."""
+
+    def __post_init__(self):
+        check(self)
+
+
+# --- strict loading ---------------------------------------------------------------------------------------------------
+
+
+def unknown_key(key, known, where: str) -> ParameterError:
+    """The error for a key that does not exist, with the nearest known name."""
+    near = difflib.get_close_matches(str(key), [str(k) for k in known], n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    return ParameterError(f"{where}: unknown key {key!r}{hint} (known: {', '.join(sorted(map(str, known)))})")
+
+
+def load(cls, mapping, where: str = ""):
+    """Build dataclass `cls` from a mapping; nested dataclasses from nested mappings.
+
+    Raises `ParameterError` for unknown or missing keys and for wrong types, naming `where` the mapping came from.
+    """
+    where = where or cls.__name__
+    if not isinstance(mapping, dict):
+        raise ParameterError(f"{where}: expected a mapping of {cls.__name__} fields, got {mapping!r}")
+    hints = typing.get_type_hints(cls)
+    names = {f.name: f for f in dataclasses.fields(cls) if f.init}
+    for key in mapping:
+        if key not in names:
+            raise unknown_key(key, names, where)
+    values = {key: _convert(hints[key], value, f"{where}: {key}") for key, value in mapping.items()}
+    missing = [
+        n
+        for n, f in names.items()
+        if n not in values and f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
+    ]
+    if missing:
+        raise ParameterError(f"{where}: missing {', '.join(missing)}")
+    try:
+        return cls(**values)
+    except ParameterError as error:
+        raise ParameterError(f"{where}: {error}" if where != cls.__name__ else str(error)) from None
+
+
+def _convert(hint, value, where):
+    origin = typing.get_origin(hint)
+    if origin in (typing.Union, types.UnionType):
+        options = typing.get_args(hint)
+        if value is None and type(None) in options:
+            return None
+        return _convert(next(o for o in options if o is not type(None)), value, where)
+    if dataclasses.is_dataclass(hint):
+        return value if isinstance(value, hint) else load(hint, value, where)
+    if origin is tuple:
+        items = typing.get_args(hint)
+        if not isinstance(value, (list, tuple)) or len(value) != len(items):
+            raise ParameterError(f"{where} = {value!r}: expected a list of {len(items)} values")
+        return tuple(_convert(item, v, where) for item, v in zip(items, value, strict=True))
+    if origin is dict:
+        if not isinstance(value, dict):
+            raise ParameterError(f"{where} = {value!r}: expected a mapping")
+        _, item = typing.get_args(hint)
+        return {str(k): _convert(item, v, f"{where}.{k}") for k, v in value.items()}
+    if origin is typing.Literal:
+        if value not in typing.get_args(hint):
+            raise ParameterError(f"{where} = {value!r}: expected one of {', '.join(map(repr, typing.get_args(hint)))}")
+        return value
+    if hint is bool:
+        if not isinstance(value, bool):
+            raise ParameterError(f"{where} = {value!r}: expected true or false")
+        return value
+    if hint in (float, int):
+        return _number(hint, value, where)
+    if hint is str:
+        if not isinstance(value, str):
+            raise ParameterError(f"{where} = {value!r}: expected text")
+        return value
+    raise TypeError(f"{where}: no rule to load a {hint!r}")  # a programming error, not the user's
+
+
+def _number(kind, value, where):
+    if isinstance(value, str):  # YAML 1.1 reads 1e6 as text
+        try:
+            value = float(value)
+        except ValueError:
+            pass
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ParameterError(f"{where} = {value!r}: expected a number")
+    if kind is int:
+        if not math.isfinite(value) or value != int(value):
+            raise ParameterError(f"{where} = {value!r}: expected a whole number")
+        return int(value)
+    return float(value)
+
+
+def merge(base: dict, changes: dict) -> dict:
+    """`base` with the values of `changes`, nested mappings merged key by key; neither argument is modified."""
+    out = dict(base)
+    for key, value in changes.items():
+        out[key] = merge(out[key], value) if isinstance(value, dict) and isinstance(out.get(key), dict) else value
+    return out
+
+
+def to_dict(instance) -> dict:
+    """A dataclass as nested plain values, ready for YAML."""
+
+    def plain(x):
+        if dataclasses.is_dataclass(x):
+            return {f.name: plain(getattr(x, f.name)) for f in dataclasses.fields(x)}
+        if isinstance(x, dict):
+            return {k: plain(v) for k, v in x.items()}
+        return [plain(v) for v in x] if isinstance(x, (tuple, list)) else x
+
+    return plain(instance)
+
+
+def read_yaml(path: Path) -> dict:
+    """The mapping in a YAML file; `ParameterError` if it cannot be read as one."""
+    try:
+        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ParameterError(f"{path}: not valid YAML ({str(error).splitlines()[0]})") from None
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise ParameterError(f"{path}: expected a mapping at the top, got {type(content).__name__}")
+    return content
+
+
+def config_dir() -> Path:
+    """Folder of the shipped YAML files: inside an installed package, else beside it in the clone."""
+    here = Path(__file__).resolve().parent
+    return next((p for p in (here / "configs", here.parent / "configs") if p.is_dir()), here.parent / "configs")

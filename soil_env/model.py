@@ -1,0 +1,73 @@
+"""The steady wheel on uniform soil: sinkage, drawbar pull and torque at a given slip and load."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+
+from soil_env.contact import arc_integrals, entry_angle, forces, mobilised_modulus, motion_from_slip
+from soil_env.effects import slip_sinkage_ratio
+
+
+DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
+
+
+class Steady(NamedTuple):
+    """Steady state of a wheel at one slip and load."""
+
+    sinkage: float  # [m]
+    drawbar_pull: float  # [N]
+    torque: float  # [N m]
+    floating: bool  # False when the soil does not carry the load before the wheel is buried (`sinkage` is then the bound)
+
+
+@njit(cache=True)
+def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
+    """`Forces` of a wheel at a given sinkage [m] with sinkage coefficient S, contact from entry to the lowest point."""
+    theta1 = entry_angle(sinkage, r)
+    q, _, _ = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, soil.sinkage_exponent, r)
+    return forces(q, S, soil.tan_phi, soil.cohesion, r, b, direction)
+
+
+@njit(cache=True)
+def steady_state(slip, load, soil, r, b):
+    """`Steady` sinkage, drawbar pull and torque: Eq. (1) solved for the sinkage, then Eqs. (2) and (3).
+
+    Slip-sinkage deepens the hole by the ratio k(i) at the same bearing pressure S z_w^n = S (z/k)^n, that is, it acts as
+    a sinkage coefficient S k^-n. With s(z) the coefficient that `load` mobilises at sinkage z (closed form, since (1) is
+    linear in it), the root of ln s(z) - ln(S k^-n) is found by a bracketed secant in ln z, in which it is nearly straight.
+    """
+    rim, travel = motion_from_slip(slip)
+    n = soil.sinkage_exponent
+    available = soil.sinkage_coefficient * slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery) ** -n
+    low, high = math.log(1e-6 * r), math.log(DEEPEST * r)
+    deepest = high
+    # start from the depth of a flat plate, sqrt(2 r z) long
+    x = min(max(math.log(load / (b * math.sqrt(2.0 * r) * available)) / (n + 0.5), low), high)
+    slope = -(n + 0.5)
+    x_old = f_old = 0.0
+    for k in range(60):
+        theta1 = entry_angle(math.exp(x), r)
+        q, _, _ = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, n, r)
+        s = mobilised_modulus(q, load, soil.tan_phi, soil.cohesion, r, b, 1.0)
+        f = math.log(max(s, 1e-300) / available)
+        if f > 0.0:
+            low = max(low, x)
+        else:
+            high = min(high, x)
+        if k > 0 and x != x_old:
+            slope = min((f - f_old) / (x - x_old), -0.05)
+        x_old, f_old = x, f
+        step = -f / slope
+        if abs(step) < 1e-7 or low >= high:
+            break
+        x = x + step
+        if x >= deepest and high == deepest:
+            x = deepest
+        elif not low < x < high:
+            x = 0.5 * (low + high)
+    z = math.exp(x_old)
+    w = forces_at(z, available, soil, rim, travel, 1.0, r, b)
+    return Steady(z, w.drawbar_pull, w.torque, x_old < deepest)

@@ -1,0 +1,354 @@
+"""Soil, wheel, sensors, course and task: frozen dataclasses in SI units, and the presets of configs/.
+
+Presets with their sources: configs/soils.yaml, configs/wheels.yaml, configs/scenarios/*.yaml. The classes ending in
+`...State`/`...Numbers` are plain tuples of floats, the form in which the compiled kernels take the same parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from soil_env.loading import (
+    Checked,
+    ParameterError,
+    config_dir,
+    load,
+    merge,
+    quantity,
+    read_yaml,
+    to_dict,
+    unknown_key,
+)
+
+# --- soil -------------------------------------------------------------------------------------------------------------
+
+
+class SoilState(NamedTuple):
+    """Soil under the wheel as the kernels take it; see `Soil` for the meaning."""
+
+    tan_phi: float  # [-]
+    cohesion: float  # [Pa]
+    shear_modulus: float  # K [m]
+    sinkage_coefficient: float  # S [N/m^(n+2)]
+    sinkage_exponent: float  # n [-]
+    dig_gain: float  # [-]
+    dig_recovery: float  # [-]
+
+
+@dataclass(frozen=True)
+class Soil(Checked):
+    """A uniform soil, in the terms of Bekker, Janosi & Hanamoto and Mohr-Coulomb.
+
+    The pressure-sinkage relation p = (k_c/b + k_phi) z^n is given by its two moduli or by their sum for the wheel at
+    hand, `sinkage_coefficient` (the S of the source paper).
+    """
+
+    friction_angle_deg: float = quantity("deg", 0.0, 60.0)
+    cohesion: float = quantity("Pa", 0.0, 2e5)
+    shear_modulus: float = quantity("m", 1e-4, 0.3, doc="K of Eq. (10)")
+    sinkage_exponent: float = quantity("", 0.0, 3.0, doc="n of Eq. (7)")
+    k_c: float | None = quantity("N/m^(n+1)", -1e7, 1e9, default=None)
+    k_phi: float | None = quantity("N/m^(n+2)", 0.0, 1e13, default=None)
+    sinkage_coefficient: float | None = quantity("N/m^(n+2)", 1.0, 1e13, default=None)
+    density: float = quantity("kg/m3", 50.0, 4000.0, default=1500.0)
+    dig_gain: float = quantity("", 0.0, 20.0, default=1.5, doc="slip-sinkage, effects.slip_sinkage_ratio")
+    dig_recovery: float = quantity("", 0.05, 5.0, default=0.5, doc="slip-sinkage, effects.slip_sinkage_ratio")
+    source: str = ""
+
+    def __post_init__(self):
+        super().__post_init__()
+        if (self.sinkage_coefficient is None) == (self.k_c is None or self.k_phi is None):
+            raise ParameterError("Soil: expected either sinkage_coefficient, or both k_c and k_phi")
+
+    @property
+    def tan_phi(self) -> float:
+        """Tangent of the friction angle [-]."""
+        return math.tan(math.radians(self.friction_angle_deg))
+
+    def lumped(self, width: float) -> float:
+        """S = k_c/b + k_phi [N/m^(n+2)] for a wheel of width b [m]; `ParameterError` if it is not positive."""
+        if self.sinkage_coefficient is not None:
+            return self.sinkage_coefficient
+        s = self.k_c / width + self.k_phi
+        if s <= 0.0:
+            raise ParameterError(f"Soil: k_c/b + k_phi = {s:g} for a wheel of width {width:g} m: expected > 0")
+        return s
+
+    def state(self, width: float) -> SoilState:
+        """The soil as the compiled kernels take it, under a wheel of width b [m]."""
+        return SoilState(
+            self.tan_phi,
+            self.cohesion,
+            self.shear_modulus,
+            self.lumped(width),
+            self.sinkage_exponent,
+            self.dig_gain,
+            self.dig_recovery,
+        )
+
+
+@dataclass(frozen=True)
+class SoilSpread(Checked):
+    """How a soil in the field scatters about its preset: coefficients of variation and correlations.
+
+    Friction scatters normally, the others log-normally. The stiffness that scatters is the pressure at
+    `reference_sinkage`, not S itself, whose unit depends on n. Sources: COV of friction 5-15 % in sand (Phoon &
+    Kulhawy 1999, Can. Geotech. J. 36:612), cohesion 20-40 % with correlation -0.24 to -0.7 to friction (Cherubini
+    2000, Can. Geotech. J. 37:705); denser soil has higher friction (Bolton 1986, Geotechnique 36:65) and stiffness and
+    a lower shear modulus. For K, stiffness and digging no published statistics were found: those are our choice.
+    """
+
+    friction: float = quantity("", 0.0, 0.5, default=0.08)
+    cohesion: float = quantity("", 0.0, 1.0, default=0.3)
+    shear_modulus: float = quantity("", 0.0, 1.5, default=0.4)
+    stiffness: float = quantity("", 0.0, 1.5, default=0.35)
+    exponent: float = quantity("", 0.0, 0.3, default=0.05)
+    dig_gain: float = quantity("", 0.0, 1.5, default=0.4)
+    reference_sinkage: float = quantity("m", 1e-3, 0.5, default=0.03)
+    friction_cohesion: float = quantity("", -0.99, 0.99, default=-0.5)
+    friction_stiffness: float = quantity("", -0.99, 0.99, default=0.4)
+    friction_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.3)
+    stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4)
+    stiffness_dig_gain: float = quantity("", -0.99, 0.99, default=-0.5)
+
+    def __post_init__(self):
+        super().__post_init__()
+        self.factor()
+
+    def factor(self) -> np.ndarray:
+        """Lower Cholesky factor [5, 5] of the correlations of (friction, cohesion, K, stiffness, dig gain)."""
+        c = np.eye(5)
+        for (i, j), name in {
+            (0, 1): "friction_cohesion",
+            (0, 3): "friction_stiffness",
+            (0, 2): "friction_shear_modulus",
+            (2, 3): "stiffness_shear_modulus",
+            (3, 4): "stiffness_dig_gain",
+        }.items():
+            c[i, j] = c[j, i] = getattr(self, name)
+        try:
+            return np.linalg.cholesky(c)
+        except np.linalg.LinAlgError:
+            raise ParameterError("SoilSpread: the correlations contradict each other (not positive definite)") from None
+
+
+# --- wheel ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Wheel(Checked):
+    """A rigid driven wheel with its motor and its share of the vehicle.
+
+    `inertia` is that of the wheel with the motor's rotor seen through the gear, which dominates in a geared drive. The
+    motor has the straight torque-speed line of a DC motor: stall_torque (1 - w / no_load_speed).
+    """
+
+    radius: float = quantity("m", 0.01, 3.0)
+    width: float = quantity("m", 0.005, 3.0)
+    inertia: float = quantity("kg m2", 1e-6, 1e5)
+    stall_torque: float = quantity("N m", 1e-3, 1e6)
+    no_load_speed: float = quantity("rad/s", 1e-3, 1e3)
+    body_mass: float = quantity("kg", 0.1, 1e5, doc="mass this wheel carries and accelerates, without payload")
+    source: str = ""
+
+
+# --- sensors, belief, task --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Noise(Checked):
+    """Standard deviations of the sensors, white and Gaussian. Forces are shares of the unloaded wheel's weight."""
+
+    slip: float = quantity("", 0.0, 1.0, default=0.01)
+    sinkage: float = quantity("m", 0.0, 1.0, default=0.001)
+    drawbar_pull: float = quantity("of weight", 0.0, 1.0, default=0.01)
+    torque: float = quantity("of weight x radius", 0.0, 1.0, default=0.01)
+    load: float = quantity("of weight", 0.0, 1.0, default=0.01)
+    speed: float = quantity("m/s", 0.0, 10.0, default=0.005)
+    wheel_speed: float = quantity("rad/s", 0.0, 10.0, default=0.01)
+    pitch: float = quantity("rad", 0.0, 1.0, default=0.003)
+
+
+@dataclass(frozen=True)
+class Belief(Checked):
+    """What the identifier holds to be true before it has measured anything.
+
+    It knows neither the soil nor the parameters of the world's slip-sinkage: cohesion, exponent and digging are nominal
+    values, and (phi, K, S) start from a prior: friction normal, K and S log-normal (`..._sd` are relative there).
+    """
+
+    friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=31.0)
+    friction_sd_deg: float = quantity("deg", 0.01, 60.0, default=5.0)
+    shear_modulus: float = quantity("m", 1e-4, 0.3, default=0.013)
+    shear_modulus_sd: float = quantity("", 0.01, 5.0, default=0.6)
+    sinkage_coefficient: float = quantity("N/m^(n+2)", 1e2, 1e13, default=1.0e6)
+    sinkage_coefficient_sd: float = quantity("", 0.01, 10.0, default=0.8)
+    cohesion: float = quantity("Pa", 0.0, 2e5, default=500.0)
+    sinkage_exponent: float = quantity("", 0.1, 3.0, default=1.0)
+    dig_gain: float = quantity("", 0.0, 20.0, default=2.0)
+    dig_recovery: float = quantity("", 0.05, 5.0, default=0.5)
+    model_error: float = quantity("of load", 0.0, 1.0, default=0.02, doc="1-sigma misfit of the model itself")
+    memory: float = quantity("m", 0.01, 1e3, default=1.5, doc="distance after which a measured point is forgotten")
+
+
+@dataclass(frozen=True)
+class CourseSpec(Checked):
+    """How courses are drawn. All pairs are (low, high) of a uniform distribution.
+
+    Each patch gets the steepest grade at which a wheel at its best slip keeps a drawbar pull of `margin` times its
+    weight in reserve, cut to the bounds of `grade_deg`: every course is passable, and by how much is stated.
+    """
+
+    length: float = quantity("m", 1.0, 1e4, default=10.0)
+    patch_length: tuple[float, float] = quantity("m", 0.2, 1e4, default=(1.2, 3.0))
+    border: float = quantity("m", 0.01, 10.0, default=0.3, doc="length over which one patch passes into the next")
+    grade_deg: tuple[float, float] = quantity("deg", -25.0, 35.0, default=(-6.0, 18.0))
+    margin: tuple[float, float] = quantity("of weight", 0.0, 1.0, default=(0.03, 0.12))
+    payload: tuple[float, float] = quantity("kg", 0.0, 1e5, default=(0.0, 4.0))
+
+
+@dataclass(frozen=True)
+class Limits(Checked):
+    """When a wheel counts as immobilised (see `task.Cause`)."""
+
+    entrapped_slip: float = quantity("", 0.1, 1.0, default=0.6)
+    entrapped_speed: float = quantity("m/s", 1e-4, 10.0, default=0.02)
+    entrapped_time: float = quantity("s", 0.1, 1e3, default=4.0)
+    stalled_rim_speed: float = quantity("m/s", 1e-4, 1.0, default=0.01)
+    stalled_time: float = quantity("s", 0.1, 1e3, default=3.0)
+    bogged_sinkage: float = quantity("of radius", 0.05, 1.4, default=0.8)
+
+
+@dataclass(frozen=True)
+class RewardWeights(Checked):
+    """Weights of the reward terms (see `task.reward_terms`)."""
+
+    progress: float = quantity("per course", 0.0, 1e4, default=10.0)
+    energy: float = quantity("per weight x course length", 0.0, 1e4, default=1.0)
+    immobilisation: float = quantity("", 0.0, 1e4, default=10.0)
+
+
+@dataclass(frozen=True)
+class Control(Checked):
+    """How the agent acts on the wheel."""
+
+    period: float = quantity("s", 1e-3, 1.0, default=0.1, doc="time between two actions")
+    substep: float = quantity("s", 1e-4, 0.5, default=0.05, doc="longest step of the integrator")
+    time_limit: float = quantity("s", 1.0, 1e5, default=90.0, doc="episode length at which it is truncated")
+    action: Literal["torque", "wheel_speed"] = "torque"
+
+
+@dataclass(frozen=True)
+class Scenario(Checked):
+    """A complete task: the wheel, the ground it is driven over, its sensors, and what counts as success."""
+
+    wheel: Wheel
+    soils: dict[str, float] = field(default_factory=dict)  # preset name -> weight in the draw
+    name: str = "unnamed"
+    gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81)
+    relaxation: float = quantity("wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts")
+    spread: SoilSpread = SoilSpread()
+    course: CourseSpec = CourseSpec()
+    noise: Noise = Noise()
+    belief: Belief = Belief()
+    limits: Limits = Limits()
+    reward: RewardWeights = RewardWeights()
+    control: Control = Control()
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not self.soils:
+            raise ParameterError("Scenario.soils: expected at least one soil name with its weight")
+        library = soils()
+        for name, weight in self.soils.items():
+            if name not in library:
+                raise unknown_key(name, library, "Scenario.soils")
+            if not (math.isfinite(weight) and weight >= 0.0):
+                raise ParameterError(f"Scenario.soils.{name} = {weight!r}: expected a weight >= 0")
+            library[name].lumped(self.wheel.width)
+        if sum(self.soils.values()) <= 0.0:
+            raise ParameterError("Scenario.soils: expected at least one weight > 0")
+        if self.control.substep > self.control.period:
+            raise ParameterError(
+                f"Control.substep = {self.control.substep}: expected at most the period, {self.control.period} s"
+            )
+
+    @property
+    def weight(self) -> float:
+        """Weight [N] of the wheel with its share of the body, without payload."""
+        return self.wheel.body_mass * self.gravity
+
+    @property
+    def steps(self) -> int:
+        """Actions until the time limit."""
+        return max(1, round(self.control.time_limit / self.control.period))
+
+
+# --- presets ----------------------------------------------------------------------------------------------------------
+
+
+@cache
+def _library(kind: str) -> dict:
+    path = config_dir() / f"{kind}.yaml"
+    cls = {"soils": Soil, "wheels": Wheel}[kind]
+    return {name: load(cls, entry, f"{path.name}: {name}") for name, entry in read_yaml(path).items()}
+
+
+def soils() -> dict[str, Soil]:
+    """The soil presets of configs/soils.yaml by name."""
+    return dict(_library("soils"))
+
+
+def wheels() -> dict[str, Wheel]:
+    """The wheel presets of configs/wheels.yaml by name."""
+    return dict(_library("wheels"))
+
+
+def scenario_names() -> list[str]:
+    """Names of the shipped scenarios."""
+    return sorted(p.stem for p in (config_dir() / "scenarios").glob("*.yaml"))
+
+
+def load_scenario(which: str | Path | Scenario = "mixed", changes: dict | None = None) -> Scenario:
+    """A scenario by name, by path of a YAML file, or as it is, with `changes` (nested mapping) merged over it.
+
+    `wheel` may be the name of a preset, or a mapping whose key `preset` names one. `soils`, where given in `changes`,
+    replaces the whole mixture. Raises `ParameterError` with one line for anything unknown or out of range.
+    """
+    if isinstance(which, Scenario):
+        mapping, where = to_dict(which), f"scenario {which.name!r}"
+    else:
+        path = Path(which)
+        if path.suffix not in (".yaml", ".yml"):
+            path = config_dir() / "scenarios" / f"{which}.yaml"
+            if not path.is_file():
+                raise unknown_key(which, scenario_names(), "scenario")
+        mapping, where = read_yaml(path), path.name
+        mapping.setdefault("name", path.stem)
+    changes = dict(changes or {})
+    if "soils" in changes:
+        mapping["soils"] = changes.pop("soils")
+    if "wheel" in changes and not isinstance(changes["wheel"], dict):
+        mapping["wheel"] = changes.pop("wheel")
+    if isinstance(mapping.get("wheel"), str):
+        mapping["wheel"] = {"preset": mapping["wheel"]}
+    mapping = merge(mapping, {k: to_dict(v) if isinstance(v, Checked) else v for k, v in changes.items()})
+    wheel = mapping.get("wheel")
+    if isinstance(wheel, dict) and "preset" in wheel:
+        wheel = dict(wheel)
+        preset = wheel.pop("preset")
+        if preset not in wheels():
+            raise unknown_key(preset, wheels(), f"{where}: wheel")
+        mapping["wheel"] = merge(to_dict(wheels()[preset]), wheel)
+    return load(Scenario, mapping, where)
+
+
+def with_changes(scenario: Scenario, **changes) -> Scenario:
+    """A copy of a scenario with whole fields replaced."""
+    return replace(scenario, **changes)

@@ -1,0 +1,257 @@
+"""A course: patches of soil with a grade each, smooth borders between them, and the rut the wheel leaves.
+
+A course is drawn from one random stream. Each patch draws a preset by weight and scatters it (`SoilSpread`); its grade
+follows from what the wheel can do there at its best slip less the margin of the scenario (`CourseSpec`), so that every
+course is passable by construction. Soils on which even the mildest grade leaves less than the margin are drawn again.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from soil_env.parameters import Scenario, SoilState, soils
+from soil_env.streams import between, normal_pair, uniform
+from soil_env.traversability import best_working_point
+
+CELL = 0.05  # [m] length of one cell of the rut
+_MAX_REDRAWS = 50
+
+# How a pass changes the ground, as a factor on the sinkage coefficient S of the cell. A rolling wheel compacts, a
+# digging one loosens. The direction is that of multi-pass tests (Holm 1969, Proc. 3rd ISTVS Conf. II:1-12); the law is ours:
+# factor = COMPACTION * (z / z_w)^-LOOSENING, bounded.
+COMPACTION = 1.6
+LOOSENING = 1.5
+MODULUS_BOUNDS = (0.3, 3.0)
+
+
+class Courses(NamedTuple):
+    """The ground of many wheels: arrays with one row a wheel. x [m] is the distance along the course."""
+
+    edges: np.ndarray  # [wheels, patches + 1] patch borders [m]; unused ones are +inf
+    soils: np.ndarray  # [wheels, patches, 7] `SoilState` of each patch
+    grades: np.ndarray  # [wheels, patches] grade angle [rad], uphill positive
+    margins: np.ndarray  # [wheels, patches] drawbar pull in reserve at best slip [of weight]
+    patches: np.ndarray  # [wheels] number of patches
+    modulus: np.ndarray  # [wheels, cells] factor on S left by earlier passes [-]
+    rut: np.ndarray  # [wheels, cells] depth of the rut [m]
+
+
+class CourseNumbers(NamedTuple):
+    """`CourseSpec`, `SoilSpread` and the soil mixture as the kernels take them."""
+
+    length: float
+    patch_low: float
+    patch_high: float
+    border: float
+    grade_low: float  # tangent
+    grade_high: float  # tangent
+    margin_low: float
+    margin_high: float
+    payload_low: float
+    payload_high: float
+    body_mass: float
+    gravity: float
+    radius: float
+    width: float
+    stall_torque: float
+    reference_sinkage: float
+    spread: np.ndarray  # [6] coefficients of variation: friction, cohesion, K, stiffness, dig gain, exponent
+    factor: np.ndarray  # [5, 5] Cholesky factor of the correlations of the first five
+    library: np.ndarray  # [soils, 7] `SoilState` of the presets
+    cumulative: np.ndarray  # [soils] cumulative share of the presets
+
+
+def course_numbers(scenario: Scenario) -> CourseNumbers:
+    """Pack what `draw_course` needs."""
+    c, s, w = scenario.course, scenario.spread, scenario.wheel
+    presets = soils()
+    weights = np.array(list(scenario.soils.values()), dtype=float)
+    return CourseNumbers(
+        c.length,
+        *c.patch_length,
+        c.border,
+        *(math.tan(math.radians(g)) for g in c.grade_deg),
+        *c.margin,
+        *c.payload,
+        w.body_mass,
+        scenario.gravity,
+        w.radius,
+        w.width,
+        w.stall_torque,
+        s.reference_sinkage,
+        np.array([s.friction, s.cohesion, s.shear_modulus, s.stiffness, s.dig_gain, s.exponent]),
+        s.factor(),
+        np.array([presets[name].state(w.width) for name in scenario.soils]),
+        np.cumsum(weights) / weights.sum(),
+    )
+
+
+def new_courses(wheels: int, scenario: Scenario) -> Courses:
+    """Empty courses for `wheels` wheels."""
+    spec = scenario.course
+    patches = math.ceil(spec.length / spec.patch_length[0]) + 2
+    cells = math.ceil(spec.length / CELL) + 2
+    return Courses(
+        np.full((wheels, patches + 1), np.inf),
+        np.zeros((wheels, patches, 7)),
+        np.zeros((wheels, patches)),
+        np.zeros((wheels, patches)),
+        np.zeros(wheels, dtype=np.int64),
+        np.ones((wheels, cells), dtype=np.float32),
+        np.zeros((wheels, cells), dtype=np.float32),
+    )
+
+
+@njit(cache=True)
+def _row(s):
+    return SoilState(s[0], s[1], s[2], s[3], s[4], s[5], s[6])
+
+
+@njit(cache=True)
+def blend(a, b, w):
+    """Soil between two soils, share w of the second: moduli geometrically, everything else linearly."""
+    v = 1.0 - w
+    return SoilState(
+        v * a.tan_phi + w * b.tan_phi,
+        v * a.cohesion + w * b.cohesion,
+        a.shear_modulus**v * b.shear_modulus**w,
+        a.sinkage_coefficient**v * b.sinkage_coefficient**w,
+        v * a.sinkage_exponent + w * b.sinkage_exponent,
+        v * a.dig_gain + w * b.dig_gain,
+        v * a.dig_recovery + w * b.dig_recovery,
+    )
+
+
+@njit(cache=True)
+def ground_at(courses, k, x, patch, border):
+    """(soil, grade [rad], patch) of course k at x [m], undisturbed; `patch` is a first guess of the patch index.
+
+    Within `border` [m] around a patch border soil and grade pass smoothly (cubic) from one patch to the next.
+    """
+    edges, last = courses.edges[k], courses.patches[k] - 1
+    while patch < last and x >= edges[patch + 1]:
+        patch += 1
+    while patch > 0 and x < edges[patch]:
+        patch -= 1
+    near = patch + 1 if x - edges[patch] > edges[patch + 1] - x else patch  # index of the nearer border
+    t = (x - edges[near]) / border + 0.5
+    if near < 1 or near > last or t <= 0.0 or t >= 1.0:
+        return _row(courses.soils[k, patch]), courses.grades[k, patch], patch
+    w = t * t * (3.0 - 2.0 * t)
+    soil = blend(_row(courses.soils[k, near - 1]), _row(courses.soils[k, near]), w)
+    return soil, (1.0 - w) * courses.grades[k, near - 1] + w * courses.grades[k, near], patch
+
+
+@njit(cache=True)
+def stiffened(s, factor):
+    """The same soil with its sinkage coefficient multiplied by `factor`."""
+    return SoilState(
+        s.tan_phi, s.cohesion, s.shear_modulus, s.sinkage_coefficient * factor, s.sinkage_exponent, s.dig_gain,
+        s.dig_recovery,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def cell_at(courses, x):
+    """Index of the rut cell at x [m]."""
+    return min(max(int(x / CELL), 0), courses.modulus.shape[1] - 1)
+
+
+@njit(cache=True)
+def leave_rut(courses, k, cell, sinkage, bearing_sinkage):
+    """Mark a cell as driven over: its rut, and soil compacted by rolling or loosened by digging."""
+    dug = max(sinkage / max(bearing_sinkage, 1e-4), 0.5)
+    factor = courses.modulus[k, cell] * COMPACTION * dug**-LOOSENING
+    courses.modulus[k, cell] = min(max(factor, MODULUS_BOUNDS[0]), MODULUS_BOUNDS[1])
+    courses.rut[k, cell] = max(courses.rut[k, cell], sinkage)
+
+
+@njit(cache=True)
+def draw_soil(streams, k, numbers):
+    """One soil: a preset by weight, scattered by `SoilSpread` (deviations cut at 2.5 sigma)."""
+    pick = uniform(streams, k)
+    i = 0
+    while i < numbers.cumulative.size - 1 and pick > numbers.cumulative[i]:
+        i += 1
+    mean, spread, factor = numbers.library[i], numbers.spread, numbers.factor
+    z = np.empty(6)
+    for j in range(3):
+        z[2 * j], z[2 * j + 1] = normal_pair(streams, k)
+    d = np.zeros(5)
+    for row in range(5):
+        for column in range(row + 1):
+            d[row] += factor[row, column] * z[column]
+        d[row] = min(max(d[row], -2.5), 2.5)
+    phi = math.atan(mean[0]) * (1.0 + spread[0] * d[0])
+    scale = np.empty(5)
+    for j in range(1, 5):
+        s = math.sqrt(math.log(1.0 + spread[j] * spread[j]))
+        scale[j] = math.exp(s * d[j] - 0.5 * s * s)
+    n = mean[4] * (1.0 + spread[5] * min(max(z[5], -2.5), 2.5))
+    stiffness = mean[3] * numbers.reference_sinkage ** mean[4] * scale[3]  # pressure at the reference sinkage [Pa]
+    return SoilState(
+        math.tan(phi),
+        mean[1] * scale[1],
+        mean[2] * scale[2],
+        stiffness / numbers.reference_sinkage**n,
+        n,
+        mean[5] * scale[4],
+        mean[6],
+    )
+
+
+@njit(cache=True)
+def _capacity(load, soil, numbers):
+    """Best steady drawbar pull over load on level ground; W cos(grade) sinks less, so it is on the safe side."""
+    return best_working_point(load, soil, numbers.radius, numbers.width, numbers.stall_torque).drawbar_pull / load
+
+
+@njit(cache=True)
+def draw_course(k, courses, streams, numbers):
+    """Draw course k afresh from stream k and clear its rut; returns the mass [kg] on the wheel, payload included.
+
+    At each border the blend of both sides is checked too, and both grades lowered if it falls short.
+    """
+    mass = numbers.body_mass + between(streams, k, numbers.payload_low, numbers.payload_high)
+    load = mass * numbers.gravity
+    edges = courses.edges[k]
+    edges[:] = np.inf
+    x, p = 0.0, 0
+    while x < numbers.length and p < courses.soils.shape[1]:
+        edges[p] = x
+        x += between(streams, k, numbers.patch_low, numbers.patch_high)
+        margin = between(streams, k, numbers.margin_low, numbers.margin_high)
+        if p == 0:
+            margin = max(margin, 0.5 * (numbers.margin_low + numbers.margin_high))  # somewhere to get going
+        soil = draw_soil(streams, k, numbers)
+        capacity = _capacity(load, soil, numbers)
+        for _ in range(_MAX_REDRAWS):
+            if capacity - margin >= numbers.grade_low:
+                break
+            other = draw_soil(streams, k, numbers)
+            other_capacity = _capacity(load, other, numbers)
+            if other_capacity > capacity:
+                soil, capacity = other, other_capacity
+        for j in range(7):
+            courses.soils[k, p, j] = soil[j]
+        tangent = min(capacity - margin, numbers.grade_high)
+        courses.margins[k, p] = capacity - tangent
+        courses.grades[k, p] = math.atan(tangent)
+        p += 1
+    edges[p] = x
+    courses.patches[k] = p
+    for i in range(1, p):
+        mid = blend(_row(courses.soils[k, i - 1]), _row(courses.soils[k, i]), 0.5)
+        tangent = math.tan(0.5 * (courses.grades[k, i - 1] + courses.grades[k, i]))
+        short = numbers.margin_low - (_capacity(load, mid, numbers) - tangent)
+        if short > 0.0:
+            for j in (i - 1, i):
+                courses.grades[k, j] = math.atan(math.tan(courses.grades[k, j]) - short)
+                courses.margins[k, j] += short
+    courses.modulus[k, :] = 1.0
+    courses.rut[k, :] = 0.0
+    return mass

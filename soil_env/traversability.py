@@ -1,0 +1,40 @@
+"""Can this wheel pass this soil? Torque required against torque available, and the slip of the best drawbar pull.
+
+The criterion of the source paper (Sec. 5, Figs. 8 and 9): the ground is impassable where the torque that the soil takes
+exceeds what the motor has, or where no slip gives a positive drawbar pull in excess of the grade.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from soil_env.model import steady_state
+
+#: Slips at which the drawbar pull is compared.
+SLIPS = np.array([0.05, 0.1, 0.15, 0.2, 0.26, 0.33, 0.41, 0.5, 0.6, 0.72, 0.85, 0.97])
+
+
+class Best(NamedTuple):
+    """The working point of the highest steady drawbar pull within the motor's torque."""
+
+    slip: float  # [-]
+    drawbar_pull: float  # [N]; -inf if the motor can turn the wheel at no slip
+    torque: float  # [N m]
+    sinkage: float  # [m]
+
+
+@njit(cache=True)
+def best_working_point(load, soil, r, b, torque_available):
+    """`Best` over the slips of `SLIPS`; the curve has one maximum, so the scan stops once it has clearly passed it."""
+    best = Best(SLIPS[0], -np.inf, 0.0, 0.0)
+    for slip in SLIPS:
+        s = steady_state(slip, load, soil, r, b)
+        if s.torque <= torque_available and s.floating:
+            if s.drawbar_pull > best.drawbar_pull:
+                best = Best(slip, s.drawbar_pull, s.torque, s.sinkage)
+            elif s.drawbar_pull < best.drawbar_pull - 0.03 * load:
+                break
+    return best
