@@ -137,6 +137,32 @@ def _node(theta, theta1, sin1, rim, travel, r, K):
 
 
 @njit(cache=True)
+def _add_node(t, w, p, node):
+    """Running sums `t` of the arc integrals and their rates after one node of weight w and stress p (for S = 1)."""
+    s, c, e, g, lever_rim, lever_travel = node
+    wc, ws = w * c, w * s
+    x, y = g * lever_rim, g * lever_travel
+    return (
+        t[0] + p * wc, t[1] + p * ws,
+        t[2] + p * e * wc, t[3] + p * e * ws, t[4] + p * e * w, t[5] + e * wc, t[6] + e * ws, t[7] + e * w,
+        t[8] + p * x * wc, t[9] + p * x * ws, t[10] + p * x * w, t[11] + x * wc, t[12] + x * ws, t[13] + x * w,
+        t[14] + p * y * wc, t[15] + p * y * ws, t[16] + p * y * w, t[17] + y * wc, t[18] + y * ws, t[19] + y * w,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _packed(t):
+    return (
+        ArcIntegrals(t[0], t[1], t[2], t[3], t[4], t[5], t[6], t[7]),
+        ArcRates(t[8], t[9], t[10], t[11], t[12], t[13]),
+        ArcRates(t[14], t[15], t[16], t[17], t[18], t[19]),
+    )
+
+
+_NOTHING = (0.0,) * 20
+
+
+@njit(cache=True)
 def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r):
     """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
 
@@ -146,44 +172,30 @@ def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r):
     """
     front, rear = theta1 - thetam, thetam - theta2
     sin1, cos1 = math.sin(theta1), math.cos(theta1)
-    p_cos = p_sin = pe_cos = pe_sin = pe = e_cos = e_sin = e_sum = 0.0
-    a1 = a2 = a3 = a4 = a5 = a6 = b1 = b2 = b3 = b4 = b5 = b6 = 0.0
+    t = _NOTHING
     for k in range(NODES_PER_ZONE):
-        theta_f, theta_r = theta1 - front * _U2[k], theta2 + rear * _U2[k]
-        sf, cf, ef, gf, af, bf = _node(theta_f, theta1, sin1, rim, travel, r, K)
-        sr, cr, er, gr, ar, br = _node(theta_r, theta1, sin1, rim, travel, r, K)
-        p = relative_stress(r * (cf - cos1), n)
-        wf, wr = front * _DU2[k], rear * _DU2[k]
-        f_cos, f_sin, r_cos, r_sin = wf * cf, wf * sf, wr * cr, wr * sr
-        p_cos += p * (f_cos + r_cos)
-        p_sin += p * (f_sin + r_sin)
-        ec, es, e1 = f_cos * ef + r_cos * er, f_sin * ef + r_sin * er, wf * ef + wr * er
-        e_cos += ec
-        e_sin += es
-        e_sum += e1
-        pe_cos += p * ec
-        pe_sin += p * es
-        pe += p * e1
-        af *= gf
-        bf *= gf
-        ar *= gr
-        br *= gr
-        ac, as_, ae = f_cos * af + r_cos * ar, f_sin * af + r_sin * ar, wf * af + wr * ar
-        bc, bs, be = f_cos * bf + r_cos * br, f_sin * bf + r_sin * br, wf * bf + wr * br
-        a1 += p * ac
-        a2 += p * as_
-        a3 += p * ae
-        a4 += ac
-        a5 += as_
-        a6 += ae
-        b1 += p * bc
-        b2 += p * bs
-        b3 += p * be
-        b4 += bc
-        b5 += bs
-        b6 += be
-    integrals = ArcIntegrals(p_cos, p_sin, pe_cos, pe_sin, pe, e_cos, e_sin, e_sum)
-    return integrals, ArcRates(a1, a2, a3, a4, a5, a6), ArcRates(b1, b2, b3, b4, b5, b6)
+        ahead = _node(theta1 - front * _U2[k], theta1, sin1, rim, travel, r, K)
+        behind = _node(theta2 + rear * _U2[k], theta1, sin1, rim, travel, r, K)
+        p = relative_stress(r * (ahead[1] - cos1), n)
+        t = _add_node(t, front * _DU2[k], p, ahead)
+        t = _add_node(t, rear * _DU2[k], p, behind)
+    return _packed(t)
+
+
+@njit(cache=True)
+def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
+    """`arc_integrals` by the paper's rule: composite Simpson with 2m subintervals in each zone, Eq. (18)."""
+    sin1, cos1 = math.sin(theta1), math.cos(theta1)
+    t = _NOTHING
+    for zone in range(2):
+        low, high = (theta2, thetam) if zone == 0 else (thetam, theta1)
+        h = (high - low) / (2 * m)
+        for k in range(2 * m + 1):
+            w = h / 3.0 * (1.0 if k == 0 or k == 2 * m else (4.0 if k % 2 == 1 else 2.0))
+            theta = low + k * h
+            p = relative_stress(r * (math.cos(mirror_angle(theta, theta1, theta2, thetam)) - cos1), n)
+            t = _add_node(t, w, p, _node(theta, theta1, sin1, rim, travel, r, K))
+    return _packed(t)
 
 
 @njit(cache=True)
@@ -198,31 +210,6 @@ def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
         x * by_rim.e_sin + y * by_travel.e_sin,
         x * by_rim.e + y * by_travel.e,
     )
-
-
-@njit(cache=True)
-def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
-    """`ArcIntegrals` by the paper's rule: composite Simpson with 2m subintervals in each zone, Eq. (18)."""
-    sin1, cos1 = math.sin(theta1), math.cos(theta1)
-    p_cos = p_sin = pe_cos = pe_sin = pe = e_cos = e_sin = e_sum = 0.0
-    for zone in range(2):
-        low, high = (theta2, thetam) if zone == 0 else (thetam, theta1)
-        h = (high - low) / (2 * m)
-        for k in range(2 * m + 1):
-            w = h / 3.0 * (1.0 if k == 0 or k == 2 * m else (4.0 if k % 2 == 1 else 2.0))
-            theta = low + k * h
-            s, c, e, _, _, _ = _node(theta, theta1, sin1, rim, travel, r, K)
-            front = mirror_angle(theta, theta1, theta2, thetam)
-            p = relative_stress(r * (math.cos(front) - cos1), n)
-            p_cos += w * p * c
-            p_sin += w * p * s
-            pe_cos += w * p * e * c
-            pe_sin += w * p * e * s
-            pe += w * p * e
-            e_cos += w * e * c
-            e_sin += w * e * s
-            e_sum += w * e
-    return ArcIntegrals(p_cos, p_sin, pe_cos, pe_sin, pe, e_cos, e_sin, e_sum)
 
 
 @njit(cache=True)

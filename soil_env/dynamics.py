@@ -27,9 +27,10 @@ from soil_env.contact import arc_integrals, entry_angle, forces, mobilised_modul
 from soil_env.effects import excavation_rate
 from soil_env.model import steady_state
 from soil_env.parameters import Scenario
+from soil_env.streams import between
 from soil_env.terrain import cell_at, ground_at, leave_rut, stiffened
 
-REST_SPEED = 0.005  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
+REST_SPEED = 0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 _TOLERANCE = 1e-7  # [m/s] of the Newton iteration
 _MAX_ITERATIONS = 30
@@ -56,6 +57,8 @@ WHEEL_STATE = np.dtype(
         ("last_action", np.float64),  # [-1, 1]
         ("entrapped_time", np.float64),  # [s] the conditions of entrapment have held
         ("stalled_time", np.float64),  # [s] the conditions of stalling have held
+        ("next_halt", np.float64),  # [m] place of the next commanded halt
+        ("halt_left", np.float64),  # [s] left of the present halt, 0 while driving
         ("converged", np.int64),  # 1 unless a Newton iteration of the last control period gave up
         ("patch", np.int64),
         ("cell", np.int64),
@@ -76,6 +79,9 @@ class WorldNumbers(NamedTuple):
     gravity: float
     relaxation: float  # [m]
     border: float  # [m]
+    halt_low: float  # [m]
+    halt_high: float  # [m]
+    halt_time: float  # [s]
     period: float  # [s]
     substeps: int
     speed_command: bool
@@ -93,6 +99,8 @@ def world_numbers(scenario: Scenario) -> WorldNumbers:
         scenario.gravity,
         scenario.relaxation * w.radius,
         scenario.course.border,
+        *scenario.course.halt_interval,
+        scenario.course.halt_time,
         c.period,
         math.ceil(c.period / c.substep - 1e-9),
         c.action == "wheel_speed",
@@ -152,17 +160,17 @@ def reaction(speed, rim_speed, sinkage, load, soil, r, b):
 
 
 @njit(cache=True)
-def motor(command, wheel_speed, world):
+def motor(command, by_speed, wheel_speed, world):
     """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
 
-    The command is a share of the stall torque, or of the no-load speed, which a stiff speed loop then follows. Either
-    way the torque stays between the two torque-speed lines +-T_stall (1 -+ w/w_0); `available` is the line on the side of
+    The command is a share of the stall torque or, with `by_speed`, of the no-load speed, which a stiff speed loop then
+    follows. Either way the torque stays between the two torque-speed lines +-T_stall (1 -+ w/w_0); `available` is the line on the side of
     the command.
     """
     stall, line = world.stall_torque, world.stall_torque / world.no_load_speed
     high = min(max(stall - line * wheel_speed, 0.0), stall)
     low = -min(max(stall + line * wheel_speed, 0.0), stall)
-    if world.speed_command:
+    if by_speed:
         gain = 10.0 * line
         torque, slope = gain * (command * world.no_load_speed - wheel_speed), -gain
     else:
@@ -176,7 +184,7 @@ def motor(command, wheel_speed, world):
 
 
 @njit(cache=True)
-def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, command, world, h):
+def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, command, by_speed, world, h):
     """Implicit Euler for (V, u = r w) over h seconds: (V, u, Reaction, converged)."""
     r, b = world.radius, world.width
     weight_along = mass * world.gravity * math.sin(grade)
@@ -184,7 +192,7 @@ def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, com
     v, u = speed0, wheel_speed0 * r
     u0 = u
     soil_force = reaction(v, u, sinkage, load, soil, r, b)
-    torque, torque_w, _ = motor(command, u / r, world)
+    torque, torque_w, _ = motor(command, by_speed, u / r, world)
     f1 = v - speed0 - cv * (soil_force.drawbar_pull - weight_along)
     f2 = u - u0 - cu * (torque - soil_force.torque)
     for _ in range(_MAX_ITERATIONS):
@@ -201,7 +209,7 @@ def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, com
         for _ in range(8):
             v1, u1 = v + share * dv, u + share * du
             trial = reaction(v1, u1, sinkage, load, soil, r, b)
-            torque, torque_w, _ = motor(command, u1 / r, world)
+            torque, torque_w, _ = motor(command, by_speed, u1 / r, world)
             g1 = v1 - speed0 - cv * (trial.drawbar_pull - weight_along)
             g2 = u1 - u0 - cu * (torque - trial.torque)
             if max(abs(g1), abs(g2)) < norm * (1.0 - 0.1 * share):
@@ -232,9 +240,15 @@ def relax_sinkage(sinkage, bearing, speed, slip_speed, soil, length, h):
 
 
 @njit(cache=True)
-def advance(state, k, command, courses, world):
-    """Drive wheel k for one control period with a command in [-1, 1]; updates state[k] and its rut."""
+def advance(state, k, command, courses, streams, world):
+    """Drive wheel k for one control period with a command in [-1, 1]; updates state[k] and its rut.
+
+    During a commanded halt the drive ignores the command and holds the wheel with its speed loop.
+    """
     w = state[k]
+    by_speed = world.speed_command
+    if w.halt_left > 0.0:
+        command, by_speed = 0.0, True
     r, b = world.radius, world.width
     h = world.period / world.substeps
     x_start = w.x
@@ -245,11 +259,11 @@ def advance(state, k, command, courses, world):
         soil = stiffened(soil, courses.modulus[k, w.cell])
         load = w.mass * world.gravity * math.cos(grade)
         v, u, soil_force, converged = _implicit_speeds(
-            w.speed, w.wheel_speed, w.sinkage, w.mass, load, grade, soil, command, world, h
+            w.speed, w.wheel_speed, w.sinkage, w.mass, load, grade, soil, command, by_speed, world, h
         )
         bearing = bearing_sinkage(w.sinkage, soil_force.modulus, soil)
         sinkage = relax_sinkage(w.sinkage, bearing, v, u - v, soil, world.relaxation, h)
-        torque, _, available = motor(command, u / r, world)
+        torque, _, available = motor(command, by_speed, u / r, world)
 
         w.x += 0.5 * h * (w.speed + v)
         w.motor_work += h * torque * u / r
@@ -270,10 +284,15 @@ def advance(state, k, command, courses, world):
     w.best_x = max(w.best_x, w.x)
     w.last_action = command
     w.steps += 1
+    if w.halt_left > 0.0:
+        w.halt_left = max(0.0, w.halt_left - world.period)
+    elif w.x >= w.next_halt:
+        w.halt_left = world.halt_time
+        w.next_halt = w.x + between(streams, k, world.halt_low, world.halt_high)
 
 
 @njit(cache=True)
-def settle(state, k, mass, courses, world):
+def settle(state, k, mass, courses, streams, world):
     """Put wheel k at rest at the start of its course, sunk in under its own load."""
     w = state[k]
     soil, grade, patch = ground_at(courses, k, 0.0, 0, world.border)
@@ -286,3 +305,4 @@ def settle(state, k, mass, courses, world):
     w.available_torque = world.stall_torque
     w.motor_work = w.travel = w.last_action = w.entrapped_time = w.stalled_time = 0.0
     w.converged, w.cell, w.steps = 1, 0, 0
+    w.next_halt, w.halt_left = between(streams, k, world.halt_low, world.halt_high), 0.0

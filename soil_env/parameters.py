@@ -49,7 +49,7 @@ class Soil(Checked):
     hand, `sinkage_coefficient` (the S of the source paper).
     """
 
-    friction_angle_deg: float = quantity("deg", 0.0, 60.0)
+    friction_angle_deg: float = quantity("deg", 0.0, 89.9)
     cohesion: float = quantity("Pa", 0.0, 2e5)
     shear_modulus: float = quantity("m", 1e-4, 0.3, doc="K of Eq. (10)")
     sinkage_exponent: float = quantity("", 0.0, 3.0, doc="n of Eq. (7)")
@@ -203,6 +203,9 @@ class CourseSpec(Checked):
 
     Each patch gets the steepest grade at which a wheel at its best slip keeps a drawbar pull of `margin` times its
     weight in reserve, cut to the bounds of `grade_deg`: every course is passable, and by how much is stated.
+
+    The wheel is halted every `halt_interval` metres, as rovers are to take the images of visual odometry (every 0.75 m
+    at most: Maimone, Cheng & Matthies 2007, J. Field Robotics 24:169-186), and has to start again where it stands.
     """
 
     length: float = quantity("m", 1.0, 1e4, default=10.0)
@@ -211,6 +214,8 @@ class CourseSpec(Checked):
     grade_deg: tuple[float, float] = quantity("deg", -25.0, 35.0, default=(-6.0, 18.0))
     margin: tuple[float, float] = quantity("of weight", 0.0, 1.0, default=(0.03, 0.12))
     payload: tuple[float, float] = quantity("kg", 0.0, 1e5, default=(0.0, 4.0))
+    halt_interval: tuple[float, float] = quantity("m", 0.05, 1e6, default=(0.6, 1.5), doc="between commanded halts")
+    halt_time: float = quantity("s", 0.0, 1e3, default=0.8, doc="length of a halt; 0 = none")
 
 
 @dataclass(frozen=True)
@@ -221,7 +226,7 @@ class Limits(Checked):
     entrapped_speed: float = quantity("m/s", 1e-4, 10.0, default=0.02)
     entrapped_time: float = quantity("s", 0.1, 1e3, default=4.0)
     stalled_rim_speed: float = quantity("m/s", 1e-4, 1.0, default=0.01)
-    stalled_time: float = quantity("s", 0.1, 1e3, default=3.0)
+    stalled_time: float = quantity("s", 0.1, 1e3, default=4.0)
     bogged_sinkage: float = quantity("of radius", 0.05, 1.4, default=0.8)
 
 

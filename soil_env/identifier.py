@@ -1,0 +1,311 @@
+"""Online identification: a moving window of informative points, an estimate, its standard deviation and its status.
+
+The identifier sees sensor readings only. Readings of a few control periods at the same slip are averaged to a point; the
+window keeps the points that are spread in slip and sinkage, drops the more redundant of two alike, forgets what lies
+further back than its memory, and starts anew when a point contradicts the estimate (a new soil). Each completed point
+triggers one safeguarded generalized Newton-Raphson solve (`identification.solve`) on drawbar pull, load and torque, with
+the prior of the `Belief` as a further, weak measurement.
+
+Slip and sinkage carry noise too. Their first-order effect on the three channels, the scatter of the digging law and a
+model error enter the weight of each point (errors in variables by effective variance, Fuller 1987, Sec. 1.4).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from soil_env.effects import excavation_rate
+from soil_env.identification import (
+    DIG_RATIO,
+    DRAWBAR_PULL,
+    LOAD,
+    PLACE,
+    POINT_SIZE,
+    SINKAGE,
+    SLIP,
+    TORQUE,
+    WEIGHTS,
+    Reading,
+    Status,
+    predict,
+    solve,
+)
+from soil_env.parameters import Scenario
+
+WINDOW = 8  # points
+_BUCKET_READINGS = 5  # readings averaged to one point, at most
+_BUCKET_LENGTH = 0.06  # [m] travelled within one point, at most
+_BUCKET_SLIP = 0.05  # slip range within one point, at most
+_CONTRADICTION = 25.0  # chi-squared of three channels beyond which a point belongs to another soil
+_MINIMUM_RIM_SPEED = 0.02  # [m/s] below which readings say nothing of shear
+_DIG_UNCERTAINTY = 0.3  # standard deviation of ln(dig ratio) per unit of 1 - 1/ratio
+
+# Columns of `Identifiers.running`: sums of the open point, then the observers
+_COUNT, _START, _FIRST_SLIP, _ODOMETER, _DIG, _HELD = 6, 7, 8, 9, 10, 11
+
+
+class SensorReading(NamedTuple):
+    """One set of sensor readings."""
+
+    slip: float
+    sinkage: float  # [m]
+    drawbar_pull: float  # [N]
+    load: float  # [N]
+    torque: float  # [N m]
+    speed: float  # [m/s]
+    rim_speed: float  # [m/s]
+
+
+class Identifiers(NamedTuple):
+    """Memory of many identifiers: arrays with one row a wheel."""
+
+    points: np.ndarray  # [wheels, WINDOW, POINT_SIZE]
+    count: np.ndarray  # [wheels] points in the window
+    running: np.ndarray  # [wheels, 12]
+    estimate: np.ndarray  # [wheels, 3] (phi [rad], ln K, ln S), the published estimate
+    sd: np.ndarray  # [wheels, 3] its standard deviations
+    status: np.ndarray  # [wheels] `Status`
+    trial: np.ndarray  # [wheels, 3] the newest solution, published or not
+    covariance: np.ndarray  # [wheels, 3, 3] scratch
+    condition: np.ndarray  # [wheels] largest posterior over prior standard deviation (1 = nothing learnt)
+
+
+class IdentifierNumbers(NamedTuple):
+    """What the identifier takes from a `Scenario`."""
+
+    reading: Reading
+    prior: np.ndarray  # [3]
+    precision: np.ndarray  # [3] of the prior
+    slip_sd: float
+    sinkage_sd: float
+    force_sd: np.ndarray  # [3] drawbar pull [N], load [N], torque [N m]
+    model_error: float
+    dig_gain: float
+    dig_recovery: float
+    relaxation: float  # [m]
+    memory: float  # [m]
+    period: float  # [s]
+
+
+def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
+    """Pack what `observe` needs; the noise of a channel is floored at a millionth so that weights stay finite."""
+    b, n, w = scenario.belief, scenario.noise, scenario.wheel
+    weight = scenario.weight
+    prior = [math.radians(b.friction_angle_deg), math.log(b.shear_modulus), math.log(b.sinkage_coefficient)]
+    sd = np.array([math.radians(b.friction_sd_deg), b.shear_modulus_sd, b.sinkage_coefficient_sd])
+    forces_sd = np.array([n.drawbar_pull * weight, n.load * weight, n.torque * weight * w.radius])
+    return IdentifierNumbers(
+        Reading(b.cohesion, b.sinkage_exponent, w.radius, w.width, 0, False),
+        np.array(prior),
+        1.0 / sd**2,
+        n.slip,
+        n.sinkage,
+        np.maximum(forces_sd, 1e-6 * weight),
+        b.model_error,
+        b.dig_gain,
+        b.dig_recovery,
+        scenario.relaxation * w.radius,
+        b.memory,
+        scenario.control.period,
+    )
+
+
+def new_identifiers(wheels: int) -> Identifiers:
+    """Empty identifiers; `forget` sets one to the prior."""
+    return Identifiers(
+        np.zeros((wheels, WINDOW, POINT_SIZE)),
+        np.zeros(wheels, dtype=np.int64),
+        np.zeros((wheels, 12)),
+        np.zeros((wheels, 3)),
+        np.zeros((wheels, 3)),
+        np.zeros(wheels, dtype=np.int64),
+        np.zeros((wheels, 3)),
+        np.zeros((wheels, 3, 3)),
+        np.ones(wheels),
+    )
+
+
+@njit(cache=True)
+def forget(ids, k, numbers):
+    """Set identifier k back to its prior."""
+    ids.count[k] = 0
+    ids.running[k, :] = 0.0
+    ids.running[k, _DIG] = 1.0
+    ids.estimate[k, :] = numbers.prior
+    ids.trial[k, :] = numbers.prior
+    for i in range(3):
+        ids.sd[k, i] = 1.0 / math.sqrt(numbers.precision[i])
+    ids.status[k] = Status.NO_DATA.value
+    ids.condition[k] = 1.0
+
+
+@njit(cache=True)
+def observe(ids, k, reading, numbers):
+    """Take one set of readings; True if it completed a point and the estimate was solved again."""
+    run = ids.running[k]
+    dt = numbers.period
+    run[_ODOMETER] += reading.speed * dt
+    # how much deeper than its load requires the wheel stands: the world's law of sinkage driven by measured speeds
+    a, b = excavation_rate(
+        abs(reading.speed), abs(reading.rim_speed - reading.speed), numbers.dig_gain, numbers.dig_recovery,
+        numbers.relaxation,
+    )  # fmt: skip
+    if a > 0.0:
+        run[_DIG] = b / a + (run[_DIG] - b / a) * math.exp(-a * dt)
+    run[_DIG] = max(run[_DIG], 1.0)
+
+    if abs(reading.rim_speed) < _MINIMUM_RIM_SPEED or reading.sinkage < 1e-3 * numbers.reading.radius:
+        return False
+    done = False
+    if run[_COUNT] > 0.0 and (
+        abs(reading.slip - run[_FIRST_SLIP]) > _BUCKET_SLIP or abs(run[_ODOMETER] - run[_START]) > _BUCKET_LENGTH
+    ):
+        done = _complete(ids, k, numbers)
+    if run[_COUNT] == 0.0:
+        run[_START], run[_FIRST_SLIP] = run[_ODOMETER], reading.slip
+    run[SLIP] += reading.slip
+    run[SINKAGE] += reading.sinkage
+    run[DIG_RATIO] += run[_DIG]
+    run[DRAWBAR_PULL] += reading.drawbar_pull
+    run[LOAD] += reading.load
+    run[TORQUE] += reading.torque
+    run[_COUNT] += 1.0
+    if run[_COUNT] >= _BUCKET_READINGS:
+        done = _complete(ids, k, numbers)
+    return done
+
+
+@njit(cache=True)
+def _complete(ids, k, numbers):
+    """Close the open point, put it into the window and solve."""
+    run, points = ids.running[k], ids.points[k]
+    slot = _free_slot(ids, k, run[_ODOMETER], numbers)
+    row = points[slot]
+    for i in range(6):
+        row[i] = run[i] / run[_COUNT]
+    row[SLIP] = min(max(row[SLIP], -0.999), 1.0)
+    row[PLACE] = run[_ODOMETER]
+    _weigh(row, ids.trial[k], run[_COUNT], numbers)
+    for i in range(6):
+        run[i] = 0.0
+    run[_COUNT] = 0.0
+    ids.count[k] += 1
+    _solve_window(ids, k, numbers)
+    if ids.count[k] > 1 and _chi_squared(row, ids.trial[k], numbers.reading) > _CONTRADICTION:
+        points[0, :] = row  # another soil: keep the newest point only, and nothing of the old estimate
+        ids.count[k] = 1
+        run[_HELD] = 0.0
+        _solve_window(ids, k, numbers)
+    return True
+
+
+@njit(cache=True)
+def _free_slot(ids, k, place, numbers):
+    """Index for the next point, after dropping what is too far back, or the older of the two most alike if full."""
+    points = ids.points[k]
+    kept = 0
+    for p in range(ids.count[k]):
+        if abs(place - points[p, PLACE]) <= numbers.memory:
+            if kept != p:
+                points[kept, :] = points[p]
+            kept += 1
+    if kept == WINDOW:
+        closest, drop = np.inf, 0
+        for p in range(WINDOW):
+            for q in range(p + 1, WINDOW):  # p is the older one
+                d = abs(points[p, SLIP] - points[q, SLIP]) / 0.1
+                d += abs(points[p, SINKAGE] - points[q, SINKAGE]) / (0.05 * numbers.reading.radius)
+                if d < closest:
+                    closest, drop = d, p
+        for p in range(drop, WINDOW - 1):
+            points[p, :] = points[p + 1]
+        kept = WINDOW - 1
+    ids.count[k] = kept
+    return kept
+
+
+@njit(cache=True)
+def _weigh(row, x, readings, numbers):
+    """Whitening weights of a point from the noise of all its channels, averaged over `readings`, at unknowns x."""
+    at, jac = np.empty(3), np.empty((3, 3))
+    moved, unused = np.empty(3), np.empty((3, 3))
+    predict(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], numbers.reading, at, jac)
+    v = np.zeros((3, 3))
+    n, load = numbers.reading.exponent, row[LOAD]
+    sd_dig = _DIG_UNCERTAINTY * (1.0 - 1.0 / row[DIG_RATIO])
+    for channel in range(3):
+        size = numbers.model_error * abs(load) * (numbers.reading.radius if channel == 2 else 1.0)
+        v[channel, channel] = numbers.force_sd[channel] ** 2 / readings + size * size
+    for source in range(3):
+        if source == 0:  # slip
+            h = 0.01 if row[SLIP] < 0.98 else -0.01
+            predict(x, row[SLIP] + h, row[SINKAGE], row[DIG_RATIO], numbers.reading, moved, unused)
+            scale = numbers.slip_sd / math.sqrt(readings) / h
+        elif source == 1:  # sinkage
+            h = 0.02 * row[SINKAGE]
+            predict(x, row[SLIP], row[SINKAGE] + h, row[DIG_RATIO], numbers.reading, moved, unused)
+            scale = numbers.sinkage_sd / math.sqrt(readings) / h
+        else:  # dig ratio: d/d ln(ratio) = -n d/d ln S
+            for i in range(3):
+                moved[i] = at[i] - n * jac[i, 2]
+            scale = sd_dig
+        for i in range(3):
+            for j in range(i + 1):
+                v[i, j] += scale * scale * (moved[i] - at[i]) * (moved[j] - at[j])
+    # inverse of the Cholesky factor of v
+    l00 = math.sqrt(v[0, 0])
+    l10, l20 = v[1, 0] / l00, v[2, 0] / l00
+    l11 = math.sqrt(max(v[1, 1] - l10 * l10, 1e-12 * v[1, 1]))
+    l21 = (v[2, 1] - l20 * l10) / l11
+    l22 = math.sqrt(max(v[2, 2] - l20 * l20 - l21 * l21, 1e-12 * v[2, 2]))
+    row[WEIGHTS] = 1.0 / l00
+    row[WEIGHTS + 1] = -l10 / (l00 * l11)
+    row[WEIGHTS + 2] = 1.0 / l11
+    row[WEIGHTS + 3] = (l10 * l21 - l20 * l11) / (l00 * l11 * l22)
+    row[WEIGHTS + 4] = -l21 / (l11 * l22)
+    row[WEIGHTS + 5] = 1.0 / l22
+
+
+@njit(cache=True)
+def _chi_squared(row, x, reading):
+    """Squared whitened misfit of one point under unknowns x."""
+    out, jac = np.empty(3), np.empty((3, 3))
+    predict(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading, out, jac)
+    d0, d1, d2 = row[DRAWBAR_PULL] - out[0], row[LOAD] - out[1], row[TORQUE] - out[2]
+    u0 = row[WEIGHTS] * d0
+    u1 = row[WEIGHTS + 1] * d0 + row[WEIGHTS + 2] * d1
+    u2 = row[WEIGHTS + 3] * d0 + row[WEIGHTS + 4] * d1 + row[WEIGHTS + 5] * d2
+    return u0 * u0 + u1 * u1 + u2 * u2
+
+
+@njit(cache=True)
+def _solve_window(ids, k, numbers):
+    """Solve for the window and publish, or hold the last good estimate while the points do not excite."""
+    covariance = ids.covariance[k]
+    status, _, _ = solve(
+        ids.trial[k], ids.points[k], ids.count[k], numbers.prior, numbers.precision, numbers.reading, 8, 1e-3,
+        covariance,
+    )  # fmt: skip
+    learnt = 0.0
+    for i in range(2):  # S shows in every point; friction and shear modulus need a range of slip
+        learnt = max(learnt, math.sqrt(covariance[i, i] * numbers.precision[i]))
+    ids.condition[k] = learnt
+    if status == Status.CONVERGED.value and learnt > 0.6:
+        status = Status.NOT_EXCITED.value
+    if status == Status.DIVERGED.value:
+        ids.trial[k, :] = numbers.prior
+    good = status == Status.CONVERGED.value
+    if good:
+        ids.running[k, _HELD] = 1.0
+    if good or (status == Status.NOT_EXCITED.value and ids.running[k, _HELD] == 0.0):
+        ids.estimate[k, :] = ids.trial[k]
+        for i in range(3):
+            ids.sd[k, i] = math.sqrt(covariance[i, i])
+    elif not good:  # held: the ground may have changed unseen
+        for i in range(3):
+            ids.sd[k, i] = min(1.05 * ids.sd[k, i], 1.0 / math.sqrt(numbers.precision[i]))
+    ids.status[k] = status

@@ -1,0 +1,156 @@
+"""Many wheels in many worlds, stepped by one compiled call: what the single and the vector environment are made of."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from soil_env.dynamics import WHEEL_STATE, WorldNumbers, advance, settle, world_numbers
+from soil_env.identifier import IdentifierNumbers, Identifiers, forget, identifier_numbers, new_identifiers, observe
+from soil_env.parameters import Scenario
+from soil_env.streams import seed_stream
+from soil_env.task import REWARD_TERMS, Cause, TaskNumbers, judge, reward_terms, sense, task_numbers, write_observation
+from soil_env.terrain import CourseNumbers, Courses, course_numbers, draw_course, new_courses
+
+_TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
+
+
+class Worlds(NamedTuple):
+    """Everything the compiled step reads and writes; arrays have one row a wheel."""
+
+    state: np.ndarray  # [wheels] WHEEL_STATE
+    courses: Courses
+    streams: np.ndarray  # [wheels] uint64
+    ids: Identifiers
+    observation: np.ndarray  # [wheels, D] float32
+    terms: np.ndarray  # [wheels, 3] reward terms
+    reward: np.ndarray  # [wheels]
+    cause: np.ndarray  # [wheels] `task.Cause`
+    solved: np.ndarray  # [wheels] True where the last step renewed the estimate
+
+
+class Numbers(NamedTuple):
+    """The scenario as the compiled step takes it."""
+
+    world: WorldNumbers
+    course: CourseNumbers
+    identifier: IdentifierNumbers
+    task: TaskNumbers
+
+
+@njit(cache=True)
+def restart(worlds, numbers, k):
+    """Draw a new course for wheel k, put the wheel at its start, and observe."""
+    mass = draw_course(k, worlds.courses, worlds.streams, numbers.course)
+    settle(worlds.state, k, mass, worlds.courses, worlds.streams, numbers.world)
+    forget(worlds.ids, k, numbers.identifier)
+    worlds.cause[k] = _RUNNING
+    worlds.reward[k] = 0.0
+    worlds.terms[k, :] = 0.0
+    worlds.solved[k] = False
+    reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
+    write_observation(
+        worlds.observation[k], worlds.state, k, reading, pitch, worlds.courses, worlds.ids, numbers.task
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def step_one(worlds, numbers, k, command):
+    """One control period of wheel k: drive, sense, identify, judge, reward, observe."""
+    advance(worlds.state, k, command, worlds.courses, worlds.streams, numbers.world)
+    reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
+    worlds.solved[k] = observe(worlds.ids, k, reading, numbers.identifier)
+    cause = judge(worlds.state, k, numbers.task)
+    worlds.cause[k] = cause
+    terms = worlds.terms[k]
+    reward_terms(worlds.state, k, cause, numbers.task, terms)
+    worlds.reward[k] = terms[0] + terms[1] + terms[2]
+    write_observation(
+        worlds.observation[k], worlds.state, k, reading, pitch, worlds.courses, worlds.ids, numbers.task
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def step_range(worlds, numbers, commands, fresh, start, stop):
+    """`step_one` for wheels start..stop-1; those with `fresh` True are restarted instead (next-step reset)."""
+    for k in range(start, stop):
+        if fresh[k]:
+            restart(worlds, numbers, k)
+        else:
+            step_one(worlds, numbers, k, commands[k])
+
+
+@njit(cache=True, nogil=True)
+def restart_range(worlds, numbers, which, start, stop):
+    """`restart` those of wheels start..stop-1 with `which` True."""
+    for k in range(start, stop):
+        if which[k]:
+            restart(worlds, numbers, k)
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="soil_env")
+
+
+class Simulation:
+    """`wheels` wheels under one scenario with one observation variant.
+
+    Arrays in `worlds` are overwritten by each step. All randomness of wheel k follows from the seed given to `seed`.
+    """
+
+    def __init__(self, wheels: int, scenario: Scenario, variant: str, threads: int | None = None):
+        self.scenario = scenario
+        self._threads = threads or len(os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1))
+        task = task_numbers(scenario, variant)
+        self.numbers = Numbers(world_numbers(scenario), course_numbers(scenario), identifier_numbers(scenario), task)
+        self.worlds = Worlds(
+            np.zeros(wheels, dtype=WHEEL_STATE),
+            new_courses(wheels, scenario),
+            np.zeros(wheels, dtype=np.uint64),
+            new_identifiers(wheels),
+            np.zeros((wheels, task.low.size), dtype=np.float32),
+            np.zeros((wheels, len(REWARD_TERMS))),
+            np.zeros(wheels),
+            np.zeros(wheels, dtype=np.int64),
+            np.zeros(wheels, dtype=np.bool_),
+        )
+
+    def seed(self, k: int, rng: np.random.Generator) -> None:
+        """Start the random stream of wheel k from a Generator."""
+        self.worlds.streams[k] = seed_stream(rng)
+
+    def restart(self, k: int) -> None:
+        """New course and fresh start for wheel k."""
+        restart(self.worlds, self.numbers, k)
+
+    def step(self, k: int, command: float) -> None:
+        """One control period of wheel k."""
+        step_one(self.worlds, self.numbers, k, command)
+
+    def step_all(self, commands: np.ndarray, fresh: np.ndarray) -> None:
+        """One control period of every wheel with `commands` [wheels]; wheels with `fresh` True are restarted instead."""
+        self._in_parallel(step_range, commands, fresh)
+
+    def restart_where(self, which: np.ndarray) -> None:
+        """Restart the wheels with `which` True."""
+        if which.any():
+            self._in_parallel(restart_range, which)
+
+    def _in_parallel(self, kernel, *arrays) -> None:
+        """Run a range kernel over blocks of wheels, one a thread (the kernels hold no lock and share no row)."""
+        wheels = self.worlds.reward.size
+        blocks = min(self._threads, max(1, wheels // 16))
+        bounds = [wheels * i // blocks for i in range(blocks + 1)]
+        rest = [
+            _pool(self._threads).submit(kernel, self.worlds, self.numbers, *arrays, bounds[i], bounds[i + 1])
+            for i in range(1, blocks)
+        ]
+        kernel(self.worlds, self.numbers, *arrays, 0, bounds[1])
+        for future in rest:
+            future.result()

@@ -1,0 +1,213 @@
+"""Presets, strict loading and its one-line errors."""
+
+import copy
+import math
+
+import pytest
+import yaml
+
+from soil_env import parameters
+from soil_env.loading import check, config_dir, load, merge, read_yaml, to_dict
+from soil_env.parameters import ParameterError, Scenario, Soil, SoilSpread, Wheel, load_scenario
+
+SOIL = {"friction_angle_deg": 30, "cohesion": 500, "shear_modulus": 0.02, "sinkage_exponent": 1.0}
+SOIL_S = SOIL | {"sinkage_coefficient": 1e6}
+
+
+# --- presets ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", parameters.soils())
+def test_soil_preset(name):
+    soil = parameters.soils()[name]
+    check(soil)
+    assert soil.source
+    for width in (0.1, 0.1524, 0.5):
+        pressure = soil.lumped(width) * 0.03**soil.sinkage_exponent  # at a sinkage of 3 cm
+        assert 100.0 < pressure < 3e6
+    assert soil.tan_phi == pytest.approx(math.tan(math.radians(soil.friction_angle_deg)))
+    assert all(math.isfinite(x) for x in soil.state(0.15))
+
+
+@pytest.mark.parametrize("name", parameters.wheels())
+def test_wheel_preset(name):
+    wheel = parameters.wheels()[name]
+    check(wheel)
+    assert wheel.source
+    weight = wheel.body_mass * 9.81
+    assert 0.5 < wheel.stall_torque / (weight * wheel.radius) < 5.0
+    assert 0.1 < wheel.no_load_speed * wheel.radius < 10.0  # rim speed [m/s]
+
+
+@pytest.mark.parametrize("name", parameters.scenario_names())
+def test_scenario_preset(name):
+    scenario = load_scenario(name)
+    assert scenario.name == name
+    assert scenario.weight == pytest.approx(scenario.wheel.body_mass * scenario.gravity)
+    assert scenario.steps == round(scenario.control.time_limit / scenario.control.period)
+    mapping = read_yaml(config_dir() / "scenarios" / f"{name}.yaml")
+    assert list(scenario.soils) == list(mapping["soils"])
+
+
+def test_there_are_presets():
+    assert "mixed" in parameters.scenario_names()
+    assert "compact_sand" in parameters.soils()
+    assert "planetary_rover" in parameters.wheels()
+
+
+def test_the_library_cannot_be_emptied_by_a_caller():
+    parameters.soils().clear()
+    assert parameters.soils()
+
+
+def test_lumped_modulus():
+    """S = k_c/b + k_phi; `sinkage_coefficient` stands for itself."""
+    assert Soil(**SOIL, k_c=1000.0, k_phi=5e5).lumped(0.1) == pytest.approx(5.1e5)
+    assert Soil(**SOIL_S).lumped(0.1) == 1e6
+    with pytest.raises(ParameterError, match="k_c/b"):
+        Soil(**SOIL, k_c=-1e6, k_phi=5e5).lumped(0.1)
+
+
+# --- bad input --------------------------------------------------------------------------------------------------------
+
+BAD_SOIL = [
+    ({"cohesoin": 1.0}, ["cohesoin", "did you mean 'cohesion'"]),
+    ({"cohesion": -1.0}, ["cohesion", "-1"]),
+    ({"cohesion": math.nan}, ["cohesion", "nan"]),
+    ({"cohesion": math.inf}, ["cohesion", "inf"]),
+    ({"cohesion": "much"}, ["cohesion", "much"]),
+    ({"cohesion": True}, ["cohesion", "True"]),
+    ({"cohesion": [1.0]}, ["cohesion", "[1.0]"]),
+    ({"cohesion": None}, ["cohesion", "None"]),
+    ({"friction_angle_deg": 90.0}, ["friction_angle_deg", "90"]),
+    ({"source": 3}, ["source", "3"]),
+    ({"k_c": 1.0, "k_phi": 1.0}, ["sinkage_coefficient", "k_c"]),
+    ({"k_phi": 1.0}, ["sinkage_coefficient", "k_phi"]),
+    ({"sinkage_coefficient": None}, ["sinkage_coefficient", "k_c"]),
+    ({"sinkage_coefficient": None, "k_c": 1.0}, ["sinkage_coefficient", "k_c"]),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), BAD_SOIL)
+def test_bad_soil(changes, words):
+    with pytest.raises(ParameterError) as caught:
+        load(Soil, SOIL_S | changes, "soils.yaml: test")
+    assert_one_line(caught.value, ["soils.yaml: test", *words])
+
+
+BAD_SCENARIO = [
+    ({"wheel": {"radius": -0.15}}, ["radius", "-0.15"]),
+    ({"wheel": {"radius": math.nan}}, ["radius", "nan"]),
+    ({"wheel": {"raduis": 0.2}}, ["raduis", "'radius'"]),
+    ({"wheel": "planetary_rovr"}, ["planetary_rovr", "'planetary_rover'"]),
+    ({"wheel": {"preset": "planetary_rovr"}}, ["planetary_rovr", "'planetary_rover'"]),
+    ({"wheel": 3}, ["wheel", "3"]),
+    ({"soils": {"dry_sandd": 1}}, ["dry_sandd", "'dry_sand'"]),
+    ({"soils": {"dry_sand": -1}}, ["dry_sand", "-1"]),
+    ({"soils": {"dry_sand": math.nan}}, ["dry_sand", "nan"]),
+    ({"soils": {"dry_sand": 0}}, ["soils"]),
+    ({"soils": {}}, ["soils"]),
+    ({"soils": "dry_sand"}, ["soils", "dry_sand"]),
+    ({"course": {"grade_deg": [10, -5]}}, ["grade_deg", "10"]),
+    ({"course": {"grade_deg": [1, 2, 3]}}, ["grade_deg", "[1, 2, 3]"]),
+    ({"course": {"margin": 0.1}}, ["margin", "0.1"]),
+    ({"course": {"lenght": 5}}, ["lenght", "'length'"]),
+    ({"spread": {"friction_cohesion": 0.9, "friction_stiffness": 0.9}}, ["correlations"]),
+    ({"control": {"action": "voltage"}}, ["action", "voltage"]),
+    ({"control": {"substep": 0.2}}, ["substep", "0.2"]),
+    ({"gravity": "earth"}, ["gravity", "earth"]),
+    ({"gravty": 9.81}, ["gravty", "'gravity'"]),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), BAD_SCENARIO)
+def test_bad_scenario(changes, words):
+    with pytest.raises(ParameterError) as caught:
+        load_scenario("mixed", changes)
+    assert_one_line(caught.value, words)
+
+
+def test_correlations_that_contradict_each_other():
+    with pytest.raises(ParameterError, match="positive definite"):
+        SoilSpread(friction_stiffness=0.9, friction_shear_modulus=0.9, stiffness_shear_modulus=-0.9)
+
+
+def test_unknown_scenario():
+    with pytest.raises(ParameterError) as caught:
+        load_scenario("mixd")
+    assert_one_line(caught.value, ["mixd", "'mixed'"])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("- a\n- b\n", ["mapping", "list"]), ("3\n", ["mapping"]), ("a: [1\n", ["YAML"]), (None, ["cannot be read"])],
+)
+def test_bad_file(tmp_path, text, words):
+    path = tmp_path / "mine.yaml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(ParameterError) as caught:
+        load_scenario(path)
+    assert_one_line(caught.value, ["mine.yaml", *words])
+
+
+def test_missing_key():
+    with pytest.raises(ParameterError, match="missing cohesion"):
+        load(Soil, {k: v for k, v in SOIL_S.items() if k != "cohesion"}, "mine")
+
+
+def assert_one_line(error, words):
+    message = str(error)
+    assert message and "\n" not in message
+    for word in words:
+        assert word in message, message
+
+
+# --- good input -------------------------------------------------------------------------------------------------------
+
+
+def test_number_written_as_text():
+    """YAML 1.1 reads 1e6 as text."""
+    mapping = yaml.safe_load("{k_c: 0, k_phi: 1e6}")
+    assert mapping["k_phi"] == "1e6"
+    assert load(Soil, SOIL | mapping).k_phi == 1e6
+
+
+def test_merge_leaves_its_arguments_alone():
+    base, changes = {"a": {"b": 1, "c": {"d": 2}}, "e": 3}, {"a": {"c": {"d": 5}}, "f": 6}
+    before = copy.deepcopy((base, changes))
+    assert merge(base, changes) == {"a": {"b": 1, "c": {"d": 5}}, "e": 3, "f": 6}
+    assert (base, changes) == before
+
+
+def test_changes_are_not_modified_and_presets_stay():
+    changes = {"wheel": {"preset": "paper_vehicle", "radius": 0.5}, "soils": {"snow": 1}, "course": {"length": 7}}
+    before = copy.deepcopy(changes)
+    scenario = load_scenario("mixed", changes)
+    assert changes == before
+    assert scenario.wheel.radius == 0.5 and scenario.wheel.width == 0.1524
+    assert scenario.soils == {"snow": 1.0} and scenario.course.length == 7.0
+    assert parameters.wheels()["paper_vehicle"].radius == 0.6274
+    assert load_scenario("mixed").wheel.radius == 0.15
+
+
+@pytest.mark.parametrize("name", parameters.scenario_names())
+def test_scenario_round_trip(name):
+    scenario = load_scenario(name, {"course": {"length": 12.5}, "control": {"action": "wheel_speed"}})
+    text = yaml.safe_dump(to_dict(scenario))
+    assert load(Scenario, yaml.safe_load(text)) == scenario
+    assert load_scenario(scenario) == scenario
+
+
+@pytest.mark.parametrize("name", parameters.soils())
+def test_soil_round_trip(name):
+    soil = parameters.soils()[name]
+    assert load(Soil, yaml.safe_load(yaml.safe_dump(to_dict(soil)))) == soil
+
+
+def test_scenario_from_a_file(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("wheel: {preset: planetary_rover, radius: 0.2}\nsoils: {dry_sand: 1}\n")
+    scenario = load_scenario(path)
+    assert scenario.name == "mine" and scenario.wheel.radius == 0.2
+    assert isinstance(scenario.wheel, Wheel)
