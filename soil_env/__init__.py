@@ -1,0 +1,20 @@
+"""soil_env: a driven wheel on loose ground, with its soil identified while it drives.
+
+`import soil_env` registers the Gymnasium environment `SoilWheel-v0`; `gymnasium.make("soil_env:SoilWheel-v0")` does so
+without an import. The physics is in `contact`, `model` and `dynamics`, the identification in `identification` and
+`identifier`, the environment in `env` and `vector_env`.
+"""
+
+from gymnasium.envs.registration import register, registry
+
+from soil_env.loading import ParameterError
+
+__version__ = "0.1.0"
+__all__ = ["ParameterError", "__version__"]
+
+if "SoilWheel-v0" not in registry:
+    register(
+        id="SoilWheel-v0",
+        entry_point="soil_env.env:SoilWheelEnv",
+        vector_entry_point="soil_env.vector_env:SoilWheelVectorEnv",
+    )

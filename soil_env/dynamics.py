@@ -7,8 +7,9 @@
 
 z_w is the depth at which undisturbed soil carries the same peak pressure as the wheel now has under it. At a sinkage z the
 load mobilises a sinkage coefficient s, in closed form since Eq. (1) is linear in it (`contact.mobilised_modulus`); equal
-pressure s z^n = S z_w^n then gives z_w = z (s/S)^(1/n). So the balance (1) holds throughout, no root is sought, and the steady state
-of a wheel that does not slip is exactly z_w = z, s = S.
+pressure s z^n = S z_w^n then gives z_w = z (s/S)^(1/n). So the balance (1) holds throughout and no root is sought; the
+steady state at any slip is that of `model.steady_state`. (Where cohesion alone carries more than the load, s is 0 and the
+reported load exceeds the weight: a deeply dug wheel in strongly cohesive soil.)
 
 Sliding speed and travel speed answer to force within milliseconds for a slow rover, so (V, r w) are stepped by implicit
 Euler with a safeguarded Newton iteration on analytic derivatives, and z, which is slow, by the exact solution of its law
@@ -164,12 +165,13 @@ def motor(command, by_speed, wheel_speed, world):
     """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
 
     The command is a share of the stall torque or, with `by_speed`, of the no-load speed, which a stiff speed loop then
-    follows. Either way the torque stays between the two torque-speed lines +-T_stall (1 -+ w/w_0); `available` is the line on the side of
-    the command.
+    follows. Either way the torque stays between the torque-speed lines of full voltage forward and backward,
+    T_stall (+-1 - w/w_0), and within +-T_stall: faster than the no-load speed the motor brakes. `available` is the line
+    on the side of the command.
     """
     stall, line = world.stall_torque, world.stall_torque / world.no_load_speed
-    high = min(max(stall - line * wheel_speed, 0.0), stall)
-    low = -min(max(stall + line * wheel_speed, 0.0), stall)
+    high = min(max(stall - line * wheel_speed, -stall), stall)
+    low = min(max(-stall - line * wheel_speed, -stall), stall)
     if by_speed:
         gain = 10.0 * line
         torque, slope = gain * (command * world.no_load_speed - wheel_speed), -gain
@@ -177,9 +179,9 @@ def motor(command, by_speed, wheel_speed, world):
         torque, slope = command * stall, 0.0
     available = high if torque >= 0.0 else -low
     if torque > high:
-        return high, (-line if 0.0 < high < stall else 0.0), available
+        return high, (-line if -stall < high < stall else 0.0), available
     if torque < low:
-        return low, (-line if -stall < low < 0.0 else 0.0), available
+        return low, (-line if -stall < low < stall else 0.0), available
     return torque, slope, available
 
 
@@ -255,7 +257,7 @@ def advance(state, k, command, courses, streams, world):
     w.motor_work = 0.0
     w.converged = 1
     for _ in range(world.substeps):
-        soil, grade, patch = ground_at(courses, k, w.x, w.patch, world.border)
+        soil, grade, patch = ground_at(courses, k, w.x + 0.5 * h * w.speed, w.patch, world.border)
         soil = stiffened(soil, courses.modulus[k, w.cell])
         load = w.mass * world.gravity * math.cos(grade)
         v, u, soil_force, converged = _implicit_speeds(

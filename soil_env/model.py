@@ -52,7 +52,9 @@ def steady_state(slip, load, soil, r, b):
         theta1 = entry_angle(math.exp(x), r)
         q, _, _ = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, n, r)
         s = mobilised_modulus(q, load, soil.tan_phi, soil.cohesion, r, b, 1.0)
-        f = math.log(max(s, 1e-300) / available)
+        f = max(math.log(max(s, 1e-300) / available), -2.0)
+        if q.p_cos + soil.tan_phi * q.pe_sin <= 1e-12 * q.p_cos and load / (r * b) > soil.cohesion * q.e_sin:
+            f = 2.0  # friction takes more than the normal stress gives: no S carries the load here
         if f > 0.0:
             low = max(low, x)
         else:

@@ -63,7 +63,8 @@ class Soil(Checked):
 
     def __post_init__(self):
         super().__post_init__()
-        if (self.sinkage_coefficient is None) == (self.k_c is None or self.k_phi is None):
+        pair = (self.k_c is not None) + (self.k_phi is not None)
+        if pair != (2 if self.sinkage_coefficient is None else 0):
             raise ParameterError("Soil: expected either sinkage_coefficient, or both k_c and k_phi")
 
     @property
@@ -104,7 +105,7 @@ class SoilSpread(Checked):
     a lower shear modulus. For K, stiffness and digging no published statistics were found: those are our choice.
     """
 
-    friction: float = quantity("", 0.0, 0.5, default=0.08)
+    friction: float = quantity("", 0.0, 0.35, default=0.08)
     cohesion: float = quantity("", 0.0, 1.0, default=0.3)
     shear_modulus: float = quantity("", 0.0, 1.5, default=0.4)
     stiffness: float = quantity("", 0.0, 1.5, default=0.35)
@@ -185,13 +186,13 @@ class Belief(Checked):
 
     friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=31.0)
     friction_sd_deg: float = quantity("deg", 0.01, 60.0, default=5.0)
-    shear_modulus: float = quantity("m", 1e-4, 0.3, default=0.013)
+    shear_modulus: float = quantity("m", 1e-4, 0.3, default=0.014)
     shear_modulus_sd: float = quantity("", 0.01, 5.0, default=0.6)
     sinkage_coefficient: float = quantity("N/m^(n+2)", 1e2, 1e13, default=1.0e6)
-    sinkage_coefficient_sd: float = quantity("", 0.01, 10.0, default=0.8)
-    cohesion: float = quantity("Pa", 0.0, 2e5, default=500.0)
-    sinkage_exponent: float = quantity("", 0.1, 3.0, default=1.0)
-    dig_gain: float = quantity("", 0.0, 20.0, default=2.0)
+    sinkage_coefficient_sd: float = quantity("", 0.01, 10.0, default=0.6)
+    cohesion: float = quantity("Pa", 0.0, 2e5, default=450.0)
+    sinkage_exponent: float = quantity("", 0.1, 3.0, default=1.05)
+    dig_gain: float = quantity("", 0.0, 20.0, default=2.5)
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5)
     model_error: float = quantity("of load", 0.0, 1.0, default=0.02, doc="1-sigma misfit of the model itself")
     memory: float = quantity("m", 0.01, 1e3, default=1.5, doc="distance after which a measured point is forgotten")
@@ -203,6 +204,8 @@ class CourseSpec(Checked):
 
     Each patch gets the steepest grade at which a wheel at its best slip keeps a drawbar pull of `margin` times its
     weight in reserve, cut to the bounds of `grade_deg`: every course is passable, and by how much is stated.
+
+    A border may not be longer than the shortest patch, so that it lies between two patches only.
 
     The wheel is halted every `halt_interval` metres, as rovers are to take the images of visual odometry (every 0.75 m
     at most: Maimone, Cheng & Matthies 2007, J. Field Robotics 24:169-186), and has to start again where it stands.
@@ -216,6 +219,13 @@ class CourseSpec(Checked):
     payload: tuple[float, float] = quantity("kg", 0.0, 1e5, default=(0.0, 4.0))
     halt_interval: tuple[float, float] = quantity("m", 0.05, 1e6, default=(0.6, 1.5), doc="between commanded halts")
     halt_time: float = quantity("s", 0.0, 1e3, default=0.8, doc="length of a halt; 0 = none")
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.border > self.patch_length[0]:
+            raise ParameterError(
+                f"CourseSpec.border = {self.border}: expected at most the shortest patch, {self.patch_length[0]} m"
+            )
 
 
 @dataclass(frozen=True)

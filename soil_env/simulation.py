@@ -93,6 +93,10 @@ def restart_range(worlds, numbers, which, start, stop):
             restart(worlds, numbers, k)
 
 
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="soil_env")
@@ -104,10 +108,19 @@ class Simulation:
     Arrays in `worlds` are overwritten by each step. All randomness of wheel k follows from the seed given to `seed`.
     """
 
-    def __init__(self, wheels: int, scenario: Scenario, variant: str, threads: int | None = None):
+    def __init__(
+        self,
+        wheels: int,
+        scenario: Scenario,
+        variant: str,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+    ):
         self.scenario = scenario
-        self._threads = threads or len(os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1))
+        self._threads = threads or _processors()
         task = task_numbers(scenario, variant)
+        if max_episode_steps is not None:
+            task = task._replace(steps=min(task.steps, int(max_episode_steps)))
         self.numbers = Numbers(world_numbers(scenario), course_numbers(scenario), identifier_numbers(scenario), task)
         self.worlds = Worlds(
             np.zeros(wheels, dtype=WHEEL_STATE),

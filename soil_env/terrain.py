@@ -186,7 +186,7 @@ def draw_soil(streams, k, numbers):
         for column in range(row + 1):
             d[row] += factor[row, column] * z[column]
         d[row] = min(max(d[row], -2.5), 2.5)
-    phi = math.atan(mean[0]) * (1.0 + spread[0] * d[0])
+    phi = min(math.atan(mean[0]) * (1.0 + spread[0] * d[0]), math.radians(60.0))
     scale = np.empty(5)
     for j in range(1, 5):
         s = math.sqrt(math.log(1.0 + spread[j] * spread[j]))

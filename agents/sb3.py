@@ -1,0 +1,102 @@
+"""The native vector environment as a Stable-Baselines3 `VecEnv`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnv
+
+from soil_env.env import action_space, build_scenario, observation_space
+from soil_env.simulation import Simulation
+from soil_env.task import Cause, layout
+
+_RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value
+
+
+class SoilWheelVecEnv(VecEnv):
+    """`num_envs` wheels for SB3: a finished wheel is reset within the same step, as SB3 expects.
+
+    Infos of finished wheels carry `terminal_observation`, `TimeLimit.truncated`, `episode` {r, l, t} and `cause`; all other
+    wheels share one empty dict, which must not be written to. Keyword arguments as in `SoilWheelEnv`.
+    """
+
+    def __init__(self, num_envs: int, scenario="mixed", observation="identified", action=None, threads=None, **changes):
+        super().__init__(num_envs, observation_space(observation), action_space())
+        self.scenario = build_scenario(scenario, action, changes)
+        self.observation_names = tuple(e.name for e in layout(observation))
+        self.simulation = Simulation(num_envs, self.scenario, observation, threads=threads)
+        self.render_mode = None
+        self._commands = np.zeros(num_envs)
+        self._never = np.zeros(num_envs, dtype=np.bool_)
+        self._returns = np.zeros(num_envs)
+        self._lengths = np.zeros(num_envs, dtype=np.int64)
+        self._start = time.time()
+        self._unseeded = True
+
+    def reset(self) -> np.ndarray:
+        """New courses for all wheels; follows the seeds set by `seed`, else fresh entropy."""
+        if self._unseeded:
+            seeds = self._seeds if self._seeds[0] is not None else [None] * self.num_envs
+            for k in range(self.num_envs):
+                self.simulation.seed(k, np.random.default_rng(seeds[k]))
+            self._unseeded = False
+        self._reset_seeds()
+        self.simulation.restart_where(~self._never)
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
+        return self.simulation.worlds.observation.copy()
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed wheel k with seed + k, from the next reset on."""
+        self._unseeded = True
+        return super().seed(seed)
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Take the actions [num_envs, 1]; NaN raises ValueError."""
+        if not np.isfinite(actions).all():
+            raise ValueError("actions: expected finite numbers in [-1, 1]")
+        np.clip(actions[:, 0], -1.0, 1.0, out=self._commands)
+
+    def step_wait(self):
+        """One control period; (observations, rewards, dones, infos)."""
+        worlds = self.simulation.worlds
+        self.simulation.step_all(self._commands, self._never)
+        self._returns += worlds.reward
+        self._lengths += 1
+        rewards, done = worlds.reward.astype(np.float32), worlds.cause != _RUNNING
+        infos: list[dict[str, Any]] = [{}] * self.num_envs
+        if done.any():
+            now = round(time.time() - self._start, 6)
+            for k in np.flatnonzero(done):
+                infos[k] = {
+                    "terminal_observation": worlds.observation[k].copy(),
+                    "TimeLimit.truncated": bool(worlds.cause[k] == _TIME_LIMIT),
+                    "episode": {"r": float(self._returns[k]), "l": int(self._lengths[k]), "t": now},
+                    "cause": Cause(worlds.cause[k]).name,
+                }
+            self.simulation.restart_where(done)
+            self._returns[done] = 0.0
+            self._lengths[done] = 0
+        return worlds.observation.copy(), rewards, done, infos
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def get_attr(self, attr_name: str, indices=None) -> list[Any]:
+        """The attribute, once a wheel (they share it)."""
+        return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices=None) -> None:
+        """Set an attribute for all wheels."""
+        setattr(self, attr_name, value)
+
+    def env_method(self, method_name: str, *args, indices=None, **kwargs) -> list[Any]:
+        """Call a method of this object, once; the result is repeated for each wheel."""
+        return [getattr(self, method_name)(*args, **kwargs)] * len(list(self._get_indices(indices)))
+
+    def env_is_wrapped(self, wrapper_class, indices=None) -> list[bool]:
+        """Single wheels are never wrapped."""
+        return [False] * len(list(self._get_indices(indices)))

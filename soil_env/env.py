@@ -1,0 +1,293 @@
+"""The Gymnasium environment of one driven wheel."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from soil_env.identification import Status
+from soil_env.loading import ParameterError
+from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
+from soil_env.simulation import Simulation
+from soil_env.task import REWARD_TERMS, Cause, layout
+from soil_env.terrain import ground_at
+from soil_env.traversability import best_working_point
+
+IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
+
+
+def build_scenario(scenario: str | Path | Scenario, action: str | None, changes: dict) -> Scenario:
+    """The scenario that the keyword arguments of an environment describe."""
+    if action is not None:
+        control = changes.get("control", {})
+        if not isinstance(control, dict):
+            raise ParameterError("action: expected only where `control` is not given as an object")
+        changes = {**changes, "control": {**control, "action": action}}
+    return load_scenario(scenario, changes)
+
+
+def observation_space(variant: str) -> gymnasium.spaces.Box:
+    """Box of the observation variant, float32."""
+    entries = layout(variant)
+    low, high = ([getattr(e, side) for e in entries] for side in ("low", "high"))
+    return gymnasium.spaces.Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32)
+
+
+def action_space() -> gymnasium.spaces.Box:
+    """Box(-1, 1, (1,), float32)."""
+    return gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+
+class SoilWheelEnv(gymnasium.Env):
+    """
+    ## Description
+    One rigid, driven wheel with its share of a vehicle crosses a course of soils it does not know, uphill and down, without
+    getting stuck. Wheel-soil contact follows Hutangkabodee et al. (2006), Eqs. (1)-(10), with slip-sinkage (Lyasko 2010):
+    a wheel that slips digs, a wheel that spins on the spot keeps digging. At commanded halts, about every metre, the drive
+    is held and the agent's action is ignored; afterwards the wheel has to start again where it stands.
+
+    ## Action space
+    `Box(-1, 1, (1,), float32)`, held for one control period (0.1 s):
+
+    | `action=`     | meaning of -1 ... 1                            |
+    |---------------|------------------------------------------------|
+    | "torque"      | motor torque as a share of the stall torque, within the motor's torque-speed line (default) |
+    | "wheel_speed" | wheel speed as a share of the no-load speed, followed by the drive's own speed loop |
+
+    Values outside are cut to the bounds; a wrong shape, NaN or infinity raises `ValueError`.
+
+    ## Observation space
+    `Box(float32)`. All of it are noisy sensor readings (`Noise`), except 8-10. "Weight" is that of the wheel with its
+    share of the body, without payload; "top rim speed" is radius times no-load speed. `env.unwrapped.observation_names`
+    lists the names.
+
+    | # | name | unit | min | max |
+    |---|------|------|-----|-----|
+    | 0 | slip | -: (rw - V)/rw driving, (rw - V)/V braking | -1 | 1 |
+    | 1 | sinkage | of radius | -1 | 3 |
+    | 2 | drawbar_pull | of weight | -10 | 10 |
+    | 3 | load | of weight | -10 | 10 |
+    | 4 | torque | of weight x radius, soil on wheel | -10 | 10 |
+    | 5 | speed | of top rim speed | -5 | 5 |
+    | 6 | rim_speed | of top rim speed | -5 | 5 |
+    | 7 | pitch | rad, uphill positive | -1.6 | 1.6 |
+    | 8 | last_action | - | -1 | 1 |
+    | 9 | progress | of course length | -5 | 5 |
+    | 10 | halted | 0 or 1 | 0 | 1 |
+
+    `observation="blind"` ends here. `"identified"` (default) adds what the identifier has learnt from those readings:
+
+    | # | name | unit | min | max |
+    |---|------|------|-----|-----|
+    | 11 | friction_angle | rad, phi | 0 | 1.6 |
+    | 12 | log10_shear_modulus | log10 m, K | -5 | 1 |
+    | 13 | log10_sinkage_coefficient | log10 N/m^(n+2), S at the exponent of the belief | 0 | 15 |
+    | 14 | friction_angle_sd | rad | 0 | 2 |
+    | 15 | shear_modulus_sd | relative | 0 | 20 |
+    | 16 | sinkage_coefficient_sd | relative | 0 | 20 |
+    | 17 | estimate_valid | 1 while the estimate is current, 0 while prior or held | 0 | 1 |
+
+    `"true_soil"`, for reference only, adds the undisturbed soil under the wheel instead:
+
+    | # | name | unit | min | max |
+    |---|------|------|-----|-----|
+    | 11 | friction_angle | rad | 0 | 1.6 |
+    | 12 | log10_shear_modulus | log10 m | -5 | 1 |
+    | 13 | log10_sinkage_coefficient | log10 N/m^(n+2), at the true exponent | 0 | 15 |
+    | 14 | cohesion | kPa | 0 | 1000 |
+    | 15 | sinkage_exponent | - | 0 | 4 |
+    | 16 | dig_gain | - | 0 | 100 |
+    | 17 | dig_recovery | - | 0 | 10 |
+
+    ## Rewards
+    The sum of the terms in `info["reward_terms"]`, with weights `reward={...}`:
+
+    | term | value | weight |
+    |------|-------|--------|
+    | progress | distance travelled in the step / course length (negative backwards) | 10 |
+    | energy | -motor work in the step, without recuperation / (weight with payload x course length) | 1 |
+    | immobilisation | -1 in the step that ends the episode immobilised | 10 |
+
+    ## Starting state
+    At rest at the start of a new random course, settled under its own load with a random payload.
+
+    ## Episode end
+    Terminated when the course is finished or the wheel is immobilised; `info["cause"]` says which:
+
+    | cause | condition (`limits={...}`) |
+    |-------|-----------|
+    | FINISHED | x >= course length |
+    | ENTRAPPED | slip > 0.6 and abs(V) < 0.02 m/s for 4 s: it spins and makes no progress |
+    | STALLED | driven forward, but the rim moves at less than 0.01 m/s for 4 s: the soil takes more torque than the drive gives |
+    | BOGGED | sinkage > 0.8 radii |
+
+    The two clocks run back at the same rate while their condition does not hold, and stand still during halts. Truncated
+    after `control={"time_limit": ...}` (90 s) with cause TIME_LIMIT.
+
+    ## Info
+    `cause` (name, "RUNNING" before the end), `immobilised` (bool), `reward_terms` (dict), `estimate` (dict: soil, standard deviations,
+    status), `traversability` (dict, from sensors and estimate only: best slip, drawbar margin at best slip over the grade as a share
+    of the load, torque required there, torque available, passable), `state` (dict of true x, speed, slip, sinkage, grade...).
+
+    ## Arguments
+    `scenario`: name, path of a YAML file, or `Scenario`; `observation`; `action`; `render_mode`: "rgb_array" or "human"; any
+    field of `Scenario` as a keyword, merged over the scenario: `gymnasium.make(..., course={"length": 20}, wheel="paper_vehicle")`.
+    Unknown keys and values out of range raise `soil_env.ParameterError`.
+
+    ## Version history
+    * v0: first version.
+    """
+
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario = "mixed",
+        observation: str = "identified",
+        action: str | None = None,
+        render_mode: str | None = None,
+        **changes: Any,
+    ):
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ParameterError(f"render_mode = {render_mode!r}: expected one of {self.metadata['render_modes']} or None")
+        self.scenario = build_scenario(scenario, action, changes)
+        self.observation_variant = observation
+        self.observation_names = tuple(e.name for e in layout(observation))
+        self.observation_space = observation_space(observation)
+        self.action_space = action_space()
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.period))}
+        self.simulation = Simulation(1, self.scenario, observation, threads=1)
+        self._renderer = None
+        self._seeded = False
+        self._warning: dict[str, Any] = {}
+        self._over = True
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None):
+        """New course, wheel at rest at its start. `options` must be empty. Returns (observation, info)."""
+        super().reset(seed=seed)
+        if options:
+            raise ValueError(f"reset options {sorted(options)}: expected none; scenarios are set when the env is made")
+        if seed is not None or not self._seeded:
+            self.simulation.seed(0, self.np_random)
+            self._seeded = True
+        self.simulation.restart(0)
+        self._over = False
+        self._warn()
+        if self.render_mode is not None:
+            self._view().clear()
+            self._view().record(self.simulation, 0)
+            if self.render_mode == "human":
+                self.render()
+        return self.simulation.worlds.observation[0].copy(), self._info()
+
+    def step(self, action):
+        """Drive one control period. Returns (observation, reward, terminated, truncated, info)."""
+        if self._over:
+            raise gymnasium.error.ResetNeeded("step() before reset(), or after the end of the episode")
+        self.simulation.step(0, command(action))
+        worlds = self.simulation.worlds
+        cause = Cause(worlds.cause[0])
+        self._over = cause != Cause.RUNNING
+        if worlds.solved[0]:
+            self._warn()
+        if self.render_mode is not None:
+            self._view().record(self.simulation, 0)
+            if self.render_mode == "human":
+                self.render()
+        truncated = cause == Cause.TIME_LIMIT
+        terminated = self._over and not truncated
+        return worlds.observation[0].copy(), float(worlds.reward[0]), terminated, truncated, self._info()
+
+    def render(self):
+        """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() without a render_mode; make the env with render_mode='rgb_array' or 'human'.")
+            return None
+        return self._view().draw(self.simulation, 0)
+
+    def close(self):
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def estimate(self) -> Soil:
+        """The identified soil, with the belief's cohesion, exponent and digging."""
+        x, belief = self.simulation.worlds.ids.estimate[0], self.scenario.belief
+        return Soil(
+            friction_angle_deg=math.degrees(x[0]),
+            cohesion=belief.cohesion,
+            shear_modulus=math.exp(x[1]),
+            sinkage_exponent=belief.sinkage_exponent,
+            sinkage_coefficient=math.exp(x[2]),
+            dig_gain=belief.dig_gain,
+            dig_recovery=belief.dig_recovery,
+        )
+
+    def true_soil(self) -> SoilState:
+        """The undisturbed soil under the wheel: for analysis and references, never part of a fair observation."""
+        w = self.simulation.worlds
+        soil, _, _ = ground_at(w.courses, 0, w.state[0]["x"], w.state[0]["patch"], self.scenario.course.border)
+        return soil
+
+    def _view(self):
+        if self._renderer is None:
+            from soil_env.rendering import Renderer
+
+            self._renderer = Renderer(self.scenario, self.render_mode)
+        return self._renderer
+
+    def _warn(self) -> None:
+        """Traversability (paper, Sec. 5) of the ground as identified, at the measured load and pitch."""
+        observation, wheel = self.simulation.worlds.observation[0], self.scenario.wheel
+        load = max(float(observation[3]), 0.05) * self.scenario.weight
+        best = best_working_point(
+            load, self.estimate().state(wheel.width), wheel.radius, wheel.width, wheel.stall_torque
+        )
+        margin = best.drawbar_pull / load - math.tan(float(observation[7]))
+        self._warning = {
+            "best_slip": best.slip,
+            "drawbar_margin": margin,
+            "torque_required": best.torque,
+            "torque_available": wheel.stall_torque,
+            "passable": bool(margin > 0.0),
+        }
+
+    def _info(self) -> dict[str, Any]:
+        worlds = self.simulation.worlds
+        state, cause = worlds.state[0], Cause(worlds.cause[0])
+        x, sd = worlds.ids.estimate[0], worlds.ids.sd[0]
+        return {
+            "cause": cause.name,
+            "immobilised": cause in IMMOBILISED,
+            "reward_terms": dict(zip(REWARD_TERMS, map(float, worlds.terms[0]), strict=True)),
+            "estimate": {
+                "friction_angle_deg": math.degrees(x[0]),
+                "shear_modulus": math.exp(x[1]),
+                "sinkage_coefficient": math.exp(x[2]),
+                "friction_angle_sd_deg": math.degrees(sd[0]),
+                "shear_modulus_relative_sd": float(sd[1]),
+                "sinkage_coefficient_relative_sd": float(sd[2]),
+                "status": Status(worlds.ids.status[0]).name,
+            },
+            "traversability": dict(self._warning),
+            "state": {name: float(state[name]) for name in _STATE},
+        }
+
+
+_STATE = ("x", "speed", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
+
+
+def command(action) -> float:
+    """The command in [-1, 1] of an action of shape (1,); ValueError if it is anything else."""
+    a = np.asarray(action, dtype=np.float64)
+    if a.shape != (1,):
+        raise ValueError(f"action: expected shape (1,), got {a.shape}")
+    if not np.isfinite(a[0]):
+        raise ValueError(f"action = {a[0]}: expected a finite number in [-1, 1]")
+    return min(max(float(a[0]), -1.0), 1.0)

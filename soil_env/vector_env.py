@@ -1,0 +1,134 @@
+"""Many wheels at once: a native `gymnasium.vector.VectorEnv` over the same compiled step as `SoilWheelEnv`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from soil_env.env import action_space, build_scenario, observation_space
+from soil_env.loading import ParameterError
+from soil_env.parameters import Scenario
+from soil_env.simulation import Simulation
+from soil_env.task import REWARD_TERMS, Cause, layout
+
+_RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value
+
+
+class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
+    """`num_envs` independent `SoilWheelEnv`s stepped by one compiled, threaded call.
+
+    Spaces, rewards and episode ends are those of `SoilWheelEnv`; wheel k reset with seed s runs the same trajectory, bit for
+    bit, as a `SoilWheelEnv` reset with s and given the same actions. A single seed s seeds wheel k with s + k.
+
+    `autoreset_mode`: "NextStep" (default; the step after an end ignores its action and resets), "SameStep" (resets within
+    the ending step; the last observation is in `info["final_obs"]`) or "Disabled" (`reset(options={"reset_mask": ...})`).
+    `max_episode_steps` shortens the scenario's time limit. Other keyword arguments as in `SoilWheelEnv`.
+
+    `info` holds arrays: `cause` [N] (`task.Cause`), `reward_terms` {term: [N]}, `x` [N] m; no rendering.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenario: str | Path | Scenario = "mixed",
+        observation: str = "identified",
+        action: str | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        render_mode: str | None = None,
+        **changes: Any,
+    ):
+        if not (isinstance(num_envs, (int, np.integer)) and num_envs >= 1):
+            raise ParameterError(f"num_envs = {num_envs!r}: expected a whole number >= 1")
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise ParameterError(f"max_episode_steps = {max_episode_steps!r}: expected a whole number >= 1")
+        if render_mode is not None:
+            raise ParameterError("render_mode: the vector env does not render; use a single SoilWheel-v0")
+        try:
+            mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            known = ", ".join(repr(m.value) for m in AutoresetMode)
+            raise ParameterError(f"autoreset_mode = {autoreset_mode!r}: expected one of {known}") from None
+        self.num_envs = int(num_envs)
+        self.scenario = build_scenario(scenario, action, changes)
+        self.observation_names = tuple(e.name for e in layout(observation))
+        self.single_observation_space = observation_space(observation)
+        self.single_action_space = action_space()
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.metadata = {"render_modes": [], "autoreset_mode": mode}
+        self.autoreset_mode = mode
+        self.simulation = Simulation(self.num_envs, self.scenario, observation, max_episode_steps, threads)
+        self._rngs: list[np.random.Generator] | None = None
+        self._done = np.ones(self.num_envs, dtype=np.bool_)
+        self._never = np.zeros(self.num_envs, dtype=np.bool_)
+
+    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None):
+        """Reset all wheels, or those of `options["reset_mask"]` [N] bool. Returns (observations, info)."""
+        options = dict(options or {})
+        mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=np.bool_)), dtype=np.bool_)
+        if options:
+            raise ValueError(f"reset options {sorted(options)}: expected only 'reset_mask'")
+        if mask.shape != (self.num_envs,):
+            raise ValueError(f"reset_mask: expected shape ({self.num_envs},), got {mask.shape}")
+        if seed is None or isinstance(seed, (int, np.integer)):
+            seeds = [None if seed is None else int(seed) + k for k in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+            if len(seeds) != self.num_envs:
+                raise ValueError(f"seed: expected {self.num_envs} seeds, got {len(seeds)}")
+        first = self._rngs is None
+        if first:
+            self._rngs = [None] * self.num_envs
+        for k in np.flatnonzero(mask):
+            if seeds[k] is not None or self._rngs[k] is None:
+                self._rngs[k] = gymnasium.utils.seeding.np_random(seeds[k])[0]
+                self.simulation.seed(int(k), self._rngs[k])
+        self.simulation.restart_where(mask)
+        self._done[mask] = False
+        return self.simulation.worlds.observation.copy(), self._info()
+
+    def step(self, actions):
+        """One control period of every wheel. Returns (observations, rewards, terminations, truncations, info)."""
+        if self._rngs is None:
+            raise gymnasium.error.ResetNeeded("step() before reset()")
+        a = np.asarray(actions, dtype=np.float64)
+        if a.shape != (self.num_envs, 1):
+            raise ValueError(f"actions: expected shape ({self.num_envs}, 1), got {a.shape}")
+        if not np.isfinite(a).all():
+            raise ValueError("actions: expected finite numbers in [-1, 1]")
+        commands = np.clip(a[:, 0], -1.0, 1.0)
+        worlds = self.simulation.worlds
+        if self.autoreset_mode == AutoresetMode.DISABLED and self._done.any():
+            raise gymnasium.error.ResetNeeded("a wheel has ended: reset(options={'reset_mask': ...}) it first")
+        self.simulation.step_all(commands, self._done)
+        np.not_equal(worlds.cause, _RUNNING, out=self._done)
+        truncated = worlds.cause == _TIME_LIMIT
+        terminated = self._done & ~truncated
+        reward = worlds.reward.copy()
+        info = self._info()
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and self._done.any():
+            final = np.full(self.num_envs, None, dtype=object)
+            for k in np.flatnonzero(self._done):
+                final[k] = worlds.observation[k].copy()
+            info["final_obs"], info["_final_obs"] = final, self._done.copy()
+            info["final_info"] = {key: value for key, value in info.items() if key not in ("final_obs", "_final_obs")}
+            info["_final_info"] = self._done.copy()
+            self.simulation.restart_where(self._done)
+            self._done[:] = False
+        return worlds.observation.copy(), reward, terminated, truncated, info
+
+    def _info(self) -> dict[str, Any]:
+        worlds = self.simulation.worlds
+        return {
+            "cause": worlds.cause.copy(),
+            "reward_terms": {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)},
+            "x": worlds.state["x"].copy(),
+        }
