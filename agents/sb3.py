@@ -10,7 +10,7 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
 from soil_env.env import action_space, build_scenario, observation_space
-from soil_env.simulation import Simulation
+from soil_env.simulation import STEP, Simulation
 from soil_env.task import Cause, layout
 
 _RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value
@@ -24,13 +24,14 @@ class SoilWheelVecEnv(VecEnv):
     """
 
     def __init__(self, num_envs: int, scenario="mixed", observation="identified", action=None, threads=None, **changes):
+        self.render_mode = None
         super().__init__(num_envs, observation_space(observation), action_space())
         self.scenario = build_scenario(scenario, action, changes)
         self.observation_names = tuple(e.name for e in layout(observation))
         self.simulation = Simulation(num_envs, self.scenario, observation, threads=threads)
-        self.render_mode = None
         self._commands = np.zeros(num_envs)
-        self._never = np.zeros(num_envs, dtype=np.bool_)
+        self._drive = np.full(num_envs, STEP)
+        self._all = np.ones(num_envs, dtype=np.bool_)
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, dtype=np.int64)
         self._start = time.time()
@@ -44,7 +45,7 @@ class SoilWheelVecEnv(VecEnv):
                 self.simulation.seed(k, np.random.default_rng(seeds[k]))
             self._unseeded = False
         self._reset_seeds()
-        self.simulation.restart_where(~self._never)
+        self.simulation.restart_where(self._all)
         self._returns[:] = 0.0
         self._lengths[:] = 0
         return self.simulation.worlds.observation.copy()
@@ -63,7 +64,7 @@ class SoilWheelVecEnv(VecEnv):
     def step_wait(self):
         """One control period; (observations, rewards, dones, infos)."""
         worlds = self.simulation.worlds
-        self.simulation.step_all(self._commands, self._never)
+        self.simulation.step_all(self._commands, self._drive)
         self._returns += worlds.reward
         self._lengths += 1
         rewards, done = worlds.reward.astype(np.float32), worlds.cause != _RUNNING

@@ -17,6 +17,7 @@ from soil_env.streams import seed_stream
 from soil_env.task import REWARD_TERMS, Cause, TaskNumbers, judge, reward_terms, sense, task_numbers, write_observation
 from soil_env.terrain import CourseNumbers, Courses, course_numbers, draw_course, new_courses
 
+STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 
 
@@ -76,13 +77,13 @@ def step_one(worlds, numbers, k, command):
 
 
 @njit(cache=True, nogil=True)
-def step_range(worlds, numbers, commands, fresh, start, stop):
-    """`step_one` for wheels start..stop-1; those with `fresh` True are restarted instead (next-step reset)."""
+def step_range(worlds, numbers, commands, what, start, stop):
+    """Wheels start..stop-1: `step_one` (what[k] = STEP), `restart` (RESTART) or nothing (IDLE)."""
     for k in range(start, stop):
-        if fresh[k]:
-            restart(worlds, numbers, k)
-        else:
+        if what[k] == STEP:
             step_one(worlds, numbers, k, commands[k])
+        elif what[k] == RESTART:
+            restart(worlds, numbers, k)
 
 
 @njit(cache=True, nogil=True)
@@ -146,9 +147,9 @@ class Simulation:
         """One control period of wheel k."""
         step_one(self.worlds, self.numbers, k, command)
 
-    def step_all(self, commands: np.ndarray, fresh: np.ndarray) -> None:
-        """One control period of every wheel with `commands` [wheels]; wheels with `fresh` True are restarted instead."""
-        self._in_parallel(step_range, commands, fresh)
+    def step_all(self, commands: np.ndarray, what: np.ndarray) -> None:
+        """One control period with `commands` [wheels] float64; `what` [wheels] int8: STEP, RESTART or IDLE."""
+        self._in_parallel(step_range, commands, what)
 
     def restart_where(self, which: np.ndarray) -> None:
         """Restart the wheels with `which` True."""

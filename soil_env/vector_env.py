@@ -68,7 +68,6 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         self.simulation = Simulation(self.num_envs, self.scenario, observation, max_episode_steps, threads)
         self._rngs: list[np.random.Generator] | None = None
         self._done = np.ones(self.num_envs, dtype=np.bool_)
-        self._never = np.zeros(self.num_envs, dtype=np.bool_)
 
     def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None):
         """Reset all wheels, or those of `options["reset_mask"]` [N] bool. Returns (observations, info)."""
@@ -108,7 +107,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         worlds = self.simulation.worlds
         if self.autoreset_mode == AutoresetMode.DISABLED and self._done.any():
             raise gymnasium.error.ResetNeeded("a wheel has ended: reset(options={'reset_mask': ...}) it first")
-        self.simulation.step_all(commands, self._done)
+        self.simulation.step_all(commands, self._done.view(np.int8))  # True restarts
         np.not_equal(worlds.cause, _RUNNING, out=self._done)
         truncated = worlds.cause == _TIME_LIMIT
         terminated = self._done & ~truncated

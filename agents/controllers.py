@@ -1,0 +1,201 @@
+"""Classical drive controllers with the interface of a Stable-Baselines3 model: `predict(observation, state, ...)`.
+
+They work on batches of observations [n, D] in the layout of `soil_env.task` and know the scenario's wheel (radius, motor,
+weight), as an engineer would; the soil they know only where the name says so. All but `full_throttle` set a rim speed, which
+a PI loop on the measured rim speed turns into motor torque; where the action is a wheel-speed command the drive's own loop
+does that.
+
+| name | rim speed | observation |
+|------|-----------|-------------|
+| full_throttle | none: full command | blind |
+| constant_speed | fixed | blind |
+| fixed_slip | V/(1 - i) for a fixed slip i | blind |
+| best_slip_identified | V/(1 - i), i of the best drawbar pull on the identified soil | identified |
+| best_slip_true | the same on the true soil: an upper reference | true_soil |
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from soil_env.loading import unknown_key
+from soil_env.parameters import Scenario, SoilState
+from soil_env.task import layout
+from soil_env.traversability import best_working_point
+
+
+_START_SPEED = 0.05  # [m/s] rim speed at which a slip controller starts from rest
+_CREEP = 0.01  # [m/s] by which the rim leads V/(1 - i), so that speed can build up
+
+
+class Controller:
+    """Base: a rim speed followed by a PI loop with feed-forward of grade and rolling resistance."""
+
+    name = "controller"
+    variant = "blind"  # the observation it reads
+    rolling = 0.12  # feed-forward of the motion resistance, as a share of the load
+
+    def __init__(self, scenario: Scenario):
+        wheel = scenario.wheel
+        self.scenario = scenario
+        self.radius, self.top_speed = wheel.radius, wheel.radius * wheel.no_load_speed
+        self.stall = wheel.stall_torque
+        self.weight_torque = scenario.weight * wheel.radius
+        self.period = scenario.control.period
+        self.by_speed = scenario.control.action == "wheel_speed"
+        self.gain = 3.0 * self.weight_torque / 22.0
+        self.integral_gain = 5.0 * self.gain
+        self.column = {entry.name: i for i, entry in enumerate(layout(self.variant))}
+
+    def rim_speed(self, observation: np.ndarray, state: dict) -> np.ndarray:
+        """Rim speed to follow [m/s], [n]; may keep things in `state`."""
+        raise NotImplementedError
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """Actions [n, 1] float32 (or [1] for one observation) and the state for the next call."""
+        batch = np.atleast_2d(np.asarray(observation, dtype=np.float64))
+        fresh = np.ones(len(batch), dtype=bool) if state is None or episode_start is None else np.asarray(episode_start)
+        state = self._begin(batch, state, fresh.astype(bool))
+        target = self.rim_speed(batch, state)
+        if self.by_speed:
+            action = target / self.top_speed
+        else:
+            action = self._torque(batch, target, state) / self.stall
+        action = np.clip(action, -1.0, 1.0).astype(np.float32)[:, None]
+        return (action[0] if np.ndim(observation) == 1 else action), state
+
+    def _begin(self, batch, state, fresh):
+        if state is None or len(state["integral"]) != len(batch):
+            state = {"integral": np.zeros(len(batch))}
+            fresh = np.ones(len(batch), dtype=bool)
+        state["fresh"] = fresh
+        state["integral"] = np.where(fresh, self._feed_forward(batch), state["integral"])
+        return state
+
+    def _feed_forward(self, batch):
+        demand = np.sin(batch[:, self.column["pitch"]]) + self.rolling
+        return np.clip(demand, 0.0, 1.0) * self.weight_torque
+
+    def _torque(self, batch, target, state):
+        error = (target - batch[:, self.column["rim_speed"]] * self.top_speed) / self.radius
+        torque = self.gain * error + state["integral"]
+        windup = (np.abs(torque) > self.stall) & (torque * error > 0.0)
+        state["integral"] = np.where(
+            batch[:, self.column["halted"]] > 0.5,
+            self._feed_forward(batch),
+            np.clip(state["integral"] + np.where(windup, 0.0, self.integral_gain * self.period * error), -self.stall, self.stall),
+        )
+        return torque
+
+
+class FullThrottle(Controller):
+    """Full command, always."""
+
+    name = "full_throttle"
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """Ones."""
+        shape = (1,) if np.ndim(observation) == 1 else (len(observation), 1)
+        return np.ones(shape, dtype=np.float32), state
+
+
+class ConstantSpeed(Controller):
+    """A constant rim speed."""
+
+    name = "constant_speed"
+
+    def __init__(self, scenario: Scenario, speed: float | None = None):
+        super().__init__(scenario)
+        self.speed = 0.33 * self.top_speed if speed is None else speed  # [m/s]
+
+    def rim_speed(self, observation, state):
+        """The speed."""
+        return np.full(len(observation), self.speed)
+
+
+class FixedSlip(Controller):
+    """A rim speed that holds a slip."""
+
+    name = "fixed_slip"
+
+    def __init__(self, scenario: Scenario, slip: float = 0.3):
+        super().__init__(scenario)
+        self.slip = slip
+
+    def target_slip(self, observation, state):
+        """Slip to hold, [n]."""
+        return np.full(len(observation), self.slip)
+
+    def rim_speed(self, observation, state):
+        """V/(1 - i) with the measured V, at least the starting speed, at most 0.4 of the top rim speed."""
+        speed = np.maximum(observation[:, self.column["speed"]] * self.top_speed, 0.0)
+        slip = np.minimum(self.target_slip(observation, state), 0.95)
+        return np.clip(speed / (1.0 - slip) + _CREEP, _START_SPEED, 0.4 * self.top_speed)
+
+
+class BestSlipIdentified(FixedSlip):
+    """The slip of the best steady drawbar pull on the soil that the identifier believes in."""
+
+    name = "best_slip_identified"
+    variant = "identified"
+
+    def soils(self, observation) -> np.ndarray:
+        """`SoilState` rows [n, 7] read from the observation."""
+        belief = self.scenario.belief
+        out = np.empty((len(observation), 7))
+        out[:, 0] = np.tan(np.clip(observation[:, self.column["friction_angle"]], 0.02, 1.4))
+        out[:, 2] = 10.0 ** observation[:, self.column["log10_shear_modulus"]]
+        out[:, 3] = 10.0 ** observation[:, self.column["log10_sinkage_coefficient"]]
+        out[:, 1], out[:, 4] = belief.cohesion, belief.sinkage_exponent
+        out[:, 5], out[:, 6] = belief.dig_gain, belief.dig_recovery
+        return out
+
+    def target_slip(self, observation, state):
+        """Best slip; computed again only for rows whose soil has changed by more than 1 %."""
+        soils = self.soils(observation)
+        if "soils" not in state:
+            state["soils"], state["slip"] = np.zeros_like(soils), np.zeros(len(soils))
+        load = np.clip(observation[:, self.column["load"]], 0.3, 3.0) * self.scenario.weight
+        wheel = self.scenario.wheel
+        _best_slips(soils, load, wheel.radius, wheel.width, wheel.stall_torque, state["soils"], state["slip"])
+        return state["slip"]
+
+
+class BestSlipTrue(BestSlipIdentified):
+    """The slip of the best steady drawbar pull on the true soil."""
+
+    name = "best_slip_true"
+    variant = "true_soil"
+
+    def soils(self, observation):
+        """`SoilState` rows [n, 7] read from the observation."""
+        out = super().soils(observation)
+        out[:, 1] = 1000.0 * observation[:, self.column["cohesion"]]
+        for i, name in ((4, "sinkage_exponent"), (5, "dig_gain"), (6, "dig_recovery")):
+            out[:, i] = observation[:, self.column[name]]
+        return out
+
+
+@njit(cache=True, nogil=True)
+def _best_slips(soils, load, r, b, torque, known, slip):
+    for k in range(len(soils)):
+        changed = False
+        for i in range(7):
+            if abs(soils[k, i] - known[k, i]) > 0.01 * abs(known[k, i]):
+                changed = True
+        if changed:
+            s = soils[k]
+            soil = SoilState(s[0], s[1], s[2], s[3], s[4], s[5], s[6])
+            slip[k] = best_working_point(load[k], soil, r, b, torque).slip
+            known[k, :] = s
+
+
+CONTROLLERS = {c.name: c for c in (FullThrottle, ConstantSpeed, FixedSlip, BestSlipIdentified, BestSlipTrue)}
+
+
+def make_controller(name: str, scenario: Scenario, **settings) -> Controller:
+    """A controller by name; `settings`: `speed` [m/s] of constant_speed, `slip` of fixed_slip."""
+    if name not in CONTROLLERS:
+        raise unknown_key(name, CONTROLLERS, "controller")
+    return CONTROLLERS[name](scenario, **settings)

@@ -1,0 +1,521 @@
+"""Side view of one wheel with the stress under it, and its slip, sinkage and soil estimate against the truth over time.
+
+The picture is laid out in units of a 960 x 540 design and scaled to the size asked for. Nothing physical is computed
+here: terrain, stresses and mobilised modulus come from the compiled functions that the simulation itself uses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from soil_env.contact import entry_angle, mirror_angle, mobilised, motion_from_speeds, relative_stress
+from soil_env.dynamics import REST_SPEED, reaction
+from soil_env.identification import Status
+from soil_env.parameters import Scenario
+from soil_env.task import Cause
+from soil_env.terrain import CELL, ground_at
+
+MODES = ("rgb_array", "human")
+DESIGN = (960, 540)  # [px] the size in which the layout is written
+SPAN = 30.0  # [s] shown by the charts
+_POINTS = 600  # of the history, at most
+_VIEW = 8.5  # [radii] width of the side view
+_WHEEL_AT = (0.46, 0.6)  # place of the ground under the wheel in the side view, from left and top
+_ARC_POINTS = 25
+
+# Boxes of the layout: (left, top, width, height)
+SCENE = (14, 92, 548, 304)
+COURSE = (32, 448, 512, 66)
+CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
+
+# Colours: Okabe & Ito, told apart with every kind of colour vision; soil runs from light to dark with friction.
+WHITE, PAPER, INK, GREY, GRID = (255, 255, 255), (250, 250, 248), (34, 34, 40), (112, 112, 120), (226, 226, 230)
+BLUE, LIGHT_BLUE, ORANGE, LIGHT_ORANGE = (0, 114, 178), (190, 220, 240), (213, 94, 0), (246, 196, 150)
+GREEN, AMBER, SURFACE = (0, 130, 96), (176, 112, 0), (74, 54, 38)
+SKY, RIM, WHEEL, SPOKE = (232, 240, 246), (60, 64, 72), (238, 239, 242), (150, 154, 162)
+_RAMP = np.array([(247, 230, 186), (218, 182, 126), (171, 128, 82), (116, 82, 56)], dtype=float)
+_GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, shade
+
+
+class Stresses(NamedTuple):
+    """Stress along the contact arc, from the lowest point of the rim to the entry."""
+
+    angle: np.ndarray  # [points] theta [rad]
+    normal: np.ndarray  # [points] sigma [Pa], Eqs. (7) and (8)
+    shear: np.ndarray  # [points] tau [Pa], Eq. (10), positive where it drives the wheel forward
+
+
+def contact_stresses(simulation, k: int) -> Stresses:
+    """`Stresses` under wheel k as it moves now, at the sinkage coefficient that its load mobilises."""
+    w, world = simulation.worlds.state[k], simulation.numbers.world
+    r, rim_speed = world.radius, w["wheel_speed"] * world.radius
+    soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], world.border)
+    load = w["mass"] * world.gravity * math.cos(w["grade"])
+    modulus = reaction(w["speed"], rim_speed, w["sinkage"], load, soil, r, world.width).modulus
+    rim, travel, _ = motion_from_speeds(rim_speed, w["speed"], REST_SPEED)
+    theta1 = entry_angle(w["sinkage"], r)
+    angle = np.linspace(0.0, theta1, _ARC_POINTS)
+    normal, shear = np.empty(_ARC_POINTS), np.empty(_ARC_POINTS)
+    for i, theta in enumerate(angle):
+        depth = r * (math.cos(mirror_angle(theta, theta1, 0.0, 0.5 * theta1)) - math.cos(theta1))
+        normal[i] = modulus * relative_stress(depth, soil.sinkage_exponent)
+        j = r * (rim * (theta1 - theta) - travel * (math.sin(theta1) - math.sin(theta)))
+        shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * mobilised(j, soil.shear_modulus)[0]
+    return Stresses(angle, normal, shear)
+
+
+class _Profile(NamedTuple):
+    """A course on a grid."""
+
+    x: np.ndarray  # [points] distance along the course, taken as horizontal [m]
+    height: np.ndarray  # [points] integral of tan(grade) [m]
+    friction: np.ndarray  # [points] phi [deg]
+
+
+@njit(cache=True)
+def _along(courses, k, x, border):
+    """(tan(grade), phi [deg]) of course k at each x [m]."""
+    slope, friction, patch = np.empty(x.size), np.empty(x.size), 0
+    for i in range(x.size):
+        soil, grade, patch = ground_at(courses, k, x[i], patch, border)
+        slope[i], friction[i] = math.tan(grade), math.degrees(math.atan(soil.tan_phi))
+    return slope, friction
+
+
+def _profile(simulation, k: int, margin: float) -> _Profile:
+    """Course k from `margin` [m] before its start to as far beyond its end."""
+    x = np.arange(-margin, simulation.numbers.task.length + margin, 0.5 * CELL)
+    slope, friction = _along(simulation.worlds.courses, k, x, simulation.numbers.world.border)
+    height = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(x))])
+    return _Profile(x, height - np.interp(0.0, x, height), friction)
+
+
+class _Canvas:
+    """Shapes drawn at twice the size and smoothed down, text on top; points [n, 2] in units of the design."""
+
+    def __init__(self, size: tuple[int, int]):
+        import pygame
+
+        pygame.font.init()
+        self._pygame, self._draw = pygame, pygame.draw
+        self._scale = min(size[0] / DESIGN[0], size[1] / DESIGN[1])
+        self._offset = 0.5 * (np.array(size) - self._scale * np.array(DESIGN))
+        self._large = pygame.Surface((2 * size[0], 2 * size[1]), 0, 32)
+        self._surface = pygame.Surface(size, 0, 32)
+        self._fonts, self._written, self._texts = {}, {}, []
+
+    def _at(self, points):
+        return (2.0 * (self._scale * np.asarray(points) + self._offset)).tolist()
+
+    def _width(self, width):
+        return max(1, round(2.0 * self._scale * width))
+
+    def clear(self) -> None:
+        """Start a new picture."""
+        self._large.fill(PAPER)
+        self._texts.clear()
+
+    def clip(self, box) -> None:
+        """Confine shapes (not text) to a box; None lifts it."""
+        if box is not None:
+            (x, y), (x1, y1) = self._at([box[:2], np.add(box[:2], box[2:])])
+            box = self._pygame.Rect(round(x), round(y), round(x1 - x), round(y1 - y))
+        self._large.set_clip(box)
+
+    def box(self, box, colour, edge=None) -> None:
+        """A rectangle, filled unless `colour` is None, with an edge if a colour is given for it."""
+        x, y, w, h = box
+        corners = [(x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y)]
+        if colour is not None:
+            self.polygon(corners, colour)
+        if edge is not None:
+            self.lines(corners, edge, 1)
+
+    def polygon(self, points, colour) -> None:
+        """A filled polygon."""
+        self._draw.polygon(self._large, colour, self._at(points))
+
+    def lines(self, points, colour, width=1.5) -> None:
+        """A polyline."""
+        if len(points) > 1:
+            self._draw.lines(self._large, colour, False, self._at(points), self._width(width))
+
+    def circle(self, centre, radius, colour, width=0) -> None:
+        """A disc, or a ring `width` wide inside `radius`."""
+        thickness = self._width(width) if width else 0
+        self._draw.circle(self._large, colour, self._at(centre), 2.0 * self._scale * radius, thickness)
+
+    def arrow(self, tail, head, colour, width=2.0) -> None:
+        """A line with a head 5 units long, or shorter."""
+        along = np.subtract(head, tail)
+        length = math.hypot(*along)
+        if length >= 1.0:
+            along *= min(5.0, 0.6 * length) / length
+            base, across = head - along, 0.6 * np.array([-along[1], along[0]])
+            self.lines([tail, base], colour, width)
+            self.polygon([head, base + across, base - across], colour)
+
+    def soil(self, points, bottom, friction, bounds) -> np.ndarray:
+        """Ground below a surface [n, 2], coloured by friction angle [n - 1]; returns the colours."""
+        colours, (x, y) = _soil_colour(friction, bounds), np.transpose(points)
+        start = 0
+        for i in range(1, len(colours) + 1):  # one polygon for each run of one colour
+            if i == len(colours) or (colours[i] != colours[start]).any():
+                top = points[start : i + 1]
+                self.polygon([*top, (x[i] + 0.6, y[i]), (x[i] + 0.6, bottom), (x[start], bottom)], colours[start])
+                start = i
+        self.lines(points, SURFACE)
+        return colours
+
+    def text(self, x, y, words, size, colour=INK, align=0.0) -> None:
+        """Words with their middle line at y; align 0, 0.5 or 1 puts their left end, middle or right end at x."""
+        key = words, size, colour
+        if key not in self._written:
+            if len(self._written) > 400:
+                self._written.clear()
+            pixels = max(6, round(size * self._scale))
+            if pixels not in self._fonts:
+                self._fonts[pixels] = self._pygame.font.Font(None, pixels)
+            self._written[key] = self._fonts[pixels].render(words, True, colour)
+        image = self._written[key]
+        place = self._offset + self._scale * np.array([x, y]) - np.multiply(image.get_size(), (align, 0.5))
+        self._texts.append((image, place.round()))
+
+    def finish(self):
+        """The finished picture as a surface, which the next picture overwrites."""
+        self._pygame.transform.smoothscale(self._large, self._surface.get_size(), self._surface)
+        self._surface.blits(self._texts)
+        return self._surface
+
+
+class Renderer:
+    """Side view of wheel k of a `Simulation`: `record` after each reset and step, `draw` whenever a frame is due."""
+
+    _windows: ClassVar[set[int]] = set()  # ids of the open windows of all renderers, which share one event queue
+
+    def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN):
+        if mode not in MODES:
+            raise ValueError(f"render mode {mode!r}: expected one of {', '.join(MODES)}")
+        self.scenario, self.mode, self.size = scenario, mode, tuple(size)
+        self._canvas = self._window = self._clock = None
+        self._course_key = self._profile = None
+        self._every = max(1, math.ceil(SPAN / scenario.control.period / _POINTS))  # control periods per sample
+        self._history: deque[tuple] = deque(maxlen=_POINTS + 2)
+        self._angle = 0.0  # [rad] the wheel has turned
+
+    def clear(self) -> None:
+        """Forget the history: a new episode."""
+        self._history.clear()
+        self._angle = 0.0
+
+    def record(self, simulation, k: int) -> None:
+        """Add the present state of wheel k to the history; at its reset the history starts anew."""
+        w, ids, world = simulation.worlds.state[k], simulation.worlds.ids, simulation.numbers.world
+        if w["steps"] == 0:
+            self.clear()
+        self._angle += float(w["wheel_speed"]) * world.period
+        if w["steps"] % self._every == 0:
+            soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], world.border)
+            truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(soil.sinkage_coefficient)
+            now = w["steps"] * world.period, w["slip"], w["sinkage"] / world.radius
+            self._history.append((*now, *ids.estimate[k], *ids.sd[k], *truth))
+
+    def draw(self, simulation, k: int) -> np.ndarray | None:
+        """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to the window."""
+        if self.mode == "human" and not self._poll():
+            return None
+        self._canvas = self._canvas or _Canvas(self.size)
+        self._canvas.clear()
+        courses = simulation.worlds.courses
+        key = courses.edges[k].tobytes() + courses.soils[k].tobytes() + courses.grades[k].tobytes()
+        if key != self._course_key:
+            self._profile = _profile(simulation, k, _VIEW * simulation.numbers.world.radius)
+            self._course_key = key
+        bounds = _friction_range(self.scenario, simulation)
+        _draw_scene(self._canvas, simulation, k, self._profile, bounds, self._angle)
+        _draw_readings(self._canvas, simulation, k, bounds)
+        _draw_course(self._canvas, simulation, k, self._profile, bounds)
+        _draw_charts(self._canvas, np.array(self._history).reshape(-1, 12).T)
+        surface = self._canvas.finish()
+        if self.mode == "human":
+            self._window.get_surface().blit(surface, (0, 0))
+            self._window.flip()
+            self._clock.tick(1.0 / self.scenario.control.period)
+            return None
+        import pygame
+
+        return np.frombuffer(pygame.image.tobytes(surface, "RGB"), np.uint8).reshape(*self.size[::-1], 3).copy()
+
+    def close(self) -> None:
+        """Close the window, if there is one, and free the surfaces."""
+        if self._window is not None and self._id in self._windows:
+            self._windows.discard(self._id)
+            self._window.destroy()
+        self._window = self._canvas = self._clock = None
+
+    def _poll(self) -> bool:
+        """Open the window at the first call and take the events; False once the user has closed it."""
+        import pygame
+
+        if self._window is None:
+            pygame.display.init()
+            self._window, self._clock = pygame.Window(f"soil_env: {self.scenario.name}", self.size), pygame.time.Clock()
+            self._id = self._window.id
+            self._windows.add(self._id)
+        for event in pygame.event.get():
+            if event.type == pygame.WINDOWCLOSE and event.window is not None and event.window.id in self._windows:
+                self._windows.discard(event.window.id)
+                event.window.destroy()
+        return self._id in self._windows
+
+
+def _draw_scene(c: _Canvas, simulation, k: int, profile: _Profile, bounds, angle: float) -> None:
+    """Terrain, rut, end of the course, wheel and stress in a camera that moves with the wheel."""
+    w, world = simulation.worlds.state[k], simulation.numbers.world
+    r, grade, scale = world.radius, float(w["grade"]), SCENE[2] / (_VIEW * world.radius)  # scale [units per m]
+    centre = np.array([w["x"], np.interp(w["x"], profile.x, profile.height)])
+    place = np.add(SCENE[:2], np.multiply(_WHEEL_AT, SCENE[2:]))
+
+    def at(x, y):
+        """Place in the picture of points of the world [m]."""
+        return np.stack([place[0] + scale * (x - centre[0]), place[1] - scale * (y - centre[1])], axis=-1)
+
+    hub = centre + (r - w["sinkage"]) * np.array([-math.sin(grade), math.cos(grade)])
+    c.clip(SCENE)
+    c.box(SCENE, SKY)
+    x = centre[0] + (np.linspace(0.0, 1.0, 185) - _WHEEL_AT[0]) * _VIEW * r
+    _draw_ground(c, x, hub, r, simulation.worlds.courses.rut[k], grade, profile, bounds, at)
+    length = simulation.numbers.task.length
+    _draw_flag(c, at(length, np.interp(length, profile.x, profile.height)))
+    stresses = contact_stresses(simulation, k)
+    _draw_wheel(c, at(*hub), r * scale, angle)
+    side = -1.0 if w["speed"] < -REST_SPEED else 1.0
+    typical = simulation.numbers.task.weight / (0.5 * r * world.width)  # [Pa]
+    _draw_stresses(c, at(*hub), r * scale, grade, side, stresses, 0.45 * r * scale / typical)
+    c.clip(None)
+    c.box(SCENE, None, GRID)
+    bar, right, y = _nice(0.25 * _VIEW * r), SCENE[0] + SCENE[2] - 14, SCENE[1] + 22
+    for ends in ([(right - bar * scale, y), (right, y)], *([(e, y - 4), (e, y + 4)] for e in (right - bar * scale, right))):
+        c.lines(ends, INK, 2)
+    c.text(right - 0.5 * bar * scale, y - 12, f"{bar:g} m", 15, align=0.5)
+
+
+def _draw_ground(c: _Canvas, x, hub, r, rut, grade, profile: _Profile, bounds, at) -> None:
+    """The soil up to its surface, lowered by the rut and under the wheel, with specks; dashed where it was before."""
+    before = np.interp(x, profile.x, profile.height)
+    now = before - np.interp(x, (np.arange(rut.size) + 0.5) * CELL, rut, left=0.0) / math.cos(grade)
+    under = np.abs(x - hub[0]) < r
+    now[under] = np.minimum(now[under], hub[1] - np.sqrt(r * r - (x[under] - hub[0]) ** 2))
+    middle = 0.5 * (x[1:] + x[:-1])
+    friction = np.interp(middle, profile.x, profile.friction)
+    colours = c.soil(at(x, now), SCENE[1] + SCENE[3], friction, bounds)
+    step = (x[-1] - x[0]) / 40.0
+    cells = np.arange(4 * math.floor(x[0] / step), 4 * math.ceil(x[-1] / step))
+    place, depth, shade = _GRAINS[cells % len(_GRAINS)].T
+    gx = (cells // 4 + place) * step
+    spots = at(gx, np.interp(gx, x, now) - (0.3 + 12.0 * depth) * step)
+    tints = colours[np.searchsorted(middle, gx).clip(0, middle.size - 1)] * np.where(shade < 0.5, 0.82, 1.1)[:, None]
+    for spot, size, tint in zip(spots, 1.0 + 1.2 * shade, tints.clip(0, 255).astype(int).tolist(), strict=True):
+        c.circle(spot, size, tint)
+    untouched = at(x, before)[before - now > 0.03 * r]
+    for i in range(0, len(untouched) - 2, 4):
+        c.lines(untouched[i : i + 3], GREY, 1.2)
+
+
+def _draw_flag(c: _Canvas, foot) -> None:
+    """A chequered flag at the end of the course."""
+    c.lines([foot + (0, 12), foot - (0, 110)], INK, 2.5)
+    for i in range(12):
+        c.box((*(foot + (1 + 10 * (i % 4), 10 * (i // 4) - 110)), 10, 10), (INK, WHITE)[(i + i // 4) % 2])
+
+
+def _draw_wheel(c: _Canvas, centre, size, angle) -> None:
+    """Rim, hub and six spokes, turned clockwise (forward: the course runs to the right) by `angle` [rad]."""
+    c.circle(centre, size, WHEEL)
+    for a in angle + np.arange(6) * math.pi / 3.0:
+        c.lines([centre, centre + 0.95 * size * np.array([math.cos(a), math.sin(a)])], SPOKE, 3.0)
+    c.circle(centre, size, RIM, 0.07 * size)
+    c.circle(centre + 0.8 * size * np.array([math.sin(angle), -math.cos(angle)]), 0.06 * size, ORANGE)
+    c.circle(centre, 0.14 * size, RIM)
+
+
+def _draw_stresses(c: _Canvas, hub, size, grade, side, stresses: Stresses, scale) -> None:
+    """Normal stress as arrows from the soil onto the rim, shear stress as a band inside it; scale [units per Pa]."""
+    a = grade + side * stresses.angle
+    outward = np.stack([np.sin(a), np.cos(a)], axis=1)
+    normal, shear = (np.minimum(np.abs(s) * scale, 0.85 * size)[:, None] for s in stresses[1:])
+    rim, outer = hub + outward * size, hub + outward * (size + normal)
+    c.polygon([*rim, *outer[::-1]], LIGHT_BLUE)
+    c.lines(outer, BLUE)
+    for i in np.linspace(0, _ARC_POINTS - 1, 2 + int(size * stresses.angle[-1] / 9.0))[1:-1].round().astype(int):
+        c.arrow(outer[i], rim[i], BLUE, 1.6)
+    inside, inner = hub + outward * 0.93 * size, hub + outward * (0.93 * size - shear)
+    c.polygon([*inside, *inner[::-1]], LIGHT_ORANGE)
+    c.lines(inner, ORANGE)
+    i = int(np.argmax(shear))
+    if shear[i] > 4.0:
+        forward = 0.16 * size * np.array([outward[i, 1], -outward[i, 0]]) * np.sign(stresses.shear[i])
+        middle = 0.5 * (inside[i] + inner[i])
+        c.arrow(middle - forward, middle + forward, ORANGE, 2.2)
+    keys = ("normal stress σ", BLUE, LIGHT_BLUE), ("shear stress τ", ORANGE, LIGHT_ORANGE)
+    for row, ((name, edge, fill), stress) in enumerate(zip(keys, stresses[1:], strict=True)):
+        y, peak = SCENE[1] + 16 + 18 * row, 1e-3 * stress[np.argmax(np.abs(stress))]
+        c.box((SCENE[0] + 12, y - 6, 18, 12), fill, edge)
+        c.text(SCENE[0] + 38, y, f"{name}: peak {peak:.1f} kPa", 16)
+
+
+def _draw_readings(c: _Canvas, simulation, k: int, bounds) -> None:
+    """Numbers above the side view, the state of the episode, and the true soil under the wheel below it."""
+    w, worlds, numbers = simulation.worlds.state[k], simulation.worlds, simulation.numbers
+    cells = (
+        ("distance", f"{w['x']:.2f} of {numbers.task.length:g} m"),
+        ("speed", f"{w['speed']:.2f} m/s"),
+        ("slip", f"{w['slip']:.2f}"),
+        ("sinkage", f"{1e3 * w['sinkage']:.0f} mm"),
+        ("drawbar pull", f"{w['drawbar_pull']:.0f} N"),
+        ("motor torque", f"{w['motor_torque']:.1f} of {w['available_torque']:.1f} N m"),
+        ("grade", f"{math.degrees(w['grade']):+.1f}°"),
+        ("estimate", Status(int(worlds.ids.status[k])).name.lower().replace("_", " ")),
+    )
+    for i, (name, value) in enumerate(cells):
+        x, y = (14, 140, 296, 396)[i % 4], 14 + 40 * (i // 4)
+        c.text(x, y, name, 15, GREY)
+        c.text(x, y + 16, value, 20)
+    cause = Cause(int(worlds.cause[k]))
+    halted = cause == Cause.RUNNING and w["halt_left"] > 0.0
+    colour = AMBER if halted else {Cause.RUNNING: GREY, Cause.FINISHED: GREEN}.get(cause, ORANGE)
+    c.box((474, 8, 88, 22), colour)
+    c.text(518, 19, "halted" if halted else cause.name.lower().replace("_", " "), 17, WHITE, 0.5)
+
+    soil, _, _ = ground_at(worlds.courses, k, w["x"], w["patch"], numbers.world.border)
+    phi = math.degrees(math.atan(soil.tan_phi))
+    c.box((14, 404, 20, 14), _soil_colour([phi], bounds)[0], GREY)
+    moduli = f"K = {1e3 * soil.shear_modulus:.1f} mm   S = {1e-6 * soil.sinkage_coefficient:.2f} MN/m^(n+2)"
+    c.text(42, 411, f"soil under the wheel:  φ = {phi:.1f}°   {moduli}   n = {soil.sinkage_exponent:.2f}", 16)
+
+
+def _draw_course(c: _Canvas, simulation, k: int, profile: _Profile, bounds) -> None:
+    """The whole course from the side (heights stretched to fit), the wheel on it, and the key to the colours."""
+    (left, top, width, height), length = COURSE, simulation.numbers.task.length
+    x = np.linspace(0.0, length, 257)
+    h = np.interp(x, profile.x, profile.height)
+    stretch = min(0.6 * height / max(np.ptp(h), 1e-6), 3.0 * width / length)
+    y = top + 0.62 * height - stretch * (h - 0.5 * (h.max() + h.min()))
+    friction = np.interp(0.5 * (x[1:] + x[:-1]), profile.x, profile.friction)
+    c.soil(np.stack([left + width * x / length, y], axis=1), top + height, friction, bounds)
+    wheel = min(max(float(simulation.worlds.state[k]["x"]), 0.0), length)
+    c.circle((left + width * wheel / length, float(np.interp(wheel, x, y)) - 5), 5, RIM)
+    for tick in _ticks(0.0, length, _nice(length / 5.0)):
+        c.text(left + width * tick / length, top + height + 10, f"{tick:g} m", 14, GREY, 0.5)
+    c.text(14, 434, "course", 15, GREY)
+    c.text(424, 434, f"φ  {bounds[0]:.0f}°", 14, GREY, 1.0)
+    c.text(536, 434, f"{bounds[1]:.0f}°", 14, GREY)
+    for i, colour in enumerate(_soil_colour(np.linspace(*bounds, 50), bounds)):
+        c.box((430 + 2 * i, 429, 2.5, 10), colour)
+
+
+def _draw_charts(c: _Canvas, history: np.ndarray) -> None:
+    """Slip and sinkage, then phi, K and S, estimated and true, from the history [12, samples]."""
+    end = max(SPAN, history[0].max(initial=0.0))
+    history = history[:, history[0] >= end - SPAN - 1e-9]
+    time, slip, sinkage = history[:3]
+    low = -1.0 if slip.min(initial=0.0) < -0.25 else -0.25
+    x, y, _, h = CHARTS[0]
+    _draw_chart(c, CHARTS[0], end, time, (low, 1.0), False, [(sinkage, GREEN), (slip, INK)])
+    c.text(x, y - 11, "slip [-]", 16)
+    c.text(x + 62, y - 11, "sinkage / radius [-]", 16, GREEN)
+    names = "friction angle φ [deg]", "shear modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
+    for i, (name, convert) in enumerate(zip(names, (np.degrees, _milli, _mega), strict=True)):
+        estimate, sd, true = history[3 + i], history[6 + i], history[9 + i]
+        band = convert(estimate - sd), convert(estimate + sd)
+        lines = [(convert(true), ORANGE), (convert(estimate), BLUE)]
+        limits = _limits(np.concatenate([*band, lines[0][0]]), i > 0)
+        _draw_chart(c, CHARTS[i + 1], end, time, limits, i > 0, lines, band)
+        c.text(x, CHARTS[i + 1][1] - 11, name, 16)
+    right, y = x + CHARTS[1][2], CHARTS[1][1] - 11
+    c.box((right - 146, y - 5, 16, 10), LIGHT_BLUE)
+    for place, words, colour in ((right - 146, "estimate ± sd", BLUE), (right - 44, "true", ORANGE)):
+        c.lines([(place, y), (place + 16, y)], colour, 2)
+        c.text(place + 20, y, words, 15, colour)
+    for t in _ticks(end - SPAN, end, 5.0):
+        c.text(x + CHARTS[3][2] * (t - end + SPAN) / SPAN, CHARTS[3][1] + h + 10, f"{t:g}", 14, GREY, 0.5)
+    c.text(x + 0.5 * CHARTS[3][2], CHARTS[3][1] + h + 24, "time [s]", 15, GREY, 0.5)
+
+
+def _draw_chart(c: _Canvas, box, end, time, limits, log, lines, band=None) -> None:
+    """A strip chart of the last `SPAN` seconds before `end` [s]: (values, colour) of each line, (lower, upper) of a band."""
+    left, top, width, height = box
+    of = np.log if log else np.asarray
+    low, high = of(limits)
+
+    def at(t, values):
+        share = (of(values) - low) / (high - low)
+        return np.stack([left + width * (1.0 + (t - end) / SPAN), top + height * (1.0 - share.clip(0.0, 1.0))], axis=-1)
+
+    c.box(box, WHITE)
+    for t in _ticks(end - SPAN, end, 5.0):
+        c.lines(at(np.array([t, t]), limits), GRID, 1)
+    for v in _log_ticks(*limits) if log else _ticks(*limits, _nice((limits[1] - limits[0]) / 4.0)):
+        ends = at(np.array([end - SPAN, end]), [v, v])
+        c.lines(ends, GRID, 1)
+        c.text(left - 6, ends[0, 1], f"{v:g}", 14, GREY, 1.0)
+    c.lines([(left, top), (left, top + height), (left + width, top + height)], GREY, 1)
+    if band is not None and time.size > 1:
+        c.polygon([*at(time, band[0]), *at(time, band[1])[::-1]], LIGHT_BLUE)
+    for values, colour in lines:
+        c.lines(at(time, values), colour, 1.8)
+
+
+def _milli(ln_k):
+    """K [mm] from ln(K [m])."""
+    return 1e3 * np.exp(np.clip(ln_k, -20.0, 20.0))
+
+
+def _mega(ln_s):
+    """S [MN/m^(n+2)] from ln(S [N/m^(n+2)])."""
+    return 1e-6 * np.exp(np.clip(ln_s, -20.0, 50.0))
+
+
+def _friction_range(scenario: Scenario, simulation) -> tuple[float, float]:
+    """Range of phi [deg] that the soil colours span: that of the scenario's presets and two deviations more."""
+    phi, spread = np.degrees(np.arctan(simulation.numbers.course.library[:, 0])), 2.0 * scenario.spread.friction + 0.02
+    return float(phi.min() * (1.0 - spread)), float(phi.max() * (1.0 + spread))
+
+
+def _soil_colour(friction, bounds: tuple[float, float]) -> np.ndarray:
+    """Colours [n, 3] of soils with friction angles [n] in deg; the ramp spans `bounds` [deg]."""
+    place = np.linspace(*bounds, len(_RAMP))
+    return np.stack([np.interp(friction, place, channel) for channel in _RAMP.T], axis=1).astype(int)
+
+
+def _nice(value: float) -> float:
+    """The largest of 1, 2, 5, 10, ... not above `value`."""
+    decade = 10.0 ** math.floor(math.log10(value))
+    return decade * max(m for m in (1.0, 2.0, 5.0) if m * decade <= value * (1.0 + 1e-9))
+
+
+def _ticks(low: float, high: float, step: float) -> list[float]:
+    """Multiples of `step` in [low, high]."""
+    return [i * step for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+
+
+def _log_ticks(low: float, high: float) -> list[float]:
+    """Decades in [low, high], with 2 and 5 between them where there are at most two decades."""
+    parts = (1.0, 2.0, 5.0) if high <= 101.0 * low else (1.0,)
+    marks = [m * 10.0**d for d in range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1) for m in parts]
+    return [m for m in marks if 0.999 * low <= m <= 1.001 * high]
+
+
+def _limits(values: np.ndarray, log: bool) -> tuple[float, float]:
+    """Limits of a value axis: 1, 2, 5, 10, ... and a decade at least when log, else multiples of 5 and at least 10."""
+    low, high = (values.min(), values.max()) if values.size else (1.0, 1.0)
+    if log:
+        low = _nice(low)
+        return low, 1.0 / _nice(1.0 / max(high, 10.0 * low))
+    low = 5.0 * math.floor(low / 5.0)
+    return low, max(5.0 * math.ceil(high / 5.0), low + 10.0)
