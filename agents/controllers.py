@@ -24,7 +24,6 @@ from soil_env.parameters import Scenario, SoilState
 from soil_env.task import layout
 from soil_env.traversability import best_working_point
 
-
 _START_SPEED = 0.05  # [m/s] rim speed at which a slip controller starts from rest
 _CREEP = 0.01  # [m/s] by which the rim leads V/(1 - i), so that speed can build up
 

@@ -32,7 +32,7 @@ METRICS = {
     "sinkage": ("mm", "mean sinkage over time"),
     "return": ("-", "sum of rewards, not discounted"),
 }
-_RATES = ("immobilised", "entrapped", "stalled", "bogged", "time_limit", "finished")
+RATES = ("immobilised", "entrapped", "stalled", "bogged", "time_limit", "finished")
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Runs:
         """Value of a metric for each course [courses]."""
         if name == "immobilised":
             return np.isin(self.cause, [c.value for c in IMMOBILISED]).astype(float)
-        if name in _RATES:
+        if name in RATES:
             return (self.cause == Cause[name.upper()].value).astype(float)
         return {
             "distance": self.distance,
@@ -145,7 +145,7 @@ def summary(runs: Runs, seed: int = 0, resamples: int = 2000) -> dict[str, dict[
     for name in METRICS:
         x = runs.metric(name)
         value = float(x.mean())
-        if name in _RATES:
+        if name in RATES:
             low, high = wilson(x.sum(), n)
         else:
             means = np.array([x[rng.integers(0, n, n)].mean() for _ in range(resamples)])

@@ -108,6 +108,10 @@ def _convert(hint, value, where):
         if not isinstance(value, (list, tuple)) or len(value) != len(items):
             raise ParameterError(f"{where} = {value!r}: expected a list of {len(items)} values")
         return tuple(_convert(item, v, where) for item, v in zip(items, value, strict=True))
+    if hint is dict:
+        if not isinstance(value, dict):
+            raise ParameterError(f"{where} = {value!r}: expected a mapping")
+        return value
     if origin is dict:
         if not isinstance(value, dict):
             raise ParameterError(f"{where} = {value!r}: expected a mapping")

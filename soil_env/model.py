@@ -10,7 +10,6 @@ from numba import njit
 from soil_env.contact import arc_integrals, entry_angle, forces, mobilised_modulus, motion_from_slip
 from soil_env.effects import slip_sinkage_ratio
 
-
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
 
 

@@ -300,9 +300,10 @@ def _draw_scene(c: _Canvas, simulation, k: int, profile: _Profile, bounds, angle
     c.clip(None)
     c.box(SCENE, None, GRID)
     bar, right, y = _nice(0.25 * _VIEW * r), SCENE[0] + SCENE[2] - 14, SCENE[1] + 22
-    for ends in ([(right - bar * scale, y), (right, y)], *([(e, y - 4), (e, y + 4)] for e in (right - bar * scale, right))):
+    left = right - bar * scale
+    for ends in ([(left, y), (right, y)], [(left, y - 4), (left, y + 4)], [(right, y - 4), (right, y + 4)]):
         c.lines(ends, INK, 2)
-    c.text(right - 0.5 * bar * scale, y - 12, f"{bar:g} m", 15, align=0.5)
+    c.text(0.5 * (left + right), y - 12, f"{bar:g} m", 15, align=0.5)
 
 
 def _draw_ground(c: _Canvas, x, hub, r, rut, grade, profile: _Profile, bounds, at) -> None:
@@ -430,12 +431,11 @@ def _draw_charts(c: _Canvas, history: np.ndarray) -> None:
     c.text(x, y - 11, "slip [-]", 16)
     c.text(x + 62, y - 11, "sinkage / radius [-]", 16, GREEN)
     names = "friction angle φ [deg]", "shear modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
-    for i, (name, convert) in enumerate(zip(names, (np.degrees, _milli, _mega), strict=True)):
+    for i, name in enumerate(names):
         estimate, sd, true = history[3 + i], history[6 + i], history[9 + i]
-        band = convert(estimate - sd), convert(estimate + sd)
-        lines = [(convert(true), ORANGE), (convert(estimate), BLUE)]
-        limits = _limits(np.concatenate([*band, lines[0][0]]), i > 0)
-        _draw_chart(c, CHARTS[i + 1], end, time, limits, i > 0, lines, band)
+        low, high, estimate, true = (_readable(v, i) for v in (estimate - sd, estimate + sd, estimate, true))
+        limits = _limits(np.concatenate([low, high, true]), i > 0)
+        _draw_chart(c, CHARTS[i + 1], end, time, limits, i > 0, [(true, ORANGE), (estimate, BLUE)], (low, high))
         c.text(x, CHARTS[i + 1][1] - 11, name, 16)
     right, y = x + CHARTS[1][2], CHARTS[1][1] - 11
     c.box((right - 146, y - 5, 16, 10), LIGHT_BLUE)
@@ -448,7 +448,7 @@ def _draw_charts(c: _Canvas, history: np.ndarray) -> None:
 
 
 def _draw_chart(c: _Canvas, box, end, time, limits, log, lines, band=None) -> None:
-    """A strip chart of the last `SPAN` seconds before `end` [s]: (values, colour) of each line, (lower, upper) of a band."""
+    """A strip chart of `SPAN` seconds up to `end` [s]: (values, colour) of each line, (lower, upper) of a band."""
     left, top, width, height = box
     of = np.log if log else np.asarray
     low, high = of(limits)
@@ -460,7 +460,7 @@ def _draw_chart(c: _Canvas, box, end, time, limits, log, lines, band=None) -> No
     c.box(box, WHITE)
     for t in _ticks(end - SPAN, end, 5.0):
         c.lines(at(np.array([t, t]), limits), GRID, 1)
-    for v in _log_ticks(*limits) if log else _ticks(*limits, _nice((limits[1] - limits[0]) / 4.0)):
+    for v in _log_ticks(*limits) if log else _ticks(*limits, _nice((limits[1] - limits[0]) / 2.4)):
         ends = at(np.array([end - SPAN, end]), [v, v])
         c.lines(ends, GRID, 1)
         c.text(left - 6, ends[0, 1], f"{v:g}", 14, GREY, 1.0)
@@ -471,14 +471,9 @@ def _draw_chart(c: _Canvas, box, end, time, limits, log, lines, band=None) -> No
         c.lines(at(time, values), colour, 1.8)
 
 
-def _milli(ln_k):
-    """K [mm] from ln(K [m])."""
-    return 1e3 * np.exp(np.clip(ln_k, -20.0, 20.0))
-
-
-def _mega(ln_s):
-    """S [MN/m^(n+2)] from ln(S [N/m^(n+2)])."""
-    return 1e-6 * np.exp(np.clip(ln_s, -20.0, 50.0))
+def _readable(values: np.ndarray, i: int) -> np.ndarray:
+    """phi [deg], K [mm] or S [MN/m^(n+2)], for i = 0, 1, 2, from phi [rad] or the logarithm of K or S in SI units."""
+    return np.degrees(values) if i == 0 else (1e3, 1e-6)[i - 1] * np.exp(np.clip(values, -50.0, 50.0))
 
 
 def _friction_range(scenario: Scenario, simulation) -> tuple[float, float]:
@@ -507,8 +502,8 @@ def _ticks(low: float, high: float, step: float) -> list[float]:
 def _log_ticks(low: float, high: float) -> list[float]:
     """Decades in [low, high], with 2 and 5 between them where there are at most two decades."""
     parts = (1.0, 2.0, 5.0) if high <= 101.0 * low else (1.0,)
-    marks = [m * 10.0**d for d in range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1) for m in parts]
-    return [m for m in marks if 0.999 * low <= m <= 1.001 * high]
+    decades = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
+    return [m * 10.0**d for d in decades for m in parts if 0.999 * low <= m * 10.0**d <= 1.001 * high]
 
 
 def _limits(values: np.ndarray, log: bool) -> tuple[float, float]:

@@ -1,0 +1,100 @@
+"""Figures of a run: the comparison of controllers, and one course in detail."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from agents.evaluate import METRICS, RATES
+from soil_env.parameters import Scenario
+from soil_env.simulation import Simulation
+from soil_env.task import Cause
+from soil_env.terrain import ground_at
+
+_PANELS = ("immobilised", "time_limit", "speed", "energy_per_metre", "slip", "return")
+
+
+def comparison_figure(result: dict, path: Path) -> None:
+    """Metrics of all controllers as points with their 95 % intervals."""
+    names = list(result["controllers"])[::-1]
+    figure, axes = plt.subplots(1, len(_PANELS), figsize=(2.4 * len(_PANELS), 0.45 * len(names) + 1.4), sharey=True)
+    for axis, metric in zip(axes, _PANELS, strict=True):
+        scale = 100.0 if metric in RATES else 1.0
+        for y, name in enumerate(names):
+            m = result["controllers"][name][metric]
+            value, low, high = (scale * m[key] for key in ("value", "low", "high"))
+            colour = "#d55e00" if name.startswith("ppo") else ("#777777" if name.endswith("true") else "#0072b2")
+            axis.errorbar(value, y, xerr=[[value - low], [high - value]], fmt="o", color=colour, capsize=3)
+        unit = "% of courses" if metric in RATES else METRICS[metric][0]
+        axis.set_xlabel(f"{metric.replace('_', ' ')} [{unit}]")
+        axis.grid(alpha=0.3)
+    axes[0].set_yticks(range(len(names)), names)
+    figure.suptitle(f"{result['courses']} held-out courses, scenario {result['scenario']!r}; bars: 95 % intervals")
+    figure.tight_layout()
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def trace(controller, scenario: Scenario, seed: int, course: int) -> tuple[dict[str, np.ndarray], str]:
+    """One course driven by `controller`: arrays over time, and the cause of its end."""
+    sim = Simulation(1, scenario, controller.variant, threads=1)
+    sim.seed(0, np.random.default_rng([seed, course]))
+    sim.restart(0)
+    w = sim.worlds
+    rows, memory, fresh = [], None, np.array([True])
+    while w.cause[0] == Cause.RUNNING.value:
+        action, memory = controller.predict(w.observation, state=memory, episode_start=fresh, deterministic=True)
+        fresh = np.array([False])
+        sim.step(0, float(np.clip(action[0, 0], -1.0, 1.0)))
+        s = w.state[0]
+        soil, grade, _ = ground_at(w.courses, 0, s["x"], s["patch"], scenario.course.border)
+        n0 = scenario.belief.sinkage_exponent
+        # S compared at equal pressure under the present wheel, since its unit depends on the exponent
+        same = soil.sinkage_coefficient * max(s["bearing_sinkage"], 1e-4) ** (soil.sinkage_exponent - n0)
+        rows.append(
+            (s["x"], s["slip"], 1000.0 * s["sinkage"], math.degrees(grade), math.degrees(math.atan(soil.tan_phi)),
+             1000.0 * soil.shear_modulus, same, *w.ids.estimate[0], *w.ids.sd[0])
+        )  # fmt: skip
+    names = ("x", "slip", "sinkage", "grade", "phi", "K", "S", "e_phi", "e_K", "e_S", "sd_phi", "sd_K", "sd_S")
+    columns = {name: np.array(column) for name, column in zip(names, np.array(rows).T, strict=True)}
+    columns["t"] = scenario.control.period * np.arange(1, len(rows) + 1)
+    return columns, Cause(w.cause[0]).name
+
+
+def course_figure(scenario: Scenario, seed: int, course: int, controllers: dict, path: Path) -> None:
+    """One course, a column a controller: grade, slip, sinkage, and phi, K, S as identified against the truth."""
+    figure, axes = plt.subplots(6, len(controllers), figsize=(6.5 * len(controllers), 12), sharex="col", squeeze=False)
+    for column, (name, controller) in enumerate(controllers.items()):
+        d, cause = trace(controller, scenario, seed, course)
+        a = axes[:, column]
+        a[0].set_title(f"{name}: {cause.lower().replace('_', ' ')} after {d['t'][-1]:.0f} s, {d['x'].max():.1f} m")
+        for axis, key, label in ((a[0], "grade", "grade [deg]"), (a[1], "slip", "slip [-]"), (a[2], "sinkage", "sinkage [mm]")):
+            axis.plot(d["t"], d[key], color="#333333", lw=1)
+            axis.set_ylabel(label)
+        _estimate(a[3], d["t"], d["phi"], np.degrees(d["e_phi"]), np.degrees(d["sd_phi"]), "friction angle [deg]", False)
+        _estimate(a[4], d["t"], d["K"], 1000.0 * np.exp(d["e_K"]), d["sd_K"], "shear modulus K [mm]", True)
+        _estimate(a[5], d["t"], d["S"], np.exp(d["e_S"]), d["sd_S"], "sinkage coefficient S [N/m$^{n+2}$]", True)
+        a[5].set_xlabel("time [s]")
+        a[3].legend(loc="upper right", fontsize=8)
+        for axis in a:
+            axis.grid(alpha=0.3)
+    figure.suptitle(f"Held-out course {course} of scenario {scenario.name!r}")
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _estimate(axis, t, truth, value, sd, label, logarithmic):
+    low, high = (value * np.exp(-sd), value * np.exp(sd)) if logarithmic else (value - sd, value + sd)
+    axis.fill_between(t, low, high, color="#0072b2", alpha=0.2, lw=0)
+    axis.plot(t, value, color="#0072b2", lw=1, label="identified, 1 sd")
+    axis.plot(t, truth, color="#d55e00", lw=1, label="true")
+    axis.set_ylabel(label)
+    if logarithmic:
+        axis.set_yscale("log")

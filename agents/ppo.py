@@ -1,0 +1,249 @@
+"""PPO agents (Stable-Baselines3): build, save, load and resume, with their observation normalisation.
+
+A saved agent is a folder or a path stem: `model.zip` (SB3's own format) and `model.json` beside it, which holds the running
+mean and variance of the observations, the names of the observation layout and the resolved scenario. Loading a model of SB3
+unpickles parts of the zip: load only models you trust.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.vec_env import VecNormalize
+
+from agents.sb3 import SoilWheelVecEnv
+from soil_env.loading import Checked, ParameterError, load, quantity, to_dict
+from soil_env.parameters import Scenario
+from soil_env.task import layout
+
+#: Name of the PPO agent of each observation variant in tables and files.
+NAMES = {"blind": "ppo_blind", "identified": "ppo_identified", "true_soil": "ppo_true"}
+
+
+@dataclass(frozen=True)
+class PPOConfig(Checked):
+    """Hyperparameters of PPO (Schulman et al. 2017), in SB3's terms. The learning rate falls linearly to 5 %."""
+
+    num_envs: int = quantity("wheels stepped together", 1, 65536, default=128)
+    n_steps: int = quantity("steps of each wheel per update", 8, 65536, default=128)
+    batch_size: int = quantity("transitions per gradient step", 8, 1_000_000, default=1024)
+    n_epochs: int = quantity("passes over a rollout", 1, 100, default=4)
+    learning_rate: float = quantity("", 1e-7, 1.0, default=1e-3)
+    gamma: float = quantity("discount", 0.5, 1.0, default=0.99)
+    gae_lambda: float = quantity("", 0.0, 1.0, default=0.95)
+    clip_range: float = quantity("", 0.01, 1.0, default=0.2)
+    ent_coef: float = quantity("", 0.0, 1.0, default=0.0)
+    layer: int = quantity("units in each of two hidden layers", 1, 4096, default=64)
+    log_std_init: float = quantity("log of the initial standard deviation", -5.0, 2.0, default=-0.7)
+    threads: int = quantity("torch threads", 1, 256, default=1)
+
+
+def build(scenario: Scenario, observation: str, config: PPOConfig, seed: int, tensorboard: Path | None = None) -> PPO:
+    """A fresh PPO agent with its normalised vector environment."""
+    torch.set_num_threads(config.threads)
+    env = normalised(scenario, observation, config, seed)
+    return PPO(
+        "MlpPolicy",
+        env,
+        learning_rate=_schedule(config),
+        n_steps=config.n_steps,
+        batch_size=config.batch_size,
+        n_epochs=config.n_epochs,
+        gamma=config.gamma,
+        gae_lambda=config.gae_lambda,
+        clip_range=config.clip_range,
+        ent_coef=config.ent_coef,
+        policy_kwargs={"net_arch": [config.layer, config.layer], "log_std_init": config.log_std_init},
+        tensorboard_log=None if tensorboard is None else str(tensorboard),
+        seed=seed,
+        device="cpu",
+    )
+
+
+def normalised(scenario: Scenario, observation: str, config: PPOConfig, seed: int) -> VecNormalize:
+    """The vector environment of `config.num_envs` wheels with running normalisation of observations and rewards."""
+    env = VecNormalize(SoilWheelVecEnv(config.num_envs, scenario, observation), gamma=config.gamma)
+    env.seed(seed)
+    return env
+
+
+def _schedule(config: PPOConfig):
+    rate = config.learning_rate
+
+    def learning_rate(left: float) -> float:
+        return rate * max(left, 0.05)
+
+    return learning_rate
+
+
+def _write(path: Path, write) -> None:
+    """Write a file whole or not at all: a kill in between leaves the old one."""
+    partial = path.with_name(f".{path.name}.partial")
+    write(partial)
+    os.replace(partial, path)
+
+
+def save(model: PPO, stem: Path) -> None:
+    """Save the agent as `stem`.zip and `stem`.json, each replaced in one piece, the json last."""
+    stem = Path(stem)
+    env = model.get_vec_normalize_env()
+    meta = {
+        "timesteps": int(model.num_timesteps),
+        "observation": _variant(env),
+        "observation_names": list(env.get_attr("observation_names")[0]),
+        "mean": env.obs_rms.mean.tolist(),
+        "var": env.obs_rms.var.tolist(),
+        "count": float(env.obs_rms.count),
+        "return_mean": float(env.ret_rms.mean),
+        "return_var": float(env.ret_rms.var),
+        "return_count": float(env.ret_rms.count),
+        "clip": float(env.clip_obs),
+        "scenario": to_dict(env.get_attr("scenario")[0]),
+    }
+    with_zip = stem.with_name(f".{stem.name}.partial.zip")
+    model.save(with_zip)
+    os.replace(with_zip, stem.with_name(stem.name + ".zip"))
+    text = json.dumps(meta, indent=1) + "\n"
+    _write(stem.with_name(stem.name + ".json"), lambda p: p.write_text(text, encoding="utf-8"))
+
+
+def _variant(env) -> str:
+    names = env.get_attr("observation_names")[0]
+    return next(v for v in NAMES if tuple(e.name for e in layout(v)) == names)
+
+
+@dataclass
+class Agent:
+    """A trained agent that takes raw observations."""
+
+    model: PPO
+    mean: np.ndarray
+    sd: np.ndarray
+    clip: float
+    variant: str
+    timesteps: int
+    meta: dict = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """Its name in tables."""
+        return NAMES[self.variant]
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """Actions for raw observations [n, D] or [D]; as SB3's predict."""
+        x = np.clip((np.asarray(observation) - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)
+        return self.model.predict(x, state, episode_start, deterministic)
+
+
+def read_meta(stem: Path) -> dict:
+    """The json beside a model; ParameterError if it is missing or not ours."""
+    path = Path(stem).with_name(Path(stem).name + ".json")
+    try:
+        meta = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror}); expected it beside the model's zip") from None
+    except json.JSONDecodeError as error:
+        raise ParameterError(f"{path}: not valid JSON ({error})") from None
+    for key in ("observation", "observation_names", "mean", "var", "clip"):
+        if key not in meta:
+            raise ParameterError(f"{path}: missing {key!r}; not a model saved by agents.ppo")
+    return meta
+
+
+def check_layout(meta: dict, where) -> None:
+    """ParameterError if a model was trained on another observation layout than this version's."""
+    variant = meta["observation"]
+    expected = [e.name for e in layout(variant)]
+    found = list(meta["observation_names"])
+    if found != expected:
+        differing = sorted(set(found) ^ set(expected)) or ["their order"]
+        raise ParameterError(
+            f"{where}: trained on another observation layout: {len(found)} numbers, here {variant!r} has "
+            f"{len(expected)}; differing: {', '.join(differing)}"
+        )
+
+
+def load_agent(stem: Path) -> Agent:
+    """Load an agent saved by `save`. `stem` may name the zip. Raises ParameterError with one line if it cannot be used."""
+    stem = Path(stem)
+    if stem.suffix == ".zip":
+        stem = stem.with_suffix("")
+    if stem.is_dir():
+        stem = stem / "model"
+    meta = read_meta(stem)
+    check_layout(meta, stem)
+    model = _load_zip(stem)
+    if model.observation_space.shape != (len(meta["mean"]),):
+        raise ParameterError(
+            f"{stem}.zip: takes {model.observation_space.shape[0]} observations, its json names {len(meta['mean'])}"
+        )
+    sd = np.sqrt(np.asarray(meta["var"]) + 1e-8)
+    return Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], meta["observation"], meta.get("timesteps", 0), meta)
+
+
+def _load_zip(stem: Path, **options) -> PPO:
+    path = stem.with_name(stem.name + ".zip")
+    if not path.is_file():
+        raise ParameterError(f"{path}: no such model")
+    try:
+        return PPO.load(path, device="cpu", **options)
+    except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
+        raise ParameterError(f"{path}: cannot be loaded as a PPO model ({type(error).__name__}: {error})") from None
+
+
+def resume(stem: Path, scenario: Scenario, observation: str, config: PPOConfig, seed: int, tensorboard: Path | None) -> PPO:
+    """The agent of a checkpoint, ready to go on learning; its worlds start new courses."""
+    stem = Path(stem)
+    meta = read_meta(stem)
+    if meta["observation"] != observation:
+        raise ParameterError(f"{stem}: trained with observation {meta['observation']!r}, the config says {observation!r}")
+    check_layout(meta, stem)
+    torch.set_num_threads(config.threads)
+    env = normalised(scenario, observation, config, seed + meta["timesteps"])
+    env.obs_rms = _running(meta["mean"], meta["var"], meta["count"])
+    env.ret_rms = _running(meta["return_mean"], meta["return_var"], meta["return_count"])
+    model = _load_zip(
+        stem,
+        env=env,
+        custom_objects={"learning_rate": _schedule(config), "lr_schedule": _schedule(config)},
+        tensorboard_log=None if tensorboard is None else str(tensorboard),
+    )
+    if model.num_timesteps != meta["timesteps"]:
+        raise ParameterError(f"{stem}: zip ({model.num_timesteps} steps) and json ({meta['timesteps']}) do not belong together")
+    return model
+
+
+def _running(mean, var, count) -> RunningMeanStd:
+    out = RunningMeanStd(shape=np.shape(mean))
+    out.mean, out.var, out.count = np.asarray(mean, dtype=np.float64), np.asarray(var, dtype=np.float64), count
+    return out
+
+
+@dataclass(frozen=True)
+class TrainConfig(Checked):
+    """A training run: what `train.py` takes from YAML and from its command line."""
+
+    scenario: str = "mixed"
+    changes: dict = field(default_factory=dict)  # merged over the scenario
+    observation: Literal["blind", "identified", "true_soil"] = "identified"
+    name: str = ""  # of the run folder; empty = observation, scenario and time
+    runs: str = "runs"
+    seed: int = quantity("", 0, 2**31 - 1, default=0)
+    timesteps: int = quantity("environment steps", 1, 10**12, default=12_000_000)
+    checkpoint_every: int = quantity("environment steps", 1, 10**12, default=1_000_000)
+    courses: int = quantity("held-out courses of the comparison", 1, 10**7, default=1000)
+    tuning_courses: int = quantity("training courses to tune slip and speed on", 1, 10**6, default=200)
+    ppo: PPOConfig = PPOConfig()
+
+
+def load_config(mapping: dict, where: str) -> TrainConfig:
+    """A `TrainConfig` from a mapping, strictly."""
+    return load(TrainConfig, mapping, where)

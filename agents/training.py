@@ -1,0 +1,243 @@
+"""One training run: train (or resume), tune the classical controllers, compare on held-out courses, write the run folder."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import yaml
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+from stable_baselines3.common.callbacks import BaseCallback
+
+from agents import evaluate, plots, ppo
+from agents.controllers import CONTROLLERS, make_controller
+from agents.ppo import TrainConfig
+from soil_env.loading import ParameterError, read_yaml, to_dict
+from soil_env.parameters import Scenario, load_scenario
+
+#: Course sets. Training draws its courses from streams seeded with the run's seed; these two are disjoint from them.
+TUNING_SET, HELD_OUT_SET = 1_000_001, 2_000_003
+_SLIPS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)
+_SPEED_SHARES = (0.12, 0.17, 0.22, 0.28, 0.33, 0.4, 0.5)
+
+console = Console()
+
+
+def progress_bar(unit: str) -> Progress:
+    """A progress bar with count, elapsed and remaining time."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(unit + " {task.fields[note]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+class _Watch(BaseCallback):
+    """Progress bar, immobilisation rate on TensorBoard, and checkpoints."""
+
+    def __init__(self, folder: Path, every: int, bar: Progress, task):
+        super().__init__()
+        self.folder, self.every, self.bar, self.task = folder, every, bar, task
+        self.next_save = 0
+        self.causes: list[str] = []
+        self.returns: list[float] = []
+
+    def _on_training_start(self) -> None:
+        self.next_save = self.num_timesteps + self.every
+
+    def _on_step(self) -> bool:
+        for k in np.flatnonzero(self.locals["dones"]):
+            info = self.locals["infos"][k]
+            self.causes.append(info["cause"])
+            self.returns.append(info["episode"]["r"])
+        return True
+
+    def _on_rollout_end(self) -> None:
+        recent, returns = self.causes[-1000:], self.returns[-1000:]
+        note = ""
+        if recent:
+            stuck = np.mean([c in ("ENTRAPPED", "STALLED", "BOGGED") for c in recent])
+            finished = np.mean([c == "FINISHED" for c in recent])
+            self.logger.record("courses/immobilised", stuck)
+            self.logger.record("courses/finished", finished)
+            self.logger.record("courses/return", np.mean(returns))
+            note = f"| last 1000 courses: return {np.mean(returns):.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
+            self.causes, self.returns = recent, returns
+        self.bar.update(self.task, completed=self.num_timesteps, note=note)
+        if self.num_timesteps >= self.next_save:
+            ppo.save(self.model, self.folder / "checkpoint")
+            self.next_save = self.num_timesteps + self.every
+
+
+def make_run_folder(config: TrainConfig, scenario: Scenario) -> Path:
+    """Create the run folder with its resolved config.yaml and scenario.yaml; refuses to overwrite one."""
+    name = config.name or f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    if Path(name).name != name:
+        raise ParameterError(f"name = {name!r}: expected the name of a folder, not a path")
+    folder = Path(config.runs) / name
+    try:
+        folder.mkdir(parents=True)
+        _dump(folder / "config.yaml", to_dict(config))
+        _dump(folder / "scenario.yaml", to_dict(scenario))
+    except FileExistsError:
+        raise ParameterError(f"{folder}: exists; give another --name, or --resume {folder}") from None
+    except OSError as error:
+        raise ParameterError(f"{folder}: cannot be written ({error.strerror})") from None
+    return folder
+
+
+def _dump(path: Path, content: dict) -> None:
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+
+
+def open_run(folder: Path) -> tuple[TrainConfig, Scenario]:
+    """Config and scenario of an existing run folder."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        near = sorted(p.name for p in folder.parent.glob("*/config.yaml")) if folder.parent.is_dir() else []
+        raise ParameterError(f"{folder}: no such run folder" + (f" (found: {', '.join(near)})" if near else ""))
+    config = ppo.load_config(read_yaml(folder / "config.yaml"), str(folder / "config.yaml"))
+    return config, load_scenario(folder / "scenario.yaml")
+
+
+def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
+    """Train in `folder`, from its checkpoint if it has one, and save model.zip with model.json."""
+    folder = Path(folder)
+    if (folder / "model.json").is_file():
+        console.print(f"{folder} is trained already.")
+        return ppo.load_agent(folder / "model")
+    log = folder / "tensorboard"
+    if (folder / "checkpoint.json").is_file():
+        model = ppo.resume(folder / "checkpoint", scenario, config.observation, config.ppo, config.seed, log)
+        console.print(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
+    else:
+        model = ppo.build(scenario, config.observation, config.ppo, config.seed, log)
+    left = config.timesteps - model.num_timesteps
+    if left > 0:
+        with progress_bar("steps") as bar:
+            task = bar.add_task("Training", total=config.timesteps, completed=model.num_timesteps, note="")
+            watch = _Watch(folder, config.checkpoint_every, bar, task)
+            try:
+                model.learn(left, callback=watch, reset_num_timesteps=False, tb_log_name="PPO")
+            except KeyboardInterrupt:
+                ppo.save(model, folder / "checkpoint")
+                raise
+    ppo.save(model, folder / "model")
+    for suffix in (".zip", ".json"):
+        (folder / f"checkpoint{suffix}").unlink(missing_ok=True)
+    return ppo.load_agent(folder / "model")
+
+
+def tuned_controllers(scenario: Scenario, courses: int) -> tuple[dict, dict]:
+    """The classical controllers, slip and speed tuned for mean return on the tuning set: ({name: controller}, settings)."""
+    top = scenario.wheel.radius * scenario.wheel.no_load_speed
+    speeds = [round(share * top, 4) for share in _SPEED_SHARES]
+    with progress_bar("courses") as bar:
+        task = bar.add_task("Tuning", total=courses * (len(_SLIPS) + len(speeds)), note="fixed_slip and constant_speed")
+
+        def done(count):
+            bar.advance(task, count)
+
+        def tune(name, key, values):
+            return evaluate.tune(
+                lambda v: make_controller(name, scenario, **{key: v}), values, scenario, TUNING_SET, courses, done
+            )
+
+        slip, slips = tune("fixed_slip", "slip", _SLIPS)
+        speed, speed_returns = tune("constant_speed", "speed", speeds)
+    settings = {
+        "fixed_slip": {"slip": slip, "tuning_returns": slips},
+        "constant_speed": {"speed": speed, "tuning_returns": speed_returns},
+        "tuning_courses": courses,
+    }
+    chosen = {"fixed_slip": {"slip": slip}, "constant_speed": {"speed": speed}}
+    return {name: make_controller(name, scenario, **chosen.get(name, {})) for name in CONTROLLERS}, settings
+
+
+def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[str, ppo.Agent]) -> dict:
+    """Every controller and agent on the same held-out courses; writes comparison.* and course.png, prints the table."""
+    controllers, settings = tuned_controllers(scenario, config.tuning_courses)
+    contestants = {**controllers, **agents}
+    runs = {}
+    with progress_bar("courses") as bar:
+        task = bar.add_task("Comparing", total=config.courses * len(contestants), note="")
+        for name, contestant in contestants.items():
+            bar.update(task, note=name)
+            runs[name] = evaluate.run_courses(
+                contestant, scenario, HELD_OUT_SET, config.courses, progress=lambda n: bar.advance(task, n)
+            )
+    result = evaluate.comparison(scenario, HELD_OUT_SET, runs, settings)
+    evaluate.save(result, folder)
+    plots.comparison_figure(result, Path(folder) / "comparison.png")
+    classical = min(controllers, key=lambda n: result["controllers"][n]["immobilised"]["value"])
+    course = _telling_course(runs, list(agents))
+    plots.course_figure(
+        scenario, HELD_OUT_SET, course, {n: contestants[n] for n in (classical, *agents)}, Path(folder) / "course.png"
+    )
+    print_table(result)
+    return result
+
+
+def _telling_course(runs: dict[str, evaluate.Runs], agents: list[str]) -> int:
+    """The first held-out course that full throttle does not finish and the agents do; else the first course."""
+    tells = runs["full_throttle"].metric("finished") < 0.5
+    for name in agents:
+        tells &= runs[name].metric("finished") > 0.5
+    return int(np.argmax(tells))
+
+
+#: Column of the printed table -> (metric, heading, factor, digits)
+_COLUMNS = (
+    ("immobilised", "immobilised\n[%], 95 %", 100.0, 1),
+    ("time_limit", "out of\ntime [%]", 100.0, 1),
+    ("distance", "distance\n[m]", 1.0, 2),
+    ("time", "time\n[s]", 1.0, 0),
+    ("energy_per_metre", "energy\n[J/m]", 1.0, 0),
+    ("slip", "slip\n[-]", 1.0, 2),
+    ("sinkage", "sinkage\n[mm]", 1.0, 0),
+    ("return", "return\n[-]", 1.0, 2),
+)
+
+
+def print_table(result: dict) -> None:
+    """The comparison as a table, and how far PPO is from the references; all intervals are in comparison.json."""
+    table = Table(title=f"{result['courses']} held-out courses of scenario {result['scenario']!r}, the same for all")
+    table.add_column("controller", no_wrap=True)
+    for _, heading, _, _ in _COLUMNS:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, row in result["controllers"].items():
+        cells = [f"{factor * row[metric]['value']:.{digits}f}" for metric, _, factor, digits in _COLUMNS]
+        m = row["immobilised"]
+        cells[0] += f" [{100 * m['low']:.1f}, {100 * m['high']:.1f}]"
+        table.add_row(name, *cells)
+    Console(width=max(console.width, 112)).print(table)
+    for name in result["controllers"]:
+        if name in ppo.NAMES.values():
+            console.print(verdict(result, name), soft_wrap=True, highlight=False)
+
+
+def verdict(result: dict, name: str) -> str:
+    """One sentence: is the agent immobilised less than the tuned fixed slip, and how far toward the true-soil reference."""
+    rows = result["controllers"]
+    agent, fixed, true = (rows[n]["immobilised"] for n in (name, "fixed_slip", "best_slip_true"))
+    if agent["high"] < fixed["low"]:
+        judgement = "less often than"
+    elif agent["low"] > fixed["high"]:
+        judgement = "more often than"
+    else:
+        judgement = "as often, within the intervals, as"
+    text = (
+        f"{name} is immobilised {judgement} the tuned fixed slip: {agent['value']:.1%} "
+        f"[{agent['low']:.1%}, {agent['high']:.1%}] against {fixed['value']:.1%} [{fixed['low']:.1%}, {fixed['high']:.1%}]"
+    )
+    gap = fixed["value"] - true["value"]
+    if gap > 0.0:
+        text += f"; it covers {(fixed['value'] - agent['value']) / gap:.0%} of the way to best_slip_true ({true['value']:.1%})"
+    return text + "."
