@@ -1,5 +1,6 @@
 """Train a PPO agent on randomised soil and compare it with slip controllers at avoiding immobilisation.
 
+Examples:
     python train.py                                      the default: observation "identified", scenario "mixed"
     python train.py --config configs/smoke.yaml          a run of seconds, to see that everything works
     python train.py --observation blind --timesteps 5e6  any key of the config; nested ones as --ppo.gamma 0.995

@@ -1,9 +1,9 @@
 """Classical drive controllers with the interface of a Stable-Baselines3 model: `predict(observation, state, ...)`.
 
-They work on batches of observations [n, D] in the layout of `soil_env.task` and know the scenario's wheel (radius, motor,
-weight), as an engineer would; the soil they know only where the name says so. All but `full_throttle` set a rim speed, which
-a PI loop on the measured rim speed turns into motor torque; where the action is a wheel-speed command the drive's own loop
-does that.
+They work on batches of observations [n, D] in the layout of `soil_env.task` and know the scenario's wheel (radius,
+motor, weight), as an engineer would; the soil they know only where the name says so. All but `full_throttle` set a rim
+speed, which a PI loop on the measured rim speed turns into motor torque; where the action is a wheel-speed command
+the drive's own loop does that.
 
 | name | rim speed | observation |
 |------|-----------|-------------|
@@ -83,7 +83,11 @@ class Controller:
         state["integral"] = np.where(
             batch[:, self.column["halted"]] > 0.5,
             self._feed_forward(batch),
-            np.clip(state["integral"] + np.where(windup, 0.0, self.integral_gain * self.period * error), -self.stall, self.stall),
+            np.clip(
+                state["integral"] + np.where(windup, 0.0, self.integral_gain * self.period * error),
+                -self.stall,
+                self.stall,
+            ),
         )
         return torque
 

@@ -172,7 +172,9 @@ def tune(make: Callable[[float], object], values, scenario: Scenario, seed: int,
     """
     returns = {}
     for value in values:
-        returns[float(value)] = float(run_courses(make(value), scenario, seed, courses, progress=progress).returns.mean())
+        returns[float(value)] = float(
+            run_courses(make(value), scenario, seed, courses, progress=progress).returns.mean()
+        )
     return max(returns, key=returns.get), returns
 
 

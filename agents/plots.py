@@ -74,10 +74,16 @@ def course_figure(scenario: Scenario, seed: int, course: int, controllers: dict,
         d, cause = trace(controller, scenario, seed, course)
         a = axes[:, column]
         a[0].set_title(f"{name}: {cause.lower().replace('_', ' ')} after {d['t'][-1]:.0f} s, {d['x'].max():.1f} m")
-        for axis, key, label in ((a[0], "grade", "grade [deg]"), (a[1], "slip", "slip [-]"), (a[2], "sinkage", "sinkage [mm]")):
+        for axis, key, label in (
+            (a[0], "grade", "grade [deg]"),
+            (a[1], "slip", "slip [-]"),
+            (a[2], "sinkage", "sinkage [mm]"),
+        ):
             axis.plot(d["t"], d[key], color="#333333", lw=1)
             axis.set_ylabel(label)
-        _estimate(a[3], d["t"], d["phi"], np.degrees(d["e_phi"]), np.degrees(d["sd_phi"]), "friction angle [deg]", False)
+        _estimate(
+            a[3], d["t"], d["phi"], np.degrees(d["e_phi"]), np.degrees(d["sd_phi"]), "friction angle [deg]", False
+        )
         _estimate(a[4], d["t"], d["K"], 1000.0 * np.exp(d["e_K"]), d["sd_K"], "shear modulus K [mm]", True)
         _estimate(a[5], d["t"], d["S"], np.exp(d["e_S"]), d["sd_S"], "sinkage coefficient S [N/m$^{n+2}$]", True)
         a[5].set_xlabel("time [s]")

@@ -1,8 +1,8 @@
 """PPO agents (Stable-Baselines3): build, save, load and resume, with their observation normalisation.
 
-A saved agent is a folder or a path stem: `model.zip` (SB3's own format) and `model.json` beside it, which holds the running
-mean and variance of the observations, the names of the observation layout and the resolved scenario. Loading a model of SB3
-unpickles parts of the zip: load only models you trust.
+A saved agent is a folder or a path stem: `model.zip` (SB3's own format) and `model.json` beside it, which holds the
+running mean and variance of the observations, the names of the observation layout and the resolved scenario. Loading
+a model of SB3 unpickles parts of the zip: load only models you trust.
 """
 
 from __future__ import annotations
@@ -172,7 +172,8 @@ def check_layout(meta: dict, where) -> None:
 
 
 def load_agent(stem: Path) -> Agent:
-    """Load an agent saved by `save`. `stem` may name the zip. Raises ParameterError with one line if it cannot be used."""
+    """Load an agent saved by `save`. `stem` may name the zip. Raises ParameterError with one line if it cannot be
+    used."""
     stem = Path(stem)
     if stem.suffix == ".zip":
         stem = stem.with_suffix("")
@@ -199,12 +200,16 @@ def _load_zip(stem: Path, **options) -> PPO:
         raise ParameterError(f"{path}: cannot be loaded as a PPO model ({type(error).__name__}: {error})") from None
 
 
-def resume(stem: Path, scenario: Scenario, observation: str, config: PPOConfig, seed: int, tensorboard: Path | None) -> PPO:
+def resume(
+    stem: Path, scenario: Scenario, observation: str, config: PPOConfig, seed: int, tensorboard: Path | None
+) -> PPO:
     """The agent of a checkpoint, ready to go on learning; its worlds start new courses."""
     stem = Path(stem)
     meta = read_meta(stem)
     if meta["observation"] != observation:
-        raise ParameterError(f"{stem}: trained with observation {meta['observation']!r}, the config says {observation!r}")
+        raise ParameterError(
+            f"{stem}: trained with observation {meta['observation']!r}, the config says {observation!r}"
+        )
     check_layout(meta, stem)
     torch.set_num_threads(config.threads)
     env = normalised(scenario, observation, config, seed + meta["timesteps"])
@@ -217,7 +222,9 @@ def resume(stem: Path, scenario: Scenario, observation: str, config: PPOConfig, 
         tensorboard_log=None if tensorboard is None else str(tensorboard),
     )
     if model.num_timesteps != meta["timesteps"]:
-        raise ParameterError(f"{stem}: zip ({model.num_timesteps} steps) and json ({meta['timesteps']}) do not belong together")
+        raise ParameterError(
+            f"{stem}: zip ({model.num_timesteps} steps) and json ({meta['timesteps']}) do not belong together"
+        )
     return model
 
 

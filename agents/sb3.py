@@ -19,8 +19,8 @@ _RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value
 class SoilWheelVecEnv(VecEnv):
     """`num_envs` wheels for SB3: a finished wheel is reset within the same step, as SB3 expects.
 
-    Infos of finished wheels carry `terminal_observation`, `TimeLimit.truncated`, `episode` {r, l, t} and `cause`; all other
-    wheels share one empty dict, which must not be written to. Keyword arguments as in `SoilWheelEnv`.
+    Infos of finished wheels carry `terminal_observation`, `TimeLimit.truncated`, `episode` {r, l, t} and `cause`; all
+    other wheels share one empty dict, which must not be written to. Keyword arguments as in `SoilWheelEnv`.
     """
 
     def __init__(self, num_envs: int, scenario="mixed", observation="identified", action=None, threads=None, **changes):

@@ -1,4 +1,4 @@
-"""One training run: train (or resume), tune the classical controllers, compare on held-out courses, write the run folder."""
+"""One training run: train or resume, tune the classical controllers, compare on held-out courses, write the results."""
 
 from __future__ import annotations
 
@@ -68,7 +68,9 @@ class _Watch(BaseCallback):
             self.logger.record("courses/immobilised", stuck)
             self.logger.record("courses/finished", finished)
             self.logger.record("courses/return", np.mean(returns))
-            note = f"| last 1000 courses: return {np.mean(returns):.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
+            note = (
+                f"| last 1000 courses: return {np.mean(returns):.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
+            )
             self.causes, self.returns = recent, returns
         self.bar.update(self.task, completed=self.num_timesteps, note=note)
         if self.num_timesteps >= self.next_save:
@@ -136,7 +138,7 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
 
 
 def tuned_controllers(scenario: Scenario, courses: int) -> tuple[dict, dict]:
-    """The classical controllers, slip and speed tuned for mean return on the tuning set: ({name: controller}, settings)."""
+    """({name: classical controller}, settings), slip and speed tuned for mean return on the tuning set."""
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
     speeds = [round(share * top, 4) for share in _SPEED_SHARES]
     with progress_bar("courses") as bar:
@@ -223,8 +225,12 @@ def print_table(result: dict) -> None:
             console.print(verdict(result, name), soft_wrap=True, highlight=False)
 
 
+def _percent(m: dict) -> str:
+    return f"{m['value']:.1%} [{m['low']:.1%}, {m['high']:.1%}]"
+
+
 def verdict(result: dict, name: str) -> str:
-    """One sentence: is the agent immobilised less than the tuned fixed slip, and how far toward the true-soil reference."""
+    """One sentence: is the agent stuck less than the tuned fixed slip, and how near to the true-soil reference."""
     rows = result["controllers"]
     agent, fixed, true = (rows[n]["immobilised"] for n in (name, "fixed_slip", "best_slip_true"))
     if agent["high"] < fixed["low"]:
@@ -233,11 +239,9 @@ def verdict(result: dict, name: str) -> str:
         judgement = "more often than"
     else:
         judgement = "as often, within the intervals, as"
-    text = (
-        f"{name} is immobilised {judgement} the tuned fixed slip: {agent['value']:.1%} "
-        f"[{agent['low']:.1%}, {agent['high']:.1%}] against {fixed['value']:.1%} [{fixed['low']:.1%}, {fixed['high']:.1%}]"
-    )
+    text = f"{name} is immobilised {judgement} the tuned fixed slip: {_percent(agent)} against {_percent(fixed)}"
     gap = fixed["value"] - true["value"]
     if gap > 0.0:
-        text += f"; it covers {(fixed['value'] - agent['value']) / gap:.0%} of the way to best_slip_true ({true['value']:.1%})"
+        share = (fixed["value"] - agent["value"]) / gap
+        text += f"; it covers {share:.0%} of the way to best_slip_true ({true['value']:.1%})"
     return text + "."

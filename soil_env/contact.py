@@ -9,11 +9,12 @@ at `thetam`.
 
 The motion enters through two numbers without unit, `rim` = r w / v* and `travel` = V / v*, where v* is the rim speed
 (`motion_from_slip`, `motion_from_speeds`). They make Eq. (10) one expression for driving, braking, a locked wheel and
-reverse: j = r [rim (theta1 - theta) - travel (sin theta1 - sin theta)], the sign of j being the sign of the shear stress.
+reverse: j = r [rim (theta1 - theta) - travel (sin theta1 - sin theta)], the sign of j being the sign of the shear
+stress.
 
-For a given shear modulus and sinkage exponent every force is linear in S, S tan(phi) and c. The kernels therefore return
-integrals over the arc (`ArcIntegrals`), and `forces` combines them. The same integrals serve the simulated world,
-the steady prediction and the identifier's Jacobian.
+For a given shear modulus and sinkage exponent every force is linear in S, S tan(phi) and c. The kernels therefore
+return integrals over the arc (`ArcIntegrals`), and `forces` combines them. The same integrals serve the simulated
+world, the steady prediction and the identifier's Jacobian.
 """
 
 from __future__ import annotations
@@ -96,7 +97,8 @@ def motion_from_slip(slip):
 def motion_from_speeds(rim_speed, travel_speed, floor):
     """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and reversal.
 
-    `direction` in (-1, 1) is the smoothed sign of V; `floor` [m/s] is the speed below which the wheel counts as resting.
+    `direction` in (-1, 1) is the smoothed sign of V; `floor` [m/s] is the speed below which the wheel counts as
+    resting.
     """
     v = math.sqrt(rim_speed * rim_speed + floor * floor)
     return rim_speed / v, travel_speed / v, travel_speed / math.sqrt(travel_speed * travel_speed + floor * floor)
@@ -167,8 +169,9 @@ def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r):
     """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
 
     Gauss-Legendre nodes at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind, which
-    removes the singularity (theta1 - theta)^n at both ends; by Eq. (8) the two nodes have the same normal stress. Relative
-    error about 1e-5 when driving; when braking j changes sign within the arc, and it is 5e-4 for K = 0.07 r. The derivative by K needs no further integrals: see `shear_modulus_rates`.
+    removes the singularity (theta1 - theta)^n at both ends; by Eq. (8) the two nodes have the same normal stress.
+    Relative error about 1e-5 when driving; when braking j changes sign within the arc, and it is 5e-4 for K = 0.07 r.
+    The derivative by K needs no further integrals: see `shear_modulus_rates`.
     """
     front, rear = theta1 - thetam, thetam - theta2
     sin1, cos1 = math.sin(theta1), math.cos(theta1)

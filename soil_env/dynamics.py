@@ -5,15 +5,16 @@
     dz/dt   = B z_w - A z                    sinkage, `effects.excavation_rate`
     W       = m g cos(grade)                 Eq. (1), met at every instant
 
-z_w is the depth at which undisturbed soil carries the same peak pressure as the wheel now has under it. At a sinkage z the
-load mobilises a sinkage coefficient s, in closed form since Eq. (1) is linear in it (`contact.mobilised_modulus`); equal
-pressure s z^n = S z_w^n then gives z_w = z (s/S)^(1/n). So the balance (1) holds throughout and no root is sought; the
-steady state at any slip is that of `model.steady_state`. (Where cohesion alone carries more than the load, s is 0 and the
-reported load exceeds the weight: a deeply dug wheel in strongly cohesive soil.)
+z_w is the depth at which undisturbed soil carries the same peak pressure as the wheel now has under it. At a sinkage
+z the load mobilises a sinkage coefficient s, in closed form since Eq. (1) is linear in it
+(`contact.mobilised_modulus`); equal pressure s z^n = S z_w^n then gives z_w = z (s/S)^(1/n). So the balance (1) holds
+throughout and no root is sought; the steady state at any slip is that of `model.steady_state`. (Where cohesion alone
+carries more than the load, s is 0 and the reported load exceeds the weight: a deeply dug wheel in strongly cohesive
+soil.)
 
 Sliding speed and travel speed answer to force within milliseconds for a slow rover, so (V, r w) are stepped by implicit
-Euler with a safeguarded Newton iteration on analytic derivatives, and z, which is slow, by the exact solution of its law
-with A, B and z_w held over the step.
+Euler with a safeguarded Newton iteration on analytic derivatives, and z, which is slow, by the exact solution of its
+law with A, B and z_w held over the step.
 """
 
 from __future__ import annotations
@@ -251,7 +252,7 @@ def advance(state, k, command, courses, streams, world):
     by_speed = world.speed_command
     if w.halt_left > 0.0:
         command, by_speed = 0.0, True
-    r, b = world.radius, world.width
+    r = world.radius
     h = world.period / world.substeps
     x_start = w.x
     w.motor_work = 0.0

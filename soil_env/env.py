@@ -45,10 +45,11 @@ def action_space() -> gymnasium.spaces.Box:
 class SoilWheelEnv(gymnasium.Env):
     """
     ## Description
-    One rigid, driven wheel with its share of a vehicle crosses a course of soils it does not know, uphill and down, without
-    getting stuck. Wheel-soil contact follows Hutangkabodee et al. (2006), Eqs. (1)-(10), with slip-sinkage (Lyasko 2010):
-    a wheel that slips digs, a wheel that spins on the spot keeps digging. At commanded halts, about every metre, the drive
-    is held and the agent's action is ignored; afterwards the wheel has to start again where it stands.
+    One rigid, driven wheel with its share of a vehicle crosses a course of soils it does not know, uphill and down,
+    without getting stuck. Wheel-soil contact follows Hutangkabodee et al. (2006), Eqs. (1)-(10), with slip-sinkage
+    (Lyasko 2010): a wheel that slips digs, a wheel that spins on the spot keeps digging. At commanded halts, about
+    every metre, the drive is held and the agent's action is ignored; afterwards the wheel has to start again where it
+    stands.
 
     ## Action space
     `Box(-1, 1, (1,), float32)`, held for one control period (0.1 s):
@@ -122,21 +123,22 @@ class SoilWheelEnv(gymnasium.Env):
     |-------|-----------|
     | FINISHED | x >= course length |
     | ENTRAPPED | slip > 0.6 and abs(V) < 0.02 m/s for 4 s: it spins and makes no progress |
-    | STALLED | driven forward, but the rim moves at less than 0.01 m/s for 4 s: the soil takes more torque than the drive gives |
+    | STALLED | driven forward, but rim speed < 0.01 m/s for 4 s: torque required > torque given |
     | BOGGED | sinkage > 0.8 radii |
 
-    The two clocks run back at the same rate while their condition does not hold, and stand still during halts. Truncated
-    after `control={"time_limit": ...}` (90 s) with cause TIME_LIMIT.
+    The two clocks run back at the same rate while their condition does not hold, and stand still during halts.
+    Truncated after `control={"time_limit": ...}` (90 s) with cause TIME_LIMIT.
 
     ## Info
-    `cause` (name, "RUNNING" before the end), `immobilised` (bool), `reward_terms` (dict), `estimate` (dict: soil, standard deviations,
-    status), `traversability` (dict, from sensors and estimate only: best slip, drawbar margin at best slip over the grade as a share
-    of the load, torque required there, torque available, passable), `state` (dict of true x, speed, slip, sinkage, grade...).
+    `cause` (name, "RUNNING" before the end), `immobilised` (bool), `reward_terms` (dict), `estimate` (dict: soil,
+    standard deviations, status), `traversability` (dict, from sensors and estimate only: best slip, drawbar margin at best slip over the
+    grade as a share of the load, torque required there, torque available, passable), `state` (dict of true x, speed,
+    slip, sinkage, grade...).
 
     ## Arguments
-    `scenario`: name, path of a YAML file, or `Scenario`; `observation`; `action`; `render_mode`: "rgb_array" or "human"; any
-    field of `Scenario` as a keyword, merged over the scenario: `gymnasium.make(..., course={"length": 20}, wheel="paper_vehicle")`.
-    Unknown keys and values out of range raise `soil_env.ParameterError`.
+    `scenario`: name, path of a YAML file, or `Scenario`; `observation`; `action`; `render_mode`: "rgb_array" or
+    "human"; any field of `Scenario` as a keyword, merged over the scenario, e.g. `course={"length": 20}` or
+    `wheel="paper_vehicle"`. Unknown keys and values out of range raise `soil_env.ParameterError`.
 
     ## Version history
     * v0: first version.
@@ -153,7 +155,9 @@ class SoilWheelEnv(gymnasium.Env):
         **changes: Any,
     ):
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ParameterError(f"render_mode = {render_mode!r}: expected one of {self.metadata['render_modes']} or None")
+            raise ParameterError(
+                f"render_mode = {render_mode!r}: expected one of {self.metadata['render_modes']} or None"
+            )
         self.scenario = build_scenario(scenario, action, changes)
         self.observation_variant = observation
         self.observation_names = tuple(e.name for e in layout(observation))
@@ -206,7 +210,9 @@ class SoilWheelEnv(gymnasium.Env):
     def render(self):
         """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""
         if self.render_mode is None:
-            gymnasium.logger.warn("render() without a render_mode; make the env with render_mode='rgb_array' or 'human'.")
+            gymnasium.logger.warn(
+                "render() without a render_mode; make the env with render_mode='rgb_array' or 'human'."
+            )
             return None
         return self._view().draw(self.simulation, 0)
 

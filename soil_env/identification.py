@@ -1,14 +1,15 @@
 """Identification of friction angle phi, shear modulus K and sinkage coefficient S from what a wheel measures.
 
-The unknowns are x = (phi, ln K, ln S); cohesion, sinkage exponent and the law of slip-sinkage are held at the values of a
-belief. A measured point is (slip, sinkage) with drawbar pull, load and torque; what was not measured has no weight.
+The unknowns are x = (phi, ln K, ln S); cohesion, sinkage exponent and the law of slip-sinkage are held at the values
+of a belief. A measured point is (slip, sinkage) with drawbar pull, load and torque; what was not measured has no
+weight.
 
 * `newton_raphson`: three points, drawbar pull alone, the method of the source paper (its Sec. 3).
 * `generalized_newton_raphson`: any number of points and channels, weighted (its Eqs. (20)-(24)): Gauss-Newton.
 
-Both are one safeguarded iteration on analytic derivatives (`solve`): a step that would leave the bounds or that does not
-reduce the weighted residual is shortened, and damped after Levenberg & Marquardt. The outcome is data, `Estimate`.
-The online identifier (`identifier.py`) calls the same compiled `solve`.
+Both are one safeguarded iteration on analytic derivatives (`solve`): a step that would leave the bounds or that does
+not reduce the weighted residual is shortened, and damped after Levenberg & Marquardt. The outcome is data,
+`Estimate`. The online identifier (`identifier.py`) calls the same compiled `solve`.
 """
 
 from __future__ import annotations
@@ -188,16 +189,16 @@ def solve(x, points, count, prior, precision, reading, max_iterations, tolerance
                 continue
             share = 1.0
             for i in range(3):
-                step[i] = trial_matrix[i, 0] * vector[0] + trial_matrix[i, 1] * vector[1] + trial_matrix[i, 2] * vector[2]
+                step[i] = (
+                    trial_matrix[i, 0] * vector[0] + trial_matrix[i, 1] * vector[1] + trial_matrix[i, 2] * vector[2]
+                )
             for i in range(3):  # no unknown moves further than this at once
                 limit = 0.35 if i == 0 else 1.5
                 if abs(step[i]) * share > limit:
                     share = limit / abs(step[i])
             for i in range(3):
                 trial[i] = min(max(x[i] + share * step[i], LOWER[i]), UPPER[i])
-            trial_cost = _normal_equations(
-                trial, points, count, prior, precision, reading, trial_matrix, trial_vector
-            )
+            trial_cost = _normal_equations(trial, points, count, prior, precision, reading, trial_matrix, trial_vector)
             if trial_cost <= cost * (1.0 + 1e-12):
                 accepted = True
                 break
@@ -269,7 +270,11 @@ def generalized_newton_raphson(
     """
     channels = (drawbar_pull, load, torque)
     slip = np.asarray(slip, dtype=float)
-    columns = [slip, np.asarray(sinkage, dtype=float), np.ones_like(slip) if dig_ratio is None else np.asarray(dig_ratio)]
+    columns = [
+        slip,
+        np.asarray(sinkage, dtype=float),
+        np.ones_like(slip) if dig_ratio is None else np.asarray(dig_ratio),
+    ]
     columns += [np.zeros_like(slip) if c is None else np.asarray(c, dtype=float) for c in channels]
     names = ("slip", "sinkage", "dig_ratio", "drawbar_pull", "load", "torque")
     for name, column in zip(names, columns, strict=True):
@@ -293,13 +298,13 @@ def generalized_newton_raphson(
     measured = slip.size * sum(c is not None for c in channels)
     if measured < 3:
         return Estimate(None, np.zeros((3, 3)), Status.NO_DATA, 0, math.nan, math.inf)
-    x = np.array([math.radians(guess.friction_angle_deg), math.log(guess.shear_modulus), math.log(guess.lumped(reading.width))])
+    x = np.array(
+        [math.radians(guess.friction_angle_deg), math.log(guess.shear_modulus), math.log(guess.lumped(reading.width))]
+    )
     x = np.clip(x, LOWER, UPPER)
     covariance = np.zeros((3, 3))
     zero = np.zeros(3)
-    status, iterations, cost = solve(
-        x, points, slip.size, zero, zero, reading, max_iterations, tolerance, covariance
-    )
+    status, iterations, cost = solve(x, points, slip.size, zero, zero, reading, max_iterations, tolerance, covariance)
     matrix, vector = np.zeros((3, 3)), np.zeros(3)
     _normal_equations(x, points, slip.size, zero, zero, reading, matrix, vector)
     eigenvalues = np.linalg.eigvalsh(matrix)

@@ -19,7 +19,7 @@ class Steady(NamedTuple):
     sinkage: float  # [m]
     drawbar_pull: float  # [N]
     torque: float  # [N m]
-    floating: bool  # False when the soil does not carry the load before the wheel is buried (`sinkage` is then the bound)
+    floating: bool  # False when the soil cannot carry the load before the wheel is buried; `sinkage` is then the bound
 
 
 @njit(cache=True)
@@ -34,9 +34,10 @@ def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
 def steady_state(slip, load, soil, r, b):
     """`Steady` sinkage, drawbar pull and torque: Eq. (1) solved for the sinkage, then Eqs. (2) and (3).
 
-    Slip-sinkage deepens the hole by the ratio k(i) at the same bearing pressure S z_w^n = S (z/k)^n, that is, it acts as
-    a sinkage coefficient S k^-n. With s(z) the coefficient that `load` mobilises at sinkage z (closed form, since (1) is
-    linear in it), the root of ln s(z) - ln(S k^-n) is found by a bracketed secant in ln z, in which it is nearly straight.
+    Slip-sinkage deepens the hole by the ratio k(i) at the same bearing pressure S z_w^n = S (z/k)^n, that is, it acts
+    as a sinkage coefficient S k^-n. With s(z) the coefficient that `load` mobilises at sinkage z (closed form, since
+    (1) is linear in it), the root of ln s(z) - ln(S k^-n) is found by a bracketed secant in ln z, in which it is
+    nearly straight.
     """
     rim, travel = motion_from_slip(slip)
     n = soil.sinkage_exponent

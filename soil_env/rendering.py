@@ -330,9 +330,10 @@ def _draw_ground(c: _Canvas, x, hub, r, rut, grade, profile: _Profile, bounds, a
 
 def _draw_flag(c: _Canvas, foot) -> None:
     """A chequered flag at the end of the course."""
-    c.lines([foot + (0, 12), foot - (0, 110)], INK, 2.5)
+    top = np.array([foot[0], max(foot[1] - 156, SCENE[1] + 40)])  # above the wheel, in view on a slope
+    c.lines([foot + (0, 12), top], INK, 2.5)
     for i in range(12):
-        c.box((*(foot + (1 + 10 * (i % 4), 10 * (i // 4) - 110)), 10, 10), (INK, WHITE)[(i + i // 4) % 2])
+        c.box((*(top + (1 + 10 * (i % 4), 10 * (i // 4))), 10, 10), (INK, WHITE)[(i + i // 4) % 2])
 
 
 def _draw_wheel(c: _Canvas, centre, size, angle) -> None:

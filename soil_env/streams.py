@@ -1,8 +1,8 @@
 """Random numbers inside compiled code: one independent 64-bit stream per wheel.
 
 SplitMix64 (Steele, Lea & Flood 2014, OOPSLA): a Weyl counter and a mixing function, state of one word. Each stream is
-seeded from a `numpy.random.Generator` (`seed_streams`), so that everything random follows from `reset(seed=...)`; numpy's
-own generators cannot be handed to a parallel compiled loop.
+seeded from a `numpy.random.Generator` (`seed_streams`), so that everything random follows from `reset(seed=...)`;
+numpy's own generators cannot be handed to a parallel compiled loop.
 """
 
 from __future__ import annotations

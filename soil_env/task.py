@@ -1,7 +1,7 @@
 """The task as pure functions: what the wheel's sensors read, what the agent sees, what it earns, when the episode ends.
 
-One layout serves all observation variants; forces, speeds and sinkage are relative to the wheel's weight, top rim speed and
-radius, so that they are of order one for any wheel.
+One layout serves all observation variants; forces, speeds and sinkage are relative to the wheel's weight, top rim
+speed and radius, so that they are of order one for any wheel.
 """
 
 from __future__ import annotations
@@ -33,7 +33,9 @@ class Cause(enum.IntEnum):
     TIME_LIMIT = 5  # neither finished nor immobilised in time
 
 
-_FINISHED, _ENTRAPPED, _STALLED, _BOGGED = (c.value for c in (Cause.FINISHED, Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED))
+_FINISHED, _ENTRAPPED, _STALLED, _BOGGED = (
+    c.value for c in (Cause.FINISHED, Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
+)
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 _CONVERGED = Status.CONVERGED.value
 

@@ -21,8 +21,8 @@ CELL = 0.05  # [m] length of one cell of the rut
 _MAX_REDRAWS = 50
 
 # How a pass changes the ground, as a factor on the sinkage coefficient S of the cell. A rolling wheel compacts, a
-# digging one loosens. The direction is that of multi-pass tests (Holm 1969, Proc. 3rd ISTVS Conf. II:1-12); the law is ours:
-# factor = COMPACTION * (z / z_w)^-LOOSENING, bounded.
+# digging one loosens. The direction is that of multi-pass tests (Holm 1969, Proc. 3rd ISTVS Conf. II:1-12); the law
+# is ours: factor = COMPACTION * (z / z_w)^-LOOSENING, bounded.
 COMPACTION = 1.6
 LOOSENING = 1.5
 MODULUS_BOUNDS = (0.3, 3.0)

@@ -23,12 +23,14 @@ _RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value
 class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
     """`num_envs` independent `SoilWheelEnv`s stepped by one compiled, threaded call.
 
-    Spaces, rewards and episode ends are those of `SoilWheelEnv`; wheel k reset with seed s runs the same trajectory, bit for
-    bit, as a `SoilWheelEnv` reset with s and given the same actions. A single seed s seeds wheel k with s + k.
+    Spaces, rewards and episode ends are those of `SoilWheelEnv`; wheel k reset with seed s runs the same trajectory,
+    bit for bit, as a `SoilWheelEnv` reset with s and given the same actions. A single seed s seeds wheel k with s +
+    k.
 
-    `autoreset_mode`: "NextStep" (default; the step after an end ignores its action and resets), "SameStep" (resets within
-    the ending step; the last observation is in `info["final_obs"]`) or "Disabled" (`reset(options={"reset_mask": ...})`).
-    `max_episode_steps` shortens the scenario's time limit. Other keyword arguments as in `SoilWheelEnv`.
+    `autoreset_mode`: "NextStep" (default; the step after an end ignores its action and resets), "SameStep" (resets
+    within the ending step; the last observation is in `info["final_obs"]`) or "Disabled"
+    (`reset(options={"reset_mask": ...})`). `max_episode_steps` shortens the scenario's time limit. Other keyword
+    arguments as in `SoilWheelEnv`.
 
     `info` holds arrays: `cause` [N] (`task.Cause`), `reward_terms` {term: [N]}, `x` [N] m; no rendering.
     """
