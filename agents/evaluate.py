@@ -20,7 +20,7 @@ from soil_env.task import Cause
 METRICS = {
     "immobilised": ("share of courses", "entrapped, stalled or bogged"),
     "entrapped": ("share of courses", "slip stayed high without progress"),
-    "stalled": ("share of courses", "the wheel did not turn though driven forward"),
+    "stalled": ("share of courses", "the wheel did not turn outside a halt"),
     "bogged": ("share of courses", "sinkage over the limit"),
     "time_limit": ("share of courses", "neither finished nor immobilised in time"),
     "finished": ("share of courses", "reached the end of the course"),

@@ -123,7 +123,7 @@ class SoilWheelEnv(gymnasium.Env):
     |-------|-----------|
     | FINISHED | x >= course length |
     | ENTRAPPED | slip > 0.6 and abs(V) < 0.02 m/s for 4 s: it spins and makes no progress |
-    | STALLED | driven forward, but rim speed < 0.01 m/s for 4 s: torque required > torque given |
+    | STALLED | rim speed < 0.01 m/s for 4 s outside a halt: torque required > torque given |
     | BOGGED | sinkage > 0.8 radii |
 
     The two clocks run back at the same rate while their condition does not hold, and stand still during halts.

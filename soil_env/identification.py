@@ -66,8 +66,9 @@ POINT_SIZE = 13  # six weights: lower triangle of the matrix that whitens (drawb
 
 @njit(cache=True)
 def predict(x, slip, sinkage, dig_ratio, reading, out, jacobian):
-    """Drawbar pull, load and torque for unknowns x at one point into `out` [3], their derivatives by x into `jacobian`.
+    """Drawbar pull, load and torque for unknowns x at one point into `out` [3], derivatives into `jacobian` [3, 4].
 
+    Columns of `jacobian`: phi, ln K, ln S, and cohesion; by ln(dig ratio) it is -n times the column of ln S.
     `dig_ratio` z/z_w >= 1 is how much deeper the wheel stands than its load alone would sink it: the soil then bears
     like one with S (z/z_w)^-n (`effects.slip_sinkage_ratio`).
     """
@@ -100,12 +101,13 @@ def predict(x, slip, sinkage, dig_ratio, reading, out, jacobian):
     jacobian[0, 2] = rb * S * tan_phi * q.pe_cos - resistance
     jacobian[1, 2] = rb * S * (q.p_cos + tan_phi * q.pe_sin)
     jacobian[2, 2] = r * rb * S * tan_phi * q.pe
+    jacobian[0, 3], jacobian[1, 3], jacobian[2, 3] = rb * q.e_cos, rb * q.e_sin, r * rb * q.e
 
 
 @njit(cache=True)
 def _normal_equations(x, points, count, prior, precision, reading, matrix, vector):
     """Sum of squared whitened residuals; fills `matrix` (J^T J + prior precision) and `vector` (J^T residual)."""
-    out, jac = np.empty(3), np.empty((3, 3))
+    out, jac = np.empty(3), np.empty((3, 4))
     matrix[:, :] = 0.0
     cost = 0.0
     for i in range(3):

@@ -6,8 +6,10 @@ lies further back than its memory, and starts anew when a point contradicts the 
 point triggers one safeguarded generalized Newton-Raphson solve (`identification.solve`) on drawbar pull, load and
 torque, with the prior of the `Belief` as a further, weak measurement.
 
-Slip and sinkage carry noise too. Their first-order effect on the three channels, the scatter of the digging law and a
-model error enter the weight of each point (errors in variables by effective variance, Fuller 1987, Sec. 1.4).
+Slip and sinkage carry noise too. Their first-order effect on the three channels and a model error enter the weight of
+each point (errors in variables by effective variance, Fuller 1987, Sec. 1.4). Cohesion and digging are held at the values
+of the belief, wrongly: what that does to the estimate is the same error in all points and does not average out. It is
+added to the covariance after the solve ("consider parameters", Schmidt 1966, Adv. Control Syst. 3:293-340).
 """
 
 from __future__ import annotations
@@ -42,7 +44,6 @@ _BUCKET_LENGTH = 0.06  # [m] travelled within one point, at most
 _BUCKET_SLIP = 0.05  # slip range within one point, at most
 _CONTRADICTION = 25.0  # chi-squared of three channels beyond which a point belongs to another soil
 _MINIMUM_RIM_SPEED = 0.02  # [m/s] below which readings say nothing of shear
-_DIG_UNCERTAINTY = 0.3  # standard deviation of ln(dig ratio) per unit of 1 - 1/ratio
 
 # Columns of `Identifiers.running`: sums of the open point, then the observers
 _COUNT, _START, _FIRST_SLIP, _ODOMETER, _DIG, _HELD = 6, 7, 8, 9, 10, 11
@@ -84,6 +85,8 @@ class IdentifierNumbers(NamedTuple):
     sinkage_sd: float
     force_sd: np.ndarray  # [3] drawbar pull [N], load [N], torque [N m]
     model_error: float
+    cohesion_sd: float  # [Pa]
+    dig_gain_sd: float  # relative
     dig_gain: float
     dig_recovery: float
     relaxation: float  # [m]
@@ -106,6 +109,8 @@ def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
         n.sinkage,
         np.maximum(forces_sd, 1e-6 * weight),
         b.model_error,
+        b.cohesion_sd,
+        b.dig_gain_sd,
         b.dig_gain,
         b.dig_recovery,
         scenario.relaxation * w.radius,
@@ -231,28 +236,23 @@ def _free_slot(ids, k, place, numbers):
 @njit(cache=True)
 def _weigh(row, x, readings, numbers):
     """Whitening weights of a point from the noise of all its channels, averaged over `readings`, at unknowns x."""
-    at, jac = np.empty(3), np.empty((3, 3))
-    moved, unused = np.empty(3), np.empty((3, 3))
+    at, jac = np.empty(3), np.empty((3, 4))
+    moved, unused = np.empty(3), np.empty((3, 4))
     predict(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], numbers.reading, at, jac)
     v = np.zeros((3, 3))
-    n, load = numbers.reading.exponent, row[LOAD]
-    sd_dig = _DIG_UNCERTAINTY * (1.0 - 1.0 / row[DIG_RATIO])
+    load = row[LOAD]
     for channel in range(3):
         size = numbers.model_error * abs(load) * (numbers.reading.radius if channel == 2 else 1.0)
         v[channel, channel] = numbers.force_sd[channel] ** 2 / readings + size * size
-    for source in range(3):
+    for source in range(2):
         if source == 0:  # slip
             h = 0.01 if row[SLIP] < 0.98 else -0.01
             predict(x, row[SLIP] + h, row[SINKAGE], row[DIG_RATIO], numbers.reading, moved, unused)
             scale = numbers.slip_sd / math.sqrt(readings) / h
-        elif source == 1:  # sinkage
+        else:  # sinkage
             h = 0.02 * row[SINKAGE]
             predict(x, row[SLIP], row[SINKAGE] + h, row[DIG_RATIO], numbers.reading, moved, unused)
             scale = numbers.sinkage_sd / math.sqrt(readings) / h
-        else:  # dig ratio: d/d ln(ratio) = -n d/d ln S
-            for i in range(3):
-                moved[i] = at[i] - n * jac[i, 2]
-            scale = sd_dig
         for i in range(3):
             for j in range(i + 1):
                 v[i, j] += scale * scale * (moved[i] - at[i]) * (moved[j] - at[j])
@@ -273,7 +273,7 @@ def _weigh(row, x, readings, numbers):
 @njit(cache=True)
 def _chi_squared(row, x, reading):
     """Squared whitened misfit of one point under unknowns x."""
-    out, jac = np.empty(3), np.empty((3, 3))
+    out, jac = np.empty(3), np.empty((3, 4))
     predict(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading, out, jac)
     d0, d1, d2 = row[DRAWBAR_PULL] - out[0], row[LOAD] - out[1], row[TORQUE] - out[2]
     u0 = row[WEIGHTS] * d0
@@ -283,13 +283,46 @@ def _chi_squared(row, x, reading):
 
 
 @njit(cache=True)
+def _consider(x, points, count, numbers, covariance):
+    """Widen `covariance` by the uncertainty of cohesion and digging: + (C b)(C b)^T for each, b = sum J^T W dy/dp sd."""
+    out, jac = np.empty(3), np.empty((3, 4))
+    white, effect = np.empty((3, 3)), np.empty((3, 2))
+    by = np.zeros((3, 2))
+    n = numbers.reading.exponent
+    for p in range(count):
+        row = points[p]
+        predict(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], numbers.reading, out, jac)
+        dug = -n * (1.0 - 1.0 / row[DIG_RATIO]) * numbers.dig_gain_sd  # d ln S_effective per sd of the gain
+        for c in range(3):
+            w0 = row[WEIGHTS + (0 if c == 0 else (1 if c == 1 else 3))]
+            w1 = 0.0 if c == 0 else row[WEIGHTS + (2 if c == 1 else 4)]
+            w2 = row[WEIGHTS + 5] if c == 2 else 0.0
+            for i in range(3):
+                white[c, i] = w0 * jac[0, i] + w1 * jac[1, i] + w2 * jac[2, i]
+            effect[c, 0] = numbers.cohesion_sd * (w0 * jac[0, 3] + w1 * jac[1, 3] + w2 * jac[2, 3])
+            effect[c, 1] = dug * white[c, 2]
+        for i in range(3):
+            for q in range(2):
+                by[i, q] += white[0, i] * effect[0, q] + white[1, i] * effect[1, q] + white[2, i] * effect[2, q]
+    for q in range(2):
+        s0 = covariance[0, 0] * by[0, q] + covariance[0, 1] * by[1, q] + covariance[0, 2] * by[2, q]
+        s1 = covariance[1, 0] * by[0, q] + covariance[1, 1] * by[1, q] + covariance[1, 2] * by[2, q]
+        s2 = covariance[2, 0] * by[0, q] + covariance[2, 1] * by[1, q] + covariance[2, 2] * by[2, q]
+        jac[0, q], jac[1, q], jac[2, q] = s0, s1, s2
+    for i in range(3):
+        for j in range(3):
+            covariance[i, j] += jac[i, 0] * jac[j, 0] + jac[i, 1] * jac[j, 1]
+
+
+@njit(cache=True)
 def _solve_window(ids, k, numbers):
     """Solve for the window and publish, or hold the last good estimate while the points do not excite."""
     covariance = ids.covariance[k]
     status, _, _ = solve(
-        ids.trial[k], ids.points[k], ids.count[k], numbers.prior, numbers.precision, numbers.reading, 8, 1e-3,
+        ids.trial[k], ids.points[k], ids.count[k], numbers.prior, numbers.precision, numbers.reading, 20, 1e-3,
         covariance,
     )  # fmt: skip
+    _consider(ids.trial[k], ids.points[k], ids.count[k], numbers, covariance)
     learnt = 0.0
     for i in range(2):  # S shows in every point; friction and shear modulus need a range of slip
         learnt = max(learnt, math.sqrt(covariance[i, i] * numbers.precision[i]))

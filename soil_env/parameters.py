@@ -181,18 +181,22 @@ class Belief(Checked):
     """What the identifier holds to be true before it has measured anything.
 
     It knows neither the soil nor the parameters of the world's slip-sinkage: cohesion, exponent and digging are nominal
-    values, and (phi, K, S) start from a prior: friction normal, K and S log-normal (`..._sd` are relative there).
+    values, the first and the last with a standard deviation that widens the reported ones, and (phi, K, S) start from a
+    prior: friction normal, K and S log-normal (`..._sd` are relative there). The defaults are the mean and the scatter
+    of the soils that scenario "mixed" draws; S is compared at the exponent of the belief, at a sinkage of 3 cm.
     """
 
-    friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=31.0)
+    friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=30.0)
     friction_sd_deg: float = quantity("deg", 0.01, 60.0, default=5.0)
-    shear_modulus: float = quantity("m", 1e-4, 0.3, default=0.014)
-    shear_modulus_sd: float = quantity("", 0.01, 5.0, default=0.6)
-    sinkage_coefficient: float = quantity("N/m^(n+2)", 1e2, 1e13, default=1.0e6)
+    shear_modulus: float = quantity("m", 1e-4, 0.3, default=0.012)
+    shear_modulus_sd: float = quantity("", 0.01, 5.0, default=0.7)
+    sinkage_coefficient: float = quantity("N/m^(n+2)", 1e2, 1e13, default=1.15e6)
     sinkage_coefficient_sd: float = quantity("", 0.01, 10.0, default=0.6)
-    cohesion: float = quantity("Pa", 0.0, 2e5, default=450.0)
-    sinkage_exponent: float = quantity("", 0.1, 3.0, default=1.05)
-    dig_gain: float = quantity("", 0.0, 20.0, default=2.5)
+    cohesion: float = quantity("Pa", 0.0, 2e5, default=550.0)
+    cohesion_sd: float = quantity("Pa", 0.0, 2e5, default=450.0)
+    sinkage_exponent: float = quantity("", 0.1, 3.0, default=1.07)
+    dig_gain: float = quantity("", 0.0, 20.0, default=2.2)
+    dig_gain_sd: float = quantity("", 0.0, 5.0, default=0.7, doc="relative")
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5)
     model_error: float = quantity("of load", 0.0, 1.0, default=0.02, doc="1-sigma misfit of the model itself")
     memory: float = quantity("m", 0.01, 1e3, default=1.5, doc="distance after which a measured point is forgotten")

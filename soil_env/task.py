@@ -28,7 +28,7 @@ class Cause(enum.IntEnum):
     RUNNING = 0
     FINISHED = 1  # reached the end of the course
     ENTRAPPED = 2  # slip stays high and the wheel makes no progress
-    STALLED = 3  # the soil takes more torque than the drive gives: the wheel does not turn though driven forward
+    STALLED = 3  # the wheel does not turn outside a halt: the ground takes more torque than the drive gives
     BOGGED = 4  # sinkage over the limit
     TIME_LIMIT = 5  # neither finished nor immobilised in time
 
@@ -211,7 +211,7 @@ def judge(state, k, task):
         return _TIME_LIMIT if w.steps >= task.steps else _RUNNING
     trapped = w.slip > task.entrapped_slip and abs(w.speed) < task.entrapped_speed
     w.entrapped_time = max(0.0, w.entrapped_time + (task.period if trapped else -task.period))
-    stalled = w.last_action > 0.0 and abs(w.wheel_speed) * task.radius < task.stalled_rim_speed
+    stalled = abs(w.wheel_speed) * task.radius < task.stalled_rim_speed
     w.stalled_time = max(0.0, w.stalled_time + (task.period if stalled else -task.period))
     if w.x >= task.length:
         return _FINISHED
