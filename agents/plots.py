@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from agents.evaluate import METRICS, RATES
+from soil_env.model import sinkage_coefficient_at
 from soil_env.parameters import Scenario
 from soil_env.simulation import Simulation
 from soil_env.task import Cause
@@ -54,9 +55,7 @@ def trace(controller, scenario: Scenario, seed: int, course: int) -> tuple[dict[
         sim.step(0, float(np.clip(action[0, 0], -1.0, 1.0)))
         s = w.state[0]
         soil, grade, _ = ground_at(w.courses, 0, s["x"], s["patch"], scenario.course.border)
-        n0 = scenario.belief.sinkage_exponent
-        # S compared at equal pressure under the present wheel, since its unit depends on the exponent
-        same = soil.sinkage_coefficient * max(s["bearing_sinkage"], 1e-4) ** (soil.sinkage_exponent - n0)
+        same = sinkage_coefficient_at(soil, scenario.belief.sinkage_exponent, s["bearing_sinkage"])
         rows.append(
             (s["x"], s["slip"], 1000.0 * s["sinkage"], math.degrees(grade), math.degrees(math.atan(soil.tan_phi)),
              1000.0 * soil.shear_modulus, same, *w.ids.estimate[0], *w.ids.sd[0])

@@ -130,10 +130,15 @@ class SoilWheelEnv(gymnasium.Env):
     Truncated after `control={"time_limit": ...}` (90 s) with cause TIME_LIMIT.
 
     ## Info
-    `cause` (name, "RUNNING" before the end), `immobilised` (bool), `reward_terms` (dict), `estimate` (dict: soil,
-    standard deviations, status), `traversability` (dict, from sensors and estimate only: best slip, drawbar margin at best slip over the
-    grade as a share of the load, torque required there, torque available, passable), `state` (dict of true x, speed,
-    slip, sinkage, grade...).
+    | key | content |
+    |-----|---------|
+    | cause | name of the `task.Cause`, "RUNNING" before the end |
+    | immobilised | bool |
+    | reward_terms | dict of the terms above; their sum is the reward |
+    | estimate | dict: phi [deg], K [m], S [N/m^(n+2)], their standard deviations, status of the identifier |
+    | traversability | dict, from sensors and estimate only: best slip, drawbar margin there over the grade [of load], |
+    |                | torque required there and available [N m], passable (bool); renewed with the estimate |
+    | state | dict of the true x, speed, wheel speed, slip, sinkage, load, drawbar pull, torques, grade, in SI units |
 
     ## Arguments
     `scenario`: name, path of a YAML file, or `Scenario`; `observation`; `action`; `render_mode`: "rgb_array" or

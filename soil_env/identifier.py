@@ -7,9 +7,10 @@ point triggers one safeguarded generalized Newton-Raphson solve (`identification
 torque, with the prior of the `Belief` as a further, weak measurement.
 
 Slip and sinkage carry noise too. Their first-order effect on the three channels and a model error enter the weight of
-each point (errors in variables by effective variance, Fuller 1987, Sec. 1.4). Cohesion and digging are held at the values
-of the belief, wrongly: what that does to the estimate is the same error in all points and does not average out. It is
-added to the covariance after the solve ("consider parameters", Schmidt 1966, Adv. Control Syst. 3:293-340).
+each point (errors in variables by effective variance, Fuller 1987, Sec. 1.4). Cohesion and digging are held at the
+values of the belief, wrongly: what that does to the estimate is the same error in all points and does not average
+out. It is added to the covariance after the solve ("consider parameters", Schmidt 1966, Adv. Control Syst.
+3:293-340).
 """
 
 from __future__ import annotations
@@ -284,7 +285,7 @@ def _chi_squared(row, x, reading):
 
 @njit(cache=True)
 def _consider(x, points, count, numbers, covariance):
-    """Widen `covariance` by the uncertainty of cohesion and digging: + (C b)(C b)^T for each, b = sum J^T W dy/dp sd."""
+    """Widen `covariance` C by the uncertainty of cohesion and digging: + (C b)(C b)^T each, b = sum J^T W dy/dp sd."""
     out, jac = np.empty(3), np.empty((3, 4))
     white, effect = np.empty((3, 3)), np.empty((3, 2))
     by = np.zeros((3, 2))

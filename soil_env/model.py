@@ -9,6 +9,7 @@ from numba import njit
 
 from soil_env.contact import arc_integrals, entry_angle, forces, mobilised_modulus, motion_from_slip
 from soil_env.effects import slip_sinkage_ratio
+from soil_env.parameters import SoilState
 
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
 
@@ -73,3 +74,11 @@ def steady_state(slip, load, soil, r, b):
     z = math.exp(x_old)
     w = forces_at(z, available, soil, rim, travel, 1.0, r, b)
     return Steady(z, w.drawbar_pull, w.torque, x_old < deepest)
+
+
+def sinkage_coefficient_at(soil: SoilState, exponent: float, depth: float) -> float:
+    """S' [N/m^(n'+2)] that bears the same pressure S' z^n' = S z^n as `soil` at `depth` z [m] with another exponent n'.
+
+    S has a unit that depends on n, so two values compare only at the same exponent.
+    """
+    return soil.sinkage_coefficient * max(depth, 1e-4) ** (soil.sinkage_exponent - exponent)

@@ -13,15 +13,35 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numba import njit
 
+from soil_env.canvas import (
+    _GRAINS,
+    AMBER,
+    BLUE,
+    DESIGN,
+    GREEN,
+    GREY,
+    GRID,
+    INK,
+    LIGHT_BLUE,
+    LIGHT_ORANGE,
+    ORANGE,
+    RIM,
+    SKY,
+    SPOKE,
+    WHEEL,
+    WHITE,
+    Canvas,
+    soil_colour,
+)
 from soil_env.contact import entry_angle, mirror_angle, mobilised, motion_from_speeds, relative_stress
 from soil_env.dynamics import REST_SPEED, reaction
 from soil_env.identification import Status
+from soil_env.model import sinkage_coefficient_at
 from soil_env.parameters import Scenario
 from soil_env.task import Cause
 from soil_env.terrain import CELL, ground_at
 
 MODES = ("rgb_array", "human")
-DESIGN = (960, 540)  # [px] the size in which the layout is written
 SPAN = 30.0  # [s] shown by the charts
 _POINTS = 600  # of the history, at most
 _VIEW = 8.5  # [radii] width of the side view
@@ -32,14 +52,6 @@ _ARC_POINTS = 25
 SCENE = (14, 92, 548, 304)
 COURSE = (32, 448, 512, 66)
 CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
-
-# Colours: Okabe & Ito, told apart with every kind of colour vision; soil runs from light to dark with friction.
-WHITE, PAPER, INK, GREY, GRID = (255, 255, 255), (250, 250, 248), (34, 34, 40), (112, 112, 120), (226, 226, 230)
-BLUE, LIGHT_BLUE, ORANGE, LIGHT_ORANGE = (0, 114, 178), (190, 220, 240), (213, 94, 0), (246, 196, 150)
-GREEN, AMBER, SURFACE = (0, 130, 96), (176, 112, 0), (74, 54, 38)
-SKY, RIM, WHEEL, SPOKE = (232, 240, 246), (60, 64, 72), (238, 239, 242), (150, 154, 162)
-_RAMP = np.array([(247, 230, 186), (218, 182, 126), (171, 128, 82), (116, 82, 56)], dtype=float)
-_GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, shade
 
 
 class Stresses(NamedTuple):
@@ -95,104 +107,6 @@ def _profile(simulation, k: int, margin: float) -> _Profile:
     return _Profile(x, height - np.interp(0.0, x, height), friction)
 
 
-class _Canvas:
-    """Shapes drawn at twice the size and smoothed down, text on top; points [n, 2] in units of the design."""
-
-    def __init__(self, size: tuple[int, int]):
-        import pygame
-
-        pygame.font.init()
-        self._pygame, self._draw = pygame, pygame.draw
-        self._scale = min(size[0] / DESIGN[0], size[1] / DESIGN[1])
-        self._offset = 0.5 * (np.array(size) - self._scale * np.array(DESIGN))
-        self._large = pygame.Surface((2 * size[0], 2 * size[1]), 0, 32)
-        self._surface = pygame.Surface(size, 0, 32)
-        self._fonts, self._written, self._texts = {}, {}, []
-
-    def _at(self, points):
-        return (2.0 * (self._scale * np.asarray(points) + self._offset)).tolist()
-
-    def _width(self, width):
-        return max(1, round(2.0 * self._scale * width))
-
-    def clear(self) -> None:
-        """Start a new picture."""
-        self._large.fill(PAPER)
-        self._texts.clear()
-
-    def clip(self, box) -> None:
-        """Confine shapes (not text) to a box; None lifts it."""
-        if box is not None:
-            (x, y), (x1, y1) = self._at([box[:2], np.add(box[:2], box[2:])])
-            box = self._pygame.Rect(round(x), round(y), round(x1 - x), round(y1 - y))
-        self._large.set_clip(box)
-
-    def box(self, box, colour, edge=None) -> None:
-        """A rectangle, filled unless `colour` is None, with an edge if a colour is given for it."""
-        x, y, w, h = box
-        corners = [(x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y)]
-        if colour is not None:
-            self.polygon(corners, colour)
-        if edge is not None:
-            self.lines(corners, edge, 1)
-
-    def polygon(self, points, colour) -> None:
-        """A filled polygon."""
-        self._draw.polygon(self._large, colour, self._at(points))
-
-    def lines(self, points, colour, width=1.5) -> None:
-        """A polyline."""
-        if len(points) > 1:
-            self._draw.lines(self._large, colour, False, self._at(points), self._width(width))
-
-    def circle(self, centre, radius, colour, width=0) -> None:
-        """A disc, or a ring `width` wide inside `radius`."""
-        thickness = self._width(width) if width else 0
-        self._draw.circle(self._large, colour, self._at(centre), 2.0 * self._scale * radius, thickness)
-
-    def arrow(self, tail, head, colour, width=2.0) -> None:
-        """A line with a head 5 units long, or shorter."""
-        along = np.subtract(head, tail)
-        length = math.hypot(*along)
-        if length >= 1.0:
-            along *= min(5.0, 0.6 * length) / length
-            base, across = head - along, 0.6 * np.array([-along[1], along[0]])
-            self.lines([tail, base], colour, width)
-            self.polygon([head, base + across, base - across], colour)
-
-    def soil(self, points, bottom, friction, bounds) -> np.ndarray:
-        """Ground below a surface [n, 2], coloured by friction angle [n - 1]; returns the colours."""
-        colours, (x, y) = _soil_colour(friction, bounds), np.transpose(points)
-        start = 0
-        for i in range(1, len(colours) + 1):  # one polygon for each run of one colour
-            if i == len(colours) or (colours[i] != colours[start]).any():
-                top = points[start : i + 1]
-                self.polygon([*top, (x[i] + 0.6, y[i]), (x[i] + 0.6, bottom), (x[start], bottom)], colours[start])
-                start = i
-        self.lines(points, SURFACE)
-        return colours
-
-    def text(self, x, y, words, size, colour=INK, align=0.0) -> None:
-        """Words with their middle line at y; align 0, 0.5 or 1 puts their left end, middle or right end at x."""
-        key = words, size, colour
-        if key not in self._written:
-            if len(self._written) > 400:
-                self._written.clear()
-            pixels = max(6, round(size * self._scale))
-            if pixels not in self._fonts:
-                self._fonts[pixels] = self._pygame.font.Font(None, pixels)
-            self._written[key] = self._fonts[pixels].render(words, True, colour)
-        image = self._written[key]
-        place = self._offset + self._scale * np.array([x, y]) - np.multiply(image.get_size(), (align, 0.5))
-        self._texts.append((image, place.round()))
-
-    def finish(self):
-        """The finished picture as a surface, which the next picture overwrites."""
-        self._pygame.transform.smoothscale(self._large, self._surface.get_size(), self._surface)
-        self._surface.blits(self._texts)
-        return self._surface
-
-
 class Renderer:
     """Side view of wheel k of a `Simulation`: `record` after each reset and step, `draw` whenever a frame is due."""
 
@@ -221,7 +135,8 @@ class Renderer:
         self._angle += float(w["wheel_speed"]) * world.period
         if w["steps"] % self._every == 0:
             soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], world.border)
-            truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(soil.sinkage_coefficient)
+            same = sinkage_coefficient_at(soil, simulation.numbers.identifier.reading.exponent, w["bearing_sinkage"])
+            truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
             now = w["steps"] * world.period, w["slip"], w["sinkage"] / world.radius
             self._history.append((*now, *ids.estimate[k], *ids.sd[k], *truth))
 
@@ -229,7 +144,7 @@ class Renderer:
         """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to the window."""
         if self.mode == "human" and not self._poll():
             return None
-        self._canvas = self._canvas or _Canvas(self.size)
+        self._canvas = self._canvas or Canvas(self.size)
         self._canvas.clear()
         courses = simulation.worlds.courses
         key = courses.edges[k].tobytes() + courses.soils[k].tobytes() + courses.grades[k].tobytes()
@@ -274,7 +189,7 @@ class Renderer:
         return self._id in self._windows
 
 
-def _draw_scene(c: _Canvas, simulation, k: int, profile: _Profile, bounds, angle: float) -> None:
+def _draw_scene(c: Canvas, simulation, k: int, profile: _Profile, bounds, angle: float) -> None:
     """Terrain, rut, end of the course, wheel and stress in a camera that moves with the wheel."""
     w, world = simulation.worlds.state[k], simulation.numbers.world
     r, grade, scale = world.radius, float(w["grade"]), SCENE[2] / (_VIEW * world.radius)  # scale [units per m]
@@ -306,7 +221,7 @@ def _draw_scene(c: _Canvas, simulation, k: int, profile: _Profile, bounds, angle
     c.text(0.5 * (left + right), y - 12, f"{bar:g} m", 15, align=0.5)
 
 
-def _draw_ground(c: _Canvas, x, hub, r, rut, grade, profile: _Profile, bounds, at) -> None:
+def _draw_ground(c: Canvas, x, hub, r, rut, grade, profile: _Profile, bounds, at) -> None:
     """The soil up to its surface, lowered by the rut and under the wheel, with specks; dashed where it was before."""
     before = np.interp(x, profile.x, profile.height)
     now = before - np.interp(x, (np.arange(rut.size) + 0.5) * CELL, rut, left=0.0) / math.cos(grade)
@@ -328,7 +243,7 @@ def _draw_ground(c: _Canvas, x, hub, r, rut, grade, profile: _Profile, bounds, a
         c.lines(untouched[i : i + 3], GREY, 1.2)
 
 
-def _draw_flag(c: _Canvas, foot) -> None:
+def _draw_flag(c: Canvas, foot) -> None:
     """A chequered flag at the end of the course."""
     top = np.array([foot[0], max(foot[1] - 156, SCENE[1] + 40)])  # above the wheel, in view on a slope
     c.lines([foot + (0, 12), top], INK, 2.5)
@@ -336,7 +251,7 @@ def _draw_flag(c: _Canvas, foot) -> None:
         c.box((*(top + (1 + 10 * (i % 4), 10 * (i // 4))), 10, 10), (INK, WHITE)[(i + i // 4) % 2])
 
 
-def _draw_wheel(c: _Canvas, centre, size, angle) -> None:
+def _draw_wheel(c: Canvas, centre, size, angle) -> None:
     """Rim, hub and six spokes, turned clockwise (forward: the course runs to the right) by `angle` [rad]."""
     c.circle(centre, size, WHEEL)
     for a in angle + np.arange(6) * math.pi / 3.0:
@@ -346,7 +261,7 @@ def _draw_wheel(c: _Canvas, centre, size, angle) -> None:
     c.circle(centre, 0.14 * size, RIM)
 
 
-def _draw_stresses(c: _Canvas, hub, size, grade, side, stresses: Stresses, scale) -> None:
+def _draw_stresses(c: Canvas, hub, size, grade, side, stresses: Stresses, scale) -> None:
     """Normal stress as arrows from the soil onto the rim, shear stress as a band inside it; scale [units per Pa]."""
     a = grade + side * stresses.angle
     outward = np.stack([np.sin(a), np.cos(a)], axis=1)
@@ -371,7 +286,7 @@ def _draw_stresses(c: _Canvas, hub, size, grade, side, stresses: Stresses, scale
         c.text(SCENE[0] + 38, y, f"{name}: peak {peak:.1f} kPa", 16)
 
 
-def _draw_readings(c: _Canvas, simulation, k: int, bounds) -> None:
+def _draw_readings(c: Canvas, simulation, k: int, bounds) -> None:
     """Numbers above the side view, the state of the episode, and the true soil under the wheel below it."""
     w, worlds, numbers = simulation.worlds.state[k], simulation.worlds, simulation.numbers
     cells = (
@@ -396,12 +311,12 @@ def _draw_readings(c: _Canvas, simulation, k: int, bounds) -> None:
 
     soil, _, _ = ground_at(worlds.courses, k, w["x"], w["patch"], numbers.world.border)
     phi = math.degrees(math.atan(soil.tan_phi))
-    c.box((14, 404, 20, 14), _soil_colour([phi], bounds)[0], GREY)
+    c.box((14, 404, 20, 14), soil_colour([phi], bounds)[0], GREY)
     moduli = f"K = {1e3 * soil.shear_modulus:.1f} mm   S = {1e-6 * soil.sinkage_coefficient:.2f} MN/m^(n+2)"
     c.text(42, 411, f"soil under the wheel:  φ = {phi:.1f}°   {moduli}   n = {soil.sinkage_exponent:.2f}", 16)
 
 
-def _draw_course(c: _Canvas, simulation, k: int, profile: _Profile, bounds) -> None:
+def _draw_course(c: Canvas, simulation, k: int, profile: _Profile, bounds) -> None:
     """The whole course from the side (heights stretched to fit), the wheel on it, and the key to the colours."""
     (left, top, width, height), length = COURSE, simulation.numbers.task.length
     x = np.linspace(0.0, length, 257)
@@ -417,11 +332,11 @@ def _draw_course(c: _Canvas, simulation, k: int, profile: _Profile, bounds) -> N
     c.text(14, 434, "course", 15, GREY)
     c.text(424, 434, f"φ  {bounds[0]:.0f}°", 14, GREY, 1.0)
     c.text(536, 434, f"{bounds[1]:.0f}°", 14, GREY)
-    for i, colour in enumerate(_soil_colour(np.linspace(*bounds, 50), bounds)):
+    for i, colour in enumerate(soil_colour(np.linspace(*bounds, 50), bounds)):
         c.box((430 + 2 * i, 429, 2.5, 10), colour)
 
 
-def _draw_charts(c: _Canvas, history: np.ndarray) -> None:
+def _draw_charts(c: Canvas, history: np.ndarray) -> None:
     """Slip and sinkage, then phi, K and S, estimated and true, from the history [12, samples]."""
     end = max(SPAN, history[0].max(initial=0.0))
     history = history[:, history[0] >= end - SPAN - 1e-9]
@@ -448,7 +363,7 @@ def _draw_charts(c: _Canvas, history: np.ndarray) -> None:
     c.text(x + 0.5 * CHARTS[3][2], CHARTS[3][1] + h + 24, "time [s]", 15, GREY, 0.5)
 
 
-def _draw_chart(c: _Canvas, box, end, time, limits, log, lines, band=None) -> None:
+def _draw_chart(c: Canvas, box, end, time, limits, log, lines, band=None) -> None:
     """A strip chart of `SPAN` seconds up to `end` [s]: (values, colour) of each line, (lower, upper) of a band."""
     left, top, width, height = box
     of = np.log if log else np.asarray
@@ -481,12 +396,6 @@ def _friction_range(scenario: Scenario, simulation) -> tuple[float, float]:
     """Range of phi [deg] that the soil colours span: that of the scenario's presets and two deviations more."""
     phi, spread = np.degrees(np.arctan(simulation.numbers.course.library[:, 0])), 2.0 * scenario.spread.friction + 0.02
     return float(phi.min() * (1.0 - spread)), float(phi.max() * (1.0 + spread))
-
-
-def _soil_colour(friction, bounds: tuple[float, float]) -> np.ndarray:
-    """Colours [n, 3] of soils with friction angles [n] in deg; the ramp spans `bounds` [deg]."""
-    place = np.linspace(*bounds, len(_RAMP))
-    return np.stack([np.interp(friction, place, channel) for channel in _RAMP.T], axis=1).astype(int)
 
 
 def _nice(value: float) -> float:

@@ -122,7 +122,7 @@ def test_best_working_point_is_the_best_of_its_slips(drawn, scenario):
         for torque in (1e6, 0.8 * strongest.torque):  # the second motor cannot turn the wheel at the best slip
             pulls = [s.drawbar_pull for s in states if s.floating and s.torque <= torque]
             best = best_working_point(load, soil, wheel.radius, wheel.width, torque)
-            assert best.drawbar_pull == max(pulls) and best.torque <= torque
+            assert best.drawbar_pull == max(pulls, default=-math.inf) and best.torque <= torque
         assert best_working_point(load, soil, wheel.radius, wheel.width, 0.0).drawbar_pull == -math.inf
 
 
@@ -188,7 +188,7 @@ def test_drawn_soils_are_positive(drawn):
         assert np.all(np.isfinite(rows)) and np.all(rows > 0.0)
 
 
-@pytest.mark.parametrize("share", [0.2, 0.5])
+@pytest.mark.parametrize("share", [0.2, 0.35])
 def test_soils_stay_physical_under_the_widest_scatter(share):
     spread = {"friction": share, "cohesion": 1.0, "shear_modulus": 1.5, "stiffness": 1.5, "exponent": 0.3}
     numbers = terrain.course_numbers(load_scenario("mixed", {"spread": spread}))
@@ -205,7 +205,8 @@ def sample(numbers, count=20_000):
 @pytest.fixture(scope="module")
 def lete_sand():
     """(scenario, sampled quantities [n, 5] that scatter, exponents [n], their preset values)."""
-    scenario = load_scenario("mixed", {"soils": {"lete_sand": 1}})
+    spread = {"shear_modulus": 0.4, "dig_gain": 0.4}
+    scenario = load_scenario("mixed", {"soils": {"lete_sand": 1}, "spread": spread})
     rows, preset = sample(terrain.course_numbers(scenario)), soils()["lete_sand"].state(scenario.wheel.width)
 
     def scattering(s):

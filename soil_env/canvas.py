@@ -1,0 +1,120 @@
+"""Drawing for `rendering`: colours, and a pygame surface with a fixed design size that is scaled to any other."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+DESIGN = (960, 540)  # [px] the size in which the layout is written
+# Colours: Okabe & Ito, told apart with every kind of colour vision; soil runs from light to dark with friction.
+WHITE, PAPER, INK, GREY, GRID = (255, 255, 255), (250, 250, 248), (34, 34, 40), (112, 112, 120), (226, 226, 230)
+BLUE, LIGHT_BLUE, ORANGE, LIGHT_ORANGE = (0, 114, 178), (190, 220, 240), (213, 94, 0), (246, 196, 150)
+GREEN, AMBER, SURFACE = (0, 130, 96), (176, 112, 0), (74, 54, 38)
+SKY, RIM, WHEEL, SPOKE = (232, 240, 246), (60, 64, 72), (238, 239, 242), (150, 154, 162)
+_RAMP = np.array([(247, 230, 186), (218, 182, 126), (171, 128, 82), (116, 82, 56)], dtype=float)
+_GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, shade
+
+
+class Canvas:
+    """Shapes drawn at twice the size and smoothed down, text on top; points [n, 2] in units of the design."""
+
+    def __init__(self, size: tuple[int, int]):
+        import pygame
+
+        pygame.font.init()
+        self._pygame, self._draw = pygame, pygame.draw
+        self._scale = min(size[0] / DESIGN[0], size[1] / DESIGN[1])
+        self._offset = 0.5 * (np.array(size) - self._scale * np.array(DESIGN))
+        self._large = pygame.Surface((2 * size[0], 2 * size[1]), 0, 32)
+        self._surface = pygame.Surface(size, 0, 32)
+        self._fonts, self._written, self._texts = {}, {}, []
+
+    def _at(self, points):
+        return (2.0 * (self._scale * np.asarray(points) + self._offset)).tolist()
+
+    def _width(self, width):
+        return max(1, round(2.0 * self._scale * width))
+
+    def clear(self) -> None:
+        """Start a new picture."""
+        self._large.fill(PAPER)
+        self._texts.clear()
+
+    def clip(self, box) -> None:
+        """Confine shapes (not text) to a box; None lifts it."""
+        if box is not None:
+            (x, y), (x1, y1) = self._at([box[:2], np.add(box[:2], box[2:])])
+            box = self._pygame.Rect(round(x), round(y), round(x1 - x), round(y1 - y))
+        self._large.set_clip(box)
+
+    def box(self, box, colour, edge=None) -> None:
+        """A rectangle, filled unless `colour` is None, with an edge if a colour is given for it."""
+        x, y, w, h = box
+        corners = [(x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y)]
+        if colour is not None:
+            self.polygon(corners, colour)
+        if edge is not None:
+            self.lines(corners, edge, 1)
+
+    def polygon(self, points, colour) -> None:
+        """A filled polygon."""
+        self._draw.polygon(self._large, colour, self._at(points))
+
+    def lines(self, points, colour, width=1.5) -> None:
+        """A polyline."""
+        if len(points) > 1:
+            self._draw.lines(self._large, colour, False, self._at(points), self._width(width))
+
+    def circle(self, centre, radius, colour, width=0) -> None:
+        """A disc, or a ring `width` wide inside `radius`."""
+        thickness = self._width(width) if width else 0
+        self._draw.circle(self._large, colour, self._at(centre), 2.0 * self._scale * radius, thickness)
+
+    def arrow(self, tail, head, colour, width=2.0) -> None:
+        """A line with a head 5 units long, or shorter."""
+        along = np.subtract(head, tail)
+        length = math.hypot(*along)
+        if length >= 1.0:
+            along *= min(5.0, 0.6 * length) / length
+            base, across = head - along, 0.6 * np.array([-along[1], along[0]])
+            self.lines([tail, base], colour, width)
+            self.polygon([head, base + across, base - across], colour)
+
+    def soil(self, points, bottom, friction, bounds) -> np.ndarray:
+        """Ground below a surface [n, 2], coloured by friction angle [n - 1]; returns the colours."""
+        colours, (x, y) = soil_colour(friction, bounds), np.transpose(points)
+        start = 0
+        for i in range(1, len(colours) + 1):  # one polygon for each run of one colour
+            if i == len(colours) or (colours[i] != colours[start]).any():
+                top = points[start : i + 1]
+                self.polygon([*top, (x[i] + 0.6, y[i]), (x[i] + 0.6, bottom), (x[start], bottom)], colours[start])
+                start = i
+        self.lines(points, SURFACE)
+        return colours
+
+    def text(self, x, y, words, size, colour=INK, align=0.0) -> None:
+        """Words with their middle line at y; align 0, 0.5 or 1 puts their left end, middle or right end at x."""
+        key = words, size, colour
+        if key not in self._written:
+            if len(self._written) > 400:
+                self._written.clear()
+            pixels = max(6, round(size * self._scale))
+            if pixels not in self._fonts:
+                self._fonts[pixels] = self._pygame.font.Font(None, pixels)
+            self._written[key] = self._fonts[pixels].render(words, True, colour)
+        image = self._written[key]
+        place = self._offset + self._scale * np.array([x, y]) - np.multiply(image.get_size(), (align, 0.5))
+        self._texts.append((image, place.round()))
+
+    def finish(self):
+        """The finished picture as a surface, which the next picture overwrites."""
+        self._pygame.transform.smoothscale(self._large, self._surface.get_size(), self._surface)
+        self._surface.blits(self._texts)
+        return self._surface
+
+
+def soil_colour(friction, bounds: tuple[float, float]) -> np.ndarray:
+    """Colours [n, 3] of soils with friction angles [n] in deg; the ramp spans `bounds` [deg]."""
+    place = np.linspace(*bounds, len(_RAMP))
+    return np.stack([np.interp(friction, place, channel) for channel in _RAMP.T], axis=1).astype(int)
