@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from stable_baselines3.common.callbacks import BaseCallback
@@ -26,25 +27,50 @@ _SPEED_SHARES = (0.12, 0.17, 0.22, 0.28, 0.33, 0.4, 0.5)
 console = Console()
 
 
-def progress_bar(unit: str) -> Progress:
-    """A progress bar with count, elapsed and remaining time."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(unit + " {task.fields[note]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-    )
+class Bar:
+    """Progress of one job: a live bar on a terminal, a line every tenth of the way elsewhere. Use with `with`."""
+
+    def __init__(self, title: str, total: int, unit: str, done: int = 0):
+        self.title, self.total, self.unit, self.done = title, total, unit, done
+        self.printed = done
+        self.live = None
+        if console.is_terminal:
+            self.live = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(bar_width=20),
+                MofNCompleteColumn(),
+                TextColumn("{task.fields[note]}"),
+                TimeElapsedColumn(),
+                TimeRemainingColumn(),
+                console=console,
+            )
+            self.task = self.live.add_task(f"{title} [{unit}]", total=total, completed=done, note="")
+
+    def __enter__(self):
+        if self.live:
+            self.live.start()
+        return self
+
+    def __exit__(self, *error):
+        if self.live:
+            self.live.stop()
+
+    def update(self, done: int | None = None, advance: int = 0, note: str = "") -> None:
+        """Set or advance what is done; `note` says what is going on."""
+        self.done = self.done + advance if done is None else done
+        if self.live:
+            self.live.update(self.task, completed=self.done, note=note)
+        elif self.done - self.printed >= 0.1 * self.total or (self.done >= self.total > self.printed):
+            self.printed = self.done
+            console.print(f"{self.title}: {self.done:,} of {self.total:,} {self.unit} {note}", soft_wrap=True)
 
 
 class _Watch(BaseCallback):
     """Progress bar, immobilisation rate on TensorBoard, and checkpoints."""
 
-    def __init__(self, folder: Path, every: int, bar: Progress, task):
+    def __init__(self, folder: Path, every: int, bar: Bar):
         super().__init__()
-        self.folder, self.every, self.bar, self.task = folder, every, bar, task
+        self.folder, self.every, self.bar = folder, every, bar
         self.next_save = 0
         self.causes: list[str] = []
         self.returns: list[float] = []
@@ -68,11 +94,9 @@ class _Watch(BaseCallback):
             self.logger.record("courses/immobilised", stuck)
             self.logger.record("courses/finished", finished)
             self.logger.record("courses/return", np.mean(returns))
-            note = (
-                f"| last 1000 courses: return {np.mean(returns):.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
-            )
+            note = f"return {np.mean(returns):.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
             self.causes, self.returns = recent, returns
-        self.bar.update(self.task, completed=self.num_timesteps, note=note)
+        self.bar.update(self.num_timesteps, note=note)
         if self.num_timesteps >= self.next_save:
             ppo.save(self.model, self.folder / "checkpoint")
             self.next_save = self.num_timesteps + self.every
@@ -123,9 +147,8 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
         model = ppo.build(scenario, config.observation, config.ppo, config.seed, log)
     left = config.timesteps - model.num_timesteps
     if left > 0:
-        with progress_bar("steps") as bar:
-            task = bar.add_task("Training", total=config.timesteps, completed=model.num_timesteps, note="")
-            watch = _Watch(folder, config.checkpoint_every, bar, task)
+        with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
+            watch = _Watch(folder, config.checkpoint_every, bar)
             try:
                 model.learn(left, callback=watch, reset_num_timesteps=False, tb_log_name="PPO")
             except KeyboardInterrupt:
@@ -141,11 +164,10 @@ def tuned_controllers(scenario: Scenario, courses: int) -> tuple[dict, dict]:
     """({name: classical controller}, settings), slip and speed tuned for mean return on the tuning set."""
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
     speeds = [round(share * top, 4) for share in _SPEED_SHARES]
-    with progress_bar("courses") as bar:
-        task = bar.add_task("Tuning", total=courses * (len(_SLIPS) + len(speeds)), note="fixed_slip and constant_speed")
+    with Bar("Tuning", courses * (len(_SLIPS) + len(speeds)), "courses") as bar:
 
         def done(count):
-            bar.advance(task, count)
+            bar.update(advance=count)
 
         def tune(name, key, values):
             return evaluate.tune(
@@ -168,12 +190,14 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[
     controllers, settings = tuned_controllers(scenario, config.tuning_courses)
     contestants = {**controllers, **agents}
     runs = {}
-    with progress_bar("courses") as bar:
-        task = bar.add_task("Comparing", total=config.courses * len(contestants), note="")
+    with Bar("Comparing", config.courses * len(contestants), "courses") as bar:
         for name, contestant in contestants.items():
-            bar.update(task, note=name)
             runs[name] = evaluate.run_courses(
-                contestant, scenario, HELD_OUT_SET, config.courses, progress=lambda n: bar.advance(task, n)
+                contestant,
+                scenario,
+                HELD_OUT_SET,
+                config.courses,
+                progress=lambda count, name=name: bar.update(advance=count, note=name),
             )
     result = evaluate.comparison(scenario, HELD_OUT_SET, runs, settings)
     evaluate.save(result, folder)
@@ -213,7 +237,7 @@ def print_table(result: dict) -> None:
     table = Table(title=f"{result['courses']} held-out courses of scenario {result['scenario']!r}, the same for all")
     table.add_column("controller", no_wrap=True)
     for _, heading, _, _ in _COLUMNS:
-        table.add_column(heading, justify="right", no_wrap=True)
+        table.add_column(escape(heading), justify="right", no_wrap=True)
     for name, row in result["controllers"].items():
         cells = [f"{factor * row[metric]['value']:.{digits}f}" for metric, _, factor, digits in _COLUMNS]
         m = row["immobilised"]

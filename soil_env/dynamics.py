@@ -34,7 +34,7 @@ from soil_env.terrain import cell_at, ground_at, leave_rut, stiffened
 
 REST_SPEED = 0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
-_TOLERANCE = 1e-7  # [m/s] of the Newton iteration
+_TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
 _MAX_ITERATIONS = 30
 
 #: One wheel. Numbers that follow from the others in the same step are kept for sensors and info.

@@ -320,7 +320,7 @@ def _solve_window(ids, k, numbers):
     """Solve for the window and publish, or hold the last good estimate while the points do not excite."""
     covariance = ids.covariance[k]
     status, _, _ = solve(
-        ids.trial[k], ids.points[k], ids.count[k], numbers.prior, numbers.precision, numbers.reading, 20, 1e-3,
+        ids.trial[k], ids.points[k], ids.count[k], numbers.prior, numbers.precision, numbers.reading, 20, 1e-2,
         covariance,
     )  # fmt: skip
     _consider(ids.trial[k], ids.points[k], ids.count[k], numbers, covariance)

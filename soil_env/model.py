@@ -32,21 +32,21 @@ def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
 
 
 @njit(cache=True)
-def steady_state(slip, load, soil, r, b):
+def steady_state(slip, load, soil, r, b, guess=0.0):
     """`Steady` sinkage, drawbar pull and torque: Eq. (1) solved for the sinkage, then Eqs. (2) and (3).
 
     Slip-sinkage deepens the hole by the ratio k(i) at the same bearing pressure S z_w^n = S (z/k)^n, that is, it acts
     as a sinkage coefficient S k^-n. With s(z) the coefficient that `load` mobilises at sinkage z (closed form, since
     (1) is linear in it), the root of ln s(z) - ln(S k^-n) is found by a bracketed secant in ln z, in which it is
-    nearly straight.
+    nearly straight, from `guess` [m] where one is given.
     """
     rim, travel = motion_from_slip(slip)
     n = soil.sinkage_exponent
     available = soil.sinkage_coefficient * slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery) ** -n
     low, high = math.log(1e-6 * r), math.log(DEEPEST * r)
     deepest = high
-    # start from the depth of a flat plate, sqrt(2 r z) long
-    x = min(max(math.log(load / (b * math.sqrt(2.0 * r) * available)) / (n + 0.5), low), high)
+    # start from the guess, or from the depth of a flat plate, sqrt(2 r z) long
+    x = math.log(guess) if guess > 0.0 else min(max(math.log(load / (b * math.sqrt(2.0 * r) * available)) / (n + 0.5), low), high)
     slope = -(n + 0.5)
     x_old = f_old = 0.0
     for k in range(60):
@@ -64,7 +64,7 @@ def steady_state(slip, load, soil, r, b):
             slope = min((f - f_old) / (x - x_old), -0.05)
         x_old, f_old = x, f
         step = -f / slope
-        if abs(step) < 1e-7 or low >= high:
+        if abs(step) < 1e-6 or low >= high:
             break
         x = x + step
         if x >= deepest and high == deepest:

@@ -30,8 +30,10 @@ class Best(NamedTuple):
 def best_working_point(load, soil, r, b, torque_available):
     """`Best` over the slips of `SLIPS`; the curve has one maximum, so the scan stops once it has clearly passed it."""
     best = Best(SLIPS[0], -np.inf, 0.0, 0.0)
+    guess = 0.0
     for slip in SLIPS:
-        s = steady_state(slip, load, soil, r, b)
+        s = steady_state(slip, load, soil, r, b, guess)
+        guess = s.sinkage if s.floating else 0.0
         if s.torque <= torque_available and s.floating:
             if s.drawbar_pull > best.drawbar_pull:
                 best = Best(slip, s.drawbar_pull, s.torque, s.sinkage)

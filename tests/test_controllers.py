@@ -9,6 +9,7 @@ from agents.controllers import CONTROLLERS, Controller, FixedSlip, make_controll
 from agents.evaluate import run_courses
 from agents.sb3 import SoilWheelVecEnv
 from soil_env.loading import ParameterError
+from soil_env.model import steady_state
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation import Simulation
 from soil_env.task import VARIANTS, Cause, layout
@@ -220,7 +221,7 @@ def test_batches_are_rows_of_their_own(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_reads_exactly_its_own_layout(name):
-    """The action is the same for any observation that agrees in the columns it may read, and its width is the layout's."""
+    """It works on a layout of just this width, and columns beyond it make no difference."""
     controller = make_controller(name, load_scenario())
     batch = observations(controller.variant)
     assert batch.shape[1] == len(layout(controller.variant))
@@ -277,22 +278,20 @@ def test_constant_speed_holds_its_rim_speed(action, speed):
 @pytest.mark.parametrize("action", ACTIONS)
 @pytest.mark.parametrize("slip", [0.1, 0.25, 0.45])
 def test_fixed_slip_holds_its_slip_where_the_slope_needs_that_slip(action, slip):
-    """On the grade that a wheel at this slip just holds, slip stays at its target after a few metres.
+    """On the grade that a wheel at this slip just holds, slip stays at its target.
 
     Elsewhere the ground decides: on an easier grade the wheel gains speed up to the controller's limit.
     """
     easy = uniform(action=action)
-    from soil_env.model import steady_state
-
     wheel = easy.wheel
     soil = soils()["lete_sand"].state(wheel.width)
     pull = steady_state(slip, easy.weight, soil, wheel.radius, wheel.width).drawbar_pull / easy.weight
     scenario = uniform(action=action, grade=math.degrees(math.atan(pull)), length=20.0)
     controller = make_controller("fixed_slip", scenario, slip=slip)
     out, cause, _ = drive(controller, scenario, scenario.steps)
-    late = out["x"] > 3.0
-    assert late.sum() > 20, (cause, out["x"][-1])
-    assert np.abs(out["slip"][late] - slip).max() < 0.04
+    assert out["x"][-1] > (10.0 if action == "torque" else 1.0), cause
+    late = out["slip"][len(out["slip"]) // 2 :]
+    assert np.abs(late - slip).max() < 0.02
 
 
 @pytest.mark.parametrize("action", ACTIONS)

@@ -84,7 +84,8 @@ def test_agrees_with_gymnasium_s_time_limit_wrapper():
 
 
 def test_finished_and_stuck_wheels_are_not_truncated():
-    for changes, action, expected in ((FINISH, 0.5, {"FINISHED"}), (QUICK_END, 1.0, {"ENTRAPPED", "STALLED", "BOGGED"})):
+    stuck = {"ENTRAPPED", "STALLED", "BOGGED"}
+    for changes, action, expected in ((FINISH, 0.5, {"FINISHED"}), (QUICK_END, 1.0, stuck)):
         env = SoilWheelVecEnv(8, **changes)
         env.seed(1)
         env.reset()
@@ -133,7 +134,7 @@ def test_episode_info_agrees_with_vec_monitor():
 
 
 def test_a_finished_wheel_starts_a_new_course_at_rest():
-    env = SoilWheelVecEnv(4, **SHORT)
+    env = SoilWheelVecEnv(4, course={"halt_time": 0.0}, **SHORT)
     names = env.observation_names
     env.seed(0)
     start = env.reset()
