@@ -10,7 +10,16 @@ Examples:
 
 import sys
 
-from agents.cli import main
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run with the given command line, sys.argv's by default; returns the exit status."""
+    try:
+        from agents.cli import main as run  # torch takes seconds to import: an interrupt then ends quietly too
+
+        return run(arguments, description=__doc__)
+    except KeyboardInterrupt:
+        return 130
+
 
 if __name__ == "__main__":
-    sys.exit(main(description=__doc__))
+    sys.exit(main())

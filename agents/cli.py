@@ -25,11 +25,18 @@ def parser(description: str) -> argparse.ArgumentParser:
     keys = "config keys and their defaults:\n" + "\n".join(lines)
     keys += "\n  --changes.KEY              any key of the scenario, e.g. --changes.course.margin '[0.05, 0.1]'"
     p = argparse.ArgumentParser(
-        "train.py", description=description, epilog=keys, formatter_class=argparse.RawDescriptionHelpFormatter
+        "train.py",
+        description=description,
+        epilog=keys,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
     p.add_argument("--config", metavar="YAML", help="file of config keys; the command line goes over it")
     p.add_argument("--resume", metavar="RUN", help="run folder to go on with; config keys may not be given then")
     return p
+
+
+_TEXT = ("scenario", "name", "runs", "observation")  # keys whose value is text, whatever YAML makes of it
 
 
 def overrides(arguments: list[str]) -> dict:
@@ -38,7 +45,7 @@ def overrides(arguments: list[str]) -> dict:
     rest = list(arguments)
     while rest:
         key = rest.pop(0)
-        if not key.startswith("--"):
+        if not key.startswith("--") or key == "--":
             raise ParameterError(f"{key!r}: expected --key value")
         name, equals, value = key[2:].partition("=")
         if not equals:
@@ -46,7 +53,7 @@ def overrides(arguments: list[str]) -> dict:
                 raise ParameterError(f"{key}: expected a value after it")
             value = rest.pop(0)
         try:
-            entry = yaml.safe_load(value)
+            entry = value if name in _TEXT else yaml.safe_load(value)
         except yaml.YAMLError:
             entry = value
         for part in reversed(name.replace("-", "_").split(".")):
@@ -64,14 +71,15 @@ def main(arguments: list[str] | None = None, description: str = "") -> int:
         from agents import ppo, training
         from soil_env.parameters import load_scenario
 
-        if options.resume:
-            if options.config or changes:
+        if options.resume is not None:
+            if options.config is not None or changes:
                 raise ParameterError("--resume takes no other option: the run folder has its config")
             folder = Path(options.resume)
             config, scenario = training.open_run(folder)
         else:
-            mapping = read_yaml(Path(options.config)) if options.config else {}
-            config = ppo.load_config(merge(mapping, changes), options.config or "train.py")
+            mapping = {} if options.config is None else read_yaml(Path(options.config))
+            where = " and ".join(filter(None, (options.config, "command line" if changes else "")))
+            config = ppo.load_config(merge(mapping, changes), where or "defaults")
             scenario = load_scenario(config.scenario, config.changes)
             folder = training.make_run_folder(config, scenario)
         training.console.print(f"Run folder: {folder}")
@@ -83,6 +91,9 @@ def main(arguments: list[str] | None = None, description: str = "") -> int:
         return 2
     except OSError as error:
         print(f"train.py: {error.filename or folder}: {error.strerror}", file=sys.stderr)
+        return 2
+    except MemoryError as error:
+        print(f"train.py: not enough memory ({error}); expected smaller ppo.num_envs or ppo.n_steps", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         again = f"; go on with: python train.py --resume {folder}" if folder else ""

@@ -54,11 +54,12 @@ class Controller:
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1] float32 (or [1] for one observation) and the state for the next call."""
         batch = np.atleast_2d(np.asarray(observation, dtype=np.float64))
-        fresh = np.ones(len(batch), dtype=bool) if state is None or episode_start is None else np.asarray(episode_start)
-        state = self._begin(batch, state, fresh.astype(bool))
+        fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
+        state = self._begin(batch, state, fresh)
         target = self.rim_speed(batch, state)
         if self.by_speed:
-            action = target / self.top_speed
+            droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)  # of the drive's loop
+            action = target / self.top_speed + droop
         else:
             action = self._torque(batch, target, state) / self.stall
         action = np.clip(action, -1.0, 1.0).astype(np.float32)[:, None]
@@ -68,6 +69,7 @@ class Controller:
         if state is None or len(state["integral"]) != len(batch):
             state = {"integral": np.zeros(len(batch))}
             fresh = np.ones(len(batch), dtype=bool)
+        state = {key: value.copy() for key, value in state.items()}
         state["fresh"] = fresh
         state["integral"] = np.where(fresh, self._feed_forward(batch), state["integral"])
         return state
@@ -155,13 +157,14 @@ class BestSlipIdentified(FixedSlip):
         return out
 
     def target_slip(self, observation, state):
-        """Best slip; computed again only for rows whose soil has changed by more than 1 %."""
+        """Best slip; computed again only for rows whose soil has changed by more than 1 % or whose load by 10 %."""
         soils = self.soils(observation)
-        if "soils" not in state:
-            state["soils"], state["slip"] = np.zeros_like(soils), np.zeros(len(soils))
         load = np.clip(observation[:, self.column["load"]], 0.3, 3.0) * self.scenario.weight
+        if "known" not in state:
+            state["known"], state["slip"] = np.zeros((len(soils), 8)), np.zeros(len(soils))
+        state["known"][state["fresh"]] = 0.0
         wheel = self.scenario.wheel
-        _best_slips(soils, load, wheel.radius, wheel.width, wheel.stall_torque, state["soils"], state["slip"])
+        _best_slips(soils, load, wheel.radius, wheel.width, wheel.stall_torque, state["known"], state["slip"])
         return state["slip"]
 
 
@@ -183,7 +186,7 @@ class BestSlipTrue(BestSlipIdentified):
 @njit(cache=True, nogil=True)
 def _best_slips(soils, load, r, b, torque, known, slip):
     for k in range(len(soils)):
-        changed = False
+        changed = abs(load[k] - known[k, 7]) > 0.1 * known[k, 7]
         for i in range(7):
             if abs(soils[k, i] - known[k, i]) > 0.01 * abs(known[k, i]):
                 changed = True
@@ -191,7 +194,8 @@ def _best_slips(soils, load, r, b, torque, known, slip):
             s = soils[k]
             soil = SoilState(s[0], s[1], s[2], s[3], s[4], s[5], s[6])
             slip[k] = best_working_point(load[k], soil, r, b, torque).slip
-            known[k, :] = s
+            known[k, :7] = s
+            known[k, 7] = load[k]
 
 
 CONTROLLERS = {c.name: c for c in (FullThrottle, ConstantSpeed, FixedSlip, BestSlipIdentified, BestSlipTrue)}

@@ -134,7 +134,8 @@ def wilson(successes: float, trials: int, z: float = 1.959963985) -> tuple[float
     centre = p + z * z / (2 * trials)
     half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
     scale = 1 + z * z / trials
-    return max(0.0, (centre - half) / scale), min(1.0, (centre + half) / scale)
+    # the bounds against rounding: at p = 0 and p = 1 the interval touches p exactly
+    return max(0.0, min(p, (centre - half) / scale)), min(1.0, max(p, (centre + half) / scale))
 
 
 def summary(runs: Runs, seed: int = 0, resamples: int = 2000) -> dict[str, dict[str, float]]:
@@ -150,7 +151,7 @@ def summary(runs: Runs, seed: int = 0, resamples: int = 2000) -> dict[str, dict[
         else:
             means = np.array([x[rng.integers(0, n, n)].mean() for _ in range(resamples)])
             low, high = (float(q) for q in np.percentile(means, [2.5, 97.5]))
-        out[name] = {"value": value, "low": low, "high": high}
+        out[name] = {"value": value, "low": min(low, value), "high": max(high, value)}
     return out
 
 

@@ -1,6 +1,6 @@
 """PPO agents (Stable-Baselines3): build, save, load and resume, with their observation normalisation.
 
-A saved agent is a folder or a path stem: `model.zip` (SB3's own format) and `model.json` beside it, which holds the
+A saved agent is one zip in SB3's own format with a further member, soil_env.json, which holds the
 running mean and variance of the observations, the names of the observation layout and the resolved scenario. Loading
 a model of SB3 unpickles parts of the zip: load only models you trust.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -44,6 +45,14 @@ class PPOConfig(Checked):
     layer: int = quantity("units in each of two hidden layers", 1, 4096, default=64)
     log_std_init: float = quantity("log of the initial standard deviation", -5.0, 2.0, default=-0.7)
     threads: int = quantity("torch threads", 1, 256, default=1)
+
+    def __post_init__(self):
+        super().__post_init__()
+        rollout = self.num_envs * self.n_steps
+        if rollout % self.batch_size:
+            raise ParameterError(
+                f"PPOConfig.batch_size = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
+            )
 
 
 def build(scenario: Scenario, observation: str, config: PPOConfig, seed: int, tensorboard: Path | None = None) -> PPO:
@@ -84,16 +93,12 @@ def _schedule(config: PPOConfig):
     return learning_rate
 
 
-def _write(path: Path, write) -> None:
-    """Write a file whole or not at all: a kill in between leaves the old one."""
-    partial = path.with_name(f".{path.name}.partial")
-    write(partial)
-    os.replace(partial, path)
+_META = "soil_env.json"  # member of the model's zip
 
 
-def save(model: PPO, stem: Path) -> None:
-    """Save the agent as `stem`.zip and `stem`.json, each replaced in one piece, the json last."""
-    stem = Path(stem)
+def save(model: PPO, path: Path) -> None:
+    """Save the agent to `path` (.zip), replaced in one piece: a kill in between leaves the old file whole."""
+    path = Path(path)
     env = model.get_vec_normalize_env()
     meta = {
         "timesteps": int(model.num_timesteps),
@@ -108,11 +113,11 @@ def save(model: PPO, stem: Path) -> None:
         "clip": float(env.clip_obs),
         "scenario": to_dict(env.get_attr("scenario")[0]),
     }
-    with_zip = stem.with_name(f".{stem.name}.partial.zip")
-    model.save(with_zip)
-    os.replace(with_zip, stem.with_name(stem.name + ".zip"))
-    text = json.dumps(meta, indent=1) + "\n"
-    _write(stem.with_name(stem.name + ".json"), lambda p: p.write_text(text, encoding="utf-8"))
+    partial = path.with_name(f".{path.stem}.partial.zip")
+    model.save(partial)
+    with zipfile.ZipFile(partial, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(_META, json.dumps(meta, indent=1))
+    os.replace(partial, path)
 
 
 def _variant(env) -> str:
@@ -143,19 +148,43 @@ class Agent:
         return self.model.predict(x, state, episode_start, deterministic)
 
 
-def read_meta(stem: Path) -> dict:
-    """The json beside a model; ParameterError if it is missing or not ours."""
-    path = Path(stem).with_name(Path(stem).name + ".json")
+def read_meta(path: Path) -> dict:
+    """What `save` noted about a model; ParameterError with one line if the file is missing, broken or not ours."""
+    path = Path(path)
     try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
+        with zipfile.ZipFile(path) as archive:
+            meta = json.loads(archive.read(_META))
     except OSError as error:
-        raise ParameterError(f"{path}: cannot be read ({error.strerror}); expected it beside the model's zip") from None
-    except json.JSONDecodeError as error:
-        raise ParameterError(f"{path}: not valid JSON ({error})") from None
-    for key in ("observation", "observation_names", "mean", "var", "clip"):
-        if key not in meta:
-            raise ParameterError(f"{path}: missing {key!r}; not a model saved by agents.ppo")
+        raise ParameterError(f"{path}: cannot be read ({error.strerror}); expected a model saved by train.py") from None
+    except (zipfile.BadZipFile, KeyError, ValueError) as error:
+        raise ParameterError(f"{path}: not a model saved by train.py ({error})") from None
+    if not isinstance(meta, dict):
+        raise ParameterError(f"{path}: {_META}: expected a mapping, got {type(meta).__name__}")
+    for key, kind in _META_TYPES.items():
+        if not isinstance(meta.get(key), kind):
+            raise ParameterError(f"{path}: {_META}: {key} = {meta.get(key)!r}: expected {kind}")
+    size = len(meta["observation_names"])
+    for key in ("mean", "var"):
+        if len(meta[key]) != size or not all(isinstance(x, (int, float)) for x in meta[key]):
+            raise ParameterError(f"{path}: {_META}: {key}: expected {size} numbers")
+    if meta["observation"] not in NAMES:
+        raise ParameterError(f"{path}: {_META}: observation = {meta['observation']!r}: expected one of {list(NAMES)}")
     return meta
+
+
+_NUMBER = (int, float)
+_META_TYPES = {
+    "timesteps": int,
+    "observation": str,
+    "observation_names": list,
+    "mean": list,
+    "var": list,
+    "count": _NUMBER,
+    "return_mean": _NUMBER,
+    "return_var": _NUMBER,
+    "return_count": _NUMBER,
+    "clip": _NUMBER,
+}
 
 
 def check_layout(meta: dict, where) -> None:
@@ -171,60 +200,42 @@ def check_layout(meta: dict, where) -> None:
         )
 
 
-def load_agent(stem: Path) -> Agent:
-    """Load an agent saved by `save`. `stem` may name the zip. Raises ParameterError with one line if it cannot be
-    used."""
-    stem = Path(stem)
-    if stem.suffix == ".zip":
-        stem = stem.with_suffix("")
-    if stem.is_dir():
-        stem = stem / "model"
-    meta = read_meta(stem)
-    check_layout(meta, stem)
-    model = _load_zip(stem)
-    if model.observation_space.shape != (len(meta["mean"]),):
-        raise ParameterError(
-            f"{stem}.zip: takes {model.observation_space.shape[0]} observations, its json names {len(meta['mean'])}"
-        )
+def load_agent(path: Path) -> Agent:
+    """Load an agent saved by `save`, from its zip or its run folder; ParameterError if it cannot be used."""
+    path = Path(path)
+    if path.is_dir():
+        path = path / "model.zip"
+    meta = read_meta(path)
+    check_layout(meta, path)
+    model = _load_zip(path)
     sd = np.sqrt(np.asarray(meta["var"]) + 1e-8)
-    return Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], meta["observation"], meta.get("timesteps", 0), meta)
+    return Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], meta["observation"], meta["timesteps"], meta)
 
 
-def _load_zip(stem: Path, **options) -> PPO:
-    path = stem.with_name(stem.name + ".zip")
-    if not path.is_file():
-        raise ParameterError(f"{path}: no such model")
+def _load_zip(path: Path, **options) -> PPO:
     try:
         return PPO.load(path, device="cpu", **options)
     except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
         raise ParameterError(f"{path}: cannot be loaded as a PPO model ({type(error).__name__}: {error})") from None
 
 
-def resume(
-    stem: Path, scenario: Scenario, observation: str, config: PPOConfig, seed: int, tensorboard: Path | None
-) -> PPO:
+def resume(path: Path, scenario: Scenario, observation: str, config: PPOConfig, seed: int, log: Path | None) -> PPO:
     """The agent of a checkpoint, ready to go on learning; its worlds start new courses."""
-    stem = Path(stem)
-    meta = read_meta(stem)
+    meta = read_meta(path)
     if meta["observation"] != observation:
-        raise ParameterError(
-            f"{stem}: trained with observation {meta['observation']!r}, the config says {observation!r}"
-        )
-    check_layout(meta, stem)
+        raise ParameterError(f"{path}: trained with observation {meta['observation']!r}, not {observation!r}")
+    check_layout(meta, path)
     torch.set_num_threads(config.threads)
-    env = normalised(scenario, observation, config, seed + meta["timesteps"])
+    env = normalised(scenario, observation, config, seed)
     env.obs_rms = _running(meta["mean"], meta["var"], meta["count"])
     env.ret_rms = _running(meta["return_mean"], meta["return_var"], meta["return_count"])
     model = _load_zip(
-        stem,
+        Path(path),
         env=env,
         custom_objects={"learning_rate": _schedule(config), "lr_schedule": _schedule(config)},
-        tensorboard_log=None if tensorboard is None else str(tensorboard),
+        tensorboard_log=None if log is None else str(log),
     )
-    if model.num_timesteps != meta["timesteps"]:
-        raise ParameterError(
-            f"{stem}: zip ({model.num_timesteps} steps) and json ({meta['timesteps']}) do not belong together"
-        )
+    model.set_random_seed(seed + meta["timesteps"])  # loading has set the seed of the start of the run
     return model
 
 

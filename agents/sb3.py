@@ -57,6 +57,9 @@ class SoilWheelVecEnv(VecEnv):
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the actions [num_envs, 1]; NaN raises ValueError."""
+        actions = np.asarray(actions)
+        if actions.shape != (self.num_envs, 1):
+            raise ValueError(f"actions: expected shape ({self.num_envs}, 1), got {actions.shape}")
         if not np.isfinite(actions).all():
             raise ValueError("actions: expected finite numbers in [-1, 1]")
         np.clip(actions[:, 0], -1.0, 1.0, out=self._commands)

@@ -98,7 +98,7 @@ class _Watch(BaseCallback):
             self.causes, self.returns = recent, returns
         self.bar.update(self.num_timesteps, note=note)
         if self.num_timesteps >= self.next_save:
-            ppo.save(self.model, self.folder / "checkpoint")
+            ppo.save(self.model, self.folder / "checkpoint.zip")
             self.next_save = self.num_timesteps + self.every
 
 
@@ -127,21 +127,21 @@ def open_run(folder: Path) -> tuple[TrainConfig, Scenario]:
     """Config and scenario of an existing run folder."""
     folder = Path(folder)
     if not folder.is_dir():
-        near = sorted(p.name for p in folder.parent.glob("*/config.yaml")) if folder.parent.is_dir() else []
+        near = sorted(p.parent.name for p in folder.parent.glob("*/config.yaml")) if folder.parent.is_dir() else []
         raise ParameterError(f"{folder}: no such run folder" + (f" (found: {', '.join(near)})" if near else ""))
     config = ppo.load_config(read_yaml(folder / "config.yaml"), str(folder / "config.yaml"))
     return config, load_scenario(folder / "scenario.yaml")
 
 
 def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
-    """Train in `folder`, from its checkpoint if it has one, and save model.zip with model.json."""
+    """Train in `folder`, from its checkpoint if it has one, and save model.zip."""
     folder = Path(folder)
-    if (folder / "model.json").is_file():
+    if (folder / "model.zip").is_file():
         console.print(f"{folder} is trained already.")
-        return ppo.load_agent(folder / "model")
+        return ppo.load_agent(folder)
     log = folder / "tensorboard"
-    if (folder / "checkpoint.json").is_file():
-        model = ppo.resume(folder / "checkpoint", scenario, config.observation, config.ppo, config.seed, log)
+    if (folder / "checkpoint.zip").is_file():
+        model = ppo.resume(folder / "checkpoint.zip", scenario, config.observation, config.ppo, config.seed, log)
         console.print(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
     else:
         model = ppo.build(scenario, config.observation, config.ppo, config.seed, log)
@@ -152,12 +152,11 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
             try:
                 model.learn(left, callback=watch, reset_num_timesteps=False, tb_log_name="PPO")
             except KeyboardInterrupt:
-                ppo.save(model, folder / "checkpoint")
+                ppo.save(model, folder / "checkpoint.zip")
                 raise
-    ppo.save(model, folder / "model")
-    for suffix in (".zip", ".json"):
-        (folder / f"checkpoint{suffix}").unlink(missing_ok=True)
-    return ppo.load_agent(folder / "model")
+    ppo.save(model, folder / "model.zip")
+    (folder / "checkpoint.zip").unlink(missing_ok=True)
+    return ppo.load_agent(folder)
 
 
 def tuned_controllers(scenario: Scenario, courses: int) -> tuple[dict, dict]:
@@ -265,7 +264,7 @@ def verdict(result: dict, name: str) -> str:
         judgement = "as often, within the intervals, as"
     text = f"{name} is immobilised {judgement} the tuned fixed slip: {_percent(agent)} against {_percent(fixed)}"
     gap = fixed["value"] - true["value"]
-    if gap > 0.0:
+    if gap > 0.0 and agent["value"] < fixed["value"]:
         share = (fixed["value"] - agent["value"]) / gap
         text += f"; it covers {share:.0%} of the way to best_slip_true ({true['value']:.1%})"
     return text + "."

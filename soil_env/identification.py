@@ -57,7 +57,10 @@ class Reading(NamedTuple):
 
 #: Bounds of (phi [rad], ln K [m], ln S): the box of the paper's Table 4, widened.
 LOWER = np.array([math.radians(1.0), math.log(2e-4), math.log(1e3)])
-UPPER = np.array([math.radians(89.5), math.log(0.5), math.log(1e13)])
+UPPER = np.array([math.radians(89.5), math.log(0.3) - 1e-9, math.log(1e13) - 1e-9])
+#: No unknown moves further than this in one iteration.
+LONGEST = np.array([0.35, 1.5, 1.5])
+_MAX_DAMPINGS = 12
 
 # Columns of a measured point.
 SLIP, SINKAGE, DIG_RATIO, DRAWBAR_PULL, LOAD, TORQUE, WEIGHTS, PLACE = 0, 1, 2, 3, 4, 5, 6, 12
@@ -162,6 +165,47 @@ def invert3(m, out):
 
 
 @njit(cache=True)
+def _damped_step(x, matrix, vector, damping, step):
+    """Levenberg-Marquardt step from x into `step`; False if the damped normal matrix is singular.
+
+    An unknown that presses against its bound stays there.
+    """
+    damped, inverse = matrix.copy(), np.empty((3, 3))
+    trace = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
+    pressed = np.zeros(3, dtype=np.bool_)
+    for i in range(3):
+        damped[i, i] += damping * matrix[i, i] + 1e-12 * trace
+        pressed[i] = (x[i] <= LOWER[i] and vector[i] < 0.0) or (x[i] >= UPPER[i] and vector[i] > 0.0)
+        if pressed[i]:
+            for j in range(3):
+                if j != i:
+                    damped[i, j] = damped[j, i] = 0.0
+    if not invert3(damped, inverse):
+        return False
+    for i in range(3):
+        step[i] = 0.0
+        if not pressed[i]:
+            step[i] = inverse[i, 0] * vector[0] + inverse[i, 1] * vector[1] + inverse[i, 2] * vector[2]
+    return True
+
+
+@njit(cache=True)
+def _small(step, tolerance):
+    return abs(step[0]) < tolerance and abs(step[1]) < tolerance and abs(step[2]) < tolerance
+
+
+@njit(cache=True)
+def _moved(x, step, out):
+    """x + step into `out`, shortened to the longest step allowed and cut to the bounds."""
+    share = 1.0
+    for i in range(3):
+        if abs(step[i]) * share > LONGEST[i]:
+            share = LONGEST[i] / abs(step[i])
+    for i in range(3):
+        out[i] = min(max(x[i] + share * step[i], LOWER[i]), UPPER[i])
+
+
+@njit(cache=True)
 def solve(x, points, count, prior, precision, reading, max_iterations, tolerance, covariance):
     """Weighted least squares for x [3] in place, from its present value; (Status, iterations, cost).
 
@@ -172,54 +216,37 @@ def solve(x, points, count, prior, precision, reading, max_iterations, tolerance
     """
     matrix, trial_matrix = np.empty((3, 3)), np.empty((3, 3))
     vector, trial_vector = np.empty(3), np.empty(3)
-    step, trial = np.empty(3), np.empty(3)
-    covariance[:, :] = 0.0
+    step, trial = np.zeros(3), np.empty(3)
     cost = _normal_equations(x, points, count, prior, precision, reading, matrix, vector)
-    damping = 0.0
-    iterations = 0
+    damping, iterations = 0.0, 0
     status = Status.DIVERGED.value
-    singular = not invert3(matrix, covariance)
-    while iterations < max_iterations:
+    while iterations < max_iterations and status == Status.DIVERGED.value:
         iterations += 1
         accepted = False
-        for _ in range(12):
-            damped = matrix.copy()
-            for i in range(3):
-                damped[i, i] += damping * matrix[i, i] + 1e-12 * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2])
-            if not invert3(damped, trial_matrix):
-                damping = max(4.0 * damping, 1e-3)
-                continue
-            share = 1.0
-            for i in range(3):
-                step[i] = (
-                    trial_matrix[i, 0] * vector[0] + trial_matrix[i, 1] * vector[1] + trial_matrix[i, 2] * vector[2]
+        for _ in range(_MAX_DAMPINGS):
+            if _damped_step(x, matrix, vector, damping, step):
+                _moved(x, step, trial)
+                if damping == 0.0 and _small(step, tolerance):  # so close the cost may no longer tell
+                    x[:] = trial
+                    status = Status.CONVERGED.value
+                    break
+                trial_cost = _normal_equations(
+                    trial, points, count, prior, precision, reading, trial_matrix, trial_vector
                 )
-            for i in range(3):  # no unknown moves further than this at once
-                limit = 0.35 if i == 0 else 1.5
-                if abs(step[i]) * share > limit:
-                    share = limit / abs(step[i])
-            for i in range(3):
-                trial[i] = min(max(x[i] + share * step[i], LOWER[i]), UPPER[i])
-            trial_cost = _normal_equations(trial, points, count, prior, precision, reading, trial_matrix, trial_vector)
-            if trial_cost <= cost * (1.0 + 1e-12):
-                accepted = True
-                break
+                if trial_cost <= cost:
+                    accepted = True
+                    break
             damping = max(4.0 * damping, 1e-3)
         if not accepted:
-            status = Status.CONVERGED.value if _small(step, tolerance) else Status.DIVERGED.value
             break
-        moved = max(abs(trial[0] - x[0]), max(abs(trial[1] - x[1]), abs(trial[2] - x[2])))
         x[:] = trial
         cost = trial_cost
         matrix[:, :] = trial_matrix
         vector[:] = trial_vector
-        singular = not invert3(matrix, covariance)
-        small = damping == 0.0 and _small(step, tolerance)
-        damping = 0.0 if damping < 1e-6 else damping / 8.0
-        if small or moved == 0.0:
-            status = Status.CONVERGED.value
-            break
-    if singular:
+        damping = 0.0 if damping < 1e-2 else damping / 8.0
+    if status == Status.DIVERGED.value and _small(step, tolerance):
+        status = Status.CONVERGED.value
+    if not invert3(matrix, covariance):
         covariance[:, :] = 0.0
         return Status.NOT_EXCITED.value, iterations, cost
     if status == Status.CONVERGED.value:
@@ -227,11 +254,6 @@ def solve(x, points, count, prior, precision, reading, max_iterations, tolerance
             if x[i] <= LOWER[i] or x[i] >= UPPER[i]:
                 status = Status.AT_BOUND.value
     return status, iterations, cost
-
-
-@njit(cache=True)
-def _small(step, tolerance):
-    return abs(step[0]) < tolerance and abs(step[1]) < tolerance and abs(step[2]) < tolerance
 
 
 # --- from Python ------------------------------------------------------------------------------------------------------
@@ -275,7 +297,7 @@ def generalized_newton_raphson(
     columns = [
         slip,
         np.asarray(sinkage, dtype=float),
-        np.ones_like(slip) if dig_ratio is None else np.asarray(dig_ratio),
+        np.ones_like(slip) if dig_ratio is None else np.asarray(dig_ratio, dtype=float),
     ]
     columns += [np.zeros_like(slip) if c is None else np.asarray(c, dtype=float) for c in channels]
     names = ("slip", "sinkage", "dig_ratio", "drawbar_pull", "load", "torque")
@@ -287,6 +309,8 @@ def generalized_newton_raphson(
                              f"{int(np.flatnonzero(~np.isfinite(column))[0])}")  # fmt: skip
     if np.any(np.abs(slip) > 1.0):
         raise ValueError(f"slip = {slip[np.abs(slip) > 1.0][0]:g}: expected values in [-1, 1]")
+    if np.any(columns[2] <= 0.0):
+        raise ValueError(f"dig_ratio = {columns[2][columns[2] <= 0.0][0]:g}: expected values > 0")
     if np.any(columns[1] <= 0.0) or np.any(columns[1] > reading.radius):
         raise ValueError(f"sinkage: expected values in (0, {reading.radius:g}] m, the radius of the wheel")
     if all(c is None for c in channels):

@@ -46,7 +46,11 @@ def steady_state(slip, load, soil, r, b, guess=0.0):
     low, high = math.log(1e-6 * r), math.log(DEEPEST * r)
     deepest = high
     # start from the guess, or from the depth of a flat plate, sqrt(2 r z) long
-    x = math.log(guess) if guess > 0.0 else min(max(math.log(load / (b * math.sqrt(2.0 * r) * available)) / (n + 0.5), low), high)
+    x = (
+        math.log(guess)
+        if guess > 0.0
+        else min(max(math.log(load / (b * math.sqrt(2.0 * r) * available)) / (n + 0.5), low), high)
+    )
     slope = -(n + 0.5)
     x_old = f_old = 0.0
     for k in range(60):

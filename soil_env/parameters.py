@@ -362,7 +362,7 @@ def load_scenario(which: str | Path | Scenario = "mixed", changes: dict | None =
     if isinstance(wheel, dict) and "preset" in wheel:
         wheel = dict(wheel)
         preset = wheel.pop("preset")
-        if preset not in wheels():
+        if not isinstance(preset, str) or preset not in wheels():
             raise unknown_key(preset, wheels(), f"{where}: wheel")
         mapping["wheel"] = merge(to_dict(wheels()[preset]), wheel)
     return load(Scenario, mapping, where)

@@ -47,10 +47,11 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         render_mode: str | None = None,
         **changes: Any,
     ):
-        if not (isinstance(num_envs, (int, np.integer)) and num_envs >= 1):
-            raise ParameterError(f"num_envs = {num_envs!r}: expected a whole number >= 1")
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise ParameterError(f"max_episode_steps = {max_episode_steps!r}: expected a whole number >= 1")
+        counts = {"num_envs": num_envs, "max_episode_steps": max_episode_steps, "threads": threads}
+        for name, count in counts.items():
+            whole = isinstance(count, (int, np.integer)) and not isinstance(count, bool) and count >= 1
+            if not (whole or (count is None and name != "num_envs")):
+                raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
         if render_mode is not None:
             raise ParameterError("render_mode: the vector env does not render; use a single SoilWheel-v0")
         try:

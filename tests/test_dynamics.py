@@ -11,7 +11,6 @@ from soil_env import dynamics, terrain
 from soil_env.parameters import load_scenario, soils
 from soil_env.streams import seed_stream
 
-
 EASY = {"margin": [0.15, 0.25], "grade_deg": [-5.0, 10.0]}  # a course on which half the torque gets through
 
 
@@ -79,7 +78,12 @@ def test_the_steps_converge():
 
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
 def test_laws_of_motion(mode):
-    """Over one substep: m dV = (DP - m g sin) h and J dw = (T_motor - T) h with the forces at its end."""
+    """Over one substep: m dV = (DP - m g sin) h and J dw = (T_motor - T) h with the forces at its end.
+
+    Met as closely as the iteration promises in V and r w.
+    """
+    met = dynamics._TOLERANCE  # [m/s]
+    assert met <= 1e-5
     courses, state, world = start(5, mode, course=EASY)
     world, w, rng = world._replace(substeps=1, period=0.05), state[0], np.random.default_rng(0)
     for k in range(200):
@@ -88,9 +92,9 @@ def test_laws_of_motion(mode):
             command = rng.uniform(-0.5, 1.0)
         step(courses, state, world, command)
         push = w["drawbar_pull"] - w["mass"] * world.gravity * math.sin(w["grade"])
-        assert w["speed"] - v == pytest.approx(push / w["mass"] * 0.05, abs=1e-6)
+        assert w["speed"] - v == pytest.approx(push / w["mass"] * 0.05, abs=met)
         twist = (w["motor_torque"] - w["torque"]) / world.inertia * 0.05
-        assert w["wheel_speed"] - spin == pytest.approx(twist, abs=1e-5)
+        assert w["wheel_speed"] - spin == pytest.approx(twist, abs=met / world.radius)
         assert w["travel"] == w["x"] - x == pytest.approx(0.5 * 0.05 * (v + w["speed"]), rel=1e-9, abs=1e-12)
         assert w["motor_work"] == pytest.approx(0.05 * w["motor_torque"] * w["wheel_speed"], rel=1e-9, abs=1e-12)
     assert w["x"] > 0.2

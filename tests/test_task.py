@@ -186,7 +186,8 @@ def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
     weights = {"progress": 7.0, "energy": 3.0, "immobilisation": 5.0}
     causes, backwards, braking = set(), 0, 0
     for seed in range(8):
-        sim, rng = simulation("blind", seed, {"reward": weights, "course": {"length": 3.0}}), np.random.default_rng(seed)
+        sim = simulation("blind", seed, {"reward": weights, "course": {"length": 3.0}})
+        rng = np.random.default_rng(seed)
         for _ in range(900):
             x, w = float(sim.worlds.state[0]["x"]), sim.worlds.state[0]
             sim.step(0, 0.9 if seed % 2 else 0.1 + 0.3 * rng.random() - (0.5 if rng.random() < 0.1 else 0.0))

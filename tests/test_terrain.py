@@ -122,7 +122,9 @@ def test_best_working_point_is_the_best_of_its_slips(drawn, scenario):
         for torque in (1e6, 0.8 * strongest.torque):  # the second motor cannot turn the wheel at the best slip
             pulls = [s.drawbar_pull for s in states if s.floating and s.torque <= torque]
             best = best_working_point(load, soil, wheel.radius, wheel.width, torque)
-            assert best.drawbar_pull == max(pulls, default=-math.inf) and best.torque <= torque
+            # the scan starts each root search from the last: equal but for the tolerance of that search
+            assert best.drawbar_pull == pytest.approx(max(pulls, default=-math.inf), abs=1e-6 * load)
+            assert best.torque <= torque
         assert best_working_point(load, soil, wheel.radius, wheel.width, 0.0).drawbar_pull == -math.inf
 
 

@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -75,7 +76,7 @@ def wait_for(path, process, seconds=90.0):
 def steps_logged(folder):
     """Timesteps of the points on the TensorBoard curve, in order of their files."""
     steps = []
-    for file in sorted(folder.glob("tensorboard/*/events*")):
+    for file in sorted(folder.glob("tensorboard/*/events*"), key=lambda p: p.stat().st_mtime_ns):
         events = EventAccumulator(str(file))
         events.Reload()
         if "train/loss" in events.Tags()["scalars"]:
@@ -146,7 +147,8 @@ def test_comparison_has_all_controllers(finished):
     with open(folder / "comparison.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["controller"] for row in rows] == list(result["controllers"])
-    assert float(rows[0]["distance"]) == pytest.approx(result["controllers"]["full_throttle"]["distance"]["value"], rel=1e-5)
+    distance = result["controllers"]["full_throttle"]["distance"]["value"]
+    assert float(rows[0]["distance"]) == pytest.approx(distance, rel=1e-5)
 
 
 def test_figures_show_something(finished):
@@ -196,6 +198,40 @@ def test_the_same_seed_gives_the_same_comparison(capsys, tmp_path):
     assert a == b
 
 
+def rates(**values):
+    """A result that holds just (value, low, high) of `immobilised`."""
+    return {
+        "controllers": {
+            name: {"immobilised": dict(zip(("value", "low", "high"), m, strict=True))} for name, m in values.items()
+        }
+    }
+
+
+@pytest.mark.parametrize(
+    "agent, words, share",
+    [((0.10, 0.08, 0.12), "less often than", "86%"), ((0.29, 0.25, 0.33), "as often", "5%"),
+     ((0.50, 0.45, 0.55), "more often than", "-100%")],
+)  # fmt: skip
+def test_the_verdict_follows_from_the_intervals(agent, words, share):
+    from agents.training import verdict
+
+    reference = {"fixed_slip": (0.30, 0.27, 0.33), "best_slip_true": (0.1 - 1 / 30, 0.05, 0.08)}
+    if words != "less often than":
+        reference["best_slip_true"] = (0.10, 0.08, 0.12)
+    text = verdict(rates(ppo_blind=agent, **reference), "ppo_blind")
+    assert text.startswith("ppo_blind") and words in text and "30.0% [27.0%, 33.0%]" in text
+    expected = (0.30 - agent[0]) / (0.30 - reference["best_slip_true"][0])
+    assert f"covers {expected:.0%} of the way" in text
+    assert share in text
+
+
+def test_the_verdict_claims_no_share_where_there_is_no_gap():
+    from agents.training import verdict
+
+    same = (0.1, 0.05, 0.2)
+    assert "of the way" not in verdict(rates(ppo_true=same, fixed_slip=same, best_slip_true=same), "ppo_true")
+
+
 # --- the command line -------------------------------------------------------------------------------------------------
 
 
@@ -205,7 +241,7 @@ def test_help_names_every_key(capsys):
     assert "what it does" in out and "--config" in out and "--resume" in out
     for f in dataclasses.fields(TrainConfig):
         if f.name not in ("ppo", "changes"):
-            assert f"--{f.name} " in out, f.name
+            assert re.search(rf"^ *--{f.name}( |$)", out, re.MULTILINE), f.name
     for f in dataclasses.fields(PPOConfig):
         assert f"--ppo.{f.name} " in out, f.name
         assert str(f.default) in out
@@ -220,7 +256,8 @@ def test_help_of_the_script_itself():
 
 
 def test_overrides_are_read_as_yaml():
-    read = cli.overrides(["--a", "1", "--b.c=x=y", "--b.d", "[1, 2]", "--e-f", "1e6", "--g", "-3", "--b.c", "z", "--h", "{"])
+    arguments = ["--a", "1", "--b.c=x=y", "--b.d", "[1, 2]", "--e-f", "1e6", "--g", "-3", "--b.c", "z", "--h", "{"]
+    read = cli.overrides(arguments)
     assert read == {"a": 1, "b": {"c": "z", "d": [1, 2]}, "e_f": "1e6", "g": -3, "h": "{"}
 
 
@@ -244,6 +281,7 @@ def test_overrides_are_read_as_yaml():
         (["--seed", "null"], ["seed", "None", "number"]),
         (["--ppo", "5"], ["ppo", "5"]),
         (["--changes", "5"], ["changes", "5", "mapping"]),
+        (["--changes.wheel.preset", "[1]"], ["preset", "[1]"]),
         (["--changes.course", "5"], ["course", "5"]),
         (["--changes.course.length", "-5"], ["length", "-5", "[1, 10000] m"]),
         (["--scenario", "mixd"], ["mixd", "did you mean 'mixed'"]),
@@ -255,11 +293,11 @@ def test_overrides_are_read_as_yaml():
         (["--courses", "5", "--seed"], ["seed", "value"]),
         (["5"], ["'5'", "--key value"]),
         (["-x", "5"], ["-x", "--key value"]),
-        (["--", "5"], ["5"]),
+        (["--", "5"], []),
         (["--name", "a/b"], ["a/b", "name"]),
         (["--name", "/tmp/x"], ["/tmp/x", "name"]),
         (["--name", "."], ["name", "'.'"]),
-        (["--name", ".."], ["name", "'..'"]),
+        (["--name", ".."], [".."]),
         (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
         (["--resume", ""], ["resume"]),
         (["--config", ""], ["config"]),

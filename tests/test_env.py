@@ -1,0 +1,416 @@
+"""The environment as others use it: checkers, registration, determinism, actions, arguments, info, video."""
+
+import math
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+import yaml
+from gymnasium.utils.env_checker import check_env
+
+import soil_env
+from soil_env.env import SoilWheelEnv
+from soil_env.parameters import ParameterError, load_scenario, scenario_names, soils
+from soil_env.task import VARIANTS, Cause
+from soil_env.traversability import best_working_point
+
+MODES = ("torque", "wheel_speed")
+
+
+def act(value):
+    return np.array([value], dtype=np.float32)
+
+
+def run(env, seed, steps, actions=None):
+    """(observations, rewards, infos, ended) of one episode under random, held actions."""
+    rng = np.random.default_rng(0)
+    observation, info = env.reset(seed=seed)
+    rows, rewards, infos = [observation], [], [info]
+    for k in range(steps):
+        if k % 5 == 0:
+            action = rng.uniform(0.1, 0.6)
+        observation, reward, terminated, truncated, info = env.step(act(action if actions is None else actions[k]))
+        rows.append(observation)
+        rewards.append(reward)
+        infos.append(info)
+        if terminated or truncated:
+            return np.array(rows), np.array(rewards), infos, True
+    return np.array(rows), np.array(rewards), infos, False
+
+
+# --- checkers and registration ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", scenario_names())
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_checkers(scenario, mode, variant):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*(not have a spec|render|spec).*")
+        check_env(SoilWheelEnv(scenario, observation=variant, action=mode), skip_render_check=True)
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    checker.check_env(SoilWheelEnv(scenario, observation=variant, action=mode), warn=True)
+
+
+def test_checker_with_rendering():
+    check_env(gymnasium.make("SoilWheel-v0", render_mode="rgb_array").unwrapped)
+
+
+@pytest.mark.parametrize("code", [
+    "import gymnasium; e = gymnasium.make('soil_env:SoilWheel-v0')",
+    "import gymnasium, soil_env; e = gymnasium.make('SoilWheel-v0')",
+    "import soil_env, gymnasium; e = gymnasium.make('soil_env:SoilWheel-v0', observation='blind').unwrapped",
+])  # fmt: skip
+def test_registration_in_a_fresh_process(code):
+    code += "; assert type(e.unwrapped).__name__ == 'SoilWheelEnv'; print(e.reset(seed=0)[0].shape)"
+    done = subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == ("(11,)" if "blind" in code else "(18,)")
+
+
+def test_spec_and_spaces():
+    env = gymnasium.make("SoilWheel-v0")
+    assert env.spec.id == "SoilWheel-v0"
+    assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
+    assert env.observation_space.dtype == np.float32 and env.observation_space.shape == (18,)
+    assert len(env.unwrapped.observation_names) == 18
+
+
+# --- determinism ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_same_seed_same_run(mode):
+    a, b = (run(SoilWheelEnv(action=mode), 7, 300) for _ in range(2))
+    np.testing.assert_array_equal(a[0], b[0])
+    np.testing.assert_array_equal(a[1], b[1])
+    assert a[2] == b[2]
+    other = run(SoilWheelEnv(action=mode), 8, 300)
+    assert not np.array_equal(a[0][:50], other[0][:50])
+
+
+def test_a_used_env_runs_the_same_when_seeded_again():
+    env = SoilWheelEnv()
+    first = run(env, 3, 150)
+    run(env, 4, 70)
+    again = run(env, 3, 150)
+    np.testing.assert_array_equal(first[0], again[0])
+
+
+def test_reset_without_a_seed_goes_on():
+    """Further episodes differ from each other, and follow from the first seed."""
+    runs = []
+    for _ in range(2):
+        env = SoilWheelEnv()
+        runs.append([env.reset(seed=5)[0], env.reset()[0], env.reset()[0]])
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert len({tuple(row) for row in runs[0]}) == 3
+    a, b = SoilWheelEnv(), SoilWheelEnv()
+    assert not np.array_equal(a.reset()[0], b.reset()[0])
+
+
+def test_returned_arrays_are_not_overwritten():
+    env = SoilWheelEnv()
+    first, info = env.reset(seed=0)
+    kept, kept_info = first.copy(), repr(info)
+    second = env.step(act(0.5))[0]
+    kept_second = second.copy()
+    env.step(act(0.9))
+    np.testing.assert_array_equal(first, kept)
+    np.testing.assert_array_equal(second, kept_second)
+    assert repr(info) == kept_info
+
+
+# --- actions ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", [
+    0.5, [], [0.1, 0.2], [[0.1]], [math.nan], [math.inf], [-math.inf], np.zeros((1, 1), np.float32),
+])  # fmt: skip
+def test_bad_actions_are_named_and_change_nothing(bad):
+    env, untouched = SoilWheelEnv(), SoilWheelEnv()
+    for e in (env, untouched):
+        e.reset(seed=0)
+    with pytest.raises(ValueError, match="action") as raised:
+        env.step(bad)
+    assert "\n" not in str(raised.value) and "expected" in str(raised.value)
+    np.testing.assert_array_equal(env.step(act(0.4))[0], untouched.step(act(0.4))[0])
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(("wild", "bound"), [(3.0, 1.0), (-1e9, -1.0)])
+def test_actions_are_cut_to_the_bounds(wild, bound, mode):
+    envs = SoilWheelEnv(action=mode), SoilWheelEnv(action=mode)
+    a, b = (run(env, 0, 15, [x] * 15)[0] for env, x in zip(envs, (wild, bound), strict=True))
+    np.testing.assert_array_equal(a, b)
+    assert envs[0].simulation.worlds.state[0]["last_action"] == bound
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_actions_matter_and_mean_what_they_say(mode):
+    env = SoilWheelEnv(action=mode, course={"halt_interval": [1e5, 1e5], "grade_deg": [-1, 0]})
+    env.reset(seed=0)
+    for _ in range(20):
+        info = env.step(act(0.5))[4]
+    wheel = env.scenario.wheel
+    if mode == "torque":
+        assert info["state"]["motor_torque"] == pytest.approx(
+            min(0.5, 1.0 - info["state"]["wheel_speed"] / wheel.no_load_speed) * wheel.stall_torque
+        )
+    else:
+        assert info["state"]["wheel_speed"] == pytest.approx(0.5 * wheel.no_load_speed, rel=0.1)
+
+
+def test_order_is_enforced():
+    env = SoilWheelEnv(control={"time_limit": 1.0})
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(act(0.1))
+    assert run(env, 0, 10)[3]
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(act(0.1))
+    env.reset()
+    env.step(act(0.1))
+
+
+# --- commanded halts --------------------------------------------------------------------------------------------------
+
+
+def test_halts_happen_and_ignore_the_action():
+    halts = []
+    for action_in_halt in (0.5, -1.0):
+        env = SoilWheelEnv(course={"grade_deg": [-1.0, 0.0]})
+        observation, _ = env.reset(seed=1)
+        rows = [observation]
+        for _ in range(80):
+            rows.append(env.step(act(action_in_halt if rows[-1][10] else 0.5))[0])
+        halts.append(np.array(rows))
+    np.testing.assert_array_equal(halts[0], halts[1])
+    halted = halts[0][:, 10] == 1.0
+    starts = np.flatnonzero(np.diff(halted.astype(int)) == 1)
+    assert len(starts) >= 2
+    first = np.flatnonzero(halted)[: round(env.scenario.course.halt_time / env.scenario.control.period)]
+    assert np.all(np.diff(first) == 1)
+    assert np.all(halts[0][first[1:], 8] == 0.0)  # the command that was in force
+    assert abs(halts[0][first[-1], 5]) < 0.02  # it stands
+    assert halts[0][first[0] - 1, 5] > 0.1  # it did not before
+    with_no_halts = run(SoilWheelEnv(course={"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]}), 1, 80)[0]
+    assert not with_no_halts[:, 10].any()
+
+
+def test_halt_intervals_are_those_of_the_scenario():
+    env = SoilWheelEnv(course={"grade_deg": [-1.0, 0.0], "halt_interval": [2.0, 2.0]})
+    env.reset(seed=1)
+    places = []
+    for _ in range(160):
+        observation, _, _, _, info = env.step(act(0.5))
+        if observation[10] and (not places or info["state"]["x"] > places[-1] + 0.3):
+            places.append(info["state"]["x"])
+    assert len(places) >= 2
+    np.testing.assert_allclose(np.diff([0.0, *places]), 2.0, atol=0.35)
+
+
+# --- arguments --------------------------------------------------------------------------------------------------------
+
+
+def test_keyword_arguments_reach_the_scenario():
+    env = gymnasium.make(
+        "SoilWheel-v0", course={"length": 21.0}, wheel="paper_vehicle", noise={"slip": 0.5}, gravity=3.7,
+        soils={"snow": 2}, action="wheel_speed", control={"period": 0.2},
+    ).unwrapped  # fmt: skip
+    s = env.scenario
+    assert (s.course.length, s.wheel.radius, s.noise.slip, s.gravity) == (21.0, 0.6274, 0.5, 3.7)
+    assert s.soils == {"snow": 2.0} and (s.control.action, s.control.period) == ("wheel_speed", 0.2)
+    default = load_scenario("mixed")
+    assert s.noise.sinkage == default.noise.sinkage and s.course.border == default.course.border
+    assert env.simulation.numbers.course.length == 21.0 and env.metadata["render_fps"] == 5
+    assert SoilWheelEnv.metadata["render_fps"] == 10
+
+
+def test_a_changed_env_does_not_change_the_next():
+    SoilWheelEnv(course={"length": 30.0}, reward={"progress": 1.0})
+    assert SoilWheelEnv().scenario == load_scenario("mixed")
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    ({"cours": {}}, ["'cours'", "did you mean 'course'"]),
+    ({"course": {"lenght": 3}}, ["'lenght'", "did you mean 'length'"]),
+    ({"observation": "x"}, ["observation", "'x'", "blind", "identified", "true_soil"]),
+    ({"observation": "identifed"}, ["did you mean 'identified'"]),
+    ({"render_mode": "x"}, ["render_mode = 'x'", "rgb_array", "human"]),
+    ({"action": "torqe"}, ["'torqe'", "'torque'", "'wheel_speed'"]),
+    ({"scenario": "mixd"}, ["'mixd'", "did you mean 'mixed'"]),
+    ({"scenario": "nowhere.yaml"}, ["nowhere.yaml", "cannot be read"]),
+    ({"wheel": "planetary"}, ["'planetary'", "planetary_rover"]),
+    ({"soils": {"dry_sandd": 1}}, ["'dry_sandd'", "dry_sand"]),
+    ({"course": {"length": -1}}, ["length", "-1", "expected"]),
+    ({"gravity": "heavy"}, ["gravity", "'heavy'", "number"]),
+    ({"gravity": math.nan}, ["gravity", "nan"]),
+])  # fmt: skip
+def test_bad_arguments_are_named(arguments, words):
+    with pytest.raises(ParameterError) as raised:
+        SoilWheelEnv(**arguments)
+    message = str(raised.value)
+    assert all(word in message for word in words), message
+    assert "\n" not in message and isinstance(raised.value, soil_env.ParameterError)
+
+
+def test_yaml_file_as_scenario(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump({
+        "wheel": {"preset": "planetary_rover", "body_mass": 20.0}, "soils": {"lete_sand": 1}, "course": {"length": 5.0},
+    }))  # fmt: skip
+    for which in (path, str(path)):
+        env = gymnasium.make("SoilWheel-v0", scenario=which, gravity=1.6).unwrapped
+        assert (env.scenario.name, env.scenario.wheel.body_mass, env.scenario.gravity) == ("mine", 20.0, 1.6)
+        assert env.scenario.course.length == 5.0 and env.scenario.wheel.radius == 0.15
+        assert env.observation_space.contains(env.reset(seed=0)[0])
+    path.write_text("wheel: planetary_rover\nsoils: {lete_sand: 1}\ncours: {}\n")
+    with pytest.raises(ParameterError, match="mine.yaml.*'cours'.*'course'"):
+        SoilWheelEnv(path)
+
+
+def test_a_scenario_object():
+    scenario = load_scenario("mixed", {"course": {"length": 4.0}})
+    assert SoilWheelEnv(scenario).scenario == scenario
+    assert SoilWheelEnv(scenario, gravity=2.0).scenario.course.length == 4.0
+
+
+def test_reset_options_are_refused():
+    with pytest.raises(ValueError, match="options.*'x'"):
+        SoilWheelEnv().reset(options={"x": 1})
+    SoilWheelEnv().reset(options={})
+
+
+# --- info -------------------------------------------------------------------------------------------------------------
+
+
+def check_info(info, observation, env):
+    assert set(info) == {"cause", "immobilised", "reward_terms", "estimate", "traversability", "state"}
+    assert info["cause"] in Cause.__members__
+    assert info["immobilised"] is (info["cause"] in ("ENTRAPPED", "STALLED", "BOGGED"))
+    assert set(info["reward_terms"]) == {"progress", "energy", "immobilisation"}
+    assert set(info["traversability"]) == {
+        "best_slip", "drawbar_margin", "torque_required", "torque_available", "passable"}  # fmt: skip
+    assert info["traversability"]["passable"] == (info["traversability"]["drawbar_margin"] > 0.0)
+    e, names = info["estimate"], dict(zip(env.observation_names, observation, strict=True))
+    assert math.radians(e["friction_angle_deg"]) == pytest.approx(names["friction_angle"], rel=1e-5)
+    assert math.log10(e["shear_modulus"]) == pytest.approx(names["log10_shear_modulus"], rel=1e-5)
+    assert math.log10(e["sinkage_coefficient"]) == pytest.approx(names["log10_sinkage_coefficient"], rel=1e-5)
+    assert math.radians(e["friction_angle_sd_deg"]) == pytest.approx(names["friction_angle_sd"], rel=1e-5)
+    assert e["shear_modulus_relative_sd"] == pytest.approx(names["shear_modulus_sd"], rel=1e-5)
+    assert e["sinkage_coefficient_relative_sd"] == pytest.approx(names["sinkage_coefficient_sd"], rel=1e-5)
+    assert (e["status"] == "CONVERGED") == (names["estimate_valid"] == 1.0)
+    s, noise = info["state"], env.scenario.noise
+    assert abs(s["sinkage"] / env.scenario.wheel.radius - names["sinkage"]) < 6.0 * noise.sinkage / 0.15 + 1e-6
+    assert abs(s["grade"] - names["pitch"]) < 6.0 * noise.pitch
+    assert s["x"] / env.scenario.course.length == pytest.approx(names["progress"], abs=1e-6)
+
+
+def test_info_is_as_documented():
+    env = SoilWheelEnv(course={"length": 3.0})
+    causes = set()
+    for seed in range(6):
+        rows, rewards, infos, ended = run(env, seed, 900, [0.3 if seed % 2 else 1.0] * 900)
+        assert ended
+        for observation, reward, info in zip(rows, [0.0, *rewards], infos, strict=True):
+            check_info(info, observation, env)
+            assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-12)
+        assert [i["cause"] == "RUNNING" for i in infos] == [True] * (len(infos) - 1) + [False]
+        causes.add(infos[-1]["cause"])
+    assert "FINISHED" in causes and causes & {"ENTRAPPED", "STALLED", "BOGGED"}
+
+
+@pytest.mark.parametrize(("changes", "expected"), [
+    ({}, (True, False)), ({"control": {"time_limit": 1.0}}, (False, True)),
+])  # fmt: skip
+def test_terminated_and_truncated(changes, expected):
+    env = SoilWheelEnv(course={"length": 2.0, "grade_deg": [-2, 0]}, **changes)
+    env.reset(seed=0)
+    terminated = truncated = False
+    steps = 0
+    while not (terminated or truncated):
+        _, _, terminated, truncated, info = env.step(act(0.4))
+        steps += 1
+    assert (terminated, truncated) == expected
+    assert info["cause"] == ("FINISHED" if terminated else "TIME_LIMIT")
+    assert terminated or steps == 10
+
+
+def test_traversability_is_that_of_the_estimate():
+    """Recomputed from observation and estimate alone at every renewal."""
+    env = SoilWheelEnv()
+    observation, info = env.reset(seed=2)
+    wheel, renewed = env.scenario.wheel, 0
+    for k in range(120):
+        before = info["traversability"]
+        observation, _, ended, _, info = env.step(act(0.3 + 0.2 * math.sin(0.5 * k)))
+        found = info["traversability"]
+        if found != before:
+            renewed += 1
+            load = max(float(observation[3]), 0.05) * env.scenario.weight
+            soil = env.estimate().state(wheel.width)
+            best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
+            assert found["best_slip"] == best.slip and found["torque_required"] == best.torque
+            assert found["drawbar_margin"] == pytest.approx(best.drawbar_pull / load - math.tan(observation[7]))
+            assert found["torque_available"] == wheel.stall_torque
+        if ended:
+            break
+    assert renewed > 5
+
+
+def test_traversability_never_uses_the_true_soil(monkeypatch):
+    """With the readings held, other ground, state or truth changes nothing of it; a worse estimate does."""
+    env = SoilWheelEnv()
+    run(env, 2, 40)
+    env._warn()
+    before = env._info()["traversability"]
+    env.simulation.worlds.courses.soils[:] *= 0.5
+    env.simulation.worlds.courses.grades[:] += 0.1
+    for name in ("sinkage", "load", "mass", "grade", "x", "slip"):
+        env.simulation.worlds.state[name] *= 1.5
+    env._warn()
+    assert env._info()["traversability"] == before
+    env.simulation.worlds.ids.estimate[0, 0] -= 0.2
+    env._warn()
+    assert env._info()["traversability"]["drawbar_margin"] < before["drawbar_margin"] - 0.05
+
+
+def test_extreme_estimates_do_not_stop_the_episode():
+    """The box of the identifier's unknowns is wider than anything drawn: each corner must still give a warning."""
+    from soil_env.identification import LOWER, UPPER
+
+    env = SoilWheelEnv()
+    env.reset(seed=0)
+    for corner in np.array(np.meshgrid(*zip(LOWER, UPPER, strict=True))).T.reshape(-1, 3):
+        env.simulation.worlds.ids.estimate[0] = corner
+        env._warn()
+        assert all(math.isfinite(v) for k, v in env._info()["traversability"].items() if k in ("best_slip",))
+        assert not math.isnan(env._info()["traversability"]["drawbar_margin"])
+
+
+def test_true_soil_is_that_of_the_course():
+    env = SoilWheelEnv(soils={"lete_sand": 1}, spread=dict.fromkeys(
+        ("friction", "cohesion", "shear_modulus", "stiffness", "dig_gain", "exponent"), 0.0))  # fmt: skip
+    env.reset(seed=0)
+    np.testing.assert_allclose(env.true_soil(), soils()["lete_sand"].state(env.scenario.wheel.width), rtol=1e-9)
+
+
+# --- video ------------------------------------------------------------------------------------------------------------
+
+
+def test_record_video(tmp_path):
+    pytest.importorskip("moviepy")
+    env = gymnasium.make("SoilWheel-v0", render_mode="rgb_array", course={"length": 1.0, "grade_deg": [-1.0, 0.0]})
+    env = gymnasium.wrappers.RecordVideo(env, str(tmp_path / "videos"), disable_logger=True)
+    env.reset(seed=0)
+    for _ in range(60):
+        if any(env.step(act(0.5))[2:4]):
+            break
+    env.close()
+    videos = list(tmp_path.glob("videos/*.mp4"))
+    assert len(videos) == 1 and videos[0].stat().st_size > 5000
+    assert b"ftyp" in videos[0].read_bytes()[:32]

@@ -1,0 +1,301 @@
+"""The vector environment: bit for bit the scalar one, in every autoreset mode and with any number of threads."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from soil_env.env import SoilWheelEnv
+from soil_env.parameters import ParameterError
+from soil_env.task import VARIANTS, Cause
+from soil_env.vector_env import SoilWheelVectorEnv
+
+WHEELS, STEPS = 5, 260
+SHORT = {"course": {"length": 2.0}}  # episodes of a few seconds: several ends and resets within STEPS
+
+
+def actions(seed=0, wheels=WHEELS, steps=STEPS):
+    """Held random actions [steps, wheels, 1]: full throttle, full reverse and out of range among them."""
+    rng = np.random.default_rng(seed)
+    held = rng.uniform(0.0, 1.0, (steps // 8 + 1, wheels, 1))
+    held[rng.random(held.shape) < 0.15] = 1.0
+    held[rng.random(held.shape) < 0.08] = -1.0
+    held[rng.random(held.shape) < 0.08] = 1.7
+    return np.repeat(held, 8, axis=0)[:steps].astype(np.float32)
+
+
+def same_info(info, k, scalar):
+    assert Cause(info["cause"][k]).name == scalar["cause"]
+    assert info["x"][k] == scalar["state"]["x"]
+    assert {name: row[k] for name, row in info["reward_terms"].items()} == scalar["reward_terms"]
+
+
+# --- equal to the scalar environment ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_next_step_is_the_scalar_env_bit_for_bit(variant, mode):
+    many = SoilWheelVectorEnv(WHEELS, observation=variant, action=mode, **SHORT)
+    one = [SoilWheelEnv(observation=variant, action=mode, **SHORT) for _ in range(WHEELS)]
+    observations, info = many.reset(seed=11)
+    for k, env in enumerate(one):
+        first, scalar = env.reset(seed=11 + k)
+        np.testing.assert_array_equal(observations[k], first)
+        same_info(info, k, scalar)
+    done, ends = [False] * WHEELS, 0
+    for a in actions():
+        observations, rewards, terminated, truncated, info = many.step(a)
+        for k, env in enumerate(one):
+            if done[k]:  # this step resets, whatever the action
+                expected = (*env.reset()[:1], 0.0, False, False, env._info())
+            else:
+                expected = env.step(a[k])
+            np.testing.assert_array_equal(observations[k], expected[0])
+            assert (rewards[k], terminated[k], truncated[k]) == expected[1:4]
+            same_info(info, k, expected[4])
+            done[k] = expected[2] or expected[3]
+            ends += done[k]
+    assert ends >= 4
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_same_step_resets_within_the_step(variant):
+    many = SoilWheelVectorEnv(WHEELS, observation=variant, autoreset_mode="SameStep", max_episode_steps=50, **SHORT)
+    short = SHORT | {"control": {"time_limit": 5.0}}
+    one = [SoilWheelEnv(observation=variant, **short) for _ in range(WHEELS)]
+    many.reset(seed=[3, 1, 4, 1, 5])
+    for env, seed in zip(one, (3, 1, 4, 1, 5), strict=True):
+        env.reset(seed=seed)
+    ends = 0
+    for a in actions(1, steps=160):
+        observations, rewards, terminated, truncated, info = many.step(a)
+        ended = terminated | truncated
+        assert ("final_obs" in info) == ended.any()
+        for k, env in enumerate(one):
+            last, reward, scalar_terminated, scalar_truncated, scalar = env.step(a[k])
+            assert (rewards[k], terminated[k], truncated[k]) == (reward, scalar_terminated, scalar_truncated)
+            if ended[k]:
+                assert info["_final_obs"][k] and info["_final_info"][k]
+                np.testing.assert_array_equal(info["final_obs"][k], last)
+                same_info(info["final_info"], k, scalar)
+                np.testing.assert_array_equal(observations[k], env.reset()[0])
+                ends += 1
+            else:
+                np.testing.assert_array_equal(observations[k], last)
+                if ended.any():
+                    assert info["final_obs"][k] is None and not info["_final_obs"][k]
+    assert ends >= 10
+
+
+def test_disabled_waits_for_a_reset_of_the_ended():
+    many = SoilWheelVectorEnv(WHEELS, autoreset_mode=AutoresetMode.DISABLED, **SHORT)
+    one = [SoilWheelEnv(**SHORT) for _ in range(WHEELS)]
+    many.reset(seed=0)
+    for k, env in enumerate(one):
+        env.reset(seed=k)
+    resets = 0
+    for a in actions(2, steps=200):
+        observations, _, terminated, truncated, _ = many.step(a)
+        expected = [env.step(a[k]) for k, env in enumerate(one)]
+        np.testing.assert_array_equal(observations, [e[0] for e in expected])
+        ended = terminated | truncated
+        np.testing.assert_array_equal(ended, [e[2] or e[3] for e in expected])
+        if ended.any():
+            with pytest.raises(gymnasium.error.ResetNeeded, match="reset_mask"):
+                many.step(a)
+            observations, _ = many.reset(options={"reset_mask": ended})
+            for k in range(WHEELS):
+                np.testing.assert_array_equal(observations[k], one[k].reset()[0] if ended[k] else expected[k][0])
+            resets += 1
+    assert resets >= 3
+
+
+def test_a_seed_for_some_wheels_only():
+    many = SoilWheelVectorEnv(3, autoreset_mode="Disabled")
+    first, _ = many.reset(seed=[5, None, 7])
+    np.testing.assert_array_equal(first[0], SoilWheelEnv().reset(seed=5)[0])
+    np.testing.assert_array_equal(first[2], SoilWheelEnv().reset(seed=7)[0])
+    for _ in range(3):
+        before = many.step(np.full((3, 1), 0.4))[0]
+    after, _ = many.reset(seed=[9, 9, 9], options={"reset_mask": np.array([False, True, False])})
+    np.testing.assert_array_equal(after[1], SoilWheelEnv().reset(seed=9)[0])
+    np.testing.assert_array_equal(after[[0, 2]], before[[0, 2]])
+
+
+def test_seeds_single_and_listed():
+    env = SoilWheelVectorEnv(4)
+    single, _ = env.reset(seed=20)
+    listed, _ = SoilWheelVectorEnv(4).reset(seed=[20, 21, 22, 23])
+    np.testing.assert_array_equal(single, listed)
+    np.testing.assert_array_equal(env.reset(seed=20)[0], single)
+    assert not np.array_equal(env.reset()[0], single)
+    assert len({tuple(row) for row in single}) == 4
+    fresh = SoilWheelVectorEnv(2), SoilWheelVectorEnv(2)
+    assert not np.array_equal(fresh[0].reset()[0], fresh[1].reset()[0])
+
+
+# --- threads, arrays, limits ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_the_number_of_threads_changes_nothing(mode):
+    runs = []
+    for threads in (1, 2, 3):
+        env = SoilWheelVectorEnv(64, threads=threads, autoreset_mode=mode, **SHORT)
+        rows = [env.reset(seed=0)[0]]
+        for a in actions(3, 64, 80):
+            observations, rewards, terminated, truncated, _ = env.step(a)
+            rows.append(np.column_stack([observations, rewards, terminated, truncated]))
+        runs.append(rows)
+    assert np.sum([row[:, -2] for row in runs[0][1:]]) > 3
+    for other in runs[1:]:
+        for a, b in zip(runs[0], other, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def leaves(x):
+    """All arrays in what reset or step returned."""
+    if isinstance(x, (dict, tuple)):
+        return [leaf for y in (x.values() if isinstance(x, dict) else x) for leaf in leaves(y)]
+    if isinstance(x, np.ndarray) and x.dtype == object:
+        return [y for y in x if y is not None]
+    return [x]
+
+
+def test_returned_arrays_are_not_overwritten():
+    env = SoilWheelVectorEnv(20, autoreset_mode="SameStep", max_episode_steps=3)
+    for k in range(6):
+        outputs = env.step(np.full((20, 1), 0.1 * k)) if k else env.reset(seed=0)
+        arrays = leaves(outputs)
+        kept = [np.copy(a) for a in arrays]
+        env.step(np.full((20, 1), 0.7))
+        for a, b in zip(arrays, kept, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_actions_are_not_written_to():
+    env = SoilWheelVectorEnv(3)
+    env.reset(seed=0)
+    a = np.full((3, 1), 2.5)
+    env.step(a)
+    assert np.all(a == 2.5)
+
+
+def test_max_episode_steps():
+    env = SoilWheelVectorEnv(3, max_episode_steps=20)
+    env.reset(seed=0)
+    for k in range(1, 21):
+        _, _, terminated, truncated, info = env.step(np.full((3, 1), 0.3))
+        assert not terminated.any()
+        assert np.all(truncated == (k == 20))
+    assert np.all(info["cause"] == Cause.TIME_LIMIT)
+    assert SoilWheelVectorEnv(1, max_episode_steps=10**6).simulation.numbers.task.steps == 900
+
+
+# --- registration and spaces ------------------------------------------------------------------------------------------
+
+
+def test_make_vec():
+    env = gymnasium.make_vec("soil_env:SoilWheel-v0", num_envs=3, vectorization_mode="vector_entry_point")
+    assert isinstance(env.unwrapped, SoilWheelVectorEnv) and env.num_envs == 3
+    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    observations, _ = env.reset(seed=0)
+    assert observations.shape == env.observation_space.shape == (3, 18) and observations.dtype == np.float32
+    assert env.observation_space.contains(observations)
+    observations, rewards, terminated, truncated, _ = env.step(env.action_space.sample())
+    assert rewards.shape == terminated.shape == truncated.shape == (3,)
+    assert terminated.dtype == truncated.dtype == np.bool_ and rewards.dtype == np.float64
+    env.close()
+
+
+def test_make_vec_with_arguments():
+    env = gymnasium.make_vec("SoilWheel-v0", 2, "vector_entry_point", observation="blind", course={"length": 30.0},
+                             autoreset_mode="SameStep")  # fmt: skip
+    assert env.single_observation_space.shape == (11,) and env.unwrapped.scenario.course.length == 30.0
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_metadata_names_the_mode_as_the_enum(mode):
+    for given in (mode, mode.value):
+        assert SoilWheelVectorEnv(2, autoreset_mode=given).metadata["autoreset_mode"] is mode
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_spaces_are_those_of_the_scalar_env(variant):
+    many, one = SoilWheelVectorEnv(4, observation=variant), SoilWheelEnv(observation=variant)
+    assert many.single_observation_space == one.observation_space
+    assert many.single_action_space == one.action_space
+    assert many.observation_names == one.observation_names
+    assert many.action_space.shape == (4, 1)
+
+
+def test_a_gymnasium_wrapper_works_on_it():
+    env = gymnasium.wrappers.vector.RecordEpisodeStatistics(SoilWheelVectorEnv(3, max_episode_steps=5))
+    env.reset(seed=0)
+    total = np.zeros(3)
+    for _ in range(5):
+        _, rewards, _, _, info = env.step(np.full((3, 1), 0.4))
+        total += rewards
+    np.testing.assert_allclose(info["episode"]["r"], total)
+    assert np.all(info["episode"]["l"] == 5)
+
+
+# --- errors -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    ({"num_envs": 0}, "num_envs = 0: expected a whole number >= 1"),
+    ({"num_envs": 2.5}, "num_envs = 2.5"),
+    ({"max_episode_steps": 0}, "max_episode_steps = 0"),
+    ({"autoreset_mode": "Sometimes"}, "autoreset_mode = 'Sometimes': expected one of 'NextStep'"),
+    ({"render_mode": "rgb_array"}, "render_mode"),
+    ({"observation": "blnd"}, "did you mean 'blind'"),
+    ({"cours": {}}, "did you mean 'course'"),
+    ({"max_episode_steps": 2.5}, "max_episode_steps = 2.5"),
+    ({"threads": -1}, "threads"),
+])  # fmt: skip
+def test_bad_arguments_are_named(arguments, words):
+    with pytest.raises(ParameterError) as raised:
+        SoilWheelVectorEnv(**arguments)
+    assert words in str(raised.value) and "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(("bad", "words"), [
+    (np.zeros(2), r"shape \(2, 1\), got \(2,\)"), (np.zeros((3, 1)), r"shape \(2, 1\), got \(3, 1\)"),
+    (np.array([[0.0], [np.nan]]), "finite"), (np.array([[np.inf], [0.0]]), "finite"),
+])  # fmt: skip
+def test_bad_actions_are_named_and_change_nothing(bad, words):
+    env, untouched = SoilWheelVectorEnv(2), SoilWheelVectorEnv(2)
+    for e in (env, untouched):
+        e.reset(seed=0)
+    with pytest.raises(ValueError, match=words):
+        env.step(bad)
+    a = np.full((2, 1), 0.4)
+    np.testing.assert_array_equal(env.step(a)[0], untouched.step(a)[0])
+
+
+def test_bad_resets_are_named():
+    env = SoilWheelVectorEnv(3)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros((3, 1)))
+    with pytest.raises(ValueError, match="expected 3 seeds, got 2"):
+        env.reset(seed=[1, 2])
+    with pytest.raises(ValueError, match=r"reset_mask: expected shape \(3,\), got \(2,\)"):
+        env.reset(options={"reset_mask": np.ones(2, dtype=bool)})
+    with pytest.raises(ValueError, match="options.*'x'"):
+        env.reset(options={"x": 1})
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_stepping_wheels_that_were_never_reset_is_refused(mode):
+    """A first reset with a mask leaves the others without a course."""
+    env = SoilWheelVectorEnv(2, autoreset_mode=mode)
+    try:
+        env.reset(seed=0, options={"reset_mask": np.array([True, False])})
+        observations = env.step(np.full((2, 1), 0.3))[0]
+    except (gymnasium.error.ResetNeeded, ValueError):
+        return
+    assert np.all(np.isfinite(observations))
+    assert env.simulation.worlds.courses.patches[1] > 0  # or it was reset by the step
