@@ -24,8 +24,8 @@ from soil_env.parameters import Scenario, SoilState
 from soil_env.task import layout
 from soil_env.traversability import best_working_point
 
-_START_SPEED = 0.05  # [m/s] rim speed at which a slip controller starts from rest
-_CREEP = 0.01  # [m/s] by which the rim leads V/(1 - i), so that speed can build up
+_START = 1 / 18  # [of top rim speed] rim speed at which a slip controller starts from rest
+_CREEP = 1 / 90  # [of top rim speed] by which the rim leads V/(1 - i), so that speed can build up
 
 
 class Controller:
@@ -43,8 +43,8 @@ class Controller:
         self.weight_torque = scenario.weight * wheel.radius
         self.period = scenario.control.period
         self.by_speed = scenario.control.action == "wheel_speed"
-        self.gain = 3.0 * self.weight_torque / 22.0
-        self.integral_gain = 5.0 * self.gain
+        self.gain = wheel.inertia / scenario.control.period  # [N m s]: a free wheel is on speed after one period
+        self.integral_gain = 0.68 * self.weight_torque  # [N m] per rad
         self.column = {entry.name: i for i, entry in enumerate(layout(self.variant))}
 
     def rim_speed(self, observation: np.ndarray, state: dict) -> np.ndarray:
@@ -136,7 +136,7 @@ class FixedSlip(Controller):
         """V/(1 - i) with the measured V, at least the starting speed, at most 0.4 of the top rim speed."""
         speed = np.maximum(observation[:, self.column["speed"]] * self.top_speed, 0.0)
         slip = np.minimum(self.target_slip(observation, state), 0.95)
-        return np.clip(speed / (1.0 - slip) + _CREEP, _START_SPEED, 0.4 * self.top_speed)
+        return np.clip(speed / (1.0 - slip) + _CREEP * self.top_speed, _START * self.top_speed, 0.4 * self.top_speed)
 
 
 class BestSlipIdentified(FixedSlip):
