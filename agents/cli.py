@@ -67,6 +67,9 @@ def main(arguments: list[str] | None = None, description: str = "") -> int:
     options, rest = parser(description).parse_known_args(arguments)
     folder = None
     try:
+        for name in ("config", "resume"):
+            if getattr(options, name) == "":
+                raise ParameterError(f"--{name}: expected a path, got nothing")
         changes = overrides(rest)
         from agents import ppo, training
         from soil_env.parameters import load_scenario

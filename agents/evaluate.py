@@ -64,6 +64,11 @@ class Runs:
         }[name]
 
 
+def course_rng(seed: int, course: int) -> np.random.Generator:
+    """The Generator of one course of the set `seed`; no environment seeded with a single number ever gets it."""
+    return np.random.default_rng([seed, course, 1])
+
+
 def run_courses(
     controller,
     scenario: Scenario,
@@ -91,7 +96,7 @@ def run_courses(
 def _run_batch(controller, scenario, seed, start, count):
     sim = Simulation(count, scenario, controller.variant)
     for k in range(count):
-        sim.seed(k, np.random.default_rng([seed, start + k]))
+        sim.seed(k, course_rng(seed, start + k))
     alive = np.ones(count, dtype=bool)
     sim.restart_where(alive)
     w = sim.worlds

@@ -11,7 +11,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from agents.evaluate import METRICS, RATES
+from agents.evaluate import METRICS, RATES, course_rng
 from soil_env.model import sinkage_coefficient_at
 from soil_env.parameters import Scenario
 from soil_env.simulation import Simulation
@@ -45,7 +45,7 @@ def comparison_figure(result: dict, path: Path) -> None:
 def trace(controller, scenario: Scenario, seed: int, course: int) -> tuple[dict[str, np.ndarray], str]:
     """One course driven by `controller`: arrays over time, and the cause of its end."""
     sim = Simulation(1, scenario, controller.variant, threads=1)
-    sim.seed(0, np.random.default_rng([seed, course]))
+    sim.seed(0, course_rng(seed, course))
     sim.restart(0)
     w = sim.worlds
     rows, memory, fresh = [], None, np.array([True])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -156,7 +157,7 @@ def read_meta(path: Path) -> dict:
             meta = json.loads(archive.read(_META))
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read ({error.strerror}); expected a model saved by train.py") from None
-    except (zipfile.BadZipFile, KeyError, ValueError) as error:
+    except (zipfile.BadZipFile, KeyError, ValueError, zlib.error, RuntimeError, NotImplementedError) as error:
         raise ParameterError(f"{path}: not a model saved by train.py ({error})") from None
     if not isinstance(meta, dict):
         raise ParameterError(f"{path}: {_META}: expected a mapping, got {type(meta).__name__}")
@@ -216,7 +217,8 @@ def _load_zip(path: Path, **options) -> PPO:
     try:
         return PPO.load(path, device="cpu", **options)
     except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
-        raise ParameterError(f"{path}: cannot be loaded as a PPO model ({type(error).__name__}: {error})") from None
+        reason = (str(error).splitlines() or [""])[0][:200]
+        raise ParameterError(f"{path}: cannot be loaded as a PPO model ({type(error).__name__}: {reason})") from None
 
 
 def resume(path: Path, scenario: Scenario, observation: str, config: PPOConfig, seed: int, log: Path | None) -> PPO:
@@ -235,7 +237,7 @@ def resume(path: Path, scenario: Scenario, observation: str, config: PPOConfig, 
         custom_objects={"learning_rate": _schedule(config), "lr_schedule": _schedule(config)},
         tensorboard_log=None if log is None else str(log),
     )
-    model.set_random_seed(seed + meta["timesteps"])  # loading has set the seed of the start of the run
+    model.set_random_seed((seed + meta["timesteps"]) % 2**31)  # loading has set the seed of the start of the run
     return model
 
 

@@ -19,7 +19,7 @@ from agents.ppo import TrainConfig
 from soil_env.loading import ParameterError, read_yaml, to_dict
 from soil_env.parameters import Scenario, load_scenario
 
-#: Course sets. Training draws its courses from streams seeded with the run's seed; these two are disjoint from them.
+#: Course sets (`evaluate.course_rng`), disjoint from each other and from all courses of training.
 TUNING_SET, HELD_OUT_SET = 1_000_001, 2_000_003
 _SLIPS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)
 _SPEED_SHARES = (0.12, 0.17, 0.22, 0.28, 0.33, 0.4, 0.5)
@@ -44,7 +44,7 @@ class Bar:
                 TimeRemainingColumn(),
                 console=console,
             )
-            self.task = self.live.add_task(f"{title} [{unit}]", total=total, completed=done, note="")
+            self.task = self.live.add_task(escape(f"{title} [{unit}]"), total=total, completed=done, note="")
 
     def __enter__(self):
         if self.live:
@@ -155,7 +155,8 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
                 ppo.save(model, folder / "checkpoint.zip")
                 raise
     ppo.save(model, folder / "model.zip")
-    (folder / "checkpoint.zip").unlink(missing_ok=True)
+    for left_over in (folder / "checkpoint.zip", *folder.glob(".*.partial.zip")):
+        left_over.unlink(missing_ok=True)
     return ppo.load_agent(folder)
 
 

@@ -1,18 +1,22 @@
 """PPO agents: what is saved is what is loaded, training goes on where it stopped, bad files are refused in one line."""
 
-import json
+import os
 import shutil
+import struct
+import zipfile
 
 import numpy as np
 import pytest
+from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents import ppo
-from agents.ppo import NAMES, PPOConfig, TrainConfig, build, load_agent, load_config, resume, save
+from agents.ppo import NAMES, PPOConfig, TrainConfig, build, load_agent, load_config, read_meta, resume, save
 from agents.sb3 import SoilWheelVecEnv
 from soil_env.loading import ParameterError
 from soil_env.parameters import load_scenario
 from soil_env.task import VARIANTS, layout
+from tests.saved import META, edit, rewrite
 
 TINY = PPOConfig(num_envs=8, n_steps=16, batch_size=32, n_epochs=2, layer=8, learning_rate=1e-3)
 ROLLOUT = TINY.num_envs * TINY.n_steps
@@ -36,8 +40,8 @@ def model(scenario):
 
 @pytest.fixture()
 def saved(model, tmp_path):
-    save(model, tmp_path / "model")
-    return tmp_path / "model"
+    save(model, tmp_path / "model.zip")
+    return tmp_path / "model.zip"
 
 
 def raw_observations(scenario, variant, n=20):
@@ -59,17 +63,6 @@ def refused(action, *parts):
     for part in parts:
         assert str(part) in message, f"{part!r} not in {message!r}"
     return message
-
-
-def edit(stem, **changes):
-    path = stem.with_name(stem.name + ".json")
-    meta = json.loads(path.read_text())
-    for key, value in changes.items():
-        if value is None:
-            del meta[key]
-        else:
-            meta[key] = value
-    path.write_text(json.dumps(meta))
 
 
 # --- building ---------------------------------------------------------------------------------------------------------
@@ -127,8 +120,8 @@ def test_training_is_reproducible(scenario):
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_loaded_agent_acts_on_raw_observations_as_the_trained_model(scenario, variant, tmp_path):
     model = trained(scenario, variant)
-    save(model, tmp_path / "model")
-    agent = load_agent(tmp_path / "model")
+    save(model, tmp_path / "model.zip")
+    agent = load_agent(tmp_path / "model.zip")
     raw = raw_observations(scenario, variant)
     env = model.get_vec_normalize_env()
     expected, _ = model.predict(env.normalize_obs(raw), deterministic=True)
@@ -149,20 +142,42 @@ def test_predict_has_the_interface_of_a_controller(saved, scenario):
     assert agent.predict(raw[0])[0].shape == (1,)
 
 
-def test_stem_zip_and_folder_name_the_same_agent(saved, scenario):
+def test_zip_and_run_folder_name_the_same_agent(saved, scenario):
     raw = raw_observations(scenario, "identified")
     expected = load_agent(saved).predict(raw)[0]
-    for where in (str(saved), saved.with_name("model.zip"), saved.parent, str(saved.parent)):
+    for where in (str(saved), saved.parent, str(saved.parent)):
         np.testing.assert_array_equal(load_agent(where).predict(raw)[0], expected)
 
 
-def test_json_describes_the_agent(saved, model, scenario):
-    meta = json.loads(saved.with_name("model.json").read_text())
+def test_a_zip_of_any_name_is_loaded(saved, scenario):
+    raw = raw_observations(scenario, "identified")
+    expected = load_agent(saved).predict(raw)[0]
+    other = saved.rename(saved.with_name("best.of.all.zip"))
+    np.testing.assert_array_equal(load_agent(other).predict(raw)[0], expected)
+    refused(lambda: load_agent(saved.parent), "model.zip")
+
+
+def test_the_zip_describes_the_agent(saved, model, scenario):
+    meta = read_meta(saved)
+    env = model.get_vec_normalize_env()
+    assert meta == read_meta(str(saved)) == load_agent(saved).meta
     assert meta["observation"] == "identified" and meta["timesteps"] == 3 * ROLLOUT
     assert meta["observation_names"] == [e.name for e in layout("identified")]
     assert len(meta["mean"]) == len(meta["var"]) == len(meta["observation_names"])
+    assert meta["mean"] == env.obs_rms.mean.tolist() and meta["var"] == env.obs_rms.var.tolist()
+    assert meta["clip"] == env.clip_obs
     assert meta["scenario"]["control"]["time_limit"] == 3.0
     assert load_scenario(scenario).name == meta["scenario"]["name"]
+
+
+def test_the_zip_is_still_one_of_sb3(saved, model, scenario):
+    raw = raw_observations(scenario, "identified").astype(np.float32)
+    plain = PPO.load(saved, device="cpu")
+    assert plain.num_timesteps == model.num_timesteps
+    np.testing.assert_array_equal(plain.predict(raw, deterministic=True)[0], model.predict(raw, deterministic=True)[0])
+    with zipfile.ZipFile(saved) as archive:
+        assert archive.testzip() is None
+        assert sorted(archive.namelist()).count(META) == 1
 
 
 def test_loading_does_not_need_the_training_environment(saved, scenario, monkeypatch):
@@ -178,31 +193,39 @@ def test_loading_does_not_need_the_training_environment(saved, scenario, monkeyp
 # --- whole files or none ----------------------------------------------------------------------------------------------
 
 
-def test_saving_leaves_just_the_two_files(saved):
-    assert sorted(p.name for p in saved.parent.iterdir()) == ["model.json", "model.zip"]
+def test_saving_leaves_just_the_one_file(saved, model):
+    assert [p.name for p in saved.parent.iterdir()] == ["model.zip"]
+    save(model, saved)
+    assert [p.name for p in saved.parent.iterdir()] == ["model.zip"]
 
 
 def test_leftovers_of_a_killed_save_are_ignored_and_replaced(saved, scenario, model):
     raw = raw_observations(scenario, "identified")
     expected = load_agent(saved).predict(raw)[0]
-    for name in (".model.partial.zip", ".model.json.partial", "model.zip.partial"):
-        saved.with_name(name).write_bytes(b"half a fil")
+    saved.with_name(".model.partial.zip").write_bytes(b"half a fil")
     np.testing.assert_array_equal(load_agent(saved).predict(raw)[0], expected)
+    np.testing.assert_array_equal(load_agent(saved.parent).predict(raw)[0], expected)
     save(model, saved)
     np.testing.assert_array_equal(load_agent(saved).predict(raw)[0], expected)
+    assert [p.name for p in saved.parent.iterdir()] == ["model.zip"]
 
 
-@pytest.mark.parametrize("what", ["zip", "json"])
-def test_a_save_that_fails_half_way_leaves_the_old_agent(saved, scenario, monkeypatch, what):
-    """As a full disk or a kill would: the agent that was there must still load (whichever of the two it is)."""
+@pytest.mark.parametrize("moment", ["model", "meta", "replace"])
+def test_a_save_that_fails_half_way_leaves_the_old_agent(saved, scenario, monkeypatch, moment):
+    """As a full disk or a kill would: the agent that was there is untouched, and the next save goes through."""
     raw = raw_observations(scenario, "identified")
     newer = trained(scenario, rollouts=1, seed=9)
-    old, new = load_agent(saved).predict(raw)[0], newer.predict(newer.get_vec_normalize_env().normalize_obs(raw))[0]
+    old, content = load_agent(saved).predict(raw)[0], saved.read_bytes()
+    new = newer.predict(newer.get_vec_normalize_env().normalize_obs(raw), deterministic=True)[0]
+    assert np.abs(new - old).max() > 1e-3
 
     class Killed(BaseException):
         pass
 
-    if what == "zip":
+    def killed(*args, **kwargs):
+        raise Killed
+
+    if moment == "model":
 
         def half(path, *args, **kwargs):
             with open(path, "wb") as file:
@@ -210,18 +233,27 @@ def test_a_save_that_fails_half_way_leaves_the_old_agent(saved, scenario, monkey
             raise Killed
 
         monkeypatch.setattr(newer, "save", half)
+    elif moment == "meta":
+        write = zipfile.ZipFile.writestr
+
+        def no_meta(self, name, data, *args, **kwargs):
+            if name == META:
+                write(self, name, data[: len(data) // 2], *args, **kwargs)
+                raise Killed
+            return write(self, name, data, *args, **kwargs)
+
+        monkeypatch.setattr(zipfile.ZipFile, "writestr", no_meta)
     else:
-
-        def killed(*args, **kwargs):
-            raise Killed
-
-        monkeypatch.setattr(ppo, "_write", killed)
+        monkeypatch.setattr(os, "replace", killed)
     with pytest.raises(Killed):
         save(newer, saved)
     monkeypatch.undo()
-    got = load_agent(saved).predict(raw)[0]
-    assert np.allclose(got, old, atol=1e-6) or np.allclose(got, new, atol=1e-6), "neither the old agent nor the new one"
+    assert saved.read_bytes() == content
+    np.testing.assert_array_equal(load_agent(saved).predict(raw)[0], old)
     resume(saved, scenario, "identified", TINY, 0, None)  # and a checkpoint can still be resumed
+    save(newer, saved)
+    np.testing.assert_allclose(load_agent(saved).predict(raw)[0], new, atol=1e-6)
+    assert [p.name for p in saved.parent.iterdir()] == ["model.zip"]
 
 
 # --- resume -----------------------------------------------------------------------------------------------------------
@@ -267,24 +299,59 @@ def test_resume_goes_on_with_the_learning_rate(saved, scenario):
     assert rates == pytest.approx([TINY.learning_rate * share for share in (2 / 6, 1 / 6, 0.05)])
 
 
-def test_resume_starts_new_courses_not_those_of_the_beginning(saved, scenario):
-    def first(model):
-        model.learn(0, reset_num_timesteps=False)
-        return model.get_vec_normalize_env().get_original_obs()
+def first_observations(model):
+    """What the wheels see at their start, not normalised."""
+    model.learn(0, reset_num_timesteps=False)
+    return model.get_vec_normalize_env().get_original_obs()
 
-    start = first(build(scenario, "identified", TINY, 0))
-    again = first(resume(saved, scenario, "identified", TINY, 0, None))
-    repeat = first(resume(saved, scenario, "identified", TINY, 0, None))
+
+def apart(a, b):
+    """Smallest difference between any observation of `a` and any of `b`."""
+    return np.abs(a[:, None, :] - b[None, :, :]).max(axis=2).min()
+
+
+def test_resume_starts_new_courses_not_those_of_the_beginning(saved, scenario):
+    start = first_observations(build(scenario, "identified", TINY, 0))
+    again = first_observations(resume(saved, scenario, "identified", TINY, 0, None))
+    repeat = first_observations(resume(saved, scenario, "identified", TINY, 0, None))
     np.testing.assert_array_equal(again, repeat)  # still reproducible
     assert np.abs(start).max(axis=1).min() > 0.1  # these are observations
-    assert (np.abs(again - start).max(axis=1) > 1e-3).all()
+    assert apart(start, again) > 1e-3
+
+
+def test_resume_starts_other_courses_at_each_checkpoint(saved, scenario):
+    at_three = first_observations(resume(saved, scenario, "identified", TINY, 0, None))
+    edit(saved, timesteps=4 * ROLLOUT)
+    at_four = first_observations(resume(saved, scenario, "identified", TINY, 0, None))
+    assert apart(at_three, at_four) > 1e-3
+
+
+def test_resume_draws_other_actions_than_at_the_beginning(saved, scenario):
+    """The noise of exploration is seeded anew too; loading alone would repeat that of the first rollout."""
+
+    def noise(model):
+        """Actions relative to the policy's own, for the same observations."""
+        raw = raw_observations(scenario, "identified", 8).astype(np.float32)
+        return model.predict(raw, deterministic=False)[0] - model.predict(raw, deterministic=True)[0]
+
+    again = noise(resume(saved, scenario, "identified", TINY, 0, None))
+    repeat = noise(resume(saved, scenario, "identified", TINY, 0, None))
+    np.testing.assert_array_equal(again, repeat)
+    loaded = PPO.load(saved, env=ppo.normalised(scenario, "identified", TINY, 0), device="cpu")
+    assert np.abs(again - noise(loaded)).max() > 1e-3
+
+
+def test_resume_after_very_many_steps(saved, scenario):
+    """`timesteps` goes to 10^12: the seed of the new courses must not run out."""
+    edit(saved, timesteps=5_000_000_000)
+    assert resume(saved, scenario, "identified", TINY, 0, None) is not None
 
 
 def test_resume_writes_its_curve_into_the_same_log(scenario, tmp_path):
     model = build(scenario, "blind", TINY, 0, tmp_path / "log")
     model.learn(ROLLOUT, reset_num_timesteps=False, tb_log_name="PPO")
-    save(model, tmp_path / "checkpoint")
-    again = resume(tmp_path / "checkpoint", scenario, "blind", TINY, 0, tmp_path / "log")
+    save(model, tmp_path / "checkpoint.zip")
+    again = resume(tmp_path / "checkpoint.zip", scenario, "blind", TINY, 0, tmp_path / "log")
     again.learn(ROLLOUT, reset_num_timesteps=False, tb_log_name="PPO")
     assert [p.name for p in (tmp_path / "log").iterdir()] == ["PPO_0"]
     assert len(list((tmp_path / "log" / "PPO_0").iterdir())) == 2
@@ -292,11 +359,6 @@ def test_resume_writes_its_curve_into_the_same_log(scenario, tmp_path):
 
 def test_resume_refuses_another_observation(saved, scenario):
     refused(lambda: resume(saved, scenario, "blind", TINY, 0, None), "identified", "blind")
-
-
-def test_resume_refuses_a_zip_and_json_of_different_ages(saved, scenario):
-    edit(saved, timesteps=3 * ROLLOUT + 1)
-    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), 3 * ROLLOUT, 3 * ROLLOUT + 1)
 
 
 @pytest.mark.parametrize("key", ["timesteps", "count", "return_mean", "return_var", "return_count"])
@@ -312,14 +374,15 @@ def test_another_layout_is_refused_and_the_difference_named(saved):
     names = [e.name for e in layout("identified")]
     edit(saved, observation_names=[*names[:4], "wheel_torque", *names[5:]])
     refused(lambda: load_agent(saved), "wheel_torque", "torque", "layout")
-    edit(saved, observation_names=names[:-1])
+    edit(saved, observation_names=names[:-1], mean=[0.0] * (len(names) - 1), var=[1.0] * (len(names) - 1))
     refused(lambda: load_agent(saved), "estimate_valid", len(names) - 1, len(names))
-    edit(saved, observation_names=[names[1], names[0], *names[2:]])
+    swapped = [names[1], names[0], *names[2:]]
+    edit(saved, observation_names=swapped, mean=[0.0] * len(names), var=[1.0] * len(names))
     refused(lambda: load_agent(saved), "order")
 
 
 def test_resume_refuses_another_layout_too(saved, scenario):
-    edit(saved, observation_names=["slip"])
+    edit(saved, observation_names=["slip"], mean=[0.0], var=[1.0])
     refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "layout", "sinkage")
 
 
@@ -328,75 +391,100 @@ def test_an_unknown_variant_is_refused(saved):
     refused(lambda: load_agent(saved), "identifed", "identified")
 
 
-def test_missing_zip(saved):
-    saved.with_name("model.zip").unlink()
+def test_missing_zip(saved, scenario):
+    saved.unlink()
     refused(lambda: load_agent(saved), "model.zip")
+    refused(lambda: load_agent(saved.parent), "model.zip")
+    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip")
 
 
-def test_missing_json(saved):
-    saved.with_name("model.json").unlink()
-    refused(lambda: load_agent(saved), "model.json")
+def test_a_model_without_its_normalisation(saved, model, scenario):
+    """A zip as SB3's own save leaves it."""
+    model.save(saved)
+    refused(lambda: load_agent(saved), "model.zip", "soil_env.json")
+    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip", "soil_env.json")
+
+
+def test_a_normalisation_without_its_model(saved, scenario):
+    with zipfile.ZipFile(saved) as archive:
+        meta = archive.read(META)
+    with zipfile.ZipFile(saved, "w") as archive:
+        archive.writestr(META, meta)
+    refused(lambda: load_agent(saved), "model.zip")
+    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip")
 
 
 def test_missing_folder(tmp_path):
-    refused(lambda: load_agent(tmp_path / "nowhere" / "model"), "nowhere")
+    refused(lambda: load_agent(tmp_path / "nowhere" / "model.zip"), "nowhere")
+    refused(lambda: load_agent(tmp_path / "nowhere"), "nowhere")
 
 
 @pytest.mark.parametrize("content", [b"", b"no zip at all", b"PK\x03\x04 cut off"])
 def test_a_zip_that_is_none(saved, content):
-    saved.with_name("model.zip").write_bytes(content)
+    saved.write_bytes(content)
     refused(lambda: load_agent(saved), "model.zip")
 
 
-def test_a_zip_that_is_cut_off(saved):
-    path = saved.with_name("model.zip")
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.9, 0.999])
+def test_a_zip_that_is_cut_off(saved, share):
+    saved.write_bytes(saved.read_bytes()[: int(share * saved.stat().st_size)])
+    refused(lambda: load_agent(saved), "model.zip")
+
+
+@pytest.mark.parametrize("member", [META, "data", "policy.pth"])
+@pytest.mark.parametrize("where", [0.0, 0.5, 0.9])
+def test_a_zip_with_damaged_bytes(saved, member, where):
+    """A disk error within one member; its place in the file is still listed."""
+    with zipfile.ZipFile(saved) as archive:
+        info = archive.getinfo(member)
+    content = bytearray(saved.read_bytes())
+    lengths = struct.unpack_from("<HH", content, info.header_offset + 26)  # of the member's name and its extra field
+    begin = info.header_offset + 30 + sum(lengths)
+    at = begin + int(where * info.compress_size)
+    for k in range(at, min(at + 12, begin + info.compress_size)):
+        content[k] ^= 0xFF
+    saved.write_bytes(content)
     refused(lambda: load_agent(saved), "model.zip")
 
 
 def test_a_zip_of_something_else(saved, tmp_path):
     (tmp_path / "stuff").mkdir()
     (tmp_path / "stuff" / "a.txt").write_text("hello")
-    shutil.make_archive(str(saved), "zip", tmp_path / "stuff")
+    shutil.make_archive(str(saved.with_suffix("")), "zip", tmp_path / "stuff")
     refused(lambda: load_agent(saved), "model.zip")
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"not json", b"[]", b"3", b"null", b'"text"', b"\xff\xfe\x00binary"])
 def test_a_json_that_is_none(saved, content):
-    saved.with_name("model.json").write_bytes(content)
-    refused(lambda: load_agent(saved), "model.json")
+    rewrite(saved, content)
+    refused(lambda: load_agent(saved), "model.zip")
 
 
 @pytest.mark.parametrize("key", ["observation", "observation_names", "mean", "var", "clip"])
 def test_a_json_with_a_missing_key(saved, key):
     edit(saved, **{key: None})
-    refused(lambda: load_agent(saved), "model.json", key)
+    refused(lambda: load_agent(saved), "model.zip", "soil_env.json", key)
 
 
 @pytest.mark.parametrize(
     "key, value",
-    [("mean", 3.0), ("mean", "abc"), ("mean", [0.0] * 5), ("var", [1.0] * 5), ("var", "abc"), ("clip", "ten"),
-     ("observation_names", 5)],
+    [("mean", 3.0), ("mean", "abc"), ("mean", [0.0] * 5), ("mean", ["a"] * 18), ("var", [1.0] * 5), ("var", "abc"),
+     ("var", [[1.0]] * 18), ("clip", "ten"), ("observation_names", 5), ("observation", 5), ("timesteps", "many"),
+     ("timesteps", 1.5), ("count", "1"), ("return_var", [1.0])],
 )  # fmt: skip
-def test_a_json_with_a_value_of_the_wrong_kind(saved, key, value):
+def test_a_json_with_a_value_of_the_wrong_kind(saved, scenario, key, value):
     edit(saved, **{key: value})
-    refused(lambda: load_agent(saved), "model")
+    refused(lambda: load_agent(saved), "model.zip", "soil_env.json", key)
+    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip", "soil_env.json", key)
 
 
-def test_zip_and_json_of_different_agents(saved, scenario, tmp_path):
-    """The zip of a blind agent beside the json of an identified one."""
-    other = tmp_path / "other"
-    save(trained(scenario, "blind", rollouts=1), other)
-    shutil.copy(other.with_name("other.zip"), saved.with_name("model.zip"))
-    refused(lambda: load_agent(saved), "11", "18")
-
-
-def test_zip_and_json_of_different_ages(saved, scenario, tmp_path):
-    """Same layout, another training: its normalisation belongs to other weights."""
-    other = tmp_path / "other"
-    save(trained(scenario, rollouts=1), other)
-    shutil.copy(other.with_name("other.zip"), saved.with_name("model.zip"))
-    refused(lambda: load_agent(saved), ROLLOUT, 3 * ROLLOUT)
+def test_rewriting_alone_does_no_harm(saved, scenario):
+    """What the tests above use to break a file leaves it usable when it changes nothing."""
+    raw = raw_observations(scenario, "identified")
+    expected = load_agent(saved).predict(raw)[0]
+    edit(saved)
+    np.testing.assert_array_equal(load_agent(saved).predict(raw)[0], expected)
+    resume(saved, scenario, "identified", TINY, 0, None)
 
 
 # --- config -----------------------------------------------------------------------------------------------------------
@@ -417,6 +505,19 @@ def test_config_is_strict():
 
 def test_config_defaults_and_conversions():
     assert load_config({}, "x") == TrainConfig()
-    config = load_config({"timesteps": "5e6", "ppo": {"num_envs": 3.0}}, "x")
+    config = load_config({"timesteps": "5e6", "ppo": {"num_envs": 24.0}}, "x")
     assert config.timesteps == 5_000_000 and isinstance(config.timesteps, int)
-    assert config.ppo.num_envs == 3 and config.ppo.gamma == PPOConfig().gamma
+    assert config.ppo.num_envs == 24 and isinstance(config.ppo.num_envs, int)
+    assert config.ppo.gamma == PPOConfig().gamma
+
+
+@pytest.mark.parametrize("num_envs, n_steps, batch_size", [(4, 10, 16), (4, 10, 39), (4, 10, 80), (1, 8, 9)])
+def test_a_batch_that_does_not_divide_the_rollout_is_refused(num_envs, n_steps, batch_size):
+    ppo_keys = {"num_envs": num_envs, "n_steps": n_steps, "batch_size": batch_size}
+    refused(lambda: PPOConfig(**ppo_keys), "batch_size", batch_size, num_envs * n_steps)
+    refused(lambda: load_config({"ppo": ppo_keys}, "x.yaml"), "x.yaml", "batch_size", batch_size, num_envs * n_steps)
+
+
+@pytest.mark.parametrize("batch_size", [8, 10, 20, 40])
+def test_a_batch_that_divides_the_rollout_is_taken(batch_size):
+    assert PPOConfig(num_envs=4, n_steps=10, batch_size=batch_size).batch_size == batch_size
