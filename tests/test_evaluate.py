@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 
 from agents import evaluate, plots
 from agents.controllers import CONTROLLERS, make_controller
-from agents.evaluate import METRICS, RATES, Runs, run_courses, summary, tune, wilson
+from agents.evaluate import METRICS, RATES, Runs, course_rng, run_courses, summary, tune, wilson
 from soil_env.parameters import load_scenario
 from soil_env.simulation import Simulation
 from soil_env.task import Cause, layout
