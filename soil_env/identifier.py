@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 
 from soil_env.effects import excavation_rate
-from soil_env.identification import (
+from soil_env.identification.solver import (
     DIG_RATIO,
     DRAWBAR_PULL,
     LOAD,
@@ -36,6 +36,7 @@ from soil_env.identification import (
     Status,
     predict,
     solve,
+    weigh,
 )
 from soil_env.parameters import Scenario
 
@@ -195,7 +196,12 @@ def _complete(ids, k, numbers):
         row[i] = run[i] / run[_COUNT]
     row[SLIP] = min(max(row[SLIP], -0.999), 1.0)
     row[PLACE] = run[_ODOMETER]
-    _weigh(row, ids.trial[k], run[_COUNT], numbers)
+    variances, readings = np.empty(3), run[_COUNT]
+    for i in range(3):
+        error = numbers.model_error * abs(row[LOAD]) * (numbers.reading.radius if i == 2 else 1.0)
+        variances[i] = numbers.force_sd[i] ** 2 / readings + error * error
+    share = 1.0 / math.sqrt(readings)
+    weigh(row, ids.trial[k], variances, share * numbers.slip_sd, share * numbers.sinkage_sd, numbers.reading)
     for i in range(6):
         run[i] = 0.0
     run[_COUNT] = 0.0
@@ -232,43 +238,6 @@ def _free_slot(ids, k, place, numbers):
         kept = WINDOW - 1
     ids.count[k] = kept
     return kept
-
-
-@njit(cache=True)
-def _weigh(row, x, readings, numbers):
-    """Whitening weights of a point from the noise of all its channels, averaged over `readings`, at unknowns x."""
-    at, jac = np.empty(3), np.empty((3, 4))
-    moved, unused = np.empty(3), np.empty((3, 4))
-    predict(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], numbers.reading, at, jac)
-    v = np.zeros((3, 3))
-    load = row[LOAD]
-    for channel in range(3):
-        size = numbers.model_error * abs(load) * (numbers.reading.radius if channel == 2 else 1.0)
-        v[channel, channel] = numbers.force_sd[channel] ** 2 / readings + size * size
-    for source in range(2):
-        if source == 0:  # slip
-            h = 0.01 if row[SLIP] < 0.98 else -0.01
-            predict(x, row[SLIP] + h, row[SINKAGE], row[DIG_RATIO], numbers.reading, moved, unused)
-            scale = numbers.slip_sd / math.sqrt(readings) / h
-        else:  # sinkage
-            h = 0.02 * row[SINKAGE]
-            predict(x, row[SLIP], row[SINKAGE] + h, row[DIG_RATIO], numbers.reading, moved, unused)
-            scale = numbers.sinkage_sd / math.sqrt(readings) / h
-        for i in range(3):
-            for j in range(i + 1):
-                v[i, j] += scale * scale * (moved[i] - at[i]) * (moved[j] - at[j])
-    # inverse of the Cholesky factor of v
-    l00 = math.sqrt(v[0, 0])
-    l10, l20 = v[1, 0] / l00, v[2, 0] / l00
-    l11 = math.sqrt(max(v[1, 1] - l10 * l10, 1e-12 * v[1, 1]))
-    l21 = (v[2, 1] - l20 * l10) / l11
-    l22 = math.sqrt(max(v[2, 2] - l20 * l20 - l21 * l21, 1e-12 * v[2, 2]))
-    row[WEIGHTS] = 1.0 / l00
-    row[WEIGHTS + 1] = -l10 / (l00 * l11)
-    row[WEIGHTS + 2] = 1.0 / l11
-    row[WEIGHTS + 3] = (l10 * l21 - l20 * l11) / (l00 * l11 * l22)
-    row[WEIGHTS + 4] = -l21 / (l11 * l22)
-    row[WEIGHTS + 5] = 1.0 / l22
 
 
 @njit(cache=True)

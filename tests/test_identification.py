@@ -292,7 +292,8 @@ def test_garbage_gives_data_and_never_nan(data, count, name):
     x = unknowns(e.soil)
     assert np.all(np.isfinite(x)) and np.all(x >= LOWER - 1e-9) and np.all(x <= UPPER + 1e-9)
     assert np.all(np.isfinite(e.covariance)) and np.all(np.diag(e.covariance) >= 0.0)
-    assert math.isfinite(e.residual) and e.condition >= 1.0 and e.iterations <= 100
+    assert math.isfinite(e.residual) and e.condition >= 1.0
+    assert e.iterations <= 100 + 18 * 40  # with every restart
 
 
 def test_every_admissible_result_is_a_soil():

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from soil_env import identification, identifier
 from soil_env.dynamics import advance
 from soil_env.identification import LOWER, UPPER, Status
+from soil_env.identification.solver import weigh
 from soil_env.identifier import SensorReading
 from soil_env.model import steady_state
 from soil_env.parameters import load_scenario, soils
@@ -243,7 +244,8 @@ def test_weights_whiten_the_noise_of_all_channels(slip):
     rng, x, predicted, rates = np.random.default_rng(0), unknowns(STILL), np.empty(3), np.empty((3, 4))
     row = np.zeros(identification.POINT_SIZE)
     row[:6] = [*reading(slip)[:2], 1.0, *reading(slip)[2:5]]
-    identifier._weigh(row, x, 5.0, numbers)
+    share = 1.0 / math.sqrt(5.0)
+    weigh(row, x, numbers.force_sd**2 / 5.0, share * numbers.slip_sd, share * numbers.sinkage_sd, numbers.reading)
     w = row[identification.WEIGHTS : identification.WEIGHTS + 6]
     whiten = np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]])
     sd = np.array([numbers.slip_sd, numbers.sinkage_sd, *numbers.force_sd]) / math.sqrt(5.0)

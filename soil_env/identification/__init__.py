@@ -14,249 +14,42 @@ not reduce the weighted residual is shortened, and damped after Levenberg & Marq
 
 from __future__ import annotations
 
-import enum
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from soil_env.contact import (
-    arc_integrals,
-    compaction_resistance,
-    entry_angle,
-    forces,
-    motion_from_slip,
-    shear_modulus_rates,
-    simpson_integrals,
+from soil_env.identification.solver import (
+    LOWER,
+    POINT_SIZE,
+    UPPER,
+    WEIGHTS,
+    Reading,
+    Status,
+    invert3,
+    normal_equations,
+    predict,
+    solve,
+    weigh,
 )
 from soil_env.parameters import Soil
 
+__all__ = [
+    "LOWER",
+    "POINT_SIZE",
+    "UPPER",
+    "WEIGHTS",
+    "Estimate",
+    "Reading",
+    "Status",
+    "generalized_newton_raphson",
+    "newton_raphson",
+    "predict",
+    "solve",
+]
 
-class Status(enum.IntEnum):
-    """Outcome of an identification."""
-
-    NO_DATA = 0  # fewer measured values than unknowns
-    CONVERGED = 1
-    NOT_EXCITED = 2  # the points do not tell the unknowns apart; an online estimate is then the last good one
-    AT_BOUND = 3  # the solution lies on a bound
-    DIVERGED = 4  # no convergence within the allowed iterations
-
-
-class Reading(NamedTuple):
-    """How a drawbar pull is computed, and what is held fixed while identifying."""
-
-    cohesion: float  # [Pa]
-    exponent: float  # n [-]
-    radius: float  # [m]
-    width: float  # [m]
-    simpson: int = 0  # m of the paper's composite Simpson rule; 0 = Gauss-Legendre
-    paper_resistance: bool = False  # Eq. (12) instead of the exact Eq. (11)
-
-
-#: Bounds of (phi [rad], ln K [m], ln S): the box of the paper's Table 4, widened.
-LOWER = np.array([math.radians(1.0), math.log(2e-4), math.log(1e3)])
-UPPER = np.array([math.radians(89.5), math.log(0.3) - 1e-9, math.log(1e13) - 1e-9])
-#: No unknown moves further than this in one iteration.
-LONGEST = np.array([0.35, 1.5, 1.5])
-_MAX_DAMPINGS = 12
-
-# Columns of a measured point.
-SLIP, SINKAGE, DIG_RATIO, DRAWBAR_PULL, LOAD, TORQUE, WEIGHTS, PLACE = 0, 1, 2, 3, 4, 5, 6, 12
-POINT_SIZE = 13  # six weights: lower triangle of the matrix that whitens (drawbar pull, load, torque)
-
-
-@njit(cache=True)
-def predict(x, slip, sinkage, dig_ratio, reading, out, jacobian):
-    """Drawbar pull, load and torque for unknowns x at one point into `out` [3], derivatives into `jacobian` [3, 4].
-
-    Columns of `jacobian`: phi, ln K, ln S, and cohesion; by ln(dig ratio) it is -n times the column of ln S.
-    `dig_ratio` z/z_w >= 1 is how much deeper the wheel stands than its load alone would sink it: the soil then bears
-    like one with S (z/z_w)^-n (`effects.slip_sinkage_ratio`).
-    """
-    r, b, n, c = reading.radius, reading.width, reading.exponent, reading.cohesion
-    K, tan_phi = math.exp(x[1]), math.tan(x[0])
-    S = math.exp(x[2]) * dig_ratio**-n
-    theta1 = entry_angle(sinkage, r)
-    rim, travel = motion_from_slip(slip)
-    if reading.simpson > 0:
-        q, by_rim, by_travel = simpson_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, K, n, r, reading.simpson)
-    else:
-        q, by_rim, by_travel = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, K, n, r)
-    f = forces(q, S, tan_phi, c, r, b, 1.0)
-    rb = r * b
-    resistance = rb * S * q.p_sin
-    thrust = f.drawbar_pull + resistance
-    if reading.paper_resistance:
-        resistance = compaction_resistance(sinkage, S, n, b)
-    out[0] = thrust - resistance
-    out[1], out[2] = f.load, f.torque
-
-    d_tan = 1.0 + tan_phi * tan_phi  # d tan(phi) / d phi
-    jacobian[0, 0] = rb * S * d_tan * q.pe_cos
-    jacobian[1, 0] = rb * S * d_tan * q.pe_sin
-    jacobian[2, 0] = r * rb * S * d_tan * q.pe
-    k = shear_modulus_rates(by_rim, by_travel, rim, travel, K)
-    jacobian[0, 1] = rb * K * (S * tan_phi * k.pe_cos + c * k.e_cos)
-    jacobian[1, 1] = rb * K * (S * tan_phi * k.pe_sin + c * k.e_sin)
-    jacobian[2, 1] = r * rb * K * (S * tan_phi * k.pe + c * k.e)
-    jacobian[0, 2] = rb * S * tan_phi * q.pe_cos - resistance
-    jacobian[1, 2] = rb * S * (q.p_cos + tan_phi * q.pe_sin)
-    jacobian[2, 2] = r * rb * S * tan_phi * q.pe
-    jacobian[0, 3], jacobian[1, 3], jacobian[2, 3] = rb * q.e_cos, rb * q.e_sin, r * rb * q.e
-
-
-@njit(cache=True)
-def _normal_equations(x, points, count, prior, precision, reading, matrix, vector):
-    """Sum of squared whitened residuals; fills `matrix` (J^T J + prior precision) and `vector` (J^T residual)."""
-    out, jac = np.empty(3), np.empty((3, 4))
-    matrix[:, :] = 0.0
-    cost = 0.0
-    for i in range(3):
-        d = prior[i] - x[i]
-        matrix[i, i] = precision[i]
-        vector[i] = precision[i] * d
-        cost += precision[i] * d * d
-    for p in range(count):
-        row = points[p]
-        predict(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading, out, jac)
-        d0, d1, d2 = row[DRAWBAR_PULL] - out[0], row[LOAD] - out[1], row[TORQUE] - out[2]
-        for channel in range(3):
-            if channel == 0:
-                w0, w1, w2 = row[WEIGHTS], 0.0, 0.0
-            elif channel == 1:
-                w0, w1, w2 = row[WEIGHTS + 1], row[WEIGHTS + 2], 0.0
-            else:
-                w0, w1, w2 = row[WEIGHTS + 3], row[WEIGHTS + 4], row[WEIGHTS + 5]
-            u = w0 * d0 + w1 * d1 + w2 * d2
-            cost += u * u
-            g0 = w0 * jac[0, 0] + w1 * jac[1, 0] + w2 * jac[2, 0]
-            g1 = w0 * jac[0, 1] + w1 * jac[1, 1] + w2 * jac[2, 1]
-            g2 = w0 * jac[0, 2] + w1 * jac[1, 2] + w2 * jac[2, 2]
-            vector[0] += g0 * u
-            vector[1] += g1 * u
-            vector[2] += g2 * u
-            matrix[0, 0] += g0 * g0
-            matrix[0, 1] += g0 * g1
-            matrix[0, 2] += g0 * g2
-            matrix[1, 1] += g1 * g1
-            matrix[1, 2] += g1 * g2
-            matrix[2, 2] += g2 * g2
-    matrix[1, 0], matrix[2, 0], matrix[2, 1] = matrix[0, 1], matrix[0, 2], matrix[1, 2]
-    return cost
-
-
-@njit(cache=True)
-def invert3(m, out):
-    """Inverse of a symmetric 3 x 3 matrix into `out`; False if it is singular to working precision."""
-    c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
-    c01 = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
-    c02 = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
-    det = m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
-    if not det > 1e-14 * abs(m[0, 0] * m[1, 1] * m[2, 2]):
-        return False
-    out[0, 0], out[0, 1], out[0, 2] = c00 / det, c01 / det, c02 / det
-    out[1, 1] = (m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]) / det
-    out[1, 2] = (m[0, 2] * m[0, 1] - m[0, 0] * m[1, 2]) / det
-    out[2, 2] = (m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]) / det
-    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
-    return True
-
-
-@njit(cache=True)
-def _damped_step(x, matrix, vector, damping, step):
-    """Levenberg-Marquardt step from x into `step`; False if the damped normal matrix is singular.
-
-    An unknown that presses against its bound stays there.
-    """
-    damped, inverse = matrix.copy(), np.empty((3, 3))
-    trace = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
-    pressed = np.zeros(3, dtype=np.bool_)
-    for i in range(3):
-        damped[i, i] += damping * matrix[i, i] + 1e-12 * trace
-        pressed[i] = (x[i] <= LOWER[i] and vector[i] < 0.0) or (x[i] >= UPPER[i] and vector[i] > 0.0)
-        if pressed[i]:
-            for j in range(3):
-                if j != i:
-                    damped[i, j] = damped[j, i] = 0.0
-    if not invert3(damped, inverse):
-        return False
-    for i in range(3):
-        step[i] = 0.0
-        if not pressed[i]:
-            step[i] = inverse[i, 0] * vector[0] + inverse[i, 1] * vector[1] + inverse[i, 2] * vector[2]
-    return True
-
-
-@njit(cache=True)
-def _small(step, tolerance):
-    return abs(step[0]) < tolerance and abs(step[1]) < tolerance and abs(step[2]) < tolerance
-
-
-@njit(cache=True)
-def _moved(x, step, out):
-    """x + step into `out`, shortened to the longest step allowed and cut to the bounds."""
-    share = 1.0
-    for i in range(3):
-        if abs(step[i]) * share > LONGEST[i]:
-            share = LONGEST[i] / abs(step[i])
-    for i in range(3):
-        out[i] = min(max(x[i] + share * step[i], LOWER[i]), UPPER[i])
-
-
-@njit(cache=True)
-def solve(x, points, count, prior, precision, reading, max_iterations, tolerance, covariance):
-    """Weighted least squares for x [3] in place, from its present value; (Status, iterations, cost).
-
-    Minimises |W (measured - predicted)|^2 + (x - prior)^T diag(precision) (x - prior). Each iteration solves the normal
-    equations with Levenberg-Marquardt damping; the damping rises until the cost falls, and a step across a bound is
-    cut back to it. Converged means that the undamped next step is shorter than `tolerance` in every unknown.
-    `covariance` [3, 3] is left as the inverse of the undamped normal matrix (zeros if that is singular).
-    """
-    matrix, trial_matrix = np.empty((3, 3)), np.empty((3, 3))
-    vector, trial_vector = np.empty(3), np.empty(3)
-    step, trial = np.zeros(3), np.empty(3)
-    cost = _normal_equations(x, points, count, prior, precision, reading, matrix, vector)
-    damping, iterations = 0.0, 0
-    status = Status.DIVERGED.value
-    while iterations < max_iterations and status == Status.DIVERGED.value:
-        iterations += 1
-        accepted = False
-        for _ in range(_MAX_DAMPINGS):
-            if _damped_step(x, matrix, vector, damping, step):
-                _moved(x, step, trial)
-                if damping == 0.0 and _small(step, tolerance):  # so close the cost may no longer tell
-                    x[:] = trial
-                    status = Status.CONVERGED.value
-                    break
-                trial_cost = _normal_equations(
-                    trial, points, count, prior, precision, reading, trial_matrix, trial_vector
-                )
-                if trial_cost <= cost:
-                    accepted = True
-                    break
-            damping = max(4.0 * damping, 1e-3)
-        if not accepted:
-            break
-        x[:] = trial
-        cost = trial_cost
-        matrix[:, :] = trial_matrix
-        vector[:] = trial_vector
-        damping = 0.0 if damping < 1e-2 else damping / 8.0
-    if status == Status.DIVERGED.value and _small(step, tolerance):
-        status = Status.CONVERGED.value
-    if not invert3(matrix, covariance):
-        covariance[:, :] = 0.0
-        return Status.NOT_EXCITED.value, iterations, cost
-    if status == Status.CONVERGED.value:
-        for i in range(3):
-            if x[i] <= LOWER[i] or x[i] >= UPPER[i]:
-                status = Status.AT_BOUND.value
-    return status, iterations, cost
-
-
-# --- from Python ------------------------------------------------------------------------------------------------------
+CHANNELS = ("drawbar_pull", "load", "torque")
+_REWEIGHTINGS = 5
 
 
 @dataclass(frozen=True)
@@ -271,6 +64,37 @@ class Estimate:
     condition: float  # condition number of the whitened Jacobian by (phi, ln K, ln S)
 
 
+def _rows(slip, sinkage, channels, dig_ratio, reading) -> np.ndarray:
+    """Checked points [M, POINT_SIZE] without weights; ValueError for arrays that do not match or make no sense."""
+    slip = np.asarray(slip, dtype=float)
+    ones = np.ones_like(slip)
+    columns = {
+        "slip": slip,
+        "sinkage": np.asarray(sinkage, dtype=float),
+        "dig_ratio": ones if dig_ratio is None else np.asarray(dig_ratio, dtype=float),
+    }
+    for name, channel in zip(CHANNELS, channels, strict=True):
+        columns[name] = 0.0 * ones if channel is None else np.asarray(channel, dtype=float)
+    for name, column in columns.items():
+        if column.shape != slip.shape or column.ndim != 1:
+            raise ValueError(f"{name}: expected {slip.shape[0] if slip.ndim else 1} values, got shape {column.shape}")
+        if not np.all(np.isfinite(column)):
+            row = int(np.flatnonzero(~np.isfinite(column))[0])
+            raise ValueError(f"{name}: expected finite values, got {column[row]} in row {row}")
+    if np.any(np.abs(slip) > 1.0):
+        raise ValueError(f"slip = {slip[np.abs(slip) > 1.0][0]:g}: expected values in [-1, 1]")
+    if np.any(columns["dig_ratio"] <= 0.0):
+        bad = columns["dig_ratio"][columns["dig_ratio"] <= 0.0][0]
+        raise ValueError(f"dig_ratio = {bad:g}: expected values > 0")
+    if np.any(columns["sinkage"] <= 0.0) or np.any(columns["sinkage"] > reading.radius):
+        raise ValueError(f"sinkage: expected values in (0, {reading.radius:g}] m, the radius of the wheel")
+    if all(c is None for c in channels):
+        raise ValueError(f"expected at least one of {', '.join(CHANNELS)}")
+    points = np.zeros((slip.size, POINT_SIZE))
+    points[:, :6] = np.stack(list(columns.values()), axis=1)
+    return points
+
+
 def generalized_newton_raphson(
     slip,
     sinkage,
@@ -281,58 +105,70 @@ def generalized_newton_raphson(
     reading: Reading,
     guess: Soil,
     sd: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    slip_sd: float = 0.0,
+    sinkage_sd: float = 0.0,
     dig_ratio=None,
     max_iterations: int = 100,
     tolerance: float = 1e-8,
+    restarts: bool = True,
 ) -> Estimate:
     """Identify (phi, K, S) from M points by weighted least squares; no prior.
 
     Parameters: `slip` [M] in [-1, 1]; `sinkage` [M] m; at least one of `drawbar_pull` [M] N, `load` [M] N and `torque`
     [M] N m, with their standard deviations in `sd`; `guess`, a soil to start from (its S must be lumped);
     `dig_ratio` [M], see `predict`, 1 if left out.
+
+    With `slip_sd` [-] and `sinkage_sd` [m], the noise of slip and sinkage enters the weights by its first-order
+    effect on the channels (`solver.weigh`), renewed at the solution until it no longer changes. With `restarts`, a
+    solve that ends with a misfit beyond the noise starts again from soils spread over the bounds, and the best end is
+    taken.
+
     Raises ValueError for arrays that do not match or are not finite. Source: Hutangkabodee et al. (2006), Sec. 3.
     """
     channels = (drawbar_pull, load, torque)
-    slip = np.asarray(slip, dtype=float)
-    columns = [
-        slip,
-        np.asarray(sinkage, dtype=float),
-        np.ones_like(slip) if dig_ratio is None else np.asarray(dig_ratio, dtype=float),
-    ]
-    columns += [np.zeros_like(slip) if c is None else np.asarray(c, dtype=float) for c in channels]
-    names = ("slip", "sinkage", "dig_ratio", "drawbar_pull", "load", "torque")
-    for name, column in zip(names, columns, strict=True):
-        if column.shape != slip.shape or column.ndim != 1:
-            raise ValueError(f"{name}: expected {slip.shape[0] if slip.ndim else 1} values, got shape {column.shape}")
-        if not np.all(np.isfinite(column)):
-            raise ValueError(f"{name}: expected finite values, got {column[~np.isfinite(column)][0]} in row "
-                             f"{int(np.flatnonzero(~np.isfinite(column))[0])}")  # fmt: skip
-    if np.any(np.abs(slip) > 1.0):
-        raise ValueError(f"slip = {slip[np.abs(slip) > 1.0][0]:g}: expected values in [-1, 1]")
-    if np.any(columns[2] <= 0.0):
-        raise ValueError(f"dig_ratio = {columns[2][columns[2] <= 0.0][0]:g}: expected values > 0")
-    if np.any(columns[1] <= 0.0) or np.any(columns[1] > reading.radius):
-        raise ValueError(f"sinkage: expected values in (0, {reading.radius:g}] m, the radius of the wheel")
-    if all(c is None for c in channels):
-        raise ValueError("expected at least one of drawbar_pull, load, torque")
-    points = np.zeros((slip.size, POINT_SIZE))
-    points[:, :6] = np.stack(columns, axis=1)
-    for position, (channel, s) in enumerate(zip(channels, sd, strict=True)):
+    points = _rows(slip, sinkage, channels, dig_ratio, reading)
+    variances = np.full(3, np.inf)
+    for i, (channel, s) in enumerate(zip(channels, sd, strict=True)):
         if not s > 0.0:
             raise ValueError(f"sd = {sd}: expected positive standard deviations")
-        points[:, WEIGHTS + (0, 2, 5)[position]] = 0.0 if channel is None else 1.0 / s
-    measured = slip.size * sum(c is not None for c in channels)
+        if channel is not None:
+            variances[i] = s * s
+    if not (slip_sd >= 0.0 and sinkage_sd >= 0.0):
+        raise ValueError(f"slip_sd = {slip_sd}, sinkage_sd = {sinkage_sd}: expected standard deviations >= 0")
+    measured = len(points) * sum(c is not None for c in channels)
     if measured < 3:
         return Estimate(None, np.zeros((3, 3)), Status.NO_DATA, 0, math.nan, math.inf)
-    x = np.array(
-        [math.radians(guess.friction_angle_deg), math.log(guess.shear_modulus), math.log(guess.lumped(reading.width))]
-    )
-    x = np.clip(x, LOWER, UPPER)
-    covariance = np.zeros((3, 3))
-    zero = np.zeros(3)
-    status, iterations, cost = solve(x, points, slip.size, zero, zero, reading, max_iterations, tolerance, covariance)
+    start = [guess.friction_angle_deg * math.pi / 180.0, guess.shear_modulus, guess.lumped(reading.width)]
+    x = np.clip([start[0], math.log(start[1]), math.log(start[2])], LOWER, UPPER)
+    covariance, no_prior = np.zeros((3, 3)), np.zeros(3)
+
+    def run(x, noise_of_slip, noise_of_sinkage, limit=max_iterations):
+        for row in points:
+            weigh(row, x, variances, noise_of_slip, noise_of_sinkage, reading)
+        return solve(x, points, len(points), no_prior, no_prior, reading, limit, tolerance, covariance)
+
+    status, iterations, cost = run(x, 0.0, 0.0)
+    allowed = _misfit_allowed(measured)
+    if restarts and slip_sd == sinkage_sd == 0.0 and (status != Status.CONVERGED or cost > allowed):
+        for other in _spread_starts():
+            other_status, more, other_cost = run(other, 0.0, 0.0, min(max_iterations, 40))
+            iterations += more
+            better = other_cost < cost or (status != Status.CONVERGED and other_status == Status.CONVERGED)
+            if other_status == Status.CONVERGED and better:
+                x, status, cost = other, other_status, other_cost
+            if status == Status.CONVERGED and cost <= allowed:
+                break
+    if slip_sd > 0.0 or sinkage_sd > 0.0:
+        for _ in range(_REWEIGHTINGS):
+            before = x.copy()
+            status, more, cost = run(x, slip_sd, sinkage_sd)
+            iterations += more
+            if np.max(np.abs(x - before)) < 1e-4:
+                break
     matrix, vector = np.zeros((3, 3)), np.zeros(3)
-    _normal_equations(x, points, slip.size, zero, zero, reading, matrix, vector)
+    cost = normal_equations(x, points, len(points), no_prior, no_prior, reading, matrix, vector)
+    if not invert3(matrix, covariance):
+        covariance[:, :] = 0.0
     eigenvalues = np.linalg.eigvalsh(matrix)
     condition = math.sqrt(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0.0 else math.inf
     soil = Soil(
@@ -343,6 +179,21 @@ def generalized_newton_raphson(
         sinkage_coefficient=math.exp(x[2]),
     )
     return Estimate(soil, covariance, Status(status), iterations, math.sqrt(cost / measured), condition)
+
+
+def _misfit_allowed(measured: int) -> float:
+    """Chi-squared that noise alone hardly ever exceeds with `measured` values and three unknowns (Wilson &
+    Hilferty)."""
+    freedom = max(measured - 3, 1)
+    return freedom * (1.0 - 2.0 / (9.0 * freedom) + 4.0 * math.sqrt(2.0 / (9.0 * freedom))) ** 3
+
+
+def _spread_starts():
+    """Unknowns to start again from: common soils, soft to stiff."""
+    for phi in (0.3, 0.6, 0.9):
+        for K in (0.005, 0.03):
+            for S in (1e5, 1e6, 1e7):
+                yield np.array([phi, math.log(K), math.log(S)])
 
 
 def newton_raphson(slip, sinkage, drawbar_pull, *, reading: Reading, guess: Soil, **options) -> Estimate:
