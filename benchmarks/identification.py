@@ -1,0 +1,353 @@
+"""How good the identification is: convergence, efficiency, what can be told at all, online, and speed.
+
+    python benchmarks/identification.py                  the full study, minutes; writes docs/identification.*
+    python benchmarks/identification.py --smoke --out X every part in seconds, numbers without meaning
+
+Every number of docs/identification.md comes from this command with its default seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import platform
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import quad
+from scipy.optimize import root
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks import identification_online, identification_page  # noqa: E402
+from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict  # noqa: E402
+from soil_env.identification.solver import POINT_SIZE, WEIGHTS, solve, weigh  # noqa: E402
+from soil_env.model import steady_state  # noqa: E402
+from soil_env.parameters import Soil, SoilState, soils  # noqa: E402
+
+PAPER = Reading(cohesion=3000.0, exponent=0.47, radius=0.6274, width=0.1524)  # the wheel and sand of the source paper
+ROVER = Reading(cohesion=170.0, exponent=1.0, radius=0.15, width=0.15)
+ROVER_SD = (1.47, 1.47, 0.22)  # [N], [N], [N m]: 1 % of weight and of weight times radius, as the env's sensors
+SLIP_SD, SINKAGE_SD = 0.01, 0.001
+IDENTIFIABLE = 100.0  # condition number of the whitened Jacobian by (phi, ln K, ln S) up to which a problem counts
+
+
+def unknowns(soil: Soil) -> np.ndarray:
+    """(phi [rad], ln K, ln S) of a soil with a lumped S."""
+    return np.array([math.radians(soil.friction_angle_deg), math.log(soil.shear_modulus), math.log(soil.lumped(1.0))])
+
+
+def lumped(x, reading: Reading) -> Soil:
+    """The soil of unknowns x under a reading."""
+    return Soil(
+        math.degrees(x[0]), reading.cohesion, math.exp(x[1]), reading.exponent, sinkage_coefficient=math.exp(x[2])
+    )
+
+
+def predictions(x, slip, sinkage, reading):
+    """Drawbar pull, load, torque [M, 3] and their Jacobian by x and cohesion [M, 3, 4]."""
+    values, jacobians = np.empty((len(slip), 3)), np.empty((len(slip), 3, 4))
+    for k, (i, z) in enumerate(zip(slip, sinkage, strict=True)):
+        predict(x, i, z, 1.0, reading, values[k], jacobians[k])
+    return values, jacobians
+
+
+def steady_sinkage(x, slip, load, reading) -> np.ndarray:
+    """Sinkage [m] at each slip under each load: the points a rig would measure."""
+    soil = SoilState(math.tan(x[0]), reading.cohesion, math.exp(x[1]), math.exp(x[2]), reading.exponent, 0.0, 0.5)
+    return np.array([steady_state(i, w, soil, reading.radius, reading.width).sinkage for i, w in zip(slip, load)])  # noqa: B905
+
+
+# --- 1: convergence ---------------------------------------------------------------------------------------------------
+
+
+def convergence(rng: np.random.Generator, draws: int) -> dict:
+    """Noise-free recovery from guesses anywhere in the box of the paper's Table 4, by number of points and channels."""
+    low, high = np.array([5.0, 0.015, 7e4]), np.array([89.0, 0.089, 3.1e12])
+    out = {}
+    for name, points, all_channels in (
+        ("drawbar pull, 3 points", 3, False),
+        ("drawbar pull, 6 points", 6, False),
+        ("drawbar pull, load and torque, 6 points", 6, True),
+    ):
+        tally = {"identifiable": 0, "drawn": 0, "recovered": 0, "flagged": 0, "silently_wrong": 0}
+        while tally["identifiable"] < draws:
+            tally["drawn"] += 1
+            x = np.array(
+                [
+                    math.radians(rng.uniform(10.0, 50.0)),
+                    rng.uniform(math.log(low[1]), math.log(high[1])),
+                    rng.uniform(math.log(low[2]), math.log(1e7)),  # stiffer soil than this does not let the wheel sink
+                ]
+            )
+            slip = rng.uniform(0.03, 0.8, points)
+            sinkage = np.minimum(
+                steady_sinkage(x, slip, 8923.0 * rng.uniform(0.6, 1.4, points), PAPER), 0.9 * PAPER.radius
+            )
+            y, jacobian = predictions(x, slip, sinkage, PAPER)
+            sd = (90.0, 90.0, 56.0)  # 1 % of the load, for the weights and the condition number
+            white = (jacobian[:, :, :3] / np.array(sd)[None, :, None])[:, : 3 if all_channels else 1].reshape(-1, 3)
+            singular = np.linalg.svd(white, compute_uv=False)
+            if singular[0] > IDENTIFIABLE * singular[-1]:
+                continue
+            tally["identifiable"] += 1
+            g = rng.uniform(0.0, 1.0, 3)
+            guess = Soil(
+                low[0] + g[0] * (high[0] - low[0]),
+                PAPER.cohesion,
+                low[1] + g[1] * (high[1] - low[1]),
+                PAPER.exponent,
+                sinkage_coefficient=low[2] * (high[2] / low[2]) ** g[2],
+            )
+            channels = y.T if all_channels else (y[:, 0], None, None)
+            e = generalized_newton_raphson(slip, sinkage, *channels, reading=PAPER, guess=guess, sd=sd)
+            right = e.status == Status.CONVERGED and np.max(np.abs(unknowns(e.soil) - x)) < 1e-4
+            tally["recovered"] += bool(right)
+            tally["flagged"] += e.status != Status.CONVERGED
+            tally["silently_wrong"] += e.status == Status.CONVERGED and not right
+        out[name] = tally
+    return out
+
+
+# --- 2: efficiency ----------------------------------------------------------------------------------------------------
+
+
+def whitened(x, slip, sinkage, reading, sd, slip_sd, sinkage_sd, channels=(True, True, True)):
+    """Jacobian by (phi, ln K, ln S) of all measured values, whitened [3M, 3]."""
+    variances = np.where(channels, np.square(sd), np.inf)
+    _, jacobians = predictions(x, slip, sinkage, reading)
+    rows, row = [], np.zeros(POINT_SIZE)
+    for i, z, j in zip(slip, sinkage, jacobians, strict=True):
+        row[:3] = i, z, 1.0
+        weigh(row, x, variances, slip_sd, sinkage_sd, reading)
+        w = row[WEIGHTS : WEIGHTS + 6]
+        rows.append(np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]]) @ j)
+    return np.concatenate(rows)
+
+
+def efficiency(rng: np.random.Generator, draws: int) -> list[dict]:
+    """RMS error over the Cramer-Rao bound and coverage of the reported 95 % intervals, on a lunar soil."""
+    x = unknowns(Soil(35.0, 170.0, 0.0178, 1.0, sinkage_coefficient=829333.0))
+    guess, out = Soil(30.0, 170.0, 0.012, 1.0, sinkage_coefficient=1.15e6), []
+    for noisy in (False, True):
+        slip_sd, sinkage_sd = (SLIP_SD, SINKAGE_SD) if noisy else (0.0, 0.0)
+        for points in (6, 12, 30):
+            slip = np.linspace(0.05, 0.6, points)
+            sinkage = steady_sinkage(x, slip, np.full(points, 147.0), ROVER)
+            y, _ = predictions(x, slip, sinkage, ROVER)
+            j = whitened(x, slip, sinkage, ROVER, ROVER_SD, slip_sd, sinkage_sd)[:, :3]
+            bound = np.sqrt(np.diag(np.linalg.inv(j.T @ j)))
+            noise = rng.standard_normal((draws, points, 5)) * np.array([*ROVER_SD, slip_sd, sinkage_sd])
+            for method in ("weighted",) if not noisy else ("errors in variables", "plain least squares"):
+                treat = method == "errors in variables"
+                errors, covered = np.empty((draws, 3)), np.empty((draws, 3), dtype=bool)
+                for d in range(draws):
+                    e = generalized_newton_raphson(
+                        np.clip(slip + noise[d, :, 3], -0.99, 1.0),
+                        np.maximum(sinkage + noise[d, :, 4], 1e-3),
+                        *(y + noise[d, :, :3]).T,
+                        reading=ROVER,
+                        guess=guess,
+                        sd=ROVER_SD,
+                        slip_sd=slip_sd if treat else 0.0,
+                        sinkage_sd=sinkage_sd if treat else 0.0,
+                        restarts=False,
+                    )
+                    errors[d] = unknowns(e.soil) - x
+                    covered[d] = np.abs(errors[d]) < 1.959964 * np.sqrt(np.diag(e.covariance))
+                out.append(
+                    {
+                        "noise_in_slip_and_sinkage": noisy,
+                        "points": points,
+                        "method": method,
+                        "bound": [math.degrees(bound[0]), *bound[1:].tolist()],
+                        "rmse_over_bound": (np.sqrt(np.mean(errors**2, axis=0)) / bound).tolist(),
+                        "bias_over_bound": (np.mean(errors, axis=0) / bound).tolist(),
+                        "coverage_95": np.mean(covered, axis=0).tolist(),
+                    }
+                )
+    return out
+
+
+# --- 3: what can be told ----------------------------------------------------------------------------------------------
+
+SETS = {"phi, K, S": (), "phi, K, S, n": ("n",), "phi, K, S, c": ("c",), "phi, K, S, n, c": ("n", "c")}
+DATA = {"drawbar pull": (True, False, False), "and load": (True, True, False), "and torque": (True, True, True)}
+
+
+def identifiability(points: int = 24) -> list[dict]:
+    """Cramer-Rao bounds and conditioning by soil, channels and set of unknowns; three loads, slips 0.03 to 0.7.
+
+    S is scaled to the pressure at the mean sinkage: S and n together have no other meaning.
+    """
+    out = []
+    presets = soils()
+    for soil_name in ("dry_sand", "lunar_nominal", "rubicon_sandy_loam", "clayey_soil_38", "heavy_clay_25"):
+        preset = presets[soil_name]
+        reading = Reading(preset.cohesion, preset.sinkage_exponent, ROVER.radius, ROVER.width)
+        x = np.array(
+            [
+                math.radians(preset.friction_angle_deg),
+                math.log(preset.shear_modulus),
+                math.log(preset.lumped(ROVER.width)),
+            ]
+        )
+        slip = np.tile(np.linspace(0.03, 0.7, points // 3), 3)
+        load = np.repeat([75.0, 150.0, 300.0], points // 3)
+        sinkage = steady_sinkage(x, slip, load, reading)
+        depth, h = float(np.exp(np.mean(np.log(sinkage)))), 1e-5
+        for data, channels in DATA.items():
+            sinkage_sd = min(SINKAGE_SD, 0.1 * depth)  # a stiff soil is measured with a finer gauge
+            j = whitened(x, slip, sinkage, reading, ROVER_SD, SLIP_SD, sinkage_sd, channels)
+            by_n = []
+            for sign in (1.0, -1.0):  # n moved at equal pressure at `depth`
+                moved = reading._replace(exponent=reading.exponent + sign * h)
+                y, _ = predictions(x - [0.0, 0.0, sign * h * math.log(depth)], slip, sinkage, moved)
+                by_n.append(y)
+            column = ((by_n[0] - by_n[1]) / (2.0 * h))[:, :, None]
+            row = np.zeros(POINT_SIZE)
+            white_n = []
+            for i, z, c in zip(slip, sinkage, column, strict=True):
+                row[:3] = i, z, 1.0
+                weigh(row, x, np.where(channels, np.square(ROVER_SD), np.inf), SLIP_SD, sinkage_sd, reading)
+                w = row[WEIGHTS : WEIGHTS + 6]
+                white_n.append(np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]]) @ c)
+            full = np.column_stack([j[:, :3], np.concatenate(white_n), j[:, 3] * 1000.0])  # c in kPa
+            for name, extra in SETS.items():
+                used = [0, 1, 2, *([3] if "n" in extra else []), *([4] if "c" in extra else [])]
+                a = full[:, used]
+                singular = np.linalg.svd(a, compute_uv=False)
+                covariance = np.linalg.pinv(a.T @ a)
+                sd = dict(zip(np.array(["phi_deg", "ln_K", "ln_S", "n", "c_kPa"])[used], np.sqrt(np.diag(covariance))))  # noqa: B905
+                sd["phi_deg"] = math.degrees(sd["phi_deg"])
+                condition = float(singular[0] / max(singular[-1], 1e-300))
+                told = sd["phi_deg"] < 5.0 and sd["ln_K"] < 0.5 and sd["ln_S"] < 0.5 and sd.get("n", 0.0) < 0.2
+                told = told and sd.get("c_kPa", 0.0) < max(0.5, 0.3 * preset.cohesion / 1000.0)
+                out.append(
+                    {
+                        "soil": soil_name,
+                        "data": data,
+                        "unknowns": name,
+                        "condition": condition,
+                        "bound": {k: float(v) for k, v in sd.items()},
+                        "identifiable": bool(told),
+                    }
+                )
+    return out
+
+
+# --- 5: speed ---------------------------------------------------------------------------------------------------------
+
+
+def _by_quadrature(x, slip, sinkage, reading) -> float:
+    """Drawbar pull [N] of Eqs. (2), (7), (8), (10) by scipy.integrate.quad: the method the speed is compared with."""
+    r, n, c = reading.radius, reading.exponent, reading.cohesion
+    K, tan_phi, S = math.exp(x[1]), math.tan(x[0]), math.exp(x[2])
+    theta1 = math.acos(1.0 - sinkage / r)
+    thetam = 0.5 * theta1
+
+    def stresses(theta):
+        front = theta if theta >= thetam else theta1 - theta / thetam * (theta1 - thetam)
+        sigma = S * max(r * (math.cos(front) - math.cos(theta1)), 0.0) ** n
+        j = r * ((theta1 - theta) - (1.0 - slip) * (math.sin(theta1) - math.sin(theta)))
+        return sigma, (c + sigma * tan_phi) * -math.expm1(-j / K)
+
+    def pull(theta):
+        sigma, tau = stresses(theta)
+        return tau * math.cos(theta) - sigma * math.sin(theta)
+
+    return r * reading.width * (quad(pull, 0.0, thetam)[0] + quad(pull, thetam, theta1)[0])
+
+
+def speed(rng: np.random.Generator, repeats: int) -> dict:
+    """Time of one three-point solve on drawbar pull: ours and scipy.optimize.root on quad integrals, same problems."""
+    ours, compiled, theirs, agreement = [], [], [], []
+    for _ in range(repeats):
+        x = np.array(
+            [math.radians(rng.uniform(28.0, 38.0)), math.log(rng.uniform(0.03, 0.045)), math.log(rng.uniform(4e5, 7e5))]
+        )
+        slip = np.array([0.08, 0.22, 0.45])
+        sinkage = steady_sinkage(x, slip, np.array([7000.0, 8900.0, 10500.0]), PAPER)
+        y, _ = predictions(x, slip, sinkage, PAPER)
+        guess = Soil(30.0, PAPER.cohesion, 0.035, PAPER.exponent, sinkage_coefficient=5e5)
+        start = time.perf_counter()
+        e = newton_raphson(slip, sinkage, y[:, 0], reading=PAPER, guess=guess, sd=(1.0, 1.0, 1.0))
+        ours.append(time.perf_counter() - start)
+
+        points = np.zeros((3, POINT_SIZE))
+        points[:, 0], points[:, 1], points[:, 2], points[:, 3], points[:, WEIGHTS] = slip, sinkage, 1.0, y[:, 0], 1.0
+        z, zero, covariance = unknowns(guess), np.zeros(3), np.zeros((3, 3))
+        start = time.perf_counter()
+        solve(z, points, 3, zero, zero, PAPER, 100, 1e-8, covariance)
+        compiled.append(time.perf_counter() - start)
+
+        def residual(v, slip=slip, sinkage=sinkage, y=y):
+            return [_by_quadrature(v, i, s, PAPER) - d for i, s, d in zip(slip, sinkage, y[:, 0], strict=True)]
+
+        start = time.perf_counter()
+        s = root(residual, unknowns(guess))
+        theirs.append(time.perf_counter() - start)
+        if s.success:
+            agreement.append(float(np.max(np.abs(s.x - unknowns(e.soil)))))
+    ratios, compiled_ratios = np.array(theirs) / np.array(ours), np.array(theirs) / np.array(compiled)
+
+    def spread(values):
+        return dict(zip(("median", "low", "high"), np.percentile(values, [50, 5, 95]).tolist(), strict=True))
+
+    return {
+        "newton_raphson_s": spread(ours),
+        "compiled_solve_s": spread(compiled),
+        "scipy_s": spread(theirs),
+        "ratio": spread(ratios),
+        "ratio_compiled": spread(compiled_ratios),
+        "scipy_converged": len(agreement) / repeats,
+        "largest_difference": max(agreement, default=math.nan),
+        "published_s": {"Hutangkabodee et al. 2006": 0.15, "WEVJ 2024 15(5):217": 0.84},
+    }
+
+
+# --- all --------------------------------------------------------------------------------------------------------------
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the study and write its page."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--out", type=Path, default=Path("docs"), help="folder of identification.json, .md and plots")
+    p.add_argument("--seed", type=int, default=0)
+    p.add_argument("--smoke", action="store_true", help="seconds instead of minutes")
+    options = p.parse_args(arguments)
+    smoke = options.smoke
+    seeds = np.random.SeedSequence(options.seed).spawn(3)
+    rngs = [np.random.default_rng(s) for s in seeds]
+    result: dict = {
+        "command": "python benchmarks/identification.py" + (" --smoke" if smoke else ""),
+        "seed": options.seed,
+        "machine": f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}",
+    }
+    for name, part in (
+        ("convergence", lambda: convergence(rngs[0], 50 if smoke else 10_000)),
+        ("efficiency", lambda: efficiency(rngs[1], 20 if smoke else 1000)),
+        ("identifiability", identifiability),
+        ("speed", lambda: speed(rngs[2], 3 if smoke else 50)),
+        ("online", lambda: identification_online.run(2 if smoke else 200, options.seed)),
+    ):
+        start = time.perf_counter()
+        result[name] = part()
+        print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+        identification_page.write(result, options.out)
+        text = json.dumps(result, indent=1, allow_nan=True)
+        (options.out / "identification.json").write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        print(f"identification.py: {options.out}: {error.strerror}", file=sys.stderr)
+        return 2
+    print(f"Written: {options.out / 'identification.md'}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

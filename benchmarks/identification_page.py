@@ -1,0 +1,184 @@
+"""docs/identification.md and its plots from the result of benchmarks/identification.py."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402
+
+from benchmarks import identification_online  # noqa: E402
+
+_NAMES = ("phi", "K", "S")
+
+
+def _wrap(text: str) -> list[str]:
+    return textwrap.wrap(" ".join(text.split()), 118, break_long_words=False, break_on_hyphens=False)
+
+
+def _row(*cells) -> str:
+    return "| " + " | ".join(str(c) for c in cells) + " |"
+
+
+def _head(*cells) -> list[str]:
+    return [_row(*cells), "|" + "---|" * len(cells)]
+
+
+def _convergence(result) -> list[str]:
+    lines = [
+        "## Convergence",
+        "",
+        *_wrap(
+            """Noise-free points of random soils of the paper's wheel, initial guesses drawn from the whole box of the
+            paper's Table 4 (phi 5-89 deg, K 0.015-0.089 m, S 7e4-3.1e12). A problem counts as identifiable if the
+            condition number of its whitened Jacobian by (phi, ln K, ln S) is at most 100. Recovered: status
+            CONVERGED and all three unknowns right to 1e-4."""
+        ),
+        "",
+        *_head("data", "identifiable problems", "recovered", "reported by status", "silently wrong"),
+    ]
+    for name, t in result.items():
+        share = t["recovered"] / t["identifiable"]
+        lines.append(
+            _row(name, t["identifiable"], f"{t['recovered']} ({share:.2%})", t["flagged"], t["silently_wrong"])
+        )
+    return lines
+
+
+def _triple(values, form: str) -> str:
+    return " / ".join(form.format(v) for v in values)
+
+
+def _efficiency(rows) -> list[str]:
+    lines = [
+        "## Efficiency",
+        "",
+        *_wrap(
+            """Lunar soil, rover wheel, sensor noise of the environment; drawbar pull, load and torque. Root-mean-square
+            error over the Cramer-Rao bound of the same points and noise, and share of draws in which the reported 95
+            % interval covers the truth, each as phi / K / S. With noise in slip and sinkage, the bound is that of
+            the effective variance. Least squares that leaves that noise out is shown for comparison, with its bias
+            over the bound."""
+        ),
+        "",
+        *_head(
+            "noise in slip and sinkage", "points", "method", "RMS error / bound", "bias / bound", "coverage of 95 % [%]"
+        ),
+    ]
+    for r in rows:
+        lines.append(
+            _row(
+                "yes" if r["noise_in_slip_and_sinkage"] else "no",
+                r["points"],
+                r["method"],
+                _triple(r["rmse_over_bound"], "{:.2f}"),
+                _triple(r["bias_over_bound"], "{:+.2f}"),
+                _triple([100.0 * v for v in r["coverage_95"]], "{:.1f}"),
+            )
+        )
+    return lines
+
+
+def _identifiability(rows) -> list[str]:
+    lines = [
+        "## What the data can tell",
+        "",
+        *_wrap(
+            """Cramer-Rao bounds (one standard deviation) for 24 points at three loads and slips from 0.03 to 0.7 under
+            the rover wheel, by channels and set of unknowns; S at equal pressure at the mean sinkage, cohesion in
+            kPa. `yes`: phi to 5 deg, K and S to 50 %, n to 0.2 and c to the larger of 0.5 kPa and 30 %. In heavy
+            clay (68.95 kPa) the cohesion carries the wheel, friction hardly shows."""
+        ),
+        "",
+        *_head(
+            "soil", "channels", "unknowns", "condition", "phi [deg]", "ln K", "ln S", "n", "c [kPa]", "identifiable"
+        ),
+    ]
+    for r in rows:
+        b = r["bound"]
+        cells = [f"{b[k]:.2g}" if k in b else "" for k in ("phi_deg", "ln_K", "ln_S", "n", "c_kPa")]
+        told = "yes" if r["identifiable"] else "no"
+        lines.append(_row(r["soil"], r["data"], r["unknowns"], f"{r['condition']:.0f}", *cells, told))
+    return lines
+
+
+def _speed(s) -> list[str]:
+    us = lambda d: f"{1e6 * d['median']:.0f} us ({1e6 * d['low']:.0f}-{1e6 * d['high']:.0f})"  # noqa: E731
+    times = lambda d: f"{d['median']:.0f} ({d['low']:.0f}-{d['high']:.0f})"  # noqa: E731
+    published = ", ".join(f"{v} s ({k})" for k, v in s["published_s"].items())
+    return [
+        "## Speed",
+        "",
+        *_wrap(
+            f"""One three-point solve on drawbar pull, median and 5-95 % range over the same problems in one run; the
+            other side is scipy.optimize.root on scipy.integrate.quad integrals (converged in
+            {s["scipy_converged"]:.0%} of them, largest difference between both solutions
+            {s["largest_difference"]:.1e}). Published times of one identification: {published}."""
+        ),
+        "",
+        *_head("solve", "time", "times faster than scipy"),
+        _row(
+            "compiled `solve`, as the online identifier calls it", us(s["compiled_solve_s"]), times(s["ratio_compiled"])
+        ),
+        _row("`newton_raphson` from Python, checks included", us(s["newton_raphson_s"]), times(s["ratio"])),
+        _row("scipy", us(s["scipy_s"]), "1"),
+    ]
+
+
+def efficiency_figure(rows, path: Path) -> None:
+    """RMS error over the bound against the number of points."""
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), sharey=True)
+    for k, axis in enumerate(axes):
+        for noisy, method, marker in (
+            (False, "weighted", "o"),
+            (True, "errors in variables", "s"),
+            (True, "plain least squares", "^"),
+        ):
+            chosen = [r for r in rows if r["noise_in_slip_and_sinkage"] == noisy and r["method"] == method]
+            label = f"{method}, noise in slip and sinkage" if noisy else "no noise in slip and sinkage"
+            axis.plot(
+                [r["points"] for r in chosen], [r["rmse_over_bound"][k] for r in chosen], marker=marker, label=label
+            )
+        axis.axhline(1.0, color="#888888", lw=1)
+        axis.axhline(1.1, color="#888888", lw=1, ls=":")
+        axis.set_title(_NAMES[k])
+        axis.set_xlabel("points")
+        axis.set_ylim(0.8, 3.0)
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("RMS error / Cramer-Rao bound")
+    axes[2].legend(fontsize=8)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def write(result: dict, folder: Path) -> None:
+    """Write identification.md and its plots into `folder`."""
+    plots = folder / "identification"
+    plots.mkdir(exist_ok=True)
+    efficiency_figure(result["efficiency"], plots / "efficiency.png")
+    identification_online.figure(result["online"], plots / "online.png")
+    lines = [
+        "# Identification, measured",
+        "",
+        *_wrap(f"""Made by `{result["command"]}`, seed {result["seed"]} ({result["machine"]})."""),
+        "",
+        *_convergence(result["convergence"]),
+        "",
+        *_efficiency(result["efficiency"]),
+        "",
+        "![RMS error over the Cramer-Rao bound](identification/efficiency.png)",
+        "",
+        *_identifiability(result["identifiability"]),
+        "",
+        *identification_online.page(result["online"]),
+        "",
+        "![Error against distance since the border, and calibration](identification/online.png)",
+        "",
+        *_speed(result["speed"]),
+        "",
+    ]
+    (folder / "identification.md").write_text("\n".join(lines), encoding="utf-8")
