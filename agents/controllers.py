@@ -24,8 +24,7 @@ from soil_env.parameters import Scenario, SoilState
 from soil_env.task import layout
 from soil_env.traversability import best_working_point
 
-_START = 1 / 18  # [of top rim speed] rim speed at which a slip controller starts from rest
-_CREEP = 1 / 90  # [of top rim speed] by which the rim leads V/(1 - i), so that speed can build up
+_CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
 
 
 class Controller:
@@ -124,19 +123,21 @@ class FixedSlip(Controller):
 
     name = "fixed_slip"
 
-    def __init__(self, scenario: Scenario, slip: float = 0.3):
+    def __init__(self, scenario: Scenario, slip: float = 0.3, start: float = 0.1):
         super().__init__(scenario)
         self.slip = slip
+        self.start_speed = start * self.top_speed  # [m/s] of the rim, from rest
 
     def target_slip(self, observation, state):
         """Slip to hold, [n]."""
         return np.full(len(observation), self.slip)
 
     def rim_speed(self, observation, state):
-        """V/(1 - i) with the measured V, at least the starting speed, at most 0.4 of the top rim speed."""
+        """V/(1 - i) with the measured V and a lead, at least the starting speed, at most 0.4 of the top rim speed."""
         speed = np.maximum(observation[:, self.column["speed"]] * self.top_speed, 0.0)
         slip = np.minimum(self.target_slip(observation, state), 0.95)
-        return np.clip(speed / (1.0 - slip) + _CREEP * self.top_speed, _START * self.top_speed, 0.4 * self.top_speed)
+        target = speed / (1.0 - slip) + _CREEP * self.start_speed
+        return np.clip(target, self.start_speed, max(0.4 * self.top_speed, self.start_speed))
 
 
 class BestSlipIdentified(FixedSlip):
@@ -202,7 +203,8 @@ CONTROLLERS = {c.name: c for c in (FullThrottle, ConstantSpeed, FixedSlip, BestS
 
 
 def make_controller(name: str, scenario: Scenario, **settings) -> Controller:
-    """A controller by name; `settings`: `speed` [m/s] of constant_speed, `slip` of fixed_slip."""
+    """A controller by name; `settings`: `speed` [m/s] of constant_speed, `slip` of fixed_slip, `start` of all that
+    hold a slip: their rim speed from rest, as a share of the top rim speed."""
     if name not in CONTROLLERS:
         raise unknown_key(name, CONTROLLERS, "controller")
     return CONTROLLERS[name](scenario, **settings)

@@ -161,27 +161,51 @@ def summary(runs: Runs, seed: int = 0, resamples: int = 2000) -> dict[str, dict[
 
 
 def comparison(scenario: Scenario, seed: int, runs: dict[str, Runs], settings: dict | None = None) -> dict:
-    """The content of comparison.json: {"scenario", "courses", "seed", "settings", "controllers": {name: summary}}."""
+    """The content of comparison.json: {"scenario", "courses", "seed", "settings", "controllers": {name: summary},
+    "paired"}.
+
+    "paired": {agent: {other: {"immobilised", "finished", "return"}}}, the agent's mean difference to each other
+    controller on the same courses, with its interval.
+    """
+    paired = {
+        a: {
+            b: {m: paired_difference(runs[a], runs[b], m) for m in ("immobilised", "finished", "return")}
+            for b in runs
+            if b != a
+        }
+        for a in runs
+        if a.startswith("ppo")
+    }
     return {
         "scenario": scenario.name,
         "courses": int(next(iter(runs.values())).cause.size),
         "seed": seed,
         "settings": settings or {},
         "controllers": {name: summary(r) for name, r in runs.items()},
+        "paired": paired,
     }
 
 
-def tune(make: Callable[[float], object], values, scenario: Scenario, seed: int, courses: int, progress=None):
-    """The value whose controller `make(value)` has the highest mean return on the training courses of `seed`.
+def paired_difference(a: Runs, b: Runs, metric: str, seed: int = 0, resamples: int = 2000) -> dict[str, float]:
+    """Mean of a - b over the courses both have driven, with a 95 % bootstrap interval over courses."""
+    d = a.metric(metric) - b.metric(metric)
+    rng = np.random.default_rng(seed)
+    means = np.array([d[rng.integers(0, d.size, d.size)].mean() for _ in range(resamples)])
+    low, high = (float(q) for q in np.percentile(means, [2.5, 97.5]))
+    return {"value": float(d.mean()), "low": low, "high": high}
 
-    Returns (value, {value: mean return}).
+
+def tune(make, candidates: list[dict], scenario: Scenario, seed: int, courses: int, progress=None):
+    """The settings whose controller `make(**settings)` has the highest mean return on the courses of set `seed`.
+
+    Returns (settings, [{**settings, "return": mean return} for each candidate]).
     """
-    returns = {}
-    for value in values:
-        returns[float(value)] = float(
-            run_courses(make(value), scenario, seed, courses, progress=progress).returns.mean()
-        )
-    return max(returns, key=returns.get), returns
+    tried = []
+    for settings in candidates:
+        runs = run_courses(make(**settings), scenario, seed, courses, progress=progress)
+        tried.append({**settings, "return": float(runs.returns.mean())})
+    best = max(range(len(tried)), key=lambda k: tried[k]["return"])
+    return candidates[best], tried
 
 
 def save(result: dict, folder: Path) -> None:

@@ -36,6 +36,7 @@ REST_SPEED = 0.001  # [m/s] below this speed slip and resistance fade out, so th
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 _TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
 _MAX_ITERATIONS = 30
+_FINEST = 64  # a substep whose iteration fails is halved down to this fraction
 
 #: One wheel. Numbers that follow from the others in the same step are kept for sensors and info.
 WHEEL_STATE = np.dtype(
@@ -61,7 +62,7 @@ WHEEL_STATE = np.dtype(
         ("stalled_time", np.float64),  # [s] the conditions of stalling have held
         ("next_halt", np.float64),  # [m] place of the next commanded halt
         ("halt_left", np.float64),  # [s] left of the present halt, 0 while driving
-        ("converged", np.int64),  # 1 unless a Newton iteration of the last control period gave up
+        ("converged", np.int64),  # 1 unless a Newton iteration of the last control period failed at the finest substep
         ("patch", np.int64),
         ("cell", np.int64),
         ("steps", np.int64),  # control periods since reset
@@ -218,6 +219,8 @@ def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, com
             if max(abs(g1), abs(g2)) < norm * (1.0 - 0.1 * share):
                 break
             share *= 0.4
+        if not max(abs(g1), abs(g2)) < norm:
+            break
         v, u, f1, f2, soil_force = v1, u1, g1, g2, trial
     return v, u, soil_force, max(abs(f1), abs(f2)) < 1e-4
 
@@ -253,17 +256,24 @@ def advance(state, k, command, courses, streams, world):
     if w.halt_left > 0.0:
         command, by_speed = 0.0, True
     r = world.radius
-    h = world.period / world.substeps
+    longest = world.period / world.substeps
+    left, h = world.period, longest
     x_start = w.x
     w.motor_work = 0.0
     w.converged = 1
-    for _ in range(world.substeps):
+    while left > 1e-9 * longest:
+        h = min(h, left)
         soil, grade, patch = ground_at(courses, k, w.x + 0.5 * h * w.speed, w.patch, world.border)
         soil = stiffened(soil, courses.modulus[k, w.cell])
         load = w.mass * world.gravity * math.cos(grade)
         v, u, soil_force, converged = _implicit_speeds(
             w.speed, w.wheel_speed, w.sinkage, w.mass, load, grade, soil, command, by_speed, world, h
         )
+        if not converged:
+            if h > longest / _FINEST:
+                h *= 0.5
+                continue
+            w.converged = 0
         bearing = bearing_sinkage(w.sinkage, soil_force.modulus, soil)
         sinkage = relax_sinkage(w.sinkage, bearing, v, u - v, soil, world.relaxation, h)
         torque, _, available = motor(command, by_speed, u / r, world)
@@ -276,8 +286,8 @@ def advance(state, k, command, courses, streams, world):
         w.motor_torque, w.available_torque = torque, available
         w.load, w.drawbar_pull, w.torque = soil_force.load, soil_force.drawbar_pull, soil_force.torque
         w.grade, w.patch = grade, patch
-        if not converged:
-            w.converged = 0
+        left -= h
+        h = longest
         cell = cell_at(courses, w.x)
         while w.cell != cell:
             leave_rut(courses, k, w.cell, w.sinkage, bearing)

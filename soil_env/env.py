@@ -126,8 +126,8 @@ class SoilWheelEnv(gymnasium.Env):
     | STALLED | rim speed < 0.01 m/s for 4 s outside a halt: torque required > torque given |
     | BOGGED | sinkage > 0.8 radii |
 
-    The two clocks run back at the same rate while their condition does not hold, and stand still during halts.
-    Truncated after `control={"time_limit": ...}` (90 s) with cause TIME_LIMIT.
+    The two clocks run back at the same rate while their condition does not hold. During halts nothing is judged and
+    they stand still. Truncated after `control={"time_limit": ...}` (90 s) with cause TIME_LIMIT.
 
     ## Info
     | key | content |
@@ -136,8 +136,8 @@ class SoilWheelEnv(gymnasium.Env):
     | immobilised | bool |
     | reward_terms | dict of the terms above; their sum is the reward |
     | estimate | dict: phi [deg], K [m], S [N/m^(n+2)], their standard deviations, status of the identifier |
-    | traversability | dict, from sensors and estimate only: best slip, drawbar margin there over the grade [of load], |
-    |                | torque required there and available [N m], passable (bool); renewed with the estimate |
+    | traversability | dict, from sensors and estimate only: best slip, drawbar margin there over the grade [of load; |
+    |                | at least -1], torque required there and available [N m], passable; renewed with the estimate |
     | state | dict of the true x, speed, wheel speed, slip, sinkage, load, drawbar pull, torques, grade, in SI units |
 
     ## Arguments
@@ -235,7 +235,7 @@ class SoilWheelEnv(gymnasium.Env):
             cohesion=belief.cohesion,
             shear_modulus=math.exp(x[1]),
             sinkage_exponent=belief.sinkage_exponent,
-            sinkage_coefficient=math.exp(x[2]),
+            sinkage_coefficient=min(math.exp(x[2]), 1e13),
             dig_gain=belief.dig_gain,
             dig_recovery=belief.dig_recovery,
         )
@@ -260,7 +260,7 @@ class SoilWheelEnv(gymnasium.Env):
         best = best_working_point(
             load, self.estimate().state(wheel.width), wheel.radius, wheel.width, wheel.stall_torque
         )
-        margin = best.drawbar_pull / load - math.tan(float(observation[7]))
+        margin = max(best.drawbar_pull / load - math.tan(float(observation[7])), -1.0)
         self._warning = {
             "best_slip": best.slip,
             "drawbar_margin": margin,
@@ -296,7 +296,10 @@ _STATE = ("x", "speed", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull"
 
 def command(action) -> float:
     """The command in [-1, 1] of an action of shape (1,); ValueError if it is anything else."""
-    a = np.asarray(action, dtype=np.float64)
+    try:
+        a = np.asarray(action, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"action = {action!r}: expected one number in [-1, 1], shape (1,)") from None
     if a.shape != (1,):
         raise ValueError(f"action: expected shape (1,), got {a.shape}")
     if not np.isfinite(a[0]):

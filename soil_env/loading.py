@@ -170,14 +170,26 @@ def to_dict(instance) -> dict:
     return plain(instance)
 
 
+class _NoDuplicates(yaml.SafeLoader):
+    """SafeLoader that refuses a mapping with the same key twice, of which YAML would silently keep the last."""
+
+    def construct_mapping(self, node, deep=False):
+        """The mapping of a node."""
+        keys = [key.value for key, _ in node.value]
+        twice = sorted({k for k in keys if isinstance(k, str) and keys.count(k) > 1})
+        if twice:
+            raise yaml.constructor.ConstructorError(None, None, f"key {twice[0]!r} appears twice", node.start_mark)
+        return super().construct_mapping(node, deep)
+
+
 def read_yaml(path: Path) -> dict:
     """The mapping in a YAML file; `ParameterError` if it cannot be read as one."""
     try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        content = yaml.load(Path(path).read_text(encoding="utf-8"), _NoDuplicates)  # a SafeLoader
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterError(f"{path}: not valid YAML ({str(error).splitlines()[0]})") from None
+        raise ParameterError(f"{path}: not valid YAML ({' '.join(str(error).split())[:200]})") from None
     if content is None:
         return {}
     if not isinstance(content, dict):

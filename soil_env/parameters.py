@@ -147,16 +147,25 @@ class Wheel(Checked):
     """A rigid driven wheel with its motor and its share of the vehicle.
 
     `inertia` is that of the wheel with the motor's rotor seen through the gear, which dominates in a geared drive. The
-    motor has the straight torque-speed line of a DC motor: stall_torque (1 - w / no_load_speed).
+    motor has the straight torque-speed line of a DC motor: stall_torque (1 - w / no_load_speed). An inertia below 2 %
+    of body_mass radius^2 is refused: no geared drive is that light, and the wheel would spin up within a step.
     """
 
     radius: float = quantity("m", 0.01, 3.0)
     width: float = quantity("m", 0.005, 3.0)
-    inertia: float = quantity("kg m2", 1e-6, 1e5)
+    inertia: float = quantity("kg m2", 1e-6, 1e5, doc="at least 2 % of body_mass radius^2")
     stall_torque: float = quantity("N m", 1e-3, 1e6)
     no_load_speed: float = quantity("rad/s", 1e-3, 1e3)
     body_mass: float = quantity("kg", 0.1, 1e5, doc="mass this wheel carries and accelerates, without payload")
     source: str = ""
+
+    def __post_init__(self):
+        super().__post_init__()
+        least = 0.02 * self.body_mass * self.radius**2
+        if self.inertia < least:
+            raise ParameterError(
+                f"Wheel.inertia = {self.inertia:g}: expected at least {least:g} kg m2, 2 % of body_mass radius^2"
+            )
 
 
 # --- sensors, belief, task --------------------------------------------------------------------------------------------
@@ -207,7 +216,8 @@ class CourseSpec(Checked):
     """How courses are drawn. All pairs are (low, high) of a uniform distribution.
 
     Each patch gets the steepest grade at which a wheel at its best slip keeps a drawbar pull of `margin` times its
-    weight in reserve, cut to the bounds of `grade_deg`: every course is passable, and by how much is stated.
+    weight in reserve, cut to the upper bound of `grade_deg`; soils that would need less than its lower bound are not
+    used. So every course is passable, and by how much at least is stated.
 
     A border may not be longer than the shortest patch, so that it lies between two patches only.
 
@@ -293,10 +303,6 @@ class Scenario(Checked):
             library[name].lumped(self.wheel.width)
         if sum(self.soils.values()) <= 0.0:
             raise ParameterError("Scenario.soils: expected at least one weight > 0")
-        if self.control.substep > self.control.period:
-            raise ParameterError(
-                f"Control.substep = {self.control.substep}: expected at most the period, {self.control.period} s"
-            )
 
     @property
     def weight(self) -> float:
@@ -342,6 +348,8 @@ def load_scenario(which: str | Path | Scenario = "mixed", changes: dict | None =
     """
     if isinstance(which, Scenario):
         mapping, where = to_dict(which), f"scenario {which.name!r}"
+    elif not isinstance(which, (str, Path)):
+        raise ParameterError(f"scenario = {which!r}: expected a name, the path of a YAML file, or a Scenario")
     else:
         path = Path(which)
         if path.suffix not in (".yaml", ".yml"):

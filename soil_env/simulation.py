@@ -12,11 +12,13 @@ from numba import njit
 
 from soil_env.dynamics import WHEEL_STATE, WorldNumbers, advance, settle, world_numbers
 from soil_env.identifier import IdentifierNumbers, Identifiers, forget, identifier_numbers, new_identifiers, observe
+from soil_env.loading import ParameterError
 from soil_env.parameters import Scenario
 from soil_env.streams import seed_stream
 from soil_env.task import REWARD_TERMS, Cause, TaskNumbers, judge, reward_terms, sense, task_numbers, write_observation
 from soil_env.terrain import CourseNumbers, Courses, course_numbers, draw_course, new_courses
 
+_TRIAL_COURSES = 8
 STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 
@@ -48,6 +50,8 @@ class Numbers(NamedTuple):
 def restart(worlds, numbers, k):
     """Draw a new course for wheel k, put the wheel at its start, and observe."""
     mass = draw_course(k, worlds.courses, worlds.streams, numbers.course)
+    if mass < 0.0:
+        raise RuntimeError("no passable course found: the soils are too weak for this wheel")
     settle(worlds.state, k, mass, worlds.courses, worlds.streams, numbers.world)
     forget(worlds.ids, k, numbers.identifier)
     worlds.cause[k] = _RUNNING
@@ -134,6 +138,18 @@ class Simulation:
             np.zeros(wheels, dtype=np.int64),
             np.zeros(wheels, dtype=np.bool_),
         )
+
+        self._check_passable()
+
+    def _check_passable(self) -> None:
+        """Refuse a scenario whose soils this wheel cannot pass, before it shows in the middle of a training."""
+        courses, streams = new_courses(1, self.scenario), np.array([1], dtype=np.uint64)
+        for _ in range(_TRIAL_COURSES):
+            if draw_course(0, courses, streams, self.numbers.course) < 0.0:
+                raise ParameterError(
+                    f"scenario {self.scenario.name!r}: no passable course found for this wheel on these soils; "
+                    "expected firmer soils, a lower course.margin or a lower bound of course.grade_deg further down"
+                )
 
     def seed(self, k: int, rng: np.random.Generator) -> None:
         """Start the random stream of wheel k from a Generator."""

@@ -2,7 +2,8 @@
 
 A course is drawn from one random stream. Each patch draws a preset by weight and scatters it (`SoilSpread`); its grade
 follows from what the wheel can do there at its best slip less the margin of the scenario (`CourseSpec`), so that every
-course is passable by construction. Soils on which even the mildest grade leaves less than the margin are drawn again.
+course is passable by construction. Soils on which even the mildest grade leaves less than the margin, or in which the
+wheel would be bogged, are drawn again.
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from soil_env.model import steady_state
 from soil_env.parameters import Scenario, SoilState, soils
 from soil_env.streams import between, normal_pair, uniform
 from soil_env.traversability import best_working_point
 
 CELL = 0.05  # [m] length of one cell of the rut
-_MAX_REDRAWS = 50
+_MAX_REDRAWS = 30
 
 # How a pass changes the ground, as a factor on the sinkage coefficient S of the cell. A rolling wheel compacts, a
 # digging one loosens. The direction is that of multi-pass tests (Holm 1969, Proc. 3rd ISTVS Conf. II:1-12); the law
@@ -58,6 +60,7 @@ class CourseNumbers(NamedTuple):
     radius: float
     width: float
     stall_torque: float
+    bogged_sinkage: float  # [m]
     reference_sinkage: float
     spread: np.ndarray  # [6] coefficients of variation: friction, cohesion, K, stiffness, dig gain, exponent
     factor: np.ndarray  # [5, 5] Cholesky factor of the correlations of the first five
@@ -82,6 +85,7 @@ def course_numbers(scenario: Scenario) -> CourseNumbers:
         w.radius,
         w.width,
         w.stall_torque,
+        scenario.limits.bogged_sinkage * w.radius,
         s.reference_sinkage,
         np.array([s.friction, s.cohesion, s.shear_modulus, s.stiffness, s.dig_gain, s.exponent]),
         s.factor(),
@@ -206,16 +210,34 @@ def draw_soil(streams, k, numbers):
 
 @njit(cache=True)
 def _capacity(load, soil, numbers):
-    """Best steady drawbar pull over load on level ground; W cos(grade) sinks less, so it is on the safe side."""
-    return best_working_point(load, soil, numbers.radius, numbers.width, numbers.stall_torque).drawbar_pull / load
+    """Best steady drawbar pull over load on level ground, -inf where the wheel would be bogged at rest or at its best.
+
+    W cos(grade) sinks less, so the level value is on the safe side.
+    """
+    best = best_working_point(load, soil, numbers.radius, numbers.width, numbers.stall_torque)
+    rest = steady_state(0.0, load, soil, numbers.radius, numbers.width)
+    if max(best.sinkage, rest.sinkage) > 0.9 * numbers.bogged_sinkage or not rest.floating:
+        return -np.inf
+    return best.drawbar_pull / load
 
 
 @njit(cache=True)
 def draw_course(k, courses, streams, numbers):
-    """Draw course k afresh from stream k and clear its rut; returns the mass [kg] on the wheel, payload included.
+    """Draw course k afresh from stream k and clear its rut; the mass [kg] on the wheel with payload, or -1.
 
-    At each border the blend of both sides is checked too, and both grades lowered if it falls short.
+    At each border the blend of both sides is checked too, and both grades lowered if it falls short. -1: no passable
+    course was found, as the soils are too weak for this wheel within the bounds of grade and margin.
     """
+    for _ in range(_MAX_REDRAWS):
+        mass = _try_course(k, courses, streams, numbers)
+        if mass > 0.0:
+            return mass
+    return -1.0
+
+
+@njit(cache=True)
+def _try_course(k, courses, streams, numbers):
+    """One attempt of `draw_course`."""
     mass = numbers.body_mass + between(streams, k, numbers.payload_low, numbers.payload_high)
     load = mass * numbers.gravity
     edges = courses.edges[k]
@@ -232,13 +254,13 @@ def draw_course(k, courses, streams, numbers):
         for _ in range(_MAX_REDRAWS):
             if capacity - margin >= numbers.grade_low:
                 break
-            other = draw_soil(streams, k, numbers)
-            other_capacity = _capacity(load, other, numbers)
-            if other_capacity > capacity:
-                soil, capacity = other, other_capacity
+            soil = draw_soil(streams, k, numbers)
+            capacity = _capacity(load, soil, numbers)
+        if capacity - margin < numbers.grade_low:
+            return -1.0
         for j in range(7):
             courses.soils[k, p, j] = soil[j]
-        tangent = min(capacity - margin, numbers.grade_high)
+        tangent = min(capacity - margin, numbers.grade_high)  # at least grade_low, by the draw
         courses.margins[k, p] = capacity - tangent
         courses.grades[k, p] = math.atan(tangent)
         p += 1
@@ -250,8 +272,13 @@ def draw_course(k, courses, streams, numbers):
         short = numbers.margin_low - (_capacity(load, mid, numbers) - tangent)
         if short > 0.0:
             for j in (i - 1, i):
-                courses.grades[k, j] = math.atan(math.tan(courses.grades[k, j]) - short)
-                courses.margins[k, j] += short
+                tangent = math.tan(courses.grades[k, j])
+                lowered = max(tangent - 1.02 * short, numbers.grade_low)
+                courses.grades[k, j] = math.atan(lowered)
+                courses.margins[k, j] += tangent - lowered
+            tangent = math.tan(0.5 * (courses.grades[k, i - 1] + courses.grades[k, i]))
+            if numbers.margin_low - (_capacity(load, mid, numbers) - tangent) > 1e-6:
+                return -1.0
     courses.modulus[k, :] = 1.0
     courses.rut[k, :] = 0.0
     return mass

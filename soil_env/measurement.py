@@ -1,0 +1,365 @@
+"""Measurement tables and the setup beside them: one row is one steady point of a wheel in a test rig or on a rover.
+
+`read_table` reads the table (CSV, or Parquet where pyarrow is installed), `read_setup` the YAML file that says which
+wheel it was, what is known of the soil and how noisy the sensors are. Everything is in SI units. What cannot be right
+is refused with one line that names the file, the row, the column, the value and what was expected (`ParameterError`);
+rows are counted as lines of the file, the header being row 1.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import difflib
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from soil_env.loading import Checked, ParameterError, load, quantity, read_yaml
+from soil_env.parameters import Soil
+
+# --- the table --------------------------------------------------------------------------------------------------------
+
+REQUIRED = ("slip", "load")
+MEASURED = ("sinkage", "drawbar_pull", "torque")
+OPTIONAL = ("speed", "pass", "grade_deg", "run", "time", "wheel_radius", "wheel_width", "grouser_height")
+COLUMNS = REQUIRED + OPTIONAL + MEASURED
+UNITS = {
+    "slip": "", "load": "N", "speed": "m/s", "pass": "", "grade_deg": "deg", "time": "s", "wheel_radius": "m",
+    "wheel_width": "m", "grouser_height": "m", "sinkage": "m", "drawbar_pull": "N", "torque": "N m",
+}  # fmt: skip
+
+LARGEST_WHEEL = 3.0  # [m] as in `parameters.Wheel`
+DEEPEST = 1.0  # [m] a larger sinkage is taken for millimetres
+STEEPEST = 60.0  # [deg]
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns [N] of a measurement table, read-only; NaN where a cell is empty or the column absent.
+
+    Only `passes` and `run` have other values for "not given": 1 and "".
+    """
+
+    source: str  # the file, for messages
+    given: frozenset[str]  # columns of the file
+    row: np.ndarray  # line of the file, int
+    slip: np.ndarray  # [-] in [-1, 1]
+    load: np.ndarray  # [N]
+    sinkage: np.ndarray  # [m]
+    drawbar_pull: np.ndarray  # [N]
+    torque: np.ndarray  # [N m]
+    speed: np.ndarray  # [m/s] travel
+    passes: np.ndarray  # column `pass`: 1 = fresh soil, int
+    grade_deg: np.ndarray  # [deg] uphill positive
+    run: np.ndarray  # group, text
+    time: np.ndarray  # [s]
+    wheel_radius: np.ndarray  # [m] overrides of the setup's wheel
+    wheel_width: np.ndarray  # [m]
+    grouser_height: np.ndarray  # [m]
+
+    def __len__(self) -> int:
+        return self.slip.size
+
+    def radius(self, wheel: SetupWheel) -> np.ndarray:
+        """Wheel radius [m] of each row: the override where there is one."""
+        return np.where(np.isnan(self.wheel_radius), wheel.radius, self.wheel_radius)
+
+    def width(self, wheel: SetupWheel) -> np.ndarray:
+        """Wheel width [m] of each row: the override where there is one."""
+        return np.where(np.isnan(self.wheel_width), wheel.width, self.wheel_width)
+
+
+def read_table(path: str | Path, wheel: SetupWheel | None = None) -> Table:
+    """The measurement table in a CSV or Parquet file; with `wheel`, no sinkage may exceed its radius.
+
+    Raises `ParameterError` with one line for everything that cannot be right.
+    """
+    path = Path(path)
+    header, rows = _parquet_cells(path) if path.suffix.lower() in (".parquet", ".pq") else _csv_cells(path)
+    _check_header(path, header)
+    if not rows:
+        raise ParameterError(f"{path}: no rows below the header: expected one row for each steady point")
+    columns = {name: _column(path, name, header, rows) for name in COLUMNS if name not in ("run", "pass")}
+    absent = [(line, "") for line, _ in rows]
+    runs = [(line, cells[header.index("run")]) for line, cells in rows] if "run" in header else absent
+    passes = _column(path, "pass", header, rows)
+    table = Table(
+        source=str(path),
+        given=frozenset(header),
+        row=np.array([line for line, _ in rows]),
+        passes=np.where(np.isnan(passes), 1.0, passes).astype(int),
+        run=np.array([text for _, text in runs]),
+        **columns,
+    )
+    _check_rows(table, header, rows, wheel)
+    for f in dataclasses.fields(table):
+        if isinstance(getattr(table, f.name), np.ndarray):
+            getattr(table, f.name).flags.writeable = False
+    return table
+
+
+def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Header and (line, cells) of the rows that are not blank, every cell stripped."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.reader(stream, strict=True)
+            lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError as error:
+        raise ParameterError(f"{path}: not UTF-8 text (byte {error.start}): expected a CSV file in UTF-8") from None
+    except csv.Error as error:
+        raise ParameterError(f"{path}: not a CSV file ({error})") from None
+    lines = [(line, cells) for line, cells in lines if any(cells)]
+    if not lines:
+        raise ParameterError(f"{path}: empty file: expected a header line with column names")
+    header, rows = lines[0][1], lines[1:]
+    for line, cells in rows:
+        if len(cells) != len(header):
+            raise ParameterError(f"{path}: row {line} has {len(cells)} cells: expected {len(header)}, as the header")
+    return header, rows
+
+
+def _parquet_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """As `_csv_cells`, from Parquet; the first row counts as row 2, as it would in a CSV file."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise ParameterError(f"{path}: Parquet needs pyarrow (pip install pyarrow), or save it as CSV") from None
+    try:
+        content = pyarrow.parquet.read_table(path)
+    except (OSError, pyarrow.ArrowException) as error:
+        raise ParameterError(f"{path}: cannot be read as Parquet ({str(error).splitlines()[0]})") from None
+    columns = [["" if v is None or v != v else str(v) for v in column.to_pylist()] for column in content.columns]
+    return list(content.column_names), list(enumerate(map(list, zip(*columns, strict=True)), start=2))
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    for name in header:
+        if name in COLUMNS:
+            continue
+        if len(header) == 1 and any(c in name for c in ";\t"):
+            raise ParameterError(f"{path}: header {name!r}: expected column names with commas between them")
+        near = difflib.get_close_matches(name.lower(), COLUMNS, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ParameterError(f"{path}: unknown column {name!r}{hint} (known: {', '.join(COLUMNS)})")
+    for name in header:
+        if header.count(name) > 1:
+            raise ParameterError(f"{path}: column {name!r} appears {header.count(name)} times: expected once")
+    for name in REQUIRED:
+        if name not in header:
+            raise ParameterError(f"{path}: missing column {name!r}: expected {' and '.join(REQUIRED)} in every table")
+    if not set(MEASURED) & set(header):
+        raise ParameterError(f"{path}: missing column: expected at least one of {', '.join(MEASURED)}")
+
+
+def _column(path: Path, name: str, header: list[str], rows: list) -> np.ndarray:
+    """The numbers [N] of one column, NaN for an empty cell or an absent column."""
+    out = np.full(len(rows), math.nan)
+    if name not in header:
+        return out
+    position = header.index(name)
+    for k, (line, cells) in enumerate(rows):
+        text = cells[position]
+        if not text:
+            continue
+        try:
+            out[k] = float(text)
+        except ValueError:
+            out[k] = math.nan
+        if not math.isfinite(out[k]):
+            unit = f" of {UNITS[name]}" if UNITS[name] else ""
+            raise ParameterError(
+                f"{path}: row {line}, {name} = {text!r}: expected a finite number{unit} (empty = not measured)"
+            )
+    return out
+
+
+def _check_rows(table: Table, header: list[str], rows: list, wheel: SetupWheel | None) -> None:
+    """Refuse values that cannot be right, the first by column and row."""
+
+    def refuse(name: str, wrong: np.ndarray, expected: str) -> None:
+        if np.any(wrong):
+            k = int(np.flatnonzero(wrong)[0])
+            text = rows[k][1][header.index(name)]
+            value = f"= {text}" if text else "is empty"
+            raise ParameterError(f"{table.source}: row {rows[k][0]}, {name} {value}: expected {expected}")
+
+    for name in REQUIRED:
+        refuse(name, np.isnan(getattr(table, name)), "a number in every row")
+    outside = np.abs(table.slip) > 1.0
+    percent = np.any(outside) and np.max(np.abs(table.slip)) <= 100.0
+    refuse("slip", outside, "slip in [-1, 1]" + (" (these look like percent: divide by 100)" if percent else ""))
+    refuse("load", table.load <= 0.0, "a load > 0 N, upward on the wheel")
+    refuse("speed", table.speed < 0.0, "a travel speed >= 0 m/s")
+    if "pass" in header:
+        numbers = _column(Path(table.source), "pass", header, rows)
+        refuse("pass", (numbers != np.floor(numbers)) & ~np.isnan(numbers), "a whole number, 1 = fresh soil")
+        refuse("pass", numbers < 1, "a whole number from 1, 1 = fresh soil")
+    refuse("grade_deg", np.abs(table.grade_deg) > STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]")
+    if "grade_deg" in header and _in_radians([cells[header.index("grade_deg")] for _, cells in rows]):
+        refuse("grade_deg", np.abs(table.grade_deg) > 0.0, "degrees (these look like radians: multiply by 57.3)")
+    for name in ("wheel_radius", "wheel_width"):
+        size = getattr(table, name)
+        refuse(name, (size <= 0.0) | (size > LARGEST_WHEEL), f"metres in (0, {LARGEST_WHEEL:g}]")
+    refuse("grouser_height", (table.grouser_height < 0.0) | (table.grouser_height > 1.0), "metres in [0, 1]")
+    refuse("sinkage", np.abs(table.sinkage) > DEEPEST, "metres (this can only be millimetres: divide by 1000)")
+    radius = table.wheel_radius if wheel is None else table.radius(wheel)
+    deep = np.abs(table.sinkage) > radius
+    if np.any(deep):
+        r = radius[deep][0]
+        refuse("sinkage", deep, f"metres, at most the wheel radius {r:g} m (if it is millimetres, divide by 1000)")
+
+    nothing = np.isnan(table.sinkage) & np.isnan(table.drawbar_pull) & np.isnan(table.torque)
+    if np.any(nothing):
+        line = table.row[nothing][0]
+        raise ParameterError(f"{table.source}: row {line}: nothing measured: expected one of {', '.join(MEASURED)}")
+    seen: dict[tuple, int] = {}
+    for line, cells in rows:
+        key = tuple(_canonical(c) for c in cells)
+        if key in seen:
+            raise ParameterError(
+                f"{table.source}: row {line} repeats row {seen[key]} in every column: expected each point once "
+                f"(a true repeat differs in run or time)"
+            )
+        seen[key] = line
+    if np.all(table.slip == table.slip[0]):
+        raise ParameterError(
+            f"{table.source}: slip = {table.slip[0]:g} in every row: expected at least two different slips"
+        )
+
+
+def _canonical(cell: str):
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
+
+
+def _in_radians(cells: list[str]) -> bool:
+    """Whether grades look like radians: all small, and all are whole degrees rounded to three digits or more."""
+    numbers = [(float(c), len(c.rpartition(".")[2])) for c in cells if c and float(c) != 0.0]
+
+    def whole_degrees(x, digits):
+        return digits >= 3 and abs(round(math.radians(round(math.degrees(x))), digits) - x) < 10.0**-digits * 1e-3
+
+    return bool(numbers) and all(abs(x) < math.radians(STEEPEST) and whole_degrees(x, d) for x, d in numbers)
+
+
+# --- the setup --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SetupWheel(Checked):
+    """The wheel that was measured; `grouser_height` 0 is a smooth rim."""
+
+    radius: float = quantity("m", 0.01, LARGEST_WHEEL)
+    width: float = quantity("m", 0.005, LARGEST_WHEEL)
+    grouser_height: float = quantity("m", 0.0, 1.0, default=0.0)
+
+
+@dataclass(frozen=True)
+class Prior(Checked):
+    """What is known of a parameter before the table: its value and standard deviation, 0 if it is known exactly."""
+
+    value: float = quantity("")
+    sd: float = quantity("", 0.0)
+
+    @property
+    def known(self) -> bool:
+        """Whether the value is not to be fitted."""
+        return self.sd == 0.0
+
+
+@dataclass(frozen=True)
+class SoilPriors(Checked):
+    """Priors of the soil, `parameters.Soil` for their meaning; None is to be fitted with a broad prior."""
+
+    friction_angle_deg: Prior | None = None
+    cohesion: Prior | None = None
+    shear_modulus: Prior | None = None
+    sinkage_coefficient: Prior | None = None
+    sinkage_exponent: Prior | None = None
+    k_c: Prior | None = None
+    k_phi: Prior | None = None
+    density: Prior | None = None
+
+    def __post_init__(self):
+        limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
+        for f in dataclasses.fields(self):
+            prior, limit = getattr(self, f.name), limits[f.name]
+            if prior is not None and not limit["low"] <= prior.value <= limit["high"]:
+                expected = f"a number in [{limit['low']:g}, {limit['high']:g}] {limit['unit']}".rstrip()
+                raise ParameterError(f"{f.name} = {prior.value:g}: expected {expected}")
+        pair = (self.k_c is not None) + (self.k_phi is not None)
+        if pair == 1 or (pair == 2 and self.sinkage_coefficient is not None):
+            raise ParameterError("expected either sinkage_coefficient, or both k_c and k_phi, or none of them")
+        if pair == 2 and self.k_phi.value <= 0.0:
+            raise ParameterError(f"k_phi = {self.k_phi.value:g}: expected a number > 0 N/m^(n+2)")
+
+    def lumped(self, width: float) -> Prior | None:
+        """Prior of S [N/m^(n+2)] under a wheel of width b [m]: k_c/b + k_phi where these are given."""
+        if self.k_c is None:
+            return self.sinkage_coefficient
+        value = self.k_c.value / width + self.k_phi.value
+        if value <= 0.0:
+            raise ParameterError(f"soil: k_c/b + k_phi = {value:g} for a wheel of width {width:g} m: expected > 0")
+        return Prior(value, math.hypot(self.k_c.sd / width, self.k_phi.sd))
+
+
+@dataclass(frozen=True)
+class NoiseLevels(Checked):
+    """Standard deviations of the measured values; None is to be estimated from the table.
+
+    `slip` and `load` are conditions: left out, they count as exact.
+    """
+
+    sinkage: float | None = quantity("m", default=None)
+    drawbar_pull: float | None = quantity("N", default=None)
+    torque: float | None = quantity("N m", default=None)
+    slip: float | None = quantity("", default=None)
+    load: float | None = quantity("N", default=None)
+
+    def __post_init__(self):
+        for f in dataclasses.fields(self):
+            value = getattr(self, f.name)
+            if value is not None and not 0.0 < value < math.inf:
+                unit = f" {f.metadata['unit']}".rstrip()
+                raise ParameterError(f"{f.name} = {value:g}: expected a standard deviation > 0{unit}, or leave it out")
+
+
+@dataclass(frozen=True)
+class Setup(Checked):
+    """What is known about a measurement table."""
+
+    wheel: SetupWheel
+    soil: SoilPriors = SoilPriors()
+    noise: NoiseLevels = NoiseLevels()
+
+
+def read_setup(path: str | Path) -> Setup:
+    """The setup in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
+    path = Path(path)
+    mapping = read_yaml(path)
+    where = str(path)
+    for section in ("soil", "noise"):
+        if section in mapping and mapping[section] is None:
+            del mapping[section]  # a heading with nothing below it
+    if isinstance(mapping.get("soil"), dict):
+        mapping["soil"] = {key: _prior(v, f"{where}: soil: {key}") for key, v in mapping["soil"].items()}
+    return load(Setup, mapping, where)
+
+
+def _prior(value, where: str):
+    """A number as a known `Prior` mapping; a mapping must have an sd > 0."""
+    if isinstance(value, dict):
+        if "sd" in value and isinstance(value["sd"], (int, float)) and not value["sd"] > 0.0:
+            raise ParameterError(f"{where}: sd = {value['sd']!r}: expected > 0 (write a known value as a plain number)")
+        return value
+    if value is None or isinstance(value, list):
+        raise ParameterError(f"{where} = {value!r}: expected a number or {{value: ..., sd: ...}}, or leave it out")
+    return {"value": value, "sd": 0.0}
