@@ -1,0 +1,262 @@
+"""Identify a soil from the measurements of a wheel.
+
+Reads a table of steady points (slip, load, sinkage and drawbar pull or torque) and what is known beforehand about
+wheel, soil and sensors; fits friction angle, shear modulus K, sinkage coefficient S, sinkage exponent n and cohesion,
+as far as they are not known; prints the estimates with 95 % intervals, their correlations, and in words what the data
+cannot tell.
+
+DATA.csv (SI units; a cell is left empty where nothing was measured):
+
+    slip,load,sinkage,drawbar_pull,torque
+    0.10,120,0.0211,2.35,4.02
+    0.25,120,0.0204,11.9,5.86
+    0.45,120,0.0203,21.4,7.41
+
+  slip          (r w - V)/(r w) when driving, (r w - V)/V when braking, in [-1, 1]; required
+  load          [N] normal to the ground; required
+  sinkage       [m] of the lowest point of the rim; required by this command
+  drawbar_pull  [N]
+  torque        [N m]; with it, cohesion and exponent can be told too
+  speed [m/s], pass, grade_deg, run, time [s], wheel_radius, wheel_width, grouser_height [m]: optional
+
+setup.yaml:
+
+    wheel: {radius: 0.15, width: 0.12}             # m
+    soil:
+      cohesion: 1500                               # Pa; a number is known and not fitted
+      friction_angle_deg: {value: 30, sd: 3}       # a prior: fitted, and held to this as far as the data allow
+      # left out: shear_modulus [m], sinkage_exponent, sinkage_coefficient [N/m^(n+2)] (or k_c and k_phi): fitted
+    noise: {sinkage: 0.0003, drawbar_pull: 0.7, torque: 0.1}   # 1-sigma; left out = estimated from the scatter
+
+noise may name slip and load too; left out, these two count as exact.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import math
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table as Grid
+
+from soil_env.identification.table import Fit, TableEstimate, identify_table
+from soil_env.loading import ParameterError
+from soil_env.measurement import read_setup, read_table
+
+NAMES = {
+    "friction_angle_deg": "friction angle",
+    "shear_modulus": "shear modulus K",
+    "sinkage_coefficient": "sinkage coefficient S",
+    "sinkage_exponent": "sinkage exponent n",
+    "cohesion": "cohesion c",
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    options = _parser().parse_args(arguments)
+    try:
+        setup = read_setup(options.setup)
+        table = read_table(options.data, setup.wheel)
+        if options.out is not None and options.out.exists() and not options.out.is_dir():
+            raise ParameterError(f"{options.out}: is a file: expected a folder")
+        estimate = identify_table(table, setup)
+        files = {} if options.out is None else _files(estimate)
+        _write(options.out, files)
+    except ParameterError as error:
+        print(f"soil_env.identification: {error}", file=sys.stderr)
+        return 2
+    show(estimate, Console(width=None if sys.stdout.isatty() else 110))
+    for name in files:
+        print(f"written: {options.out / name}")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    description, _, files = __doc__.partition("\n\nDATA.csv")
+    p = argparse.ArgumentParser(
+        prog="python -m soil_env.identification",
+        description=description,
+        epilog="files:\n\nDATA.csv" + files + "\nexit status: 0 identified; 2 bad input, said in one line and nothing "
+        "written.\n\nexample:\n\n    python -m soil_env.identification examples/data/single_wheel.csv \\\n"
+        "        --setup examples/data/setup.yaml --out runs/identified",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    p.add_argument("data", metavar="DATA.csv", type=Path, help="measurement table (CSV, or Parquet with pyarrow)")
+    p.add_argument("--setup", required=True, type=Path, help="YAML file: wheel, what is known of the soil, noise")
+    p.add_argument("--out", metavar="DIR", type=Path, help="write identification.json and identification.png there")
+    return p
+
+
+# --- on the terminal --------------------------------------------------------------------------------------------------
+
+
+def show(estimate: TableEstimate, console: Console) -> None:
+    """Print estimates, channels, correlations and warnings."""
+    grid = Grid(title="Soil", title_justify="left", title_style="bold")
+    for title, align in (("parameter", "left"), ("estimate", "right"), ("95 % interval", "right"), ("unit", "left")):
+        grid.add_column(title, justify=align, no_wrap=True)
+    grid.add_column("sd / prior sd", justify="right")
+    for key, label in NAMES.items():
+        p = estimate.parameters[key]
+        fixed = p.known and p.low == p.high
+        interval = "" if fixed else f"{p.low:.4g} .. {p.high:.4g}"
+        told = "known" if p.known else f"{p.told:.3f}"
+        grid.add_row(label, f"{p.value:.4g}", interval, p.unit, told)
+    p = estimate.parameters["reference_pressure"]
+    label = f"S z^n at z = {1e3 * estimate.reference_sinkage:.3g} mm"
+    grid.add_row(label, f"{p.value:.4g}", "" if p.low == p.high else f"{p.low:.4g} .. {p.high:.4g}", p.unit, "")
+    console.print(grid)
+
+    grid = Grid(title="Fit", title_justify="left", title_style="bold")
+    for title in ("channel", "points", "noise (1 sd)", "rms residual", "rms / noise"):
+        grid.add_column(title, justify="left" if title == "channel" else "right", no_wrap=True)
+    for name, fit in estimate.fits.items():
+        rms = _rms(fit)
+        grid.add_row(
+            name.replace("_", " "),
+            str(int(np.sum(np.isfinite(fit.measured)))),
+            f"{fit.noise:.3g} {fit.unit}" + (" (estimated)" if fit.estimated else ""),
+            f"{rms:.3g} {fit.unit}",
+            f"{rms / fit.noise:.2f}",
+        )
+    console.print(grid)
+
+    if len(estimate.free) > 1:
+        grid = Grid(title="Correlation", title_justify="left", title_style="bold")
+        grid.add_column("")
+        for label in estimate.free:
+            grid.add_column(label, justify="right")
+        for label, line in zip(estimate.free, estimate.correlation, strict=True):
+            grid.add_row(label, *(f"{c:+.3f}" for c in line))
+        console.print(grid)
+    text = f"{estimate.values} measured values, condition number {estimate.condition:.3g}"
+    console.print(text + (" (hardly told apart)" if estimate.condition > 1e3 else ""), highlight=False)
+    for warning in estimate.warnings:
+        console.print(f"! {warning}", style="yellow", highlight=False)
+
+
+def _rms(fit: Fit) -> float:
+    return math.sqrt(float(np.nanmean((fit.measured - fit.fitted) ** 2)))
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def _files(estimate: TableEstimate) -> dict[str, bytes]:
+    """Content of the files by name, complete before the first is written."""
+    report = json.dumps(report_of(estimate), indent=2, allow_nan=False) + "\n"
+    return {"identification.json": report.encode(), "identification.png": picture(estimate)}
+
+
+def _write(folder: Path | None, files: dict[str, bytes]) -> None:
+    """Write files into `folder`, each whole or not at all."""
+    try:
+        for name, content in files.items():
+            folder.mkdir(parents=True, exist_ok=True)
+            part = folder / (name + ".part")
+            part.write_bytes(content)
+            os.replace(part, folder / name)
+    except OSError as error:
+        raise ParameterError(f"{folder}: cannot be written ({error.strerror})") from None
+
+
+def report_of(estimate: TableEstimate) -> dict:
+    """The estimate as plain values for JSON; null where there is none."""
+
+    def plain(x):
+        if isinstance(x, np.ndarray):
+            return [plain(v) for v in x.tolist()]
+        if isinstance(x, list):
+            return [plain(v) for v in x]
+        return None if isinstance(x, float) and not math.isfinite(x) else x
+
+    return {
+        "parameters": {
+            name: {key: plain(getattr(p, key)) for key in ("value", "low", "high", "unit", "known", "told")}
+            for name, p in estimate.parameters.items()
+        },
+        "reference_sinkage": estimate.reference_sinkage,
+        "free": list(estimate.free),
+        "covariance": plain(estimate.covariance),
+        "correlation": plain(estimate.correlation),
+        "condition": plain(estimate.condition),
+        "channels": {
+            name: {
+                "noise": fit.noise,
+                "noise_estimated": fit.estimated,
+                "rms": _rms(fit),
+                "p_value": plain(fit.p_value),
+                "measured": plain(fit.measured),
+                "fitted": plain(fit.fitted),
+            }
+            for name, fit in estimate.fits.items()
+        },
+        "row": plain(estimate.row),
+        "slip": plain(estimate.slip),
+        "load": plain(estimate.load),
+        "values": estimate.values,
+        "converged": estimate.converged,
+        "warnings": list(estimate.warnings),
+    }
+
+
+def picture(estimate: TableEstimate) -> bytes:
+    """PNG: each channel over slip, measured with error bars and fitted, and below it the residuals over their noise."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    factor = {"m": (1e3, "mm"), "N": (1.0, "N"), "N m": (1.0, "N m")}
+    figure = Figure(figsize=(max(8.0, 4.4 * len(estimate.fits)), 5.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, len(estimate.fits), sharex=True, squeeze=False, height_ratios=(2.2, 1.0))
+    groups = load_groups(estimate.load)
+    colors = [(0.55, 0.55, 0.55)] if len(groups) > 6 else [f"C{k}" for k in range(6)]
+    for (name, fit), (top, below) in zip(estimate.fits.items(), axes.T, strict=True):
+        scale, unit = factor[fit.unit]
+        for k, (label, members) in enumerate(groups):
+            color = colors[k % len(colors)]
+            order = members[np.argsort(estimate.slip[members])]
+            slip = estimate.slip[order]
+            distinct = len(groups) <= 6 and np.all(np.diff(slip) > 1e-3)  # else a line would zigzag
+            top.plot(slip, scale * fit.fitted[order], "-" if distinct else "x", color=color, lw=1.2, label=label)
+            top.errorbar(slip, scale * fit.measured[order], scale * 1.96 * fit.noise, fmt="o", ms=3.5, lw=0.9,
+                         color=color, capsize=2)  # fmt: skip
+            below.plot(slip, fit.residual[order], "o", ms=3.5, color=color)
+        below.axhspan(-1.96, 1.96, color="0.92", zorder=0)
+        below.axhline(0.0, color="0.5", lw=0.8)
+        reach = max(3.5, 1.1 * float(np.nanmax(np.abs(fit.residual))))
+        below.set(xlabel="slip", ylim=(-reach, reach))
+        top.set(title=name.replace("_", " "), ylabel=unit)
+    axes[1, 0].set_ylabel("residual / noise")
+    if len(groups) <= 6:
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        labels = [f"load {label}" for label in labels]
+        figure.legend(handles, labels, loc="outside lower center", ncols=6, fontsize=9, frameon=False)
+    p = estimate.parameters
+    figure.suptitle(
+        f"phi {p['friction_angle_deg'].value:.1f} deg, K {1e3 * p['shear_modulus'].value:.1f} mm, "
+        f"S {p['sinkage_coefficient'].value:.3g} N/m$^{{n+2}}$, n {p['sinkage_exponent'].value:.2f}, "
+        f"c {p['cohesion'].value:.0f} Pa (points: measured, 95 % bars; lines or crosses: fitted)",
+        fontsize=10,
+    )
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=130)
+    return stream.getvalue()
+
+
+def load_groups(load: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """Rows of about the same load, a gap of 10 % parting two: (label, indices), lightest first."""
+    order = np.argsort(load, kind="stable")
+    cuts = np.flatnonzero(np.diff(np.log(load[order])) > 0.1) + 1
+    return [(f"{np.mean(load[members]):.0f} N", members) for members in np.split(order, cuts)]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
