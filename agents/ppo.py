@@ -44,7 +44,8 @@ class PPOConfig(Checked):
     clip_range: float = quantity("", 0.01, 1.0, default=0.2)
     ent_coef: float = quantity("", 0.0, 1.0, default=0.0)
     layer: int = quantity("units in each of two hidden layers", 1, 4096, default=64)
-    log_std_init: float = quantity("log of the initial standard deviation", -5.0, 2.0, default=-0.7)
+    log_std_init: float = quantity("log of the initial standard deviation", -5.0, 2.0, default=-1.6)
+    initial_action: float = quantity("mean action of the untrained policy", -1.0, 1.0, default=0.3)
     threads: int = quantity("torch threads", 1, 256, default=1)
 
     def __post_init__(self):
@@ -60,7 +61,7 @@ def build(scenario: Scenario, observation: str, config: PPOConfig, seed: int, te
     """A fresh PPO agent with its normalised vector environment."""
     torch.set_num_threads(config.threads)
     env = normalised(scenario, observation, config, seed)
-    return PPO(
+    model = PPO(
         "MlpPolicy",
         env,
         learning_rate=_schedule(config),
@@ -76,6 +77,9 @@ def build(scenario: Scenario, observation: str, config: PPOConfig, seed: int, te
         seed=seed,
         device="cpu",
     )
+    with torch.no_grad():  # exploring around full stop would teach little but how to stall
+        model.policy.action_net.bias.fill_(config.initial_action)
+    return model
 
 
 def normalised(scenario: Scenario, observation: str, config: PPOConfig, seed: int) -> VecNormalize:

@@ -44,7 +44,7 @@ WINDOW = 8  # points
 _BUCKET_READINGS = 5  # readings averaged to one point, at most
 _BUCKET_LENGTH = 0.06  # [m] travelled within one point, at most
 _BUCKET_SLIP = 0.05  # slip range within one point, at most
-_CONTRADICTION = 25.0  # chi-squared of three channels beyond which a point belongs to another soil
+_CONTRADICTION = 9.0  # chi-squared of three channels beyond which a point belongs to another soil
 _MINIMUM_RIM_SPEED = 0.02  # [m/s] below which readings say nothing of shear
 
 # Columns of `Identifiers.running`: sums of the open point, then the observers

@@ -207,7 +207,7 @@ class Belief(Checked):
     dig_gain: float = quantity("", 0.0, 20.0, default=2.2)
     dig_gain_sd: float = quantity("", 0.0, 5.0, default=0.7, doc="relative")
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5)
-    model_error: float = quantity("of load", 0.0, 1.0, default=0.02, doc="1-sigma misfit of the model itself")
+    model_error: float = quantity("of load", 0.0, 1.0, default=0.01, doc="1-sigma misfit of the model itself")
     memory: float = quantity("m", 0.01, 1e3, default=1.5, doc="distance after which a measured point is forgotten")
 
 

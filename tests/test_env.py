@@ -219,11 +219,11 @@ def test_halt_intervals_are_those_of_the_scenario():
 def test_keyword_arguments_reach_the_scenario():
     env = gymnasium.make(
         "SoilWheel-v0", course={"length": 21.0}, wheel="paper_vehicle", noise={"slip": 0.5}, gravity=3.7,
-        soils={"snow": 2}, action="wheel_speed", control={"period": 0.2},
+        soils={"lete_sand": 2}, action="wheel_speed", control={"period": 0.2},
     ).unwrapped  # fmt: skip
     s = env.scenario
     assert (s.course.length, s.wheel.radius, s.noise.slip, s.gravity) == (21.0, 0.6274, 0.5, 3.7)
-    assert s.soils == {"snow": 2.0} and (s.control.action, s.control.period) == ("wheel_speed", 0.2)
+    assert s.soils == {"lete_sand": 2.0} and (s.control.action, s.control.period) == ("wheel_speed", 0.2)
     default = load_scenario("mixed")
     assert s.noise.sinkage == default.noise.sinkage and s.course.border == default.course.border
     assert env.simulation.numbers.course.length == 21.0 and env.metadata["render_fps"] == 5

@@ -347,9 +347,10 @@ def test_tune_picks_the_value_of_the_highest_mean_return(scenario):
         return make_controller("fixed_slip", scenario, slip=slip)
 
     done = []
-    best, returns = tune(make, values, scenario, SEED, 6, done.append)
+    best, tried = tune(make, [{"slip": v} for v in values], scenario, SEED, 6, done.append)
+    returns = {t["slip"]: t["return"] for t in tried}
     expected = {v: run_courses(make(v), scenario, SEED, 6).returns.mean() for v in values}
     assert returns == pytest.approx(expected)
     assert len(set(returns.values())) == 3
-    assert best == max(expected, key=expected.get)
+    assert best == {"slip": max(expected, key=expected.get)}
     assert sum(done) == 18

@@ -114,7 +114,8 @@ BAD_SCENARIO = [
     ({"course": {"lenght": 5}}, ["lenght", "'length'"]),
     ({"spread": {"friction_cohesion": 0.9, "friction_stiffness": 0.9}}, ["correlations"]),
     ({"control": {"action": "voltage"}}, ["action", "voltage"]),
-    ({"control": {"substep": 0.2}}, ["substep", "0.2"]),
+    ({"control": {"substep": 0.6}}, ["substep", "0.6"]),
+    ({"wheel": {"preset": "planetary_rover", "inertia": 1e-5}}, ["inertia", "1e-05", "0.00675"]),
     ({"gravity": "earth"}, ["gravity", "earth"]),
     ({"gravty": 9.81}, ["gravty", "'gravity'"]),
 ]

@@ -175,7 +175,7 @@ def test_results_are_not_overwritten_by_later_steps():
 def test_terminal_observation_survives_the_reset_and_later_episodes():
     env = SoilWheelVecEnv(2, **SHORT)
     env.seed(0)
-    _, results = drive(env, 30, random_actions(30, 2))
+    _, results = drive(env, 30, np.full((30, 2, 1), 0.4, dtype=np.float32))
     terminal = results[-1][3][0]["terminal_observation"]
     copy = terminal.copy()
     for _ in range(35):

@@ -203,11 +203,12 @@ def test_the_same_seed_gives_the_same_comparison(capsys, tmp_path):
 
 def rates(**values):
     """A result that holds just (value, low, high) of `immobilised`."""
-    return {
-        "controllers": {
-            name: {"immobilised": dict(zip(("value", "low", "high"), m, strict=True))} for name, m in values.items()
-        }
+    rows = {
+        name: {"immobilised": dict(zip(("value", "low", "high"), m, strict=True)), "time_limit": {"value": 0.0}}
+        for name, m in values.items()
     }
+    even = {"finished": {"value": 0.05, "low": 0.02, "high": 0.08}}
+    return {"controllers": rows, "paired": {a: dict.fromkeys(rows, even) for a in rows}}
 
 
 @pytest.mark.parametrize(
@@ -389,13 +390,13 @@ def test_overrides_are_read_as_yaml():
         (["--name", "."], ["name", "'.'"]),
         (["--name", ".."], [".."]),
         (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
-        (["--resume", ""], ["cannot be read"]),
-        (["--resume="], ["cannot be read"]),
-        (["--resume", "", "--courses", "5"], ["--resume takes no other option"]),
-        (["--resume", "", "--config", ""], ["--resume takes no other option"]),
-        (["--config", ""], ["cannot be read"]),
-        (["--config="], ["cannot be read"]),
-        (["--config", "", "--courses", "5"], ["cannot be read"]),
+        (["--resume", ""], ["--resume", "expected a path"]),
+        (["--resume="], ["--resume", "expected a path"]),
+        (["--resume", "", "--courses", "5"], ["--resume", "expected a path"]),
+        (["--resume", "", "--config", ""], ["--config", "expected a path"]),
+        (["--config", ""], ["--config", "expected a path"]),
+        (["--config="], ["--config", "expected a path"]),
+        (["--config", "", "--courses", "5"], ["--config", "expected a path"]),
         (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "16384"]),
         (["--resume"], ["resume"]),
         (["--config"], ["config"]),
