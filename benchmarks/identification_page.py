@@ -118,8 +118,8 @@ def _online(o) -> list[str]:
         *_wrap(
             f"""{o["courses"]} courses of scenario "{o["scenario"]}" with its sensor noise; {drive["readings"]} readings
             over {drive["distance_m"]:.0f} m. All contenders replay the same readings; those that use our compiled
-            prediction of a point profit from its speed. RMS errors over all driven steps, held estimates counted, with 95 %
-            intervals over courses; the prior alone has {o["prior_rms"]["phi_deg"]:.2f} deg,
+            prediction of a point profit from its speed. RMS errors over all driven steps, held estimates counted,
+            with 95 % intervals over courses; the prior alone has {o["prior_rms"]["phi_deg"]:.2f} deg,
             {o["prior_rms"]["ln_K"]:.2f}
             and {o["prior_rms"]["ln_S"]:.2f}."""
         ),

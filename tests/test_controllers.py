@@ -325,7 +325,9 @@ def test_fixed_slip_asks_for_the_rim_speed_of_its_slip(slip):
     np.testing.assert_allclose(controller.rim_speed(batch, {}), 0.4 * controller.top_speed)
 
 
-@pytest.mark.parametrize("name", ["dry_sand", "dry_sand_loose", "lunar_nominal", "lunar_simulant_hit_lss1", "lete_sand"])
+@pytest.mark.parametrize(
+    "name", ["dry_sand", "dry_sand_loose", "lunar_nominal", "lunar_simulant_hit_lss1", "lete_sand"]
+)
 @pytest.mark.parametrize("payload", [0.0, 4.0])
 def test_best_slip_true_picks_the_slip_of_the_best_working_point(name, payload):
     scenario = uniform(name, grade=-2.0, payload=payload)
