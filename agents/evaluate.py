@@ -196,15 +196,16 @@ def paired_difference(a: Runs, b: Runs, metric: str, seed: int = 0, resamples: i
 
 
 def tune(make, candidates: list[dict], scenario: Scenario, seed: int, courses: int, progress=None):
-    """The settings whose controller `make(**settings)` has the highest mean return on the courses of set `seed`.
+    """The settings whose controller `make(**settings)` finishes most courses of set `seed`, the return breaking ties.
 
-    Returns (settings, [{**settings, "return": mean return} for each candidate]).
+    Returns (settings, [{**settings, "finished": share, "return": mean return} for each candidate]).
     """
     tried = []
     for settings in candidates:
         runs = run_courses(make(**settings), scenario, seed, courses, progress=progress)
-        tried.append({**settings, "return": float(runs.returns.mean())})
-    best = max(range(len(tried)), key=lambda k: tried[k]["return"])
+        score = {"finished": float(runs.metric("finished").mean()), "return": float(runs.returns.mean())}
+        tried.append({**settings, **score})
+    best = max(range(len(tried)), key=lambda k: (tried[k]["finished"], tried[k]["return"]))
     return candidates[best], tried
 
 

@@ -166,7 +166,7 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
 
 
 def tuned_controllers(scenario: Scenario, courses: int) -> tuple[dict, dict]:
-    """({name: classical controller}, settings), each tuned for mean return on the tuning set."""
+    """({name: classical controller}, settings), each tuned to finish most courses of the tuning set."""
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
     chosen, settings = {}, {"tuning_courses": courses}
     with Bar("Tuning", courses * sum(map(len, _CANDIDATES.values())), "courses") as bar:
