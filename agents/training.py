@@ -271,8 +271,8 @@ def verdict(result: dict, name: str) -> str:
     value, low, high = (100.0 * difference[key] for key in ("value", "low", "high"))
     return (
         f"{text}. Of the others without the true soil, {best} fails least; on the same courses {name} finishes "
-        f"{value:+.1f} [{low:+.1f}, {high:+.1f}] percentage points more than it. (One training seed; the intervals are "
-        "over courses.)"
+        f"{value:+.1f} [{low:+.1f}, {high:+.1f}] percentage points more than it. One training seed; the intervals are "
+        "over courses."
     )
 
 
