@@ -270,7 +270,8 @@ def test_the_identifier_takes_nothing_from_the_world_but_its_shape():
 
 def simulate(changes=None, wheels=1, mode="wheel_speed", spread=NO_SPREAD, grade=(-1.0, 0.0)):
     """(simulation, true unknowns [wheels, 3]) of wheels after a reset, each on a long course of one soil."""
-    base = {"wheel": {"preset": "planetary_rover", "no_load_speed": 6.0}, "soils": {"lunar_nominal": 1}, "spread": spread, "belief": TRUE_BELIEF, "control": {"action": mode},
+    base = {"wheel": {"preset": "planetary_rover", "no_load_speed": 6.0},
+            "soils": {"lunar_nominal": 1}, "spread": spread, "belief": TRUE_BELIEF, "control": {"action": mode},
             "course": UNIFORM | {"grade_deg": list(grade)}}  # fmt: skip
     sim = Simulation(wheels, load_scenario("mixed", base | (changes or {})), "identified", threads=1)
     for k in range(wheels):
