@@ -32,8 +32,8 @@ lint: $(TEST_READY)  ## ruff and import-linter only
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/lint-imports
 
-bench: $(TRAIN_READY)  ## run every script in benchmarks/
-	@for script in benchmarks/[a-z]*.py; do echo "== $$script"; $(PY) "$$script" || exit 1; done
+bench: $(TRAIN_READY)  ## run the studies of benchmarks/ and renew their pages in docs/
+	$(PY) benchmarks/identification.py $(ARGS)
 
 clean:  ## remove .venv, build products and caches; runs/ stays
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis
