@@ -83,8 +83,8 @@ def course_figure(scenario: Scenario, seed: int, course: int, controllers: dict,
         _estimate(
             a[3], d["t"], d["phi"], np.degrees(d["e_phi"]), np.degrees(d["sd_phi"]), "friction angle [deg]", False
         )
-        _estimate(a[4], d["t"], d["K"], 1000.0 * np.exp(d["e_K"]), d["sd_K"], "shear modulus K [mm]", True)
-        _estimate(a[5], d["t"], d["S"], np.exp(d["e_S"]), d["sd_S"], "sinkage coefficient S [N/m$^{n+2}$]", True)
+        _estimate(a[4], d["t"], d["K"], 1000.0 * np.exp(d["e_K"]), d["sd_K"], "K [mm]", True)
+        _estimate(a[5], d["t"], d["S"], np.exp(d["e_S"]), d["sd_S"], "S [N/m$^{n+2}$]", True)
         a[5].set_xlabel("time [s]")
         a[3].legend(loc="upper right", fontsize=8)
         for axis in a:
