@@ -11,7 +11,7 @@ the drive's own loop does that.
 | constant_speed | fixed | blind |
 | fixed_slip | V/(1 - i) for a fixed slip i | blind |
 | best_slip_identified | V/(1 - i), i of the best drawbar pull on the identified soil | identified |
-| best_slip_true | the same on the true soil: an upper reference | true_soil |
+| best_slip_true | the same on the true soil: a reference, not a bound | true_soil |
 """
 
 from __future__ import annotations

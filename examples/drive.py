@@ -3,7 +3,7 @@
 Examples:
     python examples/drive.py                                         prints how the course went
     python examples/drive.py --frame 150 --out wheel.png             one frame as a picture
-    python examples/drive.py --controller full_throttle --out a.mp4  the whole course as a video (needs moviepy)
+    python examples/drive.py --controller full_throttle --out a.mp4  the whole course as a-episode-0.mp4 (needs moviepy)
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import gymnasium
 import numpy as np
 
 from agents.controllers import CONTROLLERS, make_controller
+from soil_env.loading import ParameterError
 
 
 def main() -> None:
@@ -26,7 +27,16 @@ def main() -> None:
     p.add_argument("--frame", type=int, help="control period of which to save a picture; the last one if left out")
     p.add_argument("--out", type=Path, help=".png for a picture, .mp4 for a video")
     options = p.parse_args()
+    if options.out is not None and options.out.suffix not in (".png", ".mp4"):
+        p.error(f"--out {options.out}: expected a .png or an .mp4 file")
+    try:
+        drive(options)
+    except (ParameterError, ValueError, OSError) as error:
+        p.error(str(error))
 
+
+def drive(options) -> None:
+    """Drive one course as the options say."""
     video = options.out is not None and options.out.suffix == ".mp4"
     variant = CONTROLLERS[options.controller].variant
     mode = "rgb_array" if options.out else None
