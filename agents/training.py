@@ -21,10 +21,10 @@ from soil_env.parameters import Scenario, load_scenario
 
 #: Course sets (`evaluate.course_rng`), disjoint from each other and from all courses of training.
 TUNING_SET, HELD_OUT_SET = 1_000_001, 2_000_003
-_STARTS = (0.055, 0.11, 0.2)
+_STARTS = (0.055, 0.11, 0.17, 0.24, 0.3)  # beyond, a slip controller is a constant speed
 _CANDIDATES = {  # settings each classical controller is tuned over; speeds are shares of the top rim speed
     "constant_speed": [{"speed": v} for v in (0.12, 0.17, 0.22, 0.28, 0.33, 0.4, 0.5)],
-    "fixed_slip": [{"slip": i, "start": s} for i in (0.1, 0.15, 0.2, 0.3, 0.45) for s in _STARTS],
+    "fixed_slip": [{"slip": i, "start": s} for i in (0.05, 0.1, 0.2, 0.3, 0.45) for s in _STARTS],
     "best_slip_identified": [{"start": s} for s in _STARTS],
     "best_slip_true": [{"start": s} for s in _STARTS],
 }
@@ -223,6 +223,7 @@ def _telling_course(runs: dict[str, evaluate.Runs], agents: list[str]) -> int:
 _COLUMNS = (
     ("immobilised", "immobilised\n[%], 95 %", 100.0, 1),
     ("time_limit", "out of\ntime [%]", 100.0, 1),
+    ("finished", "finished\n[%]", 100.0, 1),
     ("distance", "distance\n[m]", 1.0, 2),
     ("time", "time\n[s]", 1.0, 0),
     ("energy_per_metre", "energy\n[J/m]", 1.0, 0),

@@ -148,7 +148,7 @@ class Simulation:
             if draw_course(0, courses, streams, self.numbers.course) < 0.0:
                 raise ParameterError(
                     f"scenario {self.scenario.name!r}: no passable course found for this wheel on these soils; "
-                    "expected firmer soils, a lower course.margin or a lower bound of course.grade_deg further down"
+                    "expected firmer soils, more stall torque, a lower course.margin or a lower course.grade_deg"
                 )
 
     def seed(self, k: int, rng: np.random.Generator) -> None:

@@ -10,6 +10,7 @@ ROOT = Path(__file__).resolve().parent.parent
 COLUMNS = {  # heading in the README -> (metric, factor, digits)
     "immobilised [%]": ("immobilised", 100.0, 1),
     "out of time [%]": ("time_limit", 100.0, 1),
+    "finished [%]": ("finished", 100.0, 1),
     "time [s]": ("time", 1.0, 0),
     "energy [J/m]": ("energy_per_metre", 1.0, 0),
     "slip": ("slip", 1.0, 2),

@@ -311,7 +311,7 @@ def test_a_run_without_a_terminal_reports_its_progress(finished):
     for title, count, total in re.findall(r"^(\w+): ([\d,]+) of ([\d,]+) (?:steps|courses)", out, re.MULTILINE):
         done.setdefault(title, []).append((int(count.replace(",", "")), int(total.replace(",", ""))))
     assert done["Training"] == [(2048 * k, 8192) for k in (1, 2, 3, 4)]
-    assert done["Tuning"][-1] == (140, 140) and 5 <= len(done["Tuning"]) <= 10  # 28 settings on 5 courses
+    assert done["Tuning"][-1] == (210, 210) and 5 <= len(done["Tuning"]) <= 10  # 42 settings on 5 courses
     total = 20 * (len(CONTROLLERS) + 1)
     assert done["Comparing"][-1] == (total, total) and len(done["Comparing"]) <= 10
     assert "\x1b" not in out
