@@ -244,7 +244,7 @@ def print_table(result: dict) -> None:
         m = row["immobilised"]
         cells[0] += f" [{100 * m['low']:.1f}, {100 * m['high']:.1f}]"
         table.add_row(name, *cells)
-    Console(width=max(console.width, 112)).print(table)
+    Console(width=max(console.width, 124)).print(table)
     for name in result["controllers"]:
         if name in ppo.NAMES.values():
             console.print(verdict(result, name), soft_wrap=True, highlight=False)
