@@ -126,7 +126,7 @@ def mobilised(j, K):
 
 
 @njit(cache=True)
-def _node(theta, theta1, sin1, rim, travel, r, K):
+def arc_node(theta, theta1, sin1, rim, travel, r, K):
     """What Eq. (10) gives at one angle: (sin, cos, e, g, lever_rim, lever_travel).
 
     g = de/dj [1/m]; the levers dj/d(rim) and dj/d(travel) are in metres.
@@ -177,8 +177,8 @@ def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r):
     sin1, cos1 = math.sin(theta1), math.cos(theta1)
     t = _NOTHING
     for k in range(NODES_PER_ZONE):
-        ahead = _node(theta1 - front * _U2[k], theta1, sin1, rim, travel, r, K)
-        behind = _node(theta2 + rear * _U2[k], theta1, sin1, rim, travel, r, K)
+        ahead = arc_node(theta1 - front * _U2[k], theta1, sin1, rim, travel, r, K)
+        behind = arc_node(theta2 + rear * _U2[k], theta1, sin1, rim, travel, r, K)
         p = relative_stress(r * (ahead[1] - cos1), n)
         t = _add_node(t, front * _DU2[k], p, ahead)
         t = _add_node(t, rear * _DU2[k], p, behind)
@@ -197,7 +197,7 @@ def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
             w = h / 3.0 * (1.0 if k == 0 or k == 2 * m else (4.0 if k % 2 == 1 else 2.0))
             theta = low + k * h
             p = relative_stress(r * (math.cos(mirror_angle(theta, theta1, theta2, thetam)) - cos1), n)
-            t = _add_node(t, w, p, _node(theta, theta1, sin1, rim, travel, r, K))
+            t = _add_node(t, w, p, arc_node(theta, theta1, sin1, rim, travel, r, K))
     return _packed(t)
 
 

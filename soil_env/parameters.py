@@ -7,7 +7,7 @@ Presets with their sources: configs/soils.yaml, configs/wheels.yaml, configs/sce
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -374,8 +374,3 @@ def load_scenario(which: str | Path | Scenario = "mixed", changes: dict | None =
             raise unknown_key(preset, wheels(), f"{where}: wheel")
         mapping["wheel"] = merge(to_dict(wheels()[preset]), wheel)
     return load(Scenario, mapping, where)
-
-
-def with_changes(scenario: Scenario, **changes) -> Scenario:
-    """A copy of a scenario with whole fields replaced."""
-    return replace(scenario, **changes)

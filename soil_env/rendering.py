@@ -33,7 +33,7 @@ from soil_env.canvas import (
     Canvas,
     soil_colour,
 )
-from soil_env.contact import entry_angle, mirror_angle, mobilised, motion_from_speeds, relative_stress
+from soil_env.contact import arc_node, entry_angle, mirror_angle, motion_from_speeds, relative_stress
 from soil_env.dynamics import REST_SPEED, reaction
 from soil_env.identification import Status
 from soil_env.model import sinkage_coefficient_at
@@ -76,8 +76,8 @@ def contact_stresses(simulation, k: int) -> Stresses:
     for i, theta in enumerate(angle):
         depth = r * (math.cos(mirror_angle(theta, theta1, 0.0, 0.5 * theta1)) - math.cos(theta1))
         normal[i] = modulus * relative_stress(depth, soil.sinkage_exponent)
-        j = r * (rim * (theta1 - theta) - travel * (math.sin(theta1) - math.sin(theta)))
-        shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * mobilised(j, soil.shear_modulus)[0]
+        share = arc_node(theta, theta1, math.sin(theta1), rim, travel, r, soil.shear_modulus)[2]
+        shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * share
     return Stresses(angle, normal, shear)
 
 

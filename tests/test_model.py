@@ -172,3 +172,10 @@ def test_any_admissible_soil_gives_finite_numbers(tan_phi, cohesion, k, log_s, n
     found = model.steady_state(slip, 10.0**log_load, soil, R, B)
     assert all(map(math.isfinite, found))
     assert 0.0 < found.sinkage <= model.DEEPEST * R * (1.0 + 1e-9)
+
+
+def test_a_locked_wheel_drags_twice_its_load_in_dry_sand():
+    """The README's figure; on the CMU testbed a locked smooth wheel measured -38.8 N at 19.5 N (Pavlov & Johnson)."""
+    found = model.steady_state(-1.0, 147.15, soils()["dry_sand"].state(0.15), 0.15, 0.15)
+    assert found.floating
+    assert found.drawbar_pull / 147.15 == pytest.approx(-1.9, abs=0.05)
