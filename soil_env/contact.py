@@ -59,6 +59,18 @@ class ArcRates(NamedTuple):
     e: float
 
 
+class ShearLaw(NamedTuple):
+    """Mobilised share of the shear strength: (1 - x)(a + b x + c y), x = exp(-|j|/K), y = exp(-|j|/length)."""
+
+    a: float
+    b: float
+    c: float
+    length: float  # [m]
+
+
+JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0)  # 1 - exp(-j/K), Eq. (10)
+
+
 class Forces(NamedTuple):
     """What the soil does to the wheel."""
 
@@ -119,14 +131,19 @@ def mirror_angle(theta, theta1, theta2, thetam):
 
 
 @njit(cache=True)
-def mobilised(j, K):
-    """(e, de/dj): share of the shear strength mobilised at shear displacement j [m], Eq. (10), signed as j."""
-    decay = math.exp(-abs(j) / K)
-    return math.copysign(1.0 - decay, j), decay / K
+def mobilised(j, K, law):
+    """(e, de/dj): share of the shear strength mobilised at shear displacement j [m], signed as j; Eq. (10) in JANOSI."""
+    x = math.exp(-abs(j) / K)
+    share, slope = law.a + law.b * x, law.b * x / K
+    if law.c != 0.0:
+        y = math.exp(-abs(j) / law.length)
+        share += law.c * y
+        slope += law.c * y / law.length
+    return math.copysign((1.0 - x) * share, j), x / K * share - (1.0 - x) * slope
 
 
 @njit(cache=True)
-def arc_node(theta, theta1, sin1, rim, travel, r, K):
+def arc_node(theta, theta1, sin1, rim, travel, r, K, law):
     """What Eq. (10) gives at one angle: (sin, cos, e, g, lever_rim, lever_travel).
 
     g = de/dj [1/m]; the levers dj/d(rim) and dj/d(travel) are in metres.
@@ -134,7 +151,7 @@ def arc_node(theta, theta1, sin1, rim, travel, r, K):
     s, c = math.sin(theta), math.cos(theta)
     lever_rim = r * (theta1 - theta)
     lever_travel = -r * (sin1 - s)
-    e, g = mobilised(rim * lever_rim + travel * lever_travel, K)
+    e, g = mobilised(rim * lever_rim + travel * lever_travel, K, law)
     return s, c, e, g, lever_rim, lever_travel
 
 
@@ -165,20 +182,20 @@ _NOTHING = (0.0,) * 20
 
 
 @njit(cache=True)
-def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r):
+def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law):
     """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
 
     Gauss-Legendre nodes at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind, which
     removes the singularity (theta1 - theta)^n at both ends; by Eq. (8) the two nodes have the same normal stress.
     Relative error about 1e-5 when driving; when braking j changes sign within the arc, and it is 5e-4 for K = 0.07 r.
-    The derivative by K needs no further integrals: see `shear_modulus_rates`.
+    The derivative by K of JANOSI needs no further integrals: see `shear_modulus_rates`.
     """
     front, rear = theta1 - thetam, thetam - theta2
     sin1, cos1 = math.sin(theta1), math.cos(theta1)
     t = _NOTHING
     for k in range(NODES_PER_ZONE):
-        ahead = arc_node(theta1 - front * _U2[k], theta1, sin1, rim, travel, r, K)
-        behind = arc_node(theta2 + rear * _U2[k], theta1, sin1, rim, travel, r, K)
+        ahead = arc_node(theta1 - front * _U2[k], theta1, sin1, rim, travel, r, K, law)
+        behind = arc_node(theta2 + rear * _U2[k], theta1, sin1, rim, travel, r, K, law)
         p = relative_stress(r * (ahead[1] - cos1), n)
         t = _add_node(t, front * _DU2[k], p, ahead)
         t = _add_node(t, rear * _DU2[k], p, behind)
@@ -197,13 +214,13 @@ def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
             w = h / 3.0 * (1.0 if k == 0 or k == 2 * m else (4.0 if k % 2 == 1 else 2.0))
             theta = low + k * h
             p = relative_stress(r * (math.cos(mirror_angle(theta, theta1, theta2, thetam)) - cos1), n)
-            t = _add_node(t, w, p, arc_node(theta, theta1, sin1, rim, travel, r, K))
+            t = _add_node(t, w, p, arc_node(theta, theta1, sin1, rim, travel, r, K, JANOSI))
     return _packed(t)
 
 
 @njit(cache=True)
 def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
-    """`ArcRates` by K [1/m]: de/dK = -(j/K) de/dj with j linear in (rim, travel)."""
+    """`ArcRates` by K [1/m] of the law JANOSI: de/dK = -(j/K) de/dj with j linear in (rim, travel)."""
     x, y = -rim / K, -travel / K
     return ArcRates(
         x * by_rim.pe_cos + y * by_travel.pe_cos,

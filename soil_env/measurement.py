@@ -255,11 +255,11 @@ def _in_radians(cells: list[str]) -> bool:
 
 @dataclass(frozen=True)
 class SetupWheel(Checked):
-    """The wheel that was measured; `grouser_height` 0 is a smooth rim."""
+    """The wheel that was measured; `grouser_height` 0 is a smooth rim, None one of which nothing is said."""
 
     radius: float = quantity("m", 0.01, LARGEST_WHEEL)
     width: float = quantity("m", 0.005, LARGEST_WHEEL)
-    grouser_height: float = quantity("m", 0.0, 1.0, default=0.0)
+    grouser_height: float | None = quantity("m", 0.0, 1.0, default=None)
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,46 @@
-"""The steady wheel on uniform soil: sinkage, drawbar pull and torque at a given slip and load."""
+"""The steady wheel on uniform soil: sinkage, drawbar pull and torque at a given slip and load, with named effects."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+import yaml
 from numba import njit
+from numpy.typing import ArrayLike
 
-from soil_env.contact import arc_integrals, entry_angle, forces, mobilised_modulus, motion_from_slip
-from soil_env.effects import slip_sinkage_ratio
-from soil_env.parameters import SoilState
+from soil_env.contact import (
+    JANOSI,
+    arc_integrals,
+    entry_angle,
+    forces,
+    mobilised_modulus,
+    motion_from_slip,
+)
+from soil_env.effects import (
+    NO_EFFECTS,
+    Effects,
+    arc_ends,
+    blade_force,
+    bulldozing_resistance,
+    drive_torque,
+    excavated_depth,
+    pack_effects,
+    shear_law,
+    shear_radius_ratio,
+    slip_sinkage_ratio,
+    sliding_speed,
+    soil_in_contact,
+    true_slip,
+)
+from soil_env.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict, unknown_key
+from soil_env.measurement import Table
+from soil_env.parameters import Soil, SoilState
+from soil_env.residual import ResidualTerm, dimensionless_groups, residual_at, residual_law
 
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
 
@@ -23,42 +54,112 @@ class Steady(NamedTuple):
     floating: bool  # False when the soil cannot carry the load before the wheel is buried; `sinkage` is then the bound
 
 
+class Rim(NamedTuple):
+    """The wheel as it meets the soil."""
+
+    radius: float  # [m]
+    width: float  # [m]
+    grouser_height: float  # [m]
+
+
+class Conditions(NamedTuple):
+    """What a steady point was driven at, besides slip and load."""
+
+    speed: float  # [m/s] travel
+    passes: float  # 1 = fresh soil
+    sin_grade: float  # uphill positive
+
+
+class Contact(NamedTuple):
+    """Contact arc of a wheel at one sinkage, with the effects that shape it."""
+
+    theta1: float  # [rad] entry angle
+    radius: float  # [m] that carries the normal stress
+    shear_ratio: float  # radius at which soil is sheared, over `radius`
+
+
+LEVEL = Conditions(0.0, 1.0, 0.0)
+
+
+@njit(cache=True)
+def contact_at(sinkage, rim, travel, slip, soil, fx, wheel):
+    """(Contact, ArcIntegrals, ArcRates by rim, ArcRates by travel) of a wheel at a given sinkage [m].
+
+    Shear at the radius q r stretches j, thrust and torque: K/q here, q tan(phi) and q c where forces are summed. Where
+    slip was taken at the rim, the soil between the lug tips moves faster: rim q instead.
+    """
+    r = wheel.radius + fx.grousers_radius_share * wheel.grouser_height
+    theta1 = entry_angle(sinkage, r)
+    theta2, thetam = arc_ends(theta1, slip, fx)
+    ratio = shear_radius_ratio(r, wheel.grouser_height, fx)
+    K = soil.shear_modulus / ratio
+    if fx.grousers_slip_at_rim > 0.0:
+        rim *= r * ratio / wheel.radius
+        K = soil.shear_modulus * r / wheel.radius
+    q, by_rim, by_travel = arc_integrals(
+        theta1, theta2, thetam, rim, travel, K, soil.sinkage_exponent, r, shear_law(fx)
+    )
+    return Contact(theta1, r, ratio), q, by_rim, by_travel
+
+
 @njit(cache=True)
 def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
-    """`Forces` of a wheel at a given sinkage [m] with sinkage coefficient S, contact from entry to the lowest point."""
+    """`Forces` of a smooth wheel at a given sinkage [m] with sinkage coefficient S, contact up to the lowest point."""
     theta1 = entry_angle(sinkage, r)
-    q, _, _ = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, soil.sinkage_exponent, r)
+    q, _, _ = arc_integrals(
+        theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, soil.sinkage_exponent, r, JANOSI
+    )
     return forces(q, S, soil.tan_phi, soil.cohesion, r, b, direction)
 
 
 @njit(cache=True)
 def steady_state(slip, load, soil, r, b, guess=0.0):
-    """`Steady` sinkage, drawbar pull and torque: Eq. (1) solved for the sinkage, then Eqs. (2) and (3).
+    """`steady_with` of the base model on level, fresh soil, with the digging of `soil`."""
+    return steady_with(slip, load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, guess)
 
-    Slip-sinkage deepens the hole by the ratio k(i) at the same bearing pressure S z_w^n = S (z/k)^n, that is, it acts
-    as a sinkage coefficient S k^-n. With s(z) the coefficient that `load` mobilises at sinkage z (closed form, since
-    (1) is linear in it), the root of ln s(z) - ln(S k^-n) is found by a bracketed secant in ln z, in which it is
-    nearly straight, from `guess` [m] where one is given.
+
+@njit(cache=True)
+def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
+    """`Steady` sinkage, drawbar pull and torque as they are measured at a measured slip and weight `load` [N].
+
+    Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the same bearing
+    pressure: s z^n = S z_w^n with z = k(i) z_w + l(i), so z carries the load when the coefficient s(z) that the load
+    mobilises (closed form, since (1) is linear in it) is S ((z - l)/(k z))^n. The root of the difference of their
+    logarithms is found by a bracketed secant in ln z, in which it is nearly straight, from `guess` [m] where one is
+    given. `unit_weight` [N/m3] of the soil is needed by bulldozing and blades only.
     """
-    rim, travel = motion_from_slip(slip)
-    n = soil.sinkage_exponent
-    available = soil.sinkage_coefficient * slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery) ** -n
-    low, high = math.log(1e-6 * r), math.log(DEEPEST * r)
+    i = true_slip(slip, fx)
+    rim, travel = motion_from_slip(i)
+    sine = conditions.sin_grade
+    ground = soil_in_contact(soil, fx, i, conditions.speed, sliding_speed(i, conditions.speed), conditions.passes, sine)
+    normal = load * (1.0 - fx.grade_share * (1.0 - math.sqrt(1.0 - sine * sine)))
+    r, b, n = wheel.radius, wheel.width, ground.sinkage_exponent
+    ratio = slip_sinkage_ratio(i, ground.dig_gain, ground.dig_recovery)
+    apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
+    ratio = ratio / apparent
+    lift = min(excavated_depth(i, fx), 0.9 * DEEPEST * r)
+    available = math.log(ground.sinkage_coefficient) - n * math.log(max(ratio, 1e-3))
+    low, high = math.log(max(1e-6 * r, 1.0001 * lift)), math.log(DEEPEST * r)
     deepest = high
     # start from the guess, or from the depth of a flat plate, sqrt(2 r z) long
-    x = (
-        math.log(guess)
-        if guess > 0.0
-        else min(max(math.log(load / (b * math.sqrt(2.0 * r) * available)) / (n + 0.5), low), high)
-    )
+    if guess > 0.0:
+        x = math.log(guess)
+    else:
+        x = (math.log(normal / (b * math.sqrt(2.0 * r))) - available) / (n + 0.5)
+        x = math.log(math.exp(min(x, high)) + max(lift, 0.0))
+    x = min(max(x, low), high)
     slope = -(n + 0.5)
     x_old = f_old = 0.0
     for k in range(60):
-        theta1 = entry_angle(math.exp(x), r)
-        q, _, _ = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, n, r)
-        s = mobilised_modulus(q, load, soil.tan_phi, soil.cohesion, r, b, 1.0)
-        f = max(math.log(max(s, 1e-300) / available), -2.0)
-        if q.p_cos + soil.tan_phi * q.pe_sin <= 1e-12 * q.p_cos and load / (r * b) > soil.cohesion * q.e_sin:
+        z = math.exp(x)
+        arc, q, _, _ = contact_at(z, rim, travel, i, ground, fx, wheel)
+        tan_phi, c = arc.shear_ratio * ground.tan_phi, arc.shear_ratio * ground.cohesion
+        s = mobilised_modulus(q, normal, tan_phi, c, arc.radius, b, 1.0)
+        f = math.log(max(s, 1e-300)) - available
+        if lift != 0.0:
+            f -= n * math.log(1.0 - lift / z)
+        f = min(max(f, -2.0), 50.0)
+        if q.p_cos + tan_phi * q.pe_sin <= 1e-12 * q.p_cos and normal / (arc.radius * b) > c * q.e_sin:
             f = 2.0  # friction takes more than the normal stress gives: no S carries the load here
         if f > 0.0:
             low = max(low, x)
@@ -68,7 +169,8 @@ def steady_state(slip, load, soil, r, b, guess=0.0):
             slope = min((f - f_old) / (x - x_old), -0.05)
         x_old, f_old = x, f
         step = -f / slope
-        if abs(step) < 1e-6 or low >= high:
+        if abs(step) < 1e-5 or low >= high:
+            x_old += step if abs(step) < 1e-5 else 0.0
             break
         x = x + step
         if x >= deepest and high == deepest:
@@ -76,8 +178,33 @@ def steady_state(slip, load, soil, r, b, guess=0.0):
         elif not low < x < high:
             x = 0.5 * (low + high)
     z = math.exp(x_old)
-    w = forces_at(z, available, soil, rim, travel, 1.0, r, b)
-    return Steady(z, w.drawbar_pull, w.torque, x_old < deepest)
+    arc, q, _, _ = contact_at(z, rim, travel, i, ground, fx, wheel)
+    S = math.exp(available) * (1.0 - lift / z) ** n if lift != 0.0 else math.exp(available)
+    w = forces(q, S, arc.shear_ratio * ground.tan_phi, arc.shear_ratio * ground.cohesion, arc.radius, b, 1.0)
+    blade = blade_force(arc.theta1, z, i, ground, unit_weight, b, wheel.grouser_height, fx)
+    pull = w.drawbar_pull + blade - bulldozing_resistance(z, ground, unit_weight, b, fx) - fx.grade_share * load * sine
+    torque = arc.shear_ratio * w.torque + blade * (r + 0.5 * wheel.grouser_height)
+    wheel_speed = (conditions.speed + sliding_speed(i, conditions.speed) * (1.0 if i > 0.0 else -1.0)) / r
+    torque = drive_torque(torque, wheel_speed, 1e-6, fx)
+    return Steady(apparent * z + fx.sinkage_offset_offset, pull, torque, x_old < deepest)
+
+
+@njit(cache=True)
+def predict_rows(slip, load, wheels, conditions, soil, unit_weight, fx, guess, out):
+    """`steady_with` of every row into `out` [N, 3] (sinkage, drawbar pull, torque), from `guess` [N], which it renews.
+
+    `wheels` [N, 3] as `Rim`, `conditions` [N, 3] as `Conditions`. Returns the number of rows that the soil carries.
+    """
+    carried = 0
+    for k in range(slip.size):
+        w, c = wheels[k], conditions[k]
+        s = steady_with(
+            slip[k], load[k], soil, Rim(w[0], w[1], w[2]), Conditions(c[0], c[1], c[2]), unit_weight, fx, guess[k]
+        )
+        out[k, 0], out[k, 1], out[k, 2] = s.sinkage, s.drawbar_pull, s.torque
+        carried += s.floating
+        guess[k] = s.sinkage - fx.sinkage_offset_offset if s.floating else 0.0
+    return carried
 
 
 def sinkage_coefficient_at(soil: SoilState, exponent: float, depth: float) -> float:
@@ -86,3 +213,165 @@ def sinkage_coefficient_at(soil: SoilState, exponent: float, depth: float) -> fl
     S has a unit that depends on n, so two values compare only at the same exponent.
     """
     return soil.sinkage_coefficient * max(depth, 1e-4) ** (soil.sinkage_exponent - exponent)
+
+
+# --- the model as an object and as a file -----------------------------------------------------------------------------
+
+FORMAT = "soil_env model 1"
+
+
+@dataclass(frozen=True)
+class ModelWheel(Checked):
+    """Wheel of a model; `grouser_height` 0 is a smooth rim."""
+
+    radius: float = quantity("m", 0.01, 3.0)
+    width: float = quantity("m", 0.005, 3.0)
+    grouser_height: float = quantity("m", 0.0, 1.0, default=0.0)
+
+
+class Prediction(NamedTuple):
+    """Steady values [N] at the conditions that were asked for."""
+
+    sinkage: np.ndarray  # [m]
+    drawbar_pull: np.ndarray  # [N]
+    torque: np.ndarray  # [N m]
+    floating: bool  # False where the soil carries the load in no row or not in all rows
+
+
+@dataclass(frozen=True)
+class WheelSoilModel:
+    """A wheel on one soil: the base model of Eqs. (1)-(10), the named effects that are on, and a residual law.
+
+    `effects` maps a name of the catalogue to its parameters; those left out are neutral. `soil.dig_gain` is the
+    digging that the simulated world gives its soils; a model that was fitted to measurements has it at 0 and says
+    slip-sinkage by name.
+    """
+
+    wheel: ModelWheel
+    soil: Soil
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    residual: tuple[ResidualTerm, ...] = ()
+    gravity: float = 9.81  # [m/s2] for the weight of the soil
+
+    def __post_init__(self):
+        pack_effects(self.effects)  # refuses what is unknown or out of range
+
+    @property
+    def numbers(self) -> Effects:
+        """The effects as the kernels take them."""
+        return pack_effects(self.effects)
+
+    def predict(self, conditions: Table | Mapping[str, ArrayLike]) -> Prediction:
+        """Steady sinkage, drawbar pull and torque [N] for a whole table.
+
+        `conditions`: a measurement `Table`, or a mapping of arrays [N] (scalars count for every row) with `slip` [-]
+        and `load` [N] and, as far as they matter, `speed` [m/s], `pass`, `grade_deg`, `wheel_radius`, `wheel_width`,
+        `grouser_height` [m]. Raises `ParameterError` for unknown or missing names and for values that are not finite.
+        """
+        c = rows_of(conditions, self.wheel)
+        out = np.empty((c.slip.size, 3))
+        soil = self.soil.state(self.wheel.width)
+        carried = predict_rows(
+            c.slip, c.load, c.wheels, c.conditions, soil, self.soil.density * self.gravity, self.numbers,
+            np.zeros(c.slip.size), out,
+        )  # fmt: skip
+        if self.residual:
+            law = residual_law(self.residual)
+            add_residual(law, c.slip, c.load, c.wheels, c.conditions, soil, self.gravity, out)
+        return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size)
+
+    def save(self, path: str | Path) -> None:
+        """Write model.yaml."""
+        content = {
+            "format": FORMAT,
+            "wheel": to_dict(self.wheel),
+            "soil": {k: v for k, v in to_dict(self.soil).items() if v is not None and v != ""},
+            "effects": {name: {k: float(v) for k, v in values.items()} for name, values in self.effects.items()},
+        }
+        if self.residual:
+            content["residual"] = [to_dict(term) for term in self.residual]
+        Path(path).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | Path) -> WheelSoilModel:
+        """Read model.yaml; `ParameterError` with one line for anything unknown, missing or out of range."""
+        content, where = read_yaml(Path(path)), str(path)
+        for key in content:
+            if key not in ("format", "wheel", "soil", "effects", "residual"):
+                raise unknown_key(key, ("format", "wheel", "soil", "effects", "residual"), where)
+        if content.get("format", FORMAT) != FORMAT:
+            raise ParameterError(f"{where}: format = {content['format']!r}: expected {FORMAT!r}")
+        for key in ("wheel", "soil"):
+            if key not in content:
+                raise ParameterError(f"{where}: missing {key}")
+        terms = content.get("residual") or []
+        if not isinstance(terms, list):
+            raise ParameterError(f"{where}: residual: expected a list of terms")
+        try:
+            return cls(
+                load(ModelWheel, content["wheel"], f"{where}: wheel"),
+                load(Soil, content["soil"], f"{where}: soil"),
+                content.get("effects") or {},
+                tuple(load(ResidualTerm, t, f"{where}: residual") for t in terms),
+            )
+        except ParameterError as error:
+            text = str(error)
+            raise ParameterError(text if text.startswith(where) else f"{where}: {text}") from None
+
+
+class Rows(NamedTuple):
+    """Conditions [N] as `predict_rows` takes them."""
+
+    slip: np.ndarray
+    load: np.ndarray
+    wheels: np.ndarray  # [N, 3] as `Rim`
+    conditions: np.ndarray  # [N, 3] as `Conditions`
+
+
+_OPTIONAL = {"speed": 0.0, "pass": 1.0, "grade_deg": 0.0}
+_SIZES = ("wheel_radius", "wheel_width", "grouser_height")
+
+
+def rows_of(conditions, wheel: ModelWheel) -> Rows:
+    """`Rows` of a table or a mapping; what is not given (or NaN) is level, fresh soil and the wheel of the model."""
+    if isinstance(conditions, Table):
+        given = {name: getattr(conditions, "passes" if name == "pass" else name) for name in
+                 ("slip", "load", *_OPTIONAL, *_SIZES)}  # fmt: skip
+    else:
+        given = dict(conditions)
+        known = ("slip", "load", *_OPTIONAL, *_SIZES)
+        for name in given:
+            if name not in known:
+                raise unknown_key(name, known, "conditions")
+        for name in ("slip", "load"):
+            if name not in given:
+                raise ParameterError(f"conditions: missing {name}")
+            if not np.all(np.isfinite(np.asarray(given[name], dtype=float))):
+                raise ParameterError(f"conditions: {name}: expected finite numbers")
+    usual = {**_OPTIONAL, "wheel_radius": wheel.radius, "wheel_width": wheel.width,
+             "grouser_height": wheel.grouser_height}  # fmt: skip
+    names = ("slip", "load", *usual)
+    arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(given.get(n, usual.get(n)), dtype=float)) for n in names))
+    column = {n: np.where(np.isnan(a), usual.get(n, math.nan), a) for n, a in zip(names, arrays, strict=True)}
+    if np.any(np.abs(column["slip"]) > 1.0) or np.any(column["load"] <= 0.0):
+        raise ParameterError("conditions: expected slip in [-1, 1] and load > 0 N")
+    return Rows(
+        column["slip"].copy(),
+        column["load"].copy(),
+        np.stack([column[n] for n in _SIZES], axis=1),
+        np.stack([column["speed"], column["pass"], np.sin(np.radians(column["grade_deg"]))], axis=1),
+    )
+
+
+@njit(cache=True)
+def add_residual(law, slip, load, wheels, conditions, soil, gravity, out):
+    """Add a `ResidualLaw` to predictions `out` [N, 3]."""
+    for k in range(slip.size):
+        r, b, w = wheels[k, 0], wheels[k, 1], load[k]
+        groups = dimensionless_groups(
+            slip[k], out[k, 0], w, conditions[k, 0], conditions[k, 1], conditions[k, 2], soil, r, b, gravity
+        )
+        z, pull, torque = residual_at(law, groups)
+        out[k, 0] += z * r
+        out[k, 1] += pull * w
+        out[k, 2] += torque * w * r

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from soil_env.contact import (
+    JANOSI,
     arc_integrals,
     compaction_resistance,
     entry_angle,
@@ -73,7 +74,7 @@ def predict(x, slip, sinkage, dig_ratio, reading, out, jacobian):
     if reading.simpson > 0:
         q, by_rim, by_travel = simpson_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, K, n, r, reading.simpson)
     else:
-        q, by_rim, by_travel = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, K, n, r)
+        q, by_rim, by_travel = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, K, n, r, JANOSI)
     f = forces(q, S, tan_phi, c, r, b, 1.0)
     rb = r * b
     resistance = rb * S * q.p_sin

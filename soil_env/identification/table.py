@@ -229,7 +229,7 @@ def _doubts(problem: Problem, x, fits: dict[str, Fit], converged: bool) -> list[
     if np.any(np.abs(table.grade_deg[used]) > 0.0):
         words.append("Rows on a grade are taken as level: the base model has no effect of grade on the soil.")
     grousers = table.grouser_height[used]
-    if np.any(np.where(np.isnan(grousers), problem.setup.wheel.grouser_height, grousers) > 0.0):
+    if np.any(np.where(np.isnan(grousers), problem.setup.wheel.grouser_height or 0.0, grousers) > 0.0):
         words.append("The grousers are not modelled: the rim is taken as smooth at wheel radius.")
     if np.ptp(problem.width) > 0.0 and problem.setup.soil.k_c is None:
         words.append("Wheels of several widths share one S: give k_c and k_phi to tell them apart.")

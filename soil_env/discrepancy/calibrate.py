@@ -1,0 +1,363 @@
+"""Fit of the model, with or without effects, to a measurement table: the most probable parameters under the priors.
+
+Unknowns are whitened, u = (x - mean) / sd with the prior's mean and sd, so that the objective is
+
+    J(u) = sum ((y - f(u)) / sigma)^2 + |u|^2
+
+minimised by SciPy's trust-region reflective least squares within bounds. Priors of the setup are widened
+(`PRIOR_WIDTH`), since a soil a little off its prior must not be taken for a missing effect.
+
+No published law of an effect is exact. A model with effects therefore carries *slack*: what an effect adds to a channel
+may be off by a smooth factor 1 + a_0 + a_1 s + a_2 l + ... of the conditions with a ~ N(0, SLACK^2), which enters the
+fit as linear unknowns.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from soil_env.catalogue import CATALOGUE
+from soil_env.discrepancy.data import CHANNELS, Data, Noise, find_noise
+from soil_env.effects import NO_EFFECTS, Effects
+from soil_env.model import predict_rows
+from soil_env.parameters import SoilState
+
+PRIOR_WIDTH = 1.5
+SLACK = 0.04
+SLACK_LIMIT = 2.5  # [SLACK] largest form error of any one kind
+GRAVITY = 9.81
+_STEP = 1e-3  # of a whitened unknown, for differences
+
+
+class Unknown(NamedTuple):
+    """One unknown in the coordinate it is fitted in: itself, or its logarithm."""
+
+    name: str
+    mean: float
+    sd: float
+    low: float
+    high: float
+    log: bool
+
+    def value(self, u: float) -> float:
+        """The parameter at the whitened unknown u."""
+        x = self.mean + self.sd * u
+        return math.exp(min(x, 700.0)) if self.log else x
+
+    def at(self, value: float) -> float:
+        """The whitened unknown of a value."""
+        return ((math.log(value) if self.log else value) - self.mean) / self.sd
+
+
+class Choice(NamedTuple):
+    """One effect in one of its published forms."""
+
+    effect: str
+    form: int
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Parameters of the form, `<effect>_<parameter>`."""
+        return tuple(f"{self.effect}_{p}" for p in CATALOGUE[self.effect].forms[self.form].free)
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Parameters that the form sets."""
+        return {f"{self.effect}_{p}": v for p, v in CATALOGUE[self.effect].forms[self.form].fixed}
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model. Whitened quantities: residuals in noise sd, unknowns in prior sd."""
+
+    choices: tuple[Choice, ...]
+    unknowns: tuple[Unknown, ...]
+    u: np.ndarray  # [p]
+    objective: float  # J, with slack
+    misfit: float  # the part of J without the prior of the unknowns
+    output: np.ndarray  # [N, 3] model values
+    slackened: np.ndarray  # [N, 3] model values with the fitted form error
+    residual: np.ndarray  # [M] whitened (y - f - slack) of the values in use
+    jacobian: np.ndarray  # [M, p + slack] d(f)/d(u), whitened; slack columns last
+    slack: np.ndarray  # [q] fitted slack unknowns
+    evidence: float  # log evidence (Laplace), up to what all models share
+    converged: bool
+
+    def parameters(self) -> dict[str, float]:
+        """Every unknown by name."""
+        return {k.name: k.value(u) for k, u in zip(self.unknowns, self.u, strict=True)}
+
+    @property
+    def columns(self) -> int:
+        """Number of unknowns with slack."""
+        return self.jacobian.shape[1]
+
+
+#: Where the setup says nothing of a soil parameter: mean and sd, in the coordinate of the fit.
+_BROAD = {
+    "friction_angle_deg": (31.0, 8.0, 2.0, 65.0, False),
+    "cohesion": (2e3, 4e3, 0.0, 1e5, False),
+    "shear_modulus": (math.log(0.018), 0.9, math.log(2e-4), math.log(0.3), True),
+    "sinkage_coefficient": (math.nan, 3.0, math.log(10.0), math.log(1e13), True),
+    "sinkage_exponent": (0.95, 0.3, 0.05, 2.5, False),
+}
+_LEAST = {"friction_angle_deg": 0.05, "cohesion": 1.0, "shear_modulus": 1e-3, "sinkage_coefficient": 1e-3,
+          "sinkage_exponent": 1e-3}  # fmt: skip
+
+
+@dataclass(eq=False)
+class Problem:
+    """What all fits to one table share: unknowns of the soil, noise, values in use."""
+
+    data: Data
+    noise: np.ndarray  # [3]
+    used: np.ndarray  # [N, 3] bool, measured and not an outlier
+    freedom: float = math.inf  # degrees of freedom that the noise is known to
+    soil: tuple[Unknown, ...] = ()
+    known: dict[str, float] = field(default_factory=dict)
+    scales: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # sd, low, high that the data set
+
+    def __post_init__(self):
+        self._soil_unknowns()
+        self._effect_scales()
+        varied, one = self.data.varied, np.ones(self.data.rows.slip.size)
+        common = [one, varied["slip"].scaled]
+        if varied["slip"].levels > 2:
+            common.append(varied["slip"].scaled ** 2)
+        if "load" in varied:
+            common.append(varied["load"].scaled)
+        self.slack_basis = {  # effect -> [N, B]: slip, load and the condition that the effect itself is about
+            e.name: np.stack(common + ([varied[e.varies].scaled] if e.varies in varied else []), axis=1)
+            for e in CATALOGUE.values()
+        }
+
+    def _soil_unknowns(self) -> None:
+        priors, width = self.data.setup.soil, self.data.wheel.width
+        unknowns, known = [], {}
+        for name, (mean, sd, low, high, log) in _BROAD.items():
+            prior = priors.lumped(width) if name == "sinkage_coefficient" else getattr(priors, name)
+            if prior is not None and prior.known:
+                known[name] = prior.value
+                continue
+            if prior is not None:
+                value = max(prior.value, 1e-12) if log else prior.value
+                mean = math.log(value) if log else value
+                sd = PRIOR_WIDTH * (math.log1p(prior.sd / value) if log else prior.sd)
+                sd = max(sd, _LEAST[name] if not log else 1e-4)
+            unknowns.append(Unknown(name, mean, sd, low, high, log))
+        for k, unknown in enumerate(unknowns):
+            if unknown.name == "sinkage_coefficient" and math.isnan(unknown.mean):
+                n = known.get("sinkage_exponent", next((q.mean for q in unknowns if q.name == "sinkage_exponent"), 1.0))
+                unknowns[k] = unknown._replace(mean=self._plain_coefficient(n))
+        self.soil, self.known = tuple(unknowns), known
+        self.density = 1500.0 if priors.density is None else priors.density.value
+
+    def _plain_coefficient(self, n: float) -> float:
+        """ln S of a flat plate that carries the median load at the median sinkage."""
+        r, b = self.data.wheel.radius, self.data.wheel.width
+        z = self.data.y[:, 0]
+        z = float(np.nanmedian(z)) if np.any(np.isfinite(z)) else 0.08 * r
+        z = min(max(z, 0.01 * r), r)
+        return math.log(float(np.median(self.data.rows.load)) / (b * math.sqrt(2.0 * r * z) * 0.6 * z**n))
+
+    def _effect_scales(self) -> None:
+        """Prior scales in the units of this rig, and reference speeds that the data set."""
+        rows, r = self.data.rows, self.data.wheel.radius
+        load, speed = float(np.median(rows.load)), rows.conditions[:, 0]
+        z = self.data.y[:, 0]
+        z = float(np.nanmedian(np.abs(z))) if np.any(np.isfinite(z)) else 0.08 * r
+        torque, turning = 0.3 * load * r, max(float(np.median(speed)) / r, 1e-6)
+        self.scales = {
+            "drivetrain_friction_constant": (0.3 * torque, -0.5 * torque, 4.0 * torque),
+            "drivetrain_friction_viscous": (0.2 * torque / turning, -0.5 * torque / turning, 3.0 * torque / turning),
+            "sinkage_offset_offset": (0.3 * z, -0.5 * r, 0.5 * r),
+            "slip_sinkage_length": (0.3 * z, -0.3 * z, 5.0 * z),
+        }
+        slide = np.where(rows.slip >= 0.0, rows.slip / np.maximum(1.0 - rows.slip, 0.02), -rows.slip) * speed
+        self.neutral = NO_EFFECTS
+        if np.all(speed > 0.0):
+            middle = math.exp(float(np.mean(np.log(speed))))
+            slide = slide[slide > 0.0]
+            self.neutral = NO_EFFECTS._replace(
+                penetration_rate_reference_speed=middle,
+                shear_rate_reference_speed=math.exp(float(np.mean(np.log(slide)))) if slide.size else middle,
+                shear_softening_length=0.3 * r,
+            )
+
+    # --- unknowns and outputs ------------------------------------------------------------------------------------------
+
+    def unknowns(self, choices: tuple[Choice, ...]) -> tuple[Unknown, ...]:
+        """Unknowns of a model: soil first, then the effects in order."""
+        out = list(self.soil)
+        for choice in choices:
+            for full in choice.free:
+                p = CATALOGUE[choice.effect].parameter(full[len(choice.effect) + 1 :])
+                low, high = p.low, p.high
+                if p.centre is not None:
+                    centre = getattr(self.neutral, full) if full == "shear_softening_length" else p.centre
+                    out.append(Unknown(full, math.log(centre), p.scale, math.log(max(low, 1e-3 * centre)),
+                                       math.log(high), True))  # fmt: skip
+                    continue
+                sd, low, high = self.scales.get(full, (p.scale, low, high))
+                out.append(Unknown(full, p.neutral, sd, low, high, False))
+        return tuple(out)
+
+    def state(self, values: dict[str, float]) -> SoilState:
+        """The soil of a set of parameters."""
+        v = {**self.known, **values}
+        return SoilState(
+            math.tan(math.radians(v["friction_angle_deg"])), v["cohesion"], v["shear_modulus"],
+            v["sinkage_coefficient"], v["sinkage_exponent"], 0.0, 0.5,
+        )  # fmt: skip
+
+    def effects(self, choices: tuple[Choice, ...], values: dict[str, float]) -> Effects:
+        """The effects of a set of parameters."""
+        fx = self.neutral
+        for choice in choices:
+            fx = fx._replace(**choice.fixed, **{name: values[name] for name in choice.free})
+        return fx
+
+    def output(self, unknowns, u, choices, guess: np.ndarray) -> np.ndarray:
+        """Model values [N, 3] at whitened unknowns; `guess` [N] of the sinkage is renewed."""
+        values = {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
+        return self.predict(values, choices, guess)
+
+    def predict(self, values: dict[str, float], choices, guess: np.ndarray) -> np.ndarray:
+        """Model values [N, 3] of a set of parameters."""
+        rows, out = self.data.rows, np.empty((self.data.rows.slip.size, 3))
+        predict_rows(
+            rows.slip, rows.load, rows.wheels, rows.conditions, self.state(values), self.density * GRAVITY,
+            self.effects(choices, values), guess, out,
+        )  # fmt: skip
+        return out
+
+    def sinkage_guess(self, fit: Fit) -> np.ndarray:
+        """[N] sinkages to start a prediction from."""
+        return np.maximum(fit.output[:, 0], 0.0)
+
+    def whiten(self, values: np.ndarray) -> np.ndarray:
+        """[M] of an array [N, 3]: the values in use over the noise."""
+        return (values / self.noise)[self.used]
+
+    # --- the fit -------------------------------------------------------------------------------------------------------
+
+    def fit(self, choices: tuple[Choice, ...] = (), start: dict[str, float] | None = None, slack: bool = True,
+            prior_width: float = 1.0) -> Fit:  # fmt: skip
+        """Most probable parameters of the model with the given effects.
+
+        `start`: parameters by name; effects that it does not name start a little off neutral. `prior_width` widens the
+        soil's priors further.
+        """
+        unknowns = self.unknowns(choices)
+        if prior_width != 1.0:
+            soil = len(self.soil)
+            unknowns = tuple(k._replace(sd=k.sd * prior_width) for k in unknowns[:soil]) + unknowns[soil:]
+        low = np.array([(k.low - k.mean) / k.sd for k in unknowns])
+        high = np.array([(k.high - k.mean) / k.sd for k in unknowns])
+        u = np.array([k.at(start[k.name]) if start and k.name in start else self._first(k) for k in unknowns])
+        u = np.clip(u, low + 1e-6 * np.minimum(high - low, 1.0), high - 1e-6 * np.minimum(high - low, 1.0))
+        guess = np.zeros(self.data.rows.slip.size)
+        u, ok = self._minimise(unknowns, choices, u, low, high, guess, False)
+        eta = np.zeros(0)
+        if slack and choices:
+            q = 3 * sum(self.slack_basis[c.effect].shape[1] for c in choices)
+            wide = np.full(q, SLACK_LIMIT)
+            both, ok = self._minimise(
+                unknowns, choices, np.concatenate([u, np.zeros(q)]), np.concatenate([low, -wide]),
+                np.concatenate([high, wide]), guess, True,
+            )  # fmt: skip
+            u, eta = both[: u.size], both[u.size :]
+        return self._finish(unknowns, choices, u, eta, guess, ok)
+
+    @staticmethod
+    def _first(unknown: Unknown) -> float:
+        """Start of an unknown: the prior mean; effect strengths, whose neutral value may have no slope, a little off."""
+        if "_" in unknown.name and unknown.name.split("_")[-1] in ("sharpness", "drop", "ratio"):
+            return 0.3
+        return 0.0
+
+    def _minimise(self, unknowns, choices, start, low, high, guess, slack):
+        target, p = self.whiten(self.data.y), len(unknowns)
+
+        def residual(x):
+            out, added = self.parts(unknowns, x[:p], choices, guess, slack)
+            e = target - self.whiten(self.with_slack(choices, out, added, x[p:]))
+            return np.concatenate([np.where(np.isfinite(e), e, 1e3), x])
+
+        def jacobian(x):
+            return np.concatenate([-self.derivatives(unknowns, x[:p], x[p:], choices, guess), np.eye(x.size)])
+
+        found = least_squares(
+            residual, start, jacobian, bounds=(low, high), x_scale=1.0, ftol=1e-5, xtol=1e-4, gtol=1e-4, max_nfev=25
+        )
+        return found.x, found.status > 0
+
+    def parts(self, unknowns, u, choices, guess, slack=True) -> tuple[np.ndarray, list[np.ndarray]]:
+        """(output [N, 3], what each effect adds to it [N, 3]); the second is empty without `slack`."""
+        values = {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
+        full = self.predict(values, choices, guess)
+        if not slack:
+            return full, []
+        rest = (choices[:k] + choices[k + 1 :] for k in range(len(choices)))
+        return full, [full - self.predict(values, others, guess.copy()) for others in rest]
+
+    def with_slack(self, choices, out: np.ndarray, added: list[np.ndarray], eta: np.ndarray) -> np.ndarray:
+        """Output [N, 3] with the form errors eta of each effect."""
+        at = 0
+        for choice, a in zip(choices, added, strict=False):
+            basis = self.slack_basis[choice.effect]
+            weights = eta[at : at + 3 * basis.shape[1]].reshape(3, -1)
+            out = out + SLACK * a * (basis @ weights.T)
+            at += weights.size
+        return out
+
+    def derivatives(self, unknowns, u, eta, choices, guess) -> np.ndarray:
+        """[M, p + q] of the whitened output by whitened unknowns (forward differences) and slack (exact)."""
+        slack = eta.size > 0
+        out, added = self.parts(unknowns, u, choices, guess, slack)
+        base = self.whiten(self.with_slack(choices, out, added, eta))
+        columns = []
+        for k, unknown in enumerate(unknowns):
+            step = _STEP if unknown.mean + unknown.sd * (u[k] + _STEP) < unknown.high else -_STEP
+            moved = u.copy()
+            moved[k] += step
+            there = self.parts(unknowns, moved, choices, guess.copy(), slack)
+            columns.append((self.whiten(self.with_slack(choices, *there, eta)) - base) / step)
+        for choice, a in zip(choices, added, strict=False):
+            for j in range(3):
+                for v in self.slack_basis[choice.effect].T:
+                    column = np.zeros_like(a)
+                    column[:, j] = SLACK * a[:, j] * v
+                    columns.append(self.whiten(column))
+        j = np.stack(columns, axis=1)
+        return np.where(np.isfinite(j), j, 0.0)
+
+    def _finish(self, unknowns, choices, u, eta, guess, ok) -> Fit:
+        output, added = self.parts(unknowns, u, choices, guess, eta.size > 0)
+        slack = self.with_slack(choices, output, added, eta)
+        residual = self.whiten(self.data.y) - self.whiten(slack)
+        residual = np.where(np.isfinite(residual), residual, 1e3)
+        j = self.derivatives(unknowns, u, eta, choices, guess)
+        misfit = float(residual @ residual + eta @ eta)
+        objective = misfit + float(u @ u)
+        _, logdet = np.linalg.slogdet(np.eye(j.shape[1]) + j.T @ j)
+        return Fit(choices, unknowns, u, objective, misfit, output, slack, residual, j, eta,
+                   -0.5 * objective - 0.5 * logdet, ok)  # fmt: skip
+
+
+def calibrate(data: Data) -> tuple[Problem, Noise]:
+    """`Problem` with its noise found and its outliers left out."""
+    spread = np.array([np.nanstd(data.y[:, j]) if data.measured[:, j].any() else 1.0 for j in range(3)])
+    rough = np.array([
+        getattr(data.setup.noise, name) or max(0.05 * spread[j], 1e-12) for j, name in enumerate(CHANNELS)
+    ])  # fmt: skip
+    first = Problem(data, rough, data.measured)
+    noise = find_noise(data, first.fit().output)
+    known = [f for f, o in zip(noise.freedom, noise.origin, strict=True) if o]
+    problem = Problem(data, noise.sd, noise.used, float(min(known)))
+    return problem, noise

@@ -1,0 +1,351 @@
+"""Which named effects are missing: every candidate refitted jointly with the soil, judged on what was held out.
+
+The steps, for the conclusion `Finding`:
+
+1. The base model. If neither the smooth-surface test (`lack_of_fit`) nor any candidate shows more than chance would,
+   after accounting for all that were tried, nothing is missing.
+2. One effect. Each candidate is refitted in each of its forms. Those that leave no significant misfit, and gain nothing
+   significant from a second effect, can be the answer; the one with the best held-out likelihood is named, and every
+   other that these data cannot tell from it is its alternative.
+3. Two effects, where no single one is enough; the same for pairs, all of them screened.
+4. If no pair is enough: unlisted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.stats import chi2, f as f_distribution
+
+from soil_env.catalogue import CATALOGUE
+from soil_env.discrepancy.calibrate import Choice, Fit, Problem
+from soil_env.discrepancy.data import folds, smooth_basis
+
+CHANCE = 0.004  # probability of a false alarm over everything that is tried
+LEAST_FIT = 1e-3  # p value of the lack of fit below which a model is not enough
+TOLD = 4.6  # [nats] of held-out likelihood by which a candidate must lose to be ruled out
+TRIED = 20  # independent looks that the candidates amount to
+IMPLAUSIBLE = 3.0  # [widened prior sd] of a soil that no candidate may need
+_PAIRS = 8  # pairs refitted after the screen
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A model with its judgement."""
+
+    fit: Fit
+    score: float  # held-out log-likelihood minus that of the base model
+    misfit: float  # p value of the lack of fit
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its effects."""
+        return tuple(c.effect for c in self.fit.choices)
+
+
+# --- judgement of one fit ---------------------------------------------------------------------------------------------
+
+
+def _augmented(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """(A, e): the linearised problem with its priors as further rows, less what lies at a bound."""
+    x = np.concatenate([fit.u, fit.slack])
+    free = np.ones(x.size, dtype=bool)
+    for k, (unknown, u) in enumerate(zip(fit.unknowns, fit.u, strict=True)):
+        at = unknown.mean + unknown.sd * u
+        free[k] = min(at - unknown.low, unknown.high - at) > 1e-4 * unknown.sd
+    a = np.concatenate([fit.jacobian, np.eye(x.size)])[:, free]
+    return a, np.concatenate([fit.residual, -x])
+
+
+def lack_of_fit(problem: Problem, fit: Fit) -> float:
+    """p value of the smooth misfit: what polynomials of the conditions in every channel would still explain."""
+    a, e = _augmented(fit)
+    columns = []
+    for j in range(3):
+        if problem.used[:, j].any():
+            for v in smooth_basis(problem.data).T:
+                values = np.zeros_like(problem.data.y)
+                values[:, j] = v
+                columns.append(problem.whiten(values) * problem.noise[j])
+    c = np.concatenate([np.stack(columns, axis=1), np.zeros((a.shape[0] - fit.residual.size, len(columns)))])
+    q, _ = np.linalg.qr(a)
+    c = c - q @ (q.T @ c)
+    left, s, _ = np.linalg.svd(c, full_matrices=False)
+    rank = int(np.sum(s > 1e-6 * max(s[0], 1e-300)))
+    explained = float(np.sum((left[:, :rank].T @ e) ** 2))
+    return probability(explained, rank, problem.freedom)
+
+
+def probability(gain: float, count: int, freedom: float) -> float:
+    """Chance of a fall of the objective by `gain` from `count` further unknowns, the noise known to `freedom`."""
+    if gain <= 0.0:
+        return 1.0
+    if math.isinf(freedom):
+        return float(chi2.sf(gain, count))
+    return float(f_distribution.sf(gain / count, count, freedom))
+
+
+def held_out(problem: Problem, fit: Fit) -> tuple[float, np.ndarray]:
+    """(log-likelihood, predictions [N, 3]) of what is held out, fold by fold, averaged over the conditions.
+
+    Refits are linearised about the fit of all rows, and exact as far as the model is linear there; the predictive
+    covariance includes that of the parameters.
+    """
+    rows = np.nonzero(problem.used)[0]
+    a, e = _augmented(fit)
+    m = fit.residual.size
+    top, normal = a[:m], a.T @ a
+    channel = np.nonzero(problem.used)[1]
+    predicted, ways, total = np.zeros_like(problem.data.y), folds(problem.data), 0.0
+    for fold in (group for way in ways for group in way):
+        out = fold[rows]
+        if not out.any():
+            continue
+        j, r = top[out], e[:m][out]
+        covariance = np.linalg.inv(normal - j.T @ j)
+        left = r + j @ (covariance @ (j.T @ r))  # the gradient vanishes over all rows
+        s = np.eye(r.size) + j @ covariance @ j.T
+        total += -0.5 * float(left @ np.linalg.solve(s, left)) - 0.5 * np.linalg.slogdet(s)[1]
+        there = channel[out]
+        value = problem.data.y[rows[out], there] - left * problem.noise[there]
+        predicted[rows[out], there] += value / len(ways)
+    return total / len(ways), predicted
+
+
+# --- the search -------------------------------------------------------------------------------------------------------
+
+
+def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
+    """(names to try, reason by name of those that this table cannot show)."""
+    names, reasons = [], {}
+    data = problem.data
+    words = {"pass": "every row is of the same pass", "speed": "no speed variation", "grade_deg": "no grade variation"}
+    for effect in CATALOGUE.values():
+        measured = [k for k in effect.moves if problem.used[:, ("sinkage", "drawbar_pull", "torque").index(k)].any()]
+        if not measured:
+            reasons[effect.name] = f"{' and '.join(effect.moves)} not measured"
+        elif (
+            effect.name == "grousers" and data.setup.wheel.grouser_height == 0.0 and not np.any(data.rows.wheels[:, 2])
+        ):
+            reasons[effect.name] = "the wheel has no grousers (grouser_height 0)"
+        elif effect.varies is not None and effect.varies not in data.varied and effect.name != "shear_rate":
+            reasons[effect.name] = words[effect.varies]
+        elif effect.name == "shear_rate" and not np.all(data.rows.conditions[:, 0] > 0.0):
+            reasons[effect.name] = "speed not given"
+        else:
+            names.append(effect.name)
+    return names, reasons
+
+
+def fit_effect(problem: Problem, name: str, others: tuple[Choice, ...] = (), slack: bool = True) -> Fit:
+    """Best fit of an effect over its forms, with `others` already in the model."""
+    return max(
+        (problem.fit((*others, Choice(name, k)), slack=slack) for k in forms(problem, name)), key=lambda f: f.evidence
+    )
+
+
+def forms(problem: Problem, name: str) -> list[int]:
+    """Forms of an effect that this table can be fitted with."""
+    speed = bool(np.all(problem.data.rows.conditions[:, 0] > 0.0))
+    return [k for k, f in enumerate(CATALOGUE[name].forms) if speed or f.name != "coulomb_and_viscous"]
+
+
+def judge(problem: Problem, fit: Fit, base_score: float = 0.0) -> Candidate:
+    """`Candidate` of a fit."""
+    return Candidate(fit, held_out(problem, fit)[0] - base_score, lack_of_fit(problem, fit))
+
+
+def strengths(choices: Iterable[Choice]) -> int:
+    """Unknowns that effects bring."""
+    return sum(len(c.free) for c in choices)
+
+
+def first_gain(problem: Problem, fit: Fit, name: str) -> tuple[float, float]:
+    """(gain, p value) that a further effect promises to first order, the best of its forms."""
+    a, e = _augmented(fit)
+    q, _ = np.linalg.qr(a)
+    e = e - q @ (q.T @ e)
+    values, best = fit.parameters(), (0.0, 1.0)
+    base = problem.whiten(fit.output)
+    guess = problem.sinkage_guess(fit)
+    for k in forms(problem, name):
+        choice = Choice(name, k)
+        own = [u for u in problem.unknowns((choice,)) if u.name in choice.free]
+        columns = []
+        for moved in own:
+            if moved.log:
+                continue
+            trial = {u.name: u.value(0.0) for u in own} | {moved.name: moved.value(0.05)}
+            there = problem.predict(values | trial, (*fit.choices, choice), guess.copy())
+            columns.append((problem.whiten(there) - base) / 0.05)
+        c = np.concatenate([np.stack(columns, axis=1), np.zeros((e.size - base.size, len(columns)))])
+        c = c - q @ (q.T @ c)
+        prior = np.eye(len(columns))  # of the new strengths
+        solved = np.linalg.solve(c.T @ c + prior, c.T @ e)
+        gain = float(e @ c @ solved)
+        p = probability(gain, len(columns), problem.freedom)
+        if p < best[1]:
+            best = (gain, p)
+    return best
+
+
+# --- the conclusion ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """One named effect."""
+
+    name: str
+    alternatives: tuple[str, ...]  # that these data cannot tell from it
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """What the search concludes."""
+
+    verdict: str  # named, none, ambiguous, unlisted
+    named: tuple[Named, ...]
+    base: Candidate
+    best: Candidate  # the model to go on with: the named effects, or the base model
+    singles: tuple[Candidate, ...]  # best first
+    pairs: tuple[Candidate, ...]
+    untestable: dict[str, str]
+    chance: float  # p value of everything there is to see being chance
+
+
+def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> Finding:
+    """Find the missing effects; `say` is told what is being done."""
+    say("base model")
+    fit = problem.fit()
+    base_score = held_out(problem, fit)[0]
+    base = Candidate(fit, 0.0, lack_of_fit(problem, fit))
+    names, untestable = candidates(problem)
+    singles = []
+    for name in names:
+        say(f"with {CATALOGUE[name].title}")
+        singles.append(judge(problem, fit_effect(problem, name), base_score))
+    singles.sort(key=lambda c: -c.score)
+    chance = min(_family(_p_gain(problem, base, c)) for c in singles)
+    chance = min(chance, base.misfit)
+
+    def conclude(verdict, named, best, pairs=()):
+        return Finding(verdict, tuple(named), base, best, tuple(singles), tuple(pairs), untestable, chance)
+
+    def conclude_one(enough, pairs=()):
+        first, near = undecided(enough)
+        named = Named(first.names[0], tuple(c.names[0] for c in near))
+        return conclude("ambiguous" if near else "named", [named], first, pairs)
+
+    if chance > CHANCE:
+        return conclude("none", (), base)
+    # one effect
+    enough = [c for c in singles if acceptable(problem, base, c)]
+    if enough:
+        first = enough[0]
+        say("looking for a second effect")
+        if second(problem, first, names, base_score) is None:
+            return conclude_one(enough)
+    # two effects
+    pairs = two_effects(problem, singles, names, base_score, say)
+    enough_pairs = [c for c in pairs if acceptable(problem, base, c) and both_needed(problem, c, singles)]
+    if enough and (not enough_pairs or enough_pairs[0].score < enough[0].score + TOLD):
+        return conclude_one(enough, pairs)
+    if not enough_pairs:
+        return conclude("unlisted", (), pairs[0] if pairs and pairs[0].score > singles[0].score else singles[0], pairs)
+    first, near = undecided(enough_pairs)
+    named = [Named(name, _instead(name, first, near)) for name in first.names]
+    return conclude("ambiguous" if near else "named", named, first, pairs)
+
+
+def undecided(enough: list[Candidate]) -> tuple[Candidate, list[Candidate]]:
+    """(first, others) of the candidates that the held-out likelihood cannot rule out, the most probable first."""
+    near = [c for c in enough if c.score > enough[0].score - TOLD]
+    near.sort(key=lambda c: -(c.score + c.fit.evidence))
+    return near[0], near[1:]
+
+
+def _instead(name: str, best: Candidate, near: list[Candidate]) -> tuple[str, ...]:
+    """Effects that stand in the place of `name` in pairs as good as the best."""
+    other = next(n for n in best.names if n != name)
+    out = []
+    for c in near:
+        rest = [n for n in c.names if n != other]
+        if len(rest) == 1 and rest[0] != name:
+            out.append(rest[0])
+        elif name not in c.names and other not in c.names:
+            out += rest
+    return tuple(dict.fromkeys(out))
+
+
+def _family(p: float) -> float:
+    return 1.0 - (1.0 - p) ** TRIED
+
+
+def _p_gain(problem: Problem, base: Candidate, c: Candidate) -> float:
+    gain = base.fit.objective - c.fit.objective
+    return probability(gain, strengths(c.fit.choices), problem.freedom)
+
+
+def acceptable(problem: Problem, base: Candidate, c: Candidate) -> bool:
+    """Whether a model is enough: significant, no lack of fit, and a soil that can be."""
+    soil = np.abs(c.fit.u[: len(problem.soil)])
+    given = [getattr(problem.data.setup.soil, k.name, None) is not None for k in problem.soil]
+    implausible = any(g and x > max(IMPLAUSIBLE, abs(b)) for g, x, b in zip(given, soil, base.fit.u, strict=False))
+    return c.misfit > LEAST_FIT and not implausible and _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
+
+
+def second(problem: Problem, first: Candidate, names: list[str], base_score: float) -> Candidate | None:
+    """The model with a second effect, where that is significant beyond the form error of the first."""
+    gains = sorted(
+        ((first_gain(problem, first.fit, n), n) for n in names if n not in first.names), key=lambda g: g[0][1]
+    )
+    best = None
+    for (_, p), name in gains[:3]:
+        if _family(p) > 0.05:
+            continue
+        fit = fit_effect(problem, name, first.fit.choices)
+        p = probability(first.fit.objective - fit.objective, strengths(fit.choices[-1:]), problem.freedom)
+        c = judge(problem, fit, base_score)
+        if _family(p) < CHANCE and c.score > first.score + TOLD and (best is None or c.score > best.score):
+            best = c
+    return best
+
+
+def both_needed(problem: Problem, pair: Candidate, singles: list[Candidate]) -> bool:
+    """Whether each effect of a pair is significant beside the other."""
+    for c in singles:
+        if c.names[0] in pair.names:
+            rest = [k for k in pair.fit.choices if k.effect != c.names[0]]
+            p = probability(c.fit.objective - pair.fit.objective, strengths(rest), problem.freedom)
+            if _family(p) > CHANCE or pair.score < c.score + 0.5 * TOLD:
+                return False
+    return True
+
+
+def two_effects(problem: Problem, singles, names, base_score, say) -> list[Candidate]:
+    """Pairs, best first: all screened to first order from either side, the most promising refitted in their forms."""
+    say("screening pairs")
+    promise = {}
+    plain = {c.names[0]: problem.fit(c.fit.choices, start=c.fit.parameters(), slack=False) for c in singles}
+    for a, b in combinations(plain, 2):
+        left = min(plain[x].objective - first_gain(problem, plain[x], y)[0] for x, y in ((a, b), (b, a)))
+        promise[a, b] = left
+    out = []
+    for a, b in sorted(promise, key=promise.get)[:_PAIRS]:
+        say(f"with {CATALOGUE[a].title} and {CATALOGUE[b].title}")
+        out.append(judge(problem, fit_pair(problem, plain[a].choices[0], plain[b].choices[0]), base_score))
+    return sorted(out, key=lambda c: -c.score)
+
+
+def fit_pair(problem: Problem, a: Choice, b: Choice) -> Fit:
+    """Fit of two effects, each in the form that is best beside the other."""
+    second = max((problem.fit((a, Choice(b.effect, k)), slack=False) for k in forms(problem, b.effect)),
+                 key=lambda f: f.evidence).choices[1]  # fmt: skip
+    first = max((problem.fit((Choice(a.effect, k), second), slack=False) for k in forms(problem, a.effect)),
+                key=lambda f: f.evidence)  # fmt: skip
+    return problem.fit(first.choices, start=first.parameters())
