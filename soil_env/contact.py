@@ -25,11 +25,26 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from soil_env.lanes import constant, copysign, exp, exp_lanes, fill, fma, half_sin_cos, log_lanes, total, totals
+
 #: Gauss-Legendre nodes per zone of the contact arc (front and rear nodes share the normal stress).
 NODES_PER_ZONE = 8
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
-_U2 = (0.5 * (_x + 1.0)) ** 2  # u^2: relative distance of the node from the end of the arc
-_DU2 = 0.5 * _w * 2.0 * (0.5 * (_x + 1.0))  # weight times d(u^2)/du
+_u2 = constant((0.5 * (_x + 1.0)) ** 2)  # u^2: relative distance of the node from the end of the arc
+_du2 = constant(0.5 * _w * 2.0 * (0.5 * (_x + 1.0)))  # weight times d(u^2)/du
+
+
+class ShearLaw(NamedTuple):
+    """Mobilised share of the shear strength: e(j) = (1 - x)(a + b x + c y), x = exp(-|j|/K), y = exp(-|j|/length)."""
+
+    a: float
+    b: float
+    c: float
+    length: float  # [m]
+
+
+#: Janosi & Hanamoto (1961), Eq. (10): e = 1 - exp(-|j|/K).
+JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0)
 
 
 class ArcIntegrals(NamedTuple):
@@ -67,13 +82,13 @@ class Forces(NamedTuple):
     torque: float  # T [N m], Eq. (3), the torque the soil takes from the axle
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def entry_angle(sinkage, r):
     """Entry angle theta1 [rad] of a wheel of radius r [m] at the given sinkage [m]: z0 = r (1 - cos theta1)."""
     return math.acos(max(-1.0, min(1.0, 1.0 - sinkage / r)))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def slip_ratio(rim_speed, travel_speed, floor):
     """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse.
 
@@ -84,7 +99,7 @@ def slip_ratio(rim_speed, travel_speed, floor):
     return max(-1.0, min(1.0, direction * (rim_speed - travel_speed) / scale))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def motion_from_slip(slip):
     """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1 spins on the spot."""
     if slip >= 0.0:
@@ -93,7 +108,7 @@ def motion_from_slip(slip):
     return 1.0, 1.0 / braking
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def motion_from_speeds(rim_speed, travel_speed, floor):
     """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and reversal.
 
@@ -118,11 +133,22 @@ def mirror_angle(theta, theta1, theta2, thetam):
     return theta1 - (theta - theta2) / (thetam - theta2) * (theta1 - thetam)
 
 
-@njit(cache=True)
-def mobilised(j, K):
-    """(e, de/dj): share of the shear strength mobilised at shear displacement j [m], Eq. (10), signed as j."""
-    decay = math.exp(-abs(j) / K)
-    return math.copysign(1.0 - decay, j), decay / K
+@njit(cache=True, error_model="numpy")
+def mobilised(j, K, law):
+    """(e, de/dj): share of the shear strength mobilised at shear displacement j [m], `ShearLaw`, signed as j.
+
+    j is a float or `lanes`.
+    """
+    distance, rate = abs(j), 1.0 / K
+    decay = exp(-rate * distance)
+    share = law.a + law.b * decay
+    slope = rate * (law.b * decay)
+    if law.c != 0.0:
+        slow = law.c * exp(-(1.0 / law.length) * distance)
+        share = share + slow
+        slope = slope + (1.0 / law.length) * slow
+    free = 1.0 - decay
+    return copysign(free, j) * share, rate * decay * share - free * slope
 
 
 @njit(cache=True)
@@ -134,7 +160,7 @@ def arc_node(theta, theta1, sin1, rim, travel, r, K):
     s, c = math.sin(theta), math.cos(theta)
     lever_rim = r * (theta1 - theta)
     lever_travel = -r * (sin1 - s)
-    e, g = mobilised(rim * lever_rim + travel * lever_travel, K)
+    e, g = mobilised(rim * lever_rim + travel * lever_travel, K, JANOSI)
     return s, c, e, g, lever_rim, lever_travel
 
 
@@ -164,25 +190,83 @@ def _packed(t):
 _NOTHING = (0.0,) * 20
 
 
-@njit(cache=True)
-def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r):
-    """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
+class Zone(NamedTuple):
+    """Eight nodes of one zone of the arc, as lanes: what they need of Eqs. (1)-(10) whatever the motion and K."""
+
+    w: float  # weight [rad]
+    w_cos: float
+    w_sin: float
+    pw: float  # stress for S = 1 [m^n] times weight
+    pw_cos: float
+    pw_sin: float
+    lever_rim: float  # dj/d(rim) [m]
+    lever_travel: float  # dj/d(travel) [m]
+
+
+@njit(cache=True, error_model="numpy")
+def _zone(theta1, sin1, theta, sin_half, cos_half, w, p, r):
+    s, c = 2.0 * sin_half * cos_half, fma(-2.0 * sin_half, sin_half, 1.0)
+    pw = p * w
+    return Zone(w, w * c, w * s, pw, pw * c, pw * s, r * (theta1 - theta), r * (s - sin1))
+
+
+@njit(cache=True, error_model="numpy")
+def arc_nodes(theta1, theta2, thetam, n, r):
+    """The nodes of the contact arc, `Zone` in front and `Zone` behind.
 
     Gauss-Legendre nodes at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind, which
     removes the singularity (theta1 - theta)^n at both ends; by Eq. (8) the two nodes have the same normal stress.
-    Relative error about 1e-5 when driving; when braking j changes sign within the arc, and it is 5e-4 for K = 0.07 r.
-    The derivative by K needs no further integrals: see `shear_modulus_rates`.
     """
     front, rear = theta1 - thetam, thetam - theta2
-    sin1, cos1 = math.sin(theta1), math.cos(theta1)
-    t = _NOTHING
-    for k in range(NODES_PER_ZONE):
-        ahead = arc_node(theta1 - front * _U2[k], theta1, sin1, rim, travel, r, K)
-        behind = arc_node(theta2 + rear * _U2[k], theta1, sin1, rim, travel, r, K)
-        p = relative_stress(r * (ahead[1] - cos1), n)
-        t = _add_node(t, front * _DU2[k], p, ahead)
-        t = _add_node(t, rear * _DU2[k], p, behind)
-    return _packed(t)
+    ahead, behind = theta1 - front * _u2(), theta2 + rear * _u2()
+    sin_half, cos_half = half_sin_cos(ahead)
+    sin_half1, cos_half1 = half_sin_cos(fill(theta1))
+    rise = sin_half1 * sin_half1 - sin_half * sin_half  # depth over 2 r
+    p = exp_lanes(n * log_lanes((2.0 * r) * rise))
+    sin1 = 2.0 * sin_half1 * cos_half1
+    sin_half2, cos_half2 = half_sin_cos(behind)
+    return (
+        _zone(theta1, sin1, ahead, sin_half, cos_half, front * _du2(), p, r),
+        _zone(theta1, sin1, behind, sin_half2, cos_half2, rear * _du2(), p, r),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def shear_integrals(zones, rim, travel, K, law):
+    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of the nodes of `arc_nodes` at one motion."""
+    f, b = zones
+    e, g = mobilised(rim * f.lever_rim + travel * f.lever_travel, K, law)
+    e2, g2 = mobilised(rim * b.lever_rim + travel * b.lever_travel, K, law)
+    x, x2 = g * f.lever_rim, g2 * b.lever_rim
+    y, y2 = g * f.lever_travel, g2 * b.lever_travel
+    s = totals(
+        f.pw_cos + b.pw_cos, f.pw_sin + b.pw_sin,
+        fma(e, f.pw_cos, e2 * b.pw_cos), fma(e, f.pw_sin, e2 * b.pw_sin), fma(e, f.pw, e2 * b.pw),
+        fma(e, f.w_cos, e2 * b.w_cos), fma(e, f.w_sin, e2 * b.w_sin), fma(e, f.w, e2 * b.w),
+    )  # fmt: skip
+    t = totals(
+        fma(x, f.pw_cos, x2 * b.pw_cos), fma(x, f.pw_sin, x2 * b.pw_sin), fma(x, f.pw, x2 * b.pw),
+        fma(x, f.w_cos, x2 * b.w_cos), fma(x, f.w_sin, x2 * b.w_sin), fma(x, f.w, x2 * b.w),
+        fma(y, f.pw_cos, y2 * b.pw_cos), fma(y, f.pw_sin, y2 * b.pw_sin),
+    )  # fmt: skip
+    return (
+        ArcIntegrals(s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7]),
+        ArcRates(t[0], t[1], t[2], t[3], t[4], t[5]),
+        ArcRates(
+            t[6], t[7], total(fma(y, f.pw, y2 * b.pw)),
+            total(fma(y, f.w_cos, y2 * b.w_cos)), total(fma(y, f.w_sin, y2 * b.w_sin)), total(fma(y, f.w, y2 * b.w)),
+        ),
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
+    """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
+
+    Rule and nodes: `arc_nodes`. Relative error about 1e-5 when driving; when braking j changes sign within the arc, and
+    it is 5e-4 for K = 0.07 r. The derivative by K needs no further integrals: see `shear_modulus_rates`.
+    """
+    return shear_integrals(arc_nodes(theta1, theta2, thetam, n, r), rim, travel, K, law)
 
 
 @njit(cache=True)
@@ -201,7 +285,7 @@ def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
     return _packed(t)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
     """`ArcRates` by K [1/m]: de/dK = -(j/K) de/dj with j linear in (rim, travel)."""
     x, y = -rim / K, -travel / K
@@ -215,7 +299,7 @@ def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def forces(integrals, S, tan_phi, c, r, b, direction):
     """`Forces` from `ArcIntegrals`: Eqs. (1)-(3) with the exact resistance integral of Eq. (11) ("consistent").
 
@@ -236,7 +320,7 @@ def compaction_resistance(sinkage, S, n, b):
     return b * S * sinkage ** (n + 1.0) / (n + 1.0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def mobilised_modulus(integrals, load, tan_phi, c, r, b, direction):
     """Sinkage coefficient s [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least 0.
 
