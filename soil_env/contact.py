@@ -23,15 +23,31 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from soil_env.lanes import constant, copysign, exp, exp_lanes, fill, fma, half_sin_cos, log_lanes, total, totals
+from soil_env.compiled import inlined, kernel
+from soil_env.lanes import (
+    COUNT,
+    asin_root,
+    constant,
+    copysign,
+    exp,
+    exp_lanes,
+    fill,
+    fma,
+    from_array,
+    half_sin_cos,
+    log_lanes,
+    to_array,
+    total,
+    totals,
+)
 
 #: Gauss-Legendre nodes per zone of the contact arc (front and rear nodes share the normal stress).
 NODES_PER_ZONE = 8
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
-_u2 = constant((0.5 * (_x + 1.0)) ** 2)  # u^2: relative distance of the node from the end of the arc
-_du2 = constant(0.5 * _w * 2.0 * (0.5 * (_x + 1.0)))  # weight times d(u^2)/du
+_U2 = (0.5 * (_x + 1.0)) ** 2  # u^2: relative distance of the node from the end of the arc
+_DU2 = 0.5 * _w * 2.0 * (0.5 * (_x + 1.0))  # weight times d(u^2)/du
+_u2, _du2 = constant(_U2), constant(_DU2)
 
 
 class ShearLaw(NamedTuple):
@@ -82,13 +98,13 @@ class Forces(NamedTuple):
     torque: float  # T [N m], Eq. (3), the torque the soil takes from the axle
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def entry_angle(sinkage, r):
     """Entry angle theta1 [rad] of a wheel of radius r [m] at the given sinkage [m]: z0 = r (1 - cos theta1)."""
     return math.acos(max(-1.0, min(1.0, 1.0 - sinkage / r)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def slip_ratio(rim_speed, travel_speed, floor):
     """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse.
 
@@ -99,7 +115,7 @@ def slip_ratio(rim_speed, travel_speed, floor):
     return max(-1.0, min(1.0, direction * (rim_speed - travel_speed) / scale))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def motion_from_slip(slip):
     """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1 spins on the spot."""
     if slip >= 0.0:
@@ -108,7 +124,7 @@ def motion_from_slip(slip):
     return 1.0, 1.0 / braking
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def motion_from_speeds(rim_speed, travel_speed, floor):
     """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and reversal.
 
@@ -119,13 +135,13 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
     return rim_speed / v, travel_speed / v, travel_speed / math.sqrt(travel_speed * travel_speed + floor * floor)
 
 
-@njit(cache=True)
+@kernel
 def relative_stress(depth, n):
     """Normal stress for S = 1 at `depth` [m] on the rim below the entry point, Eq. (7): sigma / S = depth^n."""
     return depth**n if depth > 0.0 else (1.0 if n == 0.0 else 0.0)
 
 
-@njit(cache=True)
+@kernel
 def mirror_angle(theta, theta1, theta2, thetam):
     """Angle in the front zone with the same normal stress as `theta`, Eq. (8) for the rear zone, itself in front."""
     if theta >= thetam:
@@ -133,7 +149,7 @@ def mirror_angle(theta, theta1, theta2, thetam):
     return theta1 - (theta - theta2) / (thetam - theta2) * (theta1 - thetam)
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def mobilised(j, K, law):
     """(e, de/dj): share of the shear strength mobilised at shear displacement j [m], `ShearLaw`, signed as j.
 
@@ -151,7 +167,7 @@ def mobilised(j, K, law):
     return copysign(free, j) * share, rate * decay * share - free * slope
 
 
-@njit(cache=True)
+@kernel
 def arc_node(theta, theta1, sin1, rim, travel, r, K):
     """What Eq. (10) gives at one angle: (sin, cos, e, g, lever_rim, lever_travel).
 
@@ -164,7 +180,7 @@ def arc_node(theta, theta1, sin1, rim, travel, r, K):
     return s, c, e, g, lever_rim, lever_travel
 
 
-@njit(cache=True)
+@kernel
 def _add_node(t, w, p, node):
     """Running sums `t` of the arc integrals and their rates after one node of weight w and stress p (for S = 1)."""
     s, c, e, g, lever_rim, lever_travel = node
@@ -178,7 +194,7 @@ def _add_node(t, w, p, node):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@kernel
 def _packed(t):
     return (
         ArcIntegrals(t[0], t[1], t[2], t[3], t[4], t[5], t[6], t[7]),
@@ -203,14 +219,14 @@ class Zone(NamedTuple):
     lever_travel: float  # dj/d(travel) [m]
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def _zone(theta1, sin1, theta, sin_half, cos_half, w, p, r):
     s, c = 2.0 * sin_half * cos_half, fma(-2.0 * sin_half, sin_half, 1.0)
     pw = p * w
     return Zone(w, w * c, w * s, pw, pw * c, pw * s, r * (theta1 - theta), r * (s - sin1))
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def arc_nodes(theta1, theta2, thetam, n, r):
     """The nodes of the contact arc, `Zone` in front and `Zone` behind.
 
@@ -231,7 +247,7 @@ def arc_nodes(theta1, theta2, thetam, n, r):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def shear_integrals(zones, rim, travel, K, law):
     """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of the nodes of `arc_nodes` at one motion."""
     f, b = zones
@@ -259,7 +275,7 @@ def shear_integrals(zones, rim, travel, K, law):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
     """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
 
@@ -269,7 +285,81 @@ def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
     return shear_integrals(arc_nodes(theta1, theta2, thetam, n, r), rim, travel, K, law)
 
 
-@njit(cache=True)
+#: Floats that `store_nodes` writes.
+STORED_NODES = COUNT * (7 * NODES_PER_ZONE + 1)
+
+
+@inlined
+def entry_angle_of_many(sinkage, r):
+    """`entry_angle` in lanes."""
+    return 2.0 * asin_root((0.5 / r) * sinkage)
+
+
+@kernel
+def store_nodes(theta1, travel, n, r, out, at):
+    """Nodes of eight wheels of one radius on one exponent, into out[at] .. out[at + STORED_NODES - 1].
+
+    `theta1` and `travel` are lanes, one a wheel; rim = 1, theta2 = 0, thetam = theta1/2. Nodes and stresses are as in
+    `arc_nodes`; what is stored serves `stored_integrals` at any K.
+    """
+    half = 0.5 * theta1
+    sin_half1, cos_half1 = half_sin_cos(theta1)
+    sin1, rise1 = 2.0 * sin_half1 * cos_half1, sin_half1 * sin_half1
+    to_array(half, out, at)
+    at += COUNT
+    for k in range(NODES_PER_ZONE):
+        ahead, behind = theta1 - half * _U2[k], half * _U2[k]
+        sin_half, cos_half = half_sin_cos(ahead)
+        sin_half2, cos_half2 = half_sin_cos(behind)
+        p = exp_lanes(n * log_lanes((2.0 * r) * (rise1 - sin_half * sin_half)))
+        one = fill(1.0)
+        z = _zone(theta1, sin1, ahead, sin_half, cos_half, one, one, r)
+        y = _zone(theta1, sin1, behind, sin_half2, cos_half2, one, one, r)
+        to_array(p, out, at)
+        to_array(z.w_cos, out, at + COUNT)
+        to_array(z.w_sin, out, at + 2 * COUNT)
+        to_array(z.lever_rim + travel * z.lever_travel, out, at + 3 * COUNT)
+        to_array(y.w_cos, out, at + 4 * COUNT)
+        to_array(y.w_sin, out, at + 5 * COUNT)
+        to_array(y.lever_rim + travel * y.lever_travel, out, at + 6 * COUNT)
+        at += 7 * COUNT
+
+
+@inlined
+def stored_integrals(nodes, at, K):
+    """(ArcIntegrals, ArcRates by K) in lanes, of the wheels of `store_nodes`, with the shear law `JANOSI`."""
+    half = from_array(nodes, at)
+    at += COUNT
+    o = fill(0.0)
+    p_cos, p_sin, pe_cos, pe_sin, pe, e_cos, e_sin, e_sum = o, o, o, o, o, o, o, o
+    kpe_cos, kpe_sin, kpe, ke_cos, ke_sin, ke = o, o, o, o, o, o
+    rate = -1.0 / K
+    for k in range(NODES_PER_ZONE):
+        w = half * _DU2[k]
+        p = from_array(nodes, at)
+        c, s, j = from_array(nodes, at + COUNT), from_array(nodes, at + 2 * COUNT), from_array(nodes, at + 3 * COUNT)
+        c2, s2 = from_array(nodes, at + 4 * COUNT), from_array(nodes, at + 5 * COUNT)
+        j2 = from_array(nodes, at + 6 * COUNT)
+        at += 7 * COUNT
+        e, g = mobilised(j, K, JANOSI)
+        e2, g2 = mobilised(j2, K, JANOSI)
+        g, g2 = (rate * j) * g, (rate * j2) * g2
+        # the two nodes share weight and stress
+        wp = w * p
+        ec, es, e = fma(e, c, e2 * c2), fma(e, s, e2 * s2), e + e2
+        gc, gs, g = fma(g, c, g2 * c2), fma(g, s, g2 * s2), g + g2
+        p_cos, p_sin = fma(wp, c + c2, p_cos), fma(wp, s + s2, p_sin)
+        pe_cos, pe_sin, pe = fma(wp, ec, pe_cos), fma(wp, es, pe_sin), fma(wp, e, pe)
+        e_cos, e_sin, e_sum = fma(w, ec, e_cos), fma(w, es, e_sin), fma(w, e, e_sum)
+        kpe_cos, kpe_sin, kpe = fma(wp, gc, kpe_cos), fma(wp, gs, kpe_sin), fma(wp, g, kpe)
+        ke_cos, ke_sin, ke = fma(w, gc, ke_cos), fma(w, gs, ke_sin), fma(w, g, ke)
+    return (
+        ArcIntegrals(p_cos, p_sin, pe_cos, pe_sin, pe, e_cos, e_sin, e_sum),
+        ArcRates(kpe_cos, kpe_sin, kpe, ke_cos, ke_sin, ke),
+    )
+
+
+@kernel
 def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
     """`arc_integrals` by the paper's rule: composite Simpson with 2m subintervals in each zone, Eq. (18)."""
     sin1, cos1 = math.sin(theta1), math.cos(theta1)
@@ -285,7 +375,7 @@ def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
     return _packed(t)
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
     """`ArcRates` by K [1/m]: de/dK = -(j/K) de/dj with j linear in (rim, travel)."""
     x, y = -rim / K, -travel / K
@@ -299,7 +389,7 @@ def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def forces(integrals, S, tan_phi, c, r, b, direction):
     """`Forces` from `ArcIntegrals`: Eqs. (1)-(3) with the exact resistance integral of Eq. (11) ("consistent").
 
@@ -314,13 +404,13 @@ def forces(integrals, S, tan_phi, c, r, b, direction):
     return Forces(load, thrust - resistance, torque)
 
 
-@njit(cache=True)
+@kernel
 def compaction_resistance(sinkage, S, n, b):
     """Resistance [N] of Eq. (12), b S z0^(n+1) / (n+1): equal to Eq. (11) only without the rear branch (8)."""
     return b * S * sinkage ** (n + 1.0) / (n + 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def mobilised_modulus(integrals, load, tan_phi, c, r, b, direction):
     """Sinkage coefficient s [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least 0.
 

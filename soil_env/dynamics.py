@@ -23,8 +23,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from soil_env.compiled import inlined, kernel
 from soil_env.contact import (
     JANOSI,
     arc_nodes,
@@ -135,7 +135,7 @@ class Reaction(NamedTuple):
     modulus_u: float
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def reaction(speed, rim_speed, sinkage, load, soil, r, b):
     """`Reaction` of the soil to a wheel at a given sinkage that carries `load`: Eqs. (1)-(3) with (1) solved for S."""
     theta1 = entry_angle(sinkage, r)
@@ -143,7 +143,7 @@ def reaction(speed, rim_speed, sinkage, load, soil, r, b):
     return reaction_of(nodes, speed, rim_speed, load, soil, r, b)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def reaction_of(nodes, speed, rim_speed, load, soil, r, b):
     """`reaction` on given nodes of the contact arc (`contact.arc_nodes`), which depend on sinkage and soil only."""
     rim, travel, direction = motion_from_speeds(rim_speed, speed, REST_SPEED)
@@ -185,7 +185,7 @@ def reaction_of(nodes, speed, rim_speed, load, soil, r, b):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def moved(f, dv, du):
     """`Reaction` `f` to first order after a change of V and of u; its derivatives stay."""
     return Reaction(
@@ -202,7 +202,7 @@ def moved(f, dv, du):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def motor(command, by_speed, wheel_speed, world):
     """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
 
@@ -227,11 +227,11 @@ def motor(command, by_speed, wheel_speed, world):
     return torque, slope, available
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, command, by_speed, world, h):
     """Implicit Euler for (V, u = r w) over h seconds: (V, u, Reaction, converged).
 
-    Newton's residual falls quadratically: once the last two foretell one far below the tolerance, the step is taken with
+    Newton's residual falls quadratically: once two foretell one far below the tolerance, the step is taken with
     the reaction to first order instead of being computed once more to see it.
     """
     r, b = world.radius, world.width
@@ -283,14 +283,14 @@ def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, com
     return v, u, soil_force, norm < 1e-4
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def bearing_sinkage(sinkage, modulus, soil):
     """z_w [m]: depth at which undisturbed soil bears the pressure `modulus` z^n, at most 10 z."""
     n = max(soil.sinkage_exponent, 0.05)
     return sinkage * min((modulus / soil.sinkage_coefficient) ** (1.0 / n), 10.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def relax_sinkage(sinkage, bearing, speed, slip_speed, soil, length, h):
     """Sinkage [m] after h seconds of dz/dt = B z_w - A z (`effects.excavation_rate`)."""
     a, b = excavation_rate(abs(speed), abs(slip_speed), soil.dig_gain, soil.dig_recovery, length)
@@ -303,7 +303,7 @@ def relax_sinkage(sinkage, bearing, speed, slip_speed, soil, length, h):
     return goal + (sinkage - goal) * math.exp(-a * h)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def advance(state, k, command, courses, streams, world):
     """Drive wheel k for one control period with a command in [-1, 1]; updates state[k] and its rut.
 
@@ -362,7 +362,7 @@ def advance(state, k, command, courses, streams, world):
         w.next_halt = w.x + between(streams, k, world.halt_low, world.halt_high)
 
 
-@njit(cache=True)
+@kernel
 def settle(state, k, mass, courses, streams, world):
     """Put wheel k at rest at the start of its course, sunk in under its own load."""
     w = state[k]

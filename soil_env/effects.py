@@ -6,10 +6,10 @@ more slip; real wheels dig.
 
 from __future__ import annotations
 
-from numba import njit
+from soil_env.compiled import kernel
 
 
-@njit(cache=True)
+@kernel
 def slip_sinkage_ratio(slip, gain, recovery):
     """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i| + recovery |i|).
 
@@ -24,7 +24,7 @@ def slip_sinkage_ratio(slip, gain, recovery):
     return 1.0 - gain * slip / (1.0 - recovery * slip)
 
 
-@njit(cache=True)
+@kernel
 def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z.
 

@@ -15,10 +15,11 @@ import math
 import operator
 
 from llvmlite import ir
-from numba import njit, types
-from numba.core.typing.templates import ConcreteTemplate, signature
+from numba import types
+from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
-from numba.core.typing.templates import infer_global
+
+from soil_env.compiled import inlined
 
 COUNT = 8
 
@@ -61,7 +62,11 @@ def _numbers(*values):
 
 # --- operators --------------------------------------------------------------------------------------------------------
 
-_PAIRS = [signature(lanes, lanes, lanes), signature(lanes, lanes, types.float64), signature(lanes, types.float64, lanes)]
+_PAIRS = [
+    signature(lanes, lanes, lanes),
+    signature(lanes, lanes, types.float64),
+    signature(lanes, types.float64, lanes),
+]
 
 
 def _binary(op, emit):
@@ -163,6 +168,33 @@ def to_array(typingctx, x, a, i):
     return types.void(lanes, a, types.intp), emit
 
 
+def scratch(size):
+    """A compiled function without arguments that returns a float64 array [size] on the stack of its caller.
+
+    It is not set to anything, and gone when the caller returns.
+    """
+
+    @intrinsic
+    def get(typingctx):
+        array_type = types.Array(types.float64, 1, "C")
+
+        def emit(context, builder, sig, args):
+            from numba.core import cgutils
+            from numba.np.arrayobj import make_array, populate_array
+
+            data = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), size))
+            data.align = 64
+            array = make_array(array_type)(context, builder)
+            count, item = ir.Constant(ir.IntType(64), size), ir.Constant(ir.IntType(64), 8)
+            pointer = builder.bitcast(data, ir.DoubleType().as_pointer())
+            populate_array(array, data=pointer, shape=[count], strides=[item], itemsize=item, meminfo=None)
+            return array._getvalue()
+
+        return array_type(), emit
+
+    return get
+
+
 def _shuffled(builder, a, b, order):
     mask = ir.Constant(ir.VectorType(ir.IntType(32), len(order)), list(order))
     return builder.shuffle_vector(a, b, mask)
@@ -190,6 +222,61 @@ def totals(typingctx, a, b, c, d, e, f, g, h):
         return context.make_tuple(builder, sig.return_type, sums)
 
     return types.UniTuple(types.float64, COUNT)(*[lanes] * COUNT), emit
+
+
+@intrinsic
+def transposed(typingctx, a, b, c, d, e, f, g, h):
+    """The eight columns of eight rows."""
+
+    def emit(context, builder, sig, args):
+        rows = list(args)
+        for step in (4, 2, 1):
+            low, high = [], []
+            for lane in range(COUNT):
+                pair = lane & ~step
+                low.append(pair if lane == pair else pair + COUNT)
+                high.append(low[-1] + step)
+            swapped = list(rows)
+            for i in range(COUNT):
+                if not i & step:
+                    swapped[i] = _shuffled(builder, rows[i], rows[i + step], low)
+                    swapped[i + step] = _shuffled(builder, rows[i], rows[i + step], high)
+            rows = swapped
+        return context.make_tuple(builder, sig.return_type, rows)
+
+    return types.UniTuple(lanes, COUNT)(*[lanes] * COUNT), emit
+
+
+@intrinsic
+def made_of(typingctx, a, b, c, d, e, f, g, h):
+    """Lanes of eight floats."""
+
+    def emit(context, builder, sig, args):
+        value = ir.Constant(_VECTOR, ir.Undefined)
+        for i, x in enumerate(args):
+            value = builder.insert_element(value, x, ir.Constant(ir.IntType(32), i))
+        return value
+
+    return lanes(*[types.float64] * COUNT), emit
+
+
+@intrinsic
+def lane(typingctx, a, i):
+    """Lane i of `a`."""
+    return types.float64(lanes, types.intp), lambda context, builder, sig, args: builder.extract_element(*args)
+
+
+@intrinsic
+def first(typingctx, count, a, b):
+    """Lanes of `a` below index `count`, of `b` from there on."""
+
+    def emit(context, builder, sig, args):
+        limit = builder.insert_element(ir.Constant(_INTEGERS, ir.Undefined), args[0], ir.Constant(ir.IntType(32), 0))
+        limit = _shuffled(builder, limit, ir.Constant(_INTEGERS, ir.Undefined), [0] * COUNT)
+        index = ir.Constant(_INTEGERS, list(range(COUNT)))
+        return builder.select(builder.icmp_signed("<", index, limit), args[1], args[2])
+
+    return lanes(types.intp, lanes, lanes), emit
 
 
 @intrinsic
@@ -236,6 +323,22 @@ def _cut(typingctx, a, low, high):
         return builder.select(builder.fcmp_ordered("<", a, high), a, high)
 
     return lanes(lanes, lanes, lanes), emit
+
+
+@intrinsic
+def where_below(typingctx, a, limit, x, y):
+    """Lane by lane x where a < limit, else y."""
+
+    def emit(context, builder, sig, args):
+        return builder.select(builder.fcmp_ordered("<", args[0], _spread(builder, args[1])), args[2], args[3])
+
+    return lanes(lanes, types.float64, lanes, lanes), emit
+
+
+@intrinsic
+def sqrt_lanes(typingctx, a):
+    """Square root of lanes."""
+    return lanes(lanes), lambda context, builder, sig, args: _call(builder, "llvm.sqrt.v8f64", args)
 
 
 @intrinsic
@@ -303,7 +406,7 @@ def _exp_of(x):
     return lambda x: math.exp(x)
 
 
-@njit(cache=True)
+@inlined
 def exp_lanes(x):
     """e^x of lanes, x cut to [-700, 700]."""
     x = _cut(x, fill(-700.0), fill(700.0))
@@ -322,7 +425,7 @@ def exp_lanes(x):
     return _scaled(fma(r2, p, r) + 1.0, k)
 
 
-@njit(cache=True)
+@inlined
 def log_lanes(x):
     """Natural logarithm of lanes, normal x > 0."""
     k, m = _exponent_and_mantissa(x)
@@ -338,7 +441,7 @@ def log_lanes(x):
     return fma(k, 0.6931471803691238, fma(s, 2.0, tail))
 
 
-@njit(cache=True)
+@inlined
 def half_sin_cos(x):
     """(sin(x/2), cos(x/2)) of lanes, |x| <= pi."""
     h = 0.5 * x
@@ -357,3 +460,23 @@ def half_sin_cos(x):
     c = fma(t2, 4.64640971522779e-14, c)
     p = fma(t4, c, fma(t2, b, a))
     return s, fma(t2, p, fma(t, -0.5, fill(1.0)))
+
+
+@inlined
+def asin_root(t):
+    """asin(sqrt(t)) of lanes, t cut to [0, 1]."""
+    t = _cut(t, fill(0.0), fill(1.0))
+    x = sqrt_lanes(t)
+    u = where_below(t, 0.25, t, 0.5 * (1.0 - x))
+    u2 = u * u
+    u4 = u2 * u2
+    a = fma(u, 0.07500000000020869, fill(0.1666666666666665))
+    b = fma(u, 0.030381947379559158, fill(0.04464285710323956))
+    c = fma(u, 0.01735526856395352, fill(0.022372047201808885))
+    d = fma(u, 0.011876344296279416, fill(0.013929545950485803))
+    e = fma(u, 0.01604912458494932, fill(0.0077986264075622334))
+    f = fma(u, 0.028187667142318098, fill(-0.010773195325585556))
+    p = fma(u4, fma(u4, fma(u2, f, e), fma(u2, d, c)), fma(u2, b, a))
+    s = sqrt_lanes(u)
+    s = fma(s * u, p, s)
+    return where_below(t, 0.25, s, 1.5707963267948966 - 2.0 * s)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from soil_env.compiled import kernel
 from soil_env.contact import arc_integrals, entry_angle, forces, mobilised_modulus, motion_from_slip
 from soil_env.effects import slip_sinkage_ratio
 from soil_env.parameters import SoilState
@@ -23,7 +22,7 @@ class Steady(NamedTuple):
     floating: bool  # False when the soil cannot carry the load before the wheel is buried; `sinkage` is then the bound
 
 
-@njit(cache=True)
+@kernel
 def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
     """`Forces` of a wheel at a given sinkage [m] with sinkage coefficient S, contact from entry to the lowest point."""
     theta1 = entry_angle(sinkage, r)
@@ -31,7 +30,7 @@ def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
     return forces(q, S, soil.tan_phi, soil.cohesion, r, b, direction)
 
 
-@njit(cache=True)
+@kernel
 def steady_state(slip, load, soil, r, b, guess=0.0):
     """`Steady` sinkage, drawbar pull and torque: Eq. (1) solved for the sinkage, then Eqs. (2) and (3).
 

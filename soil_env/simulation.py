@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from soil_env.compiled import kernel
 from soil_env.dynamics import WHEEL_STATE, WorldNumbers, advance, settle, world_numbers
 from soil_env.identifier import IdentifierNumbers, Identifiers, forget, identifier_numbers, new_identifiers, observe
 from soil_env.loading import ParameterError
@@ -46,7 +47,7 @@ class Numbers(NamedTuple):
     task: TaskNumbers
 
 
-@njit(cache=True)
+@kernel
 def restart(worlds, numbers, k):
     """Draw a new course for wheel k, put the wheel at its start, and observe."""
     mass = draw_course(k, worlds.courses, worlds.streams, numbers.course)
@@ -56,7 +57,8 @@ def restart(worlds, numbers, k):
     forget(worlds.ids, k, numbers.identifier)
     worlds.cause[k] = _RUNNING
     worlds.reward[k] = 0.0
-    worlds.terms[k, :] = 0.0
+    for i in range(worlds.terms.shape[1]):
+        worlds.terms[k, i] = 0.0
     worlds.solved[k] = False
     reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
     write_observation(
@@ -64,7 +66,7 @@ def restart(worlds, numbers, k):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@kernel
 def step_one(worlds, numbers, k, command):
     """One control period of wheel k: drive, sense, identify, judge, reward, observe."""
     advance(worlds.state, k, command, worlds.courses, worlds.streams, numbers.world)
@@ -80,7 +82,7 @@ def step_one(worlds, numbers, k, command):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", _nrt=False, nogil=True)
 def step_range(worlds, numbers, commands, what, start, stop):
     """Wheels start..stop-1: `step_one` (what[k] = STEP), `restart` (RESTART) or nothing (IDLE)."""
     for k in range(start, stop):
@@ -90,7 +92,7 @@ def step_range(worlds, numbers, commands, what, start, stop):
             restart(worlds, numbers, k)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, error_model="numpy", _nrt=False, nogil=True)
 def restart_range(worlds, numbers, which, start, stop):
     """`restart` those of wheels start..stop-1 with `which` True."""
     for k in range(start, stop):

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from soil_env.compiled import kernel
 
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -24,7 +25,7 @@ def seed_stream(rng: np.random.Generator) -> np.uint64:
     return rng.integers(0, 2**64, dtype=np.uint64)
 
 
-@njit(cache=True)
+@kernel
 def uniform(streams, k):
     """Next number in [0, 1) of stream k; `streams` is uint64 [wheels]."""
     streams[k] += _GAMMA
@@ -35,13 +36,13 @@ def uniform(streams, k):
     return float(z >> _S11) * _TO_UNIT
 
 
-@njit(cache=True)
+@kernel
 def between(streams, k, low, high):
     """Next number of stream k, uniform in [low, high)."""
     return low + (high - low) * uniform(streams, k)
 
 
-@njit(cache=True)
+@kernel
 def normal_pair(streams, k):
     """Two independent standard normal numbers of stream k (Box & Muller 1958)."""
     radius = math.sqrt(-2.0 * math.log(1.0 - uniform(streams, k)))

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from soil_env.compiled import kernel
 from soil_env.identification import Status
 from soil_env.identifier import SensorReading
 from soil_env.loading import unknown_key
@@ -153,7 +153,7 @@ def task_numbers(scenario: Scenario, variant: str) -> TaskNumbers:
     )
 
 
-@njit(cache=True)
+@kernel
 def sense(state, k, streams, task):
     """Noisy readings of wheel k and its pitch [rad]: (SensorReading, pitch)."""
     w, sd = state[k], task.noise
@@ -173,7 +173,7 @@ def sense(state, k, streams, task):
     return reading, w.grade + sd[7] * h
 
 
-@njit(cache=True)
+@kernel
 def write_observation(out, state, k, reading, pitch, courses, ids, task):
     """Fill the observation `out` [D] of wheel k, cut to the bounds of the layout."""
     w = state[k]
@@ -203,7 +203,7 @@ def write_observation(out, state, k, reading, pitch, courses, ids, task):
         out[i] = min(max(out[i], task.low[i]), task.high[i])
 
 
-@njit(cache=True)
+@kernel
 def judge(state, k, task):
     """`Cause` of wheel k after a step; advances its two clocks, which run back while their condition does not hold."""
     w = state[k]
@@ -226,7 +226,7 @@ def judge(state, k, task):
     return _RUNNING
 
 
-@njit(cache=True)
+@kernel
 def reward_terms(state, k, cause, task, terms):
     """Fill `terms` [3] (see REWARD_TERMS) for the last step of wheel k; the reward is their sum.
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from soil_env.compiled import kernel
 from soil_env.model import steady_state
 
 #: Slips at which the drawbar pull is compared.
@@ -26,7 +26,7 @@ class Best(NamedTuple):
     sinkage: float  # [m]
 
 
-@njit(cache=True)
+@kernel
 def best_working_point(load, soil, r, b, torque_available):
     """`Best` over the slips of `SLIPS`; the curve has one maximum, so the scan stops once it has clearly passed it."""
     best = Best(SLIPS[0], -np.inf, 0.0, 0.0)
