@@ -98,13 +98,13 @@ class Forces(NamedTuple):
     torque: float  # T [N m], Eq. (3), the torque the soil takes from the axle
 
 
-@kernel
+@inlined
 def entry_angle(sinkage, r):
     """Entry angle theta1 [rad] of a wheel of radius r [m] at the given sinkage [m]: z0 = r (1 - cos theta1)."""
     return math.acos(max(-1.0, min(1.0, 1.0 - sinkage / r)))
 
 
-@kernel
+@inlined
 def slip_ratio(rim_speed, travel_speed, floor):
     """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse.
 
@@ -115,7 +115,7 @@ def slip_ratio(rim_speed, travel_speed, floor):
     return max(-1.0, min(1.0, direction * (rim_speed - travel_speed) / scale))
 
 
-@kernel
+@inlined
 def motion_from_slip(slip):
     """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1 spins on the spot."""
     if slip >= 0.0:
@@ -295,7 +295,7 @@ def entry_angle_of_many(sinkage, r):
     return 2.0 * asin_root((0.5 / r) * sinkage)
 
 
-@kernel
+@inlined
 def store_nodes(theta1, travel, n, r, out, at):
     """Nodes of eight wheels of one radius on one exponent, into out[at] .. out[at + STORED_NODES - 1].
 

@@ -143,7 +143,7 @@ def reaction(speed, rim_speed, sinkage, load, soil, r, b):
     return reaction_of(nodes, speed, rim_speed, load, soil, r, b)
 
 
-@kernel
+@inlined
 def reaction_of(nodes, speed, rim_speed, load, soil, r, b):
     """`reaction` on given nodes of the contact arc (`contact.arc_nodes`), which depend on sinkage and soil only."""
     rim, travel, direction = motion_from_speeds(rim_speed, speed, REST_SPEED)
@@ -202,7 +202,7 @@ def moved(f, dv, du):
     )
 
 
-@kernel
+@inlined
 def motor(command, by_speed, wheel_speed, world):
     """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
 
@@ -227,7 +227,7 @@ def motor(command, by_speed, wheel_speed, world):
     return torque, slope, available
 
 
-@kernel
+@inlined
 def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, command, by_speed, world, h):
     """Implicit Euler for (V, u = r w) over h seconds: (V, u, Reaction, converged).
 
@@ -283,14 +283,14 @@ def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, com
     return v, u, soil_force, norm < 1e-4
 
 
-@kernel
+@inlined
 def bearing_sinkage(sinkage, modulus, soil):
     """z_w [m]: depth at which undisturbed soil bears the pressure `modulus` z^n, at most 10 z."""
     n = max(soil.sinkage_exponent, 0.05)
     return sinkage * min((modulus / soil.sinkage_coefficient) ** (1.0 / n), 10.0)
 
 
-@kernel
+@inlined
 def relax_sinkage(sinkage, bearing, speed, slip_speed, soil, length, h):
     """Sinkage [m] after h seconds of dz/dt = B z_w - A z (`effects.excavation_rate`)."""
     a, b = excavation_rate(abs(speed), abs(slip_speed), soil.dig_gain, soil.dig_recovery, length)
@@ -303,7 +303,7 @@ def relax_sinkage(sinkage, bearing, speed, slip_speed, soil, length, h):
     return goal + (sinkage - goal) * math.exp(-a * h)
 
 
-@kernel
+@inlined
 def advance(state, k, command, courses, streams, world):
     """Drive wheel k for one control period with a command in [-1, 1]; updates state[k] and its rut.
 

@@ -6,7 +6,7 @@ more slip; real wheels dig.
 
 from __future__ import annotations
 
-from soil_env.compiled import kernel
+from soil_env.compiled import inlined, kernel
 
 
 @kernel
@@ -24,7 +24,7 @@ def slip_sinkage_ratio(slip, gain, recovery):
     return 1.0 - gain * slip / (1.0 - recovery * slip)
 
 
-@kernel
+@inlined
 def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z.
 

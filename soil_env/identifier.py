@@ -41,7 +41,18 @@ from soil_env.identification.solver import (
     weigh,
     whitened_block,
 )
-from soil_env.lanes import COUNT, from_array, lane, scratch, to_array, totals
+from soil_env.lanes import (
+    COUNT,
+    fill,
+    first,
+    from_array,
+    lane,
+    scratch,
+    smallest,
+    to_array,
+    totals,
+    transposed,
+)
 from soil_env.parameters import Scenario
 
 _work = scratch(BLOCK)
@@ -155,7 +166,7 @@ def forget(ids, k, numbers):
     ids.condition[k] = 1.0
 
 
-@kernel
+@inlined
 def observe(ids, k, reading, numbers):
     """Take one set of readings; True if it completed a point and the estimate was solved again."""
     run = ids.running[k]
@@ -191,7 +202,7 @@ def observe(ids, k, reading, numbers):
     return done
 
 
-@kernel
+@inlined
 def _complete(ids, k, numbers):
     """Close the open point, put it into the window and solve."""
     run, points = ids.running[k], ids.points[k]
@@ -229,7 +240,25 @@ def _copy_point(points, source, target):
         to_array(from_array(points, source * POINT_SIZE + start), points, target * POINT_SIZE + start)
 
 
-@kernel
+@inlined
+def _more_redundant(points, by_slip, by_sinkage):
+    """Index of the older one of the two points of a full window that are closest in slip and sinkage."""
+    columns = transposed(
+        from_array(points, 0), from_array(points, POINT_SIZE), from_array(points, 2 * POINT_SIZE),
+        from_array(points, 3 * POINT_SIZE), from_array(points, 4 * POINT_SIZE), from_array(points, 5 * POINT_SIZE),
+        from_array(points, 6 * POINT_SIZE), from_array(points, 7 * POINT_SIZE),
+    )  # fmt: skip
+    slips, sinkages, far = by_slip * columns[SLIP], by_sinkage * columns[SINKAGE], fill(np.inf)
+    closest, drop = np.inf, 0
+    for p in range(WINDOW - 1):
+        d = abs(slips - lane(slips, p)) + abs(sinkages - lane(sinkages, p))
+        d = smallest(first(p + 1, far, d))  # p is the older one
+        if d < closest:
+            closest, drop = d, p
+    return drop
+
+
+@inlined
 def _free_slot(ids, k, place, numbers):
     """Index for the next point, after dropping what is too far back, or the older of the two most alike if full."""
     points = ids.points[k]
@@ -240,14 +269,7 @@ def _free_slot(ids, k, place, numbers):
                 _copy_point(points, p, kept)
             kept += 1
     if kept == WINDOW:
-        closest, drop = np.inf, 0
-        by_slip, by_sinkage = 1.0 / 0.1, 1.0 / (0.05 * numbers.reading.radius)
-        for p in range(WINDOW):
-            slip, sinkage = points[p, SLIP], points[p, SINKAGE]
-            for q in range(p + 1, WINDOW):  # p is the older one
-                d = by_slip * abs(slip - points[q, SLIP]) + by_sinkage * abs(sinkage - points[q, SINKAGE])
-                if d < closest:
-                    closest, drop = d, p
+        drop = _more_redundant(points, 1.0 / 0.1, 1.0 / (0.05 * numbers.reading.radius))
         for p in range(drop, WINDOW - 1):
             _copy_point(points, p + 1, p)
         kept = WINDOW - 1
@@ -255,7 +277,7 @@ def _free_slot(ids, k, place, numbers):
     return kept
 
 
-@kernel
+@inlined
 def _consider(x, count, numbers, covariance, work):
     """Widen `covariance` C by the uncertainty of cohesion and digging: + (C b)(C b)^T each, b = sum J^T W dy/dp sd.
 
@@ -286,7 +308,7 @@ def _consider(x, count, numbers, covariance, work):
     return lane(chi, count - 1)
 
 
-@kernel
+@inlined
 def _solve_window(ids, k, numbers):
     """Solve for the window and publish, or hold the last good estimate while the points do not excite.
 

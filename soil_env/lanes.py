@@ -294,6 +294,21 @@ def total(typingctx, a):
     return types.float64(lanes), emit
 
 
+@intrinsic
+def smallest(typingctx, a):
+    """The smallest of the lanes."""
+
+    def emit(context, builder, sig, args):
+        value = args[0]
+        for half in (4, 2, 1):
+            low = _shuffled(builder, value, value, range(half))
+            high = _shuffled(builder, value, value, range(half, 2 * half))
+            value = builder.select(builder.fcmp_ordered("<", low, high), low, high)
+        return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
+
+    return types.float64(lanes), emit
+
+
 # --- functions --------------------------------------------------------------------------------------------------------
 
 

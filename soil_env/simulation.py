@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from soil_env.compiled import kernel
+from soil_env.compiled import inlined, kernel
 from soil_env.dynamics import WHEEL_STATE, WorldNumbers, advance, settle, world_numbers
 from soil_env.identifier import IdentifierNumbers, Identifiers, forget, identifier_numbers, new_identifiers, observe
 from soil_env.loading import ParameterError
@@ -66,7 +66,7 @@ def restart(worlds, numbers, k):
     )  # fmt: skip
 
 
-@kernel
+@inlined
 def step_one(worlds, numbers, k, command):
     """One control period of wheel k: drive, sense, identify, judge, reward, observe."""
     advance(worlds.state, k, command, worlds.courses, worlds.streams, numbers.world)

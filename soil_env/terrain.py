@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.compiled import kernel
+from soil_env.compiled import inlined, kernel
 from soil_env.lanes import scratch
 from soil_env.model import steady_state
 from soil_env.parameters import Scenario, SoilState, soils
@@ -112,12 +112,12 @@ def new_courses(wheels: int, scenario: Scenario) -> Courses:
     )
 
 
-@kernel
+@inlined
 def _row(s):
     return SoilState(s[0], s[1], s[2], s[3], s[4], s[5], s[6])
 
 
-@kernel
+@inlined
 def blend(a, b, w):
     """Soil between two soils, share w of the second: moduli geometrically, everything else linearly."""
     v = 1.0 - w
@@ -132,7 +132,7 @@ def blend(a, b, w):
     )
 
 
-@kernel
+@inlined
 def ground_at(courses, k, x, patch, border):
     """(soil, grade [rad], patch) of course k at x [m], undisturbed; `patch` is a first guess of the patch index.
 
@@ -152,7 +152,7 @@ def ground_at(courses, k, x, patch, border):
     return soil, (1.0 - w) * courses.grades[k, near - 1] + w * courses.grades[k, near], patch
 
 
-@kernel
+@inlined
 def stiffened(s, factor):
     """The same soil with its sinkage coefficient multiplied by `factor`."""
     return SoilState(
@@ -161,13 +161,13 @@ def stiffened(s, factor):
     )  # fmt: skip
 
 
-@kernel
+@inlined
 def cell_at(courses, x):
     """Index of the rut cell at x [m]."""
     return min(max(int(x / CELL), 0), courses.modulus.shape[1] - 1)
 
 
-@kernel
+@inlined
 def leave_rut(courses, k, cell, sinkage, bearing_sinkage):
     """Mark a cell as driven over: its rut, and soil compacted by rolling or loosened by digging."""
     dug = max(sinkage / max(bearing_sinkage, 1e-4), 0.5)

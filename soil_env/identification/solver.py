@@ -32,10 +32,14 @@ from soil_env.contact import (
 from soil_env.lanes import (
     COUNT,
     exp,
+    exp_lanes,
     fill,
     first,
     from_array,
+    half_sin_cos,
+    lane,
     log_lanes,
+    made_of,
     to_array,
     total,
     totals,
@@ -118,12 +122,21 @@ def _channels(q, k, S, tan_phi, K, c, r, b, paper_resistance):
     )
 
 
+@inlined
+def _soil_of(x):
+    """(tan phi, K, S) of unknowns x."""
+    sin_half, cos_half = half_sin_cos(fill(x[0]))
+    sin_half, cos_half = lane(sin_half, 0), lane(cos_half, 0)
+    moduli = exp_lanes(made_of(x[1], x[2], x[1], x[2], x[1], x[2], x[1], x[2]))
+    return 2.0 * sin_half * cos_half / (1.0 - 2.0 * sin_half * sin_half), lane(moduli, 0), lane(moduli, 1)
+
+
 @kernel
 def _channels_at(x, slip, sinkage, dig_ratio, reading):
     """(`Channels`, their derivatives by slip) of one point."""
     r, n = reading.radius, reading.exponent
-    K, tan_phi = math.exp(x[1]), math.tan(x[0])
-    S = math.exp(x[2]) * dig_ratio**-n
+    tan_phi, K, S = _soil_of(x)
+    S *= dig_ratio**-n
     theta1 = entry_angle(sinkage, r)
     rim, travel = motion_from_slip(slip)
     if reading.simpson > 0:
@@ -160,13 +173,13 @@ DIG, _FACTOR, _CHANNELS, _WHITE = STORED_NODES, STORED_NODES + COUNT, STORED_NOD
 BLOCK = STORED_NODES + 11 * COUNT
 
 
-@kernel
+@inlined
 def blocks(count):
     """Blocks of eight that hold `count` points."""
     return (count + COUNT - 1) // COUNT
 
 
-@kernel
+@inlined
 def prepare(points, count, reading, work):
     """What does not depend on the unknowns, of `count` > 0 points into `work` [blocks(count) BLOCK]."""
     for block in range(blocks(count)):
@@ -232,10 +245,11 @@ def dot(a, b):
 @inlined
 def whitened_block(x, work, at, reading):
     """(misfit, by phi, by ln K, by ln S, by cohesion) of eight prepared points, each whitened, in lanes."""
-    K = math.exp(x[1])
+    tan_phi, K, S = _soil_of(x)
     q, k = stored_integrals(work, at, K)
-    S = math.exp(x[2]) * from_array(work, at + _FACTOR)
-    y = _channels(q, k, S, math.tan(x[0]), K, reading.cohesion, reading.radius, reading.width, -1.0)
+    y = _channels(
+        q, k, S * from_array(work, at + _FACTOR), tan_phi, K, reading.cohesion, reading.radius, reading.width, -1.0
+    )
     i = at + _WHITE
     w = (
         from_array(work, i), from_array(work, i + COUNT), from_array(work, i + 2 * COUNT),
@@ -257,7 +271,7 @@ def whitened_block(x, work, at, reading):
     )
 
 
-@kernel
+@inlined
 def _normal(x, points, count, prior, precision, reading, work):
     """`Normal` at unknowns x, of prepared points."""
     d0, d1, d2 = prior[0] - x[0], prior[1] - x[1], prior[2] - x[2]
@@ -356,7 +370,7 @@ def _damped_step(x, m, damping):
     )
 
 
-@kernel
+@inlined
 def _small(step, tolerance):
     return abs(step[0]) < tolerance and abs(step[1]) < tolerance and abs(step[2]) < tolerance
 
@@ -391,7 +405,7 @@ def solve(x, points, count, prior, precision, reading, max_iterations, tolerance
     )  # fmt: skip
 
 
-@kernel
+@inlined
 def solve_prepared(start, points, count, prior, precision, reading, max_iterations, tolerance, covariance, work):
     """`solve` with the `work` that `prepare` left."""
     x = (start[0], start[1], start[2])
@@ -438,7 +452,7 @@ def solve_prepared(start, points, count, prior, precision, reading, max_iteratio
     return status, iterations, m.cost
 
 
-@kernel
+@inlined
 def weigh(row, x, variances, slip_sd, sinkage_sd, reading):
     """Set the whitening weights of a point from the noise of all its channels, at unknowns x.
 
