@@ -275,7 +275,7 @@ def shear_integrals(zones, rim, travel, K, law):
     )  # fmt: skip
 
 
-@kernel
+@inlined
 def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
     """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
 

@@ -6,10 +6,11 @@ import math
 from typing import NamedTuple
 
 from soil_env.compiled import kernel
-from soil_env.contact import arc_integrals, entry_angle, forces, mobilised_modulus, motion_from_slip
+from soil_env.contact import Forces, arc_integrals, entry_angle, forces, mobilised_modulus, motion_from_slip
 from soil_env.effects import slip_sinkage_ratio
 from soil_env.parameters import SoilState
 
+_SECANT = 1e-7  # step times last step [ln m]^2, the size of the error that the last step of the secant leaves
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
 
 
@@ -52,6 +53,7 @@ def steady_state(slip, load, soil, r, b, guess=0.0):
     )
     slope = -(n + 0.5)
     x_old = f_old = 0.0
+    w_old = Forces(0.0, 0.0, 0.0)
     for k in range(60):
         theta1 = entry_angle(math.exp(x), r)
         q, _, _ = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, n, r)
@@ -63,10 +65,20 @@ def steady_state(slip, load, soil, r, b, guess=0.0):
             low = max(low, x)
         else:
             high = min(high, x)
-        if k > 0 and x != x_old:
-            slope = min((f - f_old) / (x - x_old), -0.05)
-        x_old, f_old = x, f
+        w = forces(q, available, soil.tan_phi, soil.cohesion, r, b, 1.0)
+        moved = x - x_old
+        if k > 0 and moved != 0.0:
+            slope = min((f - f_old) / moved, -0.05)
         step = -f / slope
+        if k > 0 and abs(step * moved) < _SECANT and low < x + step < high:
+            share = step / moved  # along the secant that gave the step
+            return Steady(
+                math.exp(x + step),
+                w.drawbar_pull + share * (w.drawbar_pull - w_old.drawbar_pull),
+                w.torque + share * (w.torque - w_old.torque),
+                True,
+            )
+        x_old, f_old, w_old = x, f, w
         if abs(step) < 1e-6 or low >= high:
             break
         x = x + step
@@ -74,9 +86,7 @@ def steady_state(slip, load, soil, r, b, guess=0.0):
             x = deepest
         elif not low < x < high:
             x = 0.5 * (low + high)
-    z = math.exp(x_old)
-    w = forces_at(z, available, soil, rim, travel, 1.0, r, b)
-    return Steady(z, w.drawbar_pull, w.torque, x_old < deepest)
+    return Steady(math.exp(x_old), w_old.drawbar_pull, w_old.torque, x_old < deepest)
 
 
 def sinkage_coefficient_at(soil: SoilState, exponent: float, depth: float) -> float:

@@ -124,7 +124,7 @@ def _channels(q, k, S, tan_phi, K, c, r, b, paper_resistance):
 
 @inlined
 def _soil_of(x):
-    """(tan phi, K, S) of unknowns x."""
+    """(tan phi, K, S) of unknowns x within the bounds."""
     sin_half, cos_half = half_sin_cos(fill(x[0]))
     sin_half, cos_half = lane(sin_half, 0), lane(cos_half, 0)
     moduli = exp_lanes(made_of(x[1], x[2], x[1], x[2], x[1], x[2], x[1], x[2]))
@@ -135,8 +135,8 @@ def _soil_of(x):
 def _channels_at(x, slip, sinkage, dig_ratio, reading):
     """(`Channels`, their derivatives by slip) of one point."""
     r, n = reading.radius, reading.exponent
-    tan_phi, K, S = _soil_of(x)
-    S *= dig_ratio**-n
+    K, tan_phi = math.exp(x[1]), math.tan(x[0])
+    S = math.exp(x[2]) * dig_ratio**-n
     theta1 = entry_angle(sinkage, r)
     rim, travel = motion_from_slip(slip)
     if reading.simpson > 0:
