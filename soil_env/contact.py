@@ -23,13 +23,44 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from soil_env.compiled import inlined, kernel
+from soil_env.lanes import (
+    COUNT,
+    asin_root,
+    constant,
+    copysign,
+    exp,
+    exp_lanes,
+    fill,
+    fma,
+    from_array,
+    half_sin_cos,
+    log_lanes,
+    to_array,
+    total,
+    totals,
+)
 
 #: Gauss-Legendre nodes per zone of the contact arc (front and rear nodes share the normal stress).
 NODES_PER_ZONE = 8
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 _U2 = (0.5 * (_x + 1.0)) ** 2  # u^2: relative distance of the node from the end of the arc
 _DU2 = 0.5 * _w * 2.0 * (0.5 * (_x + 1.0))  # weight times d(u^2)/du
+_u2, _du2 = constant(_U2), constant(_DU2)
+
+
+class ShearLaw(NamedTuple):
+    """Mobilised share of the shear strength: e(j) = (1 - x)(a + b x + c y), x = exp(-|j|/K), y = exp(-|j|/length)."""
+
+    a: float
+    b: float
+    c: float
+    length: float  # [m]
+
+
+#: Janosi & Hanamoto (1961), Eq. (10): e = 1 - exp(-|j|/K).
+JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0)
 
 
 class ArcIntegrals(NamedTuple):
@@ -59,18 +90,6 @@ class ArcRates(NamedTuple):
     e: float
 
 
-class ShearLaw(NamedTuple):
-    """Mobilised share of the shear strength: (1 - x)(a + b x + c y), x = exp(-|j|/K), y = exp(-|j|/length)."""
-
-    a: float
-    b: float
-    c: float
-    length: float  # [m]
-
-
-JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0)  # 1 - exp(-j/K), Eq. (10)
-
-
 class Forces(NamedTuple):
     """What the soil does to the wheel."""
 
@@ -79,13 +98,13 @@ class Forces(NamedTuple):
     torque: float  # T [N m], Eq. (3), the torque the soil takes from the axle
 
 
-@njit(cache=True)
+@inlined
 def entry_angle(sinkage, r):
     """Entry angle theta1 [rad] of a wheel of radius r [m] at the given sinkage [m]: z0 = r (1 - cos theta1)."""
     return math.acos(max(-1.0, min(1.0, 1.0 - sinkage / r)))
 
 
-@njit(cache=True)
+@inlined
 def slip_ratio(rim_speed, travel_speed, floor):
     """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse.
 
@@ -96,7 +115,7 @@ def slip_ratio(rim_speed, travel_speed, floor):
     return max(-1.0, min(1.0, direction * (rim_speed - travel_speed) / scale))
 
 
-@njit(cache=True)
+@inlined
 def motion_from_slip(slip):
     """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1 spins on the spot."""
     if slip >= 0.0:
@@ -105,7 +124,7 @@ def motion_from_slip(slip):
     return 1.0, 1.0 / braking
 
 
-@njit(cache=True)
+@inlined
 def motion_from_speeds(rim_speed, travel_speed, floor):
     """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and reversal.
 
@@ -116,13 +135,13 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
     return rim_speed / v, travel_speed / v, travel_speed / math.sqrt(travel_speed * travel_speed + floor * floor)
 
 
-@njit(cache=True)
+@kernel
 def relative_stress(depth, n):
     """Normal stress for S = 1 at `depth` [m] on the rim below the entry point, Eq. (7): sigma / S = depth^n."""
     return depth**n if depth > 0.0 else (1.0 if n == 0.0 else 0.0)
 
 
-@njit(cache=True)
+@kernel
 def mirror_angle(theta, theta1, theta2, thetam):
     """Angle in the front zone with the same normal stress as `theta`, Eq. (8) for the rear zone, itself in front."""
     if theta >= thetam:
@@ -130,20 +149,26 @@ def mirror_angle(theta, theta1, theta2, thetam):
     return theta1 - (theta - theta2) / (thetam - theta2) * (theta1 - thetam)
 
 
-@njit(cache=True)
+@inlined
 def mobilised(j, K, law):
-    """(e, de/dj): share of the shear strength mobilised at shear displacement j [m], signed as j; Eq. (10) in JANOSI."""
-    x = math.exp(-abs(j) / K)
-    share, slope = law.a + law.b * x, law.b * x / K
+    """(e, de/dj): share of the shear strength mobilised at shear displacement j [m], `ShearLaw`, signed as j.
+
+    j is a float or `lanes`.
+    """
+    distance, rate = abs(j), 1.0 / K
+    decay = exp(-rate * distance)
+    share = law.a + law.b * decay
+    slope = rate * (law.b * decay)
     if law.c != 0.0:
-        y = math.exp(-abs(j) / law.length)
-        share += law.c * y
-        slope += law.c * y / law.length
-    return math.copysign((1.0 - x) * share, j), x / K * share - (1.0 - x) * slope
+        slow = law.c * exp(-(1.0 / law.length) * distance)
+        share = share + slow
+        slope = slope + (1.0 / law.length) * slow
+    free = 1.0 - decay
+    return copysign(free, j) * share, rate * decay * share - free * slope
 
 
-@njit(cache=True)
-def arc_node(theta, theta1, sin1, rim, travel, r, K, law):
+@kernel
+def arc_node(theta, theta1, sin1, rim, travel, r, K):
     """What Eq. (10) gives at one angle: (sin, cos, e, g, lever_rim, lever_travel).
 
     g = de/dj [1/m]; the levers dj/d(rim) and dj/d(travel) are in metres.
@@ -151,11 +176,11 @@ def arc_node(theta, theta1, sin1, rim, travel, r, K, law):
     s, c = math.sin(theta), math.cos(theta)
     lever_rim = r * (theta1 - theta)
     lever_travel = -r * (sin1 - s)
-    e, g = mobilised(rim * lever_rim + travel * lever_travel, K, law)
+    e, g = mobilised(rim * lever_rim + travel * lever_travel, K, JANOSI)
     return s, c, e, g, lever_rim, lever_travel
 
 
-@njit(cache=True)
+@kernel
 def _add_node(t, w, p, node):
     """Running sums `t` of the arc integrals and their rates after one node of weight w and stress p (for S = 1)."""
     s, c, e, g, lever_rim, lever_travel = node
@@ -169,7 +194,7 @@ def _add_node(t, w, p, node):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@kernel
 def _packed(t):
     return (
         ArcIntegrals(t[0], t[1], t[2], t[3], t[4], t[5], t[6], t[7]),
@@ -181,28 +206,160 @@ def _packed(t):
 _NOTHING = (0.0,) * 20
 
 
-@njit(cache=True)
-def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law):
-    """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
+class Zone(NamedTuple):
+    """Eight nodes of one zone of the arc, as lanes: what they need of Eqs. (1)-(10) whatever the motion and K."""
+
+    w: float  # weight [rad]
+    w_cos: float
+    w_sin: float
+    pw: float  # stress for S = 1 [m^n] times weight
+    pw_cos: float
+    pw_sin: float
+    lever_rim: float  # dj/d(rim) [m]
+    lever_travel: float  # dj/d(travel) [m]
+
+
+@inlined
+def _zone(theta1, sin1, theta, sin_half, cos_half, w, p, r):
+    s, c = 2.0 * sin_half * cos_half, fma(-2.0 * sin_half, sin_half, 1.0)
+    pw = p * w
+    return Zone(w, w * c, w * s, pw, pw * c, pw * s, r * (theta1 - theta), r * (s - sin1))
+
+
+@inlined
+def arc_nodes(theta1, theta2, thetam, n, r):
+    """The nodes of the contact arc, `Zone` in front and `Zone` behind.
 
     Gauss-Legendre nodes at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind, which
     removes the singularity (theta1 - theta)^n at both ends; by Eq. (8) the two nodes have the same normal stress.
-    Relative error about 1e-5 when driving; when braking j changes sign within the arc, and it is 5e-4 for K = 0.07 r.
-    The derivative by K of JANOSI needs no further integrals: see `shear_modulus_rates`.
     """
     front, rear = theta1 - thetam, thetam - theta2
-    sin1, cos1 = math.sin(theta1), math.cos(theta1)
-    t = _NOTHING
+    ahead, behind = theta1 - front * _u2(), theta2 + rear * _u2()
+    sin_half, cos_half = half_sin_cos(ahead)
+    sin_half1, cos_half1 = half_sin_cos(fill(theta1))
+    rise = sin_half1 * sin_half1 - sin_half * sin_half  # depth over 2 r
+    p = exp_lanes(n * log_lanes((2.0 * r) * rise))
+    sin1 = 2.0 * sin_half1 * cos_half1
+    sin_half2, cos_half2 = half_sin_cos(behind)
+    return (
+        _zone(theta1, sin1, ahead, sin_half, cos_half, front * _du2(), p, r),
+        _zone(theta1, sin1, behind, sin_half2, cos_half2, rear * _du2(), p, r),
+    )
+
+
+@inlined
+def shear_integrals(zones, rim, travel, K, law):
+    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of the nodes of `arc_nodes` at one motion."""
+    f, b = zones
+    e, g = mobilised(rim * f.lever_rim + travel * f.lever_travel, K, law)
+    e2, g2 = mobilised(rim * b.lever_rim + travel * b.lever_travel, K, law)
+    x, x2 = g * f.lever_rim, g2 * b.lever_rim
+    y, y2 = g * f.lever_travel, g2 * b.lever_travel
+    s = totals(
+        f.pw_cos + b.pw_cos, f.pw_sin + b.pw_sin,
+        fma(e, f.pw_cos, e2 * b.pw_cos), fma(e, f.pw_sin, e2 * b.pw_sin), fma(e, f.pw, e2 * b.pw),
+        fma(e, f.w_cos, e2 * b.w_cos), fma(e, f.w_sin, e2 * b.w_sin), fma(e, f.w, e2 * b.w),
+    )  # fmt: skip
+    t = totals(
+        fma(x, f.pw_cos, x2 * b.pw_cos), fma(x, f.pw_sin, x2 * b.pw_sin), fma(x, f.pw, x2 * b.pw),
+        fma(x, f.w_cos, x2 * b.w_cos), fma(x, f.w_sin, x2 * b.w_sin), fma(x, f.w, x2 * b.w),
+        fma(y, f.pw_cos, y2 * b.pw_cos), fma(y, f.pw_sin, y2 * b.pw_sin),
+    )  # fmt: skip
+    return (
+        ArcIntegrals(s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7]),
+        ArcRates(t[0], t[1], t[2], t[3], t[4], t[5]),
+        ArcRates(
+            t[6], t[7], total(fma(y, f.pw, y2 * b.pw)),
+            total(fma(y, f.w_cos, y2 * b.w_cos)), total(fma(y, f.w_sin, y2 * b.w_sin)), total(fma(y, f.w, y2 * b.w)),
+        ),
+    )  # fmt: skip
+
+
+@inlined
+def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
+    """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
+
+    Rule and nodes: `arc_nodes`. Relative error about 1e-5 when driving; when braking j changes sign within the arc, and
+    it is 5e-4 for K = 0.07 r. The derivative by K needs no further integrals: see `shear_modulus_rates`.
+    """
+    return shear_integrals(arc_nodes(theta1, theta2, thetam, n, r), rim, travel, K, law)
+
+
+#: Floats that `store_nodes` writes.
+STORED_NODES = COUNT * (7 * NODES_PER_ZONE + 1)
+
+
+@inlined
+def entry_angle_of_many(sinkage, r):
+    """`entry_angle` in lanes."""
+    return 2.0 * asin_root((0.5 / r) * sinkage)
+
+
+@inlined
+def store_nodes(theta1, travel, n, r, out, at):
+    """Nodes of eight wheels of one radius on one exponent, into out[at] .. out[at + STORED_NODES - 1].
+
+    `theta1` and `travel` are lanes, one a wheel; rim = 1, theta2 = 0, thetam = theta1/2. Nodes and stresses are as in
+    `arc_nodes`; what is stored serves `stored_integrals` at any K.
+    """
+    half = 0.5 * theta1
+    sin_half1, cos_half1 = half_sin_cos(theta1)
+    sin1, rise1 = 2.0 * sin_half1 * cos_half1, sin_half1 * sin_half1
+    to_array(half, out, at)
+    at += COUNT
     for k in range(NODES_PER_ZONE):
-        ahead = arc_node(theta1 - front * _U2[k], theta1, sin1, rim, travel, r, K, law)
-        behind = arc_node(theta2 + rear * _U2[k], theta1, sin1, rim, travel, r, K, law)
-        p = relative_stress(r * (ahead[1] - cos1), n)
-        t = _add_node(t, front * _DU2[k], p, ahead)
-        t = _add_node(t, rear * _DU2[k], p, behind)
-    return _packed(t)
+        ahead, behind = theta1 - half * _U2[k], half * _U2[k]
+        sin_half, cos_half = half_sin_cos(ahead)
+        sin_half2, cos_half2 = half_sin_cos(behind)
+        p = exp_lanes(n * log_lanes((2.0 * r) * (rise1 - sin_half * sin_half)))
+        one = fill(1.0)
+        z = _zone(theta1, sin1, ahead, sin_half, cos_half, one, one, r)
+        y = _zone(theta1, sin1, behind, sin_half2, cos_half2, one, one, r)
+        to_array(p, out, at)
+        to_array(z.w_cos, out, at + COUNT)
+        to_array(z.w_sin, out, at + 2 * COUNT)
+        to_array(z.lever_rim + travel * z.lever_travel, out, at + 3 * COUNT)
+        to_array(y.w_cos, out, at + 4 * COUNT)
+        to_array(y.w_sin, out, at + 5 * COUNT)
+        to_array(y.lever_rim + travel * y.lever_travel, out, at + 6 * COUNT)
+        at += 7 * COUNT
 
 
-@njit(cache=True)
+@inlined
+def stored_integrals(nodes, at, K):
+    """(ArcIntegrals, ArcRates by K) in lanes, of the wheels of `store_nodes`, with the shear law `JANOSI`."""
+    half = from_array(nodes, at)
+    at += COUNT
+    o = fill(0.0)
+    p_cos, p_sin, pe_cos, pe_sin, pe, e_cos, e_sin, e_sum = o, o, o, o, o, o, o, o
+    kpe_cos, kpe_sin, kpe, ke_cos, ke_sin, ke = o, o, o, o, o, o
+    rate = -1.0 / K
+    for k in range(NODES_PER_ZONE):
+        w = half * _DU2[k]
+        p = from_array(nodes, at)
+        c, s, j = from_array(nodes, at + COUNT), from_array(nodes, at + 2 * COUNT), from_array(nodes, at + 3 * COUNT)
+        c2, s2 = from_array(nodes, at + 4 * COUNT), from_array(nodes, at + 5 * COUNT)
+        j2 = from_array(nodes, at + 6 * COUNT)
+        at += 7 * COUNT
+        e, g = mobilised(j, K, JANOSI)
+        e2, g2 = mobilised(j2, K, JANOSI)
+        g, g2 = (rate * j) * g, (rate * j2) * g2
+        # the two nodes share weight and stress
+        wp = w * p
+        ec, es, e = fma(e, c, e2 * c2), fma(e, s, e2 * s2), e + e2
+        gc, gs, g = fma(g, c, g2 * c2), fma(g, s, g2 * s2), g + g2
+        p_cos, p_sin = fma(wp, c + c2, p_cos), fma(wp, s + s2, p_sin)
+        pe_cos, pe_sin, pe = fma(wp, ec, pe_cos), fma(wp, es, pe_sin), fma(wp, e, pe)
+        e_cos, e_sin, e_sum = fma(w, ec, e_cos), fma(w, es, e_sin), fma(w, e, e_sum)
+        kpe_cos, kpe_sin, kpe = fma(wp, gc, kpe_cos), fma(wp, gs, kpe_sin), fma(wp, g, kpe)
+        ke_cos, ke_sin, ke = fma(w, gc, ke_cos), fma(w, gs, ke_sin), fma(w, g, ke)
+    return (
+        ArcIntegrals(p_cos, p_sin, pe_cos, pe_sin, pe, e_cos, e_sin, e_sum),
+        ArcRates(kpe_cos, kpe_sin, kpe, ke_cos, ke_sin, ke),
+    )
+
+
+@kernel
 def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
     """`arc_integrals` by the paper's rule: composite Simpson with 2m subintervals in each zone, Eq. (18)."""
     sin1, cos1 = math.sin(theta1), math.cos(theta1)
@@ -214,13 +371,13 @@ def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
             w = h / 3.0 * (1.0 if k == 0 or k == 2 * m else (4.0 if k % 2 == 1 else 2.0))
             theta = low + k * h
             p = relative_stress(r * (math.cos(mirror_angle(theta, theta1, theta2, thetam)) - cos1), n)
-            t = _add_node(t, w, p, arc_node(theta, theta1, sin1, rim, travel, r, K, JANOSI))
+            t = _add_node(t, w, p, arc_node(theta, theta1, sin1, rim, travel, r, K))
     return _packed(t)
 
 
-@njit(cache=True)
+@inlined
 def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
-    """`ArcRates` by K [1/m] of the law JANOSI: de/dK = -(j/K) de/dj with j linear in (rim, travel)."""
+    """`ArcRates` by K [1/m]: de/dK = -(j/K) de/dj with j linear in (rim, travel)."""
     x, y = -rim / K, -travel / K
     return ArcRates(
         x * by_rim.pe_cos + y * by_travel.pe_cos,
@@ -232,7 +389,7 @@ def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
     )
 
 
-@njit(cache=True)
+@inlined
 def forces(integrals, S, tan_phi, c, r, b, direction):
     """`Forces` from `ArcIntegrals`: Eqs. (1)-(3) with the exact resistance integral of Eq. (11) ("consistent").
 
@@ -247,13 +404,13 @@ def forces(integrals, S, tan_phi, c, r, b, direction):
     return Forces(load, thrust - resistance, torque)
 
 
-@njit(cache=True)
+@kernel
 def compaction_resistance(sinkage, S, n, b):
     """Resistance [N] of Eq. (12), b S z0^(n+1) / (n+1): equal to Eq. (11) only without the rear branch (8)."""
     return b * S * sinkage ** (n + 1.0) / (n + 1.0)
 
 
-@njit(cache=True)
+@inlined
 def mobilised_modulus(integrals, load, tan_phi, c, r, b, direction):
     """Sinkage coefficient s [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least 0.
 

@@ -23,9 +23,18 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from soil_env.contact import arc_integrals, entry_angle, forces, mobilised_modulus, motion_from_speeds, slip_ratio
+from soil_env.compiled import inlined, kernel
+from soil_env.contact import (
+    JANOSI,
+    arc_nodes,
+    entry_angle,
+    forces,
+    mobilised_modulus,
+    motion_from_speeds,
+    shear_integrals,
+    slip_ratio,
+)
 from soil_env.effects import excavation_rate
 from soil_env.model import steady_state
 from soil_env.parameters import Scenario
@@ -35,6 +44,7 @@ from soil_env.terrain import cell_at, ground_at, leave_rut, stiffened
 REST_SPEED = 0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 _TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
+_FORETOLD = 0.1  # share of the tolerance that the foretold residual of an unseen last iteration may reach
 _MAX_ITERATIONS = 30
 _FINEST = 64  # a substep whose iteration fails is halved down to this fraction
 
@@ -121,48 +131,78 @@ class Reaction(NamedTuple):
     dp_u: float
     torque_v: float
     torque_u: float
+    modulus_v: float
+    modulus_u: float
 
 
-@njit(cache=True)
+@kernel
 def reaction(speed, rim_speed, sinkage, load, soil, r, b):
     """`Reaction` of the soil to a wheel at a given sinkage that carries `load`: Eqs. (1)-(3) with (1) solved for S."""
     theta1 = entry_angle(sinkage, r)
+    nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, soil.sinkage_exponent, r)
+    return reaction_of(nodes, speed, rim_speed, load, soil, r, b)
+
+
+@inlined
+def reaction_of(nodes, speed, rim_speed, load, soil, r, b):
+    """`reaction` on given nodes of the contact arc (`contact.arc_nodes`), which depend on sinkage and soil only."""
     rim, travel, direction = motion_from_speeds(rim_speed, speed, REST_SPEED)
-    q, by_rim, by_travel = arc_integrals(
-        theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, soil.sinkage_exponent, r
-    )
+    q, by_rim, by_travel = shear_integrals(nodes, rim, travel, soil.shear_modulus, JANOSI)
     tan_phi, c = soil.tan_phi, soil.cohesion
     s = mobilised_modulus(q, load, tan_phi, c, r, b, direction)
     f = forces(q, s, tan_phi, c, r, b, direction)
 
-    v2, u2, f2 = speed * speed, rim_speed * rim_speed, REST_SPEED * REST_SPEED
-    scale = math.sqrt(u2 + f2)
-    rim_u, travel_u, travel_v = f2 / scale**3, -speed * rim_speed / scale**3, 1.0 / scale
-    direction_v = f2 / (v2 + f2) ** 1.5
-    bearing = q.p_cos + direction * tan_phi * q.pe_sin
+    rest2 = REST_SPEED * REST_SPEED
+    u2, v2 = rim_speed * rim_speed + rest2, speed * speed + rest2
+    travel_v = 1.0 / math.sqrt(u2)
+    rim_u, travel_u = rest2 * travel_v / u2, -travel * rim_speed / u2
+    turn = rest2 / (v2 * math.sqrt(v2))  # d direction/dV
+    share = 1.0 / (q.p_cos + direction * tan_phi * q.pe_sin) if s > 0.0 else 0.0
+    st = s * tan_phi
 
-    # d/dV and d/du of the six shear integrals, then of s, DP and T
-    out = (0.0, 0.0, 0.0, 0.0)
-    for which in range(2):
-        x, y, turn = (0.0, travel_v, direction_v) if which == 0 else (rim_u, travel_u, 0.0)
-        pe_cos = x * by_rim.pe_cos + y * by_travel.pe_cos
-        pe_sin = x * by_rim.pe_sin + y * by_travel.pe_sin
-        pe = x * by_rim.pe + y * by_travel.pe
-        e_cos = x * by_rim.e_cos + y * by_travel.e_cos
-        e_sin = x * by_rim.e_sin + y * by_travel.e_sin
-        e = x * by_rim.e + y * by_travel.e
-        ds = 0.0
-        if s > 0.0:
-            ds = -(turn * c * q.e_sin + direction * c * e_sin) - s * tan_phi * (turn * q.pe_sin + direction * pe_sin)
-            ds /= bearing
-        dp = r * b * (ds * (tan_phi * q.pe_cos - direction * q.p_sin) + s * tan_phi * pe_cos + c * e_cos)
-        dp -= r * b * turn * s * q.p_sin
-        dt = r * r * b * (ds * tan_phi * q.pe + s * tan_phi * pe + c * e)
-        out = (dp, out[1], dt, out[3]) if which == 0 else (out[0], dp, out[2], dt)
-    return Reaction(f.load, f.drawbar_pull, f.torque, s, out[0], out[1], out[2], out[3])
+    # d/dV and d/du of the soil's reaction: first at the present s, then by s
+    a, z = by_rim, by_travel
+    dp_s, torque_s = tan_phi * q.pe_cos - direction * q.p_sin, r * tan_phi * q.pe
+    lift = direction * (st * z.pe_sin + c * z.e_sin)
+    lift_u = direction * (st * a.pe_sin + c * a.e_sin) * rim_u + lift * travel_u
+    s_v = -share * (lift * travel_v + turn * (st * q.pe_sin + c * q.e_sin))
+    s_u = -share * lift_u
+    pull, twist = st * z.pe_cos + c * z.e_cos, r * (st * z.pe + c * z.e)
+    pull_u = (st * a.pe_cos + c * a.e_cos) * rim_u + pull * travel_u
+    twist_u = r * (st * a.pe + c * a.e) * rim_u + twist * travel_u
+    rb = r * b
+    return Reaction(
+        f.load,
+        f.drawbar_pull,
+        f.torque,
+        s,
+        rb * (s_v * dp_s + pull * travel_v - turn * s * q.p_sin),
+        rb * (s_u * dp_s + pull_u),
+        rb * (s_v * torque_s + twist * travel_v),
+        rb * (s_u * torque_s + twist_u),
+        s_v,
+        s_u,
+    )
 
 
-@njit(cache=True)
+@inlined
+def moved(f, dv, du):
+    """`Reaction` `f` to first order after a change of V and of u; its derivatives stay."""
+    return Reaction(
+        f.load,
+        f.drawbar_pull + f.dp_v * dv + f.dp_u * du,
+        f.torque + f.torque_v * dv + f.torque_u * du,
+        max(f.modulus + f.modulus_v * dv + f.modulus_u * du, 0.0),
+        f.dp_v,
+        f.dp_u,
+        f.torque_v,
+        f.torque_u,
+        f.modulus_v,
+        f.modulus_u,
+    )
+
+
+@inlined
 def motor(command, by_speed, wheel_speed, world):
     """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
 
@@ -187,20 +227,27 @@ def motor(command, by_speed, wheel_speed, world):
     return torque, slope, available
 
 
-@njit(cache=True)
+@inlined
 def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, command, by_speed, world, h):
-    """Implicit Euler for (V, u = r w) over h seconds: (V, u, Reaction, converged)."""
+    """Implicit Euler for (V, u = r w) over h seconds: (V, u, Reaction, converged).
+
+    Newton's residual falls quadratically: once two foretell one far below the tolerance, the step is taken with
+    the reaction to first order instead of being computed once more to see it.
+    """
     r, b = world.radius, world.width
     weight_along = mass * world.gravity * math.sin(grade)
     cv, cu = h / mass, h * r / world.inertia
     v, u = speed0, wheel_speed0 * r
     u0 = u
-    soil_force = reaction(v, u, sinkage, load, soil, r, b)
+    theta1 = entry_angle(sinkage, r)
+    nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, soil.sinkage_exponent, r)
+    soil_force = reaction_of(nodes, v, u, load, soil, r, b)
     torque, torque_w, _ = motor(command, by_speed, u / r, world)
     f1 = v - speed0 - cv * (soil_force.drawbar_pull - weight_along)
     f2 = u - u0 - cu * (torque - soil_force.torque)
+    norm = max(abs(f1), abs(f2))
+    before = norm
     for _ in range(_MAX_ITERATIONS):
-        norm = max(abs(f1), abs(f2))
         if norm < _TOLERANCE:
             return v, u, soil_force, True
         a11, a12 = 1.0 - cv * soil_force.dp_v, -cv * soil_force.dp_u
@@ -209,30 +256,41 @@ def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, com
         if not abs(det) > 1e-12:
             det = 1e-12
         dv, du = -(a22 * f1 - a12 * f2) / det, -(a11 * f2 - a21 * f1) / det
+        if norm * norm < _FORETOLD * _TOLERANCE * before:
+            trial = moved(soil_force, dv, du)
+            torque, _, _ = motor(command, by_speed, (u + du) / r, world)
+            g1 = v + dv - speed0 - cv * (trial.drawbar_pull - weight_along)
+            g2 = u + du - u0 - cu * (torque - trial.torque)
+            if max(abs(g1), abs(g2)) < 0.1 * _TOLERANCE and trial.modulus > 0.0:
+                return v + dv, u + du, trial, True
         share = 1.0
+        v1, u1, g1, g2, trial = v, u, f1, f2, soil_force
+        reached = norm
         for _ in range(8):
             v1, u1 = v + share * dv, u + share * du
-            trial = reaction(v1, u1, sinkage, load, soil, r, b)
+            trial = reaction_of(nodes, v1, u1, load, soil, r, b)
             torque, torque_w, _ = motor(command, by_speed, u1 / r, world)
             g1 = v1 - speed0 - cv * (trial.drawbar_pull - weight_along)
             g2 = u1 - u0 - cu * (torque - trial.torque)
-            if max(abs(g1), abs(g2)) < norm * (1.0 - 0.1 * share):
+            reached = max(abs(g1), abs(g2))
+            if reached < norm * (1.0 - 0.1 * share):
                 break
             share *= 0.4
-        if not max(abs(g1), abs(g2)) < norm:
+        if not reached < norm:
             break
+        before, norm = norm, reached
         v, u, f1, f2, soil_force = v1, u1, g1, g2, trial
-    return v, u, soil_force, max(abs(f1), abs(f2)) < 1e-4
+    return v, u, soil_force, norm < 1e-4
 
 
-@njit(cache=True)
+@inlined
 def bearing_sinkage(sinkage, modulus, soil):
     """z_w [m]: depth at which undisturbed soil bears the pressure `modulus` z^n, at most 10 z."""
     n = max(soil.sinkage_exponent, 0.05)
     return sinkage * min((modulus / soil.sinkage_coefficient) ** (1.0 / n), 10.0)
 
 
-@njit(cache=True)
+@inlined
 def relax_sinkage(sinkage, bearing, speed, slip_speed, soil, length, h):
     """Sinkage [m] after h seconds of dz/dt = B z_w - A z (`effects.excavation_rate`)."""
     a, b = excavation_rate(abs(speed), abs(slip_speed), soil.dig_gain, soil.dig_recovery, length)
@@ -245,7 +303,7 @@ def relax_sinkage(sinkage, bearing, speed, slip_speed, soil, length, h):
     return goal + (sinkage - goal) * math.exp(-a * h)
 
 
-@njit(cache=True)
+@inlined
 def advance(state, k, command, courses, streams, world):
     """Drive wheel k for one control period with a command in [-1, 1]; updates state[k] and its rut.
 
@@ -304,7 +362,7 @@ def advance(state, k, command, courses, streams, world):
         w.next_halt = w.x + between(streams, k, world.halt_low, world.halt_high)
 
 
-@njit(cache=True)
+@kernel
 def settle(state, k, mass, courses, streams, world):
     """Put wheel k at rest at the start of its course, sunk in under its own load."""
     w = state[k]

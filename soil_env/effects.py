@@ -12,9 +12,8 @@ import math
 from collections import namedtuple
 from collections.abc import Mapping
 
-from numba import njit
-
 from soil_env.catalogue import CATALOGUE
+from soil_env.compiled import inlined, kernel
 from soil_env.contact import ShearLaw
 from soil_env.loading import ParameterError, unknown_key
 from soil_env.parameters import SoilState
@@ -52,7 +51,7 @@ def pack_effects(effects: Mapping[str, Mapping[str, float]]) -> Effects:
 # --- slip-sinkage -----------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@kernel
 def slip_sinkage_ratio(slip, gain, recovery):
     """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i| + recovery |i|).
 
@@ -67,7 +66,7 @@ def slip_sinkage_ratio(slip, gain, recovery):
     return 1.0 - gain * slip / (1.0 - recovery * slip)
 
 
-@njit(cache=True)
+@inlined
 def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z.
 
@@ -82,7 +81,7 @@ def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     return a, b
 
 
-@njit(cache=True)
+@kernel
 def digging(soil, fx):
     """(gain, recovery) of `slip_sinkage_ratio`: the effect's where it is on, else those of the soil."""
     if fx.slip_sinkage_gain != 0.0:
@@ -90,7 +89,7 @@ def digging(soil, fx):
     return soil.dig_gain, soil.dig_recovery
 
 
-@njit(cache=True)
+@kernel
 def excavated_depth(slip, fx):
     """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), Reece's law with its length l."""
     i = min(abs(slip), 0.95)
@@ -100,7 +99,7 @@ def excavated_depth(slip, fx):
 # --- soil under the wheel ---------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@kernel
 def sliding_speed(slip, travel_speed):
     """|r w - V| [m/s] of a wheel that travels at V with the given slip."""
     if slip >= 0.0:
@@ -108,7 +107,7 @@ def sliding_speed(slip, travel_speed):
     return -travel_speed * slip
 
 
-@njit(cache=True)
+@kernel
 def rate_factor(speed, reference, exponent, slope):
     """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m, or 1 + a ln(v/v0) where the power m is 0.
 
@@ -120,7 +119,7 @@ def rate_factor(speed, reference, exponent, slope):
     return max(math.exp(exponent * x) + slope * x, 0.1)
 
 
-@njit(cache=True)
+@kernel
 def pass_factor(passes, slip, fx):
     """Sinkage coefficient in the track of earlier passes over that of fresh soil.
 
@@ -132,7 +131,7 @@ def pass_factor(passes, slip, fx):
     return passes ** (fx.multipass_hardening + fx.multipass_slip_hardening * abs(slip)) * max(saturating, 0.05)
 
 
-@njit(cache=True)
+@kernel
 def slope_factor(soil, sin_grade, fx):
     """Bearing on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 to the power w."""
     if fx.grade_weakening == 0.0 or sin_grade == 0.0:
@@ -141,7 +140,7 @@ def slope_factor(soil, sin_grade, fx):
     return max(left, 0.02) ** (2.0 * fx.grade_weakening)
 
 
-@njit(cache=True)
+@kernel
 def soil_in_contact(soil, fx, slip, speed, slide, passes, sin_grade):
     """`SoilState` that the wheel meets at this slip, travel speed, sliding speed [m/s], pass and grade."""
     s = soil.sinkage_coefficient * pass_factor(passes, slip, fx)
@@ -162,7 +161,7 @@ def soil_in_contact(soil, fx, slip, speed, slide, passes, sin_grade):
 # --- contact arc and shear law ----------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@kernel
 def arc_ends(theta1, slip, fx):
     """(theta2, thetam) [rad]: exit angle -l theta1, and the peak (9) moved by (a + c |i|) theta1.
 
@@ -176,7 +175,7 @@ def arc_ends(theta1, slip, fx):
     return theta2, min(max(peak, theta2 + 0.05 * span), theta1 - 0.05 * span)
 
 
-@njit(cache=True)
+@kernel
 def shear_law(fx):
     """`ShearLaw` with a peak and a residual strength; its peak is 1, so that phi and c stay those of the peak.
 
@@ -188,7 +187,7 @@ def shear_law(fx):
     return ShearLaw((1.0 - drop) / peak, s / peak, drop, fx.shear_softening_length)
 
 
-@njit(cache=True)
+@kernel
 def shear_radius_ratio(r, height, fx):
     """Radius at which the soil between lugs of `height` [m] is sheared, over the rim radius."""
     return 1.0 + fx.grousers_shear_share * height / r
@@ -197,13 +196,13 @@ def shear_radius_ratio(r, height, fx):
 # --- added forces -----------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@kernel
 def passive_coefficient(tan_phi):
     """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2)."""
     return math.tan(0.25 * math.pi + 0.5 * math.atan(tan_phi)) ** 2
 
 
-@njit(cache=True)
+@kernel
 def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
     """Resistance [N] of the soil pushed ahead of the wheel to the depth of its sinkage.
 
@@ -223,7 +222,7 @@ def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
     return fx.bulldozing_rankine * rankine + fx.bulldozing_hegedus * b * hegedus
 
 
-@njit(cache=True)
+@kernel
 def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
     """Thrust [N] of the lugs in the ground along the rim: lugs a radian, times theta1, times the force of one blade.
 
@@ -241,20 +240,20 @@ def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
 # --- what is measured -------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@kernel
 def true_slip(measured, fx):
     """Slip of the wheel where the measured one has an offset, or comes from a wrong rolling radius (share of it)."""
     i = measured + fx.slip_bias_offset + fx.slip_bias_radius_error * (1.0 - measured)
     return min(max(i, -1.0), 0.999)
 
 
-@njit(cache=True)
+@kernel
 def measured_slip(slip, fx):
     """Inverse of `true_slip`."""
     return (slip - fx.slip_bias_offset - fx.slip_bias_radius_error) / (1.0 - fx.slip_bias_radius_error)
 
 
-@njit(cache=True)
+@kernel
 def drive_torque(torque, wheel_speed, floor, fx):
     """Torque [N m] at the motor for a torque at the axle: Coulomb and viscous friction and a share of the load.
 

@@ -9,6 +9,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from soil_env.compiled import Entry
+from soil_env.dynamics import WHEEL_STATE
 from soil_env.identification import Status
 from soil_env.loading import ParameterError
 from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
@@ -171,6 +173,7 @@ class SoilWheelEnv(gymnasium.Env):
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.period))}
         self.simulation = Simulation(1, self.scenario, observation, threads=1)
+        self._best_working_point = Entry(best_working_point)
         self._renderer = None
         self._seeded = False
         self._warning: dict[str, Any] = {}
@@ -257,9 +260,12 @@ class SoilWheelEnv(gymnasium.Env):
         """Traversability (paper, Sec. 5) of the ground as identified, at the measured load and pitch."""
         observation, wheel = self.simulation.worlds.observation[0], self.scenario.wheel
         load = max(float(observation[3]), 0.05) * self.scenario.weight
-        best = best_working_point(
-            load, self.estimate().state(wheel.width), wheel.radius, wheel.width, wheel.stall_torque
-        )
+        x, belief = self.simulation.worlds.ids.estimate[0].tolist(), self.scenario.belief
+        soil = SoilState(
+            math.tan(math.radians(math.degrees(x[0]))), belief.cohesion, math.exp(x[1]), min(math.exp(x[2]), 1e13), belief.sinkage_exponent,
+            belief.dig_gain, belief.dig_recovery,
+        )  # fmt: skip
+        best = self._best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
         margin = max(best.drawbar_pull / load - math.tan(float(observation[7])), -1.0)
         self._warning = {
             "best_slip": best.slip,
@@ -271,27 +277,43 @@ class SoilWheelEnv(gymnasium.Env):
 
     def _info(self) -> dict[str, Any]:
         worlds = self.simulation.worlds
-        state, cause = worlds.state[0], Cause(worlds.cause[0])
-        x, sd = worlds.ids.estimate[0], worlds.ids.sd[0]
+        cause = Cause(worlds.cause.item(0))
+        x, sd = worlds.ids.estimate[0].tolist(), worlds.ids.sd[0].tolist()
+        state = worlds.state.item(0)
         return {
             "cause": cause.name,
             "immobilised": cause in IMMOBILISED,
-            "reward_terms": dict(zip(REWARD_TERMS, map(float, worlds.terms[0]), strict=True)),
+            "reward_terms": dict(zip(REWARD_TERMS, worlds.terms[0].tolist(), strict=True)),
             "estimate": {
                 "friction_angle_deg": math.degrees(x[0]),
                 "shear_modulus": math.exp(x[1]),
                 "sinkage_coefficient": math.exp(x[2]),
                 "friction_angle_sd_deg": math.degrees(sd[0]),
-                "shear_modulus_relative_sd": float(sd[1]),
-                "sinkage_coefficient_relative_sd": float(sd[2]),
-                "status": Status(worlds.ids.status[0]).name,
+                "shear_modulus_relative_sd": sd[1],
+                "sinkage_coefficient_relative_sd": sd[2],
+                "status": _STATUS[worlds.ids.status.item(0)],
             },
             "traversability": dict(self._warning),
-            "state": {name: float(state[name]) for name in _STATE},
+            "state": {name: state[i] for name, i in _STATE.items()},
         }
 
 
-_STATE = ("x", "speed", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
+_STATUS = {status.value: status.name for status in Status}
+_STATE = {
+    name: WHEEL_STATE.names.index(name)
+    for name in (
+        "x",
+        "speed",
+        "wheel_speed",
+        "slip",
+        "sinkage",
+        "load",
+        "drawbar_pull",
+        "torque",
+        "motor_torque",
+        "grade",
+    )
+}
 
 
 def command(action) -> float:

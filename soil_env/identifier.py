@@ -19,10 +19,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from soil_env.compiled import inlined, kernel
 from soil_env.effects import excavation_rate
 from soil_env.identification.solver import (
+    BLOCK,
+    DIG,
     DIG_RATIO,
     DRAWBAR_PULL,
     LOAD,
@@ -31,16 +33,30 @@ from soil_env.identification.solver import (
     SINKAGE,
     SLIP,
     TORQUE,
-    WEIGHTS,
     Reading,
     Status,
-    predict,
-    solve,
+    dot,
+    prepare,
+    solve_prepared,
     weigh,
+    whitened_block,
+)
+from soil_env.lanes import (
+    COUNT,
+    fill,
+    first,
+    from_array,
+    lane,
+    scratch,
+    smallest,
+    to_array,
+    totals,
+    transposed,
 )
 from soil_env.parameters import Scenario
 
-WINDOW = 8  # points
+_work = scratch(BLOCK)
+WINDOW = COUNT  # points: one block of lanes
 _BUCKET_READINGS = 5  # readings averaged to one point, at most
 _BUCKET_LENGTH = 0.06  # [m] travelled within one point, at most
 _BUCKET_SLIP = 0.05  # slip range within one point, at most
@@ -136,21 +152,21 @@ def new_identifiers(wheels: int) -> Identifiers:
     )
 
 
-@njit(cache=True)
+@kernel
 def forget(ids, k, numbers):
     """Set identifier k back to its prior."""
     ids.count[k] = 0
-    ids.running[k, :] = 0.0
+    for i in range(ids.running.shape[1]):
+        ids.running[k, i] = 0.0
     ids.running[k, _DIG] = 1.0
-    ids.estimate[k, :] = numbers.prior
-    ids.trial[k, :] = numbers.prior
     for i in range(3):
+        ids.estimate[k, i] = ids.trial[k, i] = numbers.prior[i]
         ids.sd[k, i] = 1.0 / math.sqrt(numbers.precision[i])
     ids.status[k] = Status.NO_DATA.value
     ids.condition[k] = 1.0
 
 
-@njit(cache=True)
+@inlined
 def observe(ids, k, reading, numbers):
     """Take one set of readings; True if it completed a point and the estimate was solved again."""
     run = ids.running[k]
@@ -186,7 +202,7 @@ def observe(ids, k, reading, numbers):
     return done
 
 
-@njit(cache=True)
+@inlined
 def _complete(ids, k, numbers):
     """Close the open point, put it into the window and solve."""
     run, points = ids.running[k], ids.points[k]
@@ -196,26 +212,53 @@ def _complete(ids, k, numbers):
         row[i] = run[i] / run[_COUNT]
     row[SLIP] = min(max(row[SLIP], -0.999), 1.0)
     row[PLACE] = run[_ODOMETER]
-    variances, readings = np.empty(3), run[_COUNT]
-    for i in range(3):
-        error = numbers.model_error * abs(row[LOAD]) * (numbers.reading.radius if i == 2 else 1.0)
-        variances[i] = numbers.force_sd[i] ** 2 / readings + error * error
+    readings = run[_COUNT]
+    error, sd = numbers.model_error * abs(row[LOAD]), numbers.force_sd
+    twist = error * numbers.reading.radius
+    variances = (
+        sd[0] * sd[0] / readings + error * error, sd[1] * sd[1] / readings + error * error,
+        sd[2] * sd[2] / readings + twist * twist,
+    )  # fmt: skip
     share = 1.0 / math.sqrt(readings)
     weigh(row, ids.trial[k], variances, share * numbers.slip_sd, share * numbers.sinkage_sd, numbers.reading)
     for i in range(6):
         run[i] = 0.0
     run[_COUNT] = 0.0
     ids.count[k] += 1
-    _solve_window(ids, k, numbers)
-    if ids.count[k] > 1 and _chi_squared(row, ids.trial[k], numbers.reading) > _CONTRADICTION:
-        points[0, :] = row  # another soil: keep the newest point only, and nothing of the old estimate
+    chi_squared = _solve_window(ids, k, numbers)
+    if ids.count[k] > 1 and chi_squared > _CONTRADICTION:
+        _copy_point(points, slot, 0)  # another soil: keep the newest point only, and nothing of the old estimate
         ids.count[k] = 1
         run[_HELD] = 0.0
         _solve_window(ids, k, numbers)
     return True
 
 
-@njit(cache=True)
+@inlined
+def _copy_point(points, source, target):
+    for start in range(0, POINT_SIZE, COUNT):
+        to_array(from_array(points, source * POINT_SIZE + start), points, target * POINT_SIZE + start)
+
+
+@inlined
+def _more_redundant(points, by_slip, by_sinkage):
+    """Index of the older one of the two points of a full window that are closest in slip and sinkage."""
+    columns = transposed(
+        from_array(points, 0), from_array(points, POINT_SIZE), from_array(points, 2 * POINT_SIZE),
+        from_array(points, 3 * POINT_SIZE), from_array(points, 4 * POINT_SIZE), from_array(points, 5 * POINT_SIZE),
+        from_array(points, 6 * POINT_SIZE), from_array(points, 7 * POINT_SIZE),
+    )  # fmt: skip
+    slips, sinkages, far = by_slip * columns[SLIP], by_sinkage * columns[SINKAGE], fill(np.inf)
+    closest, drop = np.inf, 0
+    for p in range(WINDOW - 1):
+        d = abs(slips - lane(slips, p)) + abs(sinkages - lane(sinkages, p))
+        d = smallest(first(p + 1, far, d))  # p is the older one
+        if d < closest:
+            closest, drop = d, p
+    return drop
+
+
+@inlined
 def _free_slot(ids, k, place, numbers):
     """Index for the next point, after dropping what is too far back, or the older of the two most alike if full."""
     points = ids.points[k]
@@ -223,76 +266,61 @@ def _free_slot(ids, k, place, numbers):
     for p in range(ids.count[k]):
         if abs(place - points[p, PLACE]) <= numbers.memory:
             if kept != p:
-                points[kept, :] = points[p]
+                _copy_point(points, p, kept)
             kept += 1
     if kept == WINDOW:
-        closest, drop = np.inf, 0
-        for p in range(WINDOW):
-            for q in range(p + 1, WINDOW):  # p is the older one
-                d = abs(points[p, SLIP] - points[q, SLIP]) / 0.1
-                d += abs(points[p, SINKAGE] - points[q, SINKAGE]) / (0.05 * numbers.reading.radius)
-                if d < closest:
-                    closest, drop = d, p
+        drop = _more_redundant(points, 1.0 / 0.1, 1.0 / (0.05 * numbers.reading.radius))
         for p in range(drop, WINDOW - 1):
-            points[p, :] = points[p + 1]
+            _copy_point(points, p + 1, p)
         kept = WINDOW - 1
     ids.count[k] = kept
     return kept
 
 
-@njit(cache=True)
-def _chi_squared(row, x, reading):
-    """Squared whitened misfit of one point under unknowns x."""
-    out, jac = np.empty(3), np.empty((3, 4))
-    predict(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading, out, jac)
-    d0, d1, d2 = row[DRAWBAR_PULL] - out[0], row[LOAD] - out[1], row[TORQUE] - out[2]
-    u0 = row[WEIGHTS] * d0
-    u1 = row[WEIGHTS + 1] * d0 + row[WEIGHTS + 2] * d1
-    u2 = row[WEIGHTS + 3] * d0 + row[WEIGHTS + 4] * d1 + row[WEIGHTS + 5] * d2
-    return u0 * u0 + u1 * u1 + u2 * u2
+@inlined
+def _consider(x, count, numbers, covariance, work):
+    """Widen `covariance` C by the uncertainty of cohesion and digging: + (C b)(C b)^T each, b = sum J^T W dy/dp sd.
+
+    Returns the squared whitened misfit of the last point under unknowns x.
+    """
+    misfit, phi, K, S, c = whitened_block(x, work, 0, numbers.reading)
+    # d ln S_effective per sd of the gain
+    dug = (-numbers.reading.exponent * numbers.dig_gain_sd) * (1.0 - 1.0 / from_array(work, DIG))
+    chi = dot(misfit, misfit)
+    c0, c1, c2, d0, d1, d2, _, _ = totals(
+        dot(phi, c), dot(K, c), dot(S, c), dug * dot(phi, S), dug * dot(K, S), dug * dot(S, S), chi, chi
+    )
+    sd = numbers.cohesion_sd
+    c0, c1, c2 = sd * c0, sd * c1, sd * c2
+    m = covariance
+    a0 = m[0, 0] * c0 + m[0, 1] * c1 + m[0, 2] * c2
+    a1 = m[1, 0] * c0 + m[1, 1] * c1 + m[1, 2] * c2
+    a2 = m[2, 0] * c0 + m[2, 1] * c1 + m[2, 2] * c2
+    b0 = m[0, 0] * d0 + m[0, 1] * d1 + m[0, 2] * d2
+    b1 = m[1, 0] * d0 + m[1, 1] * d1 + m[1, 2] * d2
+    b2 = m[2, 0] * d0 + m[2, 1] * d1 + m[2, 2] * d2
+    m[0, 0] += a0 * a0 + b0 * b0
+    m[1, 1] += a1 * a1 + b1 * b1
+    m[2, 2] += a2 * a2 + b2 * b2
+    m[0, 1] = m[1, 0] = m[0, 1] + a0 * a1 + b0 * b1
+    m[0, 2] = m[2, 0] = m[0, 2] + a0 * a2 + b0 * b2
+    m[1, 2] = m[2, 1] = m[1, 2] + a1 * a2 + b1 * b2
+    return lane(chi, count - 1)
 
 
-@njit(cache=True)
-def _consider(x, points, count, numbers, covariance):
-    """Widen `covariance` C by the uncertainty of cohesion and digging: + (C b)(C b)^T each, b = sum J^T W dy/dp sd."""
-    out, jac = np.empty(3), np.empty((3, 4))
-    white, effect = np.empty((3, 3)), np.empty((3, 2))
-    by = np.zeros((3, 2))
-    n = numbers.reading.exponent
-    for p in range(count):
-        row = points[p]
-        predict(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], numbers.reading, out, jac)
-        dug = -n * (1.0 - 1.0 / row[DIG_RATIO]) * numbers.dig_gain_sd  # d ln S_effective per sd of the gain
-        for c in range(3):
-            w0 = row[WEIGHTS + (0 if c == 0 else (1 if c == 1 else 3))]
-            w1 = 0.0 if c == 0 else row[WEIGHTS + (2 if c == 1 else 4)]
-            w2 = row[WEIGHTS + 5] if c == 2 else 0.0
-            for i in range(3):
-                white[c, i] = w0 * jac[0, i] + w1 * jac[1, i] + w2 * jac[2, i]
-            effect[c, 0] = numbers.cohesion_sd * (w0 * jac[0, 3] + w1 * jac[1, 3] + w2 * jac[2, 3])
-            effect[c, 1] = dug * white[c, 2]
-        for i in range(3):
-            for q in range(2):
-                by[i, q] += white[0, i] * effect[0, q] + white[1, i] * effect[1, q] + white[2, i] * effect[2, q]
-    for q in range(2):
-        s0 = covariance[0, 0] * by[0, q] + covariance[0, 1] * by[1, q] + covariance[0, 2] * by[2, q]
-        s1 = covariance[1, 0] * by[0, q] + covariance[1, 1] * by[1, q] + covariance[1, 2] * by[2, q]
-        s2 = covariance[2, 0] * by[0, q] + covariance[2, 1] * by[1, q] + covariance[2, 2] * by[2, q]
-        jac[0, q], jac[1, q], jac[2, q] = s0, s1, s2
-    for i in range(3):
-        for j in range(3):
-            covariance[i, j] += jac[i, 0] * jac[j, 0] + jac[i, 1] * jac[j, 1]
-
-
-@njit(cache=True)
+@inlined
 def _solve_window(ids, k, numbers):
-    """Solve for the window and publish, or hold the last good estimate while the points do not excite."""
-    covariance = ids.covariance[k]
-    status, _, _ = solve(
-        ids.trial[k], ids.points[k], ids.count[k], numbers.prior, numbers.precision, numbers.reading, 20, 1e-2,
-        covariance,
-    )  # fmt: skip
-    _consider(ids.trial[k], ids.points[k], ids.count[k], numbers, covariance)
+    """Solve for the window and publish, or hold the last good estimate while the points do not excite.
+
+    Returns the squared whitened misfit of the newest point.
+    """
+    covariance, trial, count = ids.covariance[k], ids.trial[k], ids.count[k]
+    work = _work()
+    prepare(ids.points[k], count, numbers.reading, work)
+    status, _, _ = solve_prepared(
+        trial, ids.points[k], count, numbers.prior, numbers.precision, numbers.reading, 20, 1e-2, covariance, work
+    )
+    chi_squared = _consider(trial, count, numbers, covariance, work)
     learnt = 0.0
     for i in range(2):  # S shows in every point; friction and shear modulus need a range of slip
         learnt = max(learnt, math.sqrt(covariance[i, i] * numbers.precision[i]))
@@ -300,15 +328,19 @@ def _solve_window(ids, k, numbers):
     if status == Status.CONVERGED.value and learnt > 0.6:
         status = Status.NOT_EXCITED.value
     if status == Status.DIVERGED.value:
-        ids.trial[k, :] = numbers.prior
+        for i in range(3):
+            trial[i] = numbers.prior[i]
+        misfit = whitened_block(trial, work, 0, numbers.reading)[0]
+        chi_squared = lane(dot(misfit, misfit), count - 1)
     good = status == Status.CONVERGED.value
     if good:
         ids.running[k, _HELD] = 1.0
     if good or (status == Status.NOT_EXCITED.value and ids.running[k, _HELD] == 0.0):
-        ids.estimate[k, :] = ids.trial[k]
         for i in range(3):
+            ids.estimate[k, i] = trial[i]
             ids.sd[k, i] = math.sqrt(covariance[i, i])
     elif not good:  # held: the ground may have changed unseen
         for i in range(3):
             ids.sd[k, i] = min(1.05 * ids.sd[k, i], 1.0 / math.sqrt(numbers.precision[i]))
     ids.status[k] = status
+    return chi_squared

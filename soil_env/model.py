@@ -10,11 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 import yaml
-from numba import njit
 from numpy.typing import ArrayLike
 
+from soil_env.compiled import kernel
 from soil_env.contact import (
     JANOSI,
+    Forces,
     arc_integrals,
     entry_angle,
     forces,
@@ -32,8 +33,8 @@ from soil_env.effects import (
     pack_effects,
     shear_law,
     shear_radius_ratio,
-    slip_sinkage_ratio,
     sliding_speed,
+    slip_sinkage_ratio,
     soil_in_contact,
     true_slip,
 )
@@ -42,6 +43,7 @@ from soil_env.measurement import Table
 from soil_env.parameters import Soil, SoilState
 from soil_env.residual import ResidualTerm, dimensionless_groups, residual_at, residual_law
 
+_SECANT = 1e-7  # step times last step [ln m]^2, the size of the error that the last step of the secant leaves
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
 
 
@@ -81,28 +83,39 @@ class Contact(NamedTuple):
 LEVEL = Conditions(0.0, 1.0, 0.0)
 
 
-@njit(cache=True)
-def contact_at(sinkage, rim, travel, slip, soil, fx, wheel):
-    """(Contact, ArcIntegrals, ArcRates by rim, ArcRates by travel) of a wheel at a given sinkage [m].
-
-    Shear at the radius q r stretches j, thrust and torque: K/q here, q tan(phi) and q c where forces are summed. Where
-    slip was taken at the rim, the soil between the lug tips moves faster: rim q instead.
-    """
+@kernel
+def contact_arc(sinkage, fx, wheel):
+    """`Contact` of a wheel at a given sinkage [m]."""
     r = wheel.radius + fx.grousers_radius_share * wheel.grouser_height
-    theta1 = entry_angle(sinkage, r)
-    theta2, thetam = arc_ends(theta1, slip, fx)
-    ratio = shear_radius_ratio(r, wheel.grouser_height, fx)
-    K = soil.shear_modulus / ratio
+    return Contact(entry_angle(sinkage, r), r, shear_radius_ratio(r, wheel.grouser_height, fx))
+
+
+@kernel
+def sheared(rim, soil, arc, fx, wheel):
+    """(rim, K) as the soil between the lug tips sees them: `rim` of motion and shear modulus [m].
+
+    Shear at the radius q R stretches j, thrust and torque: K/q here, q tan(phi) and q c where forces are summed. Where
+    slip was taken at the rim of radius r, the tips move faster: rim q R/r instead.
+    """
     if fx.grousers_slip_at_rim > 0.0:
-        rim *= r * ratio / wheel.radius
-        K = soil.shear_modulus * r / wheel.radius
+        larger = arc.radius / wheel.radius
+        return rim * larger * arc.shear_ratio, soil.shear_modulus * larger
+    return rim, soil.shear_modulus / arc.shear_ratio
+
+
+@kernel
+def contact_at(sinkage, rim, travel, slip, soil, fx, wheel):
+    """(Contact, ArcIntegrals, ArcRates by rim, ArcRates by travel) of a wheel at a given sinkage [m]."""
+    arc = contact_arc(sinkage, fx, wheel)
+    theta2, thetam = arc_ends(arc.theta1, slip, fx)
+    rim, K = sheared(rim, soil, arc, fx, wheel)
     q, by_rim, by_travel = arc_integrals(
-        theta1, theta2, thetam, rim, travel, K, soil.sinkage_exponent, r, shear_law(fx)
+        arc.theta1, theta2, thetam, rim, travel, K, soil.sinkage_exponent, arc.radius, shear_law(fx)
     )
-    return Contact(theta1, r, ratio), q, by_rim, by_travel
+    return arc, q, by_rim, by_travel
 
 
-@njit(cache=True)
+@kernel
 def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
     """`Forces` of a smooth wheel at a given sinkage [m] with sinkage coefficient S, contact up to the lowest point."""
     theta1 = entry_angle(sinkage, r)
@@ -112,13 +125,13 @@ def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
     return forces(q, S, soil.tan_phi, soil.cohesion, r, b, direction)
 
 
-@njit(cache=True)
+@kernel
 def steady_state(slip, load, soil, r, b, guess=0.0):
     """`steady_with` of the base model on level, fresh soil, with the digging of `soil`."""
     return steady_with(slip, load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, guess)
 
 
-@njit(cache=True)
+@kernel
 def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     """`Steady` sinkage, drawbar pull and torque as they are measured at a measured slip and weight `load` [N].
 
@@ -150,27 +163,38 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     x = min(max(x, low), high)
     slope = -(n + 0.5)
     x_old = f_old = 0.0
+    w_old = Forces(0.0, 0.0, 0.0)
+    floating = False
     for k in range(60):
         z = math.exp(x)
         arc, q, _, _ = contact_at(z, rim, travel, i, ground, fx, wheel)
         tan_phi, c = arc.shear_ratio * ground.tan_phi, arc.shear_ratio * ground.cohesion
         s = mobilised_modulus(q, normal, tan_phi, c, arc.radius, b, 1.0)
-        f = math.log(max(s, 1e-300)) - available
-        if lift != 0.0:
-            f -= n * math.log(1.0 - lift / z)
-        f = min(max(f, -2.0), 50.0)
+        lifted = n * math.log(1.0 - lift / z) if lift != 0.0 else 0.0
+        f = min(max(math.log(max(s, 1e-300)) - available - lifted, -2.0), 50.0)
         if q.p_cos + tan_phi * q.pe_sin <= 1e-12 * q.p_cos and normal / (arc.radius * b) > c * q.e_sin:
             f = 2.0  # friction takes more than the normal stress gives: no S carries the load here
         if f > 0.0:
             low = max(low, x)
         else:
             high = min(high, x)
-        if k > 0 and x != x_old:
-            slope = min((f - f_old) / (x - x_old), -0.05)
-        x_old, f_old = x, f
+        w = forces(q, math.exp(available + lifted), tan_phi, c, arc.radius, b, 1.0)
+        moved = x - x_old
+        if k > 0 and moved != 0.0:
+            slope = min((f - f_old) / moved, -0.05)
         step = -f / slope
-        if abs(step) < 1e-5 or low >= high:
-            x_old += step if abs(step) < 1e-5 else 0.0
+        if k > 0 and abs(step * moved) < _SECANT and low < x + step < high:
+            share = step / moved  # along the secant that gave the step
+            w_old = Forces(
+                w.load,
+                w.drawbar_pull + share * (w.drawbar_pull - w_old.drawbar_pull),
+                w.torque + share * (w.torque - w_old.torque),
+            )
+            x_old, floating = x + step, True
+            break
+        x_old, f_old, w_old = x, f, w
+        floating = x < deepest
+        if abs(step) < 1e-6 or low >= high:
             break
         x = x + step
         if x >= deepest and high == deepest:
@@ -178,18 +202,17 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
         elif not low < x < high:
             x = 0.5 * (low + high)
     z = math.exp(x_old)
-    arc, q, _, _ = contact_at(z, rim, travel, i, ground, fx, wheel)
-    S = math.exp(available) * (1.0 - lift / z) ** n if lift != 0.0 else math.exp(available)
-    w = forces(q, S, arc.shear_ratio * ground.tan_phi, arc.shear_ratio * ground.cohesion, arc.radius, b, 1.0)
+    arc = contact_arc(z, fx, wheel)
     blade = blade_force(arc.theta1, z, i, ground, unit_weight, b, wheel.grouser_height, fx)
-    pull = w.drawbar_pull + blade - bulldozing_resistance(z, ground, unit_weight, b, fx) - fx.grade_share * load * sine
-    torque = arc.shear_ratio * w.torque + blade * (r + 0.5 * wheel.grouser_height)
+    pull = w_old.drawbar_pull + blade - bulldozing_resistance(z, ground, unit_weight, b, fx)
+    pull -= fx.grade_share * load * sine
+    torque = arc.shear_ratio * w_old.torque + blade * (r + 0.5 * wheel.grouser_height)
     wheel_speed = (conditions.speed + sliding_speed(i, conditions.speed) * (1.0 if i > 0.0 else -1.0)) / r
     torque = drive_torque(torque, wheel_speed, 1e-6, fx)
-    return Steady(apparent * z + fx.sinkage_offset_offset, pull, torque, x_old < deepest)
+    return Steady(apparent * z + fx.sinkage_offset_offset, pull, torque, floating)
 
 
-@njit(cache=True)
+@kernel
 def predict_rows(slip, load, wheels, conditions, soil, unit_weight, fx, guess, out):
     """`steady_with` of every row into `out` [N, 3] (sinkage, drawbar pull, torque), from `guess` [N], which it renews.
 
@@ -363,7 +386,7 @@ def rows_of(conditions, wheel: ModelWheel) -> Rows:
     )
 
 
-@njit(cache=True)
+@kernel
 def add_residual(law, slip, load, wheels, conditions, soil, gravity, out):
     """Add a `ResidualLaw` to predictions `out` [N, 3]."""
     for k in range(slip.size):

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from soil_env.compiled import kernel
 from soil_env.loading import Checked, ParameterError, quantity, unknown_key
 
 CHANNELS = ("sinkage", "drawbar_pull", "torque")
@@ -82,7 +82,7 @@ def residual_law(terms: Sequence[ResidualTerm]) -> ResidualLaw:
     return law
 
 
-@njit(cache=True)
+@kernel
 def dimensionless_groups(slip, sinkage, load, speed, passes, sin_grade, soil, r, b, gravity):
     """The seven `GROUPS` at one working point."""
     i = min(abs(slip), 1.0)
@@ -90,7 +90,7 @@ def dimensionless_groups(slip, sinkage, load, speed, passes, sin_grade, soil, r,
     return i, 1.0 - i, sinkage / r, load / bearing, abs(speed) / math.sqrt(gravity * r), passes, sin_grade
 
 
-@njit(cache=True)
+@kernel
 def residual_at(law, groups):
     """Sum of the terms for (sinkage / r, drawbar pull / W, torque / (W r)) at `groups`."""
     z = pull = torque = 0.0

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from soil_env.compiled import Entry, inlined, kernel, take
+from soil_env.crew import crew
 from soil_env.dynamics import WHEEL_STATE, WorldNumbers, advance, settle, world_numbers
 from soil_env.identifier import IdentifierNumbers, Identifiers, forget, identifier_numbers, new_identifiers, observe
 from soil_env.loading import ParameterError
@@ -19,6 +19,7 @@ from soil_env.task import REWARD_TERMS, Cause, TaskNumbers, judge, reward_terms,
 from soil_env.terrain import CourseNumbers, Courses, course_numbers, draw_course, new_courses
 
 _TRIAL_COURSES = 8
+_CHUNK = 16  # wheels that a thread takes at a time
 STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 
@@ -46,7 +47,7 @@ class Numbers(NamedTuple):
     task: TaskNumbers
 
 
-@njit(cache=True)
+@kernel
 def restart(worlds, numbers, k):
     """Draw a new course for wheel k, put the wheel at its start, and observe."""
     mass = draw_course(k, worlds.courses, worlds.streams, numbers.course)
@@ -56,7 +57,8 @@ def restart(worlds, numbers, k):
     forget(worlds.ids, k, numbers.identifier)
     worlds.cause[k] = _RUNNING
     worlds.reward[k] = 0.0
-    worlds.terms[k, :] = 0.0
+    for i in range(worlds.terms.shape[1]):
+        worlds.terms[k, i] = 0.0
     worlds.solved[k] = False
     reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
     write_observation(
@@ -64,7 +66,7 @@ def restart(worlds, numbers, k):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@inlined
 def step_one(worlds, numbers, k, command):
     """One control period of wheel k: drive, sense, identify, judge, reward, observe."""
     advance(worlds.state, k, command, worlds.courses, worlds.streams, numbers.world)
@@ -80,31 +82,34 @@ def step_one(worlds, numbers, k, command):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
-def step_range(worlds, numbers, commands, what, start, stop):
-    """Wheels start..stop-1: `step_one` (what[k] = STEP), `restart` (RESTART) or nothing (IDLE)."""
-    for k in range(start, stop):
-        if what[k] == STEP:
-            step_one(worlds, numbers, k, commands[k])
-        elif what[k] == RESTART:
-            restart(worlds, numbers, k)
+@njit(cache=True, error_model="numpy", _nrt=False, nogil=True)
+def step_chunks(worlds, numbers, commands, what, counter):
+    """Wheels by chunks from `counter` [1]: `step_one` (what[k] = STEP), `restart` (RESTART) or nothing (IDLE)."""
+    wheels = what.size
+    start = take(counter, _CHUNK)
+    while start < wheels:
+        for k in range(start, min(start + _CHUNK, wheels)):
+            if what[k] == STEP:
+                step_one(worlds, numbers, k, commands[k])
+            elif what[k] == RESTART:
+                restart(worlds, numbers, k)
+        start = take(counter, _CHUNK)
 
 
-@njit(cache=True, nogil=True)
-def restart_range(worlds, numbers, which, start, stop):
-    """`restart` those of wheels start..stop-1 with `which` True."""
-    for k in range(start, stop):
-        if which[k]:
-            restart(worlds, numbers, k)
+@njit(cache=True, error_model="numpy", _nrt=False, nogil=True)
+def restart_chunks(worlds, numbers, which, counter):
+    """`restart` the wheels with `which` True, by chunks from `counter` [1]."""
+    wheels = which.size
+    start = take(counter, _CHUNK)
+    while start < wheels:
+        for k in range(start, min(start + _CHUNK, wheels)):
+            if which[k]:
+                restart(worlds, numbers, k)
+        start = take(counter, _CHUNK)
 
 
 def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="soil_env")
 
 
 class Simulation:
@@ -123,6 +128,9 @@ class Simulation:
     ):
         self.scenario = scenario
         self._threads = threads or _processors()
+        self._step, self._restart = Entry(step_one), Entry(restart)
+        self._step_chunks, self._restart_chunks = Entry(step_chunks), Entry(restart_chunks)
+        self._counter = np.zeros(1, dtype=np.int64)
         task = task_numbers(scenario, variant)
         if max_episode_steps is not None:
             task = task._replace(steps=min(task.steps, int(max_episode_steps)))
@@ -157,30 +165,29 @@ class Simulation:
 
     def restart(self, k: int) -> None:
         """New course and fresh start for wheel k."""
-        restart(self.worlds, self.numbers, k)
+        self._restart(self.worlds, self.numbers, int(k))
 
     def step(self, k: int, command: float) -> None:
         """One control period of wheel k."""
-        step_one(self.worlds, self.numbers, k, command)
+        self._step(self.worlds, self.numbers, int(k), float(command))
 
     def step_all(self, commands: np.ndarray, what: np.ndarray) -> None:
         """One control period with `commands` [wheels] float64; `what` [wheels] int8: STEP, RESTART or IDLE."""
-        self._in_parallel(step_range, commands, what)
+        commands, what = np.ascontiguousarray(commands, np.float64), np.ascontiguousarray(what, np.int8)
+        self._in_parallel(self._step_chunks, commands, what)
 
     def restart_where(self, which: np.ndarray) -> None:
         """Restart the wheels with `which` True."""
+        which = np.ascontiguousarray(which, np.bool_)
         if which.any():
-            self._in_parallel(restart_range, which)
+            self._in_parallel(self._restart_chunks, which)
 
     def _in_parallel(self, kernel, *arrays) -> None:
-        """Run a range kernel over blocks of wheels, one a thread (the kernels hold no lock and share no row)."""
-        wheels = self.worlds.reward.size
-        blocks = min(self._threads, max(1, wheels // 16))
-        bounds = [wheels * i // blocks for i in range(blocks + 1)]
-        rest = [
-            _pool(self._threads).submit(kernel, self.worlds, self.numbers, *arrays, bounds[i], bounds[i + 1])
-            for i in range(1, blocks)
-        ]
-        kernel(self.worlds, self.numbers, *arrays, 0, bounds[1])
-        for future in rest:
-            future.result()
+        """Run a kernel over all wheels in several threads (it holds no lock, and they share no row)."""
+        chunks = -(-self.worlds.reward.size // _CHUNK)
+        self._counter[0] = 0
+        arguments = (self.worlds, self.numbers, *arrays, self._counter)
+        if self._threads == 1 or chunks == 1:
+            kernel(*arguments)
+        else:
+            crew(self._threads).run(kernel, arguments, min(self._threads, chunks) - 1)

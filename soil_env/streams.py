@@ -10,7 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from soil_env.compiled import inlined, kernel
+from soil_env.lanes import half_sin_cos, lane, log_lanes, made_of, sqrt_lanes
 
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -24,7 +26,7 @@ def seed_stream(rng: np.random.Generator) -> np.uint64:
     return rng.integers(0, 2**64, dtype=np.uint64)
 
 
-@njit(cache=True)
+@inlined
 def uniform(streams, k):
     """Next number in [0, 1) of stream k; `streams` is uint64 [wheels]."""
     streams[k] += _GAMMA
@@ -35,15 +37,31 @@ def uniform(streams, k):
     return float(z >> _S11) * _TO_UNIT
 
 
-@njit(cache=True)
+@inlined
 def between(streams, k, low, high):
     """Next number of stream k, uniform in [low, high)."""
     return low + (high - low) * uniform(streams, k)
 
 
-@njit(cache=True)
+@kernel
 def normal_pair(streams, k):
     """Two independent standard normal numbers of stream k (Box & Muller 1958)."""
     radius = math.sqrt(-2.0 * math.log(1.0 - uniform(streams, k)))
     angle = 2.0 * math.pi * uniform(streams, k)
     return radius * math.cos(angle), radius * math.sin(angle)
+
+
+@inlined
+def eight_normals(streams, k):
+    """Eight independent standard normal numbers of stream k: four `normal_pair` at once."""
+    first, second = uniform(streams, k), uniform(streams, k)
+    third, fourth = uniform(streams, k), uniform(streams, k)
+    fifth, sixth = uniform(streams, k), uniform(streams, k)
+    seventh, eighth = uniform(streams, k), uniform(streams, k)
+    u = made_of(first, third, fifth, seventh, first, third, fifth, seventh)
+    v = made_of(second, fourth, sixth, eighth, second, fourth, sixth, eighth)
+    radius = sqrt_lanes(-2.0 * log_lanes(1.0 - u))
+    sin_half, cos_half = half_sin_cos(math.pi * (2.0 * v - 1.0))  # half a turn back, so both functions change sign
+    x = radius * (2.0 * sin_half * sin_half - 1.0)
+    y = radius * (-2.0 * sin_half * cos_half)
+    return lane(x, 0), lane(y, 0), lane(x, 1), lane(y, 1), lane(x, 2), lane(y, 2), lane(x, 3), lane(y, 3)

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from soil_env.compiled import inlined
 from soil_env.identification import Status
 from soil_env.identifier import SensorReading
 from soil_env.loading import unknown_key
 from soil_env.parameters import Scenario
-from soil_env.streams import normal_pair
+from soil_env.streams import eight_normals
 from soil_env.terrain import ground_at
 
 
@@ -153,14 +153,11 @@ def task_numbers(scenario: Scenario, variant: str) -> TaskNumbers:
     )
 
 
-@njit(cache=True)
+@inlined
 def sense(state, k, streams, task):
     """Noisy readings of wheel k and its pitch [rad]: (SensorReading, pitch)."""
     w, sd = state[k], task.noise
-    a, b = normal_pair(streams, k)
-    c, d = normal_pair(streams, k)
-    e, f = normal_pair(streams, k)
-    g, h = normal_pair(streams, k)
+    a, b, c, d, e, f, g, h = eight_normals(streams, k)
     reading = SensorReading(
         min(max(w.slip + sd[0] * a, -1.0), 1.0),
         w.sinkage + sd[1] * b,
@@ -173,7 +170,7 @@ def sense(state, k, streams, task):
     return reading, w.grade + sd[7] * h
 
 
-@njit(cache=True)
+@inlined
 def write_observation(out, state, k, reading, pitch, courses, ids, task):
     """Fill the observation `out` [D] of wheel k, cut to the bounds of the layout."""
     w = state[k]
@@ -203,7 +200,7 @@ def write_observation(out, state, k, reading, pitch, courses, ids, task):
         out[i] = min(max(out[i], task.low[i]), task.high[i])
 
 
-@njit(cache=True)
+@inlined
 def judge(state, k, task):
     """`Cause` of wheel k after a step; advances its two clocks, which run back while their condition does not hold."""
     w = state[k]
@@ -226,7 +223,7 @@ def judge(state, k, task):
     return _RUNNING
 
 
-@njit(cache=True)
+@inlined
 def reward_terms(state, k, cause, task, terms):
     """Fill `terms` [3] (see REWARD_TERMS) for the last step of wheel k; the reward is their sum.
 

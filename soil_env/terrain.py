@@ -12,8 +12,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from soil_env.compiled import inlined, kernel
+from soil_env.lanes import scratch
 from soil_env.model import steady_state
 from soil_env.parameters import Scenario, SoilState, soils
 from soil_env.streams import between, normal_pair, uniform
@@ -21,6 +22,7 @@ from soil_env.traversability import best_working_point
 
 CELL = 0.05  # [m] length of one cell of the rut
 _MAX_REDRAWS = 30
+_six = scratch(6)
 
 # How a pass changes the ground, as a factor on the sinkage coefficient S of the cell. A rolling wheel compacts, a
 # digging one loosens. The direction is that of multi-pass tests (Holm 1969, Proc. 3rd ISTVS Conf. II:1-12); the law
@@ -110,12 +112,12 @@ def new_courses(wheels: int, scenario: Scenario) -> Courses:
     )
 
 
-@njit(cache=True)
+@inlined
 def _row(s):
     return SoilState(s[0], s[1], s[2], s[3], s[4], s[5], s[6])
 
 
-@njit(cache=True)
+@inlined
 def blend(a, b, w):
     """Soil between two soils, share w of the second: moduli geometrically, everything else linearly."""
     v = 1.0 - w
@@ -130,7 +132,7 @@ def blend(a, b, w):
     )
 
 
-@njit(cache=True)
+@inlined
 def ground_at(courses, k, x, patch, border):
     """(soil, grade [rad], patch) of course k at x [m], undisturbed; `patch` is a first guess of the patch index.
 
@@ -150,7 +152,7 @@ def ground_at(courses, k, x, patch, border):
     return soil, (1.0 - w) * courses.grades[k, near - 1] + w * courses.grades[k, near], patch
 
 
-@njit(cache=True)
+@inlined
 def stiffened(s, factor):
     """The same soil with its sinkage coefficient multiplied by `factor`."""
     return SoilState(
@@ -159,13 +161,13 @@ def stiffened(s, factor):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@inlined
 def cell_at(courses, x):
     """Index of the rut cell at x [m]."""
     return min(max(int(x / CELL), 0), courses.modulus.shape[1] - 1)
 
 
-@njit(cache=True)
+@inlined
 def leave_rut(courses, k, cell, sinkage, bearing_sinkage):
     """Mark a cell as driven over: its rut, and soil compacted by rolling or loosened by digging."""
     dug = max(sinkage / max(bearing_sinkage, 1e-4), 0.5)
@@ -174,7 +176,7 @@ def leave_rut(courses, k, cell, sinkage, bearing_sinkage):
     courses.rut[k, cell] = max(courses.rut[k, cell], sinkage)
 
 
-@njit(cache=True)
+@kernel
 def draw_soil(streams, k, numbers):
     """One soil: a preset by weight, scattered by `SoilSpread` (deviations cut at 2.5 sigma)."""
     pick = uniform(streams, k)
@@ -182,16 +184,15 @@ def draw_soil(streams, k, numbers):
     while i < numbers.cumulative.size - 1 and pick > numbers.cumulative[i]:
         i += 1
     mean, spread, factor = numbers.library[i], numbers.spread, numbers.factor
-    z = np.empty(6)
+    z, d, scale = _six(), _six(), _six()
     for j in range(3):
         z[2 * j], z[2 * j + 1] = normal_pair(streams, k)
-    d = np.zeros(5)
     for row in range(5):
+        d[row] = 0.0
         for column in range(row + 1):
             d[row] += factor[row, column] * z[column]
         d[row] = min(max(d[row], -2.5), 2.5)
     phi = min(math.atan(mean[0]) * (1.0 + spread[0] * d[0]), math.radians(60.0))
-    scale = np.empty(5)
     for j in range(1, 5):
         s = math.sqrt(math.log(1.0 + spread[j] * spread[j]))
         scale[j] = math.exp(s * d[j] - 0.5 * s * s)
@@ -208,7 +209,7 @@ def draw_soil(streams, k, numbers):
     )
 
 
-@njit(cache=True)
+@kernel
 def _capacity(load, soil, numbers):
     """Best steady drawbar pull over load on level ground, -inf where the wheel would be bogged at rest or at its best.
 
@@ -221,7 +222,7 @@ def _capacity(load, soil, numbers):
     return best.drawbar_pull / load
 
 
-@njit(cache=True)
+@kernel
 def draw_course(k, courses, streams, numbers):
     """Draw course k afresh from stream k and clear its rut; the mass [kg] on the wheel with payload, or -1.
 
@@ -235,13 +236,14 @@ def draw_course(k, courses, streams, numbers):
     return -1.0
 
 
-@njit(cache=True)
+@kernel
 def _try_course(k, courses, streams, numbers):
     """One attempt of `draw_course`."""
     mass = numbers.body_mass + between(streams, k, numbers.payload_low, numbers.payload_high)
     load = mass * numbers.gravity
     edges = courses.edges[k]
-    edges[:] = np.inf
+    for i in range(edges.size):
+        edges[i] = np.inf
     x, p = 0.0, 0
     while x < numbers.length and p < courses.soils.shape[1]:
         edges[p] = x
@@ -279,6 +281,7 @@ def _try_course(k, courses, streams, numbers):
             tangent = math.tan(0.5 * (courses.grades[k, i - 1] + courses.grades[k, i]))
             if numbers.margin_low - (_capacity(load, mid, numbers) - tangent) > 1e-6:
                 return -1.0
-    courses.modulus[k, :] = 1.0
-    courses.rut[k, :] = 0.0
+    for i in range(courses.modulus.shape[1]):
+        courses.modulus[k, i] = 1.0
+        courses.rut[k, i] = 0.0
     return mass

@@ -9,12 +9,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from soil_env.model import steady_state
+from soil_env.compiled import kernel
+from soil_env.effects import slip_sinkage_ratio
+from soil_env.model import DEEPEST, steady_state
 
 #: Slips at which the drawbar pull is compared.
 SLIPS = np.array([0.05, 0.1, 0.15, 0.2, 0.26, 0.33, 0.41, 0.5, 0.6, 0.72, 0.85, 0.97])
+_MIDDLE = 4
 
 
 class Best(NamedTuple):
@@ -26,17 +28,36 @@ class Best(NamedTuple):
     sinkage: float  # [m]
 
 
-@njit(cache=True)
+@kernel
 def best_working_point(load, soil, r, b, torque_available):
-    """`Best` over the slips of `SLIPS`; the curve has one maximum, so the scan stops once it has clearly passed it."""
+    """`Best` over the slips of `SLIPS`: up from the middle of them, then down from there.
+
+    The curve has one maximum, so each scan stops once it has clearly passed it, or where more slip takes more torque
+    than there is.
+    """
     best = Best(SLIPS[0], -np.inf, 0.0, 0.0)
-    guess = 0.0
-    for slip in SLIPS:
-        s = steady_state(slip, load, soil, r, b, guess)
-        guess = s.sinkage if s.floating else 0.0
-        if s.torque <= torque_available and s.floating:
-            if s.drawbar_pull > best.drawbar_pull:
-                best = Best(slip, s.drawbar_pull, s.torque, s.sinkage)
-            elif s.drawbar_pull < best.drawbar_pull - 0.03 * load:
+    n = soil.sinkage_exponent
+    power = n / (n + 0.5)
+    middle = 0.0
+    for direction in (1, -1):
+        i = _MIDDLE if direction > 0 else _MIDDLE - 1
+        guess, last = middle, SLIPS[_MIDDLE]
+        while 0 <= i < SLIPS.size:
+            slip = SLIPS[i]
+            if guess > 0.0:  # at the same load the ratio of sinkages is the ratio of slip-sinkage, to a power
+                deeper = slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery)
+                deeper /= slip_sinkage_ratio(last, soil.dig_gain, soil.dig_recovery)
+                guess *= deeper**power
+            s = steady_state(slip, load, soil, r, b, min(guess, DEEPEST * r))
+            guess, last = (s.sinkage if s.floating else 0.0), slip
+            if i == _MIDDLE:
+                middle = guess
+            if s.torque <= torque_available and s.floating:
+                if s.drawbar_pull > best.drawbar_pull:
+                    best = Best(slip, s.drawbar_pull, s.torque, s.sinkage)
+                elif s.drawbar_pull < best.drawbar_pull - 0.03 * load:
+                    break
+            elif direction > 0:
                 break
+            i += direction
     return best

@@ -189,7 +189,7 @@ class Problem:
                 shear_softening_length=0.3 * r,
             )
 
-    # --- unknowns and outputs ------------------------------------------------------------------------------------------
+    # --- unknowns and outputs ---
 
     def unknowns(self, choices: tuple[Choice, ...]) -> tuple[Unknown, ...]:
         """Unknowns of a model: soil first, then the effects in order."""
@@ -244,7 +244,7 @@ class Problem:
         """[M] of an array [N, 3]: the values in use over the noise."""
         return (values / self.noise)[self.used]
 
-    # --- the fit -------------------------------------------------------------------------------------------------------
+    # --- the fit ---
 
     def fit(self, choices: tuple[Choice, ...] = (), start: dict[str, float] | None = None, slack: bool = True,
             prior_width: float = 1.0) -> Fit:  # fmt: skip
@@ -276,7 +276,7 @@ class Problem:
 
     @staticmethod
     def _first(unknown: Unknown) -> float:
-        """Start of an unknown: the prior mean; effect strengths, whose neutral value may have no slope, a little off."""
+        """Start of an unknown: the prior mean; strengths that are bounded at their neutral value a little off it."""
         if "_" in unknown.name and unknown.name.split("_")[-1] in ("sharpness", "drop", "ratio"):
             return 0.3
         return 0.0

@@ -19,7 +19,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2, f as f_distribution
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.calibrate import Choice, Fit, Problem

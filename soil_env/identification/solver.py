@@ -1,7 +1,7 @@
 """Compiled core of the identification: prediction of a measured point, its weight, and the safeguarded iteration.
 
 Unknowns are x = (phi, ln K, ln S). `solve` serves the paper's three points, any larger table and the online window
-alike.
+alike. It takes the points eight at a time in lanes (`prepare`), but for the paper's Simpson rule.
 """
 
 from __future__ import annotations
@@ -13,15 +13,38 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from soil_env.compiled import inlined, kernel
 from soil_env.contact import (
     JANOSI,
-    arc_integrals,
+    STORED_NODES,
+    arc_nodes,
     compaction_resistance,
     entry_angle,
+    entry_angle_of_many,
     forces,
     motion_from_slip,
+    shear_integrals,
     shear_modulus_rates,
     simpson_integrals,
+    store_nodes,
+    stored_integrals,
+)
+from soil_env.lanes import (
+    COUNT,
+    exp,
+    exp_lanes,
+    fill,
+    first,
+    from_array,
+    half_sin_cos,
+    lane,
+    log_lanes,
+    made_of,
+    to_array,
+    total,
+    totals,
+    transposed,
+    where_below,
 )
 
 
@@ -55,18 +78,63 @@ _MAX_DAMPINGS = 12
 
 # Columns of a measured point.
 SLIP, SINKAGE, DIG_RATIO, DRAWBAR_PULL, LOAD, TORQUE, WEIGHTS, PLACE = 0, 1, 2, 3, 4, 5, 6, 12
-POINT_SIZE = 13  # six weights: lower triangle of the matrix that whitens (drawbar pull, load, torque)
+POINT_SIZE = (
+    16  # six weights: lower triangle of the matrix that whitens (drawbar pull, load, torque); two rows of lanes
+)
 
 
-@njit(cache=True)
-def predict(x, slip, sinkage, dig_ratio, reading, out, jacobian):
-    """Drawbar pull, load and torque for unknowns x at one point into `out` [3], derivatives into `jacobian` [3, 4].
+class Channels(NamedTuple):
+    """Drawbar pull, load and torque at a point, each with its derivatives by phi, ln K, ln S and cohesion."""
 
-    Columns of `jacobian`: phi, ln K, ln S, and cohesion; by ln(dig ratio) it is -n times the column of ln S.
-    `dig_ratio` z/z_w >= 1 is how much deeper the wheel stands than its load alone would sink it: the soil then bears
-    like one with S (z/z_w)^-n (`effects.slip_sinkage_ratio`).
+    pull: float
+    load: float
+    torque: float
+    by_phi: tuple
+    by_K: tuple
+    by_S: tuple
+    by_c: tuple
+
+
+@inlined
+def _channels(q, k, S, tan_phi, K, c, r, b, paper_resistance):
+    """`Channels` from `ArcIntegrals` q and their `ArcRates` k by K, of one point or in lanes.
+
+    `paper_resistance` replaces the resistance of Eq. (11) in the drawbar pull, unless it is negative.
     """
-    r, b, n, c = reading.radius, reading.width, reading.exponent, reading.cohesion
+    f = forces(q, S, tan_phi, c, r, b, 1.0)
+    rb = r * b
+    resistance = rb * (S * q.p_sin)
+    pull = f.drawbar_pull
+    if paper_resistance >= 0.0:
+        pull = pull + resistance - paper_resistance
+        resistance = resistance * 0.0 + paper_resistance
+    s_phi = S * (rb * (1.0 + tan_phi * tan_phi))  # d tan(phi) / d phi
+    st, ck = S * tan_phi, rb * K
+    friction = rb * (st * q.pe_cos)
+    return Channels(
+        pull,
+        f.load,
+        f.torque,
+        (s_phi * q.pe_cos, s_phi * q.pe_sin, r * (s_phi * q.pe)),
+        (ck * (st * k.pe_cos + c * k.e_cos), ck * (st * k.pe_sin + c * k.e_sin), (r * ck) * (st * k.pe + c * k.e)),
+        (friction - resistance, rb * (S * q.p_cos + st * q.pe_sin), (r * rb) * (st * q.pe)),
+        (rb * q.e_cos, rb * q.e_sin, (r * rb) * q.e),
+    )
+
+
+@inlined
+def _soil_of(x):
+    """(tan phi, K, S) of unknowns x within the bounds."""
+    sin_half, cos_half = half_sin_cos(fill(x[0]))
+    sin_half, cos_half = lane(sin_half, 0), lane(cos_half, 0)
+    moduli = exp_lanes(made_of(x[1], x[2], x[1], x[2], x[1], x[2], x[1], x[2]))
+    return 2.0 * sin_half * cos_half / (1.0 - 2.0 * sin_half * sin_half), lane(moduli, 0), lane(moduli, 1)
+
+
+@kernel
+def _channels_at(x, slip, sinkage, dig_ratio, reading):
+    """(`Channels`, their derivatives by slip) of one point."""
+    r, n = reading.radius, reading.exponent
     K, tan_phi = math.exp(x[1]), math.tan(x[0])
     S = math.exp(x[2]) * dig_ratio**-n
     theta1 = entry_angle(sinkage, r)
@@ -74,126 +142,251 @@ def predict(x, slip, sinkage, dig_ratio, reading, out, jacobian):
     if reading.simpson > 0:
         q, by_rim, by_travel = simpson_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, K, n, r, reading.simpson)
     else:
-        q, by_rim, by_travel = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, K, n, r, JANOSI)
-    f = forces(q, S, tan_phi, c, r, b, 1.0)
-    rb = r * b
-    resistance = rb * S * q.p_sin
-    thrust = f.drawbar_pull + resistance
-    if reading.paper_resistance:
-        resistance = compaction_resistance(sinkage, S, n, b)
-    out[0] = thrust - resistance
-    out[1], out[2] = f.load, f.torque
-
-    d_tan = 1.0 + tan_phi * tan_phi  # d tan(phi) / d phi
-    jacobian[0, 0] = rb * S * d_tan * q.pe_cos
-    jacobian[1, 0] = rb * S * d_tan * q.pe_sin
-    jacobian[2, 0] = r * rb * S * d_tan * q.pe
+        q, by_rim, by_travel = shear_integrals(arc_nodes(theta1, 0.0, 0.5 * theta1, n, r), rim, travel, K, JANOSI)
+    resistance = compaction_resistance(sinkage, S, n, reading.width) if reading.paper_resistance else -1.0
     k = shear_modulus_rates(by_rim, by_travel, rim, travel, K)
-    jacobian[0, 1] = rb * K * (S * tan_phi * k.pe_cos + c * k.e_cos)
-    jacobian[1, 1] = rb * K * (S * tan_phi * k.pe_sin + c * k.e_sin)
-    jacobian[2, 1] = r * rb * K * (S * tan_phi * k.pe + c * k.e)
-    jacobian[0, 2] = rb * S * tan_phi * q.pe_cos - resistance
-    jacobian[1, 2] = rb * S * (q.p_cos + tan_phi * q.pe_sin)
-    jacobian[2, 2] = r * rb * S * tan_phi * q.pe
-    jacobian[0, 3], jacobian[1, 3], jacobian[2, 3] = rb * q.e_cos, rb * q.e_sin, r * rb * q.e
+    y = _channels(q, k, S, tan_phi, K, reading.cohesion, r, reading.width, resistance)
+    rate = -1.0 if slip >= 0.0 else -travel * travel  # d travel/d slip
+    st, c, rb, z = S * tan_phi, reading.cohesion, rate * r * reading.width, by_travel
+    by_slip = (
+        rb * (st * z.pe_cos + c * z.e_cos), rb * (st * z.pe_sin + c * z.e_sin), r * rb * (st * z.pe + c * z.e)
+    )  # fmt: skip
+    return y, by_slip
+
+
+@kernel
+def predict(x, slip, sinkage, dig_ratio, reading, out, jacobian):
+    """Drawbar pull, load and torque for unknowns x at one point into `out` [3], derivatives into `jacobian` [3, 4].
+
+    Columns of `jacobian`: phi, ln K, ln S, and cohesion; by ln(dig ratio) it is -n times the column of ln S.
+    `dig_ratio` z/z_w >= 1 is how much deeper the wheel stands than its load alone would sink it: the soil then bears
+    like one with S (z/z_w)^-n (`effects.slip_sinkage_ratio`).
+    """
+    y, _ = _channels_at(x, slip, sinkage, dig_ratio, reading)
+    out[0], out[1], out[2] = y.pull, y.load, y.torque
+    for i in range(3):
+        jacobian[i, 0], jacobian[i, 1], jacobian[i, 2], jacobian[i, 3] = y.by_phi[i], y.by_K[i], y.by_S[i], y.by_c[i]
+
+
+# Floats of a block of eight points as `prepare` leaves them: nodes, dig ratio, its factor on S, channels, weights.
+DIG, _FACTOR, _CHANNELS, _WHITE = STORED_NODES, STORED_NODES + COUNT, STORED_NODES + 2 * COUNT, STORED_NODES + 5 * COUNT
+BLOCK = STORED_NODES + 11 * COUNT
+
+
+@inlined
+def blocks(count):
+    """Blocks of eight that hold `count` points."""
+    return (count + COUNT - 1) // COUNT
+
+
+@inlined
+def prepare(points, count, reading, work):
+    """What does not depend on the unknowns, of `count` > 0 points into `work` [blocks(count) BLOCK]."""
+    for block in range(blocks(count)):
+        at, start = block * BLOCK, block * COUNT
+        p0, p1 = start * POINT_SIZE, min(start + 1, count - 1) * POINT_SIZE  # beyond the last, it again without weight
+        p2, p3 = min(start + 2, count - 1) * POINT_SIZE, min(start + 3, count - 1) * POINT_SIZE
+        p4, p5 = min(start + 4, count - 1) * POINT_SIZE, min(start + 5, count - 1) * POINT_SIZE
+        p6, p7 = min(start + 6, count - 1) * POINT_SIZE, min(start + 7, count - 1) * POINT_SIZE
+        a = transposed(
+            from_array(points, p0), from_array(points, p1), from_array(points, p2), from_array(points, p3),
+            from_array(points, p4), from_array(points, p5), from_array(points, p6), from_array(points, p7),
+        )  # fmt: skip
+        w = transposed(
+            from_array(points, p0 + COUNT), from_array(points, p1 + COUNT), from_array(points, p2 + COUNT),
+            from_array(points, p3 + COUNT), from_array(points, p4 + COUNT), from_array(points, p5 + COUNT),
+            from_array(points, p6 + COUNT), from_array(points, p7 + COUNT),
+        )  # fmt: skip
+        slip = a[SLIP]
+        one = fill(1.0)
+        free = where_below(-slip, 1.0 - 1e-9, 1.0 + slip, fill(1e-9))
+        travel = where_below(slip, 0.0, one / free, 1.0 - slip)  # `motion_from_slip`
+        store_nodes(entry_angle_of_many(a[SINKAGE], reading.radius), travel, reading.exponent, reading.radius, work, at)
+        to_array(a[DIG_RATIO], work, at + DIG)
+        to_array(exp(-reading.exponent * log_lanes(a[DIG_RATIO])), work, at + _FACTOR)
+        to_array(a[DRAWBAR_PULL], work, at + _CHANNELS)
+        to_array(a[LOAD], work, at + _CHANNELS + COUNT)
+        to_array(a[TORQUE], work, at + _CHANNELS + 2 * COUNT)
+        none, real = fill(0.0), count - start
+        to_array(first(real, a[WEIGHTS], none), work, at + _WHITE)
+        to_array(first(real, a[WEIGHTS + 1], none), work, at + _WHITE + COUNT)
+        to_array(first(real, w[WEIGHTS + 2 - COUNT], none), work, at + _WHITE + 2 * COUNT)
+        to_array(first(real, w[WEIGHTS + 3 - COUNT], none), work, at + _WHITE + 3 * COUNT)
+        to_array(first(real, w[WEIGHTS + 4 - COUNT], none), work, at + _WHITE + 4 * COUNT)
+        to_array(first(real, w[WEIGHTS + 5 - COUNT], none), work, at + _WHITE + 5 * COUNT)
+
+
+class Normal(NamedTuple):
+    """Normal equations: cost, J^T residual and the upper triangle of J^T J, all whitened and with the prior."""
+
+    cost: float
+    v0: float
+    v1: float
+    v2: float
+    m00: float
+    m01: float
+    m02: float
+    m11: float
+    m12: float
+    m22: float
+
+
+@inlined
+def _whitened(w, a0, a1, a2):
+    """Lower triangle w times (a0, a1, a2)."""
+    return w[0] * a0, w[1] * a0 + w[2] * a1, w[3] * a0 + w[4] * a1 + w[5] * a2
+
+
+@inlined
+def dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def whitened_block(x, work, at, reading):
+    """(misfit, by phi, by ln K, by ln S, by cohesion) of eight prepared points, each whitened, in lanes."""
+    tan_phi, K, S = _soil_of(x)
+    q, k = stored_integrals(work, at, K)
+    y = _channels(
+        q, k, S * from_array(work, at + _FACTOR), tan_phi, K, reading.cohesion, reading.radius, reading.width, -1.0
+    )
+    i = at + _WHITE
+    w = (
+        from_array(work, i), from_array(work, i + COUNT), from_array(work, i + 2 * COUNT),
+        from_array(work, i + 3 * COUNT), from_array(work, i + 4 * COUNT), from_array(work, i + 5 * COUNT),
+    )  # fmt: skip
+    i = at + _CHANNELS
+    misfit = _whitened(
+        w,
+        from_array(work, i) - y.pull,
+        from_array(work, i + COUNT) - y.load,
+        from_array(work, i + 2 * COUNT) - y.torque,
+    )
+    return (
+        misfit,
+        _whitened(w, y.by_phi[0], y.by_phi[1], y.by_phi[2]),
+        _whitened(w, y.by_K[0], y.by_K[1], y.by_K[2]),
+        _whitened(w, y.by_S[0], y.by_S[1], y.by_S[2]),
+        _whitened(w, y.by_c[0], y.by_c[1], y.by_c[2]),
+    )
+
+
+@inlined
+def _normal(x, points, count, prior, precision, reading, work):
+    """`Normal` at unknowns x, of prepared points."""
+    d0, d1, d2 = prior[0] - x[0], prior[1] - x[1], prior[2] - x[2]
+    v0, v1, v2 = precision[0] * d0, precision[1] * d1, precision[2] * d2
+    cost = v0 * d0 + v1 * d1 + v2 * d2
+    m00, m11, m22 = precision[0], precision[1], precision[2]
+    m01 = m02 = m12 = 0.0
+    if reading.simpson > 0 or reading.paper_resistance:
+        for p in range(count):
+            row = points[p]
+            y, _ = _channels_at(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading)
+            w = (
+                row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2], row[WEIGHTS + 3], row[WEIGHTS + 4], row[WEIGHTS + 5]
+            )  # fmt: skip
+            u = _whitened(w, row[DRAWBAR_PULL] - y.pull, row[LOAD] - y.load, row[TORQUE] - y.torque)
+            a = _whitened(w, y.by_phi[0], y.by_phi[1], y.by_phi[2])
+            b = _whitened(w, y.by_K[0], y.by_K[1], y.by_K[2])
+            c = _whitened(w, y.by_S[0], y.by_S[1], y.by_S[2])
+            cost += dot(u, u)
+            v0, v1, v2 = v0 + dot(a, u), v1 + dot(b, u), v2 + dot(c, u)
+            m00, m01, m02 = m00 + dot(a, a), m01 + dot(a, b), m02 + dot(a, c)
+            m11, m12, m22 = m11 + dot(b, b), m12 + dot(b, c), m22 + dot(c, c)
+    else:
+        for block in range(blocks(count)):
+            u, a, b, c, _ = whitened_block(x, work, block * BLOCK, reading)
+            s = totals(dot(u, u), dot(a, u), dot(b, u), dot(c, u), dot(a, a), dot(a, b), dot(a, c), dot(b, b))
+            cost += s[0]
+            v0, v1, v2 = v0 + s[1], v1 + s[2], v2 + s[3]
+            m00, m01, m02 = m00 + s[4], m01 + s[5], m02 + s[6]
+            m11, m12, m22 = m11 + s[7], m12 + total(dot(b, c)), m22 + total(dot(c, c))
+    return Normal(cost, v0, v1, v2, m00, m01, m02, m11, m12, m22)
 
 
 @njit(cache=True)
 def normal_equations(x, points, count, prior, precision, reading, matrix, vector):
     """Sum of squared whitened residuals; fills `matrix` (J^T J + prior precision) and `vector` (J^T residual)."""
-    out, jac = np.empty(3), np.empty((3, 4))
-    matrix[:, :] = 0.0
-    cost = 0.0
-    for i in range(3):
-        d = prior[i] - x[i]
-        matrix[i, i] = precision[i]
-        vector[i] = precision[i] * d
-        cost += precision[i] * d * d
-    for p in range(count):
-        row = points[p]
-        predict(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading, out, jac)
-        d0, d1, d2 = row[DRAWBAR_PULL] - out[0], row[LOAD] - out[1], row[TORQUE] - out[2]
-        for channel in range(3):
-            if channel == 0:
-                w0, w1, w2 = row[WEIGHTS], 0.0, 0.0
-            elif channel == 1:
-                w0, w1, w2 = row[WEIGHTS + 1], row[WEIGHTS + 2], 0.0
-            else:
-                w0, w1, w2 = row[WEIGHTS + 3], row[WEIGHTS + 4], row[WEIGHTS + 5]
-            u = w0 * d0 + w1 * d1 + w2 * d2
-            cost += u * u
-            g0 = w0 * jac[0, 0] + w1 * jac[1, 0] + w2 * jac[2, 0]
-            g1 = w0 * jac[0, 1] + w1 * jac[1, 1] + w2 * jac[2, 1]
-            g2 = w0 * jac[0, 2] + w1 * jac[1, 2] + w2 * jac[2, 2]
-            vector[0] += g0 * u
-            vector[1] += g1 * u
-            vector[2] += g2 * u
-            matrix[0, 0] += g0 * g0
-            matrix[0, 1] += g0 * g1
-            matrix[0, 2] += g0 * g2
-            matrix[1, 1] += g1 * g1
-            matrix[1, 2] += g1 * g2
-            matrix[2, 2] += g2 * g2
-    matrix[1, 0], matrix[2, 0], matrix[2, 1] = matrix[0, 1], matrix[0, 2], matrix[1, 2]
-    return cost
+    work = np.empty(blocks(count) * BLOCK)
+    prepare(points, count, reading, work)
+    m = _normal(x, points, count, prior, precision, reading, work)
+    vector[0], vector[1], vector[2] = m.v0, m.v1, m.v2
+    matrix[0, 0], matrix[1, 1], matrix[2, 2] = m.m00, m.m11, m.m22
+    matrix[0, 1], matrix[0, 2], matrix[1, 2] = m.m01, m.m02, m.m12
+    matrix[1, 0], matrix[2, 0], matrix[2, 1] = m.m01, m.m02, m.m12
+    return m.cost
 
 
-@njit(cache=True)
+@inlined
+def _inverse(m00, m01, m02, m11, m12, m22):
+    """(found, upper triangle of the inverse) of a symmetric 3 x 3 matrix; found unless singular."""
+    c00 = m11 * m22 - m12 * m12
+    c01 = m02 * m12 - m01 * m22
+    c02 = m01 * m12 - m02 * m11
+    det = m00 * c00 + m01 * c01 + m02 * c02
+    d = 1.0 / det
+    inverse = (
+        c00 * d, c01 * d, c02 * d, (m00 * m22 - m02 * m02) * d, (m02 * m01 - m00 * m12) * d, (m00 * m11 - m01 * m01) * d
+    )  # fmt: skip
+    return det > 1e-14 * abs(m00 * m11 * m22), inverse
+
+
+@kernel
 def invert3(m, out):
     """Inverse of a symmetric 3 x 3 matrix into `out`; False if it is singular to working precision."""
-    c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
-    c01 = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
-    c02 = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
-    det = m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
-    if not det > 1e-14 * abs(m[0, 0] * m[1, 1] * m[2, 2]):
-        return False
-    out[0, 0], out[0, 1], out[0, 2] = c00 / det, c01 / det, c02 / det
-    out[1, 1] = (m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]) / det
-    out[1, 2] = (m[0, 2] * m[0, 1] - m[0, 0] * m[1, 2]) / det
-    out[2, 2] = (m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]) / det
-    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
-    return True
+    found, i = _inverse(m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2])
+    if found:
+        out[0, 0], out[0, 1], out[0, 2], out[1, 1], out[1, 2], out[2, 2] = i
+        out[1, 0], out[2, 0], out[2, 1] = i[1], i[2], i[4]
+    return found
 
 
-@njit(cache=True)
-def _damped_step(x, matrix, vector, damping, step):
-    """Levenberg-Marquardt step from x into `step`; False if the damped normal matrix is singular.
+@inlined
+def _pressed(x, v, i):
+    """True where unknown i presses against its bound."""
+    return (x <= LOWER[i] and v < 0.0) or (x >= UPPER[i] and v > 0.0)
+
+
+@inlined
+def _damped_step(x, m, damping):
+    """(found, Levenberg-Marquardt step from x); not found if the damped normal matrix is singular.
 
     An unknown that presses against its bound stays there.
     """
-    damped, inverse = matrix.copy(), np.empty((3, 3))
-    trace = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
-    pressed = np.zeros(3, dtype=np.bool_)
-    for i in range(3):
-        damped[i, i] += damping * matrix[i, i] + 1e-12 * trace
-        pressed[i] = (x[i] <= LOWER[i] and vector[i] < 0.0) or (x[i] >= UPPER[i] and vector[i] > 0.0)
-        if pressed[i]:
-            for j in range(3):
-                if j != i:
-                    damped[i, j] = damped[j, i] = 0.0
-    if not invert3(damped, inverse):
-        return False
-    for i in range(3):
-        step[i] = 0.0
-        if not pressed[i]:
-            step[i] = inverse[i, 0] * vector[0] + inverse[i, 1] * vector[1] + inverse[i, 2] * vector[2]
-    return True
+    ridge = 1e-12 * (m.m00 + m.m11 + m.m22)
+    p0, p1, p2 = _pressed(x[0], m.v0, 0), _pressed(x[1], m.v1, 1), _pressed(x[2], m.v2, 2)
+    m01 = 0.0 if p0 or p1 else m.m01
+    m02 = 0.0 if p0 or p2 else m.m02
+    m12 = 0.0 if p1 or p2 else m.m12
+    scale = 1.0 + damping
+    found, i = _inverse(m.m00 * scale + ridge, m01, m02, m.m11 * scale + ridge, m12, m.m22 * scale + ridge)
+    if not found:
+        return False, (0.0, 0.0, 0.0)
+    return True, (
+        0.0 if p0 else i[0] * m.v0 + i[1] * m.v1 + i[2] * m.v2,
+        0.0 if p1 else i[1] * m.v0 + i[3] * m.v1 + i[4] * m.v2,
+        0.0 if p2 else i[2] * m.v0 + i[4] * m.v1 + i[5] * m.v2,
+    )
 
 
-@njit(cache=True)
+@inlined
 def _small(step, tolerance):
     return abs(step[0]) < tolerance and abs(step[1]) < tolerance and abs(step[2]) < tolerance
 
 
-@njit(cache=True)
-def _moved(x, step, out):
-    """x + step into `out`, shortened to the longest step allowed and cut to the bounds."""
+@inlined
+def _moved(x, step):
+    """x + step, shortened to the longest step allowed and cut to the bounds."""
     share = 1.0
     for i in range(3):
         if abs(step[i]) * share > LONGEST[i]:
             share = LONGEST[i] / abs(step[i])
-    for i in range(3):
-        out[i] = min(max(x[i] + share * step[i], LOWER[i]), UPPER[i])
+    return (
+        min(max(x[0] + share * step[0], LOWER[0]), UPPER[0]),
+        min(max(x[1] + share * step[1], LOWER[1]), UPPER[1]),
+        min(max(x[2] + share * step[2], LOWER[2]), UPPER[2]),
+    )
 
 
 @njit(cache=True)
@@ -205,49 +398,61 @@ def solve(x, points, count, prior, precision, reading, max_iterations, tolerance
     cut back to it. Converged means that the undamped next step is shorter than `tolerance` in every unknown.
     `covariance` [3, 3] is left as the inverse of the undamped normal matrix (zeros if that is singular).
     """
-    matrix, trial_matrix = np.empty((3, 3)), np.empty((3, 3))
-    vector, trial_vector = np.empty(3), np.empty(3)
-    step, trial = np.zeros(3), np.empty(3)
-    cost = normal_equations(x, points, count, prior, precision, reading, matrix, vector)
+    work = np.empty(blocks(count) * BLOCK)
+    prepare(points, count, reading, work)
+    return solve_prepared(
+        x, points, count, prior, precision, reading, max_iterations, tolerance, covariance, work
+    )  # fmt: skip
+
+
+@inlined
+def solve_prepared(start, points, count, prior, precision, reading, max_iterations, tolerance, covariance, work):
+    """`solve` with the `work` that `prepare` left."""
+    x = (start[0], start[1], start[2])
+    m = _normal(x, points, count, prior, precision, reading, work)
     damping, iterations = 0.0, 0
+    step = (0.0, 0.0, 0.0)
     status = Status.DIVERGED.value
     while iterations < max_iterations and status == Status.DIVERGED.value:
         iterations += 1
         accepted = False
+        trial, new = x, m
         for _ in range(_MAX_DAMPINGS):
-            if _damped_step(x, matrix, vector, damping, step):
-                _moved(x, step, trial)
+            found, damped = _damped_step(x, m, damping)
+            if found:
+                step = damped
+                trial = _moved(x, step)
                 if damping == 0.0 and _small(step, tolerance):  # so close the cost may no longer tell
-                    x[:] = trial
+                    x = trial
                     status = Status.CONVERGED.value
                     break
-                trial_cost = normal_equations(
-                    trial, points, count, prior, precision, reading, trial_matrix, trial_vector
-                )
-                if trial_cost <= cost:
+                new = _normal(trial, points, count, prior, precision, reading, work)
+                if new.cost <= m.cost:
                     accepted = True
                     break
             damping = max(4.0 * damping, 1e-3)
         if not accepted:
             break
-        x[:] = trial
-        cost = trial_cost
-        matrix[:, :] = trial_matrix
-        vector[:] = trial_vector
+        x, m = trial, new
         damping = 0.0 if damping < 1e-2 else damping / 8.0
+    start[0], start[1], start[2] = x
     if status == Status.DIVERGED.value and _small(step, tolerance):
         status = Status.CONVERGED.value
-    if not invert3(matrix, covariance):
-        covariance[:, :] = 0.0
-        return Status.NOT_EXCITED.value, iterations, cost
+    found, i = _inverse(m.m00, m.m01, m.m02, m.m11, m.m12, m.m22)
+    if not found:
+        for j in range(9):
+            covariance[j // 3, j % 3] = 0.0
+        return Status.NOT_EXCITED.value, iterations, m.cost
+    covariance[0, 0], covariance[0, 1], covariance[0, 2], covariance[1, 1], covariance[1, 2], covariance[2, 2] = i
+    covariance[1, 0], covariance[2, 0], covariance[2, 1] = i[1], i[2], i[4]
     if status == Status.CONVERGED.value:
-        for i in range(3):
-            if x[i] <= LOWER[i] or x[i] >= UPPER[i]:
+        for k in range(3):
+            if x[k] <= LOWER[k] or x[k] >= UPPER[k]:
                 status = Status.AT_BOUND.value
-    return status, iterations, cost
+    return status, iterations, m.cost
 
 
-@njit(cache=True)
+@inlined
 def weigh(row, x, variances, slip_sd, sinkage_sd, reading):
     """Set the whitening weights of a point from the noise of all its channels, at unknowns x.
 
@@ -255,40 +460,28 @@ def weigh(row, x, variances, slip_sd, sinkage_sd, reading):
     all three channels together; its first-order effect is added to their covariance (effective variance, Fuller 1987,
     Measurement Error Models, Sec. 1.4).
     """
-    at, jac = np.empty(3), np.empty((3, 4))
-    moved, unused = np.empty(3), np.empty((3, 4))
-    v = np.zeros((3, 3))
-    for i in range(3):
-        v[i, i] = variances[i] if variances[i] < np.inf else 0.0
-    predict(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading, at, jac)
-    for source in range(2):
-        sd = slip_sd if source == 0 else sinkage_sd
-        if sd == 0.0:
-            continue
-        if source == 0:
-            h = 0.01 if row[SLIP] < 0.98 else -0.01
-            predict(x, row[SLIP] + h, row[SINKAGE], row[DIG_RATIO], reading, moved, unused)
-        else:
-            h = 0.02 * row[SINKAGE]
-            predict(x, row[SLIP], row[SINKAGE] + h, row[DIG_RATIO], reading, moved, unused)
-        scale = sd / h
-        for i in range(3):
-            for j in range(i + 1):
-                v[i, j] += scale * scale * (moved[i] - at[i]) * (moved[j] - at[j])
-    for i in range(3):  # a channel that was not measured: no covariance, no weight
-        if variances[i] == np.inf:
-            v[i, :] = 0.0
-            v[:, i] = 0.0
-            v[i, i] = 1.0
-    # inverse of the Cholesky factor of v
-    l00 = math.sqrt(v[0, 0])
-    l10, l20 = v[1, 0] / l00, v[2, 0] / l00
-    l11 = math.sqrt(max(v[1, 1] - l10 * l10, 1e-12 * v[1, 1]))
-    l21 = (v[2, 1] - l20 * l10) / l11
-    l22 = math.sqrt(max(v[2, 2] - l20 * l20 - l21 * l21, 1e-12 * v[2, 2]))
+    y, by_slip = _channels_at(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading)
+    a0, a1, a2 = slip_sd * by_slip[0], slip_sd * by_slip[1], slip_sd * by_slip[2]
+    b0 = b1 = b2 = 0.0
+    if sinkage_sd > 0.0:
+        h = 0.02 * row[SINKAGE]
+        z, _ = _channels_at(x, row[SLIP], row[SINKAGE] + h, row[DIG_RATIO], reading)
+        scale = sinkage_sd / h
+        b0, b1, b2 = scale * (z.pull - y.pull), scale * (z.load - y.load), scale * (z.torque - y.torque)
+    # a channel that was not measured: no covariance, no weight
     w0 = 0.0 if variances[0] == np.inf else 1.0
     w1 = 0.0 if variances[1] == np.inf else 1.0
     w2 = 0.0 if variances[2] == np.inf else 1.0
+    v00 = variances[0] + a0 * a0 + b0 * b0 if w0 > 0.0 else 1.0
+    v11 = variances[1] + a1 * a1 + b1 * b1 if w1 > 0.0 else 1.0
+    v22 = variances[2] + a2 * a2 + b2 * b2 if w2 > 0.0 else 1.0
+    v10, v20, v21 = w1 * w0 * (a1 * a0 + b1 * b0), w2 * w0 * (a2 * a0 + b2 * b0), w2 * w1 * (a2 * a1 + b2 * b1)
+    # inverse of the Cholesky factor of v
+    l00 = math.sqrt(v00)
+    l10, l20 = v10 / l00, v20 / l00
+    l11 = math.sqrt(max(v11 - l10 * l10, 1e-12 * v11))
+    l21 = (v21 - l20 * l10) / l11
+    l22 = math.sqrt(max(v22 - l20 * l20 - l21 * l21, 1e-12 * v22))
     row[WEIGHTS] = w0 / l00
     row[WEIGHTS + 1] = -w1 * l10 / (l00 * l11)
     row[WEIGHTS + 2] = w1 / l11
