@@ -145,11 +145,11 @@ def hegedus(contact, s, side):
     _resist(contact, s, lambda z, entry: b * front * (z * c + 0.5 * gamma * z**2 * (2.0 / np.tan(x))))
 
 
-@_form("bulldozing", "factor on the force [-]", 2.0, (PULL,))
+@_form("bulldozing", "factor on the force [-]", 0.25, (PULL,))
 def bekker(contact, s, side):
     """Bekker (1960): b sin(a + phi)/(2 sin a cos phi) (2 z c Kc + gamma z^2 Kg), a = acos(1 - 2 z/D).
 
-    Factors of Terzaghi; the heap ahead (third and fourth term) is left out; divided by 10, the full force stalls wheels.
+    Factors of Terzaghi; the heap ahead (third and fourth term) is left out. In full it is far above what wheels meet.
     """
     phi, gamma, b, c = contact.phi, contact.ground.unit_weight, contact.wheel.width, contact.cohesion
     t = np.tan(phi)
@@ -160,7 +160,7 @@ def bekker(contact, s, side):
 
     def force(z, entry):
         wedge = b * np.sin(entry + phi) / (2.0 * np.sin(entry) * np.cos(phi))
-        return 0.1 * wedge * (2.0 * z * c * k_c + gamma * z**2 * k_gamma)
+        return wedge * (2.0 * z * c * k_c + gamma * z**2 * k_gamma)
 
     _resist(contact, s, force)
 

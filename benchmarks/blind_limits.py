@@ -61,47 +61,47 @@ class Bench:
         return (table / np.array(self.noise)[:, None]).ravel()
 
 
-def _prediction(bench: Bench, effects, free, x: np.ndarray):
-    """Weighted prediction and its Jacobian by x in one batch of soils, and one prediction for each free strength.
-
-    x[:5] is the soil in units of the prior's sd from the truth, x[5:] the relative change of the strengths of `free`.
-    """
+def _tables(bench: Bench, effects: Sequence[Hidden], x: np.ndarray) -> np.ndarray:
+    """Weighted tables [B, 3 N] for soils x [B, 5], in units of the prior's sd from the truth."""
     true = np.array([getattr(bench.ground, name) for name in SOIL])
     sd = np.array([bench.prior_sd[name] for name in SOIL])
+    ground = with_soil(bench.ground, np.maximum(true + sd * x, SOFTEST), len(bench.rows))
+    rows = bench.conditions(effects).tiled(len(x))
+    out = predict(ground, bench.wheel, rows, effects).stack().reshape(3, len(x), -1)
+    return np.moveaxis(out / np.array(bench.noise)[:, None, None], 1, 0).reshape(len(x), -1)
+
+
+def _scaled(free: Sequence[Hidden], u: np.ndarray) -> list[Hidden]:
+    return [e.at(e.strength * max(1.0 + du, 0.0)) for e, du in zip(free, u, strict=True)]
+
+
+def _prediction(bench: Bench, free: Sequence[Hidden], x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted table [3 N] and its Jacobian by x: soil as in `_tables`, then relative changes of free strengths."""
     step = 0.02
-
-    def scaled(u):
-        return [*effects, *(e.at(e.strength * max(1.0 + du, 0.0)) for e, du in zip(free, u, strict=True))]
-
-    def run(values, u):
-        soils = np.maximum(true + sd * values, SOFTEST)
-        now = scaled(u)
-        rows = bench.conditions(now).tiled(len(soils))
-        ground = with_soil(bench.ground, soils, len(bench.rows))
-        out = predict(ground, bench.wheel, rows, now).stack().reshape(3, len(soils), -1)
-        return np.moveaxis(out / np.array(bench.noise)[:, None, None], 1, 0).reshape(len(soils), -1)
-
-    flat = run(np.concatenate([x[None, :5], x[:5] + step * np.eye(5)]), x[5:])
-    more = [run(x[None, :5], x[5:] + step * row)[0] for row in np.eye(len(free))]
+    soils = np.concatenate([x[None, :5], x[:5] + step * np.eye(5)])
+    flat = _tables(bench, _scaled(free, x[5:]), soils)
+    more = [_tables(bench, _scaled(free, x[5:] + step * row), x[None, :5])[0] for row in np.eye(len(free))]
     return flat[0], (np.array([*flat[1:], *more]) - flat[0]).T / step
 
 
-def gap(bench: Bench, table: np.ndarray, free: Sequence[Hidden] = (), rounds: int = 20) -> float:
-    """Smallest weighted sum of squares, priors included, of a refit to a noise-free table [3, N].
+def refit(bench: Bench, table: np.ndarray, free: Sequence[Hidden] = (), rounds: int = 20) -> tuple[float, np.ndarray]:
+    """Least weighted sum of squares, priors included, of a refit to a noise-free table [3, N], and where it is.
 
-    Refitted are the soil and the strengths of the effects in `free`. Infinite where the table is not finite.
+    Refitted are the soil (in sd of the prior from the truth) and the strengths of the effects in `free` (relative
+    change). The sum is infinite where the table is not finite.
     """
+    size = 5 + len(free)
     target = bench.weighted(table)
     if not np.all(np.isfinite(target)):
-        return np.inf
-    penalty = np.eye(5 + len(free))[:5]
+        return np.inf, np.zeros(size)
+    penalty = np.eye(size)[:5]
     memo: dict[bytes, tuple] = {}
 
     def both(x):
         key = x.tobytes()
         if key not in memo:
             memo.clear()
-            memo[key] = _prediction(bench, (), free, x)
+            memo[key] = _prediction(bench, free, x)
         return memo[key]
 
     def residual(x):
@@ -112,9 +112,13 @@ def gap(bench: Bench, table: np.ndarray, free: Sequence[Hidden] = (), rounds: in
         j = np.concatenate([both(x)[1], penalty])
         return np.where(np.isfinite(j), j, 0.0)
 
-    start = np.zeros(5 + len(free))
-    fit = least_squares(residual, start, jacobian, ftol=1e-3, xtol=1e-4, max_nfev=rounds)
-    return float(2.0 * fit.cost)
+    fit = least_squares(residual, np.zeros(size), jacobian, ftol=1e-3, xtol=1e-4, max_nfev=rounds)
+    return float(2.0 * fit.cost), fit.x
+
+
+def gap(bench: Bench, table: np.ndarray, free: Sequence[Hidden] = (), rounds: int = 20) -> float:
+    """Least weighted sum of squares of `refit`."""
+    return refit(bench, table, free, rounds)[0]
 
 
 def detection_limit(bench: Bench, hidden: Hidden, others: Sequence[Hidden] = ()) -> float | None:
@@ -144,48 +148,75 @@ def detection_limit(bench: Bench, hidden: Hidden, others: Sequence[Hidden] = ())
     return float(s) if np.isfinite(high) else None
 
 
-def imitation_gap(bench: Bench, effects: Sequence[Hidden], rng: np.random.Generator) -> dict:
-    """What is left of hidden effects when other listed ones are fitted: linearised gaps, with the names that do best.
+@dataclass(frozen=True)
+class Imitation:
+    """What listed effects leave of a table (weighted sum of squares, linearised), and which leave least."""
 
-    The soil and one listed form, then two, are fitted to the noise-free table, linearised at the true soil without
-    effects. {"none": gap, "one": (gap, names), "two": (gap, names), "each": {name: gap}}; the effects themselves are
-    left out.
+    none: float  # with no effect but those known
+    one: float  # with the best other effect
+    one_name: str
+    two: float  # with the best two others
+    two_names: tuple[str, str]
+    each: dict[str, float]  # with the best form of each other effect
+
+    @property
+    def worst(self) -> float:
+        """The lesser of `one` and `two`."""
+        return min(self.one, self.two)
+
+
+def imitation(
+    bench: Bench, table: np.ndarray, known: Sequence[Hidden], excluded: set[str], rng: np.random.Generator
+) -> Imitation:
+    """How well listed effects other than `excluded` explain a noise-free table [3, N].
+
+    The soil, the strengths of the `known` effects, and one listed form, then two, are fitted; linearised at the refit
+    with the known effects alone. Forms keep to the signs they allow and to their caps; their side parameters are drawn.
     """
-    own = {e.form.effect for e in effects}
-    grade = next((e.strength for e in effects if e.form.scales_grade), bench.grade)
-    bench = replace(bench, grade=grade)
-    target = bench.weighted(bench.truth(effects))
-    flat, jac = _prediction(bench, (), (), np.zeros(5))
-    q, _ = np.linalg.qr(np.concatenate([jac, np.eye(5)]))
+    bench = replace(bench, grade=next((e.strength for e in known if e.form.scales_grade), bench.grade))
+    _, x = refit(bench, table, known)
+    known = _scaled(known, x[5:])
+    soil = x[None, :5]
+    flat, jac = _prediction(bench, known, np.concatenate([x[:5], np.zeros(len(known))]))
+    q, _ = np.linalg.qr(np.concatenate([jac, np.eye(5 + len(known))[:5]]))
 
-    def left(vector):
-        vector = np.concatenate([vector - flat, np.zeros(5)])
+    def left(vector, prior):
+        vector = np.concatenate([vector, prior])
         return vector - q @ (q.T @ vector)
 
-    residual = left(target)
-    columns, names = [], []
+    residual = left(bench.weighted(table) - flat, -x[:5])
+    columns, names, bounds = [], [], []
     for form in FORMS:
-        if form.effect in own:
+        if form.effect in excluded or (form.scales_grade and bench.grade == 0.0):
             continue
-        small = grade if form.scales_grade else max(0.02 * form.cap(bench.context), form.floor)
-        moved = bench.weighted(bench.truth([Hidden(form, small, form.side(rng, bench.context))]))
-        if np.all(np.isfinite(moved)) and np.linalg.norm(column := left(moved)) > 1e-6:
-            columns.append(column / np.linalg.norm(column))
+        cap = form.cap(bench.context)
+        small = bench.grade if form.scales_grade else max(0.02 * cap, form.floor)
+        moved = _tables(bench, [*known, Hidden(form, small, form.side(rng, bench.context))], soil)[0]
+        if np.all(np.isfinite(moved)) and np.linalg.norm(c := left(moved - flat, np.zeros(5))) > 1e-6:
+            columns.append(c)
             names.append(form.effect)
+            bounds.append((-cap / small if -1 in form.signs else form.floor / small, cap / small))
     none = float(residual @ residual)
     each: dict[str, float] = {}
-    for c, n in zip(columns, names, strict=True):
-        each[n] = min(each.get(n, np.inf), none - float(c @ residual) ** 2)
-    one = min((value, (n,)) for n, value in each.items())
-    two = min(
-        (none - _explained(np.stack([a, b], 1), residual), (names[j], names[i]))
-        for i, a in enumerate(columns)
-        for j, b in enumerate(columns[:i])
-        if names[i] != names[j]
-    )
-    return {"none": none, "one": one, "two": two, "each": each}
+    for c, n, b in zip(columns, names, bounds, strict=True):
+        k = np.clip((c @ residual) / (c @ c), *b)
+        each[n] = min(each.get(n, none), float(np.sum((residual - k * c) ** 2)))
+    one, one_name = min((value, n) for n, value in each.items())
+    two, two_names = one, (one_name, one_name)
+    for i, a in enumerate(columns):
+        for j, b in enumerate(columns[:i]):
+            if names[i] != names[j] and (value := _pair(a, b, residual, bounds[i], bounds[j])) < two:
+                two, two_names = value, (names[j], names[i])
+    return Imitation(none, one, one_name, two, two_names, each)
 
 
-def _explained(columns: np.ndarray, residual: np.ndarray) -> float:
-    q, _ = np.linalg.qr(columns)
-    return float(np.sum((q.T @ residual) ** 2))
+def _pair(a, b, residual, bounds_a, bounds_b) -> float:
+    """Sum of squares with both columns, or infinite where a coefficient is out of its bounds (one alone is best)."""
+    aa, bb, ab, ar, br = a @ a, b @ b, a @ b, a @ residual, b @ residual
+    determinant = aa * bb - ab * ab
+    if determinant < 1e-9 * aa * bb:
+        return np.inf
+    k, m = (bb * ar - ab * br) / determinant, (aa * br - ab * ar) / determinant
+    if not (bounds_a[0] <= k <= bounds_a[1] and bounds_b[0] <= m <= bounds_b[1]):
+        return np.inf
+    return float(residual @ residual - k * ar - m * br)
