@@ -50,6 +50,7 @@ class Form:
     freedom: int = 1  # parameters of the effect
     signs: tuple[int, ...] = (1,)
     floor: float = 0.0  # below it the form is not what its name says
+    order: int = 1  # forms alter the contact in this order, whatever theirs in a list: true slip first
     scales_grade: bool = False  # the strength is the amplitude of the grades, not of the response to them
 
     @property

@@ -10,6 +10,7 @@ from benchmarks.blind_effect import PULL, Form, enter
 
 CONTACT_FORMS: list[Form] = []
 _form = partial(enter, CONTACT_FORMS)
+_late = partial(_form, order=2)  # these read the soil that others alter
 
 
 # --- slip sinkage -----------------------------------------------------------------------------------------------------
@@ -20,6 +21,13 @@ def lyasko(contact, s, side):
     """Sinkage times (1 + i)/(1 - 0.5 i), Lyasko (2010) after Vasil'ev et al. (1969); `s` scales the ratio minus 1."""
     i = np.maximum(contact.slip, 0.0)
     ratio = 1.0 + s * ((1.0 + i) / (1.0 - 0.5 * i) - 1.0)
+    contact.deepening.append(lambda z: z * ratio)
+
+
+@_form("slip_sinkage", "growth at full slip [-]", 3.0)
+def proportional(contact, s, side):
+    """z = z0 (1 + s i): sinkage in proportion to slip, the second rule of Lyasko (2010)."""
+    ratio = 1.0 + s * np.maximum(contact.slip, 0.0)
     contact.deepening.append(lambda z: z * ratio)
 
 
@@ -94,7 +102,7 @@ def shearing_radius(contact, s, side):
     contact.shear_radius = contact.shear_radius + s
 
 
-@_form(
+@_late(
     "grousers",
     "lug height [m]",
     lambda ctx: 0.15 * ctx.wheel.radius,
@@ -128,7 +136,7 @@ def _resist(contact, s, force):
     contact.forces.append(extra)
 
 
-@_form("bulldozing", "factor on the force [-]", 2.5, (PULL,))
+@_late("bulldozing", "factor on the force [-]", 2.5, (PULL,))
 def rankine(contact, s, side):
     """Passive earth pressure on the sunk front, b (gamma z^2 N/2 + 2 c z sqrt(N)), Rankine (1857)."""
     n_phi = np.tan(np.pi / 4.0 + 0.5 * contact.phi) ** 2
@@ -136,16 +144,20 @@ def rankine(contact, s, side):
     _resist(contact, s, lambda z, entry: b * (0.5 * gamma * z**2 * n_phi + 2.0 * c * z * np.sqrt(n_phi)))
 
 
-@_form("bulldozing", "factor on the force [-]", 2.5, (PULL,))
+@_late("bulldozing", "factor on the force [-]", 2.5, (PULL,))
 def hegedus(contact, s, side):
-    """Blade of Hegedus (1960) as in Ishigami et al. (2007), upright, destructive angle 45 - phi/2."""
+    """b D1 (c z + D2 gamma z^2/2), Hegedus (1960) as in Ishigami et al. (2007), for an upright front.
+
+    D1 = cot X + tan(X + phi), D2 = cot X + cot^2 X/cot phi, X = 45 - phi/2.
+    """
     x = np.pi / 4.0 - 0.5 * contact.phi
     gamma, b, c = contact.ground.unit_weight, contact.wheel.width, contact.cohesion
-    front = 1.0 / np.tan(x) + np.tan(x + contact.phi)
-    _resist(contact, s, lambda z, entry: b * front * (z * c + 0.5 * gamma * z**2 * (2.0 / np.tan(x))))
+    d1 = 1.0 / np.tan(x) + np.tan(x + contact.phi)
+    d2 = 1.0 / np.tan(x) + np.tan(contact.phi) / np.tan(x) ** 2
+    _resist(contact, s, lambda z, entry: b * d1 * (c * z + 0.5 * d2 * gamma * z**2))
 
 
-@_form("bulldozing", "factor on the force [-]", 0.25, (PULL,))
+@_late("bulldozing", "factor on the force [-]", 0.25, (PULL,))
 def bekker(contact, s, side):
     """Bekker (1960): b sin(a + phi)/(2 sin a cos phi) (2 z c Kc + gamma z^2 Kg), a = acos(1 - 2 z/D).
 

@@ -111,21 +111,28 @@ def _slip_speed(contact):
     return _speed(contact) * i / (1.0 - i)
 
 
-@_form("shear_rate", "exponent of the shear velocity [-]", 0.15, (PULL, TORQUE, SINKAGE), side=_reference)
+@_form("shear_rate", "exponent of the shear velocity [-]", 0.15, (PULL, TORQUE, SINKAGE), order=3, side=_reference)
 def shear_power(contact, s, side):
     """Shear strength times (v/v0)^m, v the velocity of the rim against the soil: Wismer & Luth (1972)."""
     ratio = (_slip_speed(contact) / (0.4 * side["speed"])) ** s
     contact.strength.append(lambda limit, sigma, theta: limit * ratio)
 
 
-@_form("shear_rate", "gain of c for each factor e of velocity [-]", 0.4, (PULL, TORQUE, SINKAGE), side=_reference)
+@_form(
+    "shear_rate", "gain of c for each factor e of velocity [-]", 0.4, (PULL, TORQUE, SINKAGE), order=3, side=_reference
+)
 def cohesion_log(contact, s, side):
     """c (1 + m ln(1 + v/v0)), phi unchanged: Stafford & Tanner (1983)."""
     contact.cohesion = contact.cohesion * (1.0 + s * np.log1p(_slip_speed(contact) / (0.1 * side["speed"])))
 
 
 @_form(
-    "shear_rate", "gain of strength for each factor e of velocity [-]", 0.12, (PULL, TORQUE, SINKAGE), side=_reference
+    "shear_rate",
+    "gain of strength for each factor e of velocity [-]",
+    0.12,
+    (PULL, TORQUE, SINKAGE),
+    order=3,
+    side=_reference,
 )
 def strength_log(contact, s, side):
     """Whole shear strength times 1 + m ln(v/v0), as of undrained strength by Casagrande & Shannon (1948)."""
@@ -196,13 +203,13 @@ def viscous(contact, s, side):
     contact.sensors.append(lambda out: replace(out, torque=out.torque + loss))
 
 
-@_form("slip_bias", "true slip minus recorded slip [-]", 0.12, signs=(1, -1))
+@_form("slip_bias", "true slip minus recorded slip [-]", 0.12, signs=(1, -1), order=0)
 def additive_bias(contact, s, side):
     """Recorded slip wrong by a constant."""
     contact.slip = contact.slip + s
 
 
-@_form("slip_bias", "relative error of the rolling radius [-]", 0.12, signs=(1, -1))
+@_form("slip_bias", "relative error of the rolling radius [-]", 0.12, signs=(1, -1), order=0)
 def rolling_radius(contact, s, side):
     """Slip computed with a wrong rolling radius: the true slip is 1 - (1 - i)/(1 + e)."""
     contact.slip = 1.0 - (1.0 - contact.slip) / (1.0 + s)

@@ -18,7 +18,7 @@ from scipy.stats import chi2, ncx2
 
 from benchmarks.blind_effect import Context, Hidden
 from benchmarks.blind_forms import FORMS
-from benchmarks.blind_world import Ground, Rows, Wheel, predict, with_soil
+from benchmarks.blind_world import Ground, Outcome, Rows, Wheel, predict, with_soil
 
 SOIL = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
 LEVEL, POWER = 0.01, 0.95
@@ -54,7 +54,11 @@ class Bench:
 
     def truth(self, effects: Sequence[Hidden] = ()) -> np.ndarray:
         """Noise-free table [3, N]; NaN where the wheel finds no balance."""
-        return predict(self.ground, self.wheel, self.conditions(effects), effects).stack()
+        return self.predict(self.ground, self.conditions(effects), effects).stack()
+
+    def predict(self, ground: Ground, rows: Rows, effects: Sequence[Hidden] = ()) -> Outcome:
+        """Steady state of the wheel with the effects, applied in the order of their forms."""
+        return predict(ground, self.wheel, rows, sorted(effects, key=lambda e: e.form.order))
 
     def weighted(self, table: np.ndarray) -> np.ndarray:
         """Table in units of the noise, flat."""
@@ -67,7 +71,7 @@ def _tables(bench: Bench, effects: Sequence[Hidden], x: np.ndarray) -> np.ndarra
     sd = np.array([bench.prior_sd[name] for name in SOIL])
     ground = with_soil(bench.ground, np.maximum(true + sd * x, SOFTEST), len(bench.rows))
     rows = bench.conditions(effects).tiled(len(x))
-    out = predict(ground, bench.wheel, rows, effects).stack().reshape(3, len(x), -1)
+    out = bench.predict(ground, rows, effects).stack().reshape(3, len(x), -1)
     return np.moveaxis(out / np.array(bench.noise)[:, None, None], 1, 0).reshape(len(x), -1)
 
 
