@@ -82,14 +82,14 @@ def speed_squared_drag(contact, s, side):
     side=lambda rng, ctx: {"pressure": ctx.load / (ctx.wheel.width * 0.5 * ctx.wheel.radius)},
 )
 def side_wall_drag(contact, s, side):
-    """Soil adheres to both side walls over the sunk segments, r^2 (theta1 - sin theta1 cos theta1) in all.
+    """Soil adheres to both side walls over the sunk segments, r^2 (theta1 - sin theta1 cos theta1) each.
 
     Adhesion acts against the wall's motion: a torque, and a forward force below the hub. Listed: only the rim shears.
     """
     r, adhesion = contact.radius, s * side["pressure"]
 
     def extra(entry):
-        force = adhesion * r**2 * (entry - np.sin(entry) * np.cos(entry))
+        force = 2.0 * adhesion * r**2 * (entry - np.sin(entry) * np.cos(entry))
         arm = r * (1.0 + np.cos(entry)) / 2.0
         forward = force * np.clip(1.0 - (1.0 - contact.slip) / (0.5 * (1.0 + np.cos(entry))), -1.0, 1.0)
         return np.zeros_like(force), forward, force * arm

@@ -266,52 +266,6 @@ def test_blade_force_is_tangential_at_half_the_entry_angle():
     assert torque + force * 0.155 == pytest.approx(out[2, 30], rel=1e-4)
 
 
-def test_grade_takes_the_weight_component():
-    rows = grid()
-    g = np.radians(6.0 * rows.grade_deg)
-    flat = predict(GROUND, WHEEL, replace(rows, load=rows.load * np.cos(g))).stack()
-    out = BENCH.truth([hidden("weight_component", 6.0)])
-    np.testing.assert_allclose(out[1], flat[1] - rows.load * np.sin(g), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(out[[0, 2]], flat[[0, 2]], rtol=1e-9)
-
-
-def test_sensor_errors_are_what_they_say():
-    rows, base = grid(), table()
-    biased = predict(GROUND, WHEEL, replace(rows, slip=rows.slip + 0.05)).stack()
-    np.testing.assert_allclose(table(hidden("additive_bias", 0.05)), biased, rtol=1e-9)
-    rolled = predict(GROUND, WHEEL, replace(rows, slip=1.0 - (1.0 - rows.slip) / 1.04)).stack()
-    np.testing.assert_allclose(table(hidden("rolling_radius", 0.04)), rolled, rtol=1e-9)
-    np.testing.assert_allclose(table(hidden("constant_offset", -0.002))[0], base[0] - 0.002, rtol=1e-12)
-    coulomb = table(hidden("coulomb", 0.05, unit=10.0, proportional=0.5))[2]
-    np.testing.assert_allclose(coulomb, base[2] * 1.025 + 0.05 * 0.65 * 10.0, rtol=1e-12)
-
-
-def test_passes_and_rates_change_the_soil_as_stated():
-    rows = grid()
-
-    def soil(**changes):
-        return predict(replace(GROUND, **changes), WHEEL, rows).stack()
-
-    s = GROUND.sinkage_coefficient
-    np.testing.assert_allclose(
-        table(hidden("pass_power", 0.3)), soil(sinkage_coefficient=s * rows.passes**0.3), rtol=1e-9
-    )
-    np.testing.assert_allclose(
-        table(hidden("speed_power", 0.1, speed=0.05)),
-        soil(sinkage_coefficient=s * (rows.speed / 0.05) ** 0.1),
-        rtol=1e-9,
-    )
-    v = rows.speed * rows.slip / (1.0 - rows.slip)
-    np.testing.assert_allclose(
-        table(hidden("cohesion_log", 0.2, speed=0.05)),
-        soil(cohesion=1500.0 * (1 + 0.2 * np.log1p(v / 0.005))),
-        rtol=1e-9,
-    )
-    factor = (v / 0.02) ** 0.1
-    stronger = soil(cohesion=1500.0 * factor, friction_angle_deg=np.degrees(np.arctan(math.tan(math.pi / 6) * factor)))
-    np.testing.assert_allclose(table(hidden("shear_power", 0.1, speed=0.05)), stronger, rtol=1e-9)
-
-
 # --- every form -------------------------------------------------------------------------------------------------------
 
 
