@@ -195,6 +195,7 @@ def _measure(rng, bench: Bench, runs, soil: str, found: _Found, want: Options, r
         setup["noise"] = {name: float(f"{s:.3g}") for name, s in zip(CHANNELS, bench.noise, strict=True)}
     truth = {
         **asdict(want),
+        "multiple": [m if np.isfinite(m) else None for m in want.multiple],
         "rejected": rejected,  # draws before this one that could not be seen
         "wrong_cells": int(wrong.sum()),
         "soil_type": soil,
@@ -253,7 +254,7 @@ def write_case(case: Case, folder: Path, truth_file: Path) -> None:
         writer.writerow(case.columns)
         writer.writerows(zip(*case.columns.values(), strict=True))
     (folder / "setup.yaml").write_text(yaml.safe_dump(case.setup, sort_keys=False), encoding="utf-8")
-    truth_file.write_text(json.dumps(case.truth, indent=1), encoding="utf-8")
+    truth_file.write_text(json.dumps(case.truth, indent=1, allow_nan=False), encoding="utf-8")
 
 
 def main(arguments=None) -> int:
@@ -291,10 +292,10 @@ def main(arguments=None) -> int:
                 outliers=a.outliers,
                 multiple=tuple(a.multiple),
             )
-        except (ValueError, RuntimeError) as error:
+            write_case(case, a.out / "cases" / f"{number:04d}", a.out / "truth" / f"{number:04d}.json")
+        except (ValueError, RuntimeError, OSError) as error:
             print(f"blind_cases: {error}", file=sys.stderr)
             return 2
-        write_case(case, a.out / "cases" / f"{number:04d}", a.out / "truth" / f"{number:04d}.json")
         names = ", ".join(f"{e['name']} ({e['form']}, {e['multiple']:.1f}x)" for e in case.truth["effects"])
         print(f"{number:04d} {a.kind} {a.design}: {names or 'no effect'}")
     return 0

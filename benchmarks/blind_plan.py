@@ -45,7 +45,7 @@ class Options:
     noise: str = "given"
     prior_error: str = "normal"
     outliers: bool = False
-    multiple: tuple[float, float] = MULTIPLES  # of the limit, drawn log-uniformly
+    multiple: tuple[float, float] = MULTIPLES  # of the limit, drawn log-uniformly; high may be inf: up to the cap
     scale: str = "detection"  # limit against the model without it; "naming": against the best other listed effect too
 
     def __post_init__(self):
@@ -58,6 +58,9 @@ class Options:
         ):
             if value not in known:
                 raise ValueError(f"{value!r}: expected one of {', '.join(known)}")
+        low, high = self.multiple
+        if not 0.0 < low <= high:
+            raise ValueError(f"multiple {low:g} {high:g}: expected 0 < low <= high")
         known = [f.effect for f in (UNLISTED if self.kind == "unlisted" else FORMS)]
         for name in self.names:
             if name not in known:

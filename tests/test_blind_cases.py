@@ -185,6 +185,17 @@ def test_strengths_are_multiples_of_the_limit_within_the_cap():
     assert 0.25 < weak.truth["effects"][0]["shown"] < 0.6
 
 
+def test_strengths_up_to_the_cap():
+    draws = [
+        draw_case(np.random.default_rng(seed), "one", "rich", names=("bulldozing",), multiple=(10.0, np.inf))
+        for seed in range(3)
+    ]
+    effects = [case.truth["effects"][0] for case in draws]
+    assert all(e["multiple"] >= 10.0 - 1e-9 and e["strength"] <= e["cap"] * (1 + 1e-9) for e in effects)
+    assert max(e["multiple"] for e in effects) > 16.0
+    json.dumps([case.truth for case in draws], allow_nan=False)
+
+
 def test_naming_scale_keeps_the_best_rival_at_bay():
     case = draw_case(np.random.default_rng(3), "one", "rich", names=("drivetrain_friction",), scale="naming")
     assert case.truth["effects"][0]["named"] > 1.9
@@ -210,6 +221,8 @@ def test_impossible_cases_and_bad_names_are_refused():
         draw_case(np.random.default_rng(0), "one", "poor", names=("multipass",))
     with pytest.raises(ValueError, match="bulldosing"):
         draw_case(np.random.default_rng(0), "one", names=("bulldosing",))
+    with pytest.raises(ValueError, match="multiple 8 2"):
+        draw_case(np.random.default_rng(0), "one", multiple=(8.0, 2.0))
     with pytest.raises(ValueError, match="'some'"):
         draw_case(np.random.default_rng(0), "some")
 
