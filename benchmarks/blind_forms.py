@@ -1,0 +1,15 @@
+"""All published forms of the thirteen catalogued effects."""
+
+from __future__ import annotations
+
+from benchmarks.blind_effect import Form
+from benchmarks.blind_forms_contact import CONTACT_FORMS
+from benchmarks.blind_forms_run import RUN_FORMS
+
+FORMS: list[Form] = [*CONTACT_FORMS, *RUN_FORMS]
+EFFECTS = tuple(dict.fromkeys(form.effect for form in FORMS))  # names of the catalogue
+
+
+def forms_of(effect: str) -> list[Form]:
+    """All forms of one effect."""
+    return [form for form in FORMS if form.effect == effect]
