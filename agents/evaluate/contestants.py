@@ -232,24 +232,22 @@ def describe(error: BaseException) -> str:
 
 
 def check(contestant: Contestant, scenario: Scenario) -> None:
-    """Load a contestant and have it act once on two wheels; ParameterError if it cannot."""
+    """Load a contestant and have it act once on three wheels; ParameterError if it cannot."""
     controller = load(contestant, scenario)
-    sim = Simulation(2, scenario, controller.variant, threads=1)
-    for k in range(2):
+    sim = Simulation(3, scenario, controller.variant, threads=1)
+    for k in range(3):
         sim.seed(k, np.random.default_rng(k))
-    sim.restart_where(np.ones(2, dtype=bool))
-    where = f"controllers: {contestant.label}"
+    fresh = np.ones(3, dtype=bool)
+    sim.restart_where(fresh)
+    answer = controller.predict(sim.worlds.observation, state=None, episode_start=fresh, deterministic=True)
+    where = f"controllers: {contestant.label}: predict"
+    if not (isinstance(answer, tuple) and len(answer) == 2):
+        raise ParameterError(f"{where} gave a {type(answer).__name__}: expected (action, state)")
     try:
-        answer = controller.predict(
-            sim.worlds.observation, state=None, episode_start=np.ones(2, dtype=bool), deterministic=True
-        )
-        action, _ = answer
-        action = np.asarray(action, dtype=float)
-    except ParameterError:
-        raise
-    except Exception as error:
-        raise ParameterError(f"{where}: no (action, state) from predict ({describe(error)})") from None
-    if action.shape != (2, 1) or not np.isfinite(action).all():
+        action = np.asarray(answer[0], dtype=float)
+    except (TypeError, ValueError):
+        raise ParameterError(f"{where} gave {answer[0]!r:.60}: expected actions of shape (3, 1)") from None
+    if action.shape != (3, 1) or not np.isfinite(action).all():
         raise ParameterError(
-            f"{where}: action of shape {action.shape} for two wheels: expected finite numbers of shape (2, 1)"
+            f"{where} gave actions of shape {action.shape} for three wheels: expected finite numbers of shape (3, 1)"
         )
