@@ -72,7 +72,12 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--engine", metavar="ENGINE", default="local", help="local or ray (default: local); the results are the same"
     )
-    p.add_argument("--workers", metavar="N", type=int, help="processes of this machine (default: one, threaded)")
+    p.add_argument(
+        "--workers",
+        metavar="N",
+        type=int,
+        help="processes of this machine (default: one, threaded; with ray: all processors)",
+    )
     p.add_argument("--address", metavar="ADDRESS", help="of a Ray cluster (default: RAY_ADDRESS, else this machine)")
     return p
 
@@ -133,6 +138,9 @@ def _engine(options):
     if options.workers is not None and options.workers < 1:
         raise ParameterError(f"--workers {options.workers}: expected a whole number >= 1")
     if options.engine == "ray":
+        if options.address is not None and options.workers is not None:
+            raise ParameterError("--workers: only without --address, whose cluster has its own")
+        engines.check_ray(options.address)
         return partial(engines.on_ray, address=options.address, workers=options.workers), 1, True
     if options.engine != "local":
         raise unknown_key(options.engine, ("local", "ray"), "--engine")

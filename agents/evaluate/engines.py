@@ -8,7 +8,9 @@ its task is given to another one.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
+import socket
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
@@ -72,19 +74,37 @@ def processes(work: Callable, tasks: Iterable, workers: int) -> Iterator[tuple]:
 # --- Ray --------------------------------------------------------------------------------------------------------------
 
 
+def check_ray(address: str | None = None) -> None:
+    """ParameterError with one line if Ray is not installed or nothing listens at `address` or RAY_ADDRESS.
+
+    Ray itself tries an address for minutes.
+    """
+    try:
+        import ray  # noqa: F401
+    except ImportError:
+        raise ParameterError("--engine ray: Ray is not installed; expected: pip install 'soil_env[ray]'") from None
+    address = address or os.environ.get("RAY_ADDRESS")
+    if address in (None, "", "auto", "local"):
+        return
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
+    except (OSError, ValueError) as error:
+        raise ParameterError(f"--engine ray: no cluster at {address} ({error}); expected HOST:PORT") from None
+
+
 def on_ray(work: Callable, tasks: Iterable, address: str | None = None, workers: int | None = None) -> Iterator[tuple]:
     """Tasks of Ray Core on the cluster at `address`, else on the one that RAY_ADDRESS names, else on this machine.
 
     Every node needs this version of soil_env, and the modules of controllers given as module:Class. Each task takes
     one CPU. `workers` limits the CPUs of a cluster started here.
     """
-    try:
-        import ray
-    except ImportError:
-        raise ParameterError("--engine ray: Ray is not installed; expected: pip install 'soil_env[ray]'") from None
+    check_ray(address)
+    import ray
+
     ours = not ray.is_initialized()
     if ours:
-        options = {"log_to_driver": False, "logging_level": "ERROR", "configure_logging": True}
+        options = {"log_to_driver": False, "logging_level": "ERROR"}
         if address is not None:
             options["address"] = address
         elif workers is not None:
