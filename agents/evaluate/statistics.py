@@ -65,8 +65,8 @@ def mean(scores: np.ndarray) -> float:
 def mean_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) -> np.ndarray:
     """`mean` of each bootstrap draw [resamples]."""
     known = np.isfinite(scores)
-    total = ((members @ np.where(known, scores, 0.0)) * courses).sum(axis=1)
-    count = ((members @ known.astype(float)) * courses).sum(axis=1)
+    total = ((courses @ np.where(known, scores, 0.0).T) * members).sum(axis=1)
+    count = ((courses @ known.T.astype(float)) * members).sum(axis=1)
     return np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0.0)
 
 
@@ -80,19 +80,21 @@ def iqm(scores: np.ndarray) -> float:
     return float(ordered[cut : ordered.size - cut].mean())
 
 
-def iqm_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray, chunk: int = 100) -> np.ndarray:
+def iqm_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) -> np.ndarray:
     """`iqm` of each bootstrap draw [resamples]; every draw holds scores.size scores."""
-    order = np.argsort(scores, axis=None, kind="stable")
-    m, c = np.unravel_index(order, scores.shape)
-    ordered, n = scores[m, c], scores.size
+    n, ordered = scores.size, np.sort(scores, axis=None)
     cut = n // 4
-    out = np.empty(len(courses))
+    out = [np.diff(np.clip(up_to, cut, n - cut), axis=1, prepend=cut) @ ordered
+           for up_to in _cumulative(scores, members, courses)]  # fmt: skip
+    return np.concatenate(out) / (n - 2 * cut)
+
+
+def _cumulative(scores, members, courses, chunk=100):
+    """How many of a draw's scores are the lowest k + 1 of all [draws, scores.size], in chunks of draws."""
+    m, c = np.unravel_index(np.argsort(scores, axis=None, kind="stable"), scores.shape)
     for start in range(0, len(courses), chunk):
         part = slice(start, start + chunk)
-        upper = np.cumsum(members[part][:, m] * courses[part][:, c], axis=1)
-        inside = np.diff(np.clip(upper, cut, n - cut), axis=1, prepend=cut)
-        out[part] = inside @ ordered / (n - 2 * cut)
-    return out
+        yield np.cumsum(members[part][:, m] * courses[part][:, c], axis=1)
 
 
 def stratified_samples(scores: np.ndarray, statistic, resamples: int, rng: np.random.Generator) -> np.ndarray:
@@ -111,10 +113,9 @@ def profile(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
 
 def profile_samples(scores, thresholds, members, courses) -> np.ndarray:
     """`profile` of each bootstrap draw [resamples, thresholds]."""
-    out = np.empty((len(courses), len(thresholds)))
-    for j, threshold in enumerate(thresholds):
-        out[:, j] = mean_samples((scores > threshold).astype(float), members, courses)
-    return out
+    below = np.searchsorted(np.sort(scores, axis=None), thresholds, side="right")
+    padded = (np.pad(up_to, ((0, 0), (1, 0))) for up_to in _cumulative(scores, members, courses))
+    return 1.0 - np.concatenate([up_to[:, below] for up_to in padded]) / scores.size
 
 
 def _wins(a: np.ndarray, b: np.ndarray) -> np.ndarray:
