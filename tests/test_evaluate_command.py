@@ -21,6 +21,7 @@ from agents import ppo
 from agents.evaluate import HELD_OUT_SET, study
 from agents.evaluate.__main__ import main, parser
 from agents.evaluate.records import METRICS, RATES
+from soil_env.loading import ParameterError
 from soil_env.parameters import load_scenario
 from tests.saved import edit, rewrite
 
@@ -332,13 +333,35 @@ def test_a_model_that_has_changed_is_refused(capsys, tmp_path, models):
     assert "the model has changed since the study began" in capsys.readouterr().err
 
 
-def test_a_study_of_another_version_is_refused(capsys, tmp_path, done):
+def test_a_study_of_another_version_of_the_code_is_refused(capsys, tmp_path, monkeypatch, done):
     out = tmp_path / "copy"
     shutil.copytree(done, out)
     text = (out / "study.yaml").read_text()
-    (out / "study.yaml").write_text(text.replace("version: 0.1.0", "version: 0.0.9"))
+    assert f"version: {study.code_version()}\n" in text
+    (out / "study.yaml").write_text(text.replace("version: 0.1.0+", "version: 0.0.9+"))
     assert main(["--resume", str(out)]) == 2
-    assert "begun with soil_env 0.0.9" in capsys.readouterr().err
+    assert "begun with soil_env 0.0.9+" in capsys.readouterr().err
+
+
+def test_a_worker_with_other_code_is_refused(monkeypatch, done):
+    own = study.load_study(done)
+    job = study.Job(own)
+    monkeypatch.setattr(study, "code_version", lambda: "0.1.0+other")
+    with pytest.raises(ParameterError, match=r"a worker has soil_env 0.1.0\+other"):
+        job(own.tasks()[0])
+
+
+def test_the_version_follows_the_code(monkeypatch):
+    version = study.code_version()
+    original = Path.read_bytes
+
+    def edited(path):
+        return original(path) + (b"# edited" if path.name == "contact.py" else b"")
+
+    monkeypatch.setattr(Path, "read_bytes", edited)
+    assert study.code_version.__wrapped__() != version
+    monkeypatch.undo()
+    assert study.code_version.__wrapped__() == version
 
 
 # --- bad input --------------------------------------------------------------------------------------------------------

@@ -9,7 +9,8 @@ lines, in another order at most.
 from __future__ import annotations
 
 import dataclasses
-import fcntl
+import functools
+import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ from pathlib import Path
 
 import yaml
 
+import agents
 import soil_env
 from agents.evaluate import contestants as entries
 from agents.evaluate.contestants import Contestant
@@ -26,7 +28,21 @@ from agents.evaluate.records import Records, record
 from soil_env.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict
 from soil_env.parameters import Scenario
 
+try:
+    import fcntl
+except ImportError:  # no POSIX: two evaluations in one folder are then not told from each other
+    fcntl = None
+
 STUDY, LOG = "study.yaml", "courses.jsonl"
+
+
+@functools.cache
+def code_version() -> str:
+    """Version of soil_env, with a hash of the code that results follow from (not of its compiled form)."""
+    here, there = (Path(package.__file__).parent for package in (soil_env, agents))
+    files = sorted(here.rglob("*.py")) + [there / "controllers.py"]
+    files += [there / "evaluate" / name for name in ("driving.py", "records.py", "warning.py")]
+    return f"{soil_env.__version__}+{hashlib.sha256(b''.join(f.read_bytes() for f in files)).hexdigest()[:12]}"
 
 
 @dataclass(frozen=True)
@@ -41,7 +57,7 @@ class Study(Checked):
     resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
     tuning_courses: int = quantity("0: not tuned", 0, 10**6, default=0)
     tuned: dict = field(default_factory=dict)  # {classical controller: settings that tuning has found}
-    version: str = soil_env.__version__
+    version: str = field(default_factory=code_version)
 
     @property
     def names(self) -> list[str]:
@@ -82,9 +98,9 @@ def load_study(folder: Path) -> Study:
         raise ParameterError(f"{folder}: no such folder; expected one that an evaluation has written")
     path = folder / STUDY
     study = load(Study, read_yaml(path), str(path))
-    if study.version != soil_env.__version__:
+    if study.version != code_version():
         raise ParameterError(
-            f"{path}: begun with soil_env {study.version}, this is {soil_env.__version__}: results would mix"
+            f"{path}: begun with soil_env {study.version}, this is {code_version()}: give another --out"
         )
     return study
 
@@ -138,8 +154,8 @@ class Job:
 
     def __call__(self, task: Task) -> dict[str, list]:
         """The columns of `Records` of a task."""
-        if self.version != soil_env.__version__:
-            raise ParameterError(f"a worker has soil_env {soil_env.__version__}, the study {self.version}")
+        if self.version != code_version():
+            raise ParameterError(f"a worker has soil_env {code_version()}, the study {self.version}")
         contestant = self.controllers[task.controller]
         controller = self._loaded.get(task.controller)
         if controller is None:
@@ -165,7 +181,8 @@ class Log:
     def __enter__(self):
         self.file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            fcntl.flock(self.file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if fcntl is not None:
+                fcntl.flock(self.file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._read()
         except BlockingIOError:
             os.close(self.file)
