@@ -83,7 +83,7 @@ body { font: 15px/1.5 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto
 h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
 table { border-collapse: collapse; font-size: 13px; } .wide { overflow-x: auto; }
 th, td { padding: .25rem .6rem; border-bottom: 1px solid #ddd; text-align: right; white-space: nowrap; }
-th:first-child, td:first-child { text-align: left; } td.text { text-align: left; white-space: normal; }
+th:first-child, td:first-child { text-align: left; } th.text, td.text { text-align: left; white-space: normal; }
 img { max-width: 100%; } figure { margin: 1rem 0; } figcaption { color: #555; font-size: 13px; }
 """
 
@@ -112,7 +112,7 @@ def page(study: Study, result: dict, pictures: dict[str, bytes]) -> str:
         )
     parts += [
         "<h2>Differences on the same courses</h2>",
-        _table(["a - b", *results.PAIRED], _paired_rows(result)),
+        _table(["a - b", *(f"{m} [points]" if m in RATES else m for m in results.PAIRED)], _paired_rows(result)),
         f"<h2>Warnings</h2><p>{html.escape(REFERENCE)} How a warning is defined here: agents/evaluate/warning.py.</p>",
         "<h2>Metrics</h2>",
         _table(["metric", "unit", "meaning"], [[n, m["unit"], m["meaning"]] for n, m in result["metrics"].items()]),
@@ -144,13 +144,16 @@ def _paired_rows(result: dict) -> list[list[str]]:
         for b in names[:i]:
             m = result["paired"][a][b]
             cells = [cell(m[k], 100.0 if k in RATES else 1.0, 1 if k in RATES else 2) for k in results.PAIRED]
-            rows.append([f"{a} - {b}", *(c + (" %" if k in RATES else "") for k, c in zip(m, cells, strict=True))])
+            rows.append([f"{a} - {b}", *cells])
     return rows
 
 
+_TEXT = ("what", "meaning")  # columns of text
+
+
 def _table(heading: list[str], rows: list[list[str]]) -> str:
-    head = "".join(f"<th>{html.escape(h)}</th>" for h in heading)
-    wide = heading[-1] in ("what", "meaning")
+    head = "".join(f"<th{' class=text' if h in _TEXT else ''}>{html.escape(h)}</th>" for h in heading)
+    wide = heading[-1] in _TEXT
     body = "".join(
         "<tr>"
         + "".join(
