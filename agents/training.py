@@ -9,65 +9,24 @@ import numpy as np
 import yaml
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from stable_baselines3.common.callbacks import BaseCallback
 
-from agents import evaluate, plots, ppo
+from agents import evaluate, plots, ppo, progress, tuning
 from agents.controllers import CONTROLLERS, make_controller
+from agents.evaluate import HELD_OUT_SET, TUNING_SET
 from agents.ppo import TrainConfig
 from soil_env.loading import ParameterError, read_yaml, to_dict
 from soil_env.parameters import Scenario, load_scenario
 
-#: Course sets (`evaluate.course_rng`), disjoint from each other and from all courses of training.
-TUNING_SET, HELD_OUT_SET = 1_000_001, 2_000_003
-_STARTS = (0.055, 0.11, 0.17, 0.24, 0.3)  # beyond, a slip controller is a constant speed
-_CANDIDATES = {  # settings each classical controller is tuned over; speeds are shares of the top rim speed
-    "constant_speed": [{"speed": v} for v in (0.12, 0.17, 0.22, 0.28, 0.33, 0.4, 0.5)],
-    "fixed_slip": [{"slip": i, "start": s} for i in (0.05, 0.1, 0.2, 0.3, 0.45) for s in _STARTS],
-    "best_slip_identified": [{"start": s} for s in _STARTS],
-    "best_slip_true": [{"start": s} for s in _STARTS],
-}
-
 console = Console()
 
 
-class Bar:
-    """Progress of one job: a live bar on a terminal, a line every tenth of the way elsewhere. Use with `with`."""
+class Bar(progress.Bar):
+    """`progress.Bar` on the console of this module."""
 
     def __init__(self, title: str, total: int, unit: str, done: int = 0):
-        self.title, self.total, self.unit, self.done = title, total, unit, done
-        self.printed = done
-        self.live = None
-        if console.is_terminal:
-            self.live = Progress(
-                TextColumn("{task.description}"),
-                BarColumn(bar_width=20),
-                MofNCompleteColumn(),
-                TextColumn("{task.fields[note]}"),
-                TimeElapsedColumn(),
-                TimeRemainingColumn(),
-                console=console,
-            )
-            self.task = self.live.add_task(escape(f"{title} [{unit}]"), total=total, completed=done, note="")
-
-    def __enter__(self):
-        if self.live:
-            self.live.start()
-        return self
-
-    def __exit__(self, *error):
-        if self.live:
-            self.live.stop()
-
-    def update(self, done: int | None = None, advance: int = 0, note: str = "") -> None:
-        """Set or advance what is done; `note` says what is going on."""
-        self.done = self.done + advance if done is None else done
-        if self.live:
-            self.live.update(self.task, completed=self.done, note=note)
-        elif self.done - self.printed >= 0.1 * self.total or (self.done >= self.total > self.printed):
-            self.printed = self.done
-            console.print(f"{self.title}: {self.done:,} of {self.total:,} {self.unit} {note}", soft_wrap=True)
+        super().__init__(title, total, unit, done, console)
 
 
 class _Watch(BaseCallback):
@@ -167,21 +126,11 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
 
 def tuned_controllers(scenario: Scenario, courses: int) -> tuple[dict, dict]:
     """({name: classical controller}, settings), each tuned to finish most courses of the tuning set."""
-    top = scenario.wheel.radius * scenario.wheel.no_load_speed
-    chosen, settings = {}, {"tuning_courses": courses}
-    with Bar("Tuning", courses * sum(map(len, _CANDIDATES.values())), "courses") as bar:
-        for name, candidates in _CANDIDATES.items():
-            if name == "constant_speed":
-                candidates = [{"speed": round(c["speed"] * top, 4)} for c in candidates]
-            chosen[name], tried = evaluate.tune(
-                lambda name=name, **values: make_controller(name, scenario, **values),
-                candidates,
-                scenario,
-                TUNING_SET,
-                courses,
-                lambda count, name=name: bar.update(advance=count, note=name),
-            )
-            settings[name] = {**chosen[name], "tried": tried}
+    with Bar("Tuning", courses * tuning.candidates_in_all(), "courses") as bar:
+        chosen, tried = tuning.tuned_settings(
+            scenario, TUNING_SET, courses, lambda count, name: bar.update(advance=count, note=name)
+        )
+    settings = {"tuning_courses": courses, **{name: {**chosen[name], "tried": tried[name]} for name in chosen}}
     return {name: make_controller(name, scenario, **chosen.get(name, {})) for name in CONTROLLERS}, settings
 
 

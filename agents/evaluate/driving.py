@@ -1,20 +1,26 @@
-"""Controllers on the same courses: paired runs, rates and means with 95 % intervals."""
+"""A controller driven over courses that are the same for every controller."""
 
 from __future__ import annotations
 
-import csv
-import json
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from soil_env.env import IMMOBILISED
+from soil_env.loading import ParameterError
 from soil_env.parameters import Scenario
-from soil_env.simulation import IDLE, STEP, Simulation
+from soil_env.simulation import IDLE, STEP, Simulation, Worlds
 from soil_env.task import Cause
+
+#: Course sets (`course_rng`), disjoint from each other and from all courses of training.
+TUNING_SET, HELD_OUT_SET = 1_000_001, 2_000_003
+_RUNNING = Cause.RUNNING.value
+
+
+class ControllerError(ParameterError):
+    """A controller gave what no wheel can be driven with."""
+
 
 #: Metric -> (unit, what it is). Rates carry Wilson intervals, means bootstrap intervals over courses.
 METRICS = {
@@ -94,20 +100,8 @@ def run_courses(
 
 
 def _run_batch(controller, scenario, seed, start, count):
-    sim = Simulation(count, scenario, controller.variant)
-    for k in range(count):
-        sim.seed(k, course_rng(seed, start + k))
-    alive = np.ones(count, dtype=bool)
-    sim.restart_where(alive)
-    w = sim.worlds
-    what = np.full(count, STEP)
-    cause = np.zeros(count, dtype=np.int64)
     total = {name: np.zeros(count) for name in ("energy", "slip", "driving", "sinkage", "returns", "steps")}
-    memory, fresh = None, np.ones(count, dtype=bool)
-    for _ in range(scenario.steps):
-        action, memory = controller.predict(w.observation, state=memory, episode_start=fresh, deterministic=True)
-        fresh = np.zeros(count, dtype=bool)
-        sim.step_all(np.clip(np.asarray(action, dtype=np.float64)[:, 0], -1.0, 1.0), what)
+    for w, alive in drive(controller, scenario, seed, start, count):
         driving = alive & (w.state["halt_left"] == 0.0)
         total["energy"] += np.where(alive, np.maximum(w.state["motor_work"], 0.0), 0.0)
         total["slip"] += np.where(driving, w.state["slip"], 0.0)
@@ -115,15 +109,9 @@ def _run_batch(controller, scenario, seed, start, count):
         total["sinkage"] += np.where(alive, w.state["sinkage"], 0.0)
         total["returns"] += np.where(alive, w.reward, 0.0)
         total["steps"] += alive
-        ended = alive & (w.cause != Cause.RUNNING.value)
-        cause[ended] = w.cause[ended]
-        alive &= ~ended
-        what[ended] = IDLE
-        if not alive.any():
-            break
     steps = total["steps"]
     return Runs(
-        cause,
+        w.cause.copy(),
         w.state["best_x"].copy(),
         steps * scenario.control.period,
         total["energy"],
@@ -133,66 +121,39 @@ def _run_batch(controller, scenario, seed, start, count):
     )
 
 
-def wilson(successes: float, trials: int, z: float = 1.959963985) -> tuple[float, float]:
-    """Wilson (1927) score interval of a proportion, 95 % by default."""
-    p = successes / trials
-    centre = p + z * z / (2 * trials)
-    half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
-    scale = 1 + z * z / trials
-    # the bounds against rounding: at p = 0 and p = 1 the interval touches p exactly
-    return max(0.0, min(p, (centre - half) / scale)), min(1.0, max(p, (centre + half) / scale))
+def drive(
+    controller, scenario: Scenario, seed: int, first: int, count: int, threads: int | None = None
+) -> Iterator[tuple[Worlds, np.ndarray]]:
+    """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
 
-
-def summary(runs: Runs, seed: int = 0, resamples: int = 2000) -> dict[str, dict[str, float]]:
-    """{metric: {"value", "low", "high"}} of one controller, 95 % intervals."""
-    rng = np.random.default_rng(seed)
-    n = runs.cause.size
-    out = {}
-    for name in METRICS:
-        x = runs.metric(name)
-        value = float(x.mean())
-        if name in RATES:
-            low, high = wilson(x.sum(), n)
-        else:
-            means = np.array([x[rng.integers(0, n, n)].mean() for _ in range(resamples)])
-            low, high = (float(q) for q in np.percentile(means, [2.5, 97.5]))
-        out[name] = {"value": value, "low": min(low, value), "high": max(high, value)}
-    return out
-
-
-def comparison(scenario: Scenario, seed: int, runs: dict[str, Runs], settings: dict | None = None) -> dict:
-    """The content of comparison.json: {"scenario", "courses", "seed", "settings", "controllers": {name: summary},
-    "paired"}.
-
-    "paired": {agent: {other: {"immobilised", "finished", "return"}}}, the agent's mean difference to each other
-    controller on the same courses, with its interval.
+    Yields (worlds, alive) after every control period: the arrays of the simulation, one row a course, and which
+    courses were still under way in that period [count] bool. Rows of ended courses stay as they ended. Raises
+    `ControllerError` where an action is not of shape [count, 1] or not finite.
     """
-    paired = {
-        a: {
-            b: {m: paired_difference(runs[a], runs[b], m) for m in ("immobilised", "finished", "return")}
-            for b in runs
-            if b != a
-        }
-        for a in runs
-        if a.startswith("ppo")
-    }
-    return {
-        "scenario": scenario.name,
-        "courses": int(next(iter(runs.values())).cause.size),
-        "seed": seed,
-        "settings": settings or {},
-        "controllers": {name: summary(r) for name, r in runs.items()},
-        "paired": paired,
-    }
-
-
-def paired_difference(a: Runs, b: Runs, metric: str, seed: int = 0, resamples: int = 2000) -> dict[str, float]:
-    """Mean of a - b over the courses both have driven, with a 95 % bootstrap interval over courses."""
-    d = a.metric(metric) - b.metric(metric)
-    rng = np.random.default_rng(seed)
-    means = np.array([d[rng.integers(0, d.size, d.size)].mean() for _ in range(resamples)])
-    low, high = (float(q) for q in np.percentile(means, [2.5, 97.5]))
-    return {"value": float(d.mean()), "low": low, "high": high}
+    sim = Simulation(count, scenario, controller.variant, threads=threads)
+    for k in range(count):
+        sim.seed(k, course_rng(seed, first + k))
+    alive = np.ones(count, dtype=bool)
+    sim.restart_where(alive)
+    w = sim.worlds
+    what = np.full(count, STEP)
+    memory, fresh = None, np.ones(count, dtype=bool)
+    for step in range(scenario.steps):
+        action, memory = controller.predict(w.observation, state=memory, episode_start=fresh, deterministic=True)
+        fresh = np.zeros(count, dtype=bool)
+        action = np.asarray(action, dtype=np.float64)
+        if action.shape != (count, 1):
+            raise ControllerError(f"action of shape {action.shape}: expected {(count, 1)}")
+        if not np.isfinite(action[alive]).all():
+            bad = int(np.flatnonzero(alive & ~np.isfinite(action[:, 0]))[0])
+            raise ControllerError(f"action {action[bad, 0]} in step {step} of course {first + bad}: expected a number")
+        sim.step_all(np.clip(np.nan_to_num(action[:, 0]), -1.0, 1.0), what)
+        yield w, alive
+        ended = alive & (w.cause != _RUNNING)
+        alive = alive & ~ended
+        what[ended] = IDLE
+        if not alive.any():
+            return
 
 
 def tune(make, candidates: list[dict], scenario: Scenario, seed: int, courses: int, progress=None):
@@ -207,14 +168,3 @@ def tune(make, candidates: list[dict], scenario: Scenario, seed: int, courses: i
         tried.append({**settings, **score})
     best = max(range(len(tried)), key=lambda k: (tried[k]["finished"], tried[k]["return"]))
     return candidates[best], tried
-
-
-def save(result: dict, folder: Path) -> None:
-    """Write comparison.json and comparison.csv into `folder`."""
-    folder = Path(folder)
-    (folder / "comparison.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    with open(folder / "comparison.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["controller", *(f"{m}{part}" for m in METRICS for part in ("", "_low", "_high"))])
-        for name, row in result["controllers"].items():
-            writer.writerow([name, *(f"{row[m][key]:.6g}" for m in METRICS for key in ("value", "low", "high"))])

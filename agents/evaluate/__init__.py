@@ -1,0 +1,33 @@
+"""Controllers on the same courses: paired runs, rates and means with 95 % intervals; `python -m agents.evaluate`."""
+
+from agents.evaluate.comparing import comparison, paired_difference, save, summary, wilson
+from agents.evaluate.driving import (
+    HELD_OUT_SET,
+    METRICS,
+    RATES,
+    TUNING_SET,
+    ControllerError,
+    Runs,
+    course_rng,
+    drive,
+    run_courses,
+    tune,
+)
+
+__all__ = [
+    "HELD_OUT_SET",
+    "METRICS",
+    "RATES",
+    "TUNING_SET",
+    "ControllerError",
+    "Runs",
+    "comparison",
+    "course_rng",
+    "drive",
+    "paired_difference",
+    "run_courses",
+    "save",
+    "summary",
+    "tune",
+    "wilson",
+]

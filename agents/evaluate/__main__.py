@@ -1,0 +1,213 @@
+"""Compare controllers on the same courses, and say how sure the numbers are.
+
+CONTROLLERS is a list with commas. An entry is
+  full_throttle, fixed_slip, ...   a classical controller (agents/controllers.py)
+  path/to/model.zip, runs/NAME     a model of train.py, or any model of Stable-Baselines3 or sb3-contrib
+  my.module:Thing                  a class (made with the scenario if it takes an argument), a function that makes one,
+                                   or an object; with predict(obs, state, episode_start, deterministic) and, if it
+                                   does not read the observation "identified", an attribute `variant`
+  NAME=...                         any of these under another name; a glob of models, 'ppo=runs/ppo_*', or the same
+                                   NAME again makes one algorithm of several training seeds
+Models are unpickled in part and modules are imported: both run code. Name only what you trust.
+
+Examples:
+  python -m agents.evaluate --controllers full_throttle,fixed_slip,best_slip_identified --out evaluation
+  python -m agents.evaluate --controllers 'fixed_slip,ppo=runs/seed_*' --tuning-courses 200 --workers 8 --out evaluation
+  python -m agents.evaluate --controllers my.module:Controller --scenario my.yaml --changes.course.length 20 --out e2
+  python -m agents.evaluate --controllers fixed_slip --settings.fixed_slip.slip 0.2 --out e3
+  python -m agents.evaluate --resume evaluation
+
+Interrupted or killed, it goes on where it was with --resume OUT or with the same command again. OUT then holds
+report.html (everything in one file), evaluation.json, evaluation.csv (a row a controller), courses.csv (a row a
+course), figures, study.yaml (what was asked) and courses.jsonl (what was driven).
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from agents.cli import overrides
+from agents.evaluate import contestants as entries
+from agents.evaluate import engines, report, results
+from agents.evaluate import study as studies
+from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET
+from agents.progress import Bar
+from agents.tuning import candidates_in_all, tuned_settings
+from soil_env.loading import ParameterError, unknown_key
+from soil_env.parameters import load_scenario
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options of the command."""
+    p = argparse.ArgumentParser(
+        "python -m agents.evaluate",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+        epilog="Any key of the scenario: --changes.KEY VALUE. Settings of a classical controller: --settings.NAME.KEY "
+        "VALUE.\nExit status: 0 done, 2 bad input, 130 interrupted.",
+    )
+    p.add_argument("--controllers", metavar="CONTROLLERS", help="what is compared, with commas (see above)")
+    p.add_argument("--out", metavar="OUT", type=Path, help="folder of the results, made where it does not exist")
+    p.add_argument("--resume", metavar="OUT", type=Path, help="go on with an evaluation; only the engine may be given")
+    p.add_argument("--scenario", metavar="NAME", default="mixed", help="name or YAML file (default: mixed)")
+    p.add_argument("--courses", metavar="N", type=int, default=1000, help="(default: 1000)")
+    p.add_argument(
+        "--seed", metavar="N", type=int, default=HELD_OUT_SET,
+        help=f"names the set of courses (default: {HELD_OUT_SET}, the held-out set of train.py)",
+    )  # fmt: skip
+    p.add_argument(
+        "--tuning-courses", metavar="N", type=int, default=0,
+        help="tune the classical controllers on N other courses first, those with --settings excepted (default: 0, "
+        "no tuning)",
+    )  # fmt: skip
+    p.add_argument("--block", metavar="N", type=int, default=100, help="courses driven side by side (default: 100)")
+    p.add_argument("--resamples", metavar="N", type=int, default=2000, help="of the bootstrap (default: 2000)")
+    p.add_argument(
+        "--engine", metavar="ENGINE", default="local", help="local or ray (default: local); the results are the same"
+    )
+    p.add_argument(
+        "--workers",
+        metavar="N",
+        type=int,
+        help="processes of this machine (default: one, threaded; with ray: all processors)",
+    )
+    p.add_argument("--address", metavar="ADDRESS", help="of a Ray cluster (default: RAY_ADDRESS, else this machine)")
+    return p
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
+    options, rest = parser().parse_known_args(arguments)
+    console, folder = Console(), options.resume or options.out
+    try:
+        _evaluate(options, rest, folder, console)
+    except ParameterError as error:
+        return _refuse(str(error))
+    except OSError as error:
+        return _refuse(f"{error.filename or folder}: {error.strerror or error}")
+    except MemoryError as error:
+        return _refuse(f"not enough memory ({error}); expected fewer --courses or a smaller --block")
+    except KeyboardInterrupt:
+        known = folder is not None and (folder / studies.STUDY).is_file()
+        again = f"; go on with: python -m agents.evaluate --resume {folder}" if known else ""
+        print(f"\nagents.evaluate: interrupted{again}", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _refuse(message: str) -> int:
+    print(f"agents.evaluate: {' '.join(message.split())}", file=sys.stderr)
+    return 2
+
+
+def _evaluate(options, rest: list[str], folder: Path | None, console: Console) -> None:
+    engine, threads, ship = _engine(options)
+    if options.resume is not None:
+        given = [k for k in _STUDY_OPTIONS if getattr(options, k) != parser().get_default(k)]
+        if given or rest:
+            raise ParameterError(f"--resume takes only the engine; {options.resume} has the rest")
+        study = studies.load_study(folder)
+        studies.check_controllers(study)
+    else:
+        study = _asked(options, rest)
+        studies.check_controllers(study)
+        study = _begin(study, folder, console)
+    total = study.courses * len(study.controllers)
+    job = studies.Job(study, threads, ship)
+    with Bar("Driving", total, "courses", 0, console) as bar:
+        records = studies.run(study, folder, engine, job, lambda count: bar.update(advance=count))
+    result = results.result(study, records)
+    written = report.write(study, records, result, folder)
+    report.print_table(result, console)
+    console.print(report.REFERENCE, soft_wrap=True, highlight=False)
+    console.print(f"Written to {folder}: {', '.join(written)}", soft_wrap=True, highlight=False)
+
+
+_STUDY_OPTIONS = ("controllers", "out", "scenario", "courses", "seed", "tuning_courses", "block", "resamples")
+
+
+def _engine(options):
+    """(engine, threads of the simulation, whether models travel with the tasks)."""
+    if options.workers is not None and options.workers < 1:
+        raise ParameterError(f"--workers {options.workers}: expected a whole number >= 1")
+    if options.engine == "ray":
+        if options.address is not None and options.workers is not None:
+            raise ParameterError("--workers: only without --address, whose cluster has its own")
+        engines.check_ray(options.address)
+        return partial(engines.on_ray, address=options.address, workers=options.workers), 1, True
+    if options.engine != "local":
+        raise unknown_key(options.engine, ("local", "ray"), "--engine")
+    if options.address is not None:
+        raise ParameterError("--address: only with --engine ray")
+    if options.workers is None:
+        return engines.in_process, None, False
+    return partial(engines.processes, workers=options.workers), 1, False
+
+
+def _asked(options, rest: list[str]) -> studies.Study:
+    """The study of the command line."""
+    if options.controllers is None or options.out is None:
+        raise ParameterError("expected --controllers and --out, or --resume (see --help)")
+    extra = overrides(rest)
+    for key in extra:
+        if key not in ("changes", "settings"):
+            raise unknown_key(key, [*_STUDY_OPTIONS, "resume", "engine", "workers", "address", "changes", "settings"],
+                              "command line")  # fmt: skip
+    for key in ("changes", "settings"):
+        if not isinstance(extra.get(key, {}), dict):
+            raise ParameterError(f"--{key}: expected --{key}.KEY VALUE")
+    settings = extra.get("settings", {})
+    for name, values in settings.items():
+        if not isinstance(values, dict):
+            raise ParameterError(f"--settings.{name}: expected --settings.{name}.KEY VALUE")
+    if options.tuning_courses and options.seed == TUNING_SET:
+        raise ParameterError(f"--seed {TUNING_SET}: these courses are those that controllers are tuned on")
+    return studies.Study(
+        scenario=load_scenario(options.scenario, extra.get("changes")),
+        controllers=entries.parse(options.controllers, settings),
+        courses=options.courses,
+        seed=options.seed,
+        block=options.block,
+        resamples=options.resamples,
+        tuning_courses=options.tuning_courses,
+    )
+
+
+def _begin(study: studies.Study, folder: Path, console: Console) -> studies.Study:
+    """The study of `folder` if it is the same one, else `study`, tuned and written there."""
+    if (folder / studies.STUDY).exists():
+        begun = studies.load_study(folder)
+        other = studies.differences(begun, study)
+        if other:
+            raise ParameterError(
+                f"{folder}: holds another evaluation (it differs in {', '.join(other)}); give another --out"
+            )
+        return begun
+    if folder.is_dir() and any(folder.iterdir()):
+        raise ParameterError(f"{folder}: is not empty and holds no evaluation; give another --out")
+    folder.mkdir(parents=True, exist_ok=True)
+    untuned = [
+        c.name for c in study.controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings
+    ]
+    if study.tuning_courses and candidates_in_all(untuned):
+        studies.replace_file(folder / studies.STUDY, b"")  # can this folder be written? before the tuning
+        (folder / studies.STUDY).unlink()
+        with Bar("Tuning", study.tuning_courses * candidates_in_all(untuned), "courses", 0, console) as bar:
+            tuned, _ = tuned_settings(
+                study.scenario, TUNING_SET, study.tuning_courses,
+                lambda count, name: bar.update(advance=count, note=name), untuned,
+            )  # fmt: skip
+        study = dataclasses.replace(study, tuned=tuned)
+    studies.save_study(study, folder)
+    return study
+
+
+if __name__ == "__main__":
+    sys.exit(main())

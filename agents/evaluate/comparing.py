@@ -1,0 +1,86 @@
+"""What train.py writes: rates and means of each controller with 95 % intervals, paired differences."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+
+from agents.evaluate.driving import METRICS, RATES, Runs
+from soil_env.parameters import Scenario
+
+
+def wilson(successes: float, trials: int, z: float = 1.959963985) -> tuple[float, float]:
+    """Wilson (1927) score interval of a proportion, 95 % by default."""
+    p = successes / trials
+    centre = p + z * z / (2 * trials)
+    half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
+    scale = 1 + z * z / trials
+    # the bounds against rounding: at p = 0 and p = 1 the interval touches p exactly
+    return max(0.0, min(p, (centre - half) / scale)), min(1.0, max(p, (centre + half) / scale))
+
+
+def summary(runs: Runs, seed: int = 0, resamples: int = 2000) -> dict[str, dict[str, float]]:
+    """{metric: {"value", "low", "high"}} of one controller, 95 % intervals."""
+    rng = np.random.default_rng(seed)
+    n = runs.cause.size
+    out = {}
+    for name in METRICS:
+        x = runs.metric(name)
+        value = float(x.mean())
+        if name in RATES:
+            low, high = wilson(x.sum(), n)
+        else:
+            means = np.array([x[rng.integers(0, n, n)].mean() for _ in range(resamples)])
+            low, high = (float(q) for q in np.percentile(means, [2.5, 97.5]))
+        out[name] = {"value": value, "low": min(low, value), "high": max(high, value)}
+    return out
+
+
+def comparison(scenario: Scenario, seed: int, runs: dict[str, Runs], settings: dict | None = None) -> dict:
+    """The content of comparison.json: {"scenario", "courses", "seed", "settings", "controllers": {name: summary},
+    "paired"}.
+
+    "paired": {agent: {other: {"immobilised", "finished", "return"}}}, the agent's mean difference to each other
+    controller on the same courses, with its interval.
+    """
+    paired = {
+        a: {
+            b: {m: paired_difference(runs[a], runs[b], m) for m in ("immobilised", "finished", "return")}
+            for b in runs
+            if b != a
+        }
+        for a in runs
+        if a.startswith("ppo")
+    }
+    return {
+        "scenario": scenario.name,
+        "courses": int(next(iter(runs.values())).cause.size),
+        "seed": seed,
+        "settings": settings or {},
+        "controllers": {name: summary(r) for name, r in runs.items()},
+        "paired": paired,
+    }
+
+
+def paired_difference(a: Runs, b: Runs, metric: str, seed: int = 0, resamples: int = 2000) -> dict[str, float]:
+    """Mean of a - b over the courses both have driven, with a 95 % bootstrap interval over courses."""
+    d = a.metric(metric) - b.metric(metric)
+    rng = np.random.default_rng(seed)
+    means = np.array([d[rng.integers(0, d.size, d.size)].mean() for _ in range(resamples)])
+    low, high = (float(q) for q in np.percentile(means, [2.5, 97.5]))
+    return {"value": float(d.mean()), "low": low, "high": high}
+
+
+def save(result: dict, folder: Path) -> None:
+    """Write comparison.json and comparison.csv into `folder`."""
+    folder = Path(folder)
+    (folder / "comparison.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    with open(folder / "comparison.csv", "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["controller", *(f"{m}{part}" for m in METRICS for part in ("", "_low", "_high"))])
+        for name, row in result["controllers"].items():
+            writer.writerow([name, *(f"{row[m][key]:.6g}" for m in METRICS for key in ("value", "low", "high"))])

@@ -1,0 +1,253 @@
+"""What `--controllers` names, checked and loaded.
+
+| written | is |
+|---|---|
+| `fixed_slip` | a classical controller (`agents.controllers`) |
+| `path/to/model.zip`, `runs/NAME` | a model of Stable-Baselines3 or sb3-contrib; one of ours has soil_env.json inside |
+| `my.module:Thing` | a class or function, called with the scenario if it takes an argument; or an object |
+| `NAME=...` | any of these under another name; the same NAME again, or a glob of models, makes one algorithm of them |
+
+Models are unpickled in part, and modules are imported: both run code. Name only what you trust.
+"""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import importlib
+import inspect
+import re
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from agents.controllers import CONTROLLERS, make_controller
+from soil_env.loading import ParameterError, unknown_key
+from soil_env.parameters import Scenario
+from soil_env.simulation import Simulation
+from soil_env.task import VARIANTS
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """One controller of a study: member `member` of algorithm `name`."""
+
+    name: str
+    member: int
+    kind: str  # "classical", "model" or "class"
+    source: str  # name of the controller, path of the zip, or module:Thing
+    digest: str = ""  # SHA-256 of the zip
+    settings: dict = field(default_factory=dict)  # of a classical controller
+
+    @property
+    def key(self) -> str:
+        """Its name in files, different from that of every other controller of the study."""
+        return f"{self.name}/{self.member}"
+
+    @property
+    def label(self) -> str:
+        """Name for messages."""
+        return f"{self.name} ({self.source})" if self.source != self.name else self.name
+
+
+VECNORMALIZE = "vecnormalize.pkl"  # what rl-baselines3-zoo lays beside a model
+_NAME = re.compile(r"[\w.+-]+")
+_CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
+
+
+def parse(text: str, settings: dict[str, dict] | None = None) -> dict[str, Contestant]:
+    """{key: contestant} of a comma-separated list; ParameterError with one line for what does not exist.
+
+    `settings`: {name of a classical controller: keyword arguments of `make_controller`}.
+    """
+    settings, out = dict(settings or {}), {}
+    members: dict[str, int] = {}
+    unnamed: set[str] = set()
+    items = [item.strip() for item in text.split(",")]
+    if not any(items):
+        raise ParameterError("controllers: expected at least one, got none")
+    for item in items:
+        head, equals, rest = item.partition("=")
+        named = bool(equals) and _NAME.fullmatch(head) is not None
+        name, spec = (head, rest.strip()) if named else ("", item)
+        if not spec:
+            raise ParameterError(f"controllers: {text!r}: an empty entry; expected NAME, PATH or NAME=PATH")
+        kind, sources = _sources(spec)
+        if kind == "model" and len(sources) > 1 and not named:
+            raise ParameterError(f"controllers: {spec}: {len(sources)} models; name the algorithm: NAME={spec}")
+        name = name or _default_name(kind, sources[0])
+        if name in members and (not named or name in unnamed):
+            raise ParameterError(f"controllers: {name!r} twice; give one another name: NAME={spec}")
+        if not named:
+            unnamed.add(name)
+        for source in sources:
+            found = digest(source) if kind == "model" else ""
+            chosen = dict(settings.get(name, {})) if kind == "classical" else {}
+            contestant = Contestant(name, members.get(name, 0), kind, source, found, chosen)
+            out[contestant.key] = contestant
+            members[name] = members.get(name, 0) + 1
+    classical = {c.name for c in out.values() if c.kind == "classical"}
+    for name in settings:
+        if name not in classical:
+            raise unknown_key(name, classical, "settings")
+    return out
+
+
+def _sources(spec: str) -> tuple[str, list[str]]:
+    """Kind and sources of one entry."""
+    if spec in CONTROLLERS:
+        return "classical", [spec]
+    if _CLASS.fullmatch(spec):
+        return "class", [spec]
+    if any(c in spec for c in "*?[") and not Path(spec).exists():
+        found = sorted(p for p in glob.glob(spec, recursive=True) if _is_model(Path(p)))
+        if not found:
+            raise ParameterError(f"controllers: {spec}: no model matches; expected .zip files or run folders")
+        return "model", [str(_zip_of(Path(p))) for p in found]
+    path = Path(spec)
+    if path.suffix == ".zip" or path.is_dir() or "/" in spec:
+        return "model", [str(_zip_of(path))]
+    error = unknown_key(spec, CONTROLLERS, "controllers")
+    raise ParameterError(f"{str(error).replace('unknown key', 'unknown controller')}; or model.zip, module:Class")
+
+
+def _is_model(path: Path) -> bool:
+    return path.suffix == ".zip" or (path / "model.zip").is_file()
+
+
+def _zip_of(path: Path) -> Path:
+    return path / "model.zip" if path.is_dir() else path
+
+
+def _default_name(kind: str, source: str) -> str:
+    if kind != "model":
+        return source
+    path = Path(source)
+    return (path.resolve().parent.name or path.stem) if path.stem == "model" else path.stem
+
+
+def model_files(path: str) -> dict[str, bytes]:
+    """{name: content} of a model and of what lies beside it and belongs to it; ParameterError if it cannot be read."""
+    beside = Path(path).with_name(VECNORMALIZE)
+    try:
+        files = {"model.zip": Path(path).read_bytes()}
+        if beside.is_file():
+            files[VECNORMALIZE] = beside.read_bytes()
+    except OSError as error:
+        raise ParameterError(
+            f"controllers: {path}: cannot be read ({error.strerror}); expected a model, .zip, or a run folder"
+        ) from None
+    return files
+
+
+def digest(path: str) -> str:
+    """SHA-256 of a model with what belongs to it."""
+    return hashlib.sha256(b"".join(model_files(path).values())).hexdigest()
+
+
+# --- loading ----------------------------------------------------------------------------------------------------------
+
+
+def load(contestant: Contestant, scenario: Scenario, files: dict[str, bytes] | None = None):
+    """The controller: an object with `predict` and `variant`. `files`: the model, if it does not lie at its source."""
+    if contestant.kind == "classical":
+        try:
+            return make_controller(contestant.source, scenario, **contestant.settings)
+        except TypeError:
+            known = list(inspect.signature(CONTROLLERS[contestant.source].__init__).parameters)[2:]
+            key = next(k for k in contestant.settings if k not in known)
+            raise unknown_key(key, known, f"settings.{contestant.name}") from None
+    if contestant.kind == "model":
+        from agents.evaluate.models import load_model
+
+        if files is None:
+            return load_model(Path(contestant.source), scenario)
+        with tempfile.TemporaryDirectory() as folder:
+            for name, content in files.items():
+                (Path(folder) / name).write_bytes(content)
+            return load_model(Path(folder) / "model.zip", scenario)
+    return _from_class(contestant.source, scenario)
+
+
+def _from_class(spec: str, scenario: Scenario):
+    module_name, _, attribute = spec.partition(":")
+    try:
+        thing = importlib.import_module(module_name)
+    except Exception as error:  # whatever the module does when it is imported
+        raise ParameterError(f"controllers: {spec}: cannot be imported ({describe(error)})") from None
+    for part in attribute.split("."):
+        if not hasattr(thing, part):
+            known = [n for n in vars(thing) if not n.startswith("_")] if hasattr(thing, "__dict__") else []
+            raise unknown_key(part, known[:20], f"controllers: {spec}")
+        thing = getattr(thing, part)
+    if inspect.isclass(thing) or (callable(thing) and not hasattr(thing, "predict")):
+        try:
+            thing = thing(scenario) if _takes_one(thing) else thing()
+        except Exception as error:
+            raise ParameterError(f"controllers: {spec}: cannot be made ({describe(error)})") from None
+    if not callable(getattr(thing, "predict", None)):
+        raise ParameterError(f"controllers: {spec}: has no method predict(obs, state, episode_start, deterministic)")
+    variant = getattr(thing, "variant", "identified")
+    if variant not in VARIANTS:
+        raise ParameterError(f"controllers: {spec}: variant = {variant!r}: expected one of {', '.join(VARIANTS)}")
+    return _Wrapped(thing, variant, spec)
+
+
+def _takes_one(thing) -> bool:
+    try:
+        inspect.signature(thing).bind(None)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+@dataclass
+class _Wrapped:
+    """An object from elsewhere, whose failures are told in one line."""
+
+    thing: object
+    variant: str
+    spec: str
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """As the object's own, with a copy of the observation."""
+        try:
+            return self.thing.predict(
+                observation.copy(), state=state, episode_start=episode_start, deterministic=deterministic
+            )
+        except Exception as error:
+            raise ParameterError(f"controllers: {self.spec}: predict failed ({describe(error)})") from error
+
+
+def describe(error: BaseException) -> str:
+    """An exception in one line: its class, its message, and where it was raised."""
+    where, trace = "", error.__traceback__
+    while trace is not None:
+        where = f", {Path(trace.tb_frame.f_code.co_filename).name} line {trace.tb_lineno}"
+        trace = trace.tb_next
+    message = (str(error).splitlines() or [""])[0][:200]
+    return f"{type(error).__name__}: {message}{where}"
+
+
+def check(contestant: Contestant, scenario: Scenario) -> None:
+    """Load a contestant and have it act once on three wheels; ParameterError if it cannot."""
+    controller = load(contestant, scenario)
+    sim = Simulation(3, scenario, controller.variant, threads=1)
+    for k in range(3):
+        sim.seed(k, np.random.default_rng(k))
+    fresh = np.ones(3, dtype=bool)
+    sim.restart_where(fresh)
+    answer = controller.predict(sim.worlds.observation, state=None, episode_start=fresh, deterministic=True)
+    where = f"controllers: {contestant.label}: predict"
+    if not (isinstance(answer, tuple) and len(answer) == 2):
+        raise ParameterError(f"{where} gave a {type(answer).__name__}: expected (action, state)")
+    try:
+        action = np.asarray(answer[0], dtype=float)
+    except (TypeError, ValueError):
+        raise ParameterError(f"{where} gave {answer[0]!r:.60}: expected actions of shape (3, 1)") from None
+    if action.shape != (3, 1) or not np.isfinite(action).all():
+        raise ParameterError(
+            f"{where} gave actions of shape {action.shape} for three wheels: expected finite numbers of shape (3, 1)"
+        )

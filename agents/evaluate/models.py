@@ -1,0 +1,141 @@
+"""Models of Stable-Baselines3 and sb3-contrib, whichever algorithm made them."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import pickle
+import warnings
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from agents.evaluate.contestants import VECNORMALIZE
+from soil_env.env import observation_space
+from soil_env.loading import ParameterError
+from soil_env.parameters import Scenario
+from soil_env.task import VARIANTS
+
+try:
+    import torch
+
+    from agents import ppo
+except ImportError:  # reported in one line where a model is loaded
+    torch = ppo = None
+
+#: (module of the policy starts with, keys the zip must hold, module and class of the algorithm); the first that fits.
+_ALGORITHMS = (
+    ("sb3_contrib.common.recurrent", set(), ("sb3_contrib", "RecurrentPPO")),
+    ("sb3_contrib.tqc", set(), ("sb3_contrib", "TQC")),
+    ("sb3_contrib.crossq", set(), ("sb3_contrib", "CrossQ")),
+    ("sb3_contrib.ars", set(), ("sb3_contrib", "ARS")),
+    ("stable_baselines3.sac", set(), ("stable_baselines3", "SAC")),
+    ("stable_baselines3.td3", set(), ("stable_baselines3", "TD3")),  # DDPG is a TD3
+    ("stable_baselines3.common.policies", {"cg_max_steps"}, ("sb3_contrib", "TRPO")),
+    ("stable_baselines3.common.policies", {"clip_range"}, ("stable_baselines3", "PPO")),
+    ("stable_baselines3.common.policies", set(), ("stable_baselines3", "A2C")),
+)
+
+
+def load_model(path: Path, scenario: Scenario):
+    """An object with `predict` on raw observations and `variant`; ParameterError with one line if it cannot be had.
+
+    A zip of ours (soil_env.json inside) brings its normalisation. A plain zip of SB3 is told by its observation space;
+    a file vecnormalize.pkl beside it, as rl-baselines3-zoo writes, is used for its observations.
+    """
+    if ppo is None:
+        raise ParameterError(f"controllers: {path}: models need Stable-Baselines3: pip install 'soil_env[train]'")
+    names, data = _contents(path)
+    torch.set_num_threads(1)  # so that results do not depend on the number of cores
+    meta = None
+    if ppo._META in names:
+        meta = ppo.read_meta(path)
+        ppo.check_layout(meta, path)
+        trained = meta.get("scenario", {}).get("control", {}).get("action", scenario.control.action)
+        if trained != scenario.control.action:
+            raise ParameterError(
+                f"controllers: {path}: trained with action {trained!r}, scenario {scenario.name!r} takes "
+                f"{scenario.control.action!r}"
+            )
+    model = _load(path, data)
+    if meta is not None:
+        sd = np.sqrt(np.asarray(meta["var"]) + 1e-8)
+        return ppo.Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], meta["observation"], 0, meta)
+    return _Plain(model, _variant(model, path), _normalisation(path))
+
+
+def _contents(path: Path) -> tuple[list[str], dict]:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            data = json.loads(archive.read("data"))
+            if not isinstance(data, dict):
+                raise ValueError("data is no mapping")
+            return archive.namelist(), data
+    except OSError as error:
+        raise ParameterError(f"controllers: {path}: cannot be read ({error.strerror}); expected a model") from None
+    except (zipfile.BadZipFile, KeyError, ValueError, zlib.error, RuntimeError, NotImplementedError) as error:
+        raise ParameterError(f"controllers: {path}: not a model of Stable-Baselines3 ({error})") from None
+
+
+def _load(path: Path, data: dict):
+    policy = data.get("policy_class")
+    module = str(policy.get("__module__", "")) if isinstance(policy, dict) else ""
+    fitting = [made_by for prefix, keys, made_by in _ALGORITHMS if module.startswith(prefix) and keys <= set(data)]
+    if not fitting:
+        raise ParameterError(f"controllers: {path}: policy of {module!r}: give a module:Class that loads it instead")
+    package, algorithm = fitting[0]
+    try:
+        cls = getattr(importlib.import_module(package), algorithm)
+    except ImportError:
+        raise ParameterError(f"controllers: {path}: a {algorithm} model needs {package.replace('_', '-')}") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return cls.load(path, device="cpu")
+    except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
+        reason = (str(error).splitlines() or [""])[0][:200]
+        raise ParameterError(
+            f"controllers: {path}: cannot be loaded as a {algorithm} model ({type(error).__name__}: {reason})"
+        ) from None
+
+
+def _variant(model, path: Path) -> str:
+    for variant in VARIANTS:
+        if model.observation_space == observation_space(variant):
+            return variant
+    shape = getattr(model.observation_space, "shape", None)
+    expected = ", ".join(f"{v}: {observation_space(v).shape[0]}" for v in VARIANTS)
+    raise ParameterError(
+        f"controllers: {path}: trained on another observation layout: shape {shape}, other numbers or bounds than "
+        f"those of here ({expected})"
+    )
+
+
+def _normalisation(path: Path):
+    file = path.with_name(VECNORMALIZE)
+    if not file.is_file():
+        return None
+    try:
+        with open(file, "rb") as stream:
+            normalisation = pickle.load(stream)
+        normalisation.normalize_obs  # noqa: B018
+    except Exception as error:
+        raise ParameterError(f"controllers: {file}: cannot be loaded ({type(error).__name__}: {error})") from None
+    return normalisation
+
+
+@dataclass
+class _Plain:
+    """A model of SB3 that reads the observation of `variant`, normalised where it was trained so."""
+
+    model: object
+    variant: str
+    normalisation: object | None
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """As SB3's predict."""
+        x = observation if self.normalisation is None else self.normalisation.normalize_obs(observation)
+        return self.model.predict(x, state, episode_start, deterministic)

@@ -1,0 +1,160 @@
+"""From the records of a study to its numbers, and the files that hold them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+
+from agents.evaluate import statistics as st
+from agents.evaluate.comparing import wilson
+from agents.evaluate.records import METRICS, RATES, Records
+from agents.evaluate.study import Study, replace_file
+from soil_env.task import Cause
+
+#: Differences on the same courses, and higher = better scores whose distribution over runs is looked at.
+PAIRED = ("immobilised", "finished", "return")
+SCORES = ("return", "distance")
+_POINTS = 101  # thresholds of a performance profile
+
+
+def result(study: Study, records: dict[str, list[Records]]) -> dict:
+    """The content of evaluation.json; follows from the study and its records alone.
+
+    {"scenario", "courses", "seed", ..., "controllers": {name: {"members", "sources", "settings", "metrics": {metric:
+    {"value", "low", "high", "runs"}}, "iqm": {score: {...}}, "profile": {score: {"threshold", "share", "low",
+    "high"}}}}, "paired": {a: {b: {metric: {"value", "low", "high"}}}}, "improvement": {a: {b: {...}}}}.
+    Intervals are 95 % (see `agents.evaluate.statistics`); null where a value is not defined.
+    """
+    draws = st.draws(study.seed, study.courses, study.resamples)
+    scores = {n: {m: np.array([r.metric(m) for r in rows]) for m in METRICS} for n, rows in records.items()}
+    members = {n: draws.members(n, len(rows)) for n, rows in records.items()}
+    means = {n: {m: st.mean_samples(scores[n][m], members[n], draws.courses) for m in PAIRED} for n in records}
+    thresholds = {}
+    for score in SCORES:
+        everything = np.concatenate([s[score].ravel() for s in scores.values()])
+        thresholds[score] = np.linspace(everything.min(), everything.max(), _POINTS)
+    return {
+        "scenario": study.scenario.name,
+        "courses": study.courses,
+        "seed": study.seed,
+        "block": study.block,
+        "resamples": study.resamples,
+        "version": study.version,
+        "metrics": {name: {"unit": unit, "meaning": text} for name, (unit, text) in METRICS.items()},
+        "controllers": {
+            name: {
+                **_origin(study, name),
+                "metrics": {m: _metric(m, scores[name][m], members[name], draws) for m in METRICS},
+                "iqm": {s: _iqm(scores[name][s], members[name], draws) for s in SCORES},
+                "profile": {
+                    s: _profile(scores[name][s], thresholds[s], members[name], draws) for s in SCORES
+                },
+            }
+            for name in records
+        },
+        "paired": {
+            a: {b: {m: _paired(scores, means, a, b, m) for m in PAIRED} for b in records if b != a}
+            for a in records
+        },
+        "improvement": {
+            a: {b: _improvement(scores, members, draws, a, b) for b in records if b != a} for a in records
+        },
+    }  # fmt: skip
+
+
+def _origin(study: Study, name: str) -> dict:
+    own = [c for c in study.contestants().values() if c.name == name]
+    return {"members": len(own), "sources": [c.source for c in own], "settings": own[0].settings}
+
+
+def _bounds(value: float, samples: np.ndarray) -> dict:
+    low, high = st.interval(value, samples)
+    return {"value": value, "low": low, "high": high}
+
+
+def _metric(name: str, scores: np.ndarray, members: np.ndarray, draws: st.Draws) -> dict:
+    runs = int(np.isfinite(scores).sum())
+    if runs == 0:
+        return {"value": None, "low": None, "high": None, "runs": 0}
+    value = st.mean(scores)
+    out = _bounds(value, st.mean_samples(scores, members, draws.courses))
+    if name in RATES:
+        # several training seeds on one course are not independent trials: courses are counted, not runs
+        trials = runs / len(scores)
+        low, high = wilson(value * trials, trials)
+        alone = len(scores) == 1
+        out["low"] = low if alone else min(low, out["low"])
+        out["high"] = high if alone else max(high, out["high"])
+    return {**out, "runs": runs}
+
+
+def _iqm(scores, members, draws) -> dict:
+    out = _bounds(st.iqm(scores), st.iqm_samples(scores, members, draws.courses))
+    if len(scores) > 1:
+        samples = st.stratified_samples(scores, st.iqm, len(draws.courses), np.random.default_rng([draws.seed, 2]))
+        out["stratified"] = dict(zip(("low", "high"), st.interval(out["value"], samples), strict=True))
+    return out
+
+
+def _profile(scores, thresholds, members, draws) -> dict:
+    samples = st.profile_samples(scores, thresholds, members, draws.courses)
+    share = st.profile(scores, thresholds)
+    bounds = [st.interval(float(v), s) for v, s in zip(share, samples.T, strict=True)]
+    return {
+        "threshold": thresholds.tolist(),
+        "share": share.tolist(),
+        "low": [b[0] for b in bounds],
+        "high": [b[1] for b in bounds],
+    }
+
+
+def _paired(scores, means, a, b, metric) -> dict:
+    value = st.mean(scores[a][metric]) - st.mean(scores[b][metric])
+    return _bounds(value, means[a][metric] - means[b][metric])
+
+
+def _improvement(scores, members, draws, a, b) -> dict:
+    x, y = scores[a]["return"], scores[b]["return"]
+    value = st.probability_of_improvement(x, y)
+    return _bounds(value, st.improvement_samples(x, y, members[a], members[b], draws.courses))
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def save_json(content: dict, path: Path) -> None:
+    """Strict JSON, written in one piece."""
+    replace_file(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+def save_table(content: dict, path: Path) -> None:
+    """CSV, one row a controller: value, low and high of each metric, empty where not defined."""
+    rows = [["controller", "members", *(m + part for m in METRICS for part in ("", "_low", "_high"))]]
+    for name, entry in content["controllers"].items():
+        values = [entry["metrics"][m][key] for m in METRICS for key in ("value", "low", "high")]
+        rows.append([name, entry["members"], *("" if v is None else f"{v:.6g}" for v in values)])
+    _save_csv(rows, path)
+
+
+def save_courses(records: dict[str, list[Records]], path: Path) -> None:
+    """CSV, one row a course and controller: how it ended, and every metric that is not a rate."""
+    names = [m for m in METRICS if m not in RATES]
+    rows = [["controller", "member", "course", "cause", *names]]
+    for name, parts in records.items():
+        for member, part in enumerate(parts):
+            values = np.array([part.metric(m) for m in names]).T
+            for course, (cause, row) in enumerate(zip(part.cause, values, strict=True)):
+                cells = ("" if math.isnan(v) else f"{v:.6g}" for v in row)
+                rows.append([name, member, course, Cause(cause).name, *cells])
+    _save_csv(rows, path)
+
+
+def _save_csv(rows, path):
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows(rows)
+    replace_file(path, text.getvalue().encode())

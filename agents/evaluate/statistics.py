@@ -1,0 +1,139 @@
+"""Statistics over training seeds and courses.
+
+Scores of one algorithm are an array [members, courses]: one row a training seed (a controller that is not trained has
+one row), one column a course. All algorithms meet the same courses.
+
+Two bootstraps:
+
+- `two_way`: whole training seeds and whole courses are drawn with replacement, the courses once for all algorithms
+  (the pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1(2) 386). It answers for another training and other courses,
+  and is what tables and plots show. With one training seed only the courses are drawn.
+- `stratified`: training seeds are drawn anew within each course, the courses stay (Agarwal et al. 2021, "Deep
+  reinforcement learning at the edge of the statistical precipice", Sec. 4, with courses as tasks). It takes the luck of
+  a training seed on different courses for independent, which it is not, so it is narrower; given for comparison with
+  papers that use it.
+
+All are computed from weights: how often a member and a course were drawn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Draws:
+    """`resamples` bootstrap draws: how often each course [resamples, courses] was drawn, and a seed for the members."""
+
+    courses: np.ndarray
+    seed: int
+
+    def members(self, name: str, count: int) -> np.ndarray:
+        """How often each of `count` members of algorithm `name` was drawn [resamples, count]."""
+        rng = np.random.default_rng([self.seed, 1, *name.encode()])
+        return _counts(rng, len(self.courses), count)
+
+
+def draws(seed: int, courses: int, resamples: int = 2000) -> Draws:
+    """`Draws` of a study; the same for the same arguments."""
+    return Draws(_counts(np.random.default_rng([seed, 0]), resamples, courses), seed)
+
+
+def _counts(rng, resamples, n):
+    return rng.multinomial(n, np.full(n, 1.0 / n), size=resamples).astype(float)
+
+
+def interval(value: float, samples: np.ndarray) -> tuple[float, float]:
+    """Percentile interval at `LEVEL` of bootstrap samples, NaNs left out, never without `value` itself."""
+    samples = samples[np.isfinite(samples)]
+    if not samples.size:
+        return value, value
+    low, high = np.quantile(samples, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
+    return float(min(low, value)), float(max(high, value))
+
+
+def mean(scores: np.ndarray) -> float:
+    """Mean over all members and courses, NaN left out; NaN where there is nothing."""
+    known = np.isfinite(scores)
+    return float(scores[known].mean()) if known.any() else float("nan")
+
+
+def mean_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) -> np.ndarray:
+    """`mean` of each bootstrap draw [resamples]."""
+    known = np.isfinite(scores)
+    total = ((courses @ np.where(known, scores, 0.0).T) * members).sum(axis=1)
+    count = ((courses @ known.T.astype(float)) * members).sum(axis=1)
+    return np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0.0)
+
+
+def iqm(scores: np.ndarray) -> float:
+    """Interquartile mean: the mean without the lowest and the highest quarter of all scores (Agarwal et al. 2021).
+
+    As scipy.stats.trim_mean(scores, 0.25, axis=None): floor(n/4) scores are cut off at each end.
+    """
+    ordered = np.sort(scores, axis=None)
+    cut = ordered.size // 4
+    return float(ordered[cut : ordered.size - cut].mean())
+
+
+def iqm_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) -> np.ndarray:
+    """`iqm` of each bootstrap draw [resamples]; every draw holds scores.size scores."""
+    n, ordered = scores.size, np.sort(scores, axis=None)
+    cut = n // 4
+    out = [np.diff(np.clip(up_to, cut, n - cut), axis=1, prepend=cut) @ ordered
+           for up_to in _cumulative(scores, members, courses)]  # fmt: skip
+    return np.concatenate(out) / (n - 2 * cut)
+
+
+def _cumulative(scores, members, courses, chunk=100):
+    """How many of a draw's scores are the lowest k + 1 of all [draws, scores.size], in chunks of draws."""
+    m, c = np.unravel_index(np.argsort(scores, axis=None, kind="stable"), scores.shape)
+    for start in range(0, len(courses), chunk):
+        part = slice(start, start + chunk)
+        yield np.cumsum(members[part][:, m] * courses[part][:, c], axis=1)
+
+
+def stratified_samples(scores: np.ndarray, statistic, resamples: int, rng: np.random.Generator) -> np.ndarray:
+    """`statistic`(scores [members, courses]) of draws of the members within each course [resamples]."""
+    n, courses = scores.shape
+    columns = np.arange(courses)
+    return np.array([statistic(scores[rng.integers(0, n, (n, courses)), columns]) for _ in range(resamples)])
+
+
+def profile(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
+    """Performance profile [thresholds]: the share of all runs with a score above the threshold (Dolan & More 2002 in
+    the form of Agarwal et al. 2021)."""
+    ordered = np.sort(scores, axis=None)
+    return 1.0 - np.searchsorted(ordered, thresholds, side="right") / ordered.size
+
+
+def profile_samples(scores, thresholds, members, courses) -> np.ndarray:
+    """`profile` of each bootstrap draw [resamples, thresholds]."""
+    below = np.searchsorted(np.sort(scores, axis=None), thresholds, side="right")
+    padded = (np.pad(up_to, ((0, 0), (1, 0))) for up_to in _cumulative(scores, members, courses))
+    return 1.0 - np.concatenate([up_to[:, below] for up_to in padded]) / scores.size
+
+
+def _wins(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """[members of a, members of b, courses]: 1 where a is better than b on the course, 1/2 where equal, else 0."""
+    return (a[:, None] > b[None]) + 0.5 * (a[:, None] == b[None])
+
+
+def probability_of_improvement(a: np.ndarray, b: np.ndarray) -> float:
+    """Probability that a random member of a scores higher than a random member of b on a random course, ties half.
+
+    On each course it is the Mann-Whitney statistic over the product of the numbers of members (Agarwal et al. 2021).
+    """
+    return float(_wins(a, b).mean())
+
+
+def improvement_samples(a, b, members_a, members_b, courses) -> np.ndarray:
+    """`probability_of_improvement` of each bootstrap draw [resamples]."""
+    wins = _wins(a, b)
+    n, m, k = wins.shape
+    by_pair = (courses @ wins.reshape(n * m, k).T).reshape(-1, n, m)
+    return np.einsum("bi,bij,bj->b", members_a, by_pair, members_b) / (n * m * k)

@@ -1,0 +1,45 @@
+"""Progress of a job, on a terminal and elsewhere."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+
+class Bar:
+    """Progress of one job: a live bar on a terminal, a line every tenth of the way elsewhere. Use with `with`."""
+
+    def __init__(self, title: str, total: int, unit: str, done: int, console: Console):
+        self.title, self.total, self.unit, self.done = title, total, unit, done
+        self.printed = done
+        self.console, self.live = console, None
+        if console.is_terminal:
+            self.live = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(bar_width=20),
+                MofNCompleteColumn(),
+                TextColumn("{task.fields[note]}"),
+                TimeElapsedColumn(),
+                TimeRemainingColumn(),
+                console=console,
+            )
+            self.task = self.live.add_task(escape(f"{title} [{unit}]"), total=total, completed=done, note="")
+
+    def __enter__(self):
+        if self.live:
+            self.live.start()
+        return self
+
+    def __exit__(self, *error):
+        if self.live:
+            self.live.stop()
+
+    def update(self, done: int | None = None, advance: int = 0, note: str = "") -> None:
+        """Set or advance what is done; `note` says what is going on."""
+        self.done = self.done + advance if done is None else done
+        if self.live:
+            self.live.update(self.task, completed=self.done, note=note)
+        elif self.done - self.printed >= 0.1 * self.total or (self.done >= self.total > self.printed):
+            self.printed = self.done
+            self.console.print(f"{self.title}: {self.done:,} of {self.total:,} {self.unit} {note}", soft_wrap=True)

@@ -1,0 +1,53 @@
+"""Settings of the classical controllers, tuned on courses of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from agents import evaluate
+from agents.controllers import make_controller
+from soil_env.parameters import Scenario
+
+_STARTS = (0.055, 0.11, 0.17, 0.24, 0.3)  # beyond, a slip controller is a constant speed
+_CANDIDATES = {  # settings each classical controller is tuned over; speeds are shares of the top rim speed
+    "constant_speed": [{"speed": v} for v in (0.12, 0.17, 0.22, 0.28, 0.33, 0.4, 0.5)],
+    "fixed_slip": [{"slip": i, "start": s} for i in (0.05, 0.1, 0.2, 0.3, 0.45) for s in _STARTS],
+    "best_slip_identified": [{"start": s} for s in _STARTS],
+    "best_slip_true": [{"start": s} for s in _STARTS],
+}
+
+
+def candidates_in_all(names: Iterable[str] = tuple(_CANDIDATES)) -> int:
+    """How many settings are tried for the named controllers together."""
+    return sum(len(_CANDIDATES.get(name, ())) for name in names)
+
+
+def tuned_settings(
+    scenario: Scenario,
+    seed: int,
+    courses: int,
+    progress: Callable[[int, str], None],
+    names: Iterable[str] = tuple(_CANDIDATES),
+) -> tuple[dict[str, dict], dict[str, list[dict]]]:
+    """({controller: best settings}, {controller: what was tried}) over the first `courses` courses of set `seed`.
+
+    `progress` is called with a number of courses and the name of the controller that has driven them. Controllers
+    without settings are left out.
+    """
+    top = scenario.wheel.radius * scenario.wheel.no_load_speed
+    chosen, tried = {}, {}
+    for name in names:
+        candidates = _CANDIDATES.get(name)
+        if candidates is None:
+            continue
+        if name == "constant_speed":
+            candidates = [{"speed": round(c["speed"] * top, 4)} for c in candidates]
+        chosen[name], tried[name] = evaluate.tune(
+            lambda name=name, **values: make_controller(name, scenario, **values),
+            candidates,
+            scenario,
+            seed,
+            courses,
+            lambda count, name=name: progress(count, name),
+        )
+    return chosen, tried

@@ -1,0 +1,102 @@
+"""Controllers of somebody else, as `python -m agents.evaluate` takes them by module:Thing."""
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+
+
+class Half:
+    """Half of full command; knows nothing of the scenario."""
+
+    variant = "blind"
+
+    def predict(self, obs, state=None, episode_start=None, deterministic=True):
+        return np.full((len(obs), 1), 0.5, dtype=np.float32), state
+
+
+class WithScenario:
+    """A command that depends on the scenario, and no `variant`: reads the default observation."""
+
+    def __init__(self, scenario):
+        self.share = 0.2 + 0.001 * scenario.control.time_limit
+
+    def predict(self, obs, state=None, episode_start=None, deterministic=True):
+        assert obs.shape[1] == 18
+        return np.full((len(obs), 1), self.share), None
+
+
+class Counting(Half):
+    """Keeps in itself how often it was asked: gives other actions if an object serves two blocks."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def predict(self, obs, state=None, episode_start=None, deterministic=True):
+        self.calls += 1
+        return np.full((len(obs), 1), 0.3 + 0.5 * np.sin(0.01 * self.calls)), state
+
+
+def make(scenario):
+    """A function that makes one."""
+    return Half()
+
+
+half = Half()  # an object
+
+
+class NoPredict:
+    """Has no predict."""
+
+
+class WrongShape(Half):
+    def predict(self, obs, **kw):
+        return np.zeros(len(obs)), None
+
+
+class NoState(Half):
+    def predict(self, obs, **kw):
+        return np.zeros((len(obs), 1))
+
+
+class OtherVariant(Half):
+    variant = "blnd"
+
+
+class Raises:
+    def __init__(self):
+        raise OSError("no such device\nand more")
+
+
+class Late(Half):
+    """Fails after a while: with an exception, or with an action that is no number."""
+
+    value = None
+
+    def __init__(self):
+        self.calls = 0
+
+    def predict(self, obs, state=None, episode_start=None, deterministic=True):
+        self.calls += 1
+        if self.calls > 3 and self.value is None:
+            raise ZeroDivisionError("late")
+        action = np.full((len(obs), 1), 0.4)
+        if self.calls > 3:
+            action[-1] = self.value
+        return action, state
+
+
+class LateNaN(Late):
+    value = np.nan
+
+
+class Killer(Half):
+    """Kills its process, once, in step 40: SOIL_ENV_TEST_KILL names a file that says it has."""
+
+    def predict(self, obs, state=None, episode_start=None, deterministic=True):
+        mark = Path(os.environ["SOIL_ENV_TEST_KILL"])
+        if state == 40 and not mark.exists():
+            mark.write_text("killed")
+            os.kill(os.getpid(), signal.SIGKILL)
+        return np.full((len(obs), 1), 0.5), (state or 0) + 1
