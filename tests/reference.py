@@ -2,7 +2,8 @@
 
 Written from the equations, not from `soil_env` (which it must never import): Hutangkabodee, Zweiri, Seneviratne &
 Althoefer (2006), IJAC 3:244-251, with the corrections in the notes on physics (r/K in the exponent of Eq. (10)).
-Steady forward travel only. SI units, angles in rad.
+Steady forward travel only. `steady` adds the named effects, each from the equation of its source. SI units, angles in
+rad.
 """
 
 import math
@@ -71,10 +72,10 @@ def _turning_point(slip, r, theta1, theta2):
     return brentq(shear_displacement, low, high, args=(slip, r, theta1))
 
 
-def integrate(function, points):
-    """Integral over the zones between consecutive points."""
+def integrate(function, points, tolerance=1e-10):
+    """Integral over the zones between consecutive points, to a relative `tolerance`."""
     pairs = zip(points[:-1], points[1:], strict=True)
-    return sum(quad(function, a, b, epsabs=0.0, epsrel=1e-10, limit=400)[0] for a, b in pairs)
+    return sum(quad(function, a, b, epsabs=0.0, epsrel=tolerance, limit=400)[0] for a, b in pairs)
 
 
 def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
@@ -104,3 +105,167 @@ def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
     torque = r * r * b * total(tau, one)  # (3)
     scale = r * b * (total(sigma, one) + total(lambda theta: abs(tau(theta)), one))
     return Result(load, thrust - resistance, thrust - resistance_paper, torque, scale)
+
+
+# --- the steady wheel with named effects ------------------------------------------------------------------------------
+
+
+class SteadyResult(NamedTuple):
+    """What instruments read: sinkage [m], drawbar pull [N], torque [N m]; `balance` is W of Eq. (1) over its target."""
+
+    sinkage: float
+    drawbar_pull: float
+    torque: float
+    balance: float
+
+
+class Site(NamedTuple):
+    """Wheel of radius r and width b [m] with lugs of height `lug` [m], and where and how it is driven."""
+
+    r: float
+    b: float
+    lug: float = 0.0
+    speed: float = 0.05  # travel [m/s]
+    passes: float = 1.0
+    grade: float = 0.0  # [rad], uphill positive
+    unit_weight: float = 0.0  # [N/m3]
+
+
+def rate_law(speed, reference_speed, power, slope):
+    """(v/v0)^m or 1 + a ln(v/v0), at least 0.1; soil below v0/50 counts as loaded at rest."""
+    ratio = max(speed / reference_speed, 0.02)
+    return max(ratio**power if slope == 0.0 else 1.0 + slope * math.log(ratio), 0.1)
+
+
+def mobilised_share(j, K, softening):
+    """Share of the strength at j [m] >= 0: Janosi & Hanamoto, with a peak, or decaying to a residual."""
+    x = math.exp(-j / K)
+    sharpness = softening.get("sharpness", 0.0)
+    if sharpness > 0.0:
+        top = 0.5 * (sharpness - 1.0) / sharpness if sharpness > 1.0 else 0.0  # x where the law is stationary
+        return (1.0 - x) * (1.0 + sharpness * x) / ((1.0 - top) * (1.0 + sharpness * top))
+    drop = softening.get("drop", 0.0)
+    return (1.0 - x) * (1.0 - drop + drop * math.exp(-j / softening.get("length", 0.05)))
+
+
+def passive_pressure(tan_phi, cohesion, depth, unit_weight, surcharge=0.0):
+    """Force [N/m] of Rankine's passive wedge on a wall of height `depth` [m] under `surcharge` [Pa]."""
+    sine = tan_phi / math.hypot(1.0, tan_phi)
+    kp = (1.0 + sine) / (1.0 - sine)
+    return (0.5 * unit_weight * depth + surcharge) * depth * kp + 2.0 * cohesion * depth * math.sqrt(kp)
+
+
+def hegedus(tan_phi, cohesion, depth, unit_weight):
+    """Bulldozing resistance [N/m] of Hegedus, as Ishigami et al. (2007) Eq. (20) write it, on level ground."""
+    phi = math.atan(tan_phi)
+    x = math.pi / 4.0 - phi / 2.0
+    wedge = depth * cohesion + 0.5 * unit_weight * depth**2 * (1.0 / math.tan(x) + math.tan(phi) / math.tan(x) ** 2)
+    return (1.0 / math.tan(x) + math.tan(x + phi)) * wedge
+
+
+def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
+    """`SteadyResult` of a wheel at a measured slip under the weight `load` [N]; None where it sinks deeper than 1.5 r.
+
+    `effects` is {name: {parameter: value}}, each effect as in the equation of its source. The sinkage is the first root
+    of Eq. (1). `digging` is the (gain, recovery) of the soil itself.
+    """
+    fx = {name: effects.get(name, {}) for name in (
+        "slip_sinkage", "rear_contact", "stress_peak_shift", "grousers", "bulldozing", "multipass", "penetration_rate",
+        "shear_rate", "shear_softening", "grade", "drivetrain_friction", "slip_bias", "sinkage_offset",
+    )}  # fmt: skip
+    bias = fx["slip_bias"]
+    i = slip + bias.get("offset", 0.0) + bias.get("radius_error", 0.0) * (1.0 - slip)
+    size = abs(i)
+    ahead = travel_over_rim(i)  # V/(r w)
+    wheel_speed = site.speed / (site.r * ahead)
+    sliding = abs(site.speed / ahead - site.speed)
+
+    # the soil that the wheel meets
+    dig, track = fx["slip_sinkage"], fx["multipass"]
+    gain, recovery = (dig["gain"], dig.get("recovery", 0.5)) if "gain" in dig else digging
+    k = 1.0 + gain * size / ((1.0 - size if i > 0.0 else 1.0) + recovery * size)
+    extra = dig.get("length", 0.0) * size / (1.0 - size)
+    n = soil.sinkage_exponent + dig.get("exponent_slope", 0.0) * size
+    S, K, done = soil.sinkage_coefficient, soil.shear_modulus, site.passes - 1.0
+    tan_phi, c = math.tan(math.radians(soil.friction_angle_deg)), soil.cohesion
+    S *= (1.0 - abs(site.grade) / math.atan(tan_phi)) ** (2.0 * fx["grade"].get("weakening", 0.0))
+    S *= site.passes ** (track.get("hardening", 0.0) + track.get("slip_hardening", 0.0) * size)
+    S *= 1.0 + track.get("gain", 0.0) * (1.0 - math.exp(-done / track.get("passes", 1.0)))
+    rate = fx["penetration_rate"]
+    S *= rate_law(site.speed, rate.get("reference_speed", 0.05), rate.get("exponent", 0.0), rate.get("slope", 0.0))
+    rate = fx["shear_rate"]
+    strength = rate_law(sliding, rate.get("reference_speed", 0.02), rate.get("exponent", 0.0), rate.get("slope", 0.0))
+    tan_phi, c = tan_phi * strength * site.passes ** track.get("strength", 0.0), c * strength
+    K *= site.passes ** -track.get("stiffening", 0.0)
+
+    # the wheel
+    lugs, shift, rear = fx["grousers"], fx["stress_peak_shift"], fx["rear_contact"]
+    R = site.r + lugs.get("radius_share", 0.0) * site.lug  # carries the normal stress
+    Q = R + lugs.get("shear_share", 0.0) * site.lug  # shears the soil
+    lag = ahead * (site.r if lugs.get("slip_at_rim", 0.0) else Q)  # V/w
+    normal = load * (1.0 - fx["grade"].get("share", 0.0) * (1.0 - math.cos(site.grade)))
+
+    def arc(z):
+        theta1 = math.acos(1.0 - z / R)
+        theta2 = -rear.get("ratio", 0.0) * theta1
+        middle = 0.5 * (theta1 + (theta2 if rear.get("peak_follows", 1.0) else 0.0))
+        middle += (shift.get("offset", 0.0) + shift.get("slope", 0.0) * size) * theta1
+        margin = 0.05 * (theta1 - theta2)
+        return theta1, theta2, min(max(middle, theta2 + margin), theta1 - margin)
+
+    def displacement(theta, theta1):
+        return Q * (theta1 - theta) - lag * (math.sin(theta1) - math.sin(theta))
+
+    def sums(z, *shapes):
+        """Int (sigma, tau) . shape(theta) over the arc, for each shape [Pa]."""
+        theta1, theta2, thetam = arc(z)
+        undisturbed = z if dig.get("apparent", 0.0) else (z - extra) / k
+        ground = soil._replace(sinkage_coefficient=S * (undisturbed / z) ** n, sinkage_exponent=n)
+        points = {theta2, thetam, theta1}
+        if displacement(theta2, theta1) * displacement(theta1 - 1e-6, theta1) < 0.0:
+            points.add(brentq(displacement, theta2, theta1 - 1e-6, args=(theta1,)))
+
+        def stresses(theta):
+            sigma = normal_stress(theta, ground, R, theta1, theta2, thetam)
+            j = displacement(theta, theta1)
+            return sigma, math.copysign((c + sigma * tan_phi) * mobilised_share(abs(j), K, fx["shear_softening"]), j)
+
+        return [integrate(lambda theta, f=f: f(theta, *stresses(theta)), sorted(points), 1e-7) for f in shapes]
+
+    def upward(theta, sigma, tau):
+        return R * site.b * sigma * math.cos(theta) + Q * site.b * tau * math.sin(theta)
+
+    def forward(theta, sigma, tau):
+        return Q * site.b * tau * math.cos(theta) - R * site.b * sigma * math.sin(theta)
+
+    def about_the_axle(theta, sigma, tau):
+        return Q * Q * site.b * tau
+
+    def lack(z):
+        return sums(z, upward)[0] - normal
+
+    depths = [max(extra, 0.0) * 1.0001 + site.r * 1e-4 * 2.0**k for k in range(14)]
+    depths = [z for z in depths if z < 1.5 * site.r] + [1.4999 * site.r]
+    low = next((a for a, b in zip(depths[:-1], depths[1:], strict=True) if lack(b) >= 0.0), None)
+    if low is None:
+        return None
+    z = brentq(lack, low, depths[depths.index(low) + 1], xtol=1e-9 * site.r, rtol=1e-9)
+    up, pull, torque = sums(z, upward, forward, about_the_axle)
+
+    # forces beside the stresses under the rim, and what the sensors make of it
+    push = fx["bulldozing"]
+    pull -= push.get("rankine", 0.0) * site.b * passive_pressure(tan_phi, c, z, site.unit_weight)
+    pull -= push.get("hegedus", 0.0) * site.b * hegedus(tan_phi, c, z, site.unit_weight)
+    pull -= fx["grade"].get("share", 0.0) * load * math.sin(site.grade)
+    if lugs.get("blades", 0.0):
+        above = 0.5 * site.unit_weight * z
+        one = site.b * passive_pressure(tan_phi, c, site.lug, site.unit_weight, above)
+        thrust = math.copysign(lugs["blades"] * arc(z)[0] * one, i)
+        pull += thrust
+        torque += thrust * (site.r + 0.5 * site.lug)
+    drive = fx["drivetrain_friction"]
+    torque += (
+        drive.get("constant", 0.0) + drive.get("share", 0.0) * abs(torque) + drive.get("viscous", 0.0) * wheel_speed
+    )
+    measured = z * (k if dig.get("apparent", 0.0) else 1.0) + fx["sinkage_offset"].get("offset", 0.0)
+    return SteadyResult(measured, pull, torque, up / normal)
