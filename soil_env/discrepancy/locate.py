@@ -1,0 +1,238 @@
+"""Where a table and a fitted model disagree: the channel, the region of the conditions, the size, the chance of it.
+
+Every box of one or two conditions (intervals of levels of one, half-lines of two) is looked at in every channel. What
+the fit's own parameters would absorb is projected out, so under the null the statistic of a box is standard normal
+
+    t = v'e / sqrt(v'P v),    e = P n,    P = I - A (A'A)^-1 A',    n ~ N(0, I),
+
+v being 1 in the box and A the Jacobian of the fit with its priors as further rows. The p value is that of the largest
+|t| over all boxes and channels; its null distribution is simulated through P.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from soil_env.discrepancy.calibrate import Fit, Problem
+from soil_env.discrepancy.data import CHANNELS
+
+SIGNIFICANT = 0.01  # p value above which a disagreement is not told
+MOST = 4  # disagreements told
+LEAST_VALUES = 3  # in a box
+_TAIL = 0.95  # quantile of the simulated maxima at which the number of independent looks is read off
+_SHOWS = 2.0  # least |t| of the plain mean residual of a box
+_OPEN = 0.02  # share of a box's variance that the parameters must leave for it to be looked at
+
+UNITS = {"sinkage": ("mm", 1e3), "drawbar_pull": ("N", 1.0), "torque": ("N m", 1.0)}
+TITLES = {"sinkage": "sinkage", "drawbar_pull": "drawbar pull", "torque": "torque"}
+_MORE = {"sinkage": ("deeper", "shallower"), "drawbar_pull": ("higher", "lower"), "torque": ("higher", "lower")}
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """One box in which a channel leaves the model."""
+
+    channel: str
+    region: dict[str, tuple[float, float]]  # condition -> (low, high) in its unit; what is not named is not limited
+    size: float  # [m, N or N m] mean of measured - model in the box
+    size_sd: float  # the same in standard deviations of the noise of one value
+    p_value: float  # of anything as large anywhere
+    words: str
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A channel as a whole."""
+
+    channel: str
+    rms: float  # [m, N or N m] of measured - model
+    noise: float
+    values: int
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Boxes of the conditions: members [R, N] bool and, for each, condition -> (first, last) level."""
+
+    member: np.ndarray
+    limits: tuple[dict[str, tuple[int, int]], ...]
+
+
+def absorbed(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """(Q [M + p, k], e [M + p]): orthonormal directions that the parameters absorb, and what the fit leaves.
+
+    The priors are the last p rows; parameters at a bound do not move.
+    """
+    x = np.concatenate([fit.u, fit.slack])
+    free = np.ones(x.size, dtype=bool)
+    for k, (unknown, u) in enumerate(zip(fit.unknowns, fit.u, strict=True)):
+        at = unknown.mean + unknown.sd * u
+        free[k] = min(at - unknown.low, unknown.high - at) > 1e-4 * unknown.sd
+    a = np.concatenate([fit.jacobian, np.eye(x.size)])[:, free]
+    return np.linalg.qr(a)[0], np.concatenate([fit.residual, -x])
+
+
+def boxes(problem: Problem) -> Boxes:
+    """All boxes: the whole table, intervals of one condition, half-lines of two; each set of rows once."""
+    varied = problem.data.varied
+    limits = [{}]
+    for name, c in varied.items():
+        ends = ((a, b) for a in range(c.levels) for b in range(a, c.levels))
+        limits += [{name: (a, b)} for a, b in ends if b - a + 1 < c.levels]
+    for (one, c), (two, d) in combinations(varied.items(), 2):
+        limits += [{one: p, two: q} for p in _half_lines(c.levels) for q in _half_lines(d.levels)]
+    member, kept, seen = [], [], set()
+    for box in limits:
+        inside = np.ones(problem.data.rows.slip.size, dtype=bool)
+        for name, (a, b) in box.items():
+            inside &= (varied[name].level >= a) & (varied[name].level <= b)
+        if inside.sum() >= LEAST_VALUES and inside.tobytes() not in seen:
+            seen.add(inside.tobytes())
+            member.append(inside)
+            kept.append(box)
+    return Boxes(np.array(member), tuple(kept))
+
+
+def _half_lines(levels: int) -> list[tuple[int, int]]:
+    return [(0, k) for k in range(levels - 1)] + [(k, levels - 1) for k in range(1, levels)]
+
+
+def locate(problem: Problem, fit: Fit, seed: int = 0, draws: int = 400) -> tuple[Disagreement, ...]:
+    """Significant disagreements, the most certain first; none where the model explains the table.
+
+    After each, the box is given to the model as a further parameter, so that the next one says something new; in one
+    channel the boxes do not overlap.
+    """
+    found = boxes(problem)
+    q, e = absorbed(fit)
+    row, channel = np.nonzero(problem.used)
+    measured = [j for j in range(3) if problem.used[:, j].any()]
+    v = np.concatenate([(found.member[:, row] & (channel == j)).T.astype(float) for j in measured], axis=1)
+    where = [(j, k) for j in measured for k in range(len(found.limits))]
+    open_ = v.sum(axis=0) >= LEAST_VALUES
+    v, where = v[:, open_], [w for w, ok in zip(where, open_, strict=True) if ok]
+    total = np.sqrt(v.sum(axis=0))
+    v = np.concatenate([v, np.zeros((q.shape[0] - v.shape[0], v.shape[1]))])
+    raw = v
+    v, left = _project(v, q, total)
+    looks = _looks(v, np.array([j for j, _ in where]), problem.freedom, np.random.default_rng(seed), draws)
+    # the next box must also show in the plain residual, with the same sign
+    r = np.concatenate([fit.residual, np.zeros(e.size - fit.residual.size)])
+    plain = (raw.T @ r) / total
+    out, taken = [], []
+    allowed = left & (np.abs(plain) > _SHOWS)
+    while len(out) < MOST and allowed.any():
+        t = v.T @ e
+        t = np.where(allowed & (t * plain > 0.0), np.abs(t), 0.0)
+        k = int(np.argmax(t))
+        p = _p_value(float(t[k]), looks, problem.freedom)
+        if p >= SIGNIFICANT:
+            break
+        j, box = where[k]
+        out.append(_disagreement(problem, fit, CHANNELS[j], found, box, p))
+        taken.append((j, found.member[box] & problem.used[:, j]))
+        e = e - v[:, k] * (v[:, k] @ e)
+        v, left = _project(v, v[:, k : k + 1], np.ones(v.shape[1]))
+        apart = [not any(j == i and np.any(m & found.member[b]) for i, m in taken) for j, b in where]
+        allowed = allowed & left & np.array(apart)
+    return tuple(out)
+
+
+def _project(v: np.ndarray, q: np.ndarray, total: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(unit columns of v without the directions q, which of them keep a part of their length `total`)."""
+    v = v - q @ (q.T @ v)
+    length = np.sqrt(np.einsum("mr,mr->r", v, v))
+    left = length > math.sqrt(_OPEN) * total
+    return v / np.where(left, length, math.inf), left
+
+
+def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Generator, draws: int) -> float:
+    """Number of independent looks whose largest |t| is as large as that over the columns of v, each of a channel."""
+    t = np.abs(rng.standard_normal((draws, v.shape[0]), dtype=np.float32) @ v.astype(np.float32))
+    if math.isfinite(freedom):
+        noise = np.sqrt(rng.chisquare(freedom, (draws, 3)) / freedom)
+        t /= noise.astype(np.float32)[:, channel]
+    alone = _alone(float(np.quantile(t.max(axis=1), _TAIL)), freedom)
+    return max(1.0, math.log(_TAIL) / math.log1p(-alone))
+
+
+def _alone(t: float, freedom: float) -> float:
+    """p value of one look."""
+    return float(2.0 * (norm.sf(t) if math.isinf(freedom) else student.sf(t, freedom)))
+
+
+def _p_value(t: float, looks: float, freedom: float) -> float:
+    alone = _alone(t, freedom)
+    return -math.expm1(looks * math.log1p(-alone)) if alone < 1.0 else 1.0
+
+
+# --- words ------------------------------------------------------------------------------------------------------------
+
+
+def _disagreement(problem: Problem, fit: Fit, channel: str, found: Boxes, box: int, p: float) -> Disagreement:
+    j, varied = CHANNELS.index(channel), problem.data.varied
+    inside = found.member[box] & problem.used[:, j]
+    size = float(np.mean((problem.data.y - fit.slackened)[inside, j]))
+    region, parts = {}, []
+    for name, (a, b) in found.limits[box].items():
+        c = varied[name]
+        value = c.value[(c.level >= a) & (c.level <= b)]
+        region[name] = (float(value.min()), float(value.max()))
+        parts.append(_limit(name, region[name], a == 0, b == c.levels - 1))
+    others = [name for name in varied if name not in region]
+    parts += [f"every {_listed([_NAMES[name] for name in others])}"] if others else []
+    unit, scale = UNITS[channel]
+    sd = size / problem.noise[j]
+    words = (
+        f"measured {TITLES[channel]} is on average {figure(abs(size) * scale)} {unit} "
+        f"{_MORE[channel][size < 0.0]} than the model's ({abs(sd):.1f} times the noise) at {', '.join(parts)}"
+    )
+    return Disagreement(channel, region, size, float(sd), p, words)
+
+
+def figure(x: float) -> str:
+    """Two digits, without an exponent where the number is large."""
+    return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
+
+
+_NAMES = {"slip": "slip", "load": "load", "speed": "speed", "pass": "pass", "grade_deg": "grade"}
+_SUFFIX = {"slip": "", "load": " N", "speed": " m/s", "pass": "", "grade_deg": " deg"}
+
+
+def _limit(name: str, limits: tuple[float, float], lowest: bool, highest: bool) -> str:
+    low, high = (f"{x:.3g}" for x in limits)
+    if low == high:
+        return f"{_NAMES[name]} {low}{_SUFFIX[name]}"
+    if highest:
+        return f"{_NAMES[name]} {low}{_SUFFIX[name]} and above"
+    if lowest:
+        return f"{_NAMES[name]} {high}{_SUFFIX[name]} and below"
+    return f"{_NAMES[name]} {low} to {high}{_SUFFIX[name]}"
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def describe(problem: Problem, fit: Fit) -> tuple[Gap, ...]:
+    """Root mean square of measured - model against the noise, for each measured channel."""
+    out = []
+    for j, channel in enumerate(CHANNELS):
+        inside = problem.used[:, j]
+        if not inside.any():
+            continue
+        rms = float(np.sqrt(np.mean((problem.data.y - fit.slackened)[inside, j] ** 2)))
+        noise, (unit, scale) = float(problem.noise[j]), UNITS[channel]
+        words = (
+            f"{TITLES[channel]}: measured and model differ by {rms * scale:.3g} {unit} rms, {rms / noise:.2f} times "
+            f"the noise of {noise * scale:.3g} {unit} ({int(inside.sum())} values)"
+        )
+        out.append(Gap(channel, rms, noise, int(inside.sum()), words))
+    return tuple(out)
