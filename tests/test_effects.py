@@ -1,12 +1,34 @@
-"""Slip-sinkage: the rate law, its steady state, and what it must and must not do to a wheel."""
+"""Laws of the named effects: golden values worked out by hand from the cited equations, limits and symmetries.
 
+The numbers use phi = 30 deg, for which tan^2(45 deg + phi/2) = 3 and cot(45 deg - phi/2) = sqrt 3.
+"""
+
+import math
+
+import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
-from soil_env import dynamics, effects, model
+from soil_env import contact, dynamics, effects, model
+from soil_env.catalogue import CATALOGUE
 from soil_env.contact import motion_from_slip
-from soil_env.parameters import soils
+from soil_env.effects import NO_EFFECTS, pack_effects
+from soil_env.loading import ParameterError
+from soil_env.parameters import SoilState, soils
 
 R, B, LOAD, LENGTH = 0.15, 0.15, 150.0, 0.3
+TAN_30 = 1.0 / math.sqrt(3.0)
+SOIL = SoilState(TAN_30, 1000.0, 0.02, 8e5, 0.8, 1.5, 0.5)
+WEIGHT = 16000.0  # [N/m3] of the soil
+
+
+def on(name, **parameters):
+    """`Effects` with one effect on."""
+    return pack_effects({name: parameters})
+
+
+# --- slip-sinkage -----------------------------------------------------------------------------------------------------
 
 
 def speeds(slip):
@@ -66,3 +88,382 @@ def test_resting_wheel_stays_where_it_is():
     soil = soils()["dry_sand"].state(B)
     rest = model.steady_state(0.0, LOAD, soil, R, B).sinkage
     assert dynamics.relax_sinkage(rest, 0.5 * rest, 0.0, 0.0, soil, LENGTH, 10.0) == rest
+
+
+def test_the_effect_digs_in_place_of_the_soil():
+    assert effects.digging(SOIL, NO_EFFECTS) == (1.5, 0.5)
+    assert effects.digging(SOIL, on("slip_sinkage", gain=3.0, recovery=0.2)) == (3.0, 0.2)
+
+
+def test_excavated_depth_of_reece():
+    """l i/(1 - i): 0.02 m at slip 0.6 gives 0.03 m, at 0.5 braked the same as at 0.5 driven."""
+    fx = on("slip_sinkage", length=0.02)
+    assert effects.excavated_depth(0.6, fx) == pytest.approx(0.03)
+    assert effects.excavated_depth(-0.5, fx) == effects.excavated_depth(0.5, fx) == pytest.approx(0.02)
+    assert effects.excavated_depth(0.0, fx) == 0.0
+    assert math.isfinite(effects.excavated_depth(1.0, fx))
+
+
+def test_exponent_grows_with_slip():
+    """n + n1 i, Ding et al. (2010), for a braked wheel n + n1 |i|; never below 0."""
+    fx = on("slip_sinkage", exponent_slope=0.5)
+
+    def exponent(fx, slip):
+        return effects.soil_in_contact(SOIL, fx, slip, 0.1, 0.0, 1.0, 0.0).sinkage_exponent
+
+    assert exponent(fx, 0.4) == exponent(fx, -0.4) == pytest.approx(1.0)
+    assert exponent(on("slip_sinkage", exponent_slope=-1.0), 0.9) == 0.0
+
+
+# --- rates, passes, slopes --------------------------------------------------------------------------------------------
+
+
+def test_rate_factors():
+    assert effects.rate_factor(0.5, 0.05, 0.1, 0.0) == pytest.approx(1.2589254)  # 10^0.1
+    assert effects.rate_factor(0.5, 0.05, 0.0, 0.1) == pytest.approx(1.2302585)  # 1 + 0.1 ln 10
+    assert effects.rate_factor(0.05, 0.5, 0.0, 0.1) == pytest.approx(0.7697415)
+
+
+rates = st.floats(-0.3, 0.6)
+
+
+@settings(deadline=None)
+@given(v0=st.floats(1e-3, 1.0), ratio=st.floats(0.03, 30.0), power=rates, slope=rates)
+def test_rate_factor_symmetry_and_limits(v0, ratio, power, slope):
+    assert effects.rate_factor(v0, v0, power, slope) == pytest.approx(1.0)
+    assert effects.rate_factor(ratio * v0, v0, 0.0, 0.0) == 1.0
+    faster, slower = (effects.rate_factor(v0 * q, v0, power, 0.0) for q in (ratio, 1.0 / ratio))
+    assert faster * slower == pytest.approx(1.0)
+    faster, slower = (effects.rate_factor(v0 * q, v0, 0.0, slope) for q in (ratio, 1.0 / ratio))
+    assume(min(faster, slower) > 0.1)
+    assert faster + slower == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("power", "slope"), [(0.5, 0.0), (0.0, 0.2), (-0.3, 0.0)])
+def test_soil_counts_as_loaded_at_rest_below_a_fiftieth(power, slope):
+    at_rest = effects.rate_factor(0.0, 0.05, power, slope)
+    assert at_rest == effects.rate_factor(0.0009, 0.05, power, slope) >= 0.1
+    assert at_rest != effects.rate_factor(0.0011, 0.05, power, slope)
+
+
+def test_rates_act_on_their_own_parameters():
+    """Travel speed on S; sliding speed on c and tan(phi)."""
+    ground = effects.soil_in_contact(SOIL, on("penetration_rate", exponent=0.1), 0.3, 0.5, 9.9, 1.0, 0.0)
+    assert ground == SOIL._replace(sinkage_coefficient=pytest.approx(8e5 * 1.2589254))
+    ground = effects.soil_in_contact(SOIL, on("shear_rate", exponent=0.1), 0.3, 9.9, 0.2, 1.0, 0.0)
+    assert ground.tan_phi / TAN_30 == pytest.approx(1.2589254) == ground.cohesion / 1000.0
+    assert ground[2:] == SOIL[2:]
+
+
+@pytest.mark.parametrize(("slip", "sliding"), [(0.0, 0.0), (0.5, 0.1), (0.8, 0.4), (-0.3, 0.03), (-1.0, 0.1)])
+def test_sliding_speed(slip, sliding):
+    """|r w - V| at V = 0.1 m/s: V i/(1 - i) driven, V |i| braked."""
+    assert effects.sliding_speed(slip, 0.1) == pytest.approx(sliding)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "factor"),
+    [
+        ({"hardening": 0.5}, 2.0),  # 4^0.5
+        ({"slip_hardening": 0.5}, 1.3195079),  # 4^(0.5 x 0.4)
+        ({"gain": 1.0, "passes": 1.0}, 1.9502129),  # 2 - exp(-3)
+        ({"gain": -0.5, "passes": 3.0}, 0.6839397),  # 1 - 0.5 (1 - exp(-1))
+        ({"stiffening": 0.5, "strength": 0.1}, 1.0),
+    ],
+)
+def test_pass_factor_of_the_fourth_pass(parameters, factor):
+    fx = on("multipass", **parameters)
+    assert effects.pass_factor(4.0, 0.4, fx) == pytest.approx(factor)
+    assert effects.pass_factor(4.0, -0.4, fx) == pytest.approx(factor)
+    assert effects.pass_factor(1.0, 0.4, fx) == 1.0
+
+
+def test_passes_stiffen_and_strengthen():
+    """K N^-k, tan(phi) N^f, S N^a; cohesion and exponent stay."""
+    fx = on("multipass", hardening=0.5, stiffening=0.5, strength=0.1)
+    ground = effects.soil_in_contact(SOIL, fx, 0.4, 0.1, 0.1, 4.0, 0.0)
+    assert ground.sinkage_coefficient == pytest.approx(16e5)
+    assert ground.shear_modulus == pytest.approx(0.01)
+    assert ground.tan_phi / TAN_30 == pytest.approx(1.1486984)  # 4^0.1
+    assert ground.cohesion == 1000.0 and ground.sinkage_exponent == 0.8
+
+
+def test_slope_factor_of_meyerhof():
+    """(1 - b/phi)^2 at 10 deg and phi = 30 deg: 4/9."""
+    fx, sine = on("grade", weakening=1.0), math.sin(math.radians(10.0))
+    assert effects.slope_factor(SOIL, sine, fx) == effects.slope_factor(SOIL, -sine, fx) == pytest.approx(4.0 / 9.0)
+    assert effects.slope_factor(SOIL, sine, on("grade", weakening=0.5)) == pytest.approx(2.0 / 3.0)
+    assert effects.slope_factor(SOIL, 0.0, fx) == effects.slope_factor(SOIL, sine, NO_EFFECTS) == 1.0
+    assert effects.slope_factor(SOIL, math.sin(math.radians(40.0)), fx) > 0.0  # steeper than phi
+
+
+# --- contact arc ------------------------------------------------------------------------------------------------------
+
+
+def test_ends_of_the_arc():
+    """theta1 = 0.8: exit at -l theta1, peak midway or at theta1/2, moved by (a + c |i|) theta1."""
+    assert effects.arc_ends(0.8, 0.3, NO_EFFECTS) == pytest.approx((0.0, 0.4))
+    assert effects.arc_ends(0.8, 0.3, on("rear_contact", ratio=0.5)) == pytest.approx((-0.4, 0.2))
+    assert effects.arc_ends(0.8, 0.3, on("rear_contact", ratio=0.5, peak_follows=0.0)) == pytest.approx((-0.4, 0.4))
+    for slip in (0.3, -0.3):
+        assert effects.arc_ends(0.8, slip, on("stress_peak_shift", offset=0.05, slope=0.5))[1] == pytest.approx(0.56)
+
+
+@settings(deadline=None)
+@given(
+    theta1=st.floats(1e-3, 3.0),
+    slip=st.floats(-1.0, 1.0),
+    ratio=st.floats(0.0, 0.95),
+    follows=st.floats(0.0, 1.0),
+    offset=st.floats(-0.4, 0.4),
+    slope=st.floats(-0.6, 0.9),
+)
+def test_the_peak_lies_inside_the_arc(theta1, slip, ratio, follows, offset, slope):
+    fx = pack_effects({
+        "rear_contact": {"ratio": ratio, "peak_follows": follows},
+        "stress_peak_shift": {"offset": offset, "slope": slope},
+    })  # fmt: skip
+    theta2, thetam = effects.arc_ends(theta1, slip, fx)
+    assert -theta1 < theta2 <= 0.0
+    assert theta2 + 0.049 * (theta1 - theta2) < thetam < theta1 - 0.049 * (theta1 - theta2)
+
+
+def test_shear_radius_of_ding():
+    """r + l h over r: 0.15 + 0.5 x 0.03 over 0.15."""
+    assert effects.shear_radius_ratio(0.15, 0.03, on("grousers", shear_share=0.5)) == pytest.approx(1.1)
+    assert effects.shear_radius_ratio(0.15, 0.03, NO_EFFECTS) == 1.0
+
+
+# --- shear law --------------------------------------------------------------------------------------------------------
+
+J = np.linspace(0.0, 1.0, 20001)  # [m], to 50 K
+
+
+def share(law, K=0.02):
+    """Mobilised share of the strength at each displacement `J`."""
+    return np.array([contact.mobilised(j, K, law)[0] for j in J])
+
+
+def test_neutral_shear_law_is_that_of_janosi():
+    np.testing.assert_array_equal(share(effects.shear_law(NO_EFFECTS)), share(contact.JANOSI))
+    np.testing.assert_allclose(share(contact.JANOSI), 1.0 - np.exp(-J / 0.02), rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("sharpness", [1.5, 3.0, 8.0, 30.0])
+def test_sharp_law_has_the_peak_1_and_its_residual(sharpness):
+    """(1 - x)(1 + s x) is largest at x = (s - 1)/(2 s), where it is (1 + s)^2/(4 s)."""
+    e = share(effects.shear_law(on("shear_softening", sharpness=sharpness)))
+    assert e.max() == pytest.approx(1.0, abs=1e-5)
+    assert J[e.argmax()] == pytest.approx(-0.02 * math.log((sharpness - 1.0) / (2.0 * sharpness)), abs=1e-3)
+    assert e[-1] == pytest.approx(4.0 * sharpness / (1.0 + sharpness) ** 2, rel=1e-6)
+
+
+@pytest.mark.parametrize("sharpness", [0.3, 1.0])
+def test_a_law_that_is_not_sharp_has_no_peak(sharpness):
+    e = share(effects.shear_law(on("shear_softening", sharpness=sharpness)))
+    assert np.all(np.diff(e) >= -1e-12)
+    assert e[-1] == pytest.approx(1.0)
+    assert np.all(e[1:-1] >= share(contact.JANOSI)[1:-1] - 1e-12)
+
+
+@pytest.mark.parametrize("residual", [0.4, 0.65, 0.9])
+def test_wongs_law_is_of_the_family(residual):
+    """Wong & Preston-Thomas (1983): Kr {1 + [1/(Kr (1 - 1/e)) - 1] e^(1 - j/K)} (1 - e^(-j/K)), over its maximum."""
+    x = np.exp(-J / 0.02)
+    wong = residual * (1.0 + (1.0 / (residual * (1.0 - math.exp(-1.0))) - 1.0) * math.e * x) * (1.0 - x)
+    sharpness = math.e * (1.0 / (residual * (1.0 - math.exp(-1.0))) - 1.0)
+    found = share(effects.shear_law(on("shear_softening", sharpness=sharpness)))
+    np.testing.assert_allclose(found, wong / wong.max(), rtol=1e-4, atol=1e-7)
+
+
+def test_decaying_law_of_oida():
+    """(1 - e^(-j/K))(1 - d + d e^(-j/L)) with K = 0.02, d = 0.4, L = 0.1 at j = 0.04 and far on."""
+    law = effects.shear_law(on("shear_softening", drop=0.4, length=0.1))
+    expected = (1.0 - math.exp(-2.0)) * (0.6 + 0.4 * math.exp(-0.4))
+    assert contact.mobilised(0.04, 0.02, law)[0] == pytest.approx(expected, rel=1e-6)
+    assert contact.mobilised(5.0, 0.02, law)[0] == pytest.approx(0.6, rel=1e-6)
+
+
+softening = st.fixed_dictionaries(
+    {"sharpness": st.floats(0.0, 30.0), "drop": st.floats(-0.2, 0.9), "length": st.floats(2e-3, 1.0)}
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(parameters=softening, relative=st.floats(0.01, 8.0), k=st.floats(1e-3, 0.3), sign=st.sampled_from([-1.0, 1.0]))
+def test_slope_of_the_shear_law(parameters, relative, k, sign):
+    """de/dj against central differences; e is odd in j, its slope even."""
+    law, j = effects.shear_law(on("shear_softening", **parameters)), sign * relative * k
+    h = 1e-4 * min(k, abs(j), parameters["length"])
+    e, slope = contact.mobilised(j, k, law)
+    difference = (contact.mobilised(j + h, k, law)[0] - contact.mobilised(j - h, k, law)[0]) / (2.0 * h)
+    scale = 1.0 / k + 1.0 / parameters["length"]
+    assert slope == pytest.approx(difference, rel=1e-4, abs=1e-5 * scale)
+    assert contact.mobilised(-j, k, law) == (-e, slope)
+
+
+@pytest.mark.parametrize("law", [contact.ShearLaw(0.4, 2.0, 0.3, 0.01), contact.ShearLaw(1.0, -0.5, -0.2, 0.5)])
+def test_slope_of_a_general_shear_law_in_lanes(law):
+    """The rates of the arc integrals, which take de/dj in lanes, against differences of the integrals."""
+    motion, step = np.array([1.0, 0.6]), 1e-6
+
+    def shear(motion):
+        return np.array(contact.arc_integrals(0.8, -0.2, 0.35, *motion, 0.03, 0.9, 0.2, law)[0])[2:]
+
+    _, by_rim, by_travel = contact.arc_integrals(0.8, -0.2, 0.35, *motion, 0.03, 0.9, 0.2, law)
+    for rates, d in ((by_rim, np.array([step, 0.0])), (by_travel, np.array([0.0, step]))):
+        np.testing.assert_allclose(rates, (shear(motion + d) - shear(motion - d)) / (2.0 * step), rtol=1e-6, atol=1e-9)
+
+
+# --- added forces -----------------------------------------------------------------------------------------------------
+
+
+def test_passive_pressure_of_rankine():
+    assert effects.passive_coefficient(TAN_30) == pytest.approx(3.0)
+    assert effects.passive_coefficient(0.0) == pytest.approx(1.0)
+
+
+@settings(deadline=None)
+@given(phi=st.floats(0.0, 1.2))
+def test_passive_times_active_pressure_is_1(phi):
+    kp = effects.passive_coefficient(math.tan(phi))
+    assert kp == pytest.approx((1.0 + math.sin(phi)) / (1.0 - math.sin(phi)))
+    assert kp * effects.passive_coefficient(-math.tan(phi)) == pytest.approx(1.0)
+
+
+def test_bulldozing_of_rankine():
+    """0.12 m wide, 0.05 m deep, c = 1000 Pa: 0.12 (0.5 x 16000 x 0.0025 x 3 + 2 x 1000 x 0.05 x 1.7320508) N."""
+    found = effects.bulldozing_resistance(0.05, SOIL, WEIGHT, 0.12, on("bulldozing", rankine=1.0))
+    assert found == pytest.approx(27.984610)
+
+
+def test_bulldozing_of_hegedus():
+    """X = 30 deg: D1 = cot X + tan(X + phi) = 2 sqrt 3, D2 = cot X + cot^2 X tan(phi) = 2 sqrt 3.
+
+    b D1 (c z + D2 gamma z^2/2) = 0.12 x 3.4641016 (50 + 3.4641016 x 20) = 49.584610 N.
+    """
+    found = effects.bulldozing_resistance(0.05, SOIL, WEIGHT, 0.12, on("bulldozing", hegedus=1.0))
+    assert found == pytest.approx(49.584610)
+
+
+@settings(deadline=None)
+@given(
+    z=st.floats(0.0, 0.5),
+    tan_phi=st.floats(0.0, 1.2),
+    c=st.floats(0.0, 1e4),
+    form=st.sampled_from(["rankine", "hegedus"]),
+)
+def test_bulldozing_scales(z, tan_phi, c, form):
+    """As z^2 without cohesion, as z without weight; with the factor, with the width; none above ground."""
+    fx, soil = on("bulldozing", **{form: 1.0}), SOIL._replace(tan_phi=tan_phi, cohesion=c)
+
+    def push(z, soil=soil, weight=WEIGHT, b=0.12, fx=fx):
+        return effects.bulldozing_resistance(z, soil, weight, b, fx)
+
+    loose = soil._replace(cohesion=0.0)
+    assert push(2.0 * z, loose) == pytest.approx(4.0 * push(z, loose))
+    assert push(2.0 * z, weight=0.0) == pytest.approx(2.0 * push(z, weight=0.0))
+    assert push(z) == pytest.approx(push(z, loose) + push(z, weight=0.0))
+    assert push(z, fx=on("bulldozing", **{form: 3.0}), b=0.24) == pytest.approx(6.0 * push(z))
+    assert push(-z) == 0.0 == push(z, fx=NO_EFFECTS)
+
+
+def test_force_of_the_lugs():
+    """Five lugs a radian over 0.6 rad, 0.01 m high, 0.02 m below ground, 0.12 m wide.
+
+    One: 0.12 (1/2 16000 x 0.0001 x 3 + 8000 x 0.02 x 0.01 x 3 + 2 x 1000 x 0.01 x 1.7320508) = 5.0209219 N.
+    """
+
+    lugs = on("grousers", blades=5.0)
+
+    def thrust(slip, theta1=0.6, height=0.01, fx=lugs):
+        return effects.blade_force(theta1, 0.02, slip, SOIL, WEIGHT, 0.12, height, fx)
+
+    assert thrust(1.0) == pytest.approx(3.0 * 5.0209219, rel=2e-5)
+    assert thrust(-1.0) == -thrust(1.0)
+    assert thrust(0.3) == pytest.approx(thrust(1.0), rel=1e-3)
+    assert thrust(1.0, theta1=0.3) == pytest.approx(0.5 * thrust(1.0))
+    assert thrust(0.0) == thrust(1.0, height=0.0) == thrust(1.0, fx=NO_EFFECTS) == 0.0
+
+
+# --- what is measured -------------------------------------------------------------------------------------------------
+
+
+def test_slip_from_a_wrong_rolling_radius():
+    """Slip was taken with 0.95 of the true radius: V/(r w) is then 1/0.95 too large, so 1 - i = 0.95 (1 - 0.4)."""
+    assert effects.true_slip(0.4, on("slip_bias", radius_error=0.05)) == pytest.approx(1.0 - 0.95 * 0.6)
+    assert effects.true_slip(0.4, on("slip_bias", offset=0.05)) == pytest.approx(0.45)
+    assert effects.true_slip(0.4, NO_EFFECTS) == 0.4
+
+
+@settings(deadline=None)
+@given(slip=st.floats(-0.3, 0.6), offset=st.floats(-0.1, 0.1), error=st.floats(-0.2, 0.2))
+def test_measured_slip_inverts_true_slip(slip, offset, error):
+    fx = on("slip_bias", offset=offset, radius_error=error)
+    assert effects.measured_slip(effects.true_slip(slip, fx), fx) == pytest.approx(slip, abs=1e-12)
+
+
+def test_friction_of_the_drivetrain():
+    """4 N m at 2 rad/s: 4 + 1.5 + 0.1 x 4 + 0.3 x 2; braked by the soil the motor sees -4 + 1.5 + 0.4 + 0.6."""
+    fx = on("drivetrain_friction", constant=1.5, share=0.1, viscous=0.3)
+    assert effects.drive_torque(4.0, 2.0, 1e-6, fx) == pytest.approx(6.5)
+    assert effects.drive_torque(-4.0, 2.0, 1e-6, fx) == pytest.approx(-1.5)
+    assert effects.drive_torque(4.0, 0.0, 1e-6, fx) == 4.0
+    assert effects.drive_torque(4.0, 2.0, 1e-6, NO_EFFECTS) == 4.0
+
+
+@settings(deadline=None)
+@given(
+    torque=st.floats(-50.0, 50.0),
+    speed=st.floats(-5.0, 5.0),
+    constant=st.floats(0.0, 10.0),
+    loaded=st.floats(0.0, 1.0),
+    viscous=st.floats(0.0, 5.0),
+)
+def test_friction_takes_power_either_way(torque, speed, constant, loaded, viscous):
+    fx = on("drivetrain_friction", constant=constant, share=loaded, viscous=viscous)
+    found = effects.drive_torque(torque, speed, 1e-3, fx)
+    assert (found - torque) * speed >= -1e-9
+    assert effects.drive_torque(-torque, -speed, 1e-3, fx) == -found
+
+
+# --- values by name ---------------------------------------------------------------------------------------------------
+
+
+def test_packed_values_are_those_that_were_given():
+    fx = pack_effects({"bulldozing": {"rankine": 2}, "slip_bias": {"offset": 0.01}})
+    assert fx == NO_EFFECTS._replace(bulldozing_rankine=2.0, slip_bias_offset=0.01)
+
+
+@pytest.mark.parametrize(
+    ("given_effects", "message"),
+    [
+        ({"buldozing": {"rankine": 1.0}}, "unknown key 'buldozing'; did you mean 'bulldozing'"),
+        ({"bulldozing": {"rankin": 1.0}}, "effects: bulldozing: unknown key 'rankin'; did you mean 'rankine'"),
+        ({"bulldozing": {"rankine": 7.0}}, r"rankine = 7.0: expected a number in \[-0.2, 6\]"),
+        ({"sinkage_offset": {"offset": 3}}, r"offset = 3: expected a number in \[-0.3, 0.3\] m"),
+        ({"bulldozing": {"rankine": math.nan}}, "rankine = nan: expected a number"),
+        ({"bulldozing": {"rankine": True}}, "rankine = True: expected a number"),
+        ({"bulldozing": {"rankine": "much"}}, "rankine = 'much': expected a number"),
+        ({"bulldozing": {}}, "bulldozing: expected a mapping of its parameters"),
+        ({"bulldozing": 1.0}, "bulldozing: expected a mapping of its parameters, got 1.0"),
+        (["bulldozing"], "effects: expected a mapping of effect names"),
+    ],
+)
+def test_wrong_effects_are_refused_in_one_line(given_effects, message):
+    with pytest.raises(ParameterError, match=message) as error:
+        pack_effects(given_effects)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("effect", CATALOGUE.values(), ids=CATALOGUE)
+def test_bounds_are_admissible(effect):
+    """Every parameter can be at either bound and the steady wheel still gives numbers."""
+    for p in effect.parameters:
+        for value in (p.low, p.high):
+            fx = pack_effects({effect.name: {p.name: value}})
+            for slip in (-1.0, -0.3, 0.0, 0.4, 1.0):
+                found = model.steady_with(
+                    slip, LOAD, SOIL, model.Rim(R, B, 0.01), model.Conditions(0.1, 3.0, 0.1), WEIGHT, fx, 0.0
+                )
+                assert all(map(math.isfinite, found)), (p.name, value, slip)
