@@ -214,7 +214,8 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         return theta1, theta2, min(max(middle, theta2 + margin), theta1 - margin)
 
     def displacement(theta, theta1):
-        return Q * (theta1 - theta) - lag * (math.sin(theta1) - math.sin(theta))
+        start = math.acos(min(R * math.cos(theta1) / Q, 1.0))  # where the lug tips enter, Ding et al. (2011)
+        return Q * (start - theta) - lag * (math.sin(start) - math.sin(theta))
 
     def sums(z, *shapes):
         """Int (sigma, tau) . shape(theta) over the arc, for each shape [Pa]."""
