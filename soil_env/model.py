@@ -38,8 +38,8 @@ from soil_env.effects import (
     soil_in_contact,
     true_slip,
 )
-from soil_env.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict, unknown_key
-from soil_env.measurement import Table
+from soil_env.loading import Checked, ParameterError, check, load, quantity, read_yaml, to_dict, unknown_key
+from soil_env.measurement import LARGEST_WHEEL, STEEPEST, Table
 from soil_env.parameters import Soil, SoilState
 from soil_env.residual import ResidualTerm, dimensionless_groups, residual_at, residual_law
 
@@ -274,9 +274,10 @@ class WheelSoilModel:
     soil: Soil
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     residual: tuple[ResidualTerm, ...] = ()
-    gravity: float = 9.81  # [m/s2] for the weight of the soil
+    gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81, doc="for the weight of the soil")
 
     def __post_init__(self):
+        check(self)
         pack_effects(self.effects)  # refuses what is unknown or out of range
 
     @property
@@ -292,15 +293,16 @@ class WheelSoilModel:
         `grouser_height` [m]. Raises `ParameterError` for unknown or missing names and for values that are not finite.
         """
         c = rows_of(conditions, self.wheel)
-        out = np.empty((c.slip.size, 3))
-        soil = self.soil.state(self.wheel.width)
-        carried = predict_rows(
-            c.slip, c.load, c.wheels, c.conditions, soil, self.soil.density * self.gravity, self.numbers,
-            np.zeros(c.slip.size), out,
-        )  # fmt: skip
-        if self.residual:
-            law = residual_law(self.residual)
-            add_residual(law, c.slip, c.load, c.wheels, c.conditions, soil, self.gravity, out)
+        out, carried = np.empty((c.slip.size, 3)), 0
+        for width in np.unique(c.wheels[:, 1]):  # S = k_c/b + k_phi
+            here = c.wheels[:, 1] == width
+            rows, values = Rows(*(column[here] for column in c)), np.empty((np.count_nonzero(here), 3))
+            soil = self.soil.state(float(width))
+            weight = self.soil.density * self.gravity
+            carried += predict_rows(*rows, soil, weight, self.numbers, np.zeros(len(values)), values)
+            if self.residual:
+                add_residual(residual_law(self.residual), *rows, soil, self.gravity, values)
+            out[here] = values
         return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size)
 
     def save(self, path: str | Path) -> None:
@@ -310,6 +312,7 @@ class WheelSoilModel:
             "wheel": to_dict(self.wheel),
             "soil": {k: v for k, v in to_dict(self.soil).items() if v is not None and v != ""},
             "effects": {name: {k: float(v) for k, v in values.items()} for name, values in self.effects.items()},
+            "gravity": float(self.gravity),
         }
         if self.residual:
             content["residual"] = [to_dict(term) for term in self.residual]
@@ -319,23 +322,26 @@ class WheelSoilModel:
     def load(cls, path: str | Path) -> WheelSoilModel:
         """Read model.yaml; `ParameterError` with one line for anything unknown, missing or out of range."""
         content, where = read_yaml(Path(path)), str(path)
+        known = ("format", "wheel", "soil", "effects", "residual", "gravity")
         for key in content:
-            if key not in ("format", "wheel", "soil", "effects", "residual"):
-                raise unknown_key(key, ("format", "wheel", "soil", "effects", "residual"), where)
+            if key not in known:
+                raise unknown_key(key, known, where)
+        content = {key: value for key, value in content.items() if value is not None}
         if content.get("format", FORMAT) != FORMAT:
             raise ParameterError(f"{where}: format = {content['format']!r}: expected {FORMAT!r}")
         for key in ("wheel", "soil"):
             if key not in content:
                 raise ParameterError(f"{where}: missing {key}")
-        terms = content.get("residual") or []
+        terms = content.get("residual", [])
         if not isinstance(terms, list):
             raise ParameterError(f"{where}: residual: expected a list of terms")
         try:
             return cls(
                 load(ModelWheel, content["wheel"], f"{where}: wheel"),
                 load(Soil, content["soil"], f"{where}: soil"),
-                content.get("effects") or {},
+                content.get("effects", {}),
                 tuple(load(ResidualTerm, t, f"{where}: residual") for t in terms),
+                content.get("gravity", 9.81),
             )
         except ParameterError as error:
             text = str(error)
@@ -353,6 +359,27 @@ class Rows(NamedTuple):
 
 _OPTIONAL = {"speed": 0.0, "pass": 1.0, "grade_deg": 0.0}
 _SIZES = ("wheel_radius", "wheel_width", "grouser_height")
+_RANGES = (
+    ("speed", 0.0, math.inf, "a travel speed >= 0 m/s"),
+    ("pass", 1.0, math.inf, "numbers from 1, 1 = fresh soil"),
+    ("grade_deg", -STEEPEST, STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]"),
+    ("wheel_radius", 0.01, LARGEST_WHEEL, f"metres in [0.01, {LARGEST_WHEEL:g}]"),
+    ("wheel_width", 0.005, LARGEST_WHEEL, f"metres in [0.005, {LARGEST_WHEEL:g}]"),
+    ("grouser_height", 0.0, 1.0, "metres in [0, 1]"),
+)
+
+
+def _numbers(name: str, value) -> np.ndarray:
+    """A condition as an array [N] or of one number; NaN only where it may be left out."""
+    try:
+        a = np.atleast_1d(np.asarray(value, dtype=float))
+    except (TypeError, ValueError):
+        raise ParameterError(f"conditions: {name}: expected numbers") from None
+    if a.ndim > 1:
+        raise ParameterError(f"conditions: {name}: expected one number a row, got an array of shape {a.shape}")
+    if np.any(np.isinf(a)) or (name in ("slip", "load") and np.any(np.isnan(a))):
+        raise ParameterError(f"conditions: {name}: expected finite numbers")
+    return a
 
 
 def rows_of(conditions, wheel: ModelWheel) -> Rows:
@@ -369,8 +396,11 @@ def rows_of(conditions, wheel: ModelWheel) -> Rows:
         for name in ("slip", "load"):
             if name not in given:
                 raise ParameterError(f"conditions: missing {name}")
-            if not np.all(np.isfinite(np.asarray(given[name], dtype=float))):
-                raise ParameterError(f"conditions: {name}: expected finite numbers")
+        given = {name: _numbers(name, value) for name, value in given.items()}
+        sizes = {name: a.size for name, a in given.items() if a.size != 1}
+        if len(set(sizes.values())) > 1:
+            text = ", ".join(f"{name} has {size}" for name, size in sizes.items())
+            raise ParameterError(f"conditions: expected columns of the same length, or scalars: {text}")
     usual = {**_OPTIONAL, "wheel_radius": wheel.radius, "wheel_width": wheel.width,
              "grouser_height": wheel.grouser_height}  # fmt: skip
     names = ("slip", "load", *usual)
@@ -378,6 +408,9 @@ def rows_of(conditions, wheel: ModelWheel) -> Rows:
     column = {n: np.where(np.isnan(a), usual.get(n, math.nan), a) for n, a in zip(names, arrays, strict=True)}
     if np.any(np.abs(column["slip"]) > 1.0) or np.any(column["load"] <= 0.0):
         raise ParameterError("conditions: expected slip in [-1, 1] and load > 0 N")
+    for name, low, high, expected in _RANGES:
+        if np.any((column[name] < low) | (column[name] > high)):
+            raise ParameterError(f"conditions: {name}: expected {expected}")
     return Rows(
         column["slip"].copy(),
         column["load"].copy(),
