@@ -45,7 +45,10 @@ class ResidualTerm(Checked):
                 raise ParameterError(f"residual: powers: {group} = {p!r}: expected a number in [-6, 6]")
         for group, pair in self.ranges.items():
             if not (
-                isinstance(pair, (list, tuple)) and len(pair) == 2 and all(isinstance(x, (int, float)) for x in pair)
+                isinstance(pair, (list, tuple))
+                and len(pair) == 2
+                and all(isinstance(x, (int, float)) for x in pair)
+                and pair[0] <= pair[1]
             ):
                 raise ParameterError(f"residual: ranges: {group} = {pair!r}: expected [low, high]")
 
@@ -100,7 +103,7 @@ def residual_at(law, groups):
             p = law.powers[k, g]
             if p != 0.0:
                 x = min(max(groups[g], law.low[k, g]), law.high[k, g])
-                value *= x**p if x > 0.0 or p == math.floor(p) else 0.0
+                value *= x**p if x > 0.0 or (x < 0.0 and p == math.floor(p)) else 0.0
         if law.channel[k] == 0:
             z += value
         elif law.channel[k] == 1:
