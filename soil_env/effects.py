@@ -244,7 +244,7 @@ def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
 def true_slip(measured, fx):
     """Slip of the wheel where the measured one has an offset, or comes from a wrong rolling radius (share of it)."""
     i = measured + fx.slip_bias_offset + fx.slip_bias_radius_error * (1.0 - measured)
-    return min(max(i, -1.0), 0.999)
+    return min(max(i, -1.0), 1.0)
 
 
 @kernel

@@ -148,8 +148,8 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     normal = load * (1.0 - fx.grade_share * (1.0 - math.sqrt(1.0 - sine * sine)))
     r, b, n = wheel.radius, wheel.width, ground.sinkage_exponent
     ratio = slip_sinkage_ratio(i, ground.dig_gain, ground.dig_recovery)
-    apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
-    ratio = ratio / apparent
+    apparent = max(ratio, 1e-3) if fx.slip_sinkage_apparent > 0.0 else 1.0
+    ratio = 1.0 if fx.slip_sinkage_apparent > 0.0 else ratio
     lift = min(excavated_depth(i, fx), 0.9 * DEEPEST * r)
     available = math.log(ground.sinkage_coefficient) - n * math.log(max(ratio, 1e-3))
     low, high = math.log(max(1e-6 * r, 1.0001 * lift)), math.log(DEEPEST * r)
@@ -207,9 +207,10 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     pull = w_old.drawbar_pull + blade - bulldozing_resistance(z, ground, unit_weight, b, fx)
     pull -= fx.grade_share * load * sine
     torque = arc.shear_ratio * w_old.torque + blade * (r + 0.5 * wheel.grouser_height)
-    wheel_speed = (conditions.speed + sliding_speed(i, conditions.speed) * (1.0 if i > 0.0 else -1.0)) / r
-    torque = drive_torque(torque, wheel_speed, 1e-6, fx)
-    return Steady(apparent * z + fx.sinkage_offset_offset, pull, torque, floating)
+    speed = max(conditions.speed, 1e-9)  # a wheel whose speed is not known turns all the same
+    wheel_speed = (speed + sliding_speed(i, speed) * (1.0 if i > 0.0 else -1.0)) / r
+    torque = drive_torque(torque, wheel_speed, 1e-15, fx)
+    return Steady(min(apparent * z, DEEPEST * r) + fx.sinkage_offset_offset, pull, torque, floating)
 
 
 @kernel

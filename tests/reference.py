@@ -268,5 +268,5 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     torque += (
         drive.get("constant", 0.0) + drive.get("share", 0.0) * abs(torque) + drive.get("viscous", 0.0) * wheel_speed
     )
-    measured = z * (k if dig.get("apparent", 0.0) else 1.0) + fx["sinkage_offset"].get("offset", 0.0)
+    measured = min(z * (k if dig.get("apparent", 0.0) else 1.0), 1.5 * site.r) + fx["sinkage_offset"].get("offset", 0.0)
     return SteadyResult(measured, pull, torque, up / normal)

@@ -393,7 +393,9 @@ def test_slip_from_a_wrong_rolling_radius():
     """Slip was taken with 0.95 of the true radius: V/(r w) is then 1/0.95 too large, so 1 - i = 0.95 (1 - 0.4)."""
     assert effects.true_slip(0.4, on("slip_bias", radius_error=0.05)) == pytest.approx(1.0 - 0.95 * 0.6)
     assert effects.true_slip(0.4, on("slip_bias", offset=0.05)) == pytest.approx(0.45)
-    assert effects.true_slip(0.4, NO_EFFECTS) == 0.4
+    for slip in (-1.0, 0.4, 1.0):
+        assert effects.true_slip(slip, NO_EFFECTS) == slip
+    assert effects.true_slip(0.99, on("slip_bias", offset=0.05)) == 1.0
 
 
 @settings(deadline=None)

@@ -171,6 +171,13 @@ def test_apparent_slip_sinkage_multiplies_the_sinkage_alone():
     assert deeper[1:] == plain[1:]
 
 
+@pytest.mark.parametrize(("gain", "slip"), [(-0.5, 0.9), (-0.5, 1.0), (10.0, 1.0)])
+def test_apparent_sinkage_stays_between_the_surface_and_a_buried_wheel(gain, slip):
+    """Without recovery the ratio 1 + g i/(1 - i) has no bounds of its own."""
+    fx = {"slip_sinkage": {"gain": gain, "recovery": 0.0, "apparent": 1.0}}
+    assert 0.0 < steady(SOIL, slip, 90.0, SITE, fx).sinkage <= model.DEEPEST * 0.15
+
+
 def test_the_weight_on_a_slope():
     """Normal load W cos b, and W sin b less pull; uphill and downhill alike otherwise."""
     effect, b = {"grade": {"share": 1.0}}, math.radians(10.0)
