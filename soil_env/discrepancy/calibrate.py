@@ -121,6 +121,7 @@ class Problem:
     soil: tuple[Unknown, ...] = ()
     known: dict[str, float] = field(default_factory=dict)
     scales: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # sd, low, high that the data set
+    offset: np.ndarray | None = None  # [N, 3] added to the model, a residual law
 
     def __post_init__(self):
         self._soil_unknowns()
@@ -234,7 +235,7 @@ class Problem:
             rows.slip, rows.load, rows.wheels, rows.conditions, self.state(values), self.density * GRAVITY,
             self.effects(choices, values), guess, out,
         )  # fmt: skip
-        return out
+        return out if self.offset is None else out + self.offset
 
     def sinkage_guess(self, fit: Fit) -> np.ndarray:
         """[N] sinkages to start a prediction from."""

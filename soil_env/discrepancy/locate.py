@@ -65,18 +65,17 @@ class Boxes:
     limits: tuple[dict[str, tuple[int, int]], ...]
 
 
-def absorbed(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """(Q [M + p, k], e [M + p]): orthonormal directions that the parameters absorb, and what the fit leaves.
+def linearised(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """(A [M + p, k], e [M + p]): the whitened problem about its solution, the priors as the last p rows.
 
-    The priors are the last p rows; parameters at a bound do not move.
+    Parameters at a bound do not move.
     """
     x = np.concatenate([fit.u, fit.slack])
     free = np.ones(x.size, dtype=bool)
     for k, (unknown, u) in enumerate(zip(fit.unknowns, fit.u, strict=True)):
         at = unknown.mean + unknown.sd * u
         free[k] = min(at - unknown.low, unknown.high - at) > 1e-4 * unknown.sd
-    a = np.concatenate([fit.jacobian, np.eye(x.size)])[:, free]
-    return np.linalg.qr(a)[0], np.concatenate([fit.residual, -x])
+    return np.concatenate([fit.jacobian, np.eye(x.size)])[:, free], np.concatenate([fit.residual, -x])
 
 
 def boxes(problem: Problem) -> Boxes:
@@ -111,7 +110,8 @@ def locate(problem: Problem, fit: Fit, seed: int = 0, draws: int = 400) -> tuple
     channel the boxes do not overlap.
     """
     found = boxes(problem)
-    q, e = absorbed(fit)
+    a, e = linearised(fit)
+    q = np.linalg.qr(a)[0]  # directions that the parameters absorb
     row, channel = np.nonzero(problem.used)
     measured = [j for j in range(3) if problem.used[:, j].any()]
     v = np.concatenate([(found.member[:, row] & (channel == j)).T.astype(float) for j in measured], axis=1)

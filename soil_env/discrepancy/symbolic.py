@@ -1,0 +1,296 @@
+"""A misfit that no listed effect explains, as the simplest law in dimensionless groups.
+
+The law is a sum of at most `TERMS` products of powers of the groups of `residual.py`, in any channel. Terms are chosen
+one after the other, each fitted jointly with the fit's own parameters (to first order, so that the soil may move): a
+term must lower the objective by more than its price, that of a parameter under BIC and of the choice among all laws as
+simple; of those that do, the one is taken that gains most by the mean of that and of the likelihood of held-out
+conditions. Then law and soil are refitted in turn.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+
+from soil_env.discrepancy.calibrate import GRAVITY, Fit, Problem
+from soil_env.discrepancy.data import CHANNELS, folds
+from soil_env.discrepancy.locate import TITLES, linearised
+from soil_env.model import add_residual
+from soil_env.residual import GROUPS, ResidualTerm, dimensionless_groups, residual_law
+
+TERMS = 3
+POWERS = (1.0, 2.0, 0.5, -1.0, -0.5, 3.0)
+POWERS_OF_THREE = (1.0, 2.0, 0.5)  # where three groups are multiplied
+LEAST_SPREAD = 0.05  # relative spread of a group below which it does not vary
+WIDTH = 0.5  # prior sd of a term's rms over that of the channel
+_SWAPS = 3
+FURTHER_GROUP, ODD_POWER = 4.0, 0.5  # added to the price of a term
+_ROUNDS = 5  # of law and soil in turn
+_HELD_OUT = 24  # terms whose held-out likelihood is looked at
+_CLOSE = 0.02  # [noise sd] largest change of the law at which the turns end
+
+_OVER = {"sinkage": "radius", "drawbar_pull": "load", "torque": "load times radius"}
+_MEANING = {
+    "slip": "|slip|",
+    "grip": "1 - |slip|",
+    "sinkage": "z/r",
+    "load": "W/(S b r^(n+1))",
+    "speed": "V/sqrt(g r)",
+    "pass": "pass number",
+    "grade": "sin(grade)",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualFit:
+    """A fit with a residual law; no terms where none is worth its price."""
+
+    terms: tuple[ResidualTerm, ...]
+    fit: Fit  # soil refitted with the law; the coefficients, in prior sd, are the last of its slack
+    offset: np.ndarray  # [N, 3] what the law adds, as `Problem.offset` takes it
+    gain: float  # fall of the objective beyond the price of the terms
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
+class Library:
+    """Products of powers [C, 7] of the groups in the channels [C]."""
+
+    channel: np.ndarray  # [C]
+    powers: np.ndarray  # [C, 7]
+    column: np.ndarray  # [M, C] whitened effect of one prior sd of the coefficient
+    width: np.ndarray  # [C] that prior sd
+    price: np.ndarray  # [C] of choosing it
+
+    def pick(self, keep) -> Library:
+        """The products `keep`."""
+        return Library(self.channel[keep], self.powers[keep], self.column[:, keep], self.width[keep], self.price[keep])
+
+
+def symbolic(problem: Problem, fit: Fit) -> ResidualFit:
+    """The simplest law for what `fit` leaves, with the soil refitted to it."""
+    best = ResidualFit((), fit, np.zeros_like(problem.data.y), 0.0, "no simple law explains what is left")
+    at, offset = fit, best.offset
+    for _ in range(2):  # the second choice starts where the first has moved the soil
+        chosen = choose(problem, at, offset, library(problem, at, offset))
+        if not chosen.channel.size or np.array_equal(chosen.powers, residual_law(best.terms).powers):
+            break
+        now, at = refit(problem, fit, at, offset, chosen)
+        if now.gain <= best.gain:
+            break
+        best, offset = now, now.offset
+    return best
+
+
+# --- groups and products ----------------------------------------------------------------------------------------------
+
+
+def groups_of(problem: Problem, fit: Fit, offset: np.ndarray) -> np.ndarray:
+    """[N, 7] values of `GROUPS`; the sinkage is that of the model without the law, whose values are `offset`."""
+    rows, soil = problem.data.rows, problem.state(fit.parameters())
+    sinkage = fit.output[:, 0] - offset[:, 0]
+    return np.array([
+        dimensionless_groups(
+            rows.slip[k], sinkage[k], rows.load[k], *rows.conditions[k], soil, *rows.wheels[k, :2], GRAVITY
+        )
+        for k in range(rows.slip.size)
+    ])  # fmt: skip
+
+
+def products(groups: np.ndarray) -> np.ndarray:
+    """[C, 7] powers of all products of up to three groups that vary and have the powers."""
+    spread = np.ptp(groups, axis=0) > LEAST_SPREAD * np.max(np.abs(groups), axis=0)
+    low = groups.min(axis=0)
+    out = [np.zeros(len(GROUPS))]
+    for count in (1, 2, 3):
+        allowed = POWERS if count < 3 else POWERS_OF_THREE
+        for chosen in combinations(np.flatnonzero(spread), count):
+            for powers in product(allowed, repeat=count):
+                if all((p > 0.0 or low[g] > 0.0) and (p % 1.0 == 0.0 or low[g] >= 0.0)
+                       for g, p in zip(chosen, powers, strict=True)):  # fmt: skip
+                    out.append(np.zeros(len(GROUPS)))
+                    out[-1][list(chosen)] = powers
+    return np.array(out)
+
+
+def library(problem: Problem, fit: Fit, offset: np.ndarray) -> Library:
+    """Every product in every measured channel, with its price."""
+    groups = groups_of(problem, fit, offset)
+    powers = products(groups)
+    count = np.sum(powers != 0.0, axis=1)
+    measured = [j for j in range(3) if problem.used[:, j].any()]
+    # as simple: no more groups, in any channel
+    price = 2.0 * np.log(len(measured) * np.array([np.sum(count <= k) for k in count]))
+    price += FURTHER_GROUP * np.maximum(count - 1, 0) + ODD_POWER * np.sum((powers != 0.0) & (powers != 1.0), axis=1)
+    return at_groups(
+        problem, groups, np.repeat(measured, count.size), np.tile(powers, (len(measured), 1)),
+        np.tile(price, len(measured)),
+    )  # fmt: skip
+
+
+def at_groups(problem: Problem, groups: np.ndarray, channel: np.ndarray, powers: np.ndarray, price) -> Library:
+    """The products of the given powers at `groups` [N, 7]."""
+    rows = problem.data.rows
+    value = np.ones((groups.shape[0], powers.shape[0]))
+    for g in range(len(GROUPS)):
+        x = groups[:, g]
+        for p in np.unique(powers[:, g]):
+            if p != 0.0:
+                x_p = np.where(x > 0.0, np.abs(np.where(x > 0.0, x, 1.0)) ** p, x**p if p in (1.0, 2.0, 3.0) else 0.0)
+                value[:, powers[:, g] == p] *= x_p[:, None]
+    radius = rows.wheels[:, 0]
+    scale = np.stack([radius, rows.load, rows.load * radius], axis=1) / problem.noise
+    row, of = np.nonzero(problem.used)
+    column = np.where(of[:, None] == channel, value[row] * scale[row, of][:, None], 0.0)
+    size = [np.linalg.norm((problem.data.y / problem.noise)[problem.used[:, j], j]) for j in range(3)]
+    width = WIDTH * np.array(size)[channel] / np.maximum(np.linalg.norm(column, axis=0), 1e-300)
+    return Library(channel, powers, column * width, width, price)
+
+
+# --- choice -----------------------------------------------------------------------------------------------------------
+
+
+def choose(problem: Problem, fit: Fit, offset: np.ndarray, found: Library) -> Library:
+    """The terms worth their price, added one after the other; after each, all are reconsidered beside the others."""
+    picked: list[int] = []
+    for _ in range(TERMS):
+        k = _next(problem, fit, offset, found, picked)
+        if k is None:
+            break
+        picked.append(k)
+        for _ in range(_SWAPS if len(picked) > 1 else 0):
+            before = list(picked)
+            for old in before:
+                rest = [x for x in picked if x != old]
+                new = _next(problem, fit, offset, found, rest)
+                picked = rest if new is None else [new if x == old else x for x in picked]
+            if picked == before:
+                break
+    return found.pick(sorted(picked, key=lambda k: found.channel[k]))
+
+
+def _next(problem: Problem, fit: Fit, offset: np.ndarray, found: Library, picked: list[int]) -> int | None:
+    """The best further term, None where none is worth its price."""
+    a, e = _with_terms(problem, fit, offset, found.column[:, picked])
+    q = np.linalg.qr(a)[0]
+    m = found.column.shape[0]
+    whole = np.einsum("mc,mc->c", found.column, found.column)
+    length = whole - np.sum((q[:m].T @ found.column) ** 2, axis=0)  # of what the parameters do not absorb
+    along = found.column.T @ (e - q @ (q.T @ e))[:m]
+    fall = along**2 / (length + 1.0)
+    worth = _likelihood(problem, fall) - math.log(m) - found.price
+    worth[picked] = -math.inf
+    worth[length < 1e-6 * whole] = -math.inf
+    best = np.argsort(-worth)[:_HELD_OUT]
+    best = best[worth[best] > 0.0]
+    if not best.size:
+        return None
+    ways, row = folds(problem.data), np.nonzero(problem.used)[0]
+    member = np.stack([group[row] for way in ways for group in way])
+    base = held_out(member, a, e)
+    gain = [
+        2.0 / len(ways) * (held_out(member, *_with_terms(problem, fit, offset, found.column[:, [*picked, k]])) - base)
+        - found.price[k]
+        for k in best
+    ]
+    gain = 0.5 * (np.array(gain) + worth[best])  # held-out values alone do not mind an implausible soil
+    k = int(np.argmax(gain))
+    return int(best[k]) if gain[k] > 0.0 else None
+
+
+def _likelihood(problem: Problem, fall: np.ndarray) -> np.ndarray:
+    """Fall of the objective as a log-likelihood ratio, the noise being known to some degrees of freedom only."""
+    f = problem.freedom
+    return fall if math.isinf(f) else f * np.log1p(fall / f)
+
+
+def _with_terms(problem: Problem, fit: Fit, offset: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(A, e) of the linearised fit without its offset, terms added as unknowns with a unit prior."""
+    a, e = linearised(fit)
+    m, extra = fit.residual.size, column.shape[1]
+    e = np.concatenate([e, np.zeros(extra)])
+    e[:m] += problem.whiten(offset)
+    side = np.concatenate([column, np.zeros((a.shape[0] - m, extra)), np.eye(extra)])
+    return np.concatenate([np.concatenate([a, np.zeros((extra, a.shape[1]))]), side], axis=1), e
+
+
+def held_out(member: np.ndarray, a: np.ndarray, e: np.ndarray) -> float:
+    """Log-likelihood of groups of values, `member` [F, M], each predicted from the others, of a linear model.
+
+    With residuals r of the fit to all, J the rows of A held out, N = A'A: the predictive covariance of what is held out
+    is (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J', and its error that times r.
+    """
+    normal = a.T @ a
+    r = (e - a @ np.linalg.solve(normal, a.T @ e))[: member.shape[1]]
+    top = a[: member.shape[1]]
+    rest = normal - np.stack([top[out].T @ top[out] for out in member])
+    pull = (member * r) @ top
+    quadratic = np.sum(pull * np.linalg.solve(rest, pull[:, :, None])[:, :, 0]) + np.sum(member @ r**2)
+    return 0.5 * float(np.sum(np.linalg.slogdet(rest)[1] - np.linalg.slogdet(normal)[1]) - quadratic)
+
+
+# --- refit ------------------------------------------------------------------------------------------------------------
+
+
+def refit(problem: Problem, base: Fit, at: Fit, offset: np.ndarray, chosen: Library) -> tuple[ResidualFit, Fit]:
+    """(law and soil fitted in turn, the fit of the soil alone), starting from the fit `at` with its `offset`."""
+    powers, shifted = chosen.powers, copy.copy(problem)
+    for _ in range(_ROUNDS):
+        here = at_groups(problem, groups_of(problem, at, offset), chosen.channel, chosen.powers, chosen.price)
+        a, e = _with_terms(problem, at, offset, here.column)
+        solved = np.linalg.lstsq(a, e, rcond=None)[0][-powers.shape[0] :]
+        terms = _terms(problem, at, offset, here, solved * here.width)
+        shifted.offset = law_offset(problem, at, offset, terms)
+        moved = problem.whiten(shifted.offset - offset)
+        at, offset = shifted.fit(base.choices, start=at.parameters(), slack=at.slack.size > 0), shifted.offset
+        if np.max(np.abs(moved)) < _CLOSE:
+            break
+    coefficient = np.array([t.coefficient for t in terms]) / here.width
+    slack = np.concatenate([at.slack, coefficient])
+    jacobian = np.concatenate([at.jacobian, here.column], axis=1)
+    misfit = at.misfit + float(coefficient @ coefficient)
+    objective = at.objective + float(coefficient @ coefficient)
+    _, logdet = np.linalg.slogdet(np.eye(slack.size + at.u.size) + jacobian.T @ jacobian)
+    fit = dataclasses.replace(at, slack=slack, jacobian=jacobian, misfit=misfit, objective=objective,
+                              evidence=-0.5 * objective - 0.5 * logdet)  # fmt: skip
+    price = float(np.sum(chosen.price)) + math.log(at.residual.size) * len(terms)
+    gain = float(_likelihood(problem, np.array(base.objective - objective))) - price
+    return ResidualFit(terms, fit, offset, gain, in_words(terms)), at
+
+
+def _terms(problem: Problem, fit: Fit, offset: np.ndarray, here: Library, coefficient) -> tuple[ResidualTerm, ...]:
+    groups = groups_of(problem, fit, offset)[problem.used.any(axis=1)]
+    out = []
+    for j, powers, c in zip(here.channel, here.powers, coefficient, strict=True):
+        used = np.flatnonzero(powers)
+        ranges = {GROUPS[g]: [float(groups[:, g].min()), float(groups[:, g].max())] for g in used}
+        out.append(ResidualTerm(CHANNELS[j], float(c), {GROUPS[g]: float(powers[g]) for g in used}, ranges))
+    return tuple(out)
+
+
+def law_offset(problem: Problem, fit: Fit, offset: np.ndarray, terms: tuple[ResidualTerm, ...]) -> np.ndarray:
+    """[N, 3] what the terms add to the model of `fit`, which has `offset` in it."""
+    rows, plain = problem.data.rows, fit.output - offset
+    out = plain.copy()
+    add_residual(residual_law(terms), rows.slip, rows.load, rows.wheels, rows.conditions,
+                 problem.state(fit.parameters()), GRAVITY, out)  # fmt: skip
+    return out - plain
+
+
+def in_words(terms: tuple[ResidualTerm, ...]) -> str:
+    """The law in a sentence, the meaning of its groups behind it."""
+    parts = []
+    for t in terms:
+        product = "".join(f" {g}" if p == 1.0 else f" {g}^{p:g}" for g, p in t.powers.items())
+        way = (
+            ("falls" if t.coefficient < 0.0 else "rises") if product else ("is lower", "is higher")[t.coefficient > 0.0]
+        )
+        parts.append(f"{TITLES[t.channel]} over {_OVER[t.channel]} {way} by {abs(t.coefficient):.2g}{product}")
+    meaning = {g: _MEANING[g] for t in terms for g in t.powers if _MEANING[g] != g}
+    legend = ", ".join(f"{g} = {text}" for g, text in meaning.items())
+    return "; ".join(parts) + (f" ({legend})" if legend else "")
