@@ -1,0 +1,229 @@
+"""The test that would tell apart what a table cannot.
+
+Every candidate predicts a grid of feasible conditions, with its uncertainty: the covariance C = (I + J'J)^-1 of its
+parameters, form error included, carried to the grid. A single extra run separates candidates a and b in a channel by
+
+    |f_a - f_b| / sqrt(sigma^2 + g_a'C_a g_a + g_b'C_b g_b)
+
+standard deviations (Box & Hill 1967, Technometrics 9:57-71; Atkinson & Fedorov 1975, Biometrika 62:57-70).
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.catalogue import CATALOGUE
+from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.locate import TITLES
+from soil_env.discrepancy.search import TOLD, Candidate, Finding
+from soil_env.model import Rows
+
+MOST = 4  # tests proposed
+LEAST = 1.0  # [sd] below which a test separates nothing
+ENOUGH = 8.0  # [sd] beyond which a test is not better
+RUNNER_UP = 25.0  # [nats] of held-out likelihood by which a candidate is beaten for good
+CANDIDATES = 5
+DEEPEST = 0.6  # [radii] deepest sinkage of a feasible test
+SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
+_STRANGE = 0.3  # [sd] that half a span of the table's conditions must gain
+_HALF_SPAN = {"slip": 0.1, "load": 0.35, "speed": 0.35, "pass": 0.35, "grade_deg": 5.0}  # at least; logarithmic
+_NEAR = 0.7  # distance, in half spans, of tests that are much the same
+
+
+@dataclass(frozen=True)
+class NextTest:
+    """One run to make: the conditions, and the two models that it separates."""
+
+    conditions: dict[str, float]  # slip, load [N] and what else matters, as the columns of a table
+    channel: str
+    separates: tuple[str, str]
+    expected_sigma: float  # difference over noise and uncertainty of the two predictions
+    words: str
+
+
+class Grid(NamedTuple):
+    """Conditions [G] that could be run."""
+
+    value: dict[str, np.ndarray]  # by column
+    told: tuple[str, ...]  # columns that matter
+    scaled: np.ndarray  # [G, K] in half spans of the table, from its middle
+
+
+def next_tests(problem: Problem, finding: Finding) -> tuple[NextTest, ...]:
+    """The tests that would best separate the candidates that a search left; none where nothing is missing."""
+    return separating(problem, undecided(finding))
+
+
+def undecided(finding: Finding) -> tuple[Candidate, ...]:
+    """The best candidate and those it was not told from, or else those that come next, best first."""
+    if finding.verdict == "none":
+        return ()
+    pool = sorted((*finding.singles, *finding.pairs), key=lambda c: -c.score)
+    first = finding.best if finding.best.fit.choices else pool[0]
+    rest = [c for c in pool if set(c.names) != set(first.names)]
+    if finding.verdict == "ambiguous":
+        other = {name for named in finding.named for name in named.alternatives}
+        rest = [c for c in rest if len(c.names) == len(first.names) and other & set(c.names)]
+        near = [c for c in rest if c.score > first.score - TOLD]
+        rest = near or rest
+    else:  # a model without one effect of a named pair is no rival to it
+        rest = [c for c in rest if c.score > first.score - RUNNER_UP and not set(c.names) < set(first.names)]
+    return (first, *rest[: CANDIDATES - 1])
+
+
+def separating(problem: Problem, candidates: Sequence[Candidate]) -> tuple[NextTest, ...]:
+    """A handful of different tests, the most telling first."""
+    if len(candidates) < 2:
+        return ()
+    grid = conditions(problem, candidates)
+    names = [" and ".join(c.names) or "base model" for c in candidates]
+    there = _problem_at(problem, grid)
+    means, variances, feasible = [], [], True
+    for c in candidates:
+        mean, variance, ok = predicted(there, c)
+        means.append(mean / problem.noise)
+        variances.append(variance)
+        feasible = feasible & ok
+    pairs = list(combinations(range(len(candidates)), 2))
+    sigma = np.stack([np.abs(means[a] - means[b]) / np.sqrt(1.0 + variances[a] + variances[b]) for a, b in pairs])
+    sigma[:, :, ~problem.used.any(axis=0)] = 0.0
+    sigma[:, ~feasible] = 0.0
+    sigma[~np.isfinite(sigma)] = 0.0
+    outside = np.maximum(np.abs(grid.scaled) - 1.0, 0.0).sum(axis=1)
+    rivals = np.array([1.0 if a == 0 else 0.5 for a, _ in pairs])  # the best against another first
+    odd = _STRANGE * outside + 0.02 * np.abs(grid.scaled).sum(axis=1)
+    score = np.maximum(np.minimum(sigma, ENOUGH) - odd[None, :, None], 1e-3) * rivals[:, None, None]
+    score[sigma < LEAST] = 0.0
+    out: list[NextTest] = []
+    while len(out) < MOST and score.any():
+        p, g, j = np.unravel_index(int(np.argmax(score)), score.shape)
+        pair = (names[pairs[p][0]], names[pairs[p][1]])
+        point = {name: float(grid.value[name][g]) for name in grid.told}
+        out.append(NextTest(point, CHANNELS[j], pair, float(sigma[p, g, j]),
+                            in_words(point, CHANNELS[j], pair, float(sigma[p, g, j]))))  # fmt: skip
+        same = np.linalg.norm(grid.scaled - grid.scaled[g], axis=1) < _NEAR
+        score[p] *= 0.5
+        score[p, same] = 0.0
+        score[p, :, j] *= 0.5
+    return tuple(out)
+
+
+# --- the grid ---------------------------------------------------------------------------------------------------------
+
+
+def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
+    """Slips to 0.7, half to twice the loads of the table, and speeds, passes and grades where a candidate knows them.
+
+    What no candidate knows stays as it is in the table.
+    """
+    rows, varied = problem.data.rows, problem.data.varied
+    speed, passes, sine = rows.conditions.T
+    column = {"slip": rows.slip, "load": rows.load, "speed": speed, "pass": passes, "grade_deg": _degrees(sine)}
+    choices = [choice for c in candidates for choice in c.fit.choices]
+    known = {CATALOGUE[c.effect].varies for c in choices}
+    if any("drivetrain_friction_viscous" in c.free for c in choices):
+        known.add("speed")
+    timed = bool(np.all(speed > 0.0))
+    if not timed:
+        known.discard("speed")
+    levels = {name: [float(np.median(x))] for name, x in column.items()}
+    levels["slip"], levels["load"] = list(SLIPS), _around(rows.load, 0.5, 2.0)
+    if "speed" in known:
+        levels["speed"] = _around(speed, 0.3, 3.0)
+    if "pass" in known:
+        levels["pass"] = sorted({1.0, 2.0, 3.0, float(passes.max())})
+    if "grade_deg" in known:
+        levels["grade_deg"] = [min(-10.0, float(column["grade_deg"].min())), 0.0,
+                               max(10.0, float(column["grade_deg"].max()))]  # fmt: skip
+    points = np.array(list(product(*levels.values())))
+    told = [n for n in levels if n in varied or n in known or n in ("slip", "load") or (n == "speed" and timed)]
+    scaled = []
+    for k, name in enumerate(levels):
+        x, t = points[:, k], column[name]
+        if name in ("load", "speed", "pass"):
+            x, t = np.log(np.maximum(x, 1e-9)), np.log(np.maximum(t, 1e-9))
+        scaled.append((x - 0.5 * (t.min() + t.max())) / max(0.5 * np.ptp(t), _HALF_SPAN[name]))
+    return Grid(dict(zip(levels, points.T, strict=True)), tuple(told), np.stack(scaled, axis=1))
+
+
+def _around(x: np.ndarray, below: float, above: float) -> list[float]:
+    """The ends and the middle of the values, and beyond by the two factors, in two digits where the table has none."""
+    low, high = float(x.min()), float(x.max())
+    values = {_round(below * low), low, _round((low * high) ** 0.5) if high > 1.1 * low else low, high,
+              _round(above * high)}  # fmt: skip
+    return sorted(values)
+
+
+def _round(x: float) -> float:
+    return float(f"{x:.2g}")
+
+
+def _degrees(sine: np.ndarray) -> np.ndarray:
+    return np.round(np.degrees(np.arcsin(sine)), 6)
+
+
+def _problem_at(problem: Problem, grid: Grid) -> Problem:
+    """The problem with the grid for rows, every channel in use; the form error is that of the nearest row."""
+    data, v = problem.data, grid.value
+    count, wheel = v["slip"].size, data.wheel
+    rows = Rows(
+        v["slip"],
+        v["load"],
+        np.tile([wheel.radius, wheel.width, wheel.grouser_height], (count, 1)),
+        np.stack([v["speed"], v["pass"], np.sin(np.radians(v["grade_deg"]))], axis=1),
+    )
+    there = copy.copy(problem)
+    there.data = dataclasses.replace(data, rows=rows)
+    there.used, there.offset = np.ones((count, 3), dtype=bool), None
+    r = data.rows
+    near = [
+        np.log(rows.load)[:, None] - np.log(r.load),
+        2.0 * (rows.slip[:, None] - r.slip),
+        0.5 * np.log(np.maximum(rows.conditions[:, :1], 1e-9) / np.maximum(r.conditions[:, 0], 1e-9)),
+        0.5 * (rows.conditions[:, 1:2] - r.conditions[:, 1]),
+        3.0 * (rows.conditions[:, 2:] - r.conditions[:, 2]),
+    ]
+    nearest = np.argmin(sum(d**2 for d in near), axis=1)
+    there.slack_basis = {name: basis[nearest] for name, basis in problem.slack_basis.items()}
+    return there
+
+
+def predicted(there: Problem, candidate: Candidate) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(mean [G, 3], variance [G, 3] in noise variances, feasible [G]) of a candidate at the rows of `there`."""
+    fit, guess = candidate.fit, np.zeros(there.data.rows.slip.size)
+    slack = fit.slack.size > 0
+    out, added = there.parts(fit.unknowns, fit.u, fit.choices, guess, slack)
+    feasible = (guess > 0.0) & (guess < DEEPEST * there.data.wheel.radius) & np.all(np.isfinite(out), axis=1)
+    mean = there.with_slack(fit.choices, out, added, fit.slack) if slack else out
+    j = there.derivatives(fit.unknowns, fit.u, fit.slack, fit.choices, guess)
+    covariance = np.linalg.inv(np.eye(fit.columns) + fit.jacobian.T @ fit.jacobian)
+    return mean, np.sum((j @ covariance) * j, axis=1).reshape(-1, 3), feasible
+
+
+# --- words ------------------------------------------------------------------------------------------------------------
+
+
+def in_words(point: dict[str, float], channel: str, pair: tuple[str, str], sigma: float) -> str:
+    """The test in a sentence."""
+    extra = [f"{point['speed']:.3g} m/s"] if "speed" in point else []
+    extra += [f"pass {point['pass']:g}"] if "pass" in point else []
+    extra += [f"a grade of {point['grade_deg']:.3g} deg"] if "grade_deg" in point else []
+    where = [f"load {point['load']:.3g} N", *extra]
+    at = where[0] if len(where) == 1 else f"{', '.join(where[:-1])} and {where[-1]}"
+    return (
+        f"slip {point['slip']:.2g} at {at}: {title(pair[0])} against {title(pair[1])}, expected to differ by "
+        f"{sigma:.1f} sd in {TITLES[channel]}"
+    )
+
+
+def title(name: str) -> str:
+    """Effects in words."""
+    return " and ".join(CATALOGUE[n].title if n in CATALOGUE else n for n in name.split(" and "))
