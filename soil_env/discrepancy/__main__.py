@@ -1,0 +1,139 @@
+"""Find where simulation and measurement disagree, name the missing effect, add it, and show the gap shrink.
+
+Reads a table of steady points of a wheel and what is known beforehand of wheel, soil and sensors. The base model is
+calibrated to the table; where it disagrees is said; every effect of the catalogue is refitted together with the soil
+and judged on held-out conditions; what is missing is named, or said to be undecided, unlisted, or nothing. The
+conclusion is printed, and written into DIR: report.html to read and to mail, report.json, and model.yaml, the
+corrected model, which gymnasium.make("SoilWheel-v0", model=...) simulates.
+
+DATA.csv (SI units; a cell is left empty where nothing was measured):
+
+    slip,load,speed,pass,sinkage,drawbar_pull,torque
+    0.10,120,0.05,1,0.0211,2.35,4.02
+    0.25,120,0.05,1,0.0224,11.9,5.86
+    0.45,120,0.05,1,0.0263,21.4,7.41
+
+  slip          (r w - V)/(r w) when driving, (r w - V)/V when braking, in [-1, 1]; required
+  load          [N] vertical load on the wheel; required
+  sinkage [m], drawbar_pull [N], torque [N m]: measured, at least one of them
+  speed         [m/s] of travel
+  pass          1 = fresh soil
+  grade_deg     [deg] uphill positive
+  run, time [s]: what tells repeats apart
+  wheel_radius, wheel_width, grouser_height [m]: of a row, instead of the setup's
+
+An effect shows only where its condition varies: rates need several speeds, multipass several passes.
+
+setup.yaml:
+
+    wheel: {radius: 0.15, width: 0.12}             # m; grouser_height: optional, 0 = smooth
+    soil:
+      density: 1600                                # kg/m3; a number is known and not fitted
+      friction_angle_deg: {value: 30, sd: 1.5}     # a prior: fitted, and held to this as far as the data allow
+      cohesion: {value: 3700, sd: 700}             # Pa
+      # left out: shear_modulus [m], sinkage_exponent, sinkage_coefficient [N/m^(n+2)] (or k_c and k_phi): fitted
+    noise: {sinkage: 0.0009, drawbar_pull: 0.7, torque: 0.1}   # 1-sigma; left out = from repeats, else fitted
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from soil_env.discrepancy.report import FILES, show
+from soil_env.discrepancy.words import summary
+from soil_env.discrepancy.workflow import run
+from soil_env.loading import ParameterError
+
+NAME = "soil_env.discrepancy"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    options = _parser().parse_args(arguments)
+    try:
+        with _progress(options.quiet) as say:
+            report = run(
+                options.data, options.setup, options.out, seed=options.seed, bootstrap=options.bootstrap, progress=say
+            )
+    except ParameterError as error:
+        print(f"{NAME}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"{NAME}: interrupted, nothing written", file=sys.stderr)
+        return 130
+    if options.quiet:
+        print(f"{report.verdict}: {summary(report)}")
+        return 0
+    show(report, Console(width=None if sys.stdout.isatty() else 110))
+    for name in FILES:
+        print(f"written: {options.out / name}")
+    return 0
+
+
+@contextmanager
+def _progress(quiet: bool):
+    """What `run` tells its progress to: a spinner on a terminal, a line for each stage elsewhere (stderr)."""
+    if quiet:
+        yield lambda text: None
+    elif sys.stderr.isatty():
+        with Progress(
+            SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=Console(stderr=True),
+            transient=True,
+        ) as shown:  # fmt: skip
+            task = shown.add_task("reading", total=None)
+            yield lambda text: shown.update(task, description=text)
+    else:
+        yield _stages()
+
+
+def _stages() -> Callable[[str], None]:
+    said = [""]
+
+    def say(text: str) -> None:
+        stage = text.partition(":")[0]
+        if stage != said[0]:
+            said[0] = stage
+            print(f"{NAME}: {stage}", file=sys.stderr)
+
+    return say
+
+
+def _parser() -> argparse.ArgumentParser:
+    description, _, files = __doc__.partition("\n\nDATA.csv")
+    p = argparse.ArgumentParser(
+        prog=f"python -m {NAME}",
+        description=description,
+        epilog="files:\n\nDATA.csv" + files + "\nexit status: 0 done, whatever the verdict; 2 bad input, said in one "
+        "line and nothing written; 130\ninterrupted, nothing written.\n\nexample:\n\n    "
+        "python -m soil_env.discrepancy examples/data/rig.csv \\\n"
+        "        --setup examples/data/rig.setup.yaml --out runs/rig",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    p.add_argument("data", metavar="DATA.csv", type=Path, help="measurement table (CSV, or Parquet with pyarrow)")
+    p.add_argument("--setup", required=True, type=Path, help="YAML file: wheel, what is known of the soil, noise")
+    p.add_argument("--out", required=True, metavar="DIR", type=Path, help="folder for the report; made if need be")
+    p.add_argument("--seed", type=_whole, default=0, help="of everything random (default 0); same seed, same report")
+    p.add_argument(
+        "--bootstrap", type=_whole, default=200, metavar="N",
+        help="redraws of the noise that tell how sure the name is (default 200; 0 for none)",
+    )  # fmt: skip
+    p.add_argument("--quiet", action="store_true", help="print only the conclusion, in one line")
+    return p
+
+
+def _whole(text: str) -> int:
+    value = int(text) if text.isdigit() else -1
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 0")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,193 @@
+"""The plots of a report, as SVG that is the same for the same report."""
+
+from __future__ import annotations
+
+import io
+import re
+from typing import TYPE_CHECKING
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from soil_env.catalogue import CATALOGUE
+from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.locate import TITLES, UNITS
+from soil_env.discrepancy.words import title
+
+if TYPE_CHECKING:
+    from soil_env.discrepancy.workflow import Report
+
+BEFORE, AFTER, MEASURED = "#c2571a", "#1f6f8b", "#222222"
+MANY = 1200  # points of a plot above which they are drawn as an image
+CURVES = 4  # groups of rows whose curves over slip are drawn
+_STYLE = {"font.size": 9, "axes.titlesize": 10, "axes.spines.top": False, "axes.spines.right": False,
+          "axes.edgecolor": "#888888", "axes.linewidth": 0.7, "svg.hashsalt": "soil_env"}  # fmt: skip
+
+
+def pictures(report: Report, form: str = "svg") -> dict[str, bytes]:
+    """{name: picture} of "predicted", "slip", "residual" and "ranking"; `form` is "svg" or "png"."""
+    with matplotlib.rc_context(_STYLE):
+        drawn = {"predicted": _predicted, "slip": _slip, "residual": _residual, "ranking": _ranking}
+        return {name: _saved(draw(report), form) for name, draw in drawn.items()}
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _saved(figure: Figure, form: str) -> bytes:
+    stream = io.BytesIO()
+    figure.savefig(stream, format=form, dpi=130, metadata={"Date": None} if form == "svg" else None)
+    if form != "svg":
+        return stream.getvalue()
+    text = stream.getvalue().decode("utf-8")
+    return re.sub(r"<!DOCTYPE.*?>|<metadata>.*?</metadata>", "", text, flags=re.S).encode("utf-8")
+
+
+def _columns(report: Report, height: float, rows: int = 1, **options) -> tuple[Figure, np.ndarray]:
+    """(figure, axes [rows, channels])."""
+    figure = _figure(3.5 * max(len(report.channels), 2), height)
+    return figure, figure.subplots(rows, len(report.channels), squeeze=False, **options)
+
+
+def _predicted(report: Report) -> Figure:
+    """Held-out predictions of both models against what was measured."""
+    figure, axes = _columns(report, 3.6)
+    for name, ax in zip(report.channels, axes[0], strict=True):
+        j, (unit, scale) = CHANNELS.index(name), UNITS[name]
+        y = scale * report.problem.data.y[:, j]
+        image = y.size > MANY
+        for held, color, label in _both(report, report.held_before, report.held_after):
+            ax.plot(y, scale * held[:, j], ".", ms=4, color=color, alpha=0.65, label=label, mew=0, rasterized=image)
+        used = y[report.problem.used[:, j]]
+        ends = np.array([used.min(), used.max()])
+        ax.plot(ends, ends, color=MEASURED, lw=0.8, zorder=0)
+        noise = 2.0 * scale * report.problem.noise[j]
+        ax.fill_between(ends, ends - noise, ends + noise, color="0.9", lw=0, zorder=-1)
+        ax.set(title=TITLES[name], xlabel=f"measured [{unit}]", ylabel=f"predicted [{unit}]")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    return figure
+
+
+def _both(report: Report, before, after):
+    """What is drawn for each model; only the base model where nothing was added."""
+    corrected = bool(report.model.effects or report.model.residual)
+    yield before, BEFORE, "base model" if corrected else "calibrated model"
+    if corrected:
+        yield after, AFTER, "corrected model"
+
+
+def groups(report: Report) -> list[tuple[str, np.ndarray]]:
+    """At most `CURVES` groups of rows that differ in slip alone, (what they share, rows sorted by slip).
+
+    Of all groups with three slips or more, evenly from the one that the base model misses least to the one that it
+    misses most.
+    """
+    data, varied = report.problem.data, report.problem.data.varied
+    others = [c for name, c in varied.items() if name != "slip"]
+    label = np.zeros(data.rows.slip.size, dtype=int)
+    if others:
+        label = np.unique(np.stack([c.level for c in others]), axis=1, return_inverse=True)[1].ravel()
+    found = []
+    for k in range(int(label.max()) + 1):
+        rows = np.flatnonzero(label == k)
+        if np.unique(varied["slip"].level[rows]).size >= min(3, varied["slip"].levels):
+            off = (data.y - report.held_before)[rows] / report.problem.noise
+            found.append((float(np.nanmean(off**2)) if np.isfinite(off).any() else 0.0, k, rows))
+    found.sort(key=lambda f: f[:2])
+    picked = [found[k] for k in sorted({round(x) for x in np.linspace(0, len(found) - 1, CURVES)})] if found else []
+    out = []
+    for _, _, rows in picked:
+        parts = [_value(c.name, float(np.median(c.value[rows]))) for c in others]
+        out.append((", ".join(parts), rows[np.argsort(data.rows.slip[rows], kind="stable")]))
+    return out
+
+
+def _value(name: str, x: float) -> str:
+    unit = {"load": " N", "speed": " m/s", "grade_deg": " deg grade"}
+    return f"pass {x:.0f}" if name == "pass" else f"{round(x, 1) if name == 'grade_deg' else x:.3g}{unit[name]}"
+
+
+def _slip(report: Report) -> Figure:
+    """Measured against both models over slip, in a few groups of rows."""
+    picked = groups(report)
+    figure, axes = _columns(report, 1.0 + 2.1 * max(len(picked), 1), max(len(picked), 1), sharex=True)
+    data = report.problem.data
+    for axis, name in zip(axes[0], report.channels, strict=True):
+        axis.set_title(f"{TITLES[name]} [{UNITS[name][0]}]")
+    for axis in axes[-1]:
+        axis.set_xlabel("slip")
+    for (label, rows), line in zip(picked, axes, strict=False):
+        slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
+        middle = rows[len(rows) // 2]
+        at = {"slip": slip, "load": data.rows.load[rows].mean(), "speed": data.rows.conditions[middle, 0],
+              "pass": data.rows.conditions[middle, 1],
+              "grade_deg": np.degrees(np.arcsin(data.rows.conditions[rows, 2].mean())),
+              "wheel_radius": data.rows.wheels[middle, 0], "wheel_width": data.rows.wheels[middle, 1],
+              "grouser_height": data.rows.wheels[middle, 2]}  # fmt: skip
+        curves = _both(report, report.base_model.predict(at), report.model.predict(at))
+        lines = [(np.stack(p[:3], axis=1), color, text) for p, color, text in curves]
+        for name, ax in zip(report.channels, line, strict=True):
+            j, scale = CHANNELS.index(name), UNITS[name][1]
+            used = report.problem.used[rows, j]
+            for p, color, text in lines:
+                ax.plot(slip, scale * p[:, j], color=color, lw=1.4, label=text)
+            ax.errorbar(data.rows.slip[rows], scale * data.y[rows, j], 2.0 * scale * report.problem.noise[j], fmt="o",
+                        ms=3, lw=0.8, color=MEASURED, label="measured, 2 sd of noise")  # fmt: skip
+            ax.plot(data.rows.slip[rows][~used], scale * data.y[rows, j][~used], "x", color="red", ms=6)
+        if label:
+            line[0].set_ylabel(label.replace(", ", "\n"), rotation=0, ha="right", va="center", fontsize=8)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def _residual(report: Report) -> Figure:
+    """Held-out residuals over slip in standard deviations of the noise, before and after."""
+    both = list(_both(report, report.held_before, report.held_after))
+    figure, axes = _columns(report, 0.8 + 2.0 * len(both), len(both), sharex=True, sharey="col")
+    data = report.problem.data
+    about = [CATALOGUE[e.name].varies for e in report.effects]
+    by = next((n for n in (*about, "load", "speed", "pass", "grade_deg") if n in data.varied), None)
+    shade = data.varied[by].scaled if by else np.zeros(data.rows.slip.size)
+    drawn = None
+    for axis, name in zip(axes[0], report.channels, strict=True):
+        axis.set_title(TITLES[name])
+    for axis in axes[-1]:
+        axis.set_xlabel("slip")
+    for (held, _, label), line in zip(both, axes, strict=True):
+        for name, ax in zip(report.channels, line, strict=True):
+            j = CHANNELS.index(name)
+            off = (data.y - held)[:, j] / report.problem.noise[j]
+            ax.axhspan(-2.0, 2.0, color="0.92", zorder=-1, lw=0)
+            ax.axhline(0.0, color="0.6", lw=0.7, zorder=0)
+            drawn = ax.scatter(data.rows.slip, off, c=shade, cmap="viridis", s=11, lw=0, rasterized=off.size > MANY,
+                               vmin=-1.2, vmax=1.2)  # fmt: skip
+        line[0].set_ylabel(f"{label}\n(measured - predicted)/noise")
+    if by:
+        value = data.varied[by].value
+        bar = figure.colorbar(drawn, ax=axes, shrink=0.6, ticks=[-1.0, 1.0])
+        bar.ax.set_yticklabels([_value(by, float(value[np.argmin(shade)])), _value(by, float(value[np.argmax(shade)]))])
+        bar.outline.set_visible(False)
+    return figure
+
+
+def _ranking(report: Report) -> Figure:
+    """Gain of held-out likelihood by each candidate."""
+    ranks = report.ranking[::-1]
+    named = {e.name for e in report.effects}
+    near = {a for e in report.effects for a in e.alternatives}
+    figure = _figure(7.0, 0.9 + 0.24 * len(ranks))
+    ax = figure.subplots()
+    colors = [AFTER if r.name in named else "#7fb2c2" if r.name in near else "0.75" for r in ranks]
+    ax.barh([title(r.name) for r in ranks], [max(r.score, 0.0) for r in ranks], color=colors, height=0.7)
+    for k, r in enumerate(ranks):
+        ax.text(max(r.score, 0.0), k, f" {r.score:.1f}", va="center", fontsize=8)
+    ax.set_xlabel("gain of held-out log-likelihood over the base model [nats]")
+    ax.margins(x=0.1)
+    return figure

@@ -1,0 +1,168 @@
+"""A report as files (report.json, report.html, model.yaml) and on the terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console, Group
+from rich.panel import Panel
+from rich.table import Table as Grid
+from rich.text import Text
+
+from soil_env.catalogue import CATALOGUE
+from soil_env.discrepancy.locate import TITLES, UNITS
+from soil_env.discrepancy.page import page
+from soil_env.discrepancy.words import SOIL, cautions, figures, summary, title
+from soil_env.loading import ParameterError
+
+if TYPE_CHECKING:
+    from soil_env.discrepancy.workflow import Report
+
+FILES = ("report.json", "report.html", "model.yaml")
+COLOURS = {"named": "green", "none": "green", "ambiguous": "yellow", "unlisted": "yellow"}
+_SHOWN = 8  # candidates of the ranking on the terminal
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def check_folder(folder: Path) -> None:
+    """Raise `ParameterError` where report files could not be written into `folder`; creates nothing."""
+    if folder.exists() and not folder.is_dir():
+        raise ParameterError(f"{folder}: is a file: expected a folder")
+    there = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise ParameterError(f"{folder}: cannot be written (no permission in {there})")
+
+
+def write(report: Report, folder: Path) -> list[Path]:
+    """Write report.json, report.html and model.yaml into `folder`; each is whole, and all are made before the first.
+
+    They are written into a folder beside it first, which is removed if anything goes wrong.
+    """
+    folder = Path(folder)
+    check_folder(folder)
+    try:
+        folder.absolute().parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.absolute().parent))
+        try:
+            content = report.as_dict()
+            text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+            (part / "report.json").write_text(text, encoding="utf-8")
+            (part / "report.html").write_text(page(report, content), encoding="utf-8")
+            report.model.save(part / "model.yaml")
+            if not folder.exists():
+                part.chmod(0o755)
+                os.replace(part, folder)
+            else:
+                for name in FILES:
+                    os.replace(part / name, folder / name)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+    except OSError as error:
+        raise ParameterError(f"{folder}: cannot be written ({error.strerror})") from None
+    return [folder / name for name in FILES]
+
+
+# --- on the terminal --------------------------------------------------------------------------------------------------
+
+
+def show(report: Report, console: Console) -> None:
+    """Print the conclusion with its tables."""
+    colour = COLOURS[report.verdict]
+    console.print(Panel(Text(summary(report)), title=f"[bold]{report.verdict}[/]", title_align="left", style=colour))
+    for grid in (_effects(report), _where(report), _gap(report), _ranking(report), _soil(report), _tests(report)):
+        if grid is not None:
+            console.print(grid)
+    if report.finding.untestable:
+        console.print(_grid("Not testable with this table", ("effect", "reason"),
+                            [(title(k), v) for k, v in report.finding.untestable.items()]))  # fmt: skip
+    for text in cautions(report):
+        console.print(Text(f"! {text}", style="yellow"))
+
+
+def _grid(name: str, columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> Grid:
+    """A table; columns whose title starts with ">" are aligned right."""
+    grid = Grid(title=name, title_justify="left", title_style="bold")
+    for column in columns:
+        grid.add_column(column.lstrip(">"), justify="right" if column.startswith(">") else "left", overflow="fold")
+    for row in rows:
+        grid.add_row(*(Text(cell) for cell in row))
+    return grid
+
+
+def _effects(report: Report) -> Grid | None:
+    rows = effect_rows(report)
+    return _grid("Missing effect", ("effect", "parameter", ">value", ">95 % interval", "unit"), rows) if rows else None
+
+
+def effect_rows(report: Report) -> list[tuple[str, ...]]:
+    """(effect, parameter, value, interval, unit) of every parameter that is told."""
+    rows = []
+    for e in report.effects:
+        label = title(e.name) + (f" (or {', '.join(title(a) for a in e.alternatives)})" if e.alternatives else "")
+        for name, p in e.parameters.items():
+            rows.append(
+                (label, name.replace("_", " "), figures(p.value), interval(p), CATALOGUE[e.name].parameter(name).unit)
+            )
+            label = ""
+    return rows
+
+
+def interval(p) -> str:
+    """The 95 % interval in a table; empty where the value was not fitted."""
+    return "" if p.low == p.high else f"{figures(p.low, 3)} .. {figures(p.high, 3)}"
+
+
+def _where(report: Report) -> Group | None:
+    if not report.where:
+        return None
+    rows = [(d.words, p_value(d.p_value)) for d in report.where]
+    return _grid("Where the base model disagrees", ("what", ">p"), rows)
+
+
+def p_value(p: float) -> str:
+    """A p value in a table."""
+    return "< 1e-6" if p < 1e-6 else f"{p:.2g}"
+
+
+def _gap(report: Report) -> Grid:
+    return _grid(
+        "Held-out error (rms)", ("channel", ">base model", ">corrected", ">noise", ">over the noise"), gap_rows(report)
+    )
+
+
+def gap_rows(report: Report) -> list[tuple[str, ...]]:
+    """(channel, before, after, noise, both over the noise)."""
+    rows = []
+    for name, g in report.gap.items():
+        unit, scale = UNITS[name]
+        values = (f"{scale * x:.3g} {unit}" for x in g)
+        rows.append((TITLES[name], *values, f"{g.before / g.noise_floor:.2f} -> {g.after / g.noise_floor:.2f}"))
+    return rows
+
+
+def _ranking(report: Report) -> Grid:
+    rows = [(title(r.name), f"{r.score:.1f}", f"{r.probability:.3f}") for r in report.ranking[:_SHOWN]]
+    left = len(report.ranking) - _SHOWN
+    name = "Candidates" + (f" (first {_SHOWN}, {left} more in the report)" if left > 0 else "")
+    return _grid(name, ("effect", ">held-out gain [nats]", ">probability"), rows)
+
+
+def _soil(report: Report) -> Grid:
+    return _grid("Soil", ("parameter", ">value", ">95 % interval", "unit"), soil_rows(report))
+
+
+def soil_rows(report: Report) -> list[tuple[str, ...]]:
+    """(parameter, value, interval, unit) of the soil."""
+    return [(SOIL[name][0], figures(p.value), interval(p) or "given", SOIL[name][1]) for name, p in report.soil.items()]
+
+
+def _tests(report: Report) -> Grid | None:
+    rows = [(t.words, f"{t.expected_sigma:.1f}") for t in report.next_tests]
+    return _grid("Next tests", ("test", ">expected [sd]"), rows) if rows else None

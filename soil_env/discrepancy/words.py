@@ -1,0 +1,143 @@
+"""The conclusion in words: the sentence at the top of a report, and what a reader should be wary of."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from soil_env.catalogue import CATALOGUE
+from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.locate import TITLES, UNITS, figure
+from soil_env.model import DEEPEST
+
+if TYPE_CHECKING:
+    from soil_env.discrepancy.workflow import Report
+
+FAR = 3.0  # [prior sd] from the setup's value at which a soil parameter is worth a caution
+SOIL = {
+    "friction_angle_deg": ("friction angle", "deg"),
+    "cohesion": ("cohesion c", "Pa"),
+    "shear_modulus": ("shear modulus K", "m"),
+    "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2)"),
+    "sinkage_exponent": ("sinkage exponent n", ""),
+    "density": ("density", "kg/m3"),
+}
+
+
+def listed(names, last: str = "and") -> str:
+    """Names with commas and a last word between the last two."""
+    names = list(names)
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def title(name: str) -> str:
+    """What an effect is called in a sentence."""
+    return CATALOGUE[name].title
+
+
+def summary(report: Report) -> str:
+    """One or two sentences: what is missing, how sure that is, and how far the gap closes."""
+    values = int(report.problem.used.sum())
+    if report.verdict == "none":
+        unseen = len(report.finding.untestable)
+        rest = f" {unseen} effects cannot be seen in this table." if unseen else ""
+        return (
+            f"Nothing is missing that these {values} values could show: the calibrated model fits to the noise.{rest}"
+        )
+    if report.verdict == "unlisted":
+        text = "Something is missing that no listed effect explains"
+        text += f": {report.where[0].words}." if report.where else "."
+        if report.model.residual:
+            text += f" A law without a name stands in for it ({report.law.words}); {_shrinks(report)}."
+        return text
+    first = listed(title(e.name) for e in report.effects)
+    if report.verdict == "ambiguous":
+        either = "; ".join(
+            listed([title(e.name), *(title(a) for a in e.alternatives)], "or") for e in report.effects if e.alternatives
+        )
+        sure = ", ".join(title(e.name) for e in report.effects if not e.alternatives)
+        text = f"Missing from the model: {sure}, and" if sure else "Missing from the model:"
+        return f"{text} {either}; these data cannot tell which. With {first}, {_shrinks(report)}."
+    text = f"Missing from the model: {first}. With {'it' if len(report.effects) == 1 else 'them'}, {_shrinks(report)}."
+    if report.sureness is not None:
+        share = f"{_percent(report.sureness.share)} of {report.sureness.draws} redraws of the noise"
+        text += f" The {'name is' if len(report.effects) == 1 else 'names are'} found again in {share}."
+    return text
+
+
+def _shrinks(report: Report) -> str:
+    """How the gap shrinks, on the channel in which it was widest."""
+    name = max(report.gap, key=lambda k: report.gap[k].before / report.gap[k].noise_floor)
+    gap = report.gap[name]
+    text = (
+        f"the held-out error of {TITLES[name]} goes from {gap.before / gap.noise_floor:.2f} to "
+        f"{gap.after / gap.noise_floor:.2f} times the noise"
+    )
+    if report.closed is not None and report.closed > 0.0:
+        text += f", and {_percent(report.closed)} of the gap above the noise is closed"
+    return text
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
+
+
+def cautions(report: Report) -> list[str]:
+    """What a reader should be wary of, in sentences."""
+    problem, noise, out = report.problem, report.noise, []
+    fit = report.finding.best.fit if report.finding.named else report.finding.base.fit
+    values, unknowns = int(problem.used.sum()), len(fit.unknowns)
+    if values < unknowns:
+        out.append(f"{values} values for {unknowns} unknowns: the priors decide much of this.")
+    missing = [TITLES[name] for name in CHANNELS if name not in report.channels]
+    if missing:
+        out.append(f"{listed(missing).capitalize()} not measured: effects that move nothing else cannot be seen.")
+    for j, name in enumerate(CHANNELS):
+        if noise.origin[j] == "scatter":
+            out.append(
+                f"The noise of {TITLES[name]} ({_amount(name, noise.sd[j])}) is not given and not measured by repeats; "
+                "it was taken from the scatter about a smooth surface."
+            )
+    if report.left_out:
+        rows = ", ".join(f"{TITLES[name]} in row {row}" for row, name in report.left_out[:8])
+        more = ", ..." if len(report.left_out) > 8 else ""
+        out.append(f"{_plural(len(report.left_out), 'value')} left out as outliers: {rows}{more}.")
+    for unknown, u in zip(fit.unknowns, fit.u, strict=True):
+        label = SOIL.get(unknown.name, (unknown.name.replace("_", " "), ""))[0]
+        x = unknown.mean + unknown.sd * float(u)
+        if min(x - unknown.low, unknown.high - x) <= 1e-4 * unknown.sd:
+            out.append(f"{label.capitalize()} is at a bound of its range ({float(unknown.value(u)):.4g}).")
+        elif getattr(problem.data.setup.soil, unknown.name, None) is not None and abs(u) > FAR:
+            out.append(f"{label.capitalize()} is {abs(u):.1f} standard deviations from the setup's value.")
+    if report.problem.data.setup.wheel.grouser_height is None and "grousers" in report.model.effects:
+        h = report.model.wheel.grouser_height
+        out.append(
+            f"The setup gives no grouser_height: {1e3 * h:.3g} mm was taken, so only the product with it is told."
+        )
+    if not fit.converged:
+        out.append("The fit did not converge: take the numbers as rough.")
+    buried = int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * problem.data.wheel.radius))
+    if buried:
+        out.append(f"The fitted soil does not carry the load in {_plural(buried, 'row')}.")
+    if report.model.residual:
+        out.append("The law without a name holds only within the conditions of this table.")
+    if report.finding.untestable and report.verdict != "none":
+        names = listed(title(name) for name in report.finding.untestable)
+        out.append(f"This table cannot show {names}.")
+    return out
+
+
+def _amount(channel: str, value: float) -> str:
+    unit, scale = UNITS[channel]
+    return f"{figure(scale * value)} {unit}"
+
+
+def _plural(count: int, word: str) -> str:
+    return f"{count} {word}" + ("" if count == 1 else "s")
+
+
+def figures(value: float, digits: int = 4) -> str:
+    """A number for a table."""
+    return "" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"

@@ -1,0 +1,281 @@
+"""The whole workflow: from a measurement table and its setup to the missing effect, the corrected model, a report."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from soil_env import __version__
+from soil_env.catalogue import CATALOGUE
+from soil_env.discrepancy import judgement
+from soil_env.discrepancy.calibrate import GRAVITY, Choice, Fit, Problem, calibrate
+from soil_env.discrepancy.data import CHANNELS, Noise, prepare
+from soil_env.discrepancy.experiment import NextTest, next_tests
+from soil_env.discrepancy.judgement import Gap, Interval, Rank, Sureness
+from soil_env.discrepancy.locate import Disagreement, locate
+from soil_env.discrepancy.search import Finding, search
+from soil_env.discrepancy.symbolic import ResidualFit, symbolic
+from soil_env.effects import NO_EFFECTS
+from soil_env.measurement import Setup, Table, read_setup, read_table
+from soil_env.model import WheelSoilModel
+from soil_env.parameters import Soil
+
+
+@dataclass(frozen=True)
+class EffectFound:
+    """A named effect as it is fitted."""
+
+    name: str
+    form: str
+    parameters: dict[str, Interval]  # every one that is not neutral
+    alternatives: tuple[str, ...]  # that these data cannot tell from it
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a run depends on besides the program."""
+
+    data: str
+    setup: str
+    seed: int
+    bootstrap: int
+    data_sha256: str | None  # None where no file was read
+    setup_sha256: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """Everything that a run found. `as_dict` is report.json."""
+
+    finding: Finding
+    problem: Problem
+    noise: Noise
+    where: tuple[Disagreement, ...]
+    effects: tuple[EffectFound, ...]
+    law: ResidualFit | None  # where something unlisted is missing
+    soil: dict[str, Interval]
+    ranking: tuple[Rank, ...]
+    other: dict[str, float]  # probability that nothing is missing, and that something unlisted is
+    sureness: Sureness | None
+    gap: dict[str, Gap]
+    closed: float | None
+    next_tests: tuple[NextTest, ...]
+    base_model: WheelSoilModel
+    model: WheelSoilModel
+    held_before: np.ndarray  # [N, 3] held-out predictions of the base model, NaN where no value is in use
+    held_after: np.ndarray  # [N, 3] of the corrected model
+    settings: Settings
+
+    @property
+    def verdict(self) -> str:
+        """named, none, ambiguous or unlisted."""
+        return self.finding.verdict
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Measured channels."""
+        return tuple(name for j, name in enumerate(CHANNELS) if self.problem.used[:, j].any())
+
+    def as_dict(self) -> dict:
+        """Plain values for JSON, null where there is no number; every key is always present."""
+        from soil_env.discrepancy.words import cautions, summary
+
+        sure, law = self.sureness, self.law
+        return _plain({
+            "verdict": self.verdict,
+            "summary": summary(self),
+            "effects": [
+                {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
+                 "alternatives": e.alternatives}
+                for e in self.effects
+            ],
+            "where": [
+                {"channel": d.channel, "region": d.region, "size": d.size, "size_sd": d.size_sd,
+                 "p_value": d.p_value, "words": d.words}
+                for d in self.where
+            ],
+            "ranking": [r._asdict() for r in self.ranking],
+            "gap": {name: g._asdict() for name, g in self.gap.items()},
+            "closed": self.closed,
+            "untestable": [{"name": k, "reason": v} for k, v in self.finding.untestable.items()],
+            "next_tests": [
+                {"conditions": t.conditions, "channel": t.channel, "separates": t.separates,
+                 "expected_sigma": t.expected_sigma, "words": t.words}
+                for t in self.next_tests
+            ],
+            "residual": None if law is None else {"terms": [str(t) for t in self.model.residual], "words": law.words},
+            "probability": self.other,
+            "chance": self.finding.chance,
+            "confidence": None if sure is None else {
+                "share": sure.share, "draws": sure.draws,
+                "instead": [{"names": names, "share": share} for names, share in sure.instead.items()],
+            },
+            "soil": {name: v._asdict() | {"known": name in self.problem.known} for name, v in self.soil.items()},
+            "noise": {
+                name: {"sd": self.noise.sd[CHANNELS.index(name)], "origin": self.noise.origin[CHANNELS.index(name)]}
+                for name in self.channels
+            },
+            "left_out": [{"row": row, "channel": name} for row, name in self.left_out],
+            "cautions": cautions(self),
+            "rows": len(self.problem.data.table),
+            "settings": vars(self.settings),
+            "versions": {"soil_env": __version__, "python": platform.python_version(), "numpy": np.__version__,
+                         "scipy": scipy.__version__},
+        })  # fmt: skip
+
+    @property
+    def left_out(self) -> list[tuple[int, str]]:
+        """(line of the file, channel) of the values that were taken for outliers."""
+        at = np.argwhere(self.problem.data.measured & ~self.problem.used)
+        return [(int(self.problem.data.table.row[k]), CHANNELS[j]) for k, j in at]
+
+
+def _plain(x):
+    """Nested plain values; what is not finite becomes None."""
+    if isinstance(x, dict):
+        return {str(k): _plain(v) for k, v in x.items()}
+    if isinstance(x, (list, tuple)):
+        return [_plain(v) for v in x]
+    if isinstance(x, np.generic):
+        x = x.item()
+    return None if isinstance(x, float) and not math.isfinite(x) else x
+
+
+def run(
+    table: Table | str | Path,
+    setup: Setup | str | Path,
+    out: str | Path | None = None,
+    *,
+    seed: int = 0,
+    bootstrap: int = 200,
+    progress: Callable[[str], None] | None = None,
+) -> Report:
+    """Find where table and model disagree, name the missing effect, add it, and report how far the gap closes.
+
+    Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html and model.yaml,
+    written at the end, all of them or none; `seed` of the simulated null distributions and the bootstrap; `bootstrap`,
+    draws of the noise from which the sureness of the name is told, 0 for none; `progress` is told what is being done,
+    "stage: step".
+
+    Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
+    """
+    from soil_env.discrepancy.report import check_folder, write
+
+    say = progress or (lambda text: None)
+    if out is not None:
+        check_folder(Path(out))
+    say("reading")
+    read = setup if isinstance(setup, Setup) else read_setup(setup)
+    rows = table if isinstance(table, Table) else read_table(table, read.wheel)
+    settings = Settings(
+        rows.source,
+        "" if isinstance(setup, Setup) else os.fspath(setup),
+        seed,
+        bootstrap,
+        None if isinstance(table, Table) else _digest(table),
+        None if isinstance(setup, Setup) else _digest(setup),
+    )
+    report = _conclude(rows, read, settings, say)
+    if out is not None:
+        say("writing")
+        write(report, Path(out))
+    return report
+
+
+def _digest(path: str | Path) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str], None]) -> Report:
+    data = prepare(table, setup)
+    say("calibrating the base model")
+    problem, noise = calibrate(data)
+    finding = search(problem, lambda text: say(f"searching: {text}"))
+    base = finding.base.fit
+    say("locating the disagreement")
+    where = locate(problem, base, settings.seed) if finding.verdict != "none" else ()
+    final, law, terms = base, None, ()
+    if finding.named:
+        # without the form error that the search grants: model.yaml cannot have it
+        best = finding.best.fit
+        final = problem.fit(best.choices, start=best.parameters(), slack=False)
+    elif finding.verdict == "unlisted":
+        say("looking for a law of what is left")
+        law = symbolic(problem, base)
+        final, terms = law.fit, tuple(law.terms)
+    say("predicting what was held out")
+    held = judgement.predictions(problem, base)
+    held_after = held if final is base else judgement.predictions(problem, final)
+    gap = judgement.gaps(problem, held, held_after)
+    rng = np.random.default_rng(settings.seed)
+    sureness = judgement.sureness(problem, finding, settings.bootstrap, rng, say)
+    ranking, other = judgement.ranking(problem, finding)
+    say("choosing the next tests")
+    tests = next_tests(problem, finding)
+    spread = final if not finding.named else finding.best.fit
+    told = judgement.intervals(spread, final.parameters())
+    return Report(
+        finding, problem, noise, where, _effects(problem, finding, told), law, _soil(problem, told), ranking, other,
+        sureness, gap, judgement.closed(problem, gap), tests, model_of(problem, base), model_of(problem, final, terms),
+        held, held_after, settings,
+    )  # fmt: skip
+
+
+# --- the model --------------------------------------------------------------------------------------------------------
+
+
+def model_of(problem: Problem, fit: Fit, terms=()) -> WheelSoilModel:
+    """The `WheelSoilModel` of a fit, with residual terms."""
+    soil = {**problem.known, **fit.parameters()}
+    names = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
+    values = {name: float(soil[name]) for name in names}
+    effects = {c.effect: _parameters(problem, c, fit.parameters()) for c in fit.choices}
+    wheel = problem.data.wheel
+    if problem.data.setup.wheel.grouser_height is None and "grousers" not in effects:
+        wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
+    return WheelSoilModel(
+        wheel,
+        Soil(**values, density=problem.density, dig_gain=0.0, source="calibrated by soil_env.discrepancy"),
+        effects,
+        tuple(terms),
+        GRAVITY,
+    )
+
+
+def _parameters(problem: Problem, choice: Choice, values: dict[str, float]) -> dict[str, float]:
+    """Parameters of an effect that are not neutral, and those that its form fits."""
+    numbers = problem.effects((choice,), values)
+    out = {}
+    for p in CATALOGUE[choice.effect].parameters:
+        full = f"{choice.effect}_{p.name}"
+        value = float(getattr(numbers, full))
+        if full in choice.free or value != getattr(NO_EFFECTS, full):
+            out[p.name] = min(max(value, p.low), p.high)
+    return out
+
+
+def _effects(problem: Problem, finding: Finding, told: dict[str, Interval]) -> tuple[EffectFound, ...]:
+    out = []
+    for named in finding.named:
+        choice = next(c for c in finding.best.fit.choices if c.effect == named.name)
+        values = {full: told[full].value for full in choice.free}
+        parameters = {
+            name: told.get(f"{named.name}_{name}", Interval(value, value, value))
+            for name, value in _parameters(problem, choice, values).items()
+        }
+        form = CATALOGUE[named.name].forms[choice.form].name
+        out.append(EffectFound(named.name, form, parameters, named.alternatives))
+    return tuple(out)
+
+
+def _soil(problem: Problem, told: dict[str, Interval]) -> dict[str, Interval]:
+    given = {name: Interval(value, value, value) for name, value in problem.known.items()}
+    return {**{k.name: told[k.name] for k in problem.soil}, **given, "density": Interval(*[problem.density] * 3)}
