@@ -225,18 +225,26 @@ _LIST = (
     Effect(
         "shear_softening",
         "peak and residual strength",
-        "tau/tau_peak = (1 - x)(1 + s x)/peak, x = exp(-j/K); or (1 - x)(1 - d + d exp(-j/L))",
+        "tau/tau_peak = (1 - x)(1 + s x)/peak, x = exp(-j/(k K)); or (1 - x)(1 - d + d exp(-(j - j0)/L))",
         (SINKAGE, PULL, TORQUE),
         (
-            P("sharpness", "", 0.0, 0.0, 30.0, 4.0, "s; the residual share is 4 s/(1 + s)^2 above 1"),
+            P("sharpness", "", 0.0, 0.0, 30.0, 4.0, "s, off below 1; the residual share is 4 s/(1 + s)^2"),
+            P("slope_kept", "", 0.0, 0.0, 1.0, 1.0, "1: K is that of the first slope, k = 4 s/(1 + s); 0: k = 1"),
             P("drop", "", 0.0, -0.2, 0.9, 0.3, "d, share of the strength that is lost"),
             P("length", "m", 0.05, 2e-3, 1.0, 0.7, "L, displacement over which it is lost", centre=0.05),
+            P("onset", "m", 0.0, 0.0, 0.5, 0.0, "j0, displacement from which it is lost"),
         ),
         (
-            Form("sharp", ("sharpness",), "Wong & Preston-Thomas (1983), J. Terramechanics 19:225-234"),
+            Form("hump", ("sharpness",), "Wong & Preston-Thomas (1983), J. Terramechanics 19:225-234"),
+            Form(
+                "hump_of_first_slope",
+                ("sharpness",),
+                "Wong & Preston-Thomas (1983), J. Terramechanics 19:225-234",
+                (("slope_kept", 1.0),),
+            ),
             Form(
                 "decaying",
-                ("drop", "length"),
+                ("drop", "length", "onset"),
                 "Oida (1979); Wong (2010), Terramechanics and Off-Road Vehicle Engineering",
             ),
         ),

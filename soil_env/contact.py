@@ -51,16 +51,20 @@ _u2, _du2 = constant(_U2), constant(_DU2)
 
 
 class ShearLaw(NamedTuple):
-    """Mobilised share of the shear strength: e(j) = (1 - x)(a + b x + c y), x = exp(-|j|/K), y = exp(-|j|/length)."""
+    """Mobilised share of the shear strength: e(j) = (1 - x)(a + b x + c y), x = exp(-|j|/K).
+
+    y = exp(-(|j| - onset)/length) beyond the onset, 1 before it.
+    """
 
     a: float
     b: float
     c: float
     length: float  # [m]
+    onset: float  # [m]
 
 
 #: Janosi & Hanamoto (1961), Eq. (10): e = 1 - exp(-|j|/K).
-JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0)
+JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0, 0.0)
 
 
 class ArcIntegrals(NamedTuple):
@@ -160,9 +164,10 @@ def mobilised(j, K, law):
     share = law.a + law.b * decay
     slope = rate * (law.b * decay)
     if law.c != 0.0:
-        slow = law.c * exp(-(1.0 / law.length) * distance)
+        beyond = distance - law.onset
+        slow = law.c * exp(-(0.5 / law.length) * (beyond + abs(beyond)))
         share = share + slow
-        slope = slope + (1.0 / law.length) * slow
+        slope = slope + (1.0 / law.length) * (copysign(0.0 * beyond + 0.5, beyond) + 0.5) * slow
     free = 1.0 - decay
     return copysign(free, j) * share, rate * decay * share - free * slope
 
@@ -227,8 +232,8 @@ def _zone(theta1, sin1, theta, sin_half, cos_half, w, p, r):
 
 
 @inlined
-def arc_nodes(theta1, theta2, thetam, n, r):
-    """The nodes of the contact arc, `Zone` in front and `Zone` behind.
+def arc_nodes(theta1, theta2, thetam, n, r, sheared_from):
+    """The nodes of the contact arc, `Zone` in front and `Zone` behind; soil is sheared from the angle `sheared_from`.
 
     Gauss-Legendre nodes at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind, which
     removes the singularity (theta1 - theta)^n at both ends; by Eq. (8) the two nodes have the same normal stress.
@@ -241,9 +246,11 @@ def arc_nodes(theta1, theta2, thetam, n, r):
     p = exp_lanes(n * log_lanes((2.0 * r) * rise))
     sin1 = 2.0 * sin_half1 * cos_half1
     sin_half2, cos_half2 = half_sin_cos(behind)
+    if sheared_from != theta1:
+        sin1 = fill(math.sin(sheared_from))
     return (
-        _zone(theta1, sin1, ahead, sin_half, cos_half, front * _du2(), p, r),
-        _zone(theta1, sin1, behind, sin_half2, cos_half2, rear * _du2(), p, r),
+        _zone(sheared_from, sin1, ahead, sin_half, cos_half, front * _du2(), p, r),
+        _zone(sheared_from, sin1, behind, sin_half2, cos_half2, rear * _du2(), p, r),
     )
 
 
@@ -282,7 +289,7 @@ def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
     Rule and nodes: `arc_nodes`. Relative error about 1e-5 when driving; when braking j changes sign within the arc, and
     it is 5e-4 for K = 0.07 r. The derivative by K needs no further integrals: see `shear_modulus_rates`.
     """
-    return shear_integrals(arc_nodes(theta1, theta2, thetam, n, r), rim, travel, K, law)
+    return shear_integrals(arc_nodes(theta1, theta2, thetam, n, r, theta1), rim, travel, K, law)
 
 
 #: Floats that `store_nodes` writes.

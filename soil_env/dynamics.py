@@ -139,7 +139,7 @@ class Reaction(NamedTuple):
 def reaction(speed, rim_speed, sinkage, load, soil, r, b):
     """`Reaction` of the soil to a wheel at a given sinkage that carries `load`: Eqs. (1)-(3) with (1) solved for S."""
     theta1 = entry_angle(sinkage, r)
-    nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, soil.sinkage_exponent, r)
+    nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, soil.sinkage_exponent, r, theta1)
     return reaction_of(nodes, speed, rim_speed, load, soil, r, b)
 
 
@@ -240,7 +240,7 @@ def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, com
     v, u = speed0, wheel_speed0 * r
     u0 = u
     theta1 = entry_angle(sinkage, r)
-    nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, soil.sinkage_exponent, r)
+    nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, soil.sinkage_exponent, r, theta1)
     soil_force = reaction_of(nodes, v, u, load, soil, r, b)
     torque, torque_w, _ = motor(command, by_speed, u / r, world)
     f1 = v - speed0 - cv * (soil_force.drawbar_pull - weight_along)

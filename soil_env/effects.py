@@ -180,11 +180,21 @@ def shear_law(fx):
     """`ShearLaw` with a peak and a residual strength; its peak is 1, so that phi and c stay those of the peak.
 
     (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for s > 1; Wong's (1983)
-    law is of this family. `shear_softening_drop` adds the decay d exp(-j/L) to a residual 1 - d (Oida 1979).
+    law is of this family. `shear_softening_drop` lets the strength decay to the residual 1 - d over the length L beyond
+    an onset (Oida 1979).
     """
     s, drop = fx.shear_softening_sharpness, fx.shear_softening_drop
     peak = (1.0 + s) * (1.0 + s) / (4.0 * s) if s > 1.0 else 1.0
-    return ShearLaw((1.0 - drop) / peak, s / peak, drop, fx.shear_softening_length)
+    return ShearLaw((1.0 - drop) / peak, s / peak, drop, fx.shear_softening_length, fx.shear_softening_onset)
+
+
+@kernel
+def shear_length_ratio(fx):
+    """Length of the shear law over K: 4 s/(1 + s) where K is that of the first slope, else 1."""
+    s = fx.shear_softening_sharpness
+    if s >= 1.0 and fx.shear_softening_slope_kept > 0.0:
+        return 4.0 * s / (1.0 + s)
+    return 1.0
 
 
 @kernel

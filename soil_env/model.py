@@ -17,10 +17,12 @@ from soil_env.contact import (
     JANOSI,
     Forces,
     arc_integrals,
+    arc_nodes,
     entry_angle,
     forces,
     mobilised_modulus,
     motion_from_slip,
+    shear_integrals,
 )
 from soil_env.effects import (
     NO_EFFECTS,
@@ -32,6 +34,7 @@ from soil_env.effects import (
     excavated_depth,
     pack_effects,
     shear_law,
+    shear_length_ratio,
     shear_radius_ratio,
     sliding_speed,
     slip_sinkage_ratio,
@@ -91,16 +94,25 @@ def contact_arc(sinkage, fx, wheel):
 
 
 @kernel
+def sheared_from(arc):
+    """Angle [rad] at which the lug tips enter the soil: cos = cos(theta1)/q; theta1 without lugs (Ding et al. 2011)."""
+    if arc.shear_ratio == 1.0:
+        return arc.theta1
+    return math.acos(max(-1.0, min(1.0, math.cos(arc.theta1) / arc.shear_ratio)))
+
+
+@kernel
 def sheared(rim, soil, arc, fx, wheel):
     """(rim, K) as the soil between the lug tips sees them: `rim` of motion and shear modulus [m].
 
     Shear at the radius q R stretches j, thrust and torque: K/q here, q tan(phi) and q c where forces are summed. Where
     slip was taken at the rim of radius r, the tips move faster: rim q R/r instead.
     """
+    K = soil.shear_modulus * shear_length_ratio(fx)
     if fx.grousers_slip_at_rim > 0.0:
         larger = arc.radius / wheel.radius
-        return rim * larger * arc.shear_ratio, soil.shear_modulus * larger
-    return rim, soil.shear_modulus / arc.shear_ratio
+        return rim * larger * arc.shear_ratio, K * larger
+    return rim, K / arc.shear_ratio
 
 
 @kernel
@@ -109,9 +121,8 @@ def contact_at(sinkage, rim, travel, slip, soil, fx, wheel):
     arc = contact_arc(sinkage, fx, wheel)
     theta2, thetam = arc_ends(arc.theta1, slip, fx)
     rim, K = sheared(rim, soil, arc, fx, wheel)
-    q, by_rim, by_travel = arc_integrals(
-        arc.theta1, theta2, thetam, rim, travel, K, soil.sinkage_exponent, arc.radius, shear_law(fx)
-    )
+    nodes = arc_nodes(arc.theta1, theta2, thetam, soil.sinkage_exponent, arc.radius, sheared_from(arc))
+    q, by_rim, by_travel = shear_integrals(nodes, rim, travel, K, shear_law(fx))
     return arc, q, by_rim, by_travel
 
 

@@ -28,7 +28,7 @@ from soil_env.model import predict_rows
 from soil_env.parameters import SoilState
 
 PRIOR_WIDTH = 1.5
-SLACK = 0.04
+SLACK = 0.02
 SLACK_LIMIT = 2.5  # [SLACK] largest form error of any one kind
 GRAVITY = 9.81
 _STEP = 1e-3  # of a whitened unknown, for differences
@@ -177,6 +177,8 @@ class Problem:
             "drivetrain_friction_constant": (0.3 * torque, -0.5 * torque, 4.0 * torque),
             "drivetrain_friction_viscous": (0.2 * torque / turning, -0.5 * torque / turning, 3.0 * torque / turning),
             "sinkage_offset_offset": (0.3 * z, -0.5 * r, 0.5 * r),
+            "shear_softening_sharpness": (4.0, 1.0, 30.0),  # below 1 the law has no peak
+            "shear_softening_onset": (0.15 * r, 0.0, 2.0 * r),
             "slip_sinkage_length": (0.3 * z, -0.3 * z, 5.0 * z),
         }
         slide = np.where(rows.slip >= 0.0, rows.slip / np.maximum(1.0 - rows.slip, 0.02), -rows.slip) * speed
@@ -278,7 +280,7 @@ class Problem:
     @staticmethod
     def _first(unknown: Unknown) -> float:
         """Start of an unknown: the prior mean; strengths that are bounded at their neutral value a little off it."""
-        if "_" in unknown.name and unknown.name.split("_")[-1] in ("sharpness", "drop", "ratio"):
+        if "_" in unknown.name and unknown.name.split("_")[-1] in ("sharpness", "drop", "ratio", "onset"):
             return 0.3
         return 0.0
 

@@ -27,10 +27,10 @@ from soil_env.discrepancy.calibrate import Choice, Fit, Problem
 from soil_env.discrepancy.data import folds, smooth_basis
 
 CHANCE = 0.004  # probability of a false alarm over everything that is tried
-LEAST_FIT = 1e-3  # p value of the lack of fit below which a model is not enough
+LEAST_FIT = (5e-3, 0.02)  # p value of the lack of fit below which one effect, two effects, are not enough
 TOLD = 4.6  # [nats] of held-out likelihood by which a candidate must lose to be ruled out
 TRIED = 20  # independent looks that the candidates amount to
-IMPLAUSIBLE = 3.0  # [widened prior sd] of a soil that no candidate may need
+IMPLAUSIBLE = 4.0  # [widened prior sd] of a soil that no candidate may need
 _PAIRS = 8  # pairs refitted after the screen
 
 
@@ -296,8 +296,12 @@ def acceptable(problem: Problem, base: Candidate, c: Candidate) -> bool:
     """Whether a model is enough: significant, no lack of fit, and a soil that can be."""
     soil = np.abs(c.fit.u[: len(problem.soil)])
     given = [getattr(problem.data.setup.soil, k.name, None) is not None for k in problem.soil]
-    implausible = any(g and x > max(IMPLAUSIBLE, abs(b)) for g, x, b in zip(given, soil, base.fit.u, strict=False))
-    return c.misfit > LEAST_FIT and not implausible and _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
+    implausible = any(
+        g and x > max(IMPLAUSIBLE, abs(b) + 1.0) for g, x, b in zip(given, soil, base.fit.u, strict=False)
+    )
+    return (
+        c.misfit > LEAST_FIT[len(c.names) - 1] and not implausible and _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
+    )
 
 
 def second(problem: Problem, first: Candidate, names: list[str], base_score: float) -> Candidate | None:
