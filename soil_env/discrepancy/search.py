@@ -294,14 +294,12 @@ def _p_gain(problem: Problem, base: Candidate, c: Candidate) -> float:
 
 def acceptable(problem: Problem, base: Candidate, c: Candidate) -> bool:
     """Whether a model is enough: significant, no lack of fit, and a soil that can be."""
-    soil = np.abs(c.fit.u[: len(problem.soil)])
-    given = [getattr(problem.data.setup.soil, k.name, None) is not None for k in problem.soil]
-    implausible = any(
-        g and x > max(IMPLAUSIBLE, abs(b) + 1.0) for g, x, b in zip(given, soil, base.fit.u, strict=False)
-    )
-    return (
-        c.misfit > LEAST_FIT[len(c.names) - 1] and not implausible and _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
-    )
+    priors = problem.data.setup.soil
+    for unknown, x, without in zip(problem.soil, c.fit.u, base.fit.u, strict=False):
+        if getattr(priors, unknown.name, None) and abs(x) > max(IMPLAUSIBLE, abs(without) + 1.0):
+            return False
+    significant = _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
+    return significant and c.misfit > LEAST_FIT[len(c.names) - 1]
 
 
 def second(problem: Problem, first: Candidate, names: list[str], base_score: float) -> Candidate | None:
