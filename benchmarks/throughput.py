@@ -186,25 +186,29 @@ def scaling(seconds: float, rounds: int, sizes, threads) -> list[dict]:
     return rows
 
 
-def independence(seconds: float, rounds: int, wheels: int) -> dict:
-    """Ratios of the cost of a step: a course ten times as long, and wheels late in their episode."""
-    long = {"course": {"length": 100.0}, "control": {"time_limit": 900.0}}
+def independence(seconds: float, rounds: int, wheels: int, steps: int) -> dict:
+    """Ratios of the cost of a step: a course ten times as long, with and without resets, and late in the episode."""
     short = {"course": {"length": 10.0}, "control": {"time_limit": 900.0}}
-    quiet = {"limits": {"entrapped_time": 1e3, "stalled_time": 1e3}}  # nobody is reset while this is measured
-    young, old = Ours(wheels, 1, **long, **quiet), Ours(wheels, 1, **long, **quiet)
-    for _ in range(300):
-        old.step()
+    long = {"course": {"length": 100.0}, "control": {"time_limit": 900.0}}
+    quiet = {"limits": {"entrapped_time": 1e3, "stalled_time": 1e3}}  # hardly a wheel is reset while this is measured
+
+    def cost(runner, wait):
+        runner.env.reset(seed=0)
+        for _ in range(wait):
+            runner.step()
+        start = time.process_time()
+        for _ in range(steps):
+            runner.step()
+        return time.process_time() - start
+
+    a, b = Ours(wheels, 1, **short, **quiet), Ours(wheels, 1, **long, **quiet)
+    costs = [(cost(a, steps), cost(b, steps), cost(b, 8 * steps)) for _ in range(rounds + 1)][1:]
+    near, far, late = np.array(costs).T
     found = rates({"short": Ours(wheels, 1, **short), "long": Ours(wheels, 1, **long)}, seconds, rounds)
-    ages = {"young": [], "old": []}
-    for _ in range(rounds):
-        for name, runner in (("young", young), ("old", old)):
-            start = time.perf_counter()
-            for _ in range(20):
-                runner.step()
-            ages[name].append(time.perf_counter() - start)
     return {
-        "length": spread(np.divide(found["short"], found["long"])),
-        "age": spread(np.divide(ages["old"], ages["young"])),
+        "length": spread(far / near),
+        "age": spread(late / far),
+        "length_with_resets": spread(np.divide(found["short"], found["long"])),
     }
 
 
@@ -264,7 +268,7 @@ def run(smoke: bool, say=lambda text: None) -> dict:
         ("scaling", lambda: scaling(0.4 * seconds, rounds, sizes, (1, 2))),
         ("parts", lambda: throughput_parts.parts(wheels, 40 if smoke else 400, 2 if smoke else 7)),
         ("limit", lambda: throughput_parts.limit(2 if smoke else 7, 2_000 if smoke else 1_000_000)),
-        ("independence", lambda: independence(seconds, rounds, wheels)),
+        ("independence", lambda: independence(seconds, rounds, wheels, 10 if smoke else 60)),
         ("accuracy", lambda: throughput_parts.accuracy(20 if smoke else 300)),
         ("startup", lambda: {} if smoke else startup(5)),
     ):

@@ -89,8 +89,9 @@ def independence(result: dict) -> str:
     return table(
         ["cost of a step over", "ratio"],
         [
-            ["a course of 100 m / one of 10 m, resets included", _range(i["length"])],
+            ["a course of 100 m / one of 10 m", _range(i["length"])],
             ["wheels late / early in their episode", _range(i["age"])],
+            ["a course of 100 m / one of 10 m, resets included", _range(i["length_with_resets"])],
         ],
     )
 

@@ -163,11 +163,11 @@ def _many_sin_cos(n):
 
 @kernel
 def _many_fma(n):
-    a = b = c = d = e = f = g = h = lanes.fill(1.0)
-    x, y = lanes.fill(0.999), lanes.fill(1e-3)
+    a = b = c = d = e = f = g = h = lanes.fill(1e-3 * n)
+    x, y = lanes.fill(0.999 - 1e-9 * n), lanes.fill(1e-3 + 1e-9 * n)
     for _ in range(n):
-        a, b, c, d = lanes.fma(a, x, y), lanes.fma(b, x, y), lanes.fma(c, x, y), lanes.fma(d, x, y)
-        e, f, g, h = lanes.fma(e, x, y), lanes.fma(f, x, y), lanes.fma(g, x, y), lanes.fma(h, x, y)
+        a, b, c, d = lanes.fma(a, x, y), lanes.fma(b, x, a), lanes.fma(c, x, b), lanes.fma(d, x, c)
+        e, f, g, h = lanes.fma(e, y, x), lanes.fma(f, y, e), lanes.fma(g, y, f), lanes.fma(h, y, g)
     return lanes.total(a + b + c + d + e + f + g + h)
 
 
