@@ -30,6 +30,8 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks import throughput_parts, throughput_page  # noqa: E402, I001
 from soil_env.env import SoilWheelEnv  # noqa: E402
+from soil_env.simulation import IDLE, STEP  # noqa: E402
+from soil_env.task import Cause  # noqa: E402
 from soil_env.vector_env import SoilWheelVectorEnv  # noqa: E402
 
 HELD = 8  # steps that a random command is held
@@ -190,19 +192,25 @@ def independence(seconds: float, rounds: int, wheels: int, steps: int) -> dict:
     """Ratios of the cost of a step: a course ten times as long, with and without resets, and late in the episode."""
     short = {"course": {"length": 10.0}, "control": {"time_limit": 900.0}}
     long = {"course": {"length": 100.0}, "control": {"time_limit": 900.0}}
-    quiet = {"limits": {"entrapped_time": 1e3, "stalled_time": 1e3}}  # hardly a wheel is reset while this is measured
 
-    def cost(runner, wait):
-        runner.env.reset(seed=0)
-        for _ in range(wait):
-            runner.step()
-        start = time.process_time()
-        for _ in range(steps):
-            runner.step()
-        return time.process_time() - start
+    def cost(simulation, wait):
+        """Processor time of `steps` steps after `wait` steps, wheels whose episode has ended standing by."""
+        what, rng, spent = np.full(wheels, STEP), np.random.default_rng(1), 0.0
+        simulation.restart_where(np.ones(wheels, dtype=np.bool_))
+        moved = 0
+        for step in range(wait + steps):
+            if step % HELD == 0:
+                commands = rng.uniform(0.0, 0.8, wheels)
+            start = time.process_time()
+            simulation.step_all(commands, what)
+            if step >= wait:
+                spent += time.process_time() - start
+                moved += int((what == STEP).sum())
+            what[simulation.worlds.cause != Cause.RUNNING] = IDLE
+        return spent / moved
 
-    a, b = Ours(wheels, 1, **short, **quiet), Ours(wheels, 1, **long, **quiet)
-    costs = [(cost(a, steps), cost(b, steps), cost(b, 8 * steps)) for _ in range(rounds + 1)][1:]
+    a, b = (Ours(wheels, 1, **changes).env.simulation for changes in (short, long))
+    costs = [(cost(a, steps), cost(b, steps), cost(b, 4 * steps)) for _ in range(rounds + 1)][1:]
     near, far, late = np.array(costs).T
     found = rates({"short": Ours(wheels, 1, **short), "long": Ours(wheels, 1, **long)}, seconds, rounds)
     return {
