@@ -34,6 +34,7 @@ lint: $(TEST_READY)  ## ruff and import-linter only
 
 bench: $(TRAIN_READY)  ## run the studies of benchmarks/ and renew their pages in docs/
 	$(PY) benchmarks/identification.py $(ARGS)
+	$(PY) benchmarks/throughput.py $(ARGS)
 
 clean:  ## remove .venv, build products and caches; runs/ stays
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis

@@ -13,6 +13,8 @@ from numba.np.arrayobj import make_array
 kernel = njit(cache=True, error_model="numpy", _nrt=False)
 #: The same for small ones whose values should stay in registers: always inlined.
 inlined = njit(cache=True, error_model="numpy", _nrt=False, forceinline=True)
+#: The same for large ones with one caller: put into it before compilation, so that they are not compiled twice.
+pasted = njit(cache=True, error_model="numpy", _nrt=False, inline="always")
 
 
 @intrinsic

@@ -44,7 +44,8 @@ from soil_env.terrain import cell_at, ground_at, leave_rut, stiffened
 REST_SPEED = 0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 _TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
-_FORETOLD = 0.1  # share of the tolerance that the foretold residual of an unseen last iteration may reach
+_SHORT = 0.1  # first step by the last reaction, at most this share of the rim speed
+_FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
 _MAX_ITERATIONS = 30
 _FINEST = 64  # a substep whose iteration fails is halved down to this fraction
 
@@ -63,6 +64,10 @@ WHEEL_STATE = np.dtype(
         ("drawbar_pull", np.float64),  # DP [N]
         ("torque", np.float64),  # T [N m], soil on wheel
         ("slip", np.float64),  # [-]
+        ("pull_by_speed", np.float64),  # dDP/dV [N s/m] at the end of the last substep
+        ("pull_by_rim", np.float64),  # dDP/d(r w)
+        ("torque_by_speed", np.float64),  # dT/dV [N s]
+        ("torque_by_rim", np.float64),  # dT/d(r w)
         ("bearing_sinkage", np.float64),  # z_w [m]
         ("grade", np.float64),  # [rad] at the wheel
         ("motor_work", np.float64),  # [J] in the last control period
@@ -228,41 +233,59 @@ def motor(command, by_speed, wheel_speed, world):
 
 
 @inlined
-def _implicit_speeds(speed0, wheel_speed0, sinkage, mass, load, grade, soil, command, by_speed, world, h):
-    """Implicit Euler for (V, u = r w) over h seconds: (V, u, Reaction, converged).
+def _newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
+    """(dV, du) of Newton's method for the residuals of implicit Euler; `net_u` = d(T - T_motor)/du."""
+    a11, a12 = 1.0 - cv * dp_v, -cv * dp_u
+    a21, a22 = cu * torque_v, 1.0 + cu * net_u
+    det = a11 * a22 - a12 * a21
+    if not abs(det) > 1e-12:
+        det = 1e-12
+    return -(a22 * f1 - a12 * f2) / det, -(a11 * f2 - a21 * f1) / det
 
-    Newton's residual falls quadratically: once two foretell one far below the tolerance, the step is taken with
-    the reaction to first order instead of being computed once more to see it.
+
+@inlined
+def _implicit_speeds(w, load, soil, command, by_speed, grade, world, h):
+    """Implicit Euler for (V, u = r w) of wheel `w` (a WHEEL_STATE) over h seconds: (V, u, Reaction, converged).
+
+    The first step goes by the reaction of the last substep to first order, where it is short. Newton's residual falls
+    quadratically: once it is foretold to fall far below the tolerance, by the last two residuals or by the change of
+    shear that the step makes, the step is taken with the reaction to first order instead of being computed once more.
     """
     r, b = world.radius, world.width
-    weight_along = mass * world.gravity * math.sin(grade)
-    cv, cu = h / mass, h * r / world.inertia
-    v, u = speed0, wheel_speed0 * r
-    u0 = u
-    theta1 = entry_angle(sinkage, r)
-    nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, soil.sinkage_exponent, r, theta1)
-    soil_force = reaction_of(nodes, v, u, load, soil, r, b)
+    weight_along = w.mass * world.gravity * math.sin(grade)
+    cv, cu = h / w.mass, h * r / world.inertia
+    speed0, u0 = w.speed, w.wheel_speed * r
+    v, u = speed0, u0
     torque, torque_w, _ = motor(command, by_speed, u / r, world)
+    dv, du = _newton_step(
+        -cv * (w.drawbar_pull - weight_along), -cu * (torque - w.torque), cv, cu,
+        w.pull_by_speed, w.pull_by_rim, w.torque_by_speed, w.torque_by_rim - torque_w / r,
+    )  # fmt: skip
+    if max(abs(dv), abs(du)) < _SHORT * (abs(u) + REST_SPEED):
+        v, u = v + dv, u + du
+        torque, torque_w, _ = motor(command, by_speed, u / r, world)
+    theta1 = entry_angle(w.sinkage, r)
+    nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, soil.sinkage_exponent, r, theta1)
+    curvature = 1.0 + r * theta1 / soil.shear_modulus  # relative change of the shear over that of the speeds
+    soil_force = reaction_of(nodes, v, u, load, soil, r, b)
     f1 = v - speed0 - cv * (soil_force.drawbar_pull - weight_along)
     f2 = u - u0 - cu * (torque - soil_force.torque)
     norm = max(abs(f1), abs(f2))
-    before = norm
+    before = 0.1 * norm  # nothing is foretold by the first residual alone
     for _ in range(_MAX_ITERATIONS):
-        if norm < _TOLERANCE:
-            return v, u, soil_force, True
-        a11, a12 = 1.0 - cv * soil_force.dp_v, -cv * soil_force.dp_u
-        a21, a22 = cu * soil_force.torque_v, 1.0 + cu * (soil_force.torque_u - torque_w / r)
-        det = a11 * a22 - a12 * a21
-        if not abs(det) > 1e-12:
-            det = 1e-12
-        dv, du = -(a22 * f1 - a12 * f2) / det, -(a11 * f2 - a21 * f1) / det
-        if norm * norm < _FORETOLD * _TOLERANCE * before:
+        dv, du = _newton_step(
+            f1, f2, cv, cu, soil_force.dp_v, soil_force.dp_u, soil_force.torque_v, soil_force.torque_u - torque_w / r
+        )
+        foretold = min(norm / before, max(abs(dv), abs(du)) * curvature / (abs(u) + REST_SPEED)) * norm
+        if foretold < _FORETOLD * _TOLERANCE:
             trial = moved(soil_force, dv, du)
             torque, _, _ = motor(command, by_speed, (u + du) / r, world)
             g1 = v + dv - speed0 - cv * (trial.drawbar_pull - weight_along)
             g2 = u + du - u0 - cu * (torque - trial.torque)
             if max(abs(g1), abs(g2)) < 0.1 * _TOLERANCE and trial.modulus > 0.0:
                 return v + dv, u + du, trial, True
+        if norm < _TOLERANCE:
+            return v, u, soil_force, True
         share = 1.0
         v1, u1, g1, g2, trial = v, u, f1, f2, soil_force
         reached = norm
@@ -324,9 +347,7 @@ def advance(state, k, command, courses, streams, world):
         soil, grade, patch = ground_at(courses, k, w.x + 0.5 * h * w.speed, w.patch, world.border)
         soil = stiffened(soil, courses.modulus[k, w.cell])
         load = w.mass * world.gravity * math.cos(grade)
-        v, u, soil_force, converged = _implicit_speeds(
-            w.speed, w.wheel_speed, w.sinkage, w.mass, load, grade, soil, command, by_speed, world, h
-        )
+        v, u, soil_force, converged = _implicit_speeds(w, load, soil, command, by_speed, grade, world, h)
         if not converged:
             if h > longest / _FINEST:
                 h *= 0.5
@@ -343,6 +364,8 @@ def advance(state, k, command, courses, streams, world):
         w.bearing_sinkage = bearing
         w.motor_torque, w.available_torque = torque, available
         w.load, w.drawbar_pull, w.torque = soil_force.load, soil_force.drawbar_pull, soil_force.torque
+        w.pull_by_speed, w.pull_by_rim = soil_force.dp_v, soil_force.dp_u
+        w.torque_by_speed, w.torque_by_rim = soil_force.torque_v, soil_force.torque_u
         w.grade, w.patch = grade, patch
         left -= h
         h = longest
@@ -373,6 +396,7 @@ def settle(state, k, mass, courses, streams, world):
     w.sinkage = w.bearing_sinkage = rest.sinkage
     w.mass, w.load, w.grade, w.patch = mass, load, grade, patch
     w.motor_torque = w.drawbar_pull = w.torque = w.slip = 0.0
+    w.pull_by_speed = w.pull_by_rim = w.torque_by_speed = w.torque_by_rim = 0.0
     w.available_torque = world.stall_torque
     w.motor_work = w.travel = w.last_action = w.entrapped_time = w.stalled_time = 0.0
     w.converged, w.cell, w.steps = 1, 0, 0

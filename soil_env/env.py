@@ -262,8 +262,8 @@ class SoilWheelEnv(gymnasium.Env):
         load = max(float(observation[3]), 0.05) * self.scenario.weight
         x, belief = self.simulation.worlds.ids.estimate[0].tolist(), self.scenario.belief
         soil = SoilState(
-            math.tan(math.radians(math.degrees(x[0]))), belief.cohesion, math.exp(x[1]), min(math.exp(x[2]), 1e13), belief.sinkage_exponent,
-            belief.dig_gain, belief.dig_recovery,
+            math.tan(math.radians(math.degrees(x[0]))), belief.cohesion, math.exp(x[1]), min(math.exp(x[2]), 1e13),
+            belief.sinkage_exponent, belief.dig_gain, belief.dig_recovery,
         )  # fmt: skip
         best = self._best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
         margin = max(best.drawbar_pull / load - math.tan(float(observation[7])), -1.0)

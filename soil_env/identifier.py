@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.compiled import inlined, kernel
+from soil_env.compiled import inlined, kernel, pasted
 from soil_env.effects import excavation_rate
 from soil_env.identification.solver import (
     BLOCK,
@@ -166,7 +166,7 @@ def forget(ids, k, numbers):
     ids.condition[k] = 1.0
 
 
-@inlined
+@pasted
 def observe(ids, k, reading, numbers):
     """Take one set of readings; True if it completed a point and the estimate was solved again."""
     run = ids.running[k]
@@ -202,7 +202,7 @@ def observe(ids, k, reading, numbers):
     return done
 
 
-@inlined
+@pasted
 def _complete(ids, k, numbers):
     """Close the open point, put it into the window and solve."""
     run, points = ids.running[k], ids.points[k]
@@ -225,12 +225,13 @@ def _complete(ids, k, numbers):
         run[i] = 0.0
     run[_COUNT] = 0.0
     ids.count[k] += 1
-    chi_squared = _solve_window(ids, k, numbers)
-    if ids.count[k] > 1 and chi_squared > _CONTRADICTION:
+    for _ in range(2):
+        chi_squared = _solve_window(ids, k, numbers)
+        if ids.count[k] == 1 or chi_squared <= _CONTRADICTION:
+            break
         _copy_point(points, slot, 0)  # another soil: keep the newest point only, and nothing of the old estimate
         ids.count[k] = 1
         run[_HELD] = 0.0
-        _solve_window(ids, k, numbers)
     return True
 
 
@@ -308,7 +309,7 @@ def _consider(x, count, numbers, covariance, work):
     return lane(chi, count - 1)
 
 
-@inlined
+@pasted
 def _solve_window(ids, k, numbers):
     """Solve for the window and publish, or hold the last good estimate while the points do not excite.
 

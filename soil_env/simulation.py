@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from soil_env.compiled import Entry, inlined, kernel, take
+from soil_env.compiled import Entry, kernel, pasted, take
 from soil_env.crew import crew
 from soil_env.dynamics import WHEEL_STATE, WorldNumbers, advance, settle, world_numbers
 from soil_env.identifier import IdentifierNumbers, Identifiers, forget, identifier_numbers, new_identifiers, observe
@@ -66,7 +66,7 @@ def restart(worlds, numbers, k):
     )  # fmt: skip
 
 
-@inlined
+@pasted
 def step_one(worlds, numbers, k, command):
     """One control period of wheel k: drive, sense, identify, judge, reward, observe."""
     advance(worlds.state, k, command, worlds.courses, worlds.streams, numbers.world)
@@ -128,8 +128,9 @@ class Simulation:
     ):
         self.scenario = scenario
         self._threads = threads or _processors()
-        self._step, self._restart = Entry(step_one), Entry(restart)
+        self._restart = Entry(restart)
         self._step_chunks, self._restart_chunks = Entry(step_chunks), Entry(restart_chunks)
+        self._commands, self._what = np.zeros(wheels), np.full(wheels, IDLE)
         self._counter = np.zeros(1, dtype=np.int64)
         task = task_numbers(scenario, variant)
         if max_episode_steps is not None:
@@ -169,7 +170,10 @@ class Simulation:
 
     def step(self, k: int, command: float) -> None:
         """One control period of wheel k."""
-        self._step(self.worlds, self.numbers, int(k), float(command))
+        self._commands[k], self._what[k] = command, STEP
+        self._counter[0] = 0
+        self._step_chunks(self.worlds, self.numbers, self._commands, self._what, self._counter)
+        self._what[k] = IDLE
 
     def step_all(self, commands: np.ndarray, what: np.ndarray) -> None:
         """One control period with `commands` [wheels] float64; `what` [wheels] int8: STEP, RESTART or IDLE."""

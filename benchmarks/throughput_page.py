@@ -1,0 +1,143 @@
+"""The tables of docs/performance.md, put between its markers from the figures of `throughput.run`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table."""
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def _range(value: dict, digits: int = 2, scale: float = 1.0) -> str:
+    """Median with the lowest and highest round."""
+    median, low, high = (f"{value[k] * scale:,.{digits}f}" for k in ("median", "low", "high"))
+    return f"{median} ({low}-{high})"
+
+
+def machine(result: dict) -> str:
+    """The machine line."""
+    m = result["machine"]
+    load = "" if m["load"] is None else f", load average {m['load']:.1f} at the start"
+    return (
+        f"{m['processor']}, {m['cores']} cores{load}; Python {m['python']}, numpy {m['numpy']}, numba {m['numba']}, "
+        f"llvmlite {m['llvmlite']}. Medians of rounds, with the lowest and the highest."
+    )
+
+
+def targets(result: dict) -> str:
+    """The two targets and their references."""
+    t, rows = result["targets"], []
+    names = {
+        "vector": (
+            f"`SoilWheelVectorEnv`, {t['wheels']} wheels, {t['threads']} threads",
+            "EnvPool CartPole-v1, so too",
+        ),
+        "single": ("`SoilWheelEnv`", "Gymnasium HalfCheetah-v5"),
+    }
+    for key, (ours, reference) in names.items():
+        c = t[key]
+        measured = "reference" in c
+        rows.append([
+            ours, _range(c["ours"], 0, 1e-3), reference,
+            _range(c["reference"], 0, 1e-3) if measured else "not measured", _range(c["ratio"]) if measured else "",
+        ])  # fmt: skip
+    text = table(["env", "1000 steps/s", "reference", "1000 steps/s", "ratio"], rows)
+    return "\n\n".join([text, *result["notes"]])
+
+
+def scaling(result: dict) -> str:
+    """Steps/s over N and threads."""
+    rows = [[str(r["wheels"]), _range(r["1"], 0, 1e-3), _range(r["2"], 0, 1e-3)] for r in result["scaling"]]
+    return table(["wheels", "1 thread, 1000 steps/s", "2 threads, 1000 steps/s"], rows)
+
+
+def parts(result: dict) -> str:
+    """Share of the parts, and of the limit."""
+    p, possible = result["parts"], result["limit"]["us"]
+    total = sum(v["median"] for v in p["us"].values())
+    rows = []
+    for name, value in p["us"].items():
+        share = f"{100 * possible[name] / value['median']:.0f} %" if name in possible else ""
+        least = f"{possible[name]:.3f}" if name in possible else ""
+        rows.append([name, _range(value, 3), f"{100 * value['median'] / total:.0f} %", least, share])
+    least = sum(possible.values())
+    rows.append(["all", f"{total:.3f}", "100 %", f"{least:.3f}", f"{100 * least / total:.0f} %"])
+    text = table(["part", "us a wheel and step, one core", "share", "limit, us", "limit / achieved"], rows)
+    often = f"A step solves {p['solves_a_step']:.2f} windows and resets {p['resets_a_step']:.4f} wheels on average."
+    return text + "\n\n" + often
+
+
+def rates(result: dict) -> str:
+    """What the machine does at best."""
+    names = {"exp": "exp", "log": "log", "sin_cos": "sin and cos", "fma": "multiply and add", "scalar": "exp of libm"}
+    rows = [[names[k], "1" if k == "scalar" else "8", _range(v)] for k, v in result["limit"]["ns"].items()]
+    b = result["limit"]["bytes"]
+    return (
+        table(["operation", "numbers", "ns"], rows)
+        + f"\n\nA wheel takes {b['wheel']:,} bytes; a step reads or writes about {b['step']:,} of them, and "
+        f"{b['solve']:,} more where it solves."
+    )
+
+
+def independence(result: dict) -> str:
+    """Ratios over course length and age."""
+    i = result["independence"]
+    return table(
+        ["cost of a step over", "ratio"],
+        [
+            ["a course of 100 m / one of 10 m", _range(i["length"])],
+            ["wheels late / early in their episode", _range(i["age"])],
+            ["a course of 100 m / one of 10 m, resets included", _range(i["length_with_resets"])],
+        ],
+    )
+
+
+def accuracy(result: dict) -> str:
+    """Errors of the contact rule."""
+    rows = [[k, f"{v['median']:.1e}", f"{v['high']:.1e}"] for k, v in result["accuracy"].items()]
+    return table(["", "median", "largest"], rows)
+
+
+def startup(result: dict) -> str:
+    """Seconds until something happens."""
+    s = result["startup"]
+    if not s:
+        return "Not measured."
+    return table(
+        ["", "s"],
+        [
+            ["`import soil_env` beyond numpy and gymnasium", _range(s["import"])],
+            ["first env and `reset`, nothing cached", f"{s['first_reset']:.1f}"],
+            ["then the first env, `reset` and `step`", f"{s['first_step_after']:.1f}"],
+            ["env and `reset`, cached", _range(s["cached_reset"])],
+            ["env, `reset` and `step`, cached", _range(s["cached_step"])],
+        ],
+    )
+
+
+SECTIONS = {
+    "machine": machine, "targets": targets, "scaling": scaling, "parts": parts, "rates": rates,
+    "independence": independence, "accuracy": accuracy, "startup": startup,
+}  # fmt: skip
+
+
+def write(result: dict, template: Path, out: Path) -> None:
+    """`template` with the text between its markers renewed, into `out`; a KeyError for a marker without figures."""
+    text = template.read_text(encoding="utf-8")
+
+    def renewed(match):
+        return f"<!-- {match[1]} -->\n{SECTIONS[match[1]](result)}\n<!-- end -->"
+
+    text, count = re.subn(r"<!-- (\w+) -->\n.*?<!-- end -->", renewed, text, flags=re.DOTALL)
+    if count != len(SECTIONS):
+        raise ValueError(f"{template}: {count} figures, expected {len(SECTIONS)}")
+    out.write_text(text, encoding="utf-8")
+
+
+def summary(result: dict) -> str:
+    """The targets and the parts, for the terminal."""
+    return "\n\n".join([machine(result), targets(result), parts(result)])
