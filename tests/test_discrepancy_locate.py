@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from soil_env.discrepancy.locate import SIGNIFICANT, boxes, describe, linearised, locate
 from tests.discrepancy_tables import NOISE, problem, table
@@ -105,6 +106,25 @@ def test_what_the_soil_absorbs_is_no_disagreement():
     assert a.shape == (18 * 3 + 5, 5)
     assert np.all(np.abs(a.T @ e) < 0.02 * np.linalg.norm(a, axis=0))  # the gradient of the fit vanishes
     assert not locate(p, p.fit())
+
+
+@pytest.mark.parametrize("limit", [0.0, 0.35])
+def test_p_value_is_that_of_a_refit_with_the_box(limit):
+    """Between the chance of one look and of as many as there are boxes, of the fall that a free shift brings."""
+    data = table(speeds=SPEEDS)
+    shift = np.where((data.rows.slip > limit)[:, None] & (np.arange(3) == 1), -3.0, 0.0)
+    p = problem(data, np.random.default_rng(13), shift)
+    fit = p.fit()
+    first = locate(p, fit)[0]
+    inside = np.ones(data.rows.slip.size, dtype=bool)
+    for name, (low, high) in first.region.items():
+        inside &= (data.varied[name].value >= low) & (data.varied[name].value <= high)
+    a, e = linearised(fit)
+    column = p.whiten(np.outer(inside, np.array(["sinkage", "drawbar_pull", "torque"]) == first.channel) * NOISE)
+    wider = np.column_stack([a, np.concatenate([column, np.zeros(len(e) - column.size)])])
+    left = [np.sum((e - m @ np.linalg.lstsq(m, e, rcond=None)[0]) ** 2) for m in (a, wider)]
+    alone = chi2.sf(left[0] - left[1], 1)
+    assert alone < first.p_value < 3 * len(boxes(p).limits) * alone
 
 
 def test_every_box_is_looked_at_once():
