@@ -203,7 +203,10 @@ def test_who_is_left():
 
 def test_words():
     words = in_words(
-        {"slip": 0.6, "load": 220.0, "speed": 0.2, "pass": 2.0}, "drawbar_pull", ("grousers", "bulldozing"), 4.14
+        {"slip": 0.6, "load": 220.0, "speed": 0.2, "pass": 2.0, "grade_deg": 0.0},
+        "drawbar_pull",
+        ("grousers", "bulldozing"),
+        4.14,
     )
     assert words == (
         "slip 0.6 at load 220 N, 0.2 m/s and pass 2: grousers against bulldozing, expected to differ by 4.1 sd in "

@@ -217,6 +217,5 @@ def test_words():
     )
     assert symbolic.in_words(terms) == (
         "drawbar pull over load falls by 0.21 slip^2 speed^0.5; sinkage over radius rises by 0.1 pass; "
-        "torque over load times radius is higher by 0.02 "
-        "(slip = |slip|, speed = V/sqrt(g r), pass = pass number)"
+        "torque over load times radius is higher by 0.02, where speed = V/sqrt(g r)"
     )

@@ -122,7 +122,7 @@ def separating(problem: Problem, candidates: Sequence[Candidate]) -> tuple[NextT
 def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
     """Slips to 0.7, half to twice the loads of the table, and speeds, passes and grades where a candidate knows them.
 
-    What no candidate knows stays as it is in the table.
+    What no candidate knows is the middle speed, the first pass and the least grade of the table.
     """
     rows, varied = problem.data.rows, problem.data.varied
     speed, passes, sine = rows.conditions.T
@@ -135,14 +135,15 @@ def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
     if not timed:
         known.discard("speed")
     levels = {name: [float(np.median(x))] for name, x in column.items()}
+    levels["pass"], grade = [float(passes.min())], column["grade_deg"]
+    levels["grade_deg"] = [min(max(0.0, float(grade.min())), float(grade.max()))]
     levels["slip"], levels["load"] = list(SLIPS), _around(rows.load, 0.5, 2.0)
     if "speed" in known:
         levels["speed"] = _around(speed, 0.3, 3.0)
     if "pass" in known:
         levels["pass"] = sorted({1.0, 2.0, 3.0, float(passes.max())})
     if "grade_deg" in known:
-        levels["grade_deg"] = [min(-10.0, float(column["grade_deg"].min())), 0.0,
-                               max(10.0, float(column["grade_deg"].max()))]  # fmt: skip
+        levels["grade_deg"] = [min(-10.0, float(grade.min())), 0.0, max(10.0, float(grade.max()))]
     points = np.array(list(product(*levels.values())))
     told = [n for n in levels if n in varied or n in known or n in ("slip", "load") or (n == "speed" and timed)]
     scaled = []
@@ -214,8 +215,8 @@ def predicted(there: Problem, candidate: Candidate) -> tuple[np.ndarray, np.ndar
 def in_words(point: dict[str, float], channel: str, pair: tuple[str, str], sigma: float) -> str:
     """The test in a sentence."""
     extra = [f"{point['speed']:.3g} m/s"] if "speed" in point else []
-    extra += [f"pass {point['pass']:g}"] if "pass" in point else []
-    extra += [f"a grade of {point['grade_deg']:.3g} deg"] if "grade_deg" in point else []
+    extra += [f"pass {point['pass']:g}"] if point.get("pass", 1.0) != 1.0 else []
+    extra += [f"a grade of {point['grade_deg']:.3g} deg"] if point.get("grade_deg", 0.0) != 0.0 else []
     where = [f"load {point['load']:.3g} N", *extra]
     at = where[0] if len(where) == 1 else f"{', '.join(where[:-1])} and {where[-1]}"
     return (

@@ -36,12 +36,10 @@ _CLOSE = 0.02  # [noise sd] largest change of the law at which the turns end
 
 _OVER = {"sinkage": "radius", "drawbar_pull": "load", "torque": "load times radius"}
 _MEANING = {
-    "slip": "|slip|",
-    "grip": "1 - |slip|",
+    "grip": "1 - slip",
     "sinkage": "z/r",
     "load": "W/(S b r^(n+1))",
     "speed": "V/sqrt(g r)",
-    "pass": "pass number",
     "grade": "sin(grade)",
 }
 
@@ -287,10 +285,9 @@ def in_words(terms: tuple[ResidualTerm, ...]) -> str:
     parts = []
     for t in terms:
         product = "".join(f" {g}" if p == 1.0 else f" {g}^{p:g}" for g, p in t.powers.items())
-        way = (
-            ("falls" if t.coefficient < 0.0 else "rises") if product else ("is lower", "is higher")[t.coefficient > 0.0]
-        )
+        up, down = ("rises", "falls") if product else ("is higher", "is lower")
+        way = down if t.coefficient < 0.0 else up
         parts.append(f"{TITLES[t.channel]} over {_OVER[t.channel]} {way} by {abs(t.coefficient):.2g}{product}")
-    meaning = {g: _MEANING[g] for t in terms for g in t.powers if _MEANING[g] != g}
+    meaning = {g: _MEANING[g] for t in terms for g in t.powers if g in _MEANING}
     legend = ", ".join(f"{g} = {text}" for g, text in meaning.items())
-    return "; ".join(parts) + (f" ({legend})" if legend else "")
+    return "; ".join(parts) + (f", where {legend}" if legend else "")
