@@ -207,6 +207,7 @@ class Problem:
                                        math.log(high), True))  # fmt: skip
                     continue
                 sd, low, high = self.scales.get(full, (p.scale, low, high))
+                low, high = max(low, p.low), min(high, p.high)
                 out.append(Unknown(full, p.neutral, sd, low, high, False))
         return tuple(out)
 
@@ -295,6 +296,8 @@ class Problem:
         def jacobian(x):
             return np.concatenate([-self.derivatives(unknowns, x[:p], x[p:], choices, guess), np.eye(x.size)])
 
+        if start.size == 0:
+            return start, True  # everything is known
         found = least_squares(
             residual, start, jacobian, bounds=(low, high), x_scale=1.0, ftol=1e-5, xtol=1e-4, gtol=1e-4, max_nfev=25
         )
@@ -337,7 +340,7 @@ class Problem:
                     column = np.zeros_like(a)
                     column[:, j] = SLACK * a[:, j] * v
                     columns.append(self.whiten(column))
-        j = np.stack(columns, axis=1)
+        j = np.stack(columns, axis=1) if columns else np.zeros((base.size, 0))
         return np.where(np.isfinite(j), j, 0.0)
 
     def _finish(self, unknowns, choices, u, eta, guess, ok) -> Fit:

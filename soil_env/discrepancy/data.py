@@ -20,6 +20,9 @@ from soil_env.model import ModelWheel, Rows, rows_of
 CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
+LEAST_PRESSURE, MOST_PRESSURE = 20.0, 1e7  # [Pa] load over radius times width, beyond which the unit is wrong
+MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which the unit is wrong
+LEAST_NOISE = 1e-5  # scatter over the size of the values below which they are rounded or computed, not measured
 _SAME = 0.02  # relative difference below which two values of a condition are one level
 _SAME_SLIP = 0.005
 
@@ -72,6 +75,7 @@ def prepare(table: Table, setup: Setup) -> Data:
         k = int(np.flatnonzero(np.isnan(table.speed))[0])
         raise ParameterError(f"{table.source}: row {table.row[k]}, speed is empty: expected it in every row or in none")
     y = np.stack([getattr(table, name) for name in CHANNELS], axis=1)
+    _refuse_units(table, rows, y)
     varied = {}
     for name, value, log in (
         ("slip", rows.slip, False),
@@ -88,6 +92,36 @@ def prepare(table: Table, setup: Setup) -> Data:
     labels = np.stack([c.level for c in varied.values()] + [np.unique(rows.wheels, axis=0, return_inverse=True)[1]])
     cell = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
     return Data(table, setup, wheel, rows, y, varied, cell)
+
+
+def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
+    """`ParameterError` where a whole column has a unit or a sign that cannot be right."""
+
+    def refuse(wrong, text: str) -> None:
+        if wrong:
+            raise ParameterError(f"{table.source}: {text}")
+
+    load, size = rows.load, rows.wheels[:, 0]
+    pressure = float(np.median(load / (size * rows.wheels[:, 1])))
+    shown = f"load is {np.median(load):.3g} N in the middle of the rows, {pressure:.3g} Pa on radius times width"
+    refuse(pressure < LEAST_PRESSURE, f"{shown}: expected newtons (if it is kN, multiply by 1000)")
+    refuse(pressure > MOST_PRESSURE, f"{shown}: expected newtons")
+    for j, name, unit, over in ((1, "drawbar_pull", "newtons", load), (2, "torque", "newton metres", load * size)):
+        ratio = np.abs(y[:, j]) / over
+        ratio = ratio[np.isfinite(ratio)]
+        if ratio.size and np.median(ratio) > MOST_FORCE:
+            times = "the load" if j == 1 else "load times radius"
+            refuse(True, f"{name} is {np.median(ratio):.3g} times {times} in the middle of the rows: expected {unit}")
+    z = y[:, 0]
+    if np.any(np.isfinite(z)) and np.nanmax(z) < 0.0:
+        known = np.isfinite(z)
+        slope = np.polyfit(load[known], z[known], 1)[0] if np.ptp(load[known]) > 0.05 * load.mean() else 0.0
+        refuse(slope <= 0.0, "sinkage is negative in every row: expected metres below the surface, positive downward")
+    driven = y[(rows.slip > 0.05) & np.isfinite(y[:, 2]), 2]
+    refuse(
+        driven.size > 2 and np.max(driven, initial=-math.inf) < 0.0,
+        "torque is negative in every row with slip > 0.05: expected the driving torque, positive where it drives",
+    )
 
 
 def _condition(name: str, value: np.ndarray, log: bool) -> Conditions:
@@ -233,6 +267,13 @@ def find_noise(data: Data, model: np.ndarray) -> Noise:
         for j in range(3):
             if origin[j] == "repeats":
                 out_sd[j], out_freedom[j] = sd[j], freedom[j]
+    for j, name in enumerate(CHANNELS):
+        size = float(np.sqrt(np.mean(data.y[used[:, j], j] ** 2))) if used[:, j].any() else 0.0
+        if origin[j] in ("repeats", "scatter") and out_sd[j] <= LEAST_NOISE * size:
+            raise ParameterError(
+                f"{data.table.source}: noise of {name}: the values hardly scatter ({out_sd[j]:.2g} over values of "
+                f"{size:.2g}), so it cannot be taken from them; expected noise in the setup"
+            )
     return Noise(np.maximum(out_sd, 1e-12), out_freedom, tuple(origin), used, int(data.measured.sum() - used.sum()))
 
 
