@@ -177,13 +177,16 @@ def arc_ends(theta1, slip, fx):
 
 @kernel
 def shear_law(fx):
-    """`ShearLaw` with a peak and a residual strength; its peak is 1, so that phi and c stay those of the peak.
+    """`ShearLaw` with a peak and a residual strength.
 
-    (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for s > 1; Wong's (1983)
-    law is of this family. `shear_softening_drop` lets the strength decay to the residual 1 - d over the length L beyond
+    (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for s > 1; it is divided
+    by its peak, so that phi and c stay those of the peak. Wong's (1983) law is of this family. `shear_softening_drop`
+    lets the strength decay to the residual 1 - d over the length L beyond
     an onset (Oida 1979).
     """
     s, drop = fx.shear_softening_sharpness, fx.shear_softening_drop
+    if s < 1.0:
+        s = 0.0  # no peak: off
     peak = (1.0 + s) * (1.0 + s) / (4.0 * s) if s > 1.0 else 1.0
     return ShearLaw((1.0 - drop) / peak, s / peak, drop, fx.shear_softening_length, fx.shear_softening_onset)
 

@@ -139,13 +139,16 @@ def rate_law(speed, reference_speed, power, slope):
 
 def mobilised_share(j, K, softening):
     """Share of the strength at j [m] >= 0: Janosi & Hanamoto, with a peak, or decaying to a residual."""
-    x = math.exp(-j / K)
     sharpness = softening.get("sharpness", 0.0)
+    if sharpness > 0.0 and softening.get("slope_kept", 0.0):
+        K *= 4.0 * sharpness / (1.0 + sharpness)  # e = j/K at the start, as Janosi & Hanamoto
+    x = math.exp(-j / K)
     if sharpness > 0.0:
         top = 0.5 * (sharpness - 1.0) / sharpness if sharpness > 1.0 else 0.0  # x where the law is stationary
         return (1.0 - x) * (1.0 + sharpness * x) / ((1.0 - top) * (1.0 + sharpness * top))
     drop = softening.get("drop", 0.0)
-    return (1.0 - x) * (1.0 - drop + drop * math.exp(-j / softening.get("length", 0.05)))
+    beyond = max(j - softening.get("onset", 0.0), 0.0)
+    return (1.0 - x) * (1.0 - drop + drop * math.exp(-beyond / softening.get("length", 0.05)))
 
 
 def passive_pressure(tan_phi, cohesion, depth, unit_weight, surcharge=0.0):

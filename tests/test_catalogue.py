@@ -22,7 +22,10 @@ RIG = {
     ("drivetrain_friction", "constant"): 2.0,
     ("drivetrain_friction", "viscous"): 2.0,
     ("sinkage_offset", "offset"): 0.003,
+    ("shear_softening", "onset"): 0.02,
 }
+#: Parameters of a law that change nothing alone, beside those with a centre of their own.
+NUISANCES = {("shear_softening", "onset")}
 #: Forms that reach fewer channels than their effect does: lugs as blades add a thrust, but no lift; apparent
 #: slip-sinkage is by its meaning one of the sinkage alone.
 NARROWER = {("grousers", "blades"): {PULL, TORQUE}, ("slip_sinkage", "apparent"): {SINKAGE}}
@@ -39,7 +42,8 @@ def strengths(effect, form):
     """(idle values of a form, [(parameter, a value of ordinary size)]) without the nuisances of its law."""
     idle = {p.name: p.neutral for p in effect.parameters} | dict(form.fixed)
     free = [effect.parameter(name) for name in form.free]
-    return idle, [(p.name, p.neutral + RIG.get((effect.name, p.name), p.scale)) for p in free if p.centre is None]
+    free = [p for p in free if p.centre is None and (effect.name, p.name) not in NUISANCES]
+    return idle, [(p.name, p.neutral + RIG.get((effect.name, p.name), p.scale)) for p in free]
 
 
 def moved(found, base):
@@ -107,6 +111,8 @@ def test_neutral_strengths_switch_a_form_off(effect, form):
     for p in effect.parameters:
         if p.centre is not None:
             idle[p.name] = 0.7 * p.centre
+        elif (effect.name, p.name) in NUISANCES:
+            idle[p.name] = RIG[effect.name, p.name]
     assert steady(idle, effect.name) == steady_with(0.3, 100.0, SOIL, WHEEL, DRIVEN, UNIT_WEIGHT, NO_EFFECTS, 0.0)
 
 

@@ -29,7 +29,7 @@ SIZES = {
     },
     "penetration_rate": {"exponent": (-0.2, 0.3), "slope": (-0.1, 0.3), "reference_speed": (0.01, 0.3)},
     "shear_rate": {"exponent": (-0.1, 0.2), "slope": (-0.1, 0.2), "reference_speed": (0.005, 0.1)},
-    "shear_softening": {"sharpness": (0, 8), "drop": (-0.1, 0.6), "length": (0.02, 0.2)},
+    "shear_softening": {"sharpness": (1, 8), "drop": (-0.1, 0.6), "length": (0.02, 0.2), "onset": (0, 0.02)},
     "grade": {"share": (0, 1.2), "weakening": (-0.3, 1.2)},
     "drivetrain_friction": {"constant": (-2, 5), "share": (-0.1, 0.3), "viscous": (-1, 3)},
     "slip_bias": {"offset": (-0.05, 0.05), "radius_error": (-0.05, 0.05)},
@@ -41,7 +41,7 @@ FORMS = [(name, form) for name, effect in CATALOGUE.items() for form in effect.f
 def values(name, form, rng):
     """Random parameters of one form of an effect."""
     sizes = SIZES[name]
-    drawn = {p: float(rng.uniform(*sizes[p])) for p in (*form.free, "reference_speed") if p in sizes}
+    drawn = {p: float(rng.uniform(*sizes[p])) for p in (*form.free, "reference_speed", "onset") if p in sizes}
     return {name: drawn | dict(form.fixed)}
 
 
@@ -215,6 +215,7 @@ def test_units_do_not_matter(seed, length, force, speed):
         ("slip_sinkage", "length"): length,
         ("sinkage_offset", "offset"): length,
         ("shear_softening", "length"): length,
+        ("shear_softening", "onset"): length,
         ("penetration_rate", "reference_speed"): speed,
         ("shear_rate", "reference_speed"): speed,
         ("drivetrain_friction", "constant"): force * length,

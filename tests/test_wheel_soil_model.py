@@ -254,12 +254,13 @@ def test_a_file_needs_wheel_and_soil_only(tmp_path):
         ({"wheels": {}}, "unknown key 'wheels'; did you mean 'wheel'"),
         ({"format": "soil_env model 2"}, "format = 'soil_env model 2': expected 'soil_env model 1'"),
         ({"wheel": None}, "missing wheel"),
-        ({"soil": None}, "missing soil"),
         ({"wheel": {"radius": 0.15}}, "wheel: missing width"),
         ({"wheel": {"radius": 15, "width": 0.12}}, r"wheel: .*radius = 15.0: expected a number in \[0.01, 3\] m"),
         ({"wheel": {"radius": 0.15, "breadth": 0.1}}, "wheel: unknown key 'breadth'"),
         ({"wheel": 0.15}, "wheel: expected a mapping"),
         ({"soil": {"cohesion": 1.0}}, "soil: missing friction_angle_deg"),
+        ({"soil": {}}, "soil: missing friction_angle_deg"),
+        ({"soil": 0}, "soil: expected a mapping"),
         ({"effects": {"buldozing": {"rankine": 1.0}}}, "effects: unknown key 'buldozing'; did you mean 'bulldozing'"),
         ({"effects": {"bulldozing": {"rankine": 99.0}}}, r"effects: bulldozing: rankine = 99.0: expected a number in"),
         ({"effects": {"bulldozing": None}}, "effects: bulldozing: expected a mapping"),
@@ -280,6 +281,13 @@ def test_wrong_files_are_refused_in_one_line(tmp_path, change, message):
         WheelSoilModel.load(path)
     assert str(error.value).startswith(f"{path}: ")
     assert str(error.value).count(str(path)) == 1 and "\n" not in str(error.value)
+
+
+def test_without_a_soil_nothing_is_predicted(tmp_path):
+    path = tmp_path / "model.yaml"
+    path.write_text(yaml.safe_dump(content(soil=None)))
+    with pytest.raises(ParameterError, match="soil"):
+        WheelSoilModel.load(path).predict(conditions())
 
 
 def test_files_that_cannot_be_read(tmp_path):
