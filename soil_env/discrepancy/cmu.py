@@ -229,7 +229,7 @@ def table_text(runs: list[Run]) -> str:
 def setup_text(wheel: str, prior: PlatePrior) -> str:
     """The setup as YAML, with the source of every number."""
     height = GROUSER_HEIGHT[wheel]
-    grouser = f", grouser_height: {height:g}" if height else ""
+    grouser = f", grouser_height: {height:g}"
     source = "\n".join(f"  # {line}" for line in prior.source)
     return f"""\
 # {wheel} wheel of the CMU single-wheel rig (Pavlov and Johnson), {REPOSITORY}, MIT licence.
