@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from soil_env.catalogue import CATALOGUE
+from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.locate import TITLES, UNITS, figure
 from soil_env.model import DEEPEST
@@ -15,7 +16,7 @@ from soil_env.model import DEEPEST
 if TYPE_CHECKING:
     from soil_env.discrepancy.workflow import Report
 
-FAR = 3.0  # [prior sd] from the setup's value at which a soil parameter is worth a caution
+FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
 SOIL = {
     "friction_angle_deg": ("friction angle", "deg"),
     "cohesion": ("cohesion c", "Pa"),
@@ -93,7 +94,7 @@ def cautions(report: Report) -> list[str]:
         out.append(f"{values} values for {unknowns} unknowns: the priors decide much of this.")
     missing = [TITLES[name] for name in CHANNELS if name not in report.channels]
     if missing:
-        out.append(f"{listed(missing).capitalize()} not measured: effects that move nothing else cannot be seen.")
+        out.append(f"{_first_upper(listed(missing))} not measured: effects that move nothing else cannot be seen.")
     for j, name in enumerate(CHANNELS):
         if noise.origin[j] == "scatter":
             out.append(
@@ -108,9 +109,10 @@ def cautions(report: Report) -> list[str]:
         label = SOIL.get(unknown.name, (unknown.name.replace("_", " "), ""))[0]
         x = unknown.mean + unknown.sd * float(u)
         if min(x - unknown.low, unknown.high - x) <= 1e-4 * unknown.sd:
-            out.append(f"{label.capitalize()} is at a bound of its range ({float(unknown.value(u)):.4g}).")
-        elif getattr(problem.data.setup.soil, unknown.name, None) is not None and abs(u) > FAR:
-            out.append(f"{label.capitalize()} is {abs(u):.1f} standard deviations from the setup's value.")
+            out.append(f"{_first_upper(label)} is at a bound of its range ({float(unknown.value(u)):.4g}).")
+        elif getattr(problem.data.setup.soil, unknown.name, None) is not None and PRIOR_WIDTH * abs(u) > FAR:
+            far = f"{PRIOR_WIDTH * abs(u):.1f}"
+            out.append(f"{_first_upper(label)} is {far} standard deviations from the setup's value.")
     if report.problem.data.setup.wheel.grouser_height is None and "grousers" in report.model.effects:
         h = report.model.wheel.grouser_height
         out.append(
@@ -127,6 +129,10 @@ def cautions(report: Report) -> list[str]:
         names = listed(title(name) for name in report.finding.untestable)
         out.append(f"This table cannot show {names}.")
     return out
+
+
+def _first_upper(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _amount(channel: str, value: float) -> str:

@@ -23,7 +23,6 @@ from soil_env.discrepancy.judgement import Gap, Interval, Rank, Sureness
 from soil_env.discrepancy.locate import Disagreement, locate
 from soil_env.discrepancy.search import Finding, search
 from soil_env.discrepancy.symbolic import ResidualFit, symbolic
-from soil_env.effects import NO_EFFECTS
 from soil_env.measurement import Setup, Table, read_setup, read_table
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Soil
@@ -35,7 +34,7 @@ class EffectFound:
 
     name: str
     form: str
-    parameters: dict[str, Interval]  # every one that is not neutral
+    parameters: dict[str, Interval]  # low = high = value where the form or the table sets it
     alternatives: tuple[str, ...]  # that these data cannot tell from it
 
 
@@ -66,7 +65,7 @@ class Report:
     other: dict[str, float]  # probability that nothing is missing, and that something unlisted is
     sureness: Sureness | None
     gap: dict[str, Gap]
-    closed: float | None
+    closed: float | None  # None where nothing was added
     next_tests: tuple[NextTest, ...]
     base_model: WheelSoilModel
     model: WheelSoilModel
@@ -222,10 +221,11 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     tests = next_tests(problem, finding)
     spread = final if not finding.named else finding.best.fit
     told = judgement.intervals(spread, final.parameters())
+    share = None if final is base else judgement.closed(problem, gap)
     return Report(
         finding, problem, noise, where, _effects(problem, finding, told), law, _soil(problem, told), ranking, other,
-        sureness, gap, judgement.closed(problem, gap), tests, model_of(problem, base), model_of(problem, final, terms),
-        held, held_after, settings,
+        sureness, gap, share, tests, model_of(problem, base), model_of(problem, final, terms), held, held_after,
+        settings,
     )  # fmt: skip
 
 
@@ -251,14 +251,12 @@ def model_of(problem: Problem, fit: Fit, terms=()) -> WheelSoilModel:
 
 
 def _parameters(problem: Problem, choice: Choice, values: dict[str, float]) -> dict[str, float]:
-    """Parameters of an effect that are not neutral, and those that its form fits."""
-    numbers = problem.effects((choice,), values)
-    out = {}
+    """Parameters of an effect: what its form frees, what it sets, and the reference speed that the table set."""
+    numbers, out = problem.effects((choice,), values), {}
     for p in CATALOGUE[choice.effect].parameters:
         full = f"{choice.effect}_{p.name}"
-        value = float(getattr(numbers, full))
-        if full in choice.free or value != getattr(NO_EFFECTS, full):
-            out[p.name] = min(max(value, p.low), p.high)
+        if full in choice.free or full in choice.fixed or p.name == "reference_speed":
+            out[p.name] = min(max(float(getattr(numbers, full)), p.low), p.high)
     return out
 
 
