@@ -27,6 +27,7 @@ import numpy as np
 from soil_env.compiled import inlined, kernel
 from soil_env.contact import (
     JANOSI,
+    ShearLaw,
     arc_nodes,
     entry_angle,
     forces,
@@ -35,9 +36,24 @@ from soil_env.contact import (
     shear_integrals,
     slip_ratio,
 )
-from soil_env.effects import excavation_rate
-from soil_env.model import steady_state
-from soil_env.parameters import Scenario
+from soil_env.effects import (
+    NO_EFFECTS,
+    Effects,
+    acting,
+    arc_ends,
+    blade_force,
+    bulldozing_resistance,
+    drive_torque,
+    excavated_depth,
+    excavation_rate,
+    shear_law,
+    shear_length_ratio,
+    slip_sinkage_ratio,
+    soil_in_contact,
+)
+from soil_env.model import LEVEL, Rim, WheelSoilModel, contact_arc, sheared_from, steady_with
+from soil_env.parameters import Scenario, SoilState
+from soil_env.residual import ResidualLaw, dimensionless_groups, residual_at, residual_law
 from soil_env.streams import between
 from soil_env.terrain import cell_at, ground_at, leave_rut, stiffened
 
@@ -103,11 +119,18 @@ class WorldNumbers(NamedTuple):
     period: float  # [s]
     substeps: int
     speed_command: bool
+    with_effects: bool  # whether any effect below is on
+    grouser_height: float  # [m]
+    unit_weight: float  # of the soil [N/m3]
+    effects: Effects  # those that act on the wheel, not on its sensors
+    residual: ResidualLaw
 
 
-def world_numbers(scenario: Scenario) -> WorldNumbers:
-    """Pack what `advance` needs."""
+def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> WorldNumbers:
+    """Pack what `advance` needs; `model` brings the effects that are on in this world."""
     w, c = scenario.wheel, scenario.control
+    effects = NO_EFFECTS if model is None else acting(model.numbers)
+    terms = () if model is None else model.residual
     return WorldNumbers(
         w.radius,
         w.width,
@@ -122,6 +145,11 @@ def world_numbers(scenario: Scenario) -> WorldNumbers:
         c.period,
         math.ceil(c.period / c.substep - 1e-9),
         c.action == "wheel_speed",
+        effects != NO_EFFECTS or len(terms) > 0,
+        0.0 if model is None else model.wheel.grouser_height,
+        0.0 if model is None else model.density * scenario.gravity,
+        effects,
+        residual_law(terms),
     )
 
 
@@ -145,14 +173,14 @@ def reaction(speed, rim_speed, sinkage, load, soil, r, b):
     """`Reaction` of the soil to a wheel at a given sinkage that carries `load`: Eqs. (1)-(3) with (1) solved for S."""
     theta1 = entry_angle(sinkage, r)
     nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, soil.sinkage_exponent, r, theta1)
-    return reaction_of(nodes, speed, rim_speed, load, soil, r, b)
+    return reaction_of(nodes, speed, rim_speed, load, soil, r, b, JANOSI)
 
 
 @inlined
-def reaction_of(nodes, speed, rim_speed, load, soil, r, b):
+def reaction_of(nodes, speed, rim_speed, load, soil, r, b, law):
     """`reaction` on given nodes of the contact arc (`contact.arc_nodes`), which depend on sinkage and soil only."""
     rim, travel, direction = motion_from_speeds(rim_speed, speed, REST_SPEED)
-    q, by_rim, by_travel = shear_integrals(nodes, rim, travel, soil.shear_modulus, JANOSI)
+    q, by_rim, by_travel = shear_integrals(nodes, rim, travel, soil.shear_modulus, law)
     tan_phi, c = soil.tan_phi, soil.cohesion
     s = mobilised_modulus(q, load, tan_phi, c, r, b, direction)
     f = forces(q, s, tan_phi, c, r, b, direction)
@@ -188,6 +216,105 @@ def reaction_of(nodes, speed, rim_speed, load, soil, r, b):
         s_v,
         s_u,
     )
+
+
+class Ground(NamedTuple):
+    """What a wheel stands on during a substep, and the effects that act there."""
+
+    soil: SoilState
+    radius: float  # [m] that carries the normal stress
+    shear_ratio: float  # radius at which soil is sheared, over `radius`
+    rim_ratio: float  # that radius over the wheel's
+    law: ShearLaw
+    theta1: float
+    theta2: float
+    thetam: float
+    sheared_from: float
+    lift: float  # [m] sinkage beyond that which carries, as digging has it
+    bulldozing: float  # [N] resistance of the soil ahead
+    pull: float  # [N] of the residual law
+    torque: float  # [N m] of the residual law
+
+
+@kernel
+def plain_ground(w, soil, world):
+    """`Ground` of the base model."""
+    theta1 = entry_angle(w.sinkage, world.radius)
+    return Ground(soil, world.radius, 1.0, 1.0, JANOSI, theta1, 0.0, 0.5 * theta1, theta1, 0.0, 0.0, 0.0, 0.0)
+
+
+@kernel
+def ground_with_effects(w, soil, load, grade, passes, world):
+    """`Ground` with the effects of this world, at the slip and the speeds that the substep starts with."""
+    fx, r, b, h = world.effects, world.radius, world.width, world.grouser_height
+    u = w.wheel_speed * r
+    slip = slip_ratio(u, w.speed, REST_SPEED)
+    soil = soil_in_contact(soil, fx, slip, abs(w.speed), abs(u - w.speed), passes, math.sin(grade))
+    arc = contact_arc(w.sinkage, fx, Rim(r, b, h))
+    theta2, thetam = arc_ends(arc.theta1, slip, fx)
+    ahead = bulldozing_resistance(w.sinkage, soil, world.unit_weight, b, fx)
+    dug = slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery)
+    groups = dimensionless_groups(
+        slip, w.sinkage, load, abs(w.speed), passes, math.sin(grade), soil, r, b, world.gravity
+    )
+    _, pull, torque = residual_at(world.residual, groups)
+    moving = w.speed / math.sqrt(w.speed * w.speed + REST_SPEED * REST_SPEED)
+    q = arc.shear_ratio
+    sheared_soil = SoilState(
+        q * soil.tan_phi, q * soil.cohesion, soil.shear_modulus * shear_length_ratio(fx) / q,
+        soil.sinkage_coefficient, soil.sinkage_exponent, soil.dig_gain, soil.dig_recovery,
+    )  # fmt: skip
+    return Ground(
+        sheared_soil, arc.radius, q, q * arc.radius / r, shear_law(fx), arc.theta1, theta2, thetam, sheared_from(arc),
+        excavated_depth(slip, fx) / dug, ahead, moving * pull * load, moving * torque * load * r,
+    )  # fmt: skip
+
+
+@inlined
+def react(nodes, ground, speed, rim_speed, sinkage, load, world):
+    """`Reaction` of the ground, with all that acts on the wheel at its axle."""
+    f = reaction_of(
+        nodes, speed, ground.rim_ratio * rim_speed, load, ground.soil, ground.radius, world.width, ground.law
+    )
+    return with_added_forces(f, ground, speed, rim_speed, sinkage, world) if world.with_effects else f
+
+
+@kernel
+def with_added_forces(f, ground, speed, rim_speed, sinkage, world):
+    """`Reaction` `f` at the shear radius as one at the axle, with lugs, bulldozing, drivetrain and residual law."""
+    q, p = ground.shear_ratio, ground.rim_ratio
+    pull, torque = _added_forces(ground, speed, rim_speed, sinkage, q * f.torque, world)
+    d = 1e-6
+    pull_v, torque_v = _added_forces(ground, speed + d, rim_speed, sinkage, q * f.torque, world)
+    pull_u, torque_u = _added_forces(ground, speed, rim_speed + d, sinkage, q * f.torque, world)
+    share = 1.0 + math.copysign(world.effects.drivetrain_friction_share, rim_speed * f.torque)
+    return Reaction(
+        f.load,
+        f.drawbar_pull + pull,
+        q * f.torque + torque,
+        f.modulus,
+        f.dp_v + (pull_v - pull) / d,
+        p * f.dp_u + (pull_u - pull) / d,
+        share * q * f.torque_v + (torque_v - torque) / d,
+        share * q * p * f.torque_u + (torque_u - torque) / d,
+        f.modulus_v,
+        p * f.modulus_u,
+    )
+
+
+@kernel
+def _added_forces(ground, speed, rim_speed, sinkage, soil_torque, world):
+    """(pull [N], torque [N m]) that lugs, bulldozing, drivetrain friction and the residual law add."""
+    fx, r = world.effects, world.radius
+    direction = speed / math.sqrt(speed * speed + REST_SPEED * REST_SPEED)
+    slip = slip_ratio(rim_speed, speed, REST_SPEED) * (1.0 if rim_speed + speed >= 0.0 else -1.0)
+    blade = blade_force(
+        ground.theta1, sinkage, slip, ground.soil, world.unit_weight, world.width, world.grouser_height, fx
+    )
+    lever = r + 0.5 * world.grouser_height
+    torque = blade * lever + ground.torque
+    friction = drive_torque(soil_torque + torque, rim_speed / r, REST_SPEED / r, fx) - soil_torque - torque
+    return blade - direction * ground.bulldozing + ground.pull, torque + friction
 
 
 @inlined
@@ -244,14 +371,14 @@ def _newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
 
 
 @inlined
-def _implicit_speeds(w, load, soil, command, by_speed, grade, world, h):
+def _implicit_speeds(w, load, ground, command, by_speed, grade, world, h):
     """Implicit Euler for (V, u = r w) of wheel `w` (a WHEEL_STATE) over h seconds: (V, u, Reaction, converged).
 
     The first step goes by the reaction of the last substep to first order, where it is short. Newton's residual falls
     quadratically: once it is foretold to fall far below the tolerance, by the last two residuals or by the change of
     shear that the step makes, the step is taken with the reaction to first order instead of being computed once more.
     """
-    r, b = world.radius, world.width
+    r = world.radius
     weight_along = w.mass * world.gravity * math.sin(grade)
     cv, cu = h / w.mass, h * r / world.inertia
     speed0, u0 = w.speed, w.wheel_speed * r
@@ -264,10 +391,12 @@ def _implicit_speeds(w, load, soil, command, by_speed, grade, world, h):
     if max(abs(dv), abs(du)) < _SHORT * (abs(u) + REST_SPEED):
         v, u = v + dv, u + du
         torque, torque_w, _ = motor(command, by_speed, u / r, world)
-    theta1 = entry_angle(w.sinkage, r)
-    nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, soil.sinkage_exponent, r, theta1)
-    curvature = 1.0 + r * theta1 / soil.shear_modulus  # relative change of the shear over that of the speeds
-    soil_force = reaction_of(nodes, v, u, load, soil, r, b)
+    soil = ground.soil
+    nodes = arc_nodes(
+        ground.theta1, ground.theta2, ground.thetam, soil.sinkage_exponent, ground.radius, ground.sheared_from
+    )
+    curvature = 1.0 + r * ground.theta1 / soil.shear_modulus  # relative change of the shear over that of the speeds
+    soil_force = react(nodes, ground, v, u, w.sinkage, load, world)
     f1 = v - speed0 - cv * (soil_force.drawbar_pull - weight_along)
     f2 = u - u0 - cu * (torque - soil_force.torque)
     norm = max(abs(f1), abs(f2))
@@ -291,7 +420,7 @@ def _implicit_speeds(w, load, soil, command, by_speed, grade, world, h):
         reached = norm
         for _ in range(8):
             v1, u1 = v + share * dv, u + share * du
-            trial = reaction_of(nodes, v1, u1, load, soil, r, b)
+            trial = react(nodes, ground, v1, u1, w.sinkage, load, world)
             torque, torque_w, _ = motor(command, by_speed, u1 / r, world)
             g1 = v1 - speed0 - cv * (trial.drawbar_pull - weight_along)
             g2 = u1 - u0 - cu * (torque - trial.torque)
@@ -347,14 +476,19 @@ def advance(state, k, command, courses, streams, world):
         soil, grade, patch = ground_at(courses, k, w.x + 0.5 * h * w.speed, w.patch, world.border)
         soil = stiffened(soil, courses.modulus[k, w.cell])
         load = w.mass * world.gravity * math.cos(grade)
-        v, u, soil_force, converged = _implicit_speeds(w, load, soil, command, by_speed, grade, world, h)
+        if world.with_effects:
+            passes = 2.0 if courses.rut[k, w.cell] > 0.0 else 1.0
+            ground = ground_with_effects(w, soil, load, grade, passes, world)
+        else:
+            ground = plain_ground(w, soil, world)
+        v, u, soil_force, converged = _implicit_speeds(w, load, ground, command, by_speed, grade, world, h)
         if not converged:
             if h > longest / _FINEST:
                 h *= 0.5
                 continue
             w.converged = 0
-        bearing = bearing_sinkage(w.sinkage, soil_force.modulus, soil)
-        sinkage = relax_sinkage(w.sinkage, bearing, v, u - v, soil, world.relaxation, h)
+        bearing = bearing_sinkage(w.sinkage, soil_force.modulus, ground.soil) + ground.lift
+        sinkage = relax_sinkage(w.sinkage, bearing, v, u - v, ground.soil, world.relaxation, h)
         torque, _, available = motor(command, by_speed, u / r, world)
 
         w.x += 0.5 * h * (w.speed + v)
@@ -391,7 +525,16 @@ def settle(state, k, mass, courses, streams, world):
     w = state[k]
     soil, grade, patch = ground_at(courses, k, 0.0, 0, world.border)
     load = mass * world.gravity * math.cos(grade)
-    rest = steady_state(0.0, load, soil, world.radius, world.width)
+    rest = steady_with(
+        0.0,
+        load,
+        soil,
+        Rim(world.radius, world.width, world.grouser_height),
+        LEVEL,
+        world.unit_weight,
+        world.effects,
+        0.0,
+    )
     w.x = w.best_x = w.speed = w.wheel_speed = 0.0
     w.sinkage = w.bearing_sinkage = rest.sinkage
     w.mass, w.load, w.grade, w.patch = mass, load, grade, patch

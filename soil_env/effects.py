@@ -48,6 +48,18 @@ def pack_effects(effects: Mapping[str, Mapping[str, float]]) -> Effects:
     return NO_EFFECTS._replace(**values)
 
 
+#: What a sensor reads wrongly, and the pull of gravity, which a simulated course has anyway.
+_NOT_ACTING = ("slip_bias_offset", "slip_bias_radius_error", "sinkage_offset_offset", "grade_share")
+
+
+def acting(fx: Effects) -> Effects:
+    """The effects that act on a wheel in a simulated world: without those of its sensors and the weight on a slope."""
+    fx = fx._replace(**{name: getattr(NO_EFFECTS, name) for name in _NOT_ACTING})
+    if fx.slip_sinkage_apparent > 0.0:  # a sinkage that is seen, not felt
+        fx = fx._replace(slip_sinkage_gain=0.0, slip_sinkage_apparent=0.0)
+    return fx
+
+
 # --- slip-sinkage -----------------------------------------------------------------------------------------------------
 
 
@@ -247,7 +259,7 @@ def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
     kp = passive_coefficient(soil.tan_phi)
     weight = 0.5 * unit_weight * height * (height + max(sinkage, 0.0)) * kp
     one = b * (weight + 2.0 * soil.cohesion * height * math.sqrt(kp))
-    return fx.grousers_blades * theta1 * one * slip / math.sqrt(slip * slip + 2.5e-5)
+    return fx.grousers_blades * theta1 * one * math.tanh(slip / 0.015)
 
 
 # --- what is measured -------------------------------------------------------------------------------------------------

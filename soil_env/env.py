@@ -13,6 +13,7 @@ from soil_env.compiled import Entry
 from soil_env.dynamics import WHEEL_STATE
 from soil_env.identification import Status
 from soil_env.loading import ParameterError
+from soil_env.model import WheelSoilModel, load_model
 from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
 from soil_env.simulation import Simulation
 from soil_env.task import REWARD_TERMS, Cause, layout
@@ -147,6 +148,10 @@ class SoilWheelEnv(gymnasium.Env):
     "human"; any field of `Scenario` as a keyword, merged over the scenario, e.g. `course={"length": 20}` or
     `wheel="paper_vehicle"`. Unknown keys and values out of range raise `soil_env.ParameterError`.
 
+    `model`: a model.yaml (or a `WheelSoilModel`) with the effects that are on in this world. Identifier and agent do
+    not know of them. Where the model has a soil, all patches are drawn from it. Its wheel gives the height of the
+    grousers; everything else about the wheel is the scenario's. A residual law acts on drawbar pull and torque.
+
     ## Version history
     * v0: first version.
     """
@@ -159,6 +164,7 @@ class SoilWheelEnv(gymnasium.Env):
         observation: str = "identified",
         action: str | None = None,
         render_mode: str | None = None,
+        model: str | Path | WheelSoilModel | None = None,
         **changes: Any,
     ):
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
@@ -172,7 +178,8 @@ class SoilWheelEnv(gymnasium.Env):
         self.action_space = action_space()
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.period))}
-        self.simulation = Simulation(1, self.scenario, observation, threads=1)
+        self.model = load_model(model)
+        self.simulation = Simulation(1, self.scenario, observation, threads=1, model=self.model)
         self._best_working_point = Entry(best_working_point)
         self._renderer = None
         self._seeded = False

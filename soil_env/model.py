@@ -279,11 +279,12 @@ class WheelSoilModel:
 
     `effects` maps a name of the catalogue to its parameters; those left out are neutral. `soil.dig_gain` is the
     digging that the simulated world gives its soils; a model that was fitted to measurements has it at 0 and says
-    slip-sinkage by name.
+    slip-sinkage by name. Without a soil a model is a set of effects for worlds that bring their own soils; it cannot
+    predict.
     """
 
     wheel: ModelWheel
-    soil: Soil
+    soil: Soil | None = None
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     residual: tuple[ResidualTerm, ...] = ()
     gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81, doc="for the weight of the soil")
@@ -291,6 +292,11 @@ class WheelSoilModel:
     def __post_init__(self):
         check(self)
         pack_effects(self.effects)  # refuses what is unknown or out of range
+
+    @property
+    def density(self) -> float:
+        """Density of the soil [kg/m3]; 1500 where the model has no soil."""
+        return 1500.0 if self.soil is None else self.soil.density
 
     @property
     def numbers(self) -> Effects:
@@ -304,6 +310,8 @@ class WheelSoilModel:
         and `load` [N] and, as far as they matter, `speed` [m/s], `pass`, `grade_deg`, `wheel_radius`, `wheel_width`,
         `grouser_height` [m]. Raises `ParameterError` for unknown or missing names and for values that are not finite.
         """
+        if self.soil is None:
+            raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")
         c = rows_of(conditions, self.wheel)
         out, carried = np.empty((c.slip.size, 3)), 0
         for width in np.unique(c.wheels[:, 1]):  # S = k_c/b + k_phi
@@ -322,10 +330,11 @@ class WheelSoilModel:
         content = {
             "format": FORMAT,
             "wheel": to_dict(self.wheel),
-            "soil": {k: v for k, v in to_dict(self.soil).items() if v is not None and v != ""},
             "effects": {name: {k: float(v) for k, v in values.items()} for name, values in self.effects.items()},
             "gravity": float(self.gravity),
         }
+        if self.soil is not None:
+            content["soil"] = {k: v for k, v in to_dict(self.soil).items() if v is not None and v != ""}
         if self.residual:
             content["residual"] = [to_dict(term) for term in self.residual]
         Path(path).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
@@ -341,16 +350,15 @@ class WheelSoilModel:
         content = {key: value for key, value in content.items() if value is not None}
         if content.get("format", FORMAT) != FORMAT:
             raise ParameterError(f"{where}: format = {content['format']!r}: expected {FORMAT!r}")
-        for key in ("wheel", "soil"):
-            if key not in content:
-                raise ParameterError(f"{where}: missing {key}")
+        if "wheel" not in content:
+            raise ParameterError(f"{where}: missing wheel")
         terms = content.get("residual", [])
         if not isinstance(terms, list):
             raise ParameterError(f"{where}: residual: expected a list of terms")
         try:
             return cls(
                 load(ModelWheel, content["wheel"], f"{where}: wheel"),
-                load(Soil, content["soil"], f"{where}: soil"),
+                load(Soil, content["soil"], f"{where}: soil") if "soil" in content else None,
                 content.get("effects", {}),
                 tuple(load(ResidualTerm, t, f"{where}: residual") for t in terms),
                 content.get("gravity", 9.81),
@@ -358,6 +366,15 @@ class WheelSoilModel:
         except ParameterError as error:
             text = str(error)
             raise ParameterError(text if text.startswith(where) else f"{where}: {text}") from None
+
+
+def load_model(model: str | Path | WheelSoilModel | None) -> WheelSoilModel | None:
+    """The model that the keyword `model` of an environment describes: a model.yaml, a model, or none."""
+    if model is None or isinstance(model, WheelSoilModel):
+        return model
+    if not isinstance(model, (str, Path)):
+        raise ParameterError(f"model = {model!r}: expected the path of a model.yaml, a WheelSoilModel or None")
+    return WheelSoilModel.load(model)
 
 
 class Rows(NamedTuple):

@@ -13,6 +13,7 @@ from soil_env.crew import crew
 from soil_env.dynamics import WHEEL_STATE, WorldNumbers, advance, settle, world_numbers
 from soil_env.identifier import IdentifierNumbers, Identifiers, forget, identifier_numbers, new_identifiers, observe
 from soil_env.loading import ParameterError
+from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 from soil_env.streams import seed_stream
 from soil_env.task import REWARD_TERMS, Cause, TaskNumbers, judge, reward_terms, sense, task_numbers, write_observation
@@ -125,6 +126,7 @@ class Simulation:
         variant: str,
         max_episode_steps: int | None = None,
         threads: int | None = None,
+        model: WheelSoilModel | None = None,
     ):
         self.scenario = scenario
         self._threads = threads or _processors()
@@ -132,10 +134,12 @@ class Simulation:
         self._step_chunks, self._restart_chunks = Entry(step_chunks), Entry(restart_chunks)
         self._commands, self._what = np.zeros(wheels), np.full(wheels, IDLE)
         self._counter = np.zeros(1, dtype=np.int64)
-        task = task_numbers(scenario, variant)
+        task = task_numbers(scenario, variant, model)
         if max_episode_steps is not None:
             task = task._replace(steps=min(task.steps, int(max_episode_steps)))
-        self.numbers = Numbers(world_numbers(scenario), course_numbers(scenario), identifier_numbers(scenario), task)
+        self.numbers = Numbers(
+            world_numbers(scenario, model), course_numbers(scenario, model), identifier_numbers(scenario), task
+        )
         self.worlds = Worlds(
             np.zeros(wheels, dtype=WHEEL_STATE),
             new_courses(wheels, scenario),

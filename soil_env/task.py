@@ -14,9 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.compiled import inlined
+from soil_env.effects import NO_EFFECTS, Effects, measured_slip, slip_sinkage_ratio
 from soil_env.identification import Status
 from soil_env.identifier import SensorReading
 from soil_env.loading import unknown_key
+from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 from soil_env.streams import eight_normals
 from soil_env.terrain import ground_at
@@ -105,6 +107,7 @@ class TaskNumbers(NamedTuple):
     border: float
     period: float
     steps: int
+    sensor_effects: Effects  # what the sensors read wrongly
     noise: np.ndarray  # [8] slip, sinkage, drawbar pull, load, torque, speed, rim speed, pitch, in their own units
     low: np.ndarray  # [D] float32 bounds of the observation
     high: np.ndarray
@@ -119,8 +122,8 @@ class TaskNumbers(NamedTuple):
     reward_immobilisation: float
 
 
-def task_numbers(scenario: Scenario, variant: str) -> TaskNumbers:
-    """Pack what the functions below need."""
+def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None = None) -> TaskNumbers:
+    """Pack what the functions below need; `model` brings the effects that are on in this world."""
     entries = layout(variant)
     n, lim, w = scenario.noise, scenario.limits, scenario.wheel
     weight = scenario.weight
@@ -138,6 +141,7 @@ def task_numbers(scenario: Scenario, variant: str) -> TaskNumbers:
         scenario.course.border,
         scenario.control.period,
         scenario.steps,
+        NO_EFFECTS if model is None else model.numbers,
         np.array(noise),
         np.array([e.low for e in entries], dtype=np.float32),
         np.array([e.high for e in entries], dtype=np.float32),
@@ -158,9 +162,13 @@ def sense(state, k, streams, task):
     """Noisy readings of wheel k and its pitch [rad]: (SensorReading, pitch)."""
     w, sd = state[k], task.noise
     a, b, c, d, e, f, g, h = eight_normals(streams, k)
+    fx = task.sensor_effects
+    sinkage = w.sinkage + fx.sinkage_offset_offset
+    if fx.slip_sinkage_apparent > 0.0:
+        sinkage += w.sinkage * (slip_sinkage_ratio(w.slip, fx.slip_sinkage_gain, fx.slip_sinkage_recovery) - 1.0)
     reading = SensorReading(
-        min(max(w.slip + sd[0] * a, -1.0), 1.0),
-        w.sinkage + sd[1] * b,
+        min(max(measured_slip(w.slip, fx) + sd[0] * a, -1.0), 1.0),
+        sinkage + sd[1] * b,
         w.drawbar_pull + sd[2] * c,
         w.load + sd[3] * d,
         w.torque + sd[4] * e,

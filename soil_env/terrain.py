@@ -14,11 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.compiled import inlined, kernel
+from soil_env.effects import NO_EFFECTS, Effects, acting
 from soil_env.lanes import scratch
-from soil_env.model import steady_state
+from soil_env.model import Conditions, Rim, WheelSoilModel, steady_with
 from soil_env.parameters import Scenario, SoilState, soils
 from soil_env.streams import between, normal_pair, uniform
-from soil_env.traversability import best_working_point
+from soil_env.traversability import best_working_point_with
 
 CELL = 0.05  # [m] length of one cell of the rut
 _MAX_REDRAWS = 30
@@ -68,13 +69,21 @@ class CourseNumbers(NamedTuple):
     factor: np.ndarray  # [5, 5] Cholesky factor of the correlations of the first five
     library: np.ndarray  # [soils, 7] `SoilState` of the presets
     cumulative: np.ndarray  # [soils] cumulative share of the presets
+    speed: float  # [m/s] travel at which passability is judged, half the top rim speed
+    grouser_height: float  # [m]
+    unit_weight: float  # of the soil [N/m3]
+    effects: Effects  # of the world
 
 
-def course_numbers(scenario: Scenario) -> CourseNumbers:
-    """Pack what `draw_course` needs."""
+def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> CourseNumbers:
+    """Pack what `draw_course` needs; `model` brings the effects that are on in this world."""
     c, s, w = scenario.course, scenario.spread, scenario.wheel
-    presets = soils()
-    weights = np.array(list(scenario.soils.values()), dtype=float)
+    if model is not None and model.soil is not None:
+        library, weights = [model.soil.state(w.width)], np.ones(1)
+    else:
+        presets = soils()
+        library = [presets[name].state(w.width) for name in scenario.soils]
+        weights = np.array(list(scenario.soils.values()), dtype=float)
     return CourseNumbers(
         c.length,
         *c.patch_length,
@@ -91,8 +100,12 @@ def course_numbers(scenario: Scenario) -> CourseNumbers:
         s.reference_sinkage,
         np.array([s.friction, s.cohesion, s.shear_modulus, s.stiffness, s.dig_gain, s.exponent]),
         s.factor(),
-        np.array([presets[name].state(w.width) for name in scenario.soils]),
+        np.array(library),
         np.cumsum(weights) / weights.sum(),
+        0.5 * w.no_load_speed * w.radius,
+        0.0 if model is None else model.wheel.grouser_height,
+        0.0 if model is None else model.density * scenario.gravity,
+        NO_EFFECTS if model is None else acting(model.numbers),
     )
 
 
@@ -215,8 +228,10 @@ def _capacity(load, soil, numbers):
 
     W cos(grade) sinks less, so the level value is on the safe side.
     """
-    best = best_working_point(load, soil, numbers.radius, numbers.width, numbers.stall_torque)
-    rest = steady_state(0.0, load, soil, numbers.radius, numbers.width)
+    wheel = Rim(numbers.radius, numbers.width, numbers.grouser_height)
+    at = Conditions(numbers.speed, 1.0, 0.0)
+    best = best_working_point_with(load, soil, wheel, at, numbers.unit_weight, numbers.effects, numbers.stall_torque)
+    rest = steady_with(0.0, load, soil, wheel, at, numbers.unit_weight, numbers.effects, 0.0)
     if max(best.sinkage, rest.sinkage) > 0.9 * numbers.bogged_sinkage or not rest.floating:
         return -np.inf
     return best.drawbar_pull / load

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.compiled import kernel
-from soil_env.effects import slip_sinkage_ratio
-from soil_env.model import DEEPEST, steady_state
+from soil_env.effects import NO_EFFECTS, digging, slip_sinkage_ratio
+from soil_env.model import DEEPEST, LEVEL, Rim, steady_with
 
 #: Slips at which the drawbar pull is compared.
 SLIPS = np.array([0.05, 0.1, 0.15, 0.2, 0.26, 0.33, 0.41, 0.5, 0.6, 0.72, 0.85, 0.97])
@@ -30,13 +30,20 @@ class Best(NamedTuple):
 
 @kernel
 def best_working_point(load, soil, r, b, torque_available):
-    """`Best` over the slips of `SLIPS`: up from the middle of them, then down from there.
+    """`best_working_point_with` of the base model on level, fresh soil, with the digging of `soil`."""
+    return best_working_point_with(load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, torque_available)
+
+
+@kernel
+def best_working_point_with(load, soil, wheel, conditions, unit_weight, fx, torque_available):
+    """`Best` of `model.steady_with` over the slips of `SLIPS`: up from the middle of them, then down from there.
 
     The curve has one maximum, so each scan stops once it has clearly passed it, or where more slip takes more torque
     than there is.
     """
     best = Best(SLIPS[0], -np.inf, 0.0, 0.0)
     n = soil.sinkage_exponent
+    gain, recovery = digging(soil, fx)
     power = n / (n + 0.5)
     middle = 0.0
     for direction in (1, -1):
@@ -45,10 +52,10 @@ def best_working_point(load, soil, r, b, torque_available):
         while 0 <= i < SLIPS.size:
             slip = SLIPS[i]
             if guess > 0.0:  # at the same load the ratio of sinkages is the ratio of slip-sinkage, to a power
-                deeper = slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery)
-                deeper /= slip_sinkage_ratio(last, soil.dig_gain, soil.dig_recovery)
+                deeper = slip_sinkage_ratio(slip, gain, recovery)
+                deeper /= slip_sinkage_ratio(last, gain, recovery)
                 guess *= deeper**power
-            s = steady_state(slip, load, soil, r, b, min(guess, DEEPEST * r))
+            s = steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, min(guess, DEEPEST * wheel.radius))
             guess, last = (s.sinkage if s.floating else 0.0), slip
             if i == _MIDDLE:
                 middle = guess

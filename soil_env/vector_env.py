@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 
 from soil_env.env import action_space, build_scenario, observation_space
 from soil_env.loading import ParameterError
+from soil_env.model import WheelSoilModel, load_model
 from soil_env.parameters import Scenario
 from soil_env.simulation import Simulation
 from soil_env.task import REWARD_TERMS, Cause, layout
@@ -45,6 +46,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         max_episode_steps: int | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
+        model: str | Path | WheelSoilModel | None = None,
         **changes: Any,
     ):
         counts = {"num_envs": num_envs, "max_episode_steps": max_episode_steps, "threads": threads}
@@ -68,7 +70,9 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.autoreset_mode = mode
-        self.simulation = Simulation(self.num_envs, self.scenario, observation, max_episode_steps, threads)
+        self.simulation = Simulation(
+            self.num_envs, self.scenario, observation, max_episode_steps, threads, load_model(model)
+        )
         self._rngs: list[np.random.Generator] | None = None
         self._done = np.ones(self.num_envs, dtype=np.bool_)
 

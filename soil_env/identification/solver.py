@@ -142,7 +142,8 @@ def _channels_at(x, slip, sinkage, dig_ratio, reading):
     if reading.simpson > 0:
         q, by_rim, by_travel = simpson_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, K, n, r, reading.simpson)
     else:
-        q, by_rim, by_travel = shear_integrals(arc_nodes(theta1, 0.0, 0.5 * theta1, n, r), rim, travel, K, JANOSI)
+        nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, n, r, theta1)
+        q, by_rim, by_travel = shear_integrals(nodes, rim, travel, K, JANOSI)
     resistance = compaction_resistance(sinkage, S, n, reading.width) if reading.paper_resistance else -1.0
     k = shear_modulus_rates(by_rim, by_travel, rim, travel, K)
     y = _channels(q, k, S, tan_phi, K, reading.cohesion, r, reading.width, resistance)
