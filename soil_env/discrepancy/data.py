@@ -269,10 +269,11 @@ def find_noise(data: Data, model: np.ndarray) -> Noise:
                 out_sd[j], out_freedom[j] = sd[j], freedom[j]
     for j, name in enumerate(CHANNELS):
         size = float(np.sqrt(np.mean(data.y[used[:, j], j] ** 2))) if used[:, j].any() else 0.0
-        if origin[j] in ("repeats", "scatter") and out_sd[j] <= LEAST_NOISE * size:
+        flat = used[:, j].any() and np.ptp(data.y[used[:, j], j]) == 0.0
+        if origin[j] in ("repeats", "scatter") and (flat or out_sd[j] <= LEAST_NOISE * size):
             raise ParameterError(
-                f"{data.table.source}: noise of {name}: the values hardly scatter ({out_sd[j]:.2g} over values of "
-                f"{size:.2g}), so it cannot be taken from them; expected noise in the setup"
+                f"{data.table.source}: noise of {name}: the values hardly scatter, so it cannot be "
+                "taken from them; expected noise in the setup"
             )
     return Noise(np.maximum(out_sd, 1e-12), out_freedom, tuple(origin), used, int(data.measured.sum() - used.sum()))
 
