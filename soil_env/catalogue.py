@@ -63,10 +63,10 @@ _LIST = (
         "z = z_w [1 + g i/(1 - i + h i)] + l i/(1 - i), or exponent n + n1 i",
         (SINKAGE, PULL, TORQUE),
         (
-            P("gain", "", 0.0, -0.5, 10.0, 1.5, "digging g"),
+            P("gain", "", 0.0, 0.0, 10.0, 1.5, "digging g"),
             P("recovery", "", 0.5, 0.0, 3.0, 0.5, "recovery h", centre=0.5),
             P("exponent_slope", "", 0.0, -1.0, 2.0, 0.5, "n1, exponent per slip"),
-            P("length", "m", 0.0, -0.05, 0.3, 0.02, "excavation length l"),
+            P("length", "m", 0.0, 0.0, 0.3, 0.02, "excavation length l"),
             P("apparent", "", 0.0, 0.0, 1.0, 1.0, "1: the wheel sinks, the stresses stay those of the undisturbed bed"),
         ),
         (
@@ -112,8 +112,8 @@ _LIST = (
         "shear at r + l h; or b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt Kp) for each lug in the ground",
         (SINKAGE, PULL, TORQUE),
         (
-            P("shear_share", "", 0.0, -0.2, 2.0, 0.6, "l, share of the height added to the shear radius"),
-            P("radius_share", "", 0.0, -0.2, 2.0, 0.6, "share of the height added to the wheel radius"),
+            P("shear_share", "", 0.0, 0.0, 2.0, 0.6, "l, share of the height added to the shear radius"),
+            P("radius_share", "", 0.0, 0.0, 2.0, 0.6, "share of the height added to the wheel radius"),
             P(
                 "slip_at_rim",
                 "",
@@ -123,8 +123,7 @@ _LIST = (
                 1.0,
                 "1: slip was taken at the rim, so soil between lug tips moves faster",
             ),
-            P("blades", "1/rad", 0.0, -0.5, 20.0, 4.0, "lugs in the ground for each radian of contact"),
-            P("height", "m", 0.0, 0.0, 0.2, 0.0, "height h where the setup gives none"),
+            P("blades", "1/rad", 0.0, 0.0, 20.0, 4.0, "lugs in the ground for each radian of contact"),
         ),
         (
             Form("shear_radius", ("shear_share",), "Ding et al. (2011), J. Terramechanics 48:27-45"),
@@ -150,8 +149,8 @@ _LIST = (
         "DP - f b (1/2 gamma z^2 Kp + 2 c z sqrt Kp)",
         (PULL,),
         (
-            P("rankine", "", 0.0, -0.2, 6.0, 1.0, "factor f on Rankine's passive pressure"),
-            P("hegedus", "", 0.0, -0.2, 6.0, 1.0, "factor on the resistance of Hegedus"),
+            P("rankine", "", 0.0, 0.0, 6.0, 1.0, "factor f on Rankine's passive pressure"),
+            P("hegedus", "", 0.0, 0.0, 6.0, 1.0, "factor on the resistance of Hegedus"),
         ),
         (
             Form("rankine", ("rankine",), "Bekker (1969), Introduction to Terrain-Vehicle Systems"),
@@ -230,7 +229,7 @@ _LIST = (
         (
             P("sharpness", "", 0.0, 0.0, 30.0, 4.0, "s, off below 1; the residual share is 4 s/(1 + s)^2"),
             P("slope_kept", "", 0.0, 0.0, 1.0, 1.0, "1: K is that of the first slope, k = 4 s/(1 + s); 0: k = 1"),
-            P("drop", "", 0.0, -0.2, 0.9, 0.3, "d, share of the strength that is lost"),
+            P("drop", "", 0.0, 0.0, 0.9, 0.3, "d, share of the strength that is lost"),
             P("length", "m", 0.05, 2e-3, 1.0, 0.7, "L, displacement over which it is lost", centre=0.05),
             P("onset", "m", 0.0, 0.0, 0.5, 0.0, "j0, displacement from which it is lost"),
         ),
@@ -270,9 +269,9 @@ _LIST = (
         "T + T0 + e |T| + v w",
         (TORQUE,),
         (
-            P("constant", "N m", 0.0, -1e6, 1e6, 0.0, "T0, Coulomb friction"),
-            P("share", "", 0.0, -0.3, 1.0, 0.1, "e, share of the torque"),
-            P("viscous", "N m s", 0.0, -1e6, 1e6, 0.0, "v"),
+            P("constant", "N m", 0.0, 0.0, 1e6, 0.0, "T0, Coulomb friction"),
+            P("share", "", 0.0, 0.0, 1.0, 0.1, "e, share of the torque"),
+            P("viscous", "N m s", 0.0, 0.0, 1e6, 0.0, "v"),
         ),
         (
             Form("coulomb", ("constant",), "Armstrong-Helouvry et al. (1994), Automatica 30:1083-1138"),

@@ -39,6 +39,11 @@ def pack_effects(effects: Mapping[str, Mapping[str, float]]) -> Effects:
             if key not in known:
                 raise unknown_key(key, known, f"effects: {name}")
             p = known[key]
+            if isinstance(value, str):  # YAML 1.1 reads 1e-3 as text
+                try:
+                    value = float(value)
+                except ValueError:
+                    pass
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not p.low <= value <= p.high:
                 unit = f" {p.unit}" if p.unit else ""
                 raise ParameterError(
@@ -266,16 +271,28 @@ def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
 
 
 @kernel
+def _slip_of_radius(slip, scale):
+    """Slip after V/(r w) is multiplied by `scale`, driving or braking."""
+    if slip <= -1.0 or scale == 1.0:
+        return slip
+    ratio = scale * (1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip))
+    return 1.0 - ratio if ratio <= 1.0 else 1.0 / ratio - 1.0
+
+
+@kernel
 def true_slip(measured, fx):
-    """Slip of the wheel where the measured one has an offset, or comes from a wrong rolling radius (share of it)."""
-    i = measured + fx.slip_bias_offset + fx.slip_bias_radius_error * (1.0 - measured)
+    """Slip of the wheel where the measured one has an offset d, or comes from a rolling radius r (1 - e).
+
+    Driving, the latter is i = m + e (1 - m).
+    """
+    i = _slip_of_radius(measured, 1.0 - fx.slip_bias_radius_error) + fx.slip_bias_offset
     return min(max(i, -1.0), 1.0)
 
 
 @kernel
 def measured_slip(slip, fx):
     """Inverse of `true_slip`."""
-    return (slip - fx.slip_bias_offset - fx.slip_bias_radius_error) / (1.0 - fx.slip_bias_radius_error)
+    return _slip_of_radius(slip - fx.slip_bias_offset, 1.0 / (1.0 - fx.slip_bias_radius_error))
 
 
 @kernel

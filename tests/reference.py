@@ -177,7 +177,8 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         "shear_rate", "shear_softening", "grade", "drivetrain_friction", "slip_bias", "sinkage_offset",
     )}  # fmt: skip
     bias = fx["slip_bias"]
-    i = slip + bias.get("offset", 0.0) + bias.get("radius_error", 0.0) * (1.0 - slip)
+    travelled = (1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip)) * (1.0 - bias.get("radius_error", 0.0))
+    i = (1.0 - travelled if travelled <= 1.0 else 1.0 / travelled - 1.0) + bias.get("offset", 0.0)
     size = abs(i)
     ahead = travel_over_rim(i)  # V/(r w)
     wheel_speed = site.speed / (site.r * ahead)

@@ -323,7 +323,7 @@ def test_packed_values_are_those_that_were_given():
     [
         ({"buldozing": {"rankine": 1.0}}, "unknown key 'buldozing'; did you mean 'bulldozing'"),
         ({"bulldozing": {"rankin": 1.0}}, "effects: bulldozing: unknown key 'rankin'; did you mean 'rankine'"),
-        ({"bulldozing": {"rankine": 7.0}}, r"rankine = 7.0: expected a number in \[-0.2, 6\]"),
+        ({"bulldozing": {"rankine": 7.0}}, r"rankine = 7.0: expected a number in \[0, 6\]"),
         ({"sinkage_offset": {"offset": 3}}, r"offset = 3: expected a number in \[-0.3, 0.3\] m"),
         ({"bulldozing": {"rankine": math.nan}}, "rankine = nan: expected a number"),
         ({"bulldozing": {"rankine": True}}, "rankine = True: expected a number"),

@@ -126,7 +126,7 @@ def test_decay_from_an_onset():
 softening = st.fixed_dictionaries(
     {
         "sharpness": st.floats(1.0, 30.0),
-        "drop": st.floats(-0.2, 0.9),
+        "drop": st.floats(0.0, 0.9),
         "length": st.floats(2e-3, 1.0),
         "onset": st.floats(0.0, 0.5),
     }

@@ -115,7 +115,7 @@ def test_reads_a_setup(tmp_path):
         "noise: {sinkage: 0.001}\n"
     )
     s = read_setup(written(tmp_path, text, name="setup.yaml"))
-    assert s.wheel == SetupWheel(0.15, 0.12) and s.wheel.grouser_height == 0.0
+    assert s.wheel == SetupWheel(0.15, 0.12) and s.wheel.grouser_height is None
     assert s.soil.friction_angle_deg == Prior(30.0, 1.5) and not s.soil.friction_angle_deg.known
     assert s.soil.cohesion == Prior(3700.0, 0.0) and s.soil.cohesion.known and s.soil.sinkage_exponent is None
     assert s.soil.lumped(0.1) == Prior(1e4 + 7e5, 8e4)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from soil_env import model
 from soil_env.catalogue import CATALOGUE
-from soil_env.effects import NO_EFFECTS, pack_effects
+from soil_env.effects import NO_EFFECTS, pack_effects, true_slip
 from soil_env.model import Conditions, Rim, predict_rows, steady_with
 from soil_env.parameters import SoilState
 from tests import reference
@@ -17,11 +17,11 @@ from tests import reference
 #: Sizes from which parameters are drawn, by effect.
 SIZES = {
     "slip_sinkage": {
-        "gain": (-0.3, 4), "recovery": (0.1, 1.5), "exponent_slope": (-0.3, 0.6), "length": (-0.005, 0.02),
+        "gain": (0, 4), "recovery": (0.1, 1.5), "exponent_slope": (-0.3, 0.6), "length": (0, 0.02),
     },
     "rear_contact": {"ratio": (0, 0.8)},
     "stress_peak_shift": {"offset": (-0.15, 0.15), "slope": (-0.3, 0.5)},
-    "grousers": {"shear_share": (-0.1, 1.2), "radius_share": (-0.1, 1.2), "blades": (0, 8)},
+    "grousers": {"shear_share": (0, 1.2), "radius_share": (0, 1.2), "blades": (0, 8)},
     "bulldozing": {"rankine": (0, 2), "hegedus": (0, 2)},
     "multipass": {
         "hardening": (-0.3, 0.8), "slip_hardening": (-0.5, 0.5), "gain": (-0.3, 2), "passes": (0.5, 3),
@@ -29,9 +29,9 @@ SIZES = {
     },
     "penetration_rate": {"exponent": (-0.2, 0.3), "slope": (-0.1, 0.3), "reference_speed": (0.01, 0.3)},
     "shear_rate": {"exponent": (-0.1, 0.2), "slope": (-0.1, 0.2), "reference_speed": (0.005, 0.1)},
-    "shear_softening": {"sharpness": (1, 8), "drop": (-0.1, 0.6), "length": (0.02, 0.2), "onset": (0, 0.02)},
+    "shear_softening": {"sharpness": (1, 8), "drop": (0, 0.6), "length": (0.02, 0.2), "onset": (0, 0.02)},
     "grade": {"share": (0, 1.2), "weakening": (-0.3, 1.2)},
-    "drivetrain_friction": {"constant": (-2, 5), "share": (-0.1, 0.3), "viscous": (-1, 3)},
+    "drivetrain_friction": {"constant": (0, 5), "share": (0, 0.3), "viscous": (0, 3)},
     "slip_bias": {"offset": (-0.05, 0.05), "radius_error": (-0.05, 0.05)},
     "sinkage_offset": {"offset": (-0.01, 0.01)},
 }  # fmt: skip
@@ -171,7 +171,7 @@ def test_apparent_slip_sinkage_multiplies_the_sinkage_alone():
     assert deeper[1:] == plain[1:]
 
 
-@pytest.mark.parametrize(("gain", "slip"), [(-0.5, 0.9), (-0.5, 1.0), (10.0, 1.0)])
+@pytest.mark.parametrize(("gain", "slip"), [(0.5, 0.9), (0.5, 1.0), (10.0, 1.0)])
 def test_apparent_sinkage_stays_between_the_surface_and_a_buried_wheel(gain, slip):
     """Without recovery the ratio 1 + g i/(1 - i) has no bounds of its own."""
     fx = {"slip_sinkage": {"gain": gain, "recovery": 0.0, "apparent": 1.0}}
@@ -222,9 +222,8 @@ def test_units_do_not_matter(seed, length, force, speed):
         ("drivetrain_friction", "viscous"): force * length * length / speed,
     }
     other = {name: {p: v * units.get((name, p), 1.0) for p, v in effects[name].items()} for name in effects}
-    n = soil.sinkage_exponent + effects["slip_sinkage"].get("exponent_slope", 0.0) * abs(
-        slip + effects["slip_bias"].get("offset", 0.0) + effects["slip_bias"].get("radius_error", 0.0) * (1.0 - slip)
-    )
+    true = true_slip(slip, pack_effects({"slip_bias": effects["slip_bias"]}))
+    n = soil.sinkage_exponent + effects["slip_sinkage"].get("exponent_slope", 0.0) * abs(true)
     scaled = soil._replace(
         cohesion=soil.cohesion * pressure,
         shear_modulus=soil.shear_modulus * length,

@@ -174,12 +174,12 @@ class Problem:
         z = float(np.nanmedian(np.abs(z))) if np.any(np.isfinite(z)) else 0.08 * r
         torque, turning = 0.3 * load * r, max(float(np.median(speed)) / r, 1e-6)
         self.scales = {
-            "drivetrain_friction_constant": (0.3 * torque, -0.5 * torque, 4.0 * torque),
-            "drivetrain_friction_viscous": (0.2 * torque / turning, -0.5 * torque / turning, 3.0 * torque / turning),
+            "drivetrain_friction_constant": (0.3 * torque, 0.0, 4.0 * torque),
+            "drivetrain_friction_viscous": (0.2 * torque / turning, 0.0, 3.0 * torque / turning),
             "sinkage_offset_offset": (0.3 * z, -0.5 * r, 0.5 * r),
             "shear_softening_sharpness": (4.0, 1.0, 30.0),  # below 1 the law has no peak
             "shear_softening_onset": (0.15 * r, 0.0, 2.0 * r),
-            "slip_sinkage_length": (0.3 * z, -0.3 * z, 5.0 * z),
+            "slip_sinkage_length": (0.3 * z, 0.0, 5.0 * z),
         }
         slide = np.where(rows.slip >= 0.0, rows.slip / np.maximum(1.0 - rows.slip, 0.02), -rows.slip) * speed
         self.neutral = NO_EFFECTS
@@ -208,15 +208,22 @@ class Problem:
                     continue
                 sd, low, high = self.scales.get(full, (p.scale, low, high))
                 low, high = max(low, p.low), min(high, p.high)
-                out.append(Unknown(full, p.neutral, sd, low, high, False))
+                mean = self.digging[0] if full == "slip_sinkage_gain" else p.neutral
+                out.append(Unknown(full, mean, sd, low, high, False))
         return tuple(out)
+
+    @property
+    def digging(self) -> tuple[float, float]:
+        """(gain, recovery) of the digging that the setup knows the soil to have; (0, 0.5) where it says nothing."""
+        gain, recovery = self.data.setup.soil.dig_gain, self.data.setup.soil.dig_recovery
+        return (gain.value if gain else 0.0, recovery.value if recovery else 0.5)
 
     def state(self, values: dict[str, float]) -> SoilState:
         """The soil of a set of parameters."""
         v = {**self.known, **values}
         return SoilState(
             math.tan(math.radians(v["friction_angle_deg"])), v["cohesion"], v["shear_modulus"],
-            v["sinkage_coefficient"], v["sinkage_exponent"], 0.0, 0.5,
+            v["sinkage_coefficient"], v["sinkage_exponent"], *self.digging,
         )  # fmt: skip
 
     def effects(self, choices: tuple[Choice, ...], values: dict[str, float]) -> Effects:
@@ -281,9 +288,8 @@ class Problem:
     @staticmethod
     def _first(unknown: Unknown) -> float:
         """Start of an unknown: the prior mean; strengths that are bounded at their neutral value a little off it."""
-        if "_" in unknown.name and unknown.name.split("_")[-1] in ("sharpness", "drop", "ratio", "onset"):
-            return 0.3
-        return 0.0
+        bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
+        return 0.3 if bounded else 0.0
 
     def _minimise(self, unknowns, choices, start, low, high, guess, slack):
         target, p = self.whiten(self.data.y), len(unknowns)

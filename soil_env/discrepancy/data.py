@@ -23,6 +23,8 @@ OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is l
 LEAST_PRESSURE, MOST_PRESSURE = 20.0, 1e7  # [Pa] load over radius times width, beyond which the unit is wrong
 MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which the unit is wrong
 LEAST_NOISE = 1e-5  # scatter over the size of the values below which they are rounded or computed, not measured
+REPEAT_SLIP = 0.02  # largest difference of slip within repeats
+REPEAT_LOAD = 0.2  # largest difference of load within repeats, over their mean
 _SAME = 0.02  # relative difference below which two values of a condition are one level
 _SAME_SLIP = 0.005
 
@@ -176,20 +178,19 @@ def folds(data: Data) -> list[list[np.ndarray]]:
     return ways
 
 
-def repeat_noise(data: Data) -> tuple[np.ndarray, np.ndarray]:
-    """(sd [3], degrees of freedom [3]) of the scatter within cells, as far as rows of a cell have equal conditions."""
-    same = np.ones(data.y.shape[0], dtype=bool)
-    exact = np.stack([data.rows.slip, data.rows.load, *data.rows.conditions.T], axis=1)
-    total, freedom = np.zeros(3), np.zeros(3)
+def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(sd [3], degrees of freedom [3]) of the scatter of measured minus `model` [N, 3] within cells.
+
+    The model takes up the small differences of slip and load that repeats have; cells with larger ones do not count.
+    """
+    left, total, freedom = data.y - model, np.zeros(3), np.zeros(3)
     for k in range(int(data.cell.max()) + 1):
         inside = data.cell == k
-        if inside.sum() < 2 or not same[inside].all():
-            continue
-        spread = np.ptp(exact[inside], axis=0)
-        if spread[0] > 2e-3 or spread[1] > 5e-3 * exact[inside, 1].mean():
+        load = data.rows.load[inside]
+        if inside.sum() < 2 or np.ptp(data.rows.slip[inside]) > REPEAT_SLIP or np.ptp(load) > REPEAT_LOAD * load.mean():
             continue
         for j in range(3):
-            v = data.y[inside, j]
+            v = left[inside, j]
             v = v[np.isfinite(v)]
             if v.size > 1:
                 total[j] += np.sum((v - v.mean()) ** 2)
@@ -216,7 +217,7 @@ def find_noise(data: Data, model: np.ndarray) -> Noise:
     from the surface are left out one after the other.
     """
     given = [getattr(data.setup.noise, name) for name in CHANNELS]
-    sd, freedom = repeat_noise(data)
+    sd, freedom = repeat_noise(data, model)
     basis = smooth_basis(data)
     used, out_sd, out_freedom, origin = data.measured.copy(), np.ones(3), np.full(3, math.inf), [""] * 3
     for j, name in enumerate(CHANNELS):
@@ -263,7 +264,7 @@ def find_noise(data: Data, model: np.ndarray) -> Noise:
             out_sd[j] = math.sqrt(float(np.sum(left[keep] ** 2)) / out_freedom[j])
     if "repeats" in origin:
         cleaned = dataclasses.replace(data, y=np.where(used, data.y, math.nan))
-        sd, freedom = repeat_noise(cleaned)
+        sd, freedom = repeat_noise(cleaned, model)
         for j in range(3):
             if origin[j] == "repeats":
                 out_sd[j], out_freedom[j] = sd[j], freedom[j]

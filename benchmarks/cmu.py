@@ -1,0 +1,152 @@
+"""The discrepancy workflow on measured data: the smooth and the grousered wheel of the CMU single-wheel rig.
+
+    python -m benchmarks.cmu [--data FOLDER] [--out docs]
+
+The smooth wheel comes first, with the soil that the plate tests suggest; then the grousered wheel, once with that soil
+and once with the soil as calibrated on the smooth wheel. Each is repeated with the wheel sizes of the other publication
+of the same trials (62.5 mm and 60 mm instead of 58 mm and 50 mm), since the radius is in doubt. Whole slips are held
+out. Data: github.com/robomechanics/3d-terramechanics (Pavlov & Johnson), folder raw-data-processing; --data, else
+$SOIL_ENV_DATA/cmu_single_wheel, else ../shared/data/cmu_single_wheel. Writes discrepancy_cmu.json and .md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import yaml
+
+from soil_env.discrepancy import cmu, run
+from soil_env.loading import ParameterError
+from soil_env.measurement import Prior, Setup, SetupWheel, SoilPriors, read_setup
+
+OTHER_SIZE = (0.0625, 0.060)  # [m] radius, width in qishuny/3D-RFT-wheel
+SOIL = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
+CAUTIONS = (
+    "Radius and width are in doubt by 4 and 10 mm; the rows `62.5 mm` show what the other figures give.",
+    "The zero of the sinkage is in doubt by a few mm, the same for all slips; `sinkage_offset` stands for it.",
+    "There is no torque, one load (about 24 N) and one travel speed (10 mm/s): effects that need more are untestable.",
+    "Five slips from 0 to 0.9, three runs each: few enough that several effects can look alike.",
+    "The plate tests were made on another day than the runs.",
+)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    p = argparse.ArgumentParser(
+        prog="python -m benchmarks.cmu", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    p.add_argument("--data", type=Path, help="folder with all_smooth_data.mat and all_grouser_data.mat")
+    p.add_argument("--out", type=Path, default=Path("docs"))
+    options = p.parse_args(arguments)
+    home = Path(os.environ.get("SOIL_ENV_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    try:
+        result = study(options.data or home / "cmu_single_wheel")
+    except ParameterError as error:
+        print(f"benchmarks.cmu: {error}", file=sys.stderr)
+        return 2
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "discrepancy_cmu.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (options.out / "discrepancy_cmu.md").write_text(page(result), encoding="utf-8")
+    print(f"written: {options.out / 'discrepancy_cmu.json'} and .md")
+    return 0
+
+
+def study(data: Path) -> list[dict]:
+    """What the workflow says of each table: one dict a run, with the keys of report.json."""
+    out = []
+    with tempfile.TemporaryDirectory() as folder:
+        if cmu.main([str(data), "--out", folder]) != 0:
+            raise ParameterError(f"{data}: expected the CMU data (see --help)")
+        folder = Path(folder)
+        for size in (None, OTHER_SIZE):
+            smooth = judged(folder / "smooth.csv", resized(read_setup(folder / "smooth.setup.yaml"), size))
+            out.append({"wheel": "smooth", "prior": "plate tests", "size": size, **smooth})
+            grousered = resized(read_setup(folder / "grouser.setup.yaml"), size)
+            out.append({"wheel": "grousered", "prior": "plate tests", "size": size,
+                        **judged(folder / "grouser.csv", grousered)})  # fmt: skip
+            out.append({"wheel": "grousered", "prior": "of the smooth wheel", "size": size,
+                        **judged(folder / "grouser.csv", with_soil(grousered, smooth["soil"]))})  # fmt: skip
+    return out
+
+
+def judged(table: Path, setup: Setup) -> dict:
+    """report.json of a table."""
+    with tempfile.NamedTemporaryFile("w", suffix=".yaml", delete=False) as stream:
+        yaml.safe_dump(_plain(setup), stream)
+    try:
+        return run(table, Path(stream.name), seed=0).as_dict()
+    finally:
+        os.unlink(stream.name)
+
+
+def _plain(setup: Setup) -> dict:
+    """A setup as the mapping of its YAML file."""
+    soil = {}
+    for f in dataclasses.fields(SoilPriors):
+        prior = getattr(setup.soil, f.name)
+        if prior is not None:
+            soil[f.name] = prior.value if prior.known else {"value": float(prior.value), "sd": float(prior.sd)}
+    wheel = {k: v for k, v in dataclasses.asdict(setup.wheel).items() if v is not None}
+    noise = {k: v for k, v in dataclasses.asdict(setup.noise).items() if v is not None}
+    return {"wheel": wheel, "soil": soil, "noise": noise}
+
+
+def resized(setup: Setup, size: tuple[float, float] | None) -> Setup:
+    """The setup with another wheel radius and width."""
+    if size is None:
+        return setup
+    return dataclasses.replace(setup, wheel=SetupWheel(*size, setup.wheel.grouser_height))
+
+
+def with_soil(setup: Setup, soil: dict) -> Setup:
+    """The setup with the soil of an earlier calibration as its prior."""
+    priors = {
+        name: Prior(soil[name]["value"], max((soil[name]["high"] - soil[name]["low"]) / 3.92, 1e-9)) for name in SOIL
+    }
+    return dataclasses.replace(setup, soil=dataclasses.replace(setup.soil, **priors))
+
+
+def page(result: list[dict]) -> str:
+    """The results in Markdown."""
+    lines = [
+        "# The discrepancy workflow on measured data",
+        "",
+        "Smooth and grousered wheel of the CMU single-wheel rig (Pavlov & Johnson, MIT licence), straight running, slip",
+        "0 to 0.9, load of each row, three runs of each slip; whole slips are held out. Made by `python -m benchmarks.cmu`.",
+        "",
+        "| wheel | radius [mm] | soil prior | verdict | effects (alternatives) | sinkage rms, held out [mm] | drawbar pull rms, held out [N] | gap closed |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for r in result:
+        named = "; ".join(
+            e["name"] + (f" ({', '.join(e['alternatives'])})" if e["alternatives"] else "") for e in r["effects"]
+        )
+        z, pull = r["gap"]["sinkage"], r["gap"]["drawbar_pull"]
+        lines.append(
+            f"| {r['wheel']} | {1e3 * (r['size'] or (0.058,))[0]:g} | {r['prior']} "
+            f"| {r['verdict']} | {named or '-'} | {1e3 * z['before']:.2f} -> {1e3 * z['after']:.2f} (noise {1e3 * z['noise_floor']:.2f}) "
+            f"| {pull['before']:.2f} -> {pull['after']:.2f} (noise {pull['noise_floor']:.2f}) "
+            f"| {'-' if r['closed'] is None else format(r['closed'], '.0%')} |"
+        )
+    lines += ["", "## In words", ""]
+    for r in result:
+        lines.append(f"**{r['wheel']}, {1e3 * (r['size'] or (0.058,))[0]:g} mm, soil prior: {r['prior']}.** "
+                     + " ".join(w["words"] + "." for w in r["where"] if w.get("words")))  # fmt: skip
+        for e in r["effects"]:
+            values = ", ".join(
+                f"{k} {v['value']:.3g} [{v['low']:.3g}, {v['high']:.3g}]" for k, v in e["parameters"].items()
+            )
+            lines.append(f"Named: {e['name']}: {values}.")
+        lines.append("")
+    lines += ["## Cautions", ""] + [f"- {c}" for c in CAUTIONS]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
