@@ -277,7 +277,11 @@ class Prior(Checked):
 
 @dataclass(frozen=True)
 class SoilPriors(Checked):
-    """Priors of the soil, `parameters.Soil` for their meaning; None is to be fitted with a broad prior."""
+    """Priors of the soil, `parameters.Soil` for their meaning; None is to be fitted with a broad prior.
+
+    `dig_gain` and `dig_recovery` are known or nothing: digging that the model is to have before any effect is sought,
+    none where they are left out.
+    """
 
     friction_angle_deg: Prior | None = None
     cohesion: Prior | None = None
@@ -287,6 +291,8 @@ class SoilPriors(Checked):
     k_c: Prior | None = None
     k_phi: Prior | None = None
     density: Prior | None = None
+    dig_gain: Prior | None = None
+    dig_recovery: Prior | None = None
 
     def __post_init__(self):
         limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
@@ -295,6 +301,11 @@ class SoilPriors(Checked):
             if prior is not None and not limit["low"] <= prior.value <= limit["high"]:
                 expected = f"a number in [{limit['low']:g}, {limit['high']:g}] {limit['unit']}".rstrip()
                 raise ParameterError(f"{f.name} = {prior.value:g}: expected {expected}")
+        for name in ("dig_gain", "dig_recovery"):
+            if getattr(self, name) is not None and not getattr(self, name).known:
+                raise ParameterError(f"{name}: expected a plain number; digging that is not known is an effect to find")
+        if self.dig_recovery is not None and self.dig_gain is None:
+            raise ParameterError("dig_recovery: expected only with dig_gain")
         pair = (self.k_c is not None) + (self.k_phi is not None)
         if pair == 1 or (pair == 2 and self.sinkage_coefficient is not None):
             raise ParameterError("expected either sinkage_coefficient, or both k_c and k_phi, or none of them")

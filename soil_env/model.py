@@ -325,8 +325,8 @@ class WheelSoilModel:
             out[here] = values
         return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size)
 
-    def save(self, path: str | Path) -> None:
-        """Write model.yaml."""
+    def content(self) -> dict:
+        """The mapping of model.yaml."""
         content = {
             "format": FORMAT,
             "wheel": to_dict(self.wheel),
@@ -337,12 +337,20 @@ class WheelSoilModel:
             content["soil"] = {k: v for k, v in to_dict(self.soil).items() if v is not None and v != ""}
         if self.residual:
             content["residual"] = [to_dict(term) for term in self.residual]
-        Path(path).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        return content
+
+    def save(self, path: str | Path) -> None:
+        """Write model.yaml."""
+        Path(path).write_text(yaml.safe_dump(self.content(), sort_keys=False), encoding="utf-8")
 
     @classmethod
     def load(cls, path: str | Path) -> WheelSoilModel:
         """Read model.yaml; `ParameterError` with one line for anything unknown, missing or out of range."""
-        content, where = read_yaml(Path(path)), str(path)
+        return cls.from_content(read_yaml(Path(path)), str(path))
+
+    @classmethod
+    def from_content(cls, content: Mapping, where: str = "model") -> WheelSoilModel:
+        """The model of the mapping of a model.yaml; errors name `where` it comes from."""
         known = ("format", "wheel", "soil", "effects", "residual", "gravity")
         for key in content:
             if key not in known:

@@ -243,7 +243,10 @@ def model_of(problem: Problem, fit: Fit, terms=()) -> WheelSoilModel:
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
     return WheelSoilModel(
         wheel,
-        Soil(**values, density=problem.density, dig_gain=0.0, source="calibrated by soil_env.discrepancy"),
+        Soil(
+            **values, density=problem.density, dig_gain=problem.digging[0], dig_recovery=problem.digging[1],
+            source="calibrated by soil_env.discrepancy",
+        ),
         effects,
         tuple(terms),
         GRAVITY,
