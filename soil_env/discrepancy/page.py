@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING
 
 from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.pictures import pictures
-from soil_env.discrepancy.words import title
+from soil_env.discrepancy.words import (
+    EFFECT_COLUMNS,
+    SOIL_COLUMNS,
+    effect_rows,
+    gap_columns,
+    gap_rows,
+    p_value,
+    soil_rows,
+    title,
+)
 
 if TYPE_CHECKING:
     from soil_env.discrepancy.workflow import Report
@@ -42,8 +51,6 @@ _CAPTIONS = {
 
 def page(report: Report, content: dict) -> str:
     """The page; `content` is `report.as_dict()`."""
-    from soil_env.discrepancy.report import effect_rows, gap_rows, p_value, soil_rows
-
     images = {name: _image(name, svg) for name, svg in pictures(report).items()}
     s = content["settings"]
     parts = [
@@ -59,7 +66,7 @@ def page(report: Report, content: dict) -> str:
     if report.effects:
         parts += [
             "<h2>What is missing</h2>",
-            _table(("effect", "parameter", ">value", ">95 % interval", "unit"), effect_rows(report)),
+            _table(EFFECT_COLUMNS, effect_rows(report)),
         ]
         parts += [f'<p class="small">{_about(e)}</p>' for e in report.effects]
     if report.model.residual:
@@ -72,7 +79,7 @@ def page(report: Report, content: dict) -> str:
         ]
     parts += [
         "<h2>How far the gap closes</h2>",
-        _table(("channel", ">base model", ">corrected", ">noise", ">over the noise"), gap_rows(report)),
+        _table(gap_columns(report), gap_rows(report)),
         '<p class="small">Root mean square of measured - predicted where every value is predicted by a model that was '
         "fitted without its slip, and without its combination of the other conditions.</p>",
         images["predicted"], images["slip"], images["residual"],
@@ -95,7 +102,7 @@ def page(report: Report, content: dict) -> str:
     if content["next_tests"]:
         rows = [(t["words"], f"{t['expected_sigma']:.1f}") for t in content["next_tests"]]
         parts += ["<h2>Next tests</h2>", _table(("test", ">expected difference [sd of the noise]"), rows)]
-    parts += ["<h2>Soil</h2>", _table(("parameter", ">value", ">95 % interval", "unit"), soil_rows(report))]
+    parts += ["<h2>Soil</h2>", _table(SOIL_COLUMNS, soil_rows(report))]
     if content["cautions"]:
         parts += ["<h2>Cautions</h2>", _list(content["cautions"])]
     parts += ["<h2>How this was made</h2>", *_made(content), "</body></html>"]
@@ -161,8 +168,6 @@ def _sure(report: Report) -> list[str]:
 
 
 def _made(content: dict) -> list[str]:
-    from soil_env.discrepancy.report import p_value
-
     s, v = content["settings"], content["versions"]
     noise = "; ".join(f"{k.replace('_', ' ')} {n['sd']:.3g} ({n['origin']})" for k, n in content["noise"].items())
     lines = [

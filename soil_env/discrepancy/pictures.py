@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.locate import TITLES, UNITS
-from soil_env.discrepancy.words import title
+from soil_env.discrepancy.words import corrected, title
 
 if TYPE_CHECKING:
     from soil_env.discrepancy.workflow import Report
@@ -75,9 +75,8 @@ def _predicted(report: Report) -> Figure:
 
 def _both(report: Report, before, after):
     """What is drawn for each model; only the base model where nothing was added."""
-    corrected = bool(report.model.effects or report.model.residual)
-    yield before, BEFORE, "base model" if corrected else "calibrated model"
-    if corrected:
+    yield before, BEFORE, "base model" if corrected(report) else "calibrated model"
+    if corrected(report):
         yield after, AFTER, "corrected model"
 
 

@@ -9,15 +9,24 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console, Group
+from rich.console import Console
 from rich.panel import Panel
 from rich.table import Table as Grid
 from rich.text import Text
 
-from soil_env.catalogue import CATALOGUE
-from soil_env.discrepancy.locate import TITLES, UNITS
 from soil_env.discrepancy.page import page
-from soil_env.discrepancy.words import SOIL, cautions, figures, summary, title
+from soil_env.discrepancy.words import (
+    EFFECT_COLUMNS,
+    SOIL_COLUMNS,
+    cautions,
+    effect_rows,
+    gap_columns,
+    gap_rows,
+    p_value,
+    soil_rows,
+    summary,
+    title,
+)
 from soil_env.loading import ParameterError
 
 if TYPE_CHECKING:
@@ -43,13 +52,14 @@ def check_folder(folder: Path) -> None:
 def write(report: Report, folder: Path) -> list[Path]:
     """Write report.json, report.html and model.yaml into `folder`; each is whole, and all are made before the first.
 
-    They are written into a folder beside it first, which is removed if anything goes wrong.
+    They are written into a hidden folder first, which is removed if anything goes wrong.
     """
     folder = Path(folder)
     check_folder(folder)
     try:
-        folder.absolute().parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.absolute().parent))
+        beside = folder if folder.exists() else folder.absolute().parent
+        beside.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(prefix=".report-", dir=beside))
         try:
             content = report.as_dict()
             text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
@@ -98,53 +108,18 @@ def _grid(name: str, columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> G
 
 def _effects(report: Report) -> Grid | None:
     rows = effect_rows(report)
-    return _grid("Missing effect", ("effect", "parameter", ">value", ">95 % interval", "unit"), rows) if rows else None
+    return _grid("Missing effect", EFFECT_COLUMNS, rows) if rows else None
 
 
-def effect_rows(report: Report) -> list[tuple[str, ...]]:
-    """(effect, parameter, value, interval, unit) of every parameter that is told."""
-    rows = []
-    for e in report.effects:
-        label = title(e.name) + (f" (or {', '.join(title(a) for a in e.alternatives)})" if e.alternatives else "")
-        for name, p in e.parameters.items():
-            rows.append(
-                (label, name.replace("_", " "), figures(p.value), interval(p), CATALOGUE[e.name].parameter(name).unit)
-            )
-            label = ""
-    return rows
-
-
-def interval(p) -> str:
-    """The 95 % interval in a table; empty where the value was not fitted."""
-    return "" if p.low == p.high else f"{figures(p.low, 3)} .. {figures(p.high, 3)}"
-
-
-def _where(report: Report) -> Group | None:
+def _where(report: Report) -> Grid | None:
     if not report.where:
         return None
     rows = [(d.words, p_value(d.p_value)) for d in report.where]
     return _grid("Where the base model disagrees", ("what", ">p"), rows)
 
 
-def p_value(p: float) -> str:
-    """A p value in a table."""
-    return "< 1e-6" if p < 1e-6 else f"{p:.2g}"
-
-
 def _gap(report: Report) -> Grid:
-    return _grid(
-        "Held-out error (rms)", ("channel", ">base model", ">corrected", ">noise", ">over the noise"), gap_rows(report)
-    )
-
-
-def gap_rows(report: Report) -> list[tuple[str, ...]]:
-    """(channel, before, after, noise, both over the noise)."""
-    rows = []
-    for name, g in report.gap.items():
-        unit, scale = UNITS[name]
-        values = (f"{scale * x:.3g} {unit}" for x in g)
-        rows.append((TITLES[name], *values, f"{g.before / g.noise_floor:.2f} -> {g.after / g.noise_floor:.2f}"))
-    return rows
+    return _grid("Held-out error (rms)", gap_columns(report), gap_rows(report))
 
 
 def _ranking(report: Report) -> Grid:
@@ -155,12 +130,7 @@ def _ranking(report: Report) -> Grid:
 
 
 def _soil(report: Report) -> Grid:
-    return _grid("Soil", ("parameter", ">value", ">95 % interval", "unit"), soil_rows(report))
-
-
-def soil_rows(report: Report) -> list[tuple[str, ...]]:
-    """(parameter, value, interval, unit) of the soil."""
-    return [(SOIL[name][0], figures(p.value), interval(p) or "given", SOIL[name][1]) for name, p in report.soil.items()]
+    return _grid("Soil", SOIL_COLUMNS, soil_rows(report))
 
 
 def _tests(report: Report) -> Grid | None:

@@ -135,9 +135,9 @@ def _first_upper(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _amount(channel: str, value: float) -> str:
+def _amount(channel: str, value: float, digits: int = 2) -> str:
     unit, scale = UNITS[channel]
-    return f"{figure(scale * value)} {unit}"
+    return f"{figure(scale * value) if digits == 2 else figures(scale * value, digits)} {unit}"
 
 
 def _plural(count: int, word: str) -> str:
@@ -147,3 +147,64 @@ def _plural(count: int, word: str) -> str:
 def figures(value: float, digits: int = 4) -> str:
     """A number for a table."""
     return "" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
+
+
+# --- rows of tables; a column whose title starts with ">" holds numbers ----------------------------------------------
+
+EFFECT_COLUMNS = ("effect", "parameter", ">value", ">95 % interval", "unit")
+SOIL_COLUMNS = ("parameter", ">value", ">95 % interval", "unit")
+
+
+def effect_rows(report: Report) -> list[tuple[str, ...]]:
+    """(effect, parameter, value, interval, unit) of every parameter that is told."""
+    rows = []
+    for e in report.effects:
+        label = f"{title(e.name)} ({e.name})" + (
+            f", or {', '.join(title(a) for a in e.alternatives)}" if e.alternatives else ""
+        )
+        for name, p in e.parameters.items():
+            rows.append(
+                (label, name.replace("_", " "), figures(p.value), interval(p), CATALOGUE[e.name].parameter(name).unit)
+            )
+            label = ""
+    return rows
+
+
+def interval(p) -> str:
+    """The 95 % interval in a table; empty where the value was not fitted."""
+    return "" if p.low == p.high else f"{figures(p.low)} .. {figures(p.high)}"
+
+
+def p_value(p: float) -> str:
+    """A p value in a table."""
+    return "< 1e-6" if p < 1e-6 else f"{p:.2g}"
+
+
+def gap_columns(report: Report) -> tuple[str, ...]:
+    """Columns of `gap_rows`."""
+    if corrected(report):
+        return ("channel", ">base model", ">corrected", ">noise", ">over the noise")
+    return ("channel", ">calibrated model", ">noise", ">over the noise")
+
+
+def gap_rows(report: Report) -> list[tuple[str, ...]]:
+    """(channel, before, after, noise, both over the noise); without what comes after where nothing was added."""
+    rows = []
+    for name, g in report.gap.items():
+        before, after, noise = (_amount(name, x, 3) for x in g)
+        over = [f"{x / g.noise_floor:.2f}" for x in (g.before, g.after)]
+        if corrected(report):
+            rows.append((TITLES[name], before, after, noise, " -> ".join(over)))
+        else:
+            rows.append((TITLES[name], before, noise, over[0]))
+    return rows
+
+
+def corrected(report: Report) -> bool:
+    """Whether anything was added to the base model."""
+    return bool(report.model.effects or report.model.residual)
+
+
+def soil_rows(report: Report) -> list[tuple[str, ...]]:
+    """(parameter, value, interval, unit) of the soil."""
+    return [(SOIL[name][0], figures(p.value), interval(p) or "given", SOIL[name][1]) for name, p in report.soil.items()]
