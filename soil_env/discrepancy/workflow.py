@@ -23,6 +23,7 @@ from soil_env.discrepancy.judgement import Gap, Interval, Rank, Sureness
 from soil_env.discrepancy.locate import Disagreement, locate
 from soil_env.discrepancy.search import Finding, search
 from soil_env.discrepancy.symbolic import ResidualFit, symbolic
+from soil_env.discrepancy.words import cautions, summary
 from soil_env.measurement import Setup, Table, read_setup, read_table
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Soil
@@ -85,8 +86,6 @@ class Report:
 
     def as_dict(self) -> dict:
         """Plain values for JSON, null where there is no number; every key is always present."""
-        from soil_env.discrepancy.words import cautions, summary
-
         sure, law = self.sureness, self.law
         return _plain({
             "verdict": self.verdict,
@@ -166,7 +165,7 @@ def run(
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """
-    from soil_env.discrepancy.report import check_folder, write
+    from soil_env.discrepancy.report import check_folder, write  # takes time: it draws
 
     say = progress or (lambda text: None)
     if out is not None:
