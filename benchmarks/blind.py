@@ -1,0 +1,230 @@
+"""How often the discrepancy workflow finds what is missing: tables in which an effect is hidden, judged blind.
+
+    python -m benchmarks.blind                     all cases, an hour or two on two cores; writes docs/discrepancy*
+    python -m benchmarks.blind --resume            goes on after an interrupt
+    python -m benchmarks.blind --cases 60 --out X  fewer of each sort, the same ones
+    python -m benchmarks.blind --page              renews page and plots from the figures of the last run
+    python -m benchmarks.blind --smoke --out X     a case of each sort in seconds, numbers without meaning
+
+Cases come from `benchmarks.blind_cases`, which shares no code with the model; the workflow is given the table and the
+setup of each and nothing else. A case follows from the seed, its group and its number alone. Each is kept as a line of
+the records (runs/blind/seed-N.jsonl) as soon as it is done, so an interrupt loses the cases in work at most.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import platform
+import sys
+from functools import partial
+from pathlib import Path
+
+if __name__ == "__main__":
+    for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(_name, "1")  # before numpy is loaded: the cores are taken by the workers
+
+import numba  # noqa: E402
+import numpy as np  # noqa: E402
+import scipy  # noqa: E402
+from rich.console import Console  # noqa: E402
+
+import soil_env  # noqa: E402
+from agents.evaluate import engines  # noqa: E402
+from agents.progress import Bar  # noqa: E402
+from benchmarks import blind_page  # noqa: E402
+from benchmarks.blind_judge import figures  # noqa: E402
+from benchmarks.blind_study import IN_ALL, Task, solve, tasks  # noqa: E402
+from soil_env.loading import ParameterError  # noqa: E402
+
+NAME = "benchmarks.blind"
+ROOT = Path(__file__).resolve().parent.parent
+FOLLOWS_FROM = (  # modules of soil_env that the records follow from, besides discrepancy
+    "catalogue", "compiled", "contact", "effects", "lanes", "loading", "measurement", "model", "parameters", "residual",
+)  # fmt: skip
+APART = (  # modules of discrepancy and of the benchmark from which no record follows
+    "__main__", "cmu", "page", "pictures", "report", "words", "blind", "blind_judge", "blind_page", "blind_plots",
+)  # fmt: skip
+
+
+def code_version() -> str:
+    """Version of soil_env, with a hash of the code that the records follow from."""
+    package = ROOT / "soil_env"
+    files = [*(package / "discrepancy").glob("*.py"), *(ROOT / "benchmarks").glob("blind*.py")]
+    files = sorted(f for f in files if f.stem not in APART) + [package / f"{name}.py" for name in FOLLOWS_FROM]
+    return f"{soil_env.__version__}+{hashlib.sha256(b''.join(f.read_bytes() for f in files)).hexdigest()[:12]}"
+
+
+def machine() -> str:
+    """What it ran on."""
+    name = platform.processor() or platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        name = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        pass
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    versions = f"Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}"
+    return f"{name}, {cores} cores; {versions}, numba {numba.__version__}"
+
+
+# --- records ----------------------------------------------------------------------------------------------------------
+
+
+class Records:
+    """The cases that are done, one line each after a line that says what they are of."""
+
+    def __init__(self, path: Path, about: dict, resume: bool):
+        self.path, self.about = path, about
+        self.done: dict[tuple[str, int], dict] = {}
+        if path.exists() and path.stat().st_size:
+            if not resume:
+                raise ParameterError(f"{path}: holds cases already; expected --resume to go on, or another --records")
+            self._read()
+        else:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps(about) + "\n", encoding="utf-8")
+
+    def _read(self) -> None:
+        raw = self.path.read_bytes()
+        whole = raw[: raw.rfind(b"\n") + 1]
+        if len(whole) < len(raw):  # cut off in the middle of a line
+            with self.path.open("r+b") as stream:
+                stream.truncate(len(whole))
+        try:
+            first, *lines = (json.loads(line) for line in whole.splitlines())
+            self.done = {(r["group"], r["index"]): r for r in lines}
+        except (ValueError, KeyError, TypeError):
+            raise ParameterError(f"{self.path}: is not a file of records; expected another --records") from None
+        other = [key for key in self.about if first.get(key) != self.about[key]]
+        if other:
+            raise ParameterError(
+                f"{self.path}: holds cases of another {' and '.join(other)} ({first.get(other[0])}, now "
+                f"{self.about[other[0]]}); expected another --records"
+            )
+
+    def add(self, record: dict) -> None:
+        """Keep a case on the disk."""
+        with self.path.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(record, allow_nan=False) + "\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        self.done[record["group"], record["index"]] = record
+
+    def of(self, wanted: list[Task]) -> list[dict]:
+        """Records of tasks that are done, in the order of group and index."""
+        found = (self.done.get((t.group, t.index)) for t in wanted)
+        return sorted((r for r in found if r), key=lambda r: (r["group"], r["index"]))
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+
+
+def study(options: argparse.Namespace, console: Console) -> dict:
+    """Do the cases that are not done yet; the result as discrepancy.json has it."""
+    about = {"seed": options.seed, "smoke": options.smoke, "code": code_version()}
+    path = options.records or (
+        options.out / "cases.jsonl" if options.smoke else ROOT / "runs" / "blind" / f"seed-{options.seed}.jsonl"
+    )
+    records = Records(path, about, options.resume)
+    wanted = tasks(options.cases, options.smoke)
+    left = [t for t in wanted if (t.group, t.index) not in records.done]
+    work = partial(solve, options.seed)
+    if options.workers == 1:
+        done = engines.in_process(work, left)
+    else:
+        done = engines.processes(work, left, options.workers)
+    with Bar("Blind cases", len(wanted), "cases", len(wanted) - len(left), console) as bar:
+        for task, record in done:
+            records.add(record)
+            bar.update(advance=1, note=task.group)
+    cases = records.of(wanted)
+    asked = "" if options.cases == IN_ALL else f" --cases {options.cases}"
+    return {
+        "command": f"python -m {NAME} --seed {options.seed}" + (" --smoke" if options.smoke else asked),
+        **about,
+        "machine": f"{machine()}; {options.workers} workers",
+        "figures": figures(cases),
+        "cases": cases,
+    }
+
+
+def read_result(path: Path) -> dict:
+    """discrepancy.json, its figures made anew from its cases. Raises `ParameterError` where it cannot be read."""
+    try:
+        result = json.loads(path.read_text(encoding="utf-8"))
+        return result | {"figures": figures(result["cases"])}
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror}); expected the result of a run") from None
+    except (ValueError, KeyError, TypeError):
+        raise ParameterError(f"{path}: is not the result of a run") from None
+
+
+def write_result(result: dict, folder: Path) -> None:
+    """discrepancy.json with one line a case, the page and its plots."""
+    folder.mkdir(parents=True, exist_ok=True)
+    head = json.dumps({k: v for k, v in result.items() if k != "cases"}, indent=1, allow_nan=False)
+    lines = ",\n".join(json.dumps(r, allow_nan=False) for r in result["cases"])
+    text = head.removesuffix("\n}") + ',\n "cases": [\n' + lines + "\n]}\n"
+    blind_page.write(result, folder)
+    (folder / "discrepancy.json").write_text(text, encoding="utf-8")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    options = _parser().parse_args(arguments)
+    console = Console()
+    try:
+        if options.page:
+            result = read_result(options.out / "discrepancy.json")
+        else:
+            result = study(options, console)
+        write_result(result, options.out)
+    except ParameterError as error:
+        print(f"{NAME}: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"{NAME}: {error.filename or options.out}: {error.strerror or error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"\n{NAME}: interrupted; go on with the same command and --resume", file=sys.stderr)
+        return 130
+    console.print(blind_page.summary(result), markup=False, highlight=False, soft_wrap=True)
+    console.print(f"Written: {options.out / 'discrepancy.md'}", markup=False, highlight=False, soft_wrap=True)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    p = argparse.ArgumentParser(
+        prog=f"python -m {NAME}",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="exit status: 0 done, 2 bad input, 130 interrupted.",
+    )
+    p.add_argument("--cases", type=_count, default=IN_ALL, metavar="N", help=f"in all, about (default {IN_ALL})")
+    p.add_argument("--seed", type=_seed, default=0, help="of the cases (default 0)")
+    p.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of discrepancy.json, .md and plots")
+    p.add_argument("--workers", type=_count, default=2, metavar="N", help="processes (default 2; 1: this one)")
+    p.add_argument("--records", type=Path, metavar="FILE", help="of the cases done (default runs/blind/seed-N.jsonl)")
+    p.add_argument("--resume", action="store_true", help="go on with the cases that the records do not have yet")
+    p.add_argument("--smoke", action="store_true", help="a case of each sort in seconds")
+    p.add_argument("--page", action="store_true", help="no cases: page and plots from discrepancy.json in --out")
+    return p
+
+
+def _count(text: str) -> int:
+    if not (text.isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 1")
+    return int(text)
+
+
+def _seed(text: str) -> int:
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 0")
+    return int(text)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
