@@ -1,9 +1,12 @@
 """The workflow from a table to its report: on small tables with a planted effect, and on the example."""
 
+import copy
+import dataclasses
 import html.parser
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +15,10 @@ from hypothesis import strategies as st
 
 from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy import judgement, run
-from soil_env.discrepancy.calibrate import Choice, Unknown
-from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.workflow import model_of
+from soil_env.discrepancy.calibrate import Choice, Problem, Unknown
+from soil_env.discrepancy.data import CHANNELS, prepare
+from soil_env.discrepancy.search import Named, _augmented, held_out
+from soil_env.discrepancy.workflow import _plain, model_of
 from soil_env.loading import ParameterError
 from soil_env.measurement import read_setup, read_table
 from soil_env.model import WheelSoilModel
@@ -227,8 +231,6 @@ def test_the_page_escapes_what_a_file_name_brings(tmp_path):
 
 def test_intervals_are_those_of_a_linear_problem():
     """One unknown with prior sd 2 seen once with noise 1: the posterior variance is 1/(1/4 + 1)."""
-    from types import SimpleNamespace
-
     unknown = Unknown("x", 5.0, 2.0, -math.inf, math.inf, False)
     told = judgement.intervals(SimpleNamespace(columns=1, jacobian=np.array([[2.0]]), unknowns=(unknown,)), {"x": 6.0})
     assert told["x"].value == pytest.approx(6.0)
@@ -243,8 +245,6 @@ def test_intervals_are_those_of_a_linear_problem():
 @given(st.floats(-50, 50), st.floats(1e-3, 10), st.floats(0.1, 5))
 @settings(max_examples=50, deadline=None)
 def test_intervals_stay_within_the_bounds(u, slope, sd):
-    from types import SimpleNamespace
-
     unknown = Unknown("x", 0.0, sd, -1.0, 1.0, False)
     value = min(max(unknown.value(u), -1.0), 1.0)
     fit = SimpleNamespace(columns=1, jacobian=np.array([[slope]]), unknowns=(unknown,))
@@ -268,6 +268,51 @@ def test_closed_weighs_what_is_above_the_noise(planted):
     gap["torque"] = judgement.Gap(0.1, 0.2, 0.1)
     assert judgement.closed(report.problem, gap) == pytest.approx(0.0)
     assert judgement.closed(report.problem, {"sinkage": judgement.Gap(0.5, 0.5, 0.6)}) is None
+
+
+def test_the_named_effect_heads_the_ranking_whatever_its_score(planted):
+    report, _ = planted
+    last = report.ranking[-1].name
+    finding = dataclasses.replace(report.finding, named=(Named(last, ()),))
+    ranks, other = judgement.ranking(report.problem, finding)
+    assert ranks[0].name == last and ranks[1].name == "slip_sinkage"
+    assert sum(r.probability for r in ranks) + sum(other.values()) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_bootstrap_judges_the_data_themselves_as_the_search_did(planted):
+    """Refitted to the residuals of the table, nothing moves: the held-out likelihood and the evidence of the search."""
+    report, _ = planted
+    compared = 0
+    for c in report.finding.singles:
+        a, e = _augmented(c.fit)
+        if np.max(np.abs(a.T @ e)) < 0.05:  # the fit is at its optimum
+            score, evidence = judgement._refitted(report.problem, c.fit, c.fit.residual[:, None])
+            assert score[0] == pytest.approx(held_out(report.problem, c.fit)[0], abs=0.02), c.names
+            assert evidence[0] == pytest.approx(c.fit.evidence, abs=0.02), c.names
+            compared += 1
+    assert compared > 2
+
+
+def test_the_bootstrap_takes_its_noise_from_the_generator(planted):
+    """With noise five times as large the name is found less often, and equally often for the same seed."""
+    report, _ = planted
+    problem = copy.copy(report.problem)
+    problem.noise = 5.0 * problem.noise
+    weak = [dataclasses.replace(c, fit=_weaker(c.fit)) for c in report.finding.singles]
+    finding = dataclasses.replace(report.finding, singles=tuple(weak), best=weak[0])
+    seeds = (1, 1, 2, 3)
+    told = [judgement.sureness(problem, finding, 101, np.random.default_rng(k), lambda text: None) for k in seeds]
+    assert told[0] == told[1] and len({t.share for t in told}) > 1
+    assert 0.2 < told[0].share < 1.0 and told[0].share + sum(told[0].instead.values()) == pytest.approx(1.0)
+
+
+def _weaker(fit):
+    return dataclasses.replace(fit, jacobian=fit.jacobian / 5.0, residual=fit.residual / 5.0)
+
+
+def test_numbers_that_are_none_in_json():
+    given = {"a": np.float64(math.nan), "b": (math.inf, np.int64(1)), 3: [True, "x"]}
+    assert _plain(given) == {"a": None, "b": [None, 1], "3": [True, "x"]}
 
 
 # --- odd tables -------------------------------------------------------------------------------------------------------
@@ -297,6 +342,22 @@ def test_a_soil_that_is_known_altogether(tmp_path):
     report = run(*write_files(tmp_path, table_text(PLANTED, loads=(150,)), setup), bootstrap=10)
     assert [e.name for e in report.effects] == ["slip_sinkage"]
     assert all(p.low == p.value == p.high for p in report.soil.values())
+
+
+def test_no_fit_leaves_the_catalogue_s_bounds(tmp_path):
+    """On a wheel of two metres the rig's own scales are larger than these."""
+    data, setup = write_files(tmp_path, "slip,load,sinkage\n0.1,9e4,0.5\n0.3,9e4,0.5\n0.5,9e4,0.5\n")
+    setup.write_text(setup.read_text().replace("radius: 0.15", "radius: 2"))
+    read = read_setup(setup)
+    table = prepare(read_table(data, read.wheel), read)
+    problem = Problem(table, np.ones(3), table.measured)
+    for effect in CATALOGUE.values():
+        for k, form in enumerate(effect.forms):
+            unknowns = problem.unknowns((Choice(effect.name, k),))[len(problem.soil) :]
+            for unknown, name in zip(unknowns, form.free, strict=True):
+                p, ends = effect.parameter(name), [unknown.low, unknown.high]
+                low, high = (math.exp(x) for x in ends) if unknown.log else ends
+                assert low >= p.low - 1e-9 and high <= p.high + 1e-9, (effect.name, name)
 
 
 def test_braked_wheels(tmp_path):

@@ -14,7 +14,7 @@ import numpy as np
 
 from soil_env.discrepancy.calibrate import Fit, Problem, Unknown
 from soil_env.discrepancy.data import CHANNELS, folds
-from soil_env.discrepancy.search import TOLD, Candidate, Finding, acceptable, held_out
+from soil_env.discrepancy.search import TOLD, Candidate, Finding, _augmented, acceptable, held_out
 
 REFUSED = 1e-4  # p value of the lack of fit that a model which the search refuses has at most
 LISTED = 20.0  # prior odds that what is missing is in the catalogue
@@ -182,14 +182,11 @@ def sureness(
 def _refitted(problem: Problem, fit: Fit, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(held-out log-likelihood, log evidence) [B] of a model refitted to first order to whitened residuals e [M, B]."""
     x = np.concatenate([fit.u, fit.slack])
-    j = np.where(_free(fit), fit.jacobian, 0.0)
+    a, _ = _augmented(fit)
+    j, normal = a[: e.shape[0]], a.T @ a
     whole = np.concatenate([e, np.repeat(-x[:, None], e.shape[1], axis=1)])
-    a = np.concatenate([j, np.eye(x.size)])
-    normal = a.T @ a
-    step = np.linalg.solve(normal, a.T @ whole)
-    step[~_free(fit)] = 0.0
-    left = whole - a @ step
-    evidence = -0.5 * np.sum(left**2, axis=0) - 0.5 * np.linalg.slogdet(normal)[1]
+    left = whole - a @ np.linalg.solve(normal, a.T @ whole)
+    evidence = fit.evidence + 0.5 * fit.objective - 0.5 * np.sum(left**2, axis=0)
     rows = np.nonzero(problem.used)[0]
     ways, total, r = folds(problem.data), np.zeros(e.shape[1]), left[: e.shape[0]]
     for group in (g for way in ways for g in way):
@@ -202,12 +199,3 @@ def _refitted(problem: Problem, fit: Fit, e: np.ndarray) -> tuple[np.ndarray, np
         s = np.eye(ro.shape[0]) + jo @ covariance @ jo.T
         total += -0.5 * np.sum(off * np.linalg.solve(s, off), axis=0) - 0.5 * np.linalg.slogdet(s)[1]
     return total / len(ways), evidence
-
-
-def _free(fit: Fit) -> np.ndarray:
-    """[p + q] bool: unknowns that are not at a bound."""
-    free = np.ones(fit.columns, dtype=bool)
-    for k, (unknown, u) in enumerate(zip(fit.unknowns, fit.u, strict=True)):
-        at = unknown.mean + unknown.sd * u
-        free[k] = min(at - unknown.low, unknown.high - at) > 1e-4 * unknown.sd
-    return free

@@ -14,6 +14,7 @@ from soil_env.discrepancy.words import (
     effect_rows,
     gap_columns,
     gap_rows,
+    listed,
     p_value,
     soil_rows,
     title,
@@ -80,8 +81,8 @@ def page(report: Report, content: dict) -> str:
     parts += [
         "<h2>How far the gap closes</h2>",
         _table(gap_columns(report), gap_rows(report)),
-        '<p class="small">Root mean square of measured - predicted where every value is predicted by a model that was '
-        "fitted without its slip, and without its combination of the other conditions.</p>",
+        '<p class="small">Root mean square of measured - predicted. Predicted is the mean of what models say that were '
+        "fitted without the slip of the value, and without its combination of the other conditions.</p>",
         images["predicted"], images["slip"], images["residual"],
     ]  # fmt: skip
     parts += ["<h2>How sure the name is</h2>", *_sure(report), images["ranking"]]
@@ -157,13 +158,14 @@ def _sure(report: Report) -> list[str]:
     if sure is None:
         return []
     text = f"With the noise drawn again {sure.draws} times about the corrected model, "
-    text += f"{', '.join(title(e.name) for e in report.effects)} is found again in {100.0 * sure.share:.1f} %"
+    be = "is" if len(report.effects) == 1 else "are"
+    text += f"{listed(title(e.name) for e in report.effects)} {be} found again in {100.0 * sure.share:.1f} %"
     if sure.instead:
         rest = (
             f"{' and '.join(title(n) for n in names)} in {100.0 * share:.1f} %"
             for names, share in list(sure.instead.items())[:4]
         )
-        text += f"; instead of it {', '.join(rest)}"
+        text += f"; instead {', '.join(rest)}"
     return [f"<p>{escape(text)}.</p>"]
 
 

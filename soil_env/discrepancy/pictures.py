@@ -62,7 +62,7 @@ def _predicted(report: Report) -> Figure:
         y = scale * report.problem.data.y[:, j]
         image = y.size > MANY
         for held, color, label in _both(report, report.held_before, report.held_after):
-            ax.plot(y, scale * held[:, j], ".", ms=4, color=color, alpha=0.65, label=label, mew=0, rasterized=image)
+            ax.plot(y, scale * held[:, j], "o", ms=3.2, color=color, alpha=0.7, label=label, mew=0, rasterized=image)
         used = y[report.problem.used[:, j]]
         ends = np.array([used.min(), used.max()])
         ax.plot(ends, ends, color=MEASURED, lw=0.8, zorder=0)
@@ -167,7 +167,7 @@ def _residual(report: Report) -> Figure:
             ax.axhline(0.0, color="0.6", lw=0.7, zorder=0)
             drawn = ax.scatter(data.rows.slip, off, c=shade, cmap="viridis", s=11, lw=0, rasterized=off.size > MANY,
                                vmin=-1.2, vmax=1.2)  # fmt: skip
-        line[0].set_ylabel(f"{label}\n(measured - predicted)/noise")
+        line[0].set_ylabel(f"{label}\nresidual/noise")
     if by:
         value = data.varied[by].value
         bar = figure.colorbar(drawn, ax=axes, shrink=0.6, ticks=[-1.0, 1.0])

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from soil_env.discrepancy.workflow import Report
 
 FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
+LEFT = 1.5  # [noise] of a held-out error after the correction that is worth a caution
 SOIL = {
     "friction_angle_deg": ("friction angle", "deg"),
     "cohesion": ("cohesion c", "Pa"),
@@ -113,6 +114,12 @@ def cautions(report: Report) -> list[str]:
         elif getattr(problem.data.setup.soil, unknown.name, None) is not None and PRIOR_WIDTH * abs(u) > FAR:
             far = f"{PRIOR_WIDTH * abs(u):.1f}"
             out.append(f"{_first_upper(label)} is {far} standard deviations from the setup's value.")
+    for name, g in report.gap.items():
+        if report.verdict != "none" and g.after > LEFT * g.noise_floor:
+            out.append(
+                f"The held-out error of {TITLES[name]} stays at {g.after / g.noise_floor:.1f} times the noise: "
+                "something is left, or the held-out conditions lie too far from the others."
+            )
     if report.problem.data.setup.wheel.grouser_height is None and "grousers" in report.model.effects:
         h = report.model.wheel.grouser_height
         out.append(
