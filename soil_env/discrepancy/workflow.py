@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy
+from threadpoolctl import threadpool_limits
 
 from soil_env import __version__
 from soil_env.catalogue import CATALOGUE
@@ -181,7 +182,8 @@ def run(
         None if isinstance(table, Table) else _digest(table),
         None if isinstance(setup, Setup) else _digest(setup),
     )
-    report = _conclude(rows, read, settings, say)
+    with threadpool_limits(1):  # the matrices are small: threads of the BLAS cost more than they give
+        report = _conclude(rows, read, settings, say)
     if out is not None:
         say("writing")
         write(report, Path(out))
