@@ -112,32 +112,40 @@ def with_soil(setup: Setup, soil: dict) -> Setup:
     return dataclasses.replace(setup, soil=dataclasses.replace(setup.soil, **priors))
 
 
+def radius(result: dict) -> float:
+    """Wheel radius of a result [mm]."""
+    return 1e3 * (result["size"] or (0.058,))[0]
+
+
 def page(result: list[dict]) -> str:
     """The results in Markdown."""
+    head = ("wheel", "radius [mm]", "soil prior", "verdict", "effects (alternatives)", "sinkage, held-out rms [mm]",
+            "drawbar pull, held-out rms [N]", "gap closed")  # fmt: skip
     lines = [
         "# The discrepancy workflow on measured data",
         "",
-        "Smooth and grousered wheel of the CMU single-wheel rig (Pavlov & Johnson, MIT licence), straight running, slip",
-        "0 to 0.9, load of each row, three runs of each slip; whole slips are held out. Made by `python -m benchmarks.cmu`.",
+        "Smooth and grousered wheel of the CMU single-wheel rig (Pavlov & Johnson, MIT licence), straight running,",
+        "slip 0 to 0.9, load of each row, three runs of each slip; whole slips are held out.",
+        "Made by `python -m benchmarks.cmu`.",
         "",
-        "| wheel | radius [mm] | soil prior | verdict | effects (alternatives) | sinkage rms, held out [mm] | drawbar pull rms, held out [N] | gap closed |",
-        "|---|---|---|---|---|---|---|---|",
+        f"| {' | '.join(head)} |",
+        "|" + "---|" * len(head),
     ]
     for r in result:
         named = "; ".join(
             e["name"] + (f" ({', '.join(e['alternatives'])})" if e["alternatives"] else "") for e in r["effects"]
         )
-        z, pull = r["gap"]["sinkage"], r["gap"]["drawbar_pull"]
-        lines.append(
-            f"| {r['wheel']} | {1e3 * (r['size'] or (0.058,))[0]:g} | {r['prior']} "
-            f"| {r['verdict']} | {named or '-'} | {1e3 * z['before']:.2f} -> {1e3 * z['after']:.2f} (noise {1e3 * z['noise_floor']:.2f}) "
-            f"| {pull['before']:.2f} -> {pull['after']:.2f} (noise {pull['noise_floor']:.2f}) "
-            f"| {'-' if r['closed'] is None else format(r['closed'], '.0%')} |"
-        )
+        gaps = [
+            f"{scale * g['before']:.2f} -> {scale * g['after']:.2f} (noise {scale * g['noise_floor']:.2f})"
+            for g, scale in ((r["gap"]["sinkage"], 1e3), (r["gap"]["drawbar_pull"], 1.0))
+        ]
+        closed = "-" if r["closed"] is None else format(r["closed"], ".0%")
+        row = (r["wheel"], f"{radius(r):g}", r["prior"], r["verdict"], named or "-", *gaps, closed)
+        lines.append(f"| {' | '.join(row)} |")
     lines += ["", "## In words", ""]
     for r in result:
-        lines.append(f"**{r['wheel']}, {1e3 * (r['size'] or (0.058,))[0]:g} mm, soil prior: {r['prior']}.** "
-                     + " ".join(w["words"] + "." for w in r["where"] if w.get("words")))  # fmt: skip
+        words = " ".join(f"{w['words'][0].upper()}{w['words'][1:]}." for w in r["where"] if w.get("words"))
+        lines.append(f"**{r['wheel']}, {radius(r):g} mm, soil prior: {r['prior']}.** {words}")
         for e in r["effects"]:
             values = ", ".join(
                 f"{k} {v['value']:.3g} [{v['low']:.3g}, {v['high']:.3g}]" for k, v in e["parameters"].items()

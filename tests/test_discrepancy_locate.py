@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from soil_env.discrepancy.locate import SIGNIFICANT, boxes, describe, linearised, locate
+from soil_env.discrepancy.locate import SIGNIFICANT, boxes, describe, locate
 from tests.discrepancy_tables import NOISE, problem, table
 
 SPEEDS = (0.02, 0.06, 0.2)
@@ -102,7 +102,7 @@ def test_what_the_soil_absorbs_is_no_disagreement():
     """Another soil, far from the prior's mean in no parameter, fits its own table."""
     data = table()
     p = problem(data, np.random.default_rng(8))
-    a, e = linearised(p.fit())
+    a, e = p.fit().linearised()
     assert a.shape == (18 * 3 + 5, 5)
     assert np.all(np.abs(a.T @ e) < 0.02 * np.linalg.norm(a, axis=0))  # the gradient of the fit vanishes
     assert not locate(p, p.fit())
@@ -119,7 +119,7 @@ def test_p_value_is_that_of_a_refit_with_the_box(limit):
     inside = np.ones(data.rows.slip.size, dtype=bool)
     for name, (low, high) in first.region.items():
         inside &= (data.varied[name].value >= low) & (data.varied[name].value <= high)
-    a, e = linearised(fit)
+    a, e = fit.linearised()
     column = p.whiten(np.outer(inside, np.array(["sinkage", "drawbar_pull", "torque"]) == first.channel) * NOISE)
     wider = np.column_stack([a, np.concatenate([column, np.zeros(len(e) - column.size)])])
     left = [np.sum((e - m @ np.linalg.lstsq(m, e, rcond=None)[0]) ** 2) for m in (a, wider)]

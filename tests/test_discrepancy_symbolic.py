@@ -9,7 +9,6 @@ import pytest
 from soil_env.discrepancy import symbolic
 from soil_env.discrepancy.calibrate import GRAVITY, Choice
 from soil_env.discrepancy.data import folds
-from soil_env.discrepancy.locate import linearised
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Soil
 from soil_env.residual import GROUPS, ResidualTerm
@@ -117,7 +116,7 @@ def test_gradient_vanishes_with_the_coefficients(rich):
     found = symbolic.symbolic(p, base)
     assert found.fit.slack.size == len(found.terms) == 1
     assert found.fit.columns == base.columns + 1
-    a, e = linearised(found.fit)
+    a, e = found.fit.linearised()
     assert np.all(np.abs(a.T @ e) < 0.05 * np.linalg.norm(a, axis=0))
 
 
@@ -185,7 +184,7 @@ def test_held_out_against_refits():
     rng = np.random.default_rng(11)
     data = table(speeds=SPEEDS)
     p = problem(data, rng)
-    a, e = linearised(p.fit())
+    a, e = p.fit().linearised()
     e = e + rng.normal(size=e.size)
     rows = np.nonzero(p.used)[0]
     member = np.stack([group[rows] for group in folds(data)[1]])

@@ -17,7 +17,7 @@ from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy import judgement, run
 from soil_env.discrepancy.calibrate import Choice, Problem, Unknown
 from soil_env.discrepancy.data import CHANNELS, prepare
-from soil_env.discrepancy.search import Named, _augmented, held_out
+from soil_env.discrepancy.search import Named, held_out
 from soil_env.discrepancy.workflow import _plain, model_of
 from soil_env.loading import ParameterError
 from soil_env.measurement import read_setup, read_table
@@ -232,13 +232,11 @@ def test_the_page_escapes_what_a_file_name_brings(tmp_path):
 def test_intervals_are_those_of_a_linear_problem():
     """One unknown with prior sd 2 seen once with noise 1: the posterior variance is 1/(1/4 + 1)."""
     unknown = Unknown("x", 5.0, 2.0, -math.inf, math.inf, False)
-    told = judgement.intervals(SimpleNamespace(columns=1, jacobian=np.array([[2.0]]), unknowns=(unknown,)), {"x": 6.0})
+    told = judgement.intervals(SimpleNamespace(jacobian=np.array([[2.0]]), unknowns=(unknown,)), {"x": 6.0})
     assert told["x"].value == pytest.approx(6.0)
     assert told["x"].high - told["x"].value == pytest.approx(1.959964 * math.sqrt(0.8))
     logarithmic = Unknown("x", 0.0, 2.0, -math.inf, math.inf, True)
-    told = judgement.intervals(
-        SimpleNamespace(columns=1, jacobian=np.array([[2.0]]), unknowns=(logarithmic,)), {"x": 3.0}
-    )
+    told = judgement.intervals(SimpleNamespace(jacobian=np.array([[2.0]]), unknowns=(logarithmic,)), {"x": 3.0})
     assert told["x"].high / told["x"].value == pytest.approx(told["x"].value / told["x"].low)
 
 
@@ -247,7 +245,7 @@ def test_intervals_are_those_of_a_linear_problem():
 def test_intervals_stay_within_the_bounds(u, slope, sd):
     unknown = Unknown("x", 0.0, sd, -1.0, 1.0, False)
     value = min(max(unknown.value(u), -1.0), 1.0)
-    fit = SimpleNamespace(columns=1, jacobian=np.array([[slope]]), unknowns=(unknown,))
+    fit = SimpleNamespace(jacobian=np.array([[slope]]), unknowns=(unknown,))
     told = judgement.intervals(fit, {"x": value})["x"]
     assert -1.0 - 1e-9 <= told.low <= told.value <= told.high <= 1.0 + 1e-9
 
@@ -284,7 +282,7 @@ def test_the_bootstrap_judges_the_data_themselves_as_the_search_did(planted):
     report, _ = planted
     compared = 0
     for c in report.finding.singles:
-        a, e = _augmented(c.fit)
+        a, e = c.fit.linearised()
         if np.max(np.abs(a.T @ e)) < 0.05:  # the fit is at its optimum
             score, evidence = judgement._refitted(report.problem, c.fit, c.fit.residual[:, None])
             assert score[0] == pytest.approx(held_out(report.problem, c.fit)[0], abs=0.02), c.names

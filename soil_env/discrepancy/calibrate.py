@@ -87,6 +87,7 @@ class Fit:
     slack: np.ndarray  # [q] fitted slack unknowns
     evidence: float  # log evidence (Laplace), up to what all models share
     converged: bool
+    form_errors: int = 0  # leading slack unknowns that are held within SLACK_LIMIT
 
     def parameters(self) -> dict[str, float]:
         """Every unknown by name."""
@@ -96,6 +97,20 @@ class Fit:
     def columns(self) -> int:
         """Number of unknowns with slack."""
         return self.jacobian.shape[1]
+
+    def linearised(self) -> tuple[np.ndarray, np.ndarray]:
+        """(A [M + p, k], e [M + p]): the whitened problem about its solution, the priors as the last p rows.
+
+        Unknowns and form errors that lie at a bound do not move.
+        """
+        x = np.concatenate([self.u, self.slack])
+        free = np.ones(x.size, dtype=bool)
+        for k, (unknown, u) in enumerate(zip(self.unknowns, self.u, strict=True)):
+            at = unknown.mean + unknown.sd * u
+            free[k] = min(at - unknown.low, unknown.high - at) > 1e-4 * unknown.sd
+        form = slice(self.u.size, self.u.size + self.form_errors)
+        free[form] = np.abs(x[form]) < SLACK_LIMIT - 1e-3
+        return np.concatenate([self.jacobian, np.eye(x.size)])[:, free], np.concatenate([self.residual, -x])
 
 
 #: Where the setup says nothing of a soil parameter: mean and sd, in the coordinate of the fit.
@@ -359,7 +374,7 @@ class Problem:
         objective = misfit + float(u @ u)
         _, logdet = np.linalg.slogdet(np.eye(j.shape[1]) + j.T @ j)
         return Fit(choices, unknowns, u, objective, misfit, output, slack, residual, j, eta,
-                   -0.5 * objective - 0.5 * logdet, ok)  # fmt: skip
+                   -0.5 * objective - 0.5 * logdet, ok, eta.size)  # fmt: skip
 
 
 def calibrate(data: Data) -> tuple[Problem, Noise]:

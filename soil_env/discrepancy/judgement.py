@@ -14,7 +14,7 @@ import numpy as np
 
 from soil_env.discrepancy.calibrate import Fit, Problem, Unknown
 from soil_env.discrepancy.data import CHANNELS, folds
-from soil_env.discrepancy.search import TOLD, Candidate, Finding, _augmented, acceptable, held_out
+from soil_env.discrepancy.search import TOLD, Candidate, Finding, acceptable, held_out
 
 REFUSED = 1e-4  # p value of the lack of fit that a model which the search refuses has at most
 LISTED = 20.0  # prior odds that what is missing is in the catalogue
@@ -62,7 +62,7 @@ def intervals(fit: Fit, centre: dict[str, float]) -> dict[str, Interval]:
 
     In the logarithm where the unknown is fitted in it; never beyond the bounds.
     """
-    covariance = np.linalg.inv(np.eye(fit.columns) + fit.jacobian.T @ fit.jacobian)
+    covariance = np.linalg.inv(np.eye(fit.jacobian.shape[1]) + fit.jacobian.T @ fit.jacobian)
     sd = np.sqrt(np.diag(covariance))
     return {k.name: _interval(k, k.at(centre[k.name]), float(s)) for k, s in zip(fit.unknowns, sd, strict=False)}
 
@@ -182,7 +182,7 @@ def sureness(
 def _refitted(problem: Problem, fit: Fit, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(held-out log-likelihood, log evidence) [B] of a model refitted to first order to whitened residuals e [M, B]."""
     x = np.concatenate([fit.u, fit.slack])
-    a, _ = _augmented(fit)
+    a, _ = fit.linearised()
     j, normal = a[: e.shape[0]], a.T @ a
     whole = np.concatenate([e, np.repeat(-x[:, None], e.shape[1], axis=1)])
     left = whole - a @ np.linalg.solve(normal, a.T @ whole)

@@ -65,19 +65,6 @@ class Boxes:
     limits: tuple[dict[str, tuple[int, int]], ...]
 
 
-def linearised(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """(A [M + p, k], e [M + p]): the whitened problem about its solution, the priors as the last p rows.
-
-    Parameters at a bound do not move.
-    """
-    x = np.concatenate([fit.u, fit.slack])
-    free = np.ones(x.size, dtype=bool)
-    for k, (unknown, u) in enumerate(zip(fit.unknowns, fit.u, strict=True)):
-        at = unknown.mean + unknown.sd * u
-        free[k] = min(at - unknown.low, unknown.high - at) > 1e-4 * unknown.sd
-    return np.concatenate([fit.jacobian, np.eye(x.size)])[:, free], np.concatenate([fit.residual, -x])
-
-
 def boxes(problem: Problem) -> Boxes:
     """All boxes: the whole table, intervals of one condition, half-lines of two; each set of rows once."""
     varied = problem.data.varied
@@ -110,7 +97,7 @@ def locate(problem: Problem, fit: Fit, seed: int = 0, draws: int = 400) -> tuple
     channel the boxes do not overlap.
     """
     found = boxes(problem)
-    a, e = linearised(fit)
+    a, e = fit.linearised()
     q = np.linalg.qr(a)[0]  # directions that the parameters absorb
     row, channel = np.nonzero(problem.used)
     measured = [j for j in range(3) if problem.used[:, j].any()]

@@ -27,7 +27,7 @@ from soil_env.discrepancy.calibrate import Choice, Fit, Problem
 from soil_env.discrepancy.data import folds, smooth_basis
 
 CHANCE = 0.004  # probability of a false alarm over everything that is tried
-LEAST_FIT = (5e-3, 0.02)  # p value of the lack of fit below which one effect, two effects, are not enough
+LEAST_FIT = (0.01, 0.04)  # p value of the lack of fit below which one effect, two effects, are not enough
 TOLD = 4.6  # [nats] of held-out likelihood by which a candidate must lose to be ruled out
 TRIED = 20  # independent looks that the candidates amount to
 IMPLAUSIBLE = 4.0  # [widened prior sd] of a soil that no candidate may need
@@ -51,20 +51,9 @@ class Candidate:
 # --- judgement of one fit ---------------------------------------------------------------------------------------------
 
 
-def _augmented(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """(A, e): the linearised problem with its priors as further rows, less what lies at a bound."""
-    x = np.concatenate([fit.u, fit.slack])
-    free = np.ones(x.size, dtype=bool)
-    for k, (unknown, u) in enumerate(zip(fit.unknowns, fit.u, strict=True)):
-        at = unknown.mean + unknown.sd * u
-        free[k] = min(at - unknown.low, unknown.high - at) > 1e-4 * unknown.sd
-    a = np.concatenate([fit.jacobian, np.eye(x.size)])[:, free]
-    return a, np.concatenate([fit.residual, -x])
-
-
 def lack_of_fit(problem: Problem, fit: Fit) -> float:
     """p value of the smooth misfit: what polynomials of the conditions in every channel would still explain."""
-    a, e = _augmented(fit)
+    a, e = fit.linearised()
     columns = []
     for j in range(3):
         if problem.used[:, j].any():
@@ -97,7 +86,7 @@ def held_out(problem: Problem, fit: Fit) -> tuple[float, np.ndarray]:
     covariance includes that of the parameters.
     """
     rows = np.nonzero(problem.used)[0]
-    a, e = _augmented(fit)
+    a, e = fit.linearised()
     m = fit.residual.size
     top, normal = a[:m], a.T @ a
     channel = np.nonzero(problem.used)[1]
@@ -167,7 +156,7 @@ def strengths(choices: Iterable[Choice]) -> int:
 
 def first_gain(problem: Problem, fit: Fit, name: str) -> tuple[float, float]:
     """(gain, p value) that a further effect promises to first order, the best of its forms."""
-    a, e = _augmented(fit)
+    a, e = fit.linearised()
     q, _ = np.linalg.qr(a)
     e = e - q @ (q.T @ e)
     values, best = fit.parameters(), (0.0, 1.0)

@@ -19,7 +19,7 @@ import numpy as np
 
 from soil_env.discrepancy.calibrate import GRAVITY, Fit, Problem
 from soil_env.discrepancy.data import CHANNELS, folds
-from soil_env.discrepancy.locate import TITLES, linearised
+from soil_env.discrepancy.locate import TITLES
 from soil_env.model import add_residual
 from soil_env.residual import GROUPS, ResidualTerm, dimensionless_groups, residual_law
 
@@ -209,7 +209,7 @@ def _likelihood(problem: Problem, fall: np.ndarray) -> np.ndarray:
 
 def _with_terms(problem: Problem, fit: Fit, offset: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(A, e) of the linearised fit without its offset, terms added as unknowns with a unit prior."""
-    a, e = linearised(fit)
+    a, e = fit.linearised()
     m, extra = fit.residual.size, column.shape[1]
     e = np.concatenate([e, np.zeros(extra)])
     e[:m] += problem.whiten(offset)
