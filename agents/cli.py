@@ -19,7 +19,9 @@ def parser(description: str) -> argparse.ArgumentParser:
     lines = []
     for prefix, cls in (("", TrainConfig), ("ppo.", PPOConfig)):
         for f in dataclasses.fields(cls):
-            if f.name not in ("ppo", "changes"):
+            if f.name == "model":
+                lines.append(f"  --{f.name:24s} {'':12s} model.yaml with the effects that are on in this world")
+            elif f.name not in ("ppo", "changes"):
                 note = f.metadata.get("unit", "")
                 lines.append(f"  --{prefix + f.name:24s} {f.default!s:12s} {note}".rstrip())
     keys = "config keys and their defaults:\n" + "\n".join(lines)
@@ -36,7 +38,7 @@ def parser(description: str) -> argparse.ArgumentParser:
     return p
 
 
-_TEXT = ("scenario", "name", "runs", "observation")  # keys whose value is text, whatever YAML makes of it
+_TEXT = ("scenario", "name", "runs", "observation", "model")  # keys whose value is text, whatever YAML makes of it
 
 
 def overrides(arguments: list[str]) -> dict:

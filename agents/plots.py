@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from agents.evaluate import METRICS, RATES, course_rng
-from soil_env.model import sinkage_coefficient_at
+from soil_env.model import WheelSoilModel, sinkage_coefficient_at
 from soil_env.parameters import Scenario
 from soil_env.simulation import Simulation
 from soil_env.task import Cause
@@ -42,9 +42,11 @@ def comparison_figure(result: dict, path: Path) -> None:
     plt.close(figure)
 
 
-def trace(controller, scenario: Scenario, seed: int, course: int) -> tuple[dict[str, np.ndarray], str]:
+def trace(
+    controller, scenario: Scenario, seed: int, course: int, model: WheelSoilModel | None = None
+) -> tuple[dict[str, np.ndarray], str]:
     """One course driven by `controller`: arrays over time, and the cause of its end."""
-    sim = Simulation(1, scenario, controller.variant, threads=1)
+    sim = Simulation(1, scenario, controller.variant, threads=1, model=model)
     sim.seed(0, course_rng(seed, course))
     sim.restart(0)
     w = sim.worlds
@@ -66,11 +68,13 @@ def trace(controller, scenario: Scenario, seed: int, course: int) -> tuple[dict[
     return columns, Cause(w.cause[0]).name
 
 
-def course_figure(scenario: Scenario, seed: int, course: int, controllers: dict, path: Path) -> None:
+def course_figure(
+    scenario: Scenario, seed: int, course: int, controllers: dict, path: Path, model: WheelSoilModel | None = None
+) -> None:
     """One course, a column a controller: grade, slip, sinkage, and phi, K, S as identified against the truth."""
     figure, axes = plt.subplots(6, len(controllers), figsize=(6.5 * len(controllers), 12), sharex="col", squeeze=False)
     for column, (name, controller) in enumerate(controllers.items()):
-        d, cause = trace(controller, scenario, seed, course)
+        d, cause = trace(controller, scenario, seed, course, model)
         a = axes[:, column]
         a[0].set_title(f"{name}: {cause.lower().replace('_', ' ')} after {d['t'][-1]:.0f} s, {d['x'].max():.1f} m")
         for axis, key, label in (

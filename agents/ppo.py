@@ -23,6 +23,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.sb3 import SoilWheelVecEnv
 from soil_env.loading import Checked, ParameterError, load, quantity, to_dict
+from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 from soil_env.task import layout
 
@@ -57,10 +58,17 @@ class PPOConfig(Checked):
             )
 
 
-def build(scenario: Scenario, observation: str, config: PPOConfig, seed: int, tensorboard: Path | None = None) -> PPO:
-    """A fresh PPO agent with its normalised vector environment."""
+def build(
+    scenario: Scenario,
+    observation: str,
+    config: PPOConfig,
+    seed: int,
+    tensorboard: Path | None = None,
+    world: WheelSoilModel | None = None,
+) -> PPO:
+    """A fresh PPO agent with its normalised vector environment; `world` brings the effects that are on there."""
     torch.set_num_threads(config.threads)
-    env = normalised(scenario, observation, config, seed)
+    env = normalised(scenario, observation, config, seed, world)
     model = PPO(
         "MlpPolicy",
         env,
@@ -82,9 +90,11 @@ def build(scenario: Scenario, observation: str, config: PPOConfig, seed: int, te
     return model
 
 
-def normalised(scenario: Scenario, observation: str, config: PPOConfig, seed: int) -> VecNormalize:
+def normalised(
+    scenario: Scenario, observation: str, config: PPOConfig, seed: int, world: WheelSoilModel | None = None
+) -> VecNormalize:
     """The vector environment of `config.num_envs` wheels with running normalisation of observations and rewards."""
-    env = VecNormalize(SoilWheelVecEnv(config.num_envs, scenario, observation), gamma=config.gamma)
+    env = VecNormalize(SoilWheelVecEnv(config.num_envs, scenario, observation, model=world), gamma=config.gamma)
     env.seed(seed)
     return env
 
@@ -118,6 +128,9 @@ def save(model: PPO, path: Path) -> None:
         "clip": float(env.clip_obs),
         "scenario": to_dict(env.get_attr("scenario")[0]),
     }
+    world = env.get_attr("model")[0]
+    if world is not None:
+        meta["model"] = world.content()
     partial = path.with_name(f".{path.stem}.partial.zip")
     model.save(partial)
     with zipfile.ZipFile(partial, "a", zipfile.ZIP_DEFLATED) as archive:
@@ -225,14 +238,22 @@ def _load_zip(path: Path, **options) -> PPO:
         raise ParameterError(f"{path}: cannot be loaded as a PPO model ({type(error).__name__}: {reason})") from None
 
 
-def resume(path: Path, scenario: Scenario, observation: str, config: PPOConfig, seed: int, log: Path | None) -> PPO:
+def resume(
+    path: Path,
+    scenario: Scenario,
+    observation: str,
+    config: PPOConfig,
+    seed: int,
+    log: Path | None,
+    world: WheelSoilModel | None = None,
+) -> PPO:
     """The agent of a checkpoint, ready to go on learning; its worlds start new courses."""
     meta = read_meta(path)
     if meta["observation"] != observation:
         raise ParameterError(f"{path}: trained with observation {meta['observation']!r}, not {observation!r}")
     check_layout(meta, path)
     torch.set_num_threads(config.threads)
-    env = normalised(scenario, observation, config, seed)
+    env = normalised(scenario, observation, config, seed, world)
     env.obs_rms = _running(meta["mean"], meta["var"], meta["count"])
     env.ret_rms = _running(meta["return_mean"], meta["return_var"], meta["return_count"])
     model = _load_zip(
@@ -257,6 +278,7 @@ class TrainConfig(Checked):
 
     scenario: str = "mixed"
     changes: dict = field(default_factory=dict)  # merged over the scenario
+    model: dict = field(default_factory=dict)  # model.yaml of the world's effects, as a mapping; empty = none
     observation: Literal["blind", "identified", "true_soil"] = "identified"
     name: str = ""  # of the run folder; empty = observation, scenario and time
     runs: str = "runs"
@@ -267,7 +289,17 @@ class TrainConfig(Checked):
     tuning_courses: int = quantity("training courses to tune slip and speed on", 1, 10**6, default=200)
     ppo: PPOConfig = PPOConfig()
 
+    @property
+    def world(self) -> WheelSoilModel | None:
+        """The model of the world's effects."""
+        return WheelSoilModel.from_content(self.model, "model") if self.model else None
+
 
 def load_config(mapping: dict, where: str) -> TrainConfig:
-    """A `TrainConfig` from a mapping, strictly."""
+    """A `TrainConfig` from a mapping, strictly; `model` may name a file, whose content it then keeps."""
+    model = mapping.get("model")
+    if isinstance(model, str):
+        mapping = {**mapping, "model": WheelSoilModel.load(model).content()}
+    elif isinstance(model, dict) and model:
+        WheelSoilModel.from_content(model, f"{where}: model")
     return load(TrainConfig, mapping, where)

@@ -10,6 +10,7 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
 from soil_env.env import action_space, build_scenario, observation_space
+from soil_env.model import load_model
 from soil_env.simulation import STEP, Simulation
 from soil_env.task import Cause, layout
 
@@ -23,12 +24,22 @@ class SoilWheelVecEnv(VecEnv):
     other wheels share one empty dict, which must not be written to. Keyword arguments as in `SoilWheelEnv`.
     """
 
-    def __init__(self, num_envs: int, scenario="mixed", observation="identified", action=None, threads=None, **changes):
+    def __init__(
+        self,
+        num_envs: int,
+        scenario="mixed",
+        observation="identified",
+        action=None,
+        threads=None,
+        model=None,
+        **changes,
+    ):
         self.render_mode = None
         super().__init__(num_envs, observation_space(observation), action_space())
         self.scenario = build_scenario(scenario, action, changes)
         self.observation_names = tuple(e.name for e in layout(observation))
-        self.simulation = Simulation(num_envs, self.scenario, observation, threads=threads)
+        self.model = load_model(model)
+        self.simulation = Simulation(num_envs, self.scenario, observation, threads=threads, model=self.model)
         self._commands = np.zeros(num_envs)
         self._drive = np.full(num_envs, STEP)
         self._all = np.ones(num_envs, dtype=np.bool_)

@@ -17,6 +17,7 @@ from agents.controllers import CONTROLLERS, make_controller
 from agents.evaluate import HELD_OUT_SET, TUNING_SET
 from agents.ppo import TrainConfig
 from soil_env.loading import ParameterError, read_yaml, to_dict
+from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario, load_scenario
 
 console = Console()
@@ -105,10 +106,12 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
         return ppo.load_agent(folder)
     log = folder / "tensorboard"
     if (folder / "checkpoint.zip").is_file():
-        model = ppo.resume(folder / "checkpoint.zip", scenario, config.observation, config.ppo, config.seed, log)
+        model = ppo.resume(
+            folder / "checkpoint.zip", scenario, config.observation, config.ppo, config.seed, log, config.world
+        )
         console.print(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
     else:
-        model = ppo.build(scenario, config.observation, config.ppo, config.seed, log)
+        model = ppo.build(scenario, config.observation, config.ppo, config.seed, log, config.world)
     left = config.timesteps - model.num_timesteps
     if left > 0:
         with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
@@ -124,11 +127,11 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
     return ppo.load_agent(folder)
 
 
-def tuned_controllers(scenario: Scenario, courses: int) -> tuple[dict, dict]:
+def tuned_controllers(scenario: Scenario, courses: int, world: WheelSoilModel | None = None) -> tuple[dict, dict]:
     """({name: classical controller}, settings), each tuned to finish most courses of the tuning set."""
     with Bar("Tuning", courses * tuning.candidates_in_all(), "courses") as bar:
         chosen, tried = tuning.tuned_settings(
-            scenario, TUNING_SET, courses, lambda count, name: bar.update(advance=count, note=name)
+            scenario, TUNING_SET, courses, lambda count, name: bar.update(advance=count, note=name), model=world
         )
     settings = {"tuning_courses": courses, **{name: {**chosen[name], "tried": tried[name]} for name in chosen}}
     return {name: make_controller(name, scenario, **chosen.get(name, {})) for name in CONTROLLERS}, settings
@@ -136,7 +139,8 @@ def tuned_controllers(scenario: Scenario, courses: int) -> tuple[dict, dict]:
 
 def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[str, ppo.Agent]) -> dict:
     """Every controller and agent on the same held-out courses; writes comparison.* and course.png, prints the table."""
-    controllers, settings = tuned_controllers(scenario, config.tuning_courses)
+    world = config.world
+    controllers, settings = tuned_controllers(scenario, config.tuning_courses, world)
     contestants = {**controllers, **agents}
     runs = {}
     with Bar("Comparing", config.courses * len(contestants), "courses") as bar:
@@ -147,14 +151,18 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[
                 HELD_OUT_SET,
                 config.courses,
                 progress=lambda count, name=name: bar.update(advance=count, note=name),
+                model=world,
             )
     result = evaluate.comparison(scenario, HELD_OUT_SET, runs, settings)
+    if world is not None:
+        result["model"] = world.content()
     evaluate.save(result, folder)
     plots.comparison_figure(result, Path(folder) / "comparison.png")
     classical = min(controllers, key=lambda n: result["controllers"][n]["immobilised"]["value"])
     course = _telling_course(runs, list(agents))
     plots.course_figure(
-        scenario, HELD_OUT_SET, course, {n: contestants[n] for n in (classical, *agents)}, Path(folder) / "course.png"
+        scenario, HELD_OUT_SET, course, {n: contestants[n] for n in (classical, *agents)}, Path(folder) / "course.png",
+        world,
     )
     print_table(result)
     return result

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 
 from agents import evaluate
 from agents.controllers import make_controller
+from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 
 _STARTS = (0.055, 0.11, 0.17, 0.24, 0.3)  # beyond, a slip controller is a constant speed
@@ -28,11 +29,12 @@ def tuned_settings(
     courses: int,
     progress: Callable[[int, str], None],
     names: Iterable[str] = tuple(_CANDIDATES),
+    model: WheelSoilModel | None = None,
 ) -> tuple[dict[str, dict], dict[str, list[dict]]]:
     """({controller: best settings}, {controller: what was tried}) over the first `courses` courses of set `seed`.
 
     `progress` is called with a number of courses and the name of the controller that has driven them. Controllers
-    without settings are left out.
+    without settings are left out. `model` brings the effects that are on in the world.
     """
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
     chosen, tried = {}, {}
@@ -49,5 +51,6 @@ def tuned_settings(
             seed,
             courses,
             lambda count, name=name: progress(count, name),
+            model,
         )
     return chosen, tried

@@ -40,6 +40,7 @@ from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET
 from agents.progress import Bar
 from agents.tuning import candidates_in_all, tuned_settings
 from soil_env.loading import ParameterError, unknown_key
+from soil_env.model import WheelSoilModel
 from soil_env.parameters import load_scenario
 
 
@@ -57,6 +58,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--out", metavar="OUT", type=Path, help="folder of the results, made where it does not exist")
     p.add_argument("--resume", metavar="OUT", type=Path, help="go on with an evaluation; only the engine may be given")
     p.add_argument("--scenario", metavar="NAME", default="mixed", help="name or YAML file (default: mixed)")
+    p.add_argument("--model", metavar="YAML", default="", help="model.yaml with the effects that are on in this world")
     p.add_argument("--courses", metavar="N", type=int, default=1000, help="(default: 1000)")
     p.add_argument(
         "--seed", metavar="N", type=int, default=HELD_OUT_SET,
@@ -130,7 +132,7 @@ def _evaluate(options, rest: list[str], folder: Path | None, console: Console) -
     console.print(f"Written to {folder}: {', '.join(written)}", soft_wrap=True, highlight=False)
 
 
-_STUDY_OPTIONS = ("controllers", "out", "scenario", "courses", "seed", "tuning_courses", "block", "resamples")
+_STUDY_OPTIONS = ("controllers", "out", "scenario", "model", "courses", "seed", "tuning_courses", "block", "resamples")
 
 
 def _engine(options):
@@ -177,6 +179,7 @@ def _asked(options, rest: list[str]) -> studies.Study:
         block=options.block,
         resamples=options.resamples,
         tuning_courses=options.tuning_courses,
+        model=WheelSoilModel.load(options.model).content() if options.model else {},
     )
 
 
@@ -202,7 +205,7 @@ def _begin(study: studies.Study, folder: Path, console: Console) -> studies.Stud
         with Bar("Tuning", study.tuning_courses * candidates_in_all(untuned), "courses", 0, console) as bar:
             tuned, _ = tuned_settings(
                 study.scenario, TUNING_SET, study.tuning_courses,
-                lambda count, name: bar.update(advance=count, note=name), untuned,
+                lambda count, name: bar.update(advance=count, note=name), untuned, study.world,
             )  # fmt: skip
         study = dataclasses.replace(study, tuned=tuned)
     studies.save_study(study, folder)

@@ -25,6 +25,7 @@ import numpy as np
 
 from agents.controllers import CONTROLLERS, make_controller
 from soil_env.loading import ParameterError, unknown_key
+from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 from soil_env.simulation import Simulation
 from soil_env.task import VARIANTS
@@ -231,10 +232,10 @@ def describe(error: BaseException) -> str:
     return f"{type(error).__name__}: {message}{where}"
 
 
-def check(contestant: Contestant, scenario: Scenario) -> None:
+def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | None = None) -> None:
     """Load a contestant and have it act once on three wheels; ParameterError if it cannot."""
     controller = load(contestant, scenario)
-    sim = Simulation(3, scenario, controller.variant, threads=1)
+    sim = Simulation(3, scenario, controller.variant, threads=1, model=model)
     for k in range(3):
         sim.seed(k, np.random.default_rng(k))
     fresh = np.ones(3, dtype=bool)

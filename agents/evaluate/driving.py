@@ -9,6 +9,7 @@ import numpy as np
 
 from soil_env.env import IMMOBILISED
 from soil_env.loading import ParameterError
+from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 from soil_env.simulation import IDLE, STEP, Simulation, Worlds
 from soil_env.task import Cause
@@ -83,25 +84,27 @@ def run_courses(
     first: int = 0,
     progress: Callable[[int], None] | None = None,
     batch: int = 500,
+    model: WheelSoilModel | None = None,
 ) -> Runs:
     """Drive `controller` over courses `first` ... `first + courses - 1` of the set named by `seed`.
 
     `controller` has `predict` and `variant` (the observation it reads). Course k of a set is the same for every
-    controller. `progress` is called with the number of courses done since its last call.
+    controller. `progress` is called with the number of courses done since its last call. `model` brings the effects
+    that are on in the world.
     """
     parts = []
     for start in range(first, first + courses, batch):
         count = min(batch, first + courses - start)
-        parts.append(_run_batch(controller, scenario, seed, start, count))
+        parts.append(_run_batch(controller, scenario, seed, start, count, model))
         if progress is not None:
             progress(count)
     names = Runs.__dataclass_fields__
     return Runs(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
 
 
-def _run_batch(controller, scenario, seed, start, count):
+def _run_batch(controller, scenario, seed, start, count, model):
     total = {name: np.zeros(count) for name in ("energy", "slip", "driving", "sinkage", "returns", "steps")}
-    for w, alive in drive(controller, scenario, seed, start, count):
+    for w, alive in drive(controller, scenario, seed, start, count, model=model):
         driving = alive & (w.state["halt_left"] == 0.0)
         total["energy"] += np.where(alive, np.maximum(w.state["motor_work"], 0.0), 0.0)
         total["slip"] += np.where(driving, w.state["slip"], 0.0)
@@ -122,7 +125,13 @@ def _run_batch(controller, scenario, seed, start, count):
 
 
 def drive(
-    controller, scenario: Scenario, seed: int, first: int, count: int, threads: int | None = None
+    controller,
+    scenario: Scenario,
+    seed: int,
+    first: int,
+    count: int,
+    threads: int | None = None,
+    model: WheelSoilModel | None = None,
 ) -> Iterator[tuple[Worlds, np.ndarray]]:
     """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
 
@@ -130,7 +139,7 @@ def drive(
     courses were still under way in that period [count] bool. Rows of ended courses stay as they ended. Raises
     `ControllerError` where an action is not of shape [count, 1] or not finite.
     """
-    sim = Simulation(count, scenario, controller.variant, threads=threads)
+    sim = Simulation(count, scenario, controller.variant, threads=threads, model=model)
     for k in range(count):
         sim.seed(k, course_rng(seed, first + k))
     alive = np.ones(count, dtype=bool)
@@ -156,14 +165,14 @@ def drive(
             return
 
 
-def tune(make, candidates: list[dict], scenario: Scenario, seed: int, courses: int, progress=None):
+def tune(make, candidates: list[dict], scenario: Scenario, seed: int, courses: int, progress=None, model=None):
     """The settings whose controller `make(**settings)` finishes most courses of set `seed`, the return breaking ties.
 
     Returns (settings, [{**settings, "finished": share, "return": mean return} for each candidate]).
     """
     tried = []
     for settings in candidates:
-        runs = run_courses(make(**settings), scenario, seed, courses, progress=progress)
+        runs = run_courses(make(**settings), scenario, seed, courses, progress=progress, model=model)
         score = {"finished": float(runs.metric("finished").mean()), "return": float(runs.returns.mean())}
         tried.append({**settings, **score})
     best = max(range(len(tried)), key=lambda k: (tried[k]["finished"], tried[k]["return"]))

@@ -11,6 +11,7 @@ from agents.evaluate import driving
 from agents.evaluate.driving import Runs, drive
 from agents.evaluate.warning import Warnings
 from soil_env.env import IMMOBILISED
+from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 from soil_env.task import Cause
 
@@ -87,7 +88,15 @@ _SUMS = ("energy", "slip", "driving", "sinkage", "returns", "steps", "drawbar_wo
 _OWN = {f.name for f in fields(Records)} - {f.name for f in fields(Runs)}
 
 
-def record(controller, scenario: Scenario, seed: int, first: int, count: int, threads: int | None = None) -> Records:
+def record(
+    controller,
+    scenario: Scenario,
+    seed: int,
+    first: int,
+    count: int,
+    threads: int | None = None,
+    model: WheelSoilModel | None = None,
+) -> Records:
     """Drive courses `first` ... `first + count - 1` of set `seed` side by side.
 
     The same arguments give the same records, bit for bit, whatever the number of threads. For a neural network the
@@ -96,7 +105,7 @@ def record(controller, scenario: Scenario, seed: int, first: int, count: int, th
     warnings = Warnings(scenario, count)
     total = {n: np.zeros(count) for n in _SUMS}
     slips, depths, drove = [], [], []
-    for w, alive in drive(controller, scenario, seed, first, count, threads):
+    for w, alive in drive(controller, scenario, seed, first, count, threads, model):
         s = w.state
         on = alive & (s["halt_left"] == 0.0)
         work = np.maximum(s["motor_work"], 0.0)

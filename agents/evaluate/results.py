@@ -45,6 +45,7 @@ def result(study: Study, records: dict[str, list[Records]]) -> dict:
         "block": study.block,
         "resamples": study.resamples,
         "version": study.version,
+        **({"model": study.model} if study.model else {}),
         "metrics": {name: {"unit": unit, "meaning": text} for name, (unit, text) in METRICS.items()},
         "controllers": {
             name: {

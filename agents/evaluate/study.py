@@ -26,6 +26,7 @@ from agents.evaluate.contestants import Contestant
 from agents.evaluate.driving import HELD_OUT_SET
 from agents.evaluate.records import Records, record
 from soil_env.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict
+from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 
 try:
@@ -57,7 +58,13 @@ class Study(Checked):
     resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
     tuning_courses: int = quantity("0: not tuned", 0, 10**6, default=0)
     tuned: dict = field(default_factory=dict)  # {classical controller: settings that tuning has found}
+    model: dict = field(default_factory=dict)  # content of the model.yaml of the world's effects; empty = none
     version: str = field(default_factory=code_version)
+
+    @property
+    def world(self) -> WheelSoilModel | None:
+        """The model of the world's effects."""
+        return WheelSoilModel.from_content(self.model, "model") if self.model else None
 
     @property
     def names(self) -> list[str]:
@@ -117,7 +124,7 @@ def check_controllers(study: Study) -> None:
             digest = entries.digest(contestant.source)
             if digest != contestant.digest:
                 raise ParameterError(f"controllers: {contestant.label}: the model has changed since the study began")
-        entries.check(contestant, study.scenario)
+        entries.check(contestant, study.scenario, study.world)
 
 
 def replace_file(path: Path, content: bytes) -> None:
@@ -143,7 +150,7 @@ class Job:
     def __init__(self, study: Study, threads: int | None = 1, ship: bool = False):
         self.scenario, self.seed, self.version = study.scenario, study.seed, study.version
         self.controllers = study.contestants()
-        self.threads = threads
+        self.threads, self.world = threads, study.world
         self.files = {
             key: entries.model_files(c.source) for key, c in self.controllers.items() if ship and c.kind == "model"
         }
@@ -163,7 +170,9 @@ class Job:
             if contestant.kind != "class":  # a class may keep things in itself: a new one for every block
                 self._loaded[task.controller] = controller
         try:
-            return record(controller, self.scenario, self.seed, task.first, task.count, self.threads).columns()
+            return record(
+                controller, self.scenario, self.seed, task.first, task.count, self.threads, self.world
+            ).columns()
         except ParameterError as error:
             text = str(error)
             raise ParameterError(
