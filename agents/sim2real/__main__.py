@@ -1,0 +1,85 @@
+"""Does a model corrected from the rover's own log make better controllers?
+
+An environment whose world has an effect that nobody was told of plays the rover. It is driven over a commissioning
+course, its log becomes a measurement table, `soil_env.discrepancy` says what the simulation lacks, and what it named is
+added to the simulation. Controllers tuned and PPO trained on the uncorrected and on the corrected simulation are then
+compared in the hidden world, on the same held-out courses.
+
+Example:
+  python -m agents.sim2real --world configs/worlds/bulldozing.yaml configs/worlds/grousers.yaml --out runs/sim2real
+
+Interrupted or killed, it goes on where it was with the same command. OUT then holds sim2real.json, sim2real.md and
+sim2real.png, and for each world its table, the report of the workflow and the corrected model.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from agents.sim2real import report, study
+from agents.training import console
+from soil_env.loading import ParameterError
+from soil_env.parameters import load_scenario
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options of the command."""
+    default = {f: study.Study.__dataclass_fields__[f].default for f in _NUMBERS}
+    p = argparse.ArgumentParser(
+        "python -m agents.sim2real", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False, epilog="Exit status: 0 done, 2 bad input, 130 interrupted.",
+    )  # fmt: skip
+    p.add_argument("--world", metavar="YAML", nargs="+", required=True, help="model.yaml of each hidden world")
+    p.add_argument("--out", metavar="OUT", type=Path, required=True, help="folder of the results")
+    p.add_argument("--scenario", metavar="NAME", default="mixed", help="name or YAML file (default: mixed)")
+    for name, text in _NUMBERS.items():
+        p.add_argument(f"--{name.replace('_', '-')}", metavar="N", type=int, default=default[name],
+                       help=f"{text} (default: {default[name]})")  # fmt: skip
+    return p
+
+
+_NUMBERS = {
+    "seed": "of drives, training and bootstraps",
+    "timesteps": "environment steps of each PPO training",
+    "training_seeds": "PPO trainings of each arm",
+    "courses": "held-out courses",
+    "tuning_courses": "courses that the classical controllers are tuned on",
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
+    options = parser().parse_args(arguments)
+    try:
+        scenario = load_scenario(options.scenario)
+        asked = study.Study(
+            scenario=scenario, worlds=study.read_worlds(options.world, scenario),
+            **{name: getattr(options, name) for name in _NUMBERS},
+        )  # fmt: skip
+        study.begin(asked, options.out)
+        study.run(asked, options.out, lambda text: console.print(text, soft_wrap=True, highlight=False))
+        result = report.result(asked, options.out)
+        written = report.write(asked, result, options.out)
+        report.print_table(result, console)
+        console.print(f"Written to {options.out}: {', '.join(written)}", soft_wrap=True, highlight=False)
+    except ParameterError as error:
+        return _refuse(str(error))
+    except OSError as error:
+        return _refuse(f"{error.filename or options.out}: {error.strerror or error}")
+    except MemoryError as error:
+        return _refuse(f"not enough memory ({error}); expected fewer --courses")
+    except KeyboardInterrupt:
+        print("\nagents.sim2real: interrupted; go on with the same command", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _refuse(message: str) -> int:
+    print(f"agents.sim2real: {' '.join(message.split())}", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

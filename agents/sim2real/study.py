@@ -1,0 +1,230 @@
+"""The steps of a study, each kept in a file of the output folder and skipped where that file exists.
+
+study.yaml                       what was asked, resolved; another study may not go on in this folder
+uncorrected/                     controllers tuned and PPO trained on the scenario without effects, for all worlds
+  tuned.json  ppo_0/ ...  runs/
+worlds/NAME/
+  table.csv  setup.yaml          from the log of the commissioning drives in the hidden world
+  discrepancy/                   report.json, report.html, model.yaml of `soil_env.discrepancy`
+  corrected.yaml                 the effects found, for the soils of the scenario
+  corrected/                     as uncorrected/, on that model
+  runs/                          both arms in the hidden world
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from agents import training
+from agents.controllers import make_controller
+from agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses
+from agents.evaluate.study import code_version, replace_file
+from agents.ppo import PPOConfig, TrainConfig, load_agent
+from agents.sim2real import log
+from agents.sim2real.log import Commissioning
+from agents.training import Bar
+from agents.tuning import candidates_in_all, tuned_settings
+from soil_env.discrepancy import run as find_discrepancy
+from soil_env.loading import Checked, ParameterError, quantity, read_yaml, to_dict
+from soil_env.model import WheelSoilModel
+from soil_env.parameters import Scenario
+
+CLASSICAL = ("constant_speed", "fixed_slip", "best_slip_identified")
+PPO = "ppo_identified"
+CONTROLLERS = (*CLASSICAL, PPO)
+UNCORRECTED, CORRECTED = ARMS = ("uncorrected", "corrected")
+METRICS = ("immobilised", "finished", "return")
+
+
+@dataclass(frozen=True)
+class Study(Checked):
+    """What is asked."""
+
+    scenario: Scenario
+    worlds: dict = field(default_factory=dict)  # name -> content of its model.yaml
+    seed: int = quantity("of the drives, the training and the bootstraps", 0, 2**31 - 1, default=0)
+    timesteps: int = quantity("environment steps of each PPO training", 1, 10**12, default=3_000_000)
+    training_seeds: int = quantity("PPO trainings of each arm", 1, 100, default=2)
+    courses: int = quantity("held-out courses", 2, 10**6, default=1000)
+    tuning_courses: int = quantity("courses that the classical controllers are tuned on", 1, 10**6, default=100)
+    bootstrap: int = quantity("of the workflow and of the intervals", 10, 10**5, default=1000)
+    commissioning: Commissioning = Commissioning()
+    ppo: PPOConfig = PPOConfig()
+    version: str = field(default_factory=code_version)
+
+    def world(self, name: str) -> WheelSoilModel:
+        """The hidden world of that name."""
+        return WheelSoilModel.from_content(self.worlds[name], name)
+
+
+def read_worlds(paths: list[Path], scenario: Scenario) -> dict[str, dict]:
+    """{name: content of model.yaml} of the hidden worlds; `ParameterError` for one that cannot be such."""
+    out = {}
+    for path in map(Path, paths):
+        model, w = WheelSoilModel.load(path), scenario.wheel
+        if not model.effects:
+            raise ParameterError(f"{path}: no effects; expected a world with at least one that is hidden")
+        if model.soil is not None or model.residual:
+            raise ParameterError(f"{path}: expected effects only: the courses have the soils of the scenario")
+        if (model.wheel.radius, model.wheel.width) != (w.radius, w.width):
+            raise ParameterError(
+                f"{path}: wheel of radius {model.wheel.radius:g} m and width {model.wheel.width:g} m: expected that of "
+                f"scenario {scenario.name!r}, {w.radius:g} m and {w.width:g} m"
+            )
+        if path.stem in out:
+            raise ParameterError(f"{path}: a second world named {path.stem!r}; expected different file names")
+        out[path.stem] = model.content()
+    return out
+
+
+def begin(study: Study, folder: Path) -> None:
+    """Write study.yaml, or check that the folder holds the same study."""
+    path, content = Path(folder) / "study.yaml", yaml.safe_dump(to_dict(study), sort_keys=False)
+    if path.exists():
+        begun, asked = read_yaml(path), yaml.safe_load(content)
+        other = [k for k in asked if begun.get(k) != asked[k]]
+        if other:
+            raise ParameterError(
+                f"{folder}: holds another study (it differs in {', '.join(other)}); give another --out"
+            )
+        return
+    if path.parent.is_dir() and any(path.parent.iterdir()):
+        raise ParameterError(f"{folder}: is not empty and holds no study; give another --out")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(path, content.encode())
+
+
+def run(study: Study, folder: Path, say: Callable[[str], None]) -> None:
+    """Do what is not done yet; `say` is told each step."""
+    folder = Path(folder)
+    base = Arm(study, folder / UNCORRECTED, None, say)
+    base.prepare()
+    base.drive(base.folder / "runs", None, "on the simulation it was made on")
+    for name in study.worlds:
+        here, hidden = folder / "worlds" / name, study.world(name)
+        found = correct(study, name, here, say)
+        say(f"{name}: uncorrected controllers in the hidden world")
+        base.drive(here / "runs" / UNCORRECTED, hidden, f"in hidden world {name}")
+        arm = corrected_arm(study, base, here, found, say)
+        if arm is not base:
+            say(f"{name}: controllers on the corrected model")
+            arm.prepare()
+            arm.drive(arm.folder / "runs", found, "on the simulation it was made on")
+            arm.drive(here / "runs" / CORRECTED, hidden, f"in hidden world {name}")
+            base.drive(here / "runs" / "foretold", found, "uncorrected controllers on the corrected model")
+
+
+def corrected_arm(study: Study, base: Arm, here: Path, found: WheelSoilModel, say) -> Arm:
+    """The corrected arm of a world: the uncorrected one where nothing was found to be missing."""
+    return Arm(study, here / CORRECTED, found, say) if found.effects else base
+
+
+# --- from the log to the corrected model ------------------------------------------------------------------------------
+
+
+def correct(study: Study, name: str, here: Path, say: Callable[[str], None]) -> WheelSoilModel:
+    """Log, table, workflow; the effects found as a model for the soils of the scenario, kept in corrected.yaml."""
+    table, setup, kept = here / "table.csv", here / "setup.yaml", here / "corrected.yaml"
+    if kept.is_file():
+        return WheelSoilModel.load(kept)
+    here.mkdir(parents=True, exist_ok=True)
+    plan, hidden = study.commissioning, study.world(name)
+    if not setup.is_file():
+        with Bar(f"Commissioning in {name}", log.drives_in_all(plan), "drives") as bar:
+            drives = log.drive_all(study.scenario, hidden, plan, study.seed,
+                                   lambda count, note: bar.update(advance=count, note=note))  # fmt: skip
+        points = log.steady_points(drives, study.scenario, plan)
+        content = log.setup(study.scenario, hidden.wheel, plan, points)
+        log.write_table(points, table)
+        log.write_setup(content, setup)
+    say(f"{name}: discrepancy workflow")
+    report = find_discrepancy(
+        table, setup, here / "discrepancy", seed=study.seed, bootstrap=min(study.bootstrap, 50), progress=None
+    )
+    # effects by name only: a law without a name holds on the bed that it was fitted to
+    named = report.model.effects if report.finding.named else {}
+    model = WheelSoilModel(hidden.wheel, None, named, (), report.model.gravity)
+    partial = kept.with_suffix(".partial")
+    model.save(partial)
+    partial.replace(kept)
+    return model
+
+
+# --- one arm ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Arm:
+    """Controllers made on one simulation: tuned and trained in `folder` on the scenario with `model`."""
+
+    study: Study
+    folder: Path
+    model: WheelSoilModel | None
+    say: Callable[[str], None]
+
+    def prepare(self) -> None:
+        """Tune and train."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path, study = self.folder / "tuned.json", self.study
+        if not path.is_file():
+            with Bar("Tuning", study.tuning_courses * candidates_in_all(CLASSICAL), "courses") as bar:
+                chosen, _ = tuned_settings(
+                    study.scenario, TUNING_SET, study.tuning_courses,
+                    lambda count, name: bar.update(advance=count, note=name), CLASSICAL, self.model,
+                )  # fmt: skip
+            replace_file(path, (json.dumps(chosen, indent=1) + "\n").encode())
+        for k in range(study.training_seeds):
+            self._train(k)
+
+    def _train(self, k: int) -> None:
+        """Train PPO agent k, from its checkpoint where there is one."""
+        study = self.study
+        config = TrainConfig(
+            scenario=study.scenario.name, name=f"ppo_{k}", runs=str(self.folder), seed=study.seed + k,
+            model=self.model.content() if self.model else {}, timesteps=study.timesteps, ppo=study.ppo,
+        )  # fmt: skip
+        run = self.folder / config.name
+        if run.is_dir() and not (run / "scenario.yaml").is_file():
+            shutil.rmtree(run)  # the start of it was interrupted
+        if not run.is_dir():
+            training.make_run_folder(config, study.scenario)
+        if not (run / "model.zip").is_file():
+            training.train(run, config, study.scenario)
+
+    def members(self, name: str) -> list:
+        """The controllers of that name."""
+        if name == PPO:
+            return [load_agent(self.folder / f"ppo_{k}") for k in range(self.study.training_seeds)]
+        settings = json.loads((self.folder / "tuned.json").read_text(encoding="utf-8"))
+        return [make_controller(name, self.study.scenario, **settings[name])]
+
+    def drive(self, to: Path, world: WheelSoilModel | None, title: str) -> None:
+        """Drive every controller over the held-out courses in `world`; one file a controller in `to`."""
+        to.mkdir(parents=True, exist_ok=True)
+        missing = [name for name in CONTROLLERS if not (to / f"{name}.json").is_file()]
+        if not missing:
+            return
+        study = self.study
+        each = {name: study.training_seeds if name == PPO else 1 for name in missing}
+        with Bar(f"Driving {title}", study.courses * sum(each.values()), "courses") as bar:
+            for name in missing:
+                runs = [
+                    run_courses(member, study.scenario, HELD_OUT_SET, study.courses, model=world,
+                                progress=lambda count, name=name: bar.update(advance=count, note=name))
+                    for member in self.members(name)
+                ]  # fmt: skip
+                scores = {metric: [r.metric(metric).tolist() for r in runs] for metric in METRICS}
+                replace_file(to / f"{name}.json", json.dumps(scores).encode())
+
+
+def scores(folder: Path, name: str) -> dict[str, np.ndarray]:
+    """{metric: [members, courses]} of a controller."""
+    content = json.loads((Path(folder) / f"{name}.json").read_text(encoding="utf-8"))
+    return {metric: np.array(values) for metric, values in content.items()}
