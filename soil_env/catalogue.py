@@ -160,15 +160,18 @@ _LIST = (
     Effect(
         "multipass",
         "multipass",
-        "S N^(a + q i) [1 + g (1 - exp(-(N - 1)/d))], K N^-k, tan(phi) N^f",
+        "S N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-i/k1)) + p (N - 1)], K N^-k, tan(phi) N^f, c N^h",
         (SINKAGE, PULL, TORQUE),
         (
             P("hardening", "", 0.0, -1.0, 3.0, 0.4, "a, power of the pass number"),
-            P("slip_hardening", "", 0.0, -3.0, 3.0, 0.4, "q, power of the pass number for each unit of slip"),
             P("gain", "", 0.0, -0.8, 8.0, 0.8, "g, saturating gain"),
             P("passes", "", 1.0, 0.3, 10.0, 0.5, "d, passes to saturation", centre=1.0),
+            P("slip_gain", "", 0.0, -0.8, 8.0, 0.5, "s, gain after passes at much slip"),
+            P("slip_scale", "", 0.2, 0.02, 2.0, 0.5, "k1, slip of those passes that brings most of it", centre=0.2),
+            P("per_pass", "", 0.0, -0.4, 2.0, 0.2, "p, gain with each pass"),
             P("stiffening", "", 0.0, -1.0, 1.5, 0.15, "k, on the shear modulus"),
             P("strength", "", 0.0, -0.5, 0.5, 0.05, "f, on the friction"),
+            P("cohesion", "", 0.0, -1.0, 2.0, 0.2, "h, on the cohesion"),
         ),
         (
             Form(
@@ -177,13 +180,13 @@ _LIST = (
                 "Wong (2010), Terramechanics and Off-Road Vehicle Engineering",
             ),
             Form(
-                "power_by_slip",
-                ("hardening", "slip_hardening", "stiffening"),
-                "Wong (2010), Terramechanics and Off-Road Vehicle Engineering",
+                "saturating",
+                ("gain", "passes", "stiffening", "strength", "cohesion"),
+                "Senatore & Sandu (2011), J. Terramechanics 48:265-276",
             ),
             Form(
-                "saturating",
-                ("gain", "passes", "stiffening", "strength"),
+                "slip_history",
+                ("slip_gain", "slip_scale", "per_pass", "stiffening", "cohesion"),
                 "Senatore & Sandu (2011), J. Terramechanics 48:265-276",
             ),
         ),

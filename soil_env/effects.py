@@ -137,15 +137,25 @@ def rate_factor(speed, reference, exponent, slope):
 
 
 @kernel
-def pass_factor(passes, slip, fx):
-    """Sinkage coefficient in the track of earlier passes over that of fresh soil.
+def depends_on_speed(fx):
+    """Whether a rate law is on."""
+    penetration = fx.penetration_rate_exponent != 0.0 or fx.penetration_rate_slope != 0.0
+    return penetration or fx.shear_rate_exponent != 0.0 or fx.shear_rate_slope != 0.0
 
-    N^(a + q |i|) [1 + g (1 - exp(-(N - 1)/d))], earlier passes having had the same slip.
+
+@kernel
+def pass_factor(passes, slip, fx):
+    """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at the same slip.
+
+    N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)]; the terms in slip and pass number are those
+    of Senatore & Sandu (2011).
     """
     if passes <= 1.0:
         return 1.0
-    saturating = 1.0 + fx.multipass_gain * (1.0 - math.exp(-(passes - 1.0) / fx.multipass_passes))
-    return passes ** (fx.multipass_hardening + fx.multipass_slip_hardening * abs(slip)) * max(saturating, 0.05)
+    more = passes - 1.0
+    gain = fx.multipass_gain * (1.0 - math.exp(-more / fx.multipass_passes)) + fx.multipass_per_pass * more
+    gain += fx.multipass_slip_gain * (1.0 - math.exp(-abs(slip) / fx.multipass_slip_scale))
+    return passes**fx.multipass_hardening * max(1.0 + gain, 0.05)
 
 
 @kernel
@@ -165,14 +175,16 @@ def soil_in_contact(soil, fx, slip, speed, slide, passes, sin_grade):
         speed, fx.penetration_rate_reference_speed, fx.penetration_rate_exponent, fx.penetration_rate_slope
     )
     s *= slope_factor(soil, sin_grade, fx)
+    c = soil.cohesion
     strength = rate_factor(slide, fx.shear_rate_reference_speed, fx.shear_rate_exponent, fx.shear_rate_slope)
     tan_phi, K = soil.tan_phi * strength, soil.shear_modulus
     if passes > 1.0:
         K = K * passes**-fx.multipass_stiffening
         tan_phi = tan_phi * passes**fx.multipass_strength
+        c = c * passes**fx.multipass_cohesion
     n = max(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(slip), 0.0)
     gain, recovery = digging(soil, fx)
-    return SoilState(tan_phi, soil.cohesion * strength, K, s, n, gain, recovery)
+    return SoilState(tan_phi, c * strength, K, s, n, gain, recovery)
 
 
 # --- contact arc and shear law ----------------------------------------------------------------------------------------
@@ -253,6 +265,12 @@ def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
 
 
 @kernel
+def blade_share(slip):
+    """Share of the thrust of the lugs that this slip brings out: none where the wheel rolls freely."""
+    return math.tanh(slip / 0.015)
+
+
+@kernel
 def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
     """Thrust [N] of the lugs in the ground along the rim: lugs a radian, times theta1, times the force of one blade.
 
@@ -264,7 +282,7 @@ def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
     kp = passive_coefficient(soil.tan_phi)
     weight = 0.5 * unit_weight * height * (height + max(sinkage, 0.0)) * kp
     one = b * (weight + 2.0 * soil.cohesion * height * math.sqrt(kp))
-    return fx.grousers_blades * theta1 * one * math.tanh(slip / 0.015)
+    return fx.grousers_blades * theta1 * one * blade_share(slip)
 
 
 # --- what is measured -------------------------------------------------------------------------------------------------

@@ -241,13 +241,13 @@ def _canonical(cell: str):
 
 
 def _in_radians(cells: list[str]) -> bool:
-    """Whether grades look like radians: all small, and all are whole degrees rounded to three digits or more."""
+    """Whether grades look like radians: none above 40 deg so, and all whole degrees rounded to three digits or more."""
     numbers = [(float(c), len(c.rpartition(".")[2])) for c in cells if c and float(c) != 0.0]
 
     def whole_degrees(x, digits):
         return digits >= 3 and abs(round(math.radians(round(math.degrees(x))), digits) - x) < 10.0**-digits * 1e-3
 
-    return bool(numbers) and all(abs(x) < math.radians(STEEPEST) and whole_degrees(x, d) for x, d in numbers)
+    return bool(numbers) and all(abs(x) < math.radians(40.0) and whole_degrees(x, d) for x, d in numbers)
 
 
 # --- the setup --------------------------------------------------------------------------------------------------------

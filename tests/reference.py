@@ -193,8 +193,12 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     S, K, done = soil.sinkage_coefficient, soil.shear_modulus, site.passes - 1.0
     tan_phi, c = math.tan(math.radians(soil.friction_angle_deg)), soil.cohesion
     S *= (1.0 - abs(site.grade) / math.atan(tan_phi)) ** (2.0 * fx["grade"].get("weakening", 0.0))
-    S *= site.passes ** (track.get("hardening", 0.0) + track.get("slip_hardening", 0.0) * size)
-    S *= 1.0 + track.get("gain", 0.0) * (1.0 - math.exp(-done / track.get("passes", 1.0)))
+    S *= site.passes ** track.get("hardening", 0.0)
+    if done > 0.0:
+        grown = 1.0 + track.get("gain", 0.0) * (1.0 - math.exp(-done / track.get("passes", 1.0)))
+        grown += track.get("per_pass", 0.0) * done
+        S *= grown + track.get("slip_gain", 0.0) * (1.0 - math.exp(-size / track.get("slip_scale", 0.2)))
+    c *= site.passes ** track.get("cohesion", 0.0)
     rate = fx["penetration_rate"]
     S *= rate_law(site.speed, rate.get("reference_speed", 0.05), rate.get("exponent", 0.0), rate.get("slope", 0.0))
     rate = fx["shear_rate"]

@@ -164,7 +164,8 @@ def test_sliding_speed(slip, sliding):
     ("parameters", "factor"),
     [
         ({"hardening": 0.5}, 2.0),  # 4^0.5
-        ({"slip_hardening": 0.5}, 1.3195079),  # 4^(0.5 x 0.4)
+        ({"per_pass": 0.1}, 1.3),  # 1 + 0.1 x 3
+        ({"slip_gain": 0.5, "slip_scale": 0.2}, 1.4323324),  # 1 + 0.5 (1 - exp(-2))
         ({"gain": 1.0, "passes": 1.0}, 1.9502129),  # 2 - exp(-3)
         ({"gain": -0.5, "passes": 3.0}, 0.6839397),  # 1 - 0.5 (1 - exp(-1))
         ({"stiffening": 0.5, "strength": 0.1}, 1.0),

@@ -24,7 +24,8 @@ SIZES = {
     "grousers": {"shear_share": (0, 1.2), "radius_share": (0, 1.2), "blades": (0, 8)},
     "bulldozing": {"rankine": (0, 2), "hegedus": (0, 2)},
     "multipass": {
-        "hardening": (-0.3, 0.8), "slip_hardening": (-0.5, 0.5), "gain": (-0.3, 2), "passes": (0.5, 3),
+        "hardening": (-0.3, 0.8), "slip_gain": (-0.3, 0.5), "slip_scale": (0.05, 0.5), "per_pass": (-0.05, 0.3),
+        "cohesion": (-0.3, 0.5), "gain": (-0.3, 2), "passes": (0.5, 3),
         "stiffening": (-0.3, 0.5), "strength": (-0.1, 0.1),
     },
     "penetration_rate": {"exponent": (-0.2, 0.3), "slope": (-0.1, 0.3), "reference_speed": (0.01, 0.3)},

@@ -197,14 +197,13 @@ class Problem:
             "slip_sinkage_length": (0.3 * z, 0.0, 5.0 * z),
         }
         slide = np.where(rows.slip >= 0.0, rows.slip / np.maximum(1.0 - rows.slip, 0.02), -rows.slip) * speed
-        self.neutral = NO_EFFECTS
+        self.neutral = NO_EFFECTS._replace(shear_softening_length=0.3 * r)
         if np.all(speed > 0.0):
             middle = math.exp(float(np.mean(np.log(speed))))
             slide = slide[slide > 0.0]
-            self.neutral = NO_EFFECTS._replace(
+            self.neutral = self.neutral._replace(
                 penetration_rate_reference_speed=middle,
                 shear_rate_reference_speed=math.exp(float(np.mean(np.log(slide)))) if slide.size else middle,
-                shear_softening_length=0.3 * r,
             )
 
     # --- unknowns and outputs ---

@@ -240,7 +240,9 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
         say("looking for a second effect")
         if second(problem, first, names, base_score) is None:
             return conclude_one(enough)
-    # two effects
+    # two effects, where the table has more than twice as many values as such a model has unknowns
+    if problem.used.sum() <= 2 * (len(problem.soil) + 4):
+        return conclude_one(enough) if enough else conclude("unlisted", (), singles[0])
     pairs = two_effects(problem, singles, names, base_score, say)
     enough_pairs = [c for c in pairs if acceptable(problem, base, c) and both_needed(problem, c, singles)]
     if enough and (not enough_pairs or enough_pairs[0].score < enough[0].score + TOLD):
