@@ -42,6 +42,7 @@ from soil_env.effects import (
     acting,
     arc_ends,
     blade_force,
+    blade_share,
     bulldozing_resistance,
     drive_torque,
     excavated_depth,
@@ -51,7 +52,7 @@ from soil_env.effects import (
     slip_sinkage_ratio,
     soil_in_contact,
 )
-from soil_env.model import LEVEL, Rim, WheelSoilModel, contact_arc, sheared_from, steady_with
+from soil_env.model import Conditions, Rim, WheelSoilModel, contact_arc, sheared_from, steady_with
 from soil_env.parameters import Scenario, SoilState
 from soil_env.residual import ResidualLaw, dimensionless_groups, residual_at, residual_law
 from soil_env.streams import between
@@ -232,6 +233,7 @@ class Ground(NamedTuple):
     sheared_from: float
     lift: float  # [m] sinkage beyond that which carries, as digging has it
     bulldozing: float  # [N] resistance of the soil ahead
+    blades: float  # [N] thrust of the lugs of a slipping wheel
     pull: float  # [N] of the residual law
     torque: float  # [N m] of the residual law
 
@@ -240,24 +242,26 @@ class Ground(NamedTuple):
 def plain_ground(w, soil, world):
     """`Ground` of the base model."""
     theta1 = entry_angle(w.sinkage, world.radius)
-    return Ground(soil, world.radius, 1.0, 1.0, JANOSI, theta1, 0.0, 0.5 * theta1, theta1, 0.0, 0.0, 0.0, 0.0)
+    return Ground(soil, world.radius, 1.0, 1.0, JANOSI, theta1, 0.0, 0.5 * theta1, theta1, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @kernel
-def ground_with_effects(w, soil, load, grade, passes, world):
+def ground_with_effects(w, soil, grade, passes, world):
     """`Ground` with the effects of this world, at the slip and the speeds that the substep starts with."""
     fx, r, b, h = world.effects, world.radius, world.width, world.grouser_height
     u = w.wheel_speed * r
     slip = slip_ratio(u, w.speed, REST_SPEED)
+    weight = w.mass * world.gravity
+    groups = dimensionless_groups(
+        slip, w.sinkage, weight, abs(w.speed), passes, math.sin(grade), soil, r, b, world.gravity
+    )
+    _, pull, torque = residual_at(world.residual, groups)
     soil = soil_in_contact(soil, fx, slip, abs(w.speed), abs(u - w.speed), passes, math.sin(grade))
     arc = contact_arc(w.sinkage, fx, Rim(r, b, h))
     theta2, thetam = arc_ends(arc.theta1, slip, fx)
     ahead = bulldozing_resistance(w.sinkage, soil, world.unit_weight, b, fx)
-    dug = slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery)
-    groups = dimensionless_groups(
-        slip, w.sinkage, load, abs(w.speed), passes, math.sin(grade), soil, r, b, world.gravity
-    )
-    _, pull, torque = residual_at(world.residual, groups)
+    blades = blade_force(arc.theta1, w.sinkage, 1.0, soil, world.unit_weight, b, h, fx)
+    dug = max(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), 1e-3)
     moving = w.speed / math.sqrt(w.speed * w.speed + REST_SPEED * REST_SPEED)
     q = arc.shear_ratio
     sheared_soil = SoilState(
@@ -266,51 +270,49 @@ def ground_with_effects(w, soil, load, grade, passes, world):
     )  # fmt: skip
     return Ground(
         sheared_soil, arc.radius, q, q * arc.radius / r, shear_law(fx), arc.theta1, theta2, thetam, sheared_from(arc),
-        excavated_depth(slip, fx) / dug, ahead, moving * pull * load, moving * torque * load * r,
+        excavated_depth(slip, fx) / dug, ahead, blades, moving * pull * weight, moving * torque * weight * r,
     )  # fmt: skip
 
 
 @inlined
-def react(nodes, ground, speed, rim_speed, sinkage, load, world):
+def react(nodes, ground, speed, rim_speed, load, world):
     """`Reaction` of the ground, with all that acts on the wheel at its axle."""
     f = reaction_of(
         nodes, speed, ground.rim_ratio * rim_speed, load, ground.soil, ground.radius, world.width, ground.law
     )
-    return with_added_forces(f, ground, speed, rim_speed, sinkage, world) if world.with_effects else f
+    return with_added_forces(f, ground, speed, rim_speed, world) if world.with_effects else f
 
 
 @kernel
-def with_added_forces(f, ground, speed, rim_speed, sinkage, world):
+def with_added_forces(f, ground, speed, rim_speed, world):
     """`Reaction` `f` at the shear radius as one at the axle, with lugs, bulldozing, drivetrain and residual law."""
     q, p = ground.shear_ratio, ground.rim_ratio
-    pull, torque = _added_forces(ground, speed, rim_speed, sinkage, q * f.torque, world)
-    d = 1e-6
-    pull_v, torque_v = _added_forces(ground, speed + d, rim_speed, sinkage, q * f.torque, world)
-    pull_u, torque_u = _added_forces(ground, speed, rim_speed + d, sinkage, q * f.torque, world)
-    share = 1.0 + math.copysign(world.effects.drivetrain_friction_share, rim_speed * f.torque)
+    torque, torque_v, torque_u = q * f.torque, q * f.torque_v, q * p * f.torque_u
+    d = 1e-8  # [m/s], small beside the speeds within which Coulomb friction and the thrust of lugs turn round
+    pull, more = _added_forces(ground, speed, rim_speed, torque, world)
+    pull_v, more_v = _added_forces(ground, speed + d, rim_speed, torque + d * torque_v, world)
+    pull_u, more_u = _added_forces(ground, speed, rim_speed + d, torque + d * torque_u, world)
     return Reaction(
         f.load,
         f.drawbar_pull + pull,
-        q * f.torque + torque,
+        torque + more,
         f.modulus,
         f.dp_v + (pull_v - pull) / d,
         p * f.dp_u + (pull_u - pull) / d,
-        share * q * f.torque_v + (torque_v - torque) / d,
-        share * q * p * f.torque_u + (torque_u - torque) / d,
+        torque_v + (more_v - more) / d,
+        torque_u + (more_u - more) / d,
         f.modulus_v,
         p * f.modulus_u,
     )
 
 
 @kernel
-def _added_forces(ground, speed, rim_speed, sinkage, soil_torque, world):
+def _added_forces(ground, speed, rim_speed, soil_torque, world):
     """(pull [N], torque [N m]) that lugs, bulldozing, drivetrain friction and the residual law add."""
     fx, r = world.effects, world.radius
     direction = speed / math.sqrt(speed * speed + REST_SPEED * REST_SPEED)
     slip = slip_ratio(rim_speed, speed, REST_SPEED) * (1.0 if rim_speed + speed >= 0.0 else -1.0)
-    blade = blade_force(
-        ground.theta1, sinkage, slip, ground.soil, world.unit_weight, world.width, world.grouser_height, fx
-    )
+    blade = ground.blades * blade_share(slip)
     lever = r + 0.5 * world.grouser_height
     torque = blade * lever + ground.torque
     friction = drive_torque(soil_torque + torque, rim_speed / r, REST_SPEED / r, fx) - soil_torque - torque
@@ -396,7 +398,7 @@ def _implicit_speeds(w, load, ground, command, by_speed, grade, world, h):
         ground.theta1, ground.theta2, ground.thetam, soil.sinkage_exponent, ground.radius, ground.sheared_from
     )
     curvature = 1.0 + r * ground.theta1 / soil.shear_modulus  # relative change of the shear over that of the speeds
-    soil_force = react(nodes, ground, v, u, w.sinkage, load, world)
+    soil_force = react(nodes, ground, v, u, load, world)
     f1 = v - speed0 - cv * (soil_force.drawbar_pull - weight_along)
     f2 = u - u0 - cu * (torque - soil_force.torque)
     norm = max(abs(f1), abs(f2))
@@ -420,7 +422,7 @@ def _implicit_speeds(w, load, ground, command, by_speed, grade, world, h):
         reached = norm
         for _ in range(8):
             v1, u1 = v + share * dv, u + share * du
-            trial = react(nodes, ground, v1, u1, w.sinkage, load, world)
+            trial = react(nodes, ground, v1, u1, load, world)
             torque, torque_w, _ = motor(command, by_speed, u1 / r, world)
             g1 = v1 - speed0 - cv * (trial.drawbar_pull - weight_along)
             g2 = u1 - u0 - cu * (torque - trial.torque)
@@ -478,7 +480,7 @@ def advance(state, k, command, courses, streams, world):
         load = w.mass * world.gravity * math.cos(grade)
         if world.with_effects:
             passes = 2.0 if courses.rut[k, w.cell] > 0.0 else 1.0
-            ground = ground_with_effects(w, soil, load, grade, passes, world)
+            ground = ground_with_effects(w, soil, grade, passes, world)
         else:
             ground = plain_ground(w, soil, world)
         v, u, soil_force, converged = _implicit_speeds(w, load, ground, command, by_speed, grade, world, h)
@@ -525,16 +527,8 @@ def settle(state, k, mass, courses, streams, world):
     w = state[k]
     soil, grade, patch = ground_at(courses, k, 0.0, 0, world.border)
     load = mass * world.gravity * math.cos(grade)
-    rest = steady_with(
-        0.0,
-        load,
-        soil,
-        Rim(world.radius, world.width, world.grouser_height),
-        LEVEL,
-        world.unit_weight,
-        world.effects,
-        0.0,
-    )
+    wheel, here = Rim(world.radius, world.width, world.grouser_height), Conditions(0.0, 1.0, math.sin(grade))
+    rest = steady_with(0.0, load, soil, wheel, here, world.unit_weight, world.effects, 0.0)
     w.x = w.best_x = w.speed = w.wheel_speed = 0.0
     w.sinkage = w.bearing_sinkage = rest.sinkage
     w.mass, w.load, w.grade, w.patch = mass, load, grade, patch
