@@ -64,7 +64,7 @@ _TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadraticall
 _SHORT = 0.1  # first step by the last reaction, at most this share of the rim speed
 _FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
 _MAX_ITERATIONS = 30
-_FINEST = 64  # a substep whose iteration fails is halved down to this fraction
+_FINEST = 1024  # a substep that fails is halved down to this fraction; softening soil breaks away within 1 ms
 
 #: One wheel. Numbers that follow from the others in the same step are kept for sensors and info.
 WHEEL_STATE = np.dtype(
