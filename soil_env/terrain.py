@@ -14,15 +14,17 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.compiled import inlined, kernel
-from soil_env.effects import NO_EFFECTS, Effects, acting
+from soil_env.effects import NO_EFFECTS, Effects, acting, depends_on_speed
 from soil_env.lanes import scratch
 from soil_env.model import Conditions, Rim, WheelSoilModel, steady_with
 from soil_env.parameters import Scenario, SoilState, soils
+from soil_env.residual import ResidualLaw, dimensionless_groups, residual_at, residual_law
 from soil_env.streams import between, normal_pair, uniform
 from soil_env.traversability import best_working_point_with
 
 CELL = 0.05  # [m] length of one cell of the rut
 _MAX_REDRAWS = 30
+_BISECTIONS = 8  # of the steepest grade on ground that slopes weaken
 _six = scratch(6)
 
 # How a pass changes the ground, as a factor on the sinkage coefficient S of the cell. A rolling wheel compacts, a
@@ -73,6 +75,7 @@ class CourseNumbers(NamedTuple):
     grouser_height: float  # [m]
     unit_weight: float  # of the soil [N/m3]
     effects: Effects  # of the world
+    residual: ResidualLaw  # of the world
 
 
 def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> CourseNumbers:
@@ -106,6 +109,7 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
         0.0 if model is None else model.wheel.grouser_height,
         0.0 if model is None else model.density * scenario.gravity,
         NO_EFFECTS if model is None else acting(model.numbers),
+        residual_law(() if model is None else model.residual),
     )
 
 
@@ -223,18 +227,68 @@ def draw_soil(streams, k, numbers):
 
 
 @kernel
-def _capacity(load, soil, numbers):
-    """Best steady drawbar pull over load on level ground, -inf where the wheel would be bogged at rest or at its best.
-
-    W cos(grade) sinks less, so the level value is on the safe side.
-    """
-    wheel = Rim(numbers.radius, numbers.width, numbers.grouser_height)
-    at = Conditions(numbers.speed, 1.0, 0.0)
-    best = best_working_point_with(load, soil, wheel, at, numbers.unit_weight, numbers.effects, numbers.stall_torque)
-    rest = steady_with(0.0, load, soil, wheel, at, numbers.unit_weight, numbers.effects, 0.0)
-    if max(best.sinkage, rest.sinkage) > 0.9 * numbers.bogged_sinkage or not rest.floating:
+def _best_pull(load, soil, speed, sin_grade, numbers):
+    """Best steady drawbar pull over load at this travel speed [m/s], -inf where the wheel would be bogged at it."""
+    fx, r, b = numbers.effects, numbers.radius, numbers.width
+    wheel, at = Rim(r, b, numbers.grouser_height), Conditions(speed, 1.0, sin_grade)
+    best = best_working_point_with(load, soil, wheel, at, numbers.unit_weight, fx, numbers.stall_torque)
+    groups = dimensionless_groups(best.slip, best.sinkage, load, speed, 1.0, sin_grade, soil, r, b, numbers.gravity)
+    _, pull, torque = residual_at(numbers.residual, groups)
+    if best.sinkage > 0.9 * numbers.bogged_sinkage or best.torque + torque * load * r > numbers.stall_torque:
         return -np.inf
-    return best.drawbar_pull / load
+    return best.drawbar_pull / load + pull
+
+
+@kernel
+def _capacity(load, soil, tangent, numbers):
+    """Best steady drawbar pull over load on a slope, -inf where the wheel would be bogged at rest or at its best.
+
+    Where strength depends on speed, the lesser one of starting and of driving. Of the slope only the loss of bearing
+    counts: W cos(grade) sinks less than W, so W is on the safe side.
+    """
+    fx, wheel = numbers.effects, Rim(numbers.radius, numbers.width, numbers.grouser_height)
+    sin_grade = tangent / math.sqrt(1.0 + tangent * tangent)
+    rest = steady_with(0.0, load, soil, wheel, Conditions(0.0, 1.0, sin_grade), numbers.unit_weight, fx, 0.0)
+    if rest.sinkage > 0.9 * numbers.bogged_sinkage or not rest.floating:
+        return -np.inf
+    pull = _best_pull(load, soil, numbers.speed, sin_grade, numbers)
+    if depends_on_speed(fx):
+        pull = min(pull, _best_pull(load, soil, 0.0, sin_grade, numbers))
+    return pull
+
+
+@kernel
+def _steepest(load, soil, margin, numbers):
+    """(tangent of the steepest grade of the course that leaves `margin`, `_capacity` there); -inf twice if none does.
+
+    On the level and on a slope the capacity is the same, unless slopes weaken the ground: then it is sought for.
+    """
+    low, high = numbers.grade_low, numbers.grade_high
+    flat = min(max(0.0, low), high)
+    capacity = _capacity(load, soil, flat, numbers)
+    if numbers.effects.grade_weakening == 0.0:
+        return (min(capacity - margin, high), capacity) if capacity - margin >= low else (-np.inf, -np.inf)
+    if capacity - margin < flat:
+        flat, high = low, flat
+        capacity = _capacity(load, soil, flat, numbers)
+        if capacity - margin < flat:
+            return -np.inf, -np.inf
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (flat + high)
+        there = _capacity(load, soil, middle, numbers)
+        if there - margin >= middle:
+            flat, capacity = middle, there
+        else:
+            high = middle
+    return flat, capacity
+
+
+@kernel
+def _margin_at_border(k, courses, i, load, numbers):
+    """Margin in the middle of the passage from patch i - 1 to patch i."""
+    mid = blend(_row(courses.soils[k, i - 1]), _row(courses.soils[k, i]), 0.5)
+    tangent = math.tan(0.5 * (courses.grades[k, i - 1] + courses.grades[k, i]))
+    return _capacity(load, mid, tangent, numbers) - tangent
 
 
 @kernel
@@ -267,34 +321,39 @@ def _try_course(k, courses, streams, numbers):
         if p == 0:
             margin = max(margin, 0.5 * (numbers.margin_low + numbers.margin_high))  # somewhere to get going
         soil = draw_soil(streams, k, numbers)
-        capacity = _capacity(load, soil, numbers)
+        tangent, capacity = _steepest(load, soil, margin, numbers)
         for _ in range(_MAX_REDRAWS):
-            if capacity - margin >= numbers.grade_low:
+            if capacity > -np.inf:
                 break
             soil = draw_soil(streams, k, numbers)
-            capacity = _capacity(load, soil, numbers)
-        if capacity - margin < numbers.grade_low:
+            tangent, capacity = _steepest(load, soil, margin, numbers)
+        if capacity == -np.inf:
             return -1.0
         for j in range(7):
             courses.soils[k, p, j] = soil[j]
-        tangent = min(capacity - margin, numbers.grade_high)  # at least grade_low, by the draw
         courses.margins[k, p] = capacity - tangent
         courses.grades[k, p] = math.atan(tangent)
         p += 1
     edges[p] = x
     courses.patches[k] = p
     for i in range(1, p):
-        mid = blend(_row(courses.soils[k, i - 1]), _row(courses.soils[k, i]), 0.5)
-        tangent = math.tan(0.5 * (courses.grades[k, i - 1] + courses.grades[k, i]))
-        short = numbers.margin_low - (_capacity(load, mid, numbers) - tangent)
+        short = numbers.margin_low - _margin_at_border(k, courses, i, load, numbers)
         if short > 0.0:
             for j in (i - 1, i):
                 tangent = math.tan(courses.grades[k, j])
                 lowered = max(tangent - 1.02 * short, numbers.grade_low)
                 courses.grades[k, j] = math.atan(lowered)
                 courses.margins[k, j] += tangent - lowered
-            tangent = math.tan(0.5 * (courses.grades[k, i - 1] + courses.grades[k, i]))
-            if numbers.margin_low - (_capacity(load, mid, numbers) - tangent) > 1e-6:
+            if numbers.margin_low - _margin_at_border(k, courses, i, load, numbers) > 1e-6:
+                return -1.0
+    if numbers.effects.grade_weakening != 0.0:  # a lowered grade may be a steep descent on weaker ground
+        for i in range(p):
+            tangent = math.tan(courses.grades[k, i])
+            courses.margins[k, i] = _capacity(load, _row(courses.soils[k, i]), tangent, numbers) - tangent
+            margin = courses.margins[k, i]
+            if i > 0:
+                margin = min(margin, _margin_at_border(k, courses, i, load, numbers))
+            if numbers.margin_low - margin > 1e-6:
                 return -1.0
     for i in range(courses.modulus.shape[1]):
         courses.modulus[k, i] = 1.0
