@@ -27,7 +27,8 @@ from soil_env.discrepancy.calibrate import Choice, Fit, Problem
 from soil_env.discrepancy.data import folds, smooth_basis
 
 CHANCE = 0.004  # probability of a false alarm over everything that is tried
-LEAST_FIT = (0.01, 0.04)  # p value of the lack of fit below which one effect, two effects, are not enough
+LEAST_FIT = (3e-3, 0.05)  # p value of the lack of fit below which one effect, two effects, are not enough: where
+# -e p ln p (Sellke et al. 2001) meets prior odds of 20, of 3, that what is missing is in the catalogue
 TOLD = 4.6  # [nats] of held-out likelihood by which a candidate must lose to be ruled out
 TRIED = 20  # independent looks that the candidates amount to
 IMPLAUSIBLE = 4.0  # [widened prior sd] of a soil that no candidate may need
