@@ -189,13 +189,13 @@ def _refitted(problem: Problem, fit: Fit, e: np.ndarray) -> tuple[np.ndarray, np
     evidence = fit.evidence + 0.5 * fit.objective - 0.5 * np.sum(left**2, axis=0)
     rows = np.nonzero(problem.used)[0]
     ways, total, r = folds(problem.data), np.zeros(e.shape[1]), left[: e.shape[0]]
+    all_rows = np.linalg.slogdet(normal)[1]
     for group in (g for way in ways for g in way):
         out = group[rows]
         if not out.any():
             continue
         jo, ro = j[out], r[out]
-        covariance = np.linalg.inv(normal - jo.T @ jo)
-        off = ro + jo @ (covariance @ (jo.T @ ro))
-        s = np.eye(ro.shape[0]) + jo @ covariance @ jo.T
-        total += -0.5 * np.sum(off * np.linalg.solve(s, off), axis=0) - 0.5 * np.linalg.slogdet(s)[1]
+        rest = normal - jo.T @ jo
+        off = ro + jo @ np.linalg.solve(rest, jo.T @ ro)
+        total += -0.5 * np.sum(off * ro, axis=0) - 0.5 * (all_rows - np.linalg.slogdet(rest)[1])  # as in `held_out`
     return total / len(ways), evidence

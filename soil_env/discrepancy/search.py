@@ -90,6 +90,7 @@ def held_out(problem: Problem, fit: Fit) -> tuple[float, np.ndarray]:
     a, e = fit.linearised()
     m = fit.residual.size
     top, normal = a[:m], a.T @ a
+    whole = np.linalg.slogdet(normal)[1]
     channel = np.nonzero(problem.used)[1]
     predicted, ways, total = np.zeros_like(problem.data.y), folds(problem.data), 0.0
     for fold in (group for way in ways for group in way):
@@ -97,10 +98,10 @@ def held_out(problem: Problem, fit: Fit) -> tuple[float, np.ndarray]:
         if not out.any():
             continue
         j, r = top[out], e[:m][out]
-        covariance = np.linalg.inv(normal - j.T @ j)
-        left = r + j @ (covariance @ (j.T @ r))  # the gradient vanishes over all rows
-        s = np.eye(r.size) + j @ covariance @ j.T
-        total += -0.5 * float(left @ np.linalg.solve(s, left)) - 0.5 * np.linalg.slogdet(s)[1]
+        rest = normal - j.T @ j
+        left = r + j @ np.linalg.solve(rest, j.T @ r)  # the gradient vanishes over all rows
+        # its covariance is S = I + J rest^-1 J^T: left = S r, and ln det S = ln det normal - ln det rest
+        total += -0.5 * float(left @ r) - 0.5 * (whole - np.linalg.slogdet(rest)[1])
         there = channel[out]
         value = problem.data.y[rows[out], there] - left * problem.noise[there]
         predicted[rows[out], there] += value / len(ways)
