@@ -34,6 +34,7 @@ UNITS = {
 LARGEST_WHEEL = 3.0  # [m] as in `parameters.Wheel`
 DEEPEST = 1.0  # [m] a larger sinkage is taken for millimetres
 STEEPEST = 60.0  # [deg]
+FASTEST = 40.0  # [m/s] a larger speed is taken for mm/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +197,7 @@ def _check_rows(table: Table, header: list[str], rows: list, wheel: SetupWheel |
     refuse("slip", outside, "slip in [-1, 1]" + (" (these look like percent: divide by 100)" if percent else ""))
     refuse("load", table.load <= 0.0, "a load > 0 N, upward on the wheel")
     refuse("speed", table.speed < 0.0, "a travel speed >= 0 m/s")
+    refuse("speed", table.speed > FASTEST, f"metres per second, at most {FASTEST:g} (if it is mm/s, divide by 1000)")
     if "pass" in header:
         numbers = _column(Path(table.source), "pass", header, rows)
         refuse("pass", (numbers != np.floor(numbers)) & ~np.isnan(numbers), "a whole number, 1 = fresh soil")
@@ -207,7 +209,7 @@ def _check_rows(table: Table, header: list[str], rows: list, wheel: SetupWheel |
         size = getattr(table, name)
         refuse(name, (size <= 0.0) | (size > LARGEST_WHEEL), f"metres in (0, {LARGEST_WHEEL:g}]")
     refuse("grouser_height", (table.grouser_height < 0.0) | (table.grouser_height > 1.0), "metres in [0, 1]")
-    refuse("sinkage", np.abs(table.sinkage) > DEEPEST, "metres (this can only be millimetres: divide by 1000)")
+    refuse("sinkage", np.abs(table.sinkage) > DEEPEST, "metres (this can only be millimetres, divide by 1000, or centimetres)")
     radius = table.wheel_radius if wheel is None else table.radius(wheel)
     deep = np.abs(table.sinkage) > radius
     if np.any(deep):
@@ -350,6 +352,14 @@ class Setup(Checked):
     wheel: SetupWheel
     soil: SoilPriors = SoilPriors()
     noise: NoiseLevels = NoiseLevels()
+
+    def __post_init__(self):
+        sinkage = self.noise.sinkage
+        if sinkage is not None and sinkage > 0.5 * self.wheel.radius:
+            raise ParameterError(
+                f"noise: sinkage = {sinkage:g}: expected metres, well below the wheel radius {self.wheel.radius:g} m "
+                "(if it is millimetres, divide by 1000)"
+            )
 
 
 def read_setup(path: str | Path) -> Setup:

@@ -231,7 +231,7 @@ def find_noise(data: Data, model: np.ndarray) -> Noise:
         else:
             origin[j] = "scatter"
         spare = int(used[:, j].sum()) - basis.shape[1]
-        if origin[j] == "scatter" and spare < 2:
+        if origin[j] == "scatter" and spare < 3:
             raise ParameterError(
                 f"{data.table.source}: noise of {name}: cannot be told from {int(used[:, j].sum())} values without "
                 "repeats; expected noise in the setup, or repeated points"

@@ -97,6 +97,8 @@ def locate(problem: Problem, fit: Fit, seed: int = 0, draws: int = 400) -> tuple
     channel the boxes do not overlap.
     """
     found = boxes(problem)
+    if not found.limits:
+        return ()
     a, e = fit.linearised()
     q = np.linalg.qr(a)[0]  # directions that the parameters absorb
     row, channel = np.nonzero(problem.used)
@@ -104,6 +106,8 @@ def locate(problem: Problem, fit: Fit, seed: int = 0, draws: int = 400) -> tuple
     v = np.concatenate([(found.member[:, row] & (channel == j)).T.astype(float) for j in measured], axis=1)
     where = [(j, k) for j in measured for k in range(len(found.limits))]
     open_ = v.sum(axis=0) >= LEAST_VALUES
+    if not open_.any():
+        return ()
     v, where = v[:, open_], [w for w, ok in zip(where, open_, strict=True) if ok]
     total = np.sqrt(v.sum(axis=0))
     v = np.concatenate([v, np.zeros((q.shape[0] - v.shape[0], v.shape[1]))])
@@ -147,7 +151,7 @@ def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Ge
         noise = np.sqrt(rng.chisquare(freedom, (draws, 3)) / freedom)
         t /= noise.astype(np.float32)[:, channel]
     alone = _alone(float(np.quantile(t.max(axis=1), _TAIL)), freedom)
-    return max(1.0, math.log(_TAIL) / math.log1p(-alone))
+    return max(1.0, math.log(_TAIL) / math.log1p(-alone)) if alone < 1.0 else 1.0
 
 
 def _alone(t: float, freedom: float) -> float:
