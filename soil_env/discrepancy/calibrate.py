@@ -28,7 +28,7 @@ from soil_env.model import predict_rows
 from soil_env.parameters import SoilState
 
 PRIOR_WIDTH = 1.5
-SLACK = 0.02
+SLACK = 0.01
 SLACK_LIMIT = 2.5  # [SLACK] largest form error of any one kind
 GRAVITY = 9.81
 _STEP = 1e-3  # of a whitened unknown, for differences

@@ -32,6 +32,7 @@ LEAST_FIT = (3e-3, 0.05)  # p value of the lack of fit below which one effect, t
 TOLD = 4.6  # [nats] of held-out likelihood by which a candidate must lose to be ruled out
 TRIED = 20  # independent looks that the candidates amount to
 IMPLAUSIBLE = 4.0  # [widened prior sd] of a soil that no candidate may need
+LEADING = 10.0  # [nats] by which a pair must lead all others to be named with a fit down to LEAST_FIT of one effect
 _PAIRS = 8  # pairs refitted after the screen
 
 
@@ -53,7 +54,10 @@ class Candidate:
 
 
 def lack_of_fit(problem: Problem, fit: Fit) -> float:
-    """p value of the smooth misfit: what polynomials of the conditions in every channel would still explain."""
+    """p value of the smooth misfit: what polynomials of the conditions in every channel would still explain.
+
+    The smaller of two, doubled: of all polynomials together, and of the one that explains most.
+    """
     a, e = fit.linearised()
     columns = []
     for j in range(3):
@@ -63,12 +67,19 @@ def lack_of_fit(problem: Problem, fit: Fit) -> float:
                 values[:, j] = v
                 columns.append(problem.whiten(values) * problem.noise[j])
     c = np.concatenate([np.stack(columns, axis=1), np.zeros((a.shape[0] - fit.residual.size, len(columns)))])
+    size = np.linalg.norm(c, axis=0)
     q, _ = np.linalg.qr(a)
     c = c - q @ (q.T @ c)
     left, s, _ = np.linalg.svd(c, full_matrices=False)
     rank = int(np.sum(s > 1e-6 * max(s[0], 1e-300)))
-    explained = float(np.sum((left[:, :rank].T @ e) ** 2))
-    return probability(explained, rank, problem.freedom)
+    together = probability(float(np.sum((left[:, :rank].T @ e) ** 2)), rank, problem.freedom)
+    rest = np.linalg.norm(c, axis=0)
+    seen = rest > 0.05 * size  # what the parameters do not explain anyway
+    if not seen.any():
+        return together
+    most = float(np.max((c[:, seen].T @ e / rest[seen]) ** 2))
+    alone = -math.expm1(seen.sum() * math.log1p(-min(probability(most, 1, problem.freedom), 1.0 - 1e-12)))
+    return min(1.0, 2.0 * min(together, alone))
 
 
 def probability(gain: float, count: int, freedom: float) -> float:
@@ -249,7 +260,13 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     enough_pairs = [c for c in pairs if acceptable(problem, base, c) and both_needed(problem, c, singles)]
     if enough and (not enough_pairs or enough_pairs[0].score < enough[0].score + TOLD):
         return conclude_one(enough, pairs)
+    if not enough_pairs and pairs:
+        ahead = pairs[0].score - (pairs[1].score if len(pairs) > 1 else 0.0)
+        leads = ahead > LEADING and acceptable(problem, base, pairs[0], LEAST_FIT[0])
+        enough_pairs = pairs[:1] if leads and both_needed(problem, pairs[0], singles) else []
     if not enough_pairs:
+        if base.misfit > CHANCE:
+            return conclude("none", (), base, pairs)
         return conclude("unlisted", (), pairs[0] if pairs and pairs[0].score > singles[0].score else singles[0], pairs)
     first, near = undecided(enough_pairs)
     named = [Named(name, _instead(name, first, near)) for name in first.names]
@@ -285,14 +302,14 @@ def _p_gain(problem: Problem, base: Candidate, c: Candidate) -> float:
     return probability(gain, strengths(c.fit.choices), problem.freedom)
 
 
-def acceptable(problem: Problem, base: Candidate, c: Candidate) -> bool:
-    """Whether a model is enough: significant, no lack of fit, and a soil that can be."""
+def acceptable(problem: Problem, base: Candidate, c: Candidate, least: float | None = None) -> bool:
+    """Whether a model is enough: significant, better on what is held out, no lack of fit, and a soil that can be."""
     priors = problem.data.setup.soil
     for unknown, x, without in zip(problem.soil, c.fit.u, base.fit.u, strict=False):
         if getattr(priors, unknown.name, None) and abs(x) > max(IMPLAUSIBLE, abs(without) + 1.0):
             return False
-    significant = _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
-    return significant and c.misfit > LEAST_FIT[len(c.names) - 1]
+    significant = c.score > TOLD and _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
+    return significant and c.misfit > (LEAST_FIT[len(c.names) - 1] if least is None else least)
 
 
 def second(problem: Problem, first: Candidate, names: list[str], base_score: float) -> Candidate | None:
