@@ -19,6 +19,7 @@ from agents.evaluate.comparing import wilson
 from agents.evaluate.figures import png
 from agents.evaluate.study import replace_file
 from agents.sim2real.study import ARMS, CONTROLLERS, CORRECTED, PPO, UNCORRECTED, Study, scores
+from soil_env.loading import config_dir
 from soil_env.model import WheelSoilModel
 
 FILES = ("sim2real.json", "sim2real.md", "sim2real.png")
@@ -156,14 +157,31 @@ def summary(name: str, world: dict) -> str:
     verdicts = {}
     for c, row in world["controllers"].items():
         d = row["immobilised"]["difference"]
-        kind = "less often" if d["high"] < 0.0 else "more often" if d["low"] > 0.0 else "as often within the interval"
+        kind = "less often" if d["high"] < 0.0 else "more often" if d["low"] > 0.0 else "no difference told apart"
         verdicts.setdefault(kind, []).append(c)
-    text = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in verdicts.items())
-    gap = m["gap"]
+    gap = f"gap in return of {PPO} {cell(m['gap']['before'], sign=True)}"
+    if not world["corrected"]:
+        return f"{name}: nothing is named, so nothing is corrected and both arms are the same; {gap}."
+    text = "; ".join(f"{kind} {', '.join(verdicts[kind])}" for kind in sorted(verdicts))
     return (
-        f"{name}: after the correction immobilised {text}. Gap in return of {PPO}: {cell(gap['before'], sign=True)} "
-        f"before, {cell(gap['after'], sign=True)} after."
+        f"{name}: immobilised after the correction: {text}. The {gap} before, "
+        f"{cell(m['gap']['after'], sign=True)} after."
     )
+
+
+def command(result: dict) -> str:
+    """The command that made a result; what is default is left out."""
+    words = ["python -m agents.sim2real --world", *map(_path, result["worlds"])]
+    default = Study.__dataclass_fields__
+    for name in ("timesteps", "training_seeds", "courses", "tuning_courses"):
+        if result[name] != default[name].default:
+            words.append(f"--{name.replace('_', '-')} {result[name]}")
+    return " ".join([*words, f"--seed {result['seed']}", "--out OUT"])
+
+
+def _path(world: str) -> str:
+    shipped = config_dir() / "worlds" / f"{world}.yaml"
+    return f"configs/worlds/{world}.yaml" if shipped.is_file() else f"{world}.yaml"
 
 
 def page(result: dict) -> str:
@@ -172,15 +190,21 @@ def page(result: dict) -> str:
     lines = [
         "# From the rover's log to a corrected simulation",
         "",
-        f"Made by `python -m agents.sim2real` with seed {r['seed']} on scenario `{r['scenario']}`: "
+        f"Made by `{command(r)}` on scenario `{r['scenario']}`: "
         f"{r['courses']} held-out courses, the same for all in one world; PPO with {r['timesteps']:,} steps and "
         f"{r['training_seeds']} training seed{'s' if r['training_seeds'] > 1 else ''} an arm, classical controllers "
-        f"tuned on {r['tuning_courses']} other courses. Intervals: 95 %.",
+        f"tuned on {r['tuning_courses']} other courses. Intervals: 95 %, over courses and training seeds; of few "
+        "seeds they say little about another training.",
         "",
         "A hidden effect acts in the world that plays the rover. Its log of commissioning drives over a bed of "
         f"`{r['commissioning']}` becomes a table of steady points, `soil_env.discrepancy` names what the simulation "
         "lacks, and the effect found is put on the soils of the scenario (corrected). Uncorrected: the scenario as it "
-        "is, which digs as its soils do; that digging counts as known.",
+        "is.",
+        "",
+        "The bed is that preset, scattered once; its priors are the preset with the standard deviations of the belief. "
+        "Its digging counts as known, as the uncorrected simulation digs too: the workflow must not discover it. "
+        "Drawbar pull and load are what the soil gives at the wheel, so the weight along a slope is not in them; grade "
+        "sets the slip of a steady drive and is no column of the table.",
         "",
         "What limits this: the hidden world is simulated by the same compiled model that the correction is chosen "
         "from, with parameters (and in some worlds a form) that the workflow does not know. Real soil keeps to no such "
@@ -246,10 +270,10 @@ def figure(result: dict) -> Figure:
     worlds = result["worlds"]
     out = Figure(figsize=(13, 1.0 + 2.2 * len(worlds)), layout="constrained")
     axes = out.subplots(len(worlds), 3, squeeze=False)
-    for row, (name, world) in zip(axes, worlds.items(), strict=True):
+    for number, (row, (name, world)) in enumerate(zip(axes, worlds.items(), strict=True), 1):
         panels = (
-            ("immobilised [%]", 100.0, lambda m: {a: m["immobilised"][a] for a in ARMS}),
-            ("return", 1.0, lambda m: {a: m["return"][a] for a in ARMS}),
+            ("immobilised in the hidden world [%]", 100.0, lambda m: {a: m["immobilised"][a] for a in ARMS}),
+            ("return in the hidden world", 1.0, lambda m: {a: m["return"][a] for a in ARMS}),
             ("gap in return, simulation - hidden world", 1.0,
              lambda m: {UNCORRECTED: m["gap"]["before"], CORRECTED: m["gap"]["after"]}),
         )  # fmt: skip
@@ -261,7 +285,7 @@ def figure(result: dict) -> Figure:
                                   color=_COLOURS[arm], label=arm if y == 0 else None)  # fmt: skip
             axis.set_yticks(range(len(CONTROLLERS)), CONTROLLERS[::-1] if axis is row[0] else [""] * len(CONTROLLERS))
             axis.grid(alpha=0.3)
-            if row is axes[-1]:
+            if number == len(worlds):
                 axis.set_xlabel(label)
         row[0].set_title(f"{name}: planted {effects_text(world['planted'])}", loc="left", fontsize=9)
         row[2].axvline(0.0, color="#888888", lw=1)
