@@ -37,7 +37,7 @@ def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
     assert names(tmp_path / "out") == NAMES and names(tmp_path) == ["data.csv", "out", "setup.yaml"]
     for name in NAMES:
         assert f"written: {tmp_path / 'out' / name}" in shown.out
-    for part in ("none", "Held-out error", "Candidates", "Soil", "Not testable"):
+    for part in ("none", "Held-out error", "held-out gain [nats]", "Candidates", "4.6 nats", "Soil", "Not testable"):
         assert part in shown.out
     assert "\x1b[" not in shown.out + shown.err
     assert "calibrating the base model" in shown.err and shown.err.count("searching") == 1
@@ -135,10 +135,10 @@ def test_a_bad_setup_is_one_line(tmp_path, capsys, setup, message):
     refused(tmp_path, capsys, message)
 
 
-def refused(folder, capsys, message, *more):
+def refused(folder, capsys, message, *more, out="out"):
     """Exit status 2, one line that matches `message`, nothing printed and nothing written."""
     before = names(folder)
-    assert call(folder, "--quiet", *more) == 2
+    assert call(folder, "--quiet", *more, out=out) == 2
     shown = capsys.readouterr()
     assert shown.out == "" and shown.err.count("\n") == 1 and shown.err.startswith("soil_env.discrepancy: ")
     assert re.search(message, shown.err), shown.err
@@ -172,6 +172,42 @@ def test_a_file_in_the_place_of_the_folder_is_refused_before_the_work(tmp_path, 
     assert (tmp_path / "out").read_text() == "mine"
 
 
+@pytest.mark.parametrize(
+    "out, more, message",
+    [
+        ("out", ("--bootstrap", "100001"), r"bootstrap = 100001: expected at most 100000"),
+        ("held", (), r"model\.yaml: is a folder"),
+    ],
+)
+def test_what_cannot_end_well_is_refused_before_the_work(tmp_path, capsys, monkeypatch, out, more, message):
+    write_files(tmp_path, TABLE)
+    (tmp_path / "held" / "model.yaml").mkdir(parents=True)
+    monkeypatch.setattr("soil_env.discrepancy.workflow.read_setup", pytest.fail)
+    refused(tmp_path, capsys, message, *more, out=out)
+    assert names(tmp_path / "held") == ["model.yaml"]
+
+
+def test_an_empty_folder_name_is_refused(tmp_path, capsys, monkeypatch):
+    data, setup = write_files(tmp_path, TABLE)
+    monkeypatch.chdir(tmp_path)
+    assert main([str(data), "--setup", str(setup), "--out", ""]) == 2
+    assert "out is empty: expected a folder" in capsys.readouterr().err
+    assert names(tmp_path) == ["data.csv", "setup.yaml"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("more", [["--quiet"], []])
+def test_a_conclusion_that_cannot_be_printed_is_one_line(tmp_path, more):
+    data, setup = write_files(tmp_path, TABLE)
+    command = [sys.executable, "-m", "soil_env.discrepancy", str(data), "--setup", str(setup), "--out",
+               str(tmp_path / "out"), "--bootstrap", "0", *more]  # fmt: skip
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True, timeout=300)
+    said = [line for line in done.stderr.splitlines() if "cannot be printed (No space left on device)" in line]
+    assert done.returncode == 2 and len(said) == 1 and done.stderr.splitlines()[-1] == said[0]
+    assert "Traceback" not in done.stderr and names(tmp_path / "out") == NAMES
+
+
 @pytest.mark.parametrize("error, status", [(OSError(28, "No space left on device"), 2), (KeyboardInterrupt(), 130)])
 @pytest.mark.parametrize("exists", [False, True])
 def test_nothing_is_left_when_writing_fails(tmp_path, capsys, monkeypatch, error, status, exists):
@@ -199,7 +235,7 @@ def test_nothing_is_left_when_writing_fails(tmp_path, capsys, monkeypatch, error
 def test_ctrl_c_is_exit_status_130(tmp_path):
     write_files(tmp_path, table_text({}, speed=(0.02, 0.1), **{"pass": (1, 2)}))
     command = [sys.executable, "-m", "soil_env.discrepancy", str(tmp_path / "data.csv"), "--setup",
-               str(tmp_path / "setup.yaml"), "--out", str(tmp_path / "out"), "--bootstrap", "1000000"]  # fmt: skip
+               str(tmp_path / "setup.yaml"), "--out", str(tmp_path / "out"), "--bootstrap", "100000"]  # fmt: skip
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     line = process.stderr.readline()
     assert "reading" in line

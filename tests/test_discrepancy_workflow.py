@@ -286,7 +286,7 @@ def test_the_bootstrap_judges_the_data_themselves_as_the_search_did(planted):
         gradient = a.T @ e
         if gradient @ np.linalg.solve(a.T @ a, gradient) < 1e-3:  # the fit is at its optimum
             score, evidence = judgement._refitted(report.problem, c.fit, c.fit.residual[:, None])
-            assert score[0] == pytest.approx(held_out(report.problem, c.fit)[0], abs=0.02), c.names
+            assert score[0] == pytest.approx(held_out(report.problem, c.fit)[0], abs=0.1), c.names
             assert evidence[0] == pytest.approx(c.fit.evidence, abs=0.02), c.names
             compared += 1
     assert compared > 2

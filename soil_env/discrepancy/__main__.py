@@ -38,6 +38,7 @@ setup.yaml:
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -48,7 +49,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from soil_env.discrepancy.report import FILES, show
 from soil_env.discrepancy.words import summary
-from soil_env.discrepancy.workflow import run
+from soil_env.discrepancy.workflow import MOST_DRAWS, Report, run
 from soil_env.loading import ParameterError
 
 NAME = "soil_env.discrepancy"
@@ -68,13 +69,23 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"{NAME}: interrupted, nothing written", file=sys.stderr)
         return 130
-    if options.quiet:
-        print(f"{report.verdict}: {summary(report)}")
-        return 0
-    show(report, Console(width=None if sys.stdout.isatty() else 110))
-    for name in FILES:
-        print(f"written: {options.out / name}")
+    try:
+        _tell(report, Path(options.out), options.quiet)
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes again at its end
+        print(f"{NAME}: the conclusion cannot be printed ({error.strerror}); it is in {options.out}", file=sys.stderr)
+        return 2
     return 0
+
+
+def _tell(report: Report, folder: Path, quiet: bool) -> None:
+    if quiet:
+        print(f"{report.verdict}: {summary(report)}")
+    else:
+        show(report, Console(width=None if sys.stdout.isatty() else 110))
+        for name in FILES:
+            print(f"written: {folder / name}")
+    sys.stdout.flush()
 
 
 @contextmanager
@@ -118,11 +129,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     p.add_argument("data", metavar="DATA.csv", type=Path, help="measurement table (CSV, or Parquet with pyarrow)")
     p.add_argument("--setup", required=True, type=Path, help="YAML file: wheel, what is known of the soil, noise")
-    p.add_argument("--out", required=True, metavar="DIR", type=Path, help="folder for the report; made if need be")
+    p.add_argument("--out", required=True, metavar="DIR", help="folder for the report; made if need be")
     p.add_argument("--seed", type=_whole, default=0, help="of everything random (default 0); same seed, same report")
     p.add_argument(
         "--bootstrap", type=_whole, default=200, metavar="N",
-        help="redraws of the noise that tell how sure the name is (default 200; 0 for none)",
+        help=f"redraws of the noise that tell how sure the name is (default 200; 0 for none, at most {MOST_DRAWS})",
     )  # fmt: skip
     p.add_argument("--quiet", action="store_true", help="print only the conclusion, in one line")
     return p

@@ -14,10 +14,21 @@ import numpy as np
 
 from soil_env.discrepancy.calibrate import Fit, Problem, Unknown
 from soil_env.discrepancy.data import CHANNELS, folds
-from soil_env.discrepancy.search import TOLD, Candidate, Finding, acceptable, held_out
+from soil_env.discrepancy.search import (
+    CHANCE,
+    TOLD,
+    TRIED,
+    Candidate,
+    Finding,
+    acceptable,
+    held_out,
+    probability,
+    strengths,
+)
 
 REFUSED = 1e-4  # p value of the lack of fit that a model which the search refuses has at most
 LISTED = 20.0  # prior odds that what is missing is in the catalogue
+LEAST = 1e-12  # probability below which 0 is told
 _SURE = 1.959964  # [sd] of a 95 % interval
 
 
@@ -109,45 +120,77 @@ def predictions(problem: Problem, fit: Fit) -> np.ndarray:
 def ranking(problem: Problem, finding: Finding) -> tuple[tuple[Rank, ...], dict[str, float]]:
     """(all candidates, the named ones first; probability of "none" and of "unlisted").
 
-    A model's log odds against the base model are the mean of two estimates: the gain of held-out log-likelihood and
-    the gain of log evidence; a second effect costs `TOLD` of them, as in the search. What a model leaves unexplained
-    speaks for something unlisted: a lack of fit of p value p has the odds of at most -e p ln p for the model (Sellke,
-    Bayarri & Berger 2001, Am. Stat. 55:62-71), times `LISTED`. A model that the search refuses, for an implausible
-    soil say, has a p value of `REFUSED` at most.
+    Nothing missing has the prior 1/2 and the listed effects share the rest, so each has the prior odds
+    LISTED/(1 + LISTED)/count against nothing, times the mean of its gain of held-out likelihood and of evidence (a
+    second effect costs `TOLD` nats), and at most the odds that the chance of its gain allows: B(chance)/B(`CHANCE`)
+    with the bound B(p) = 1/(-e p ln p) for p < 1/e, else 1 (Sellke, Bayarri & Berger 2001, Am. Stat. 55:62-71), so that
+    the search and the odds turn to an effect at the same chance. Something unlisted has 1/`LISTED` of the odds of each
+    model times B(p value of its lack of fit); a model with a significant gain that the search refuses, for an
+    implausible soil say, has a p value of `REFUSED` at most. Where the search finds nothing, no effect has more than
+    even odds, pairs do not count, and only what the base model lacks speaks for something unlisted.
 
     The probability of a name is that of all models with it. Its score is the gain of held-out log-likelihood by it
     alone, or by the best pair with it where two effects are named.
     """
     base = finding.base
-    models = [base, *finding.singles, *finding.pairs]
-    log_odds = np.array([_log_odds(base, c) for c in models])
+    none = finding.verdict == "none"
+    models = [base, *finding.singles, *(() if none else finding.pairs)]
+    log_odds = np.array([_log_odds(problem, base, c, len(finding.singles)) for c in models])
+    if none:
+        log_odds = np.minimum(log_odds, 0.0)
     weight = np.exp(log_odds - log_odds.max())
     fits = np.array([_listed(problem, base, c) for c in models])
-    weight /= weight.sum()
+    lacking = weight * (1.0 - fits)
+    if none:
+        fits, lacking[1:] = np.minimum(fits, fits[0]), 0.0
     share = weight * fits
-    other = {"none": float(share[0]), "unlisted": float(np.sum(weight * (1.0 - fits)))}
+    total = share.sum() + lacking.sum()
+    share = share / total
+    other = {"none": _told(share[0]), "unlisted": _told(lacking.sum() / total)}
     named = [n.name for n in finding.named]
     out = []
     for c in finding.singles:
         name = c.names[0]
         score = max([p.score for p in finding.pairs if name in p.names] + [c.score]) if len(named) == 2 else c.score
-        probability = float(sum(s for s, m in zip(share, models, strict=True) if name in m.names))
-        out.append(Rank(name, float(score), min(probability, 1.0)))
+        out.append(
+            Rank(name, float(score), _told(sum(s for s, m in zip(share, models, strict=True) if name in m.names)))
+        )
     out.sort(key=lambda r: (named.index(r.name) if r.name in named else len(named), -r.probability, -r.score))
     return tuple(out), other
 
 
-def _log_odds(base: Candidate, c: Candidate) -> float:
-    return 0.5 * (c.score + c.fit.evidence - base.fit.evidence) - TOLD * max(len(c.names) - 1, 0)
+def _told(p: float) -> float:
+    return 0.0 if p < LEAST else min(float(p), 1.0)
+
+
+def chance_of(problem: Problem, base: Candidate, c: Candidate) -> float:
+    """Chance that noise alone would let any of the candidates gain as much as this one does."""
+    p = probability(base.fit.objective - c.fit.objective, strengths(c.fit.choices), problem.freedom)
+    return 1.0 if p >= 1.0 else -math.expm1(TRIED * math.log1p(-p))
+
+
+def _log_bound(p: float) -> float:
+    """Logarithm of the largest odds against a hypothesis that a p value speaks for."""
+    p = max(p, 1e-300)
+    return -1.0 - math.log(-p * math.log(p)) if p < 1.0 / math.e else 0.0
+
+
+def _log_odds(problem: Problem, base: Candidate, c: Candidate, count: int) -> float:
+    """Logarithm of the odds of a model against the base model."""
+    if not c.names:
+        return 0.0
+    gain = 0.5 * (c.score + c.fit.evidence - base.fit.evidence) - TOLD * (len(c.names) - 1)
+    chance = chance_of(problem, base, c)
+    most = _log_bound(chance) - _log_bound(CHANCE) if chance > CHANCE else math.inf
+    return min(gain + math.log(LISTED / (1.0 + LISTED) / count), most)
 
 
 def _listed(problem: Problem, base: Candidate, c: Candidate) -> float:
     """Probability that a model lacks nothing."""
-    p = max(c.misfit, 1e-300)
-    if c.names and not acceptable(problem, base, c):
+    p = c.misfit
+    if c.names and chance_of(problem, base, c) <= CHANCE and not acceptable(problem, base, c):
         p = min(p, REFUSED)
-    odds = LISTED * (-math.e * p * math.log(p) if p < 1.0 / math.e else 1.0)
-    return odds / (1.0 + odds)
+    return 1.0 / (1.0 + math.exp(_log_bound(p)) / LISTED)
 
 
 def sureness(

@@ -12,10 +12,12 @@ from soil_env.discrepancy.words import (
     EFFECT_COLUMNS,
     SOIL_COLUMNS,
     effect_rows,
+    fixed,
     gap_columns,
     gap_rows,
     listed,
     p_value,
+    rule,
     soil_rows,
     title,
 )
@@ -89,19 +91,19 @@ def page(report: Report, content: dict) -> str:
     parts.append(
         _table(
             ("effect", ">held-out gain [nats]", ">probability"),
-            [(title(r.name), f"{r.score:.1f}", f"{r.probability:.3f}") for r in report.ranking],
+            [(title(r.name), fixed(r.score, 1), fixed(r.probability, 3)) for r in report.ranking],
         )
     )
     other = report.other
     parts.append(
         f'<p class="small">Probability that nothing is missing {other["none"]:.3f}, that something is that no '
-        f"listed effect explains {other['unlisted']:.3f}.</p>"
+        f"listed effect explains {other['unlisted']:.3f}. {escape(rule(report))}</p>"
     )
     if content["untestable"]:
         rows = [(title(u["name"]), u["reason"]) for u in content["untestable"]]
         parts += ["<h2>What this table cannot show</h2>", _table(("effect", "reason"), rows)]
     if content["next_tests"]:
-        rows = [(t["words"], f"{t['expected_sigma']:.1f}") for t in content["next_tests"]]
+        rows = [(t["words"], fixed(t["expected_sigma"], 1)) for t in content["next_tests"]]
         parts += ["<h2>Next tests</h2>", _table(("test", ">expected difference [sd of the noise]"), rows)]
     parts += ["<h2>Soil</h2>", _table(SOIL_COLUMNS, soil_rows(report))]
     if content["cautions"]:

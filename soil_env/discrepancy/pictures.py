@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.locate import TITLES, UNITS
-from soil_env.discrepancy.words import corrected, title
+from soil_env.discrepancy.words import corrected, fixed, title
 
 if TYPE_CHECKING:
     from soil_env.discrepancy.workflow import Report
@@ -186,7 +186,7 @@ def _ranking(report: Report) -> Figure:
     colors = [AFTER if r.name in named else "#7fb2c2" if r.name in near else "0.75" for r in ranks]
     ax.barh([title(r.name) for r in ranks], [max(r.score, 0.0) for r in ranks], color=colors, height=0.7)
     for k, r in enumerate(ranks):
-        ax.text(max(r.score, 0.0), k, f" {r.score:.1f}", va="center", fontsize=8)
+        ax.text(max(r.score, 0.0), k, f" {fixed(r.score, 1)}", va="center", fontsize=8)
     ax.set_xlabel("gain of held-out log-likelihood over the base model [nats]")
     ax.margins(x=0.1)
     return figure

@@ -20,9 +20,11 @@ from soil_env.discrepancy.words import (
     SOIL_COLUMNS,
     cautions,
     effect_rows,
+    fixed,
     gap_columns,
     gap_rows,
     p_value,
+    rule,
     soil_rows,
     summary,
     title,
@@ -44,6 +46,9 @@ def check_folder(folder: Path) -> None:
     """Raise `ParameterError` where report files could not be written into `folder`; creates nothing."""
     if folder.exists() and not folder.is_dir():
         raise ParameterError(f"{folder}: is a file: expected a folder")
+    for name in FILES:
+        if (folder / name).is_dir():
+            raise ParameterError(f"{folder / name}: is a folder: expected a file that can be replaced, or nothing")
     there = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
     if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
         raise ParameterError(f"{folder}: cannot be written (no permission in {there})")
@@ -92,6 +97,7 @@ def show(report: Report, console: Console) -> None:
     if report.finding.untestable:
         console.print(_grid("Not testable with this table", ("effect", "reason"),
                             [(title(k), v) for k, v in report.finding.untestable.items()]))  # fmt: skip
+    console.print(Text(rule(report)))
     for text in cautions(report):
         console.print(Text(f"! {text}", style="yellow"))
 
@@ -100,7 +106,9 @@ def _grid(name: str, columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> G
     """A table; columns whose title starts with ">" are aligned right."""
     grid = Grid(title=name, title_justify="left", title_style="bold")
     for column in columns:
-        grid.add_column(column.lstrip(">"), justify="right" if column.startswith(">") else "left", overflow="fold")
+        grid.add_column(
+            Text(column.lstrip(">")), justify="right" if column.startswith(">") else "left", overflow="fold"
+        )
     for row in rows:
         grid.add_row(*(Text(cell) for cell in row))
     return grid
@@ -123,7 +131,7 @@ def _gap(report: Report) -> Grid:
 
 
 def _ranking(report: Report) -> Grid:
-    rows = [(title(r.name), f"{r.score:.1f}", f"{r.probability:.3f}") for r in report.ranking[:_SHOWN]]
+    rows = [(title(r.name), fixed(r.score, 1), fixed(r.probability, 3)) for r in report.ranking[:_SHOWN]]
     left = len(report.ranking) - _SHOWN
     name = "Candidates" + (f" (first {_SHOWN}, {left} more in the report)" if left > 0 else "")
     return _grid(name, ("effect", ">held-out gain [nats]", ">probability"), rows)
@@ -134,5 +142,5 @@ def _soil(report: Report) -> Grid:
 
 
 def _tests(report: Report) -> Grid | None:
-    rows = [(t.words, f"{t.expected_sigma:.1f}") for t in report.next_tests]
+    rows = [(t.words, fixed(t.expected_sigma, 1)) for t in report.next_tests]
     return _grid("Next tests", ("test", ">expected [sd]"), rows) if rows else None

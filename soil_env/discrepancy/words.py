@@ -10,13 +10,19 @@ import numpy as np
 from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.judgement import LISTED, chance_of
 from soil_env.discrepancy.locate import TITLES, UNITS, figure
+from soil_env.discrepancy.search import TOLD
 from soil_env.model import DEEPEST
 
 if TYPE_CHECKING:
     from soil_env.discrepancy.workflow import Report
 
 FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
+ABSURD = 8.0, 10.0  # [sd of the setup] of a soil parameter, [noise] of a held-out error: no effect, but a mistake
+FEW = 6  # conditions below which hardly anything can be told
+WORSE = 0.1  # rise of a held-out error that is worth a caution
+WEAK = 0.05  # chance below which an effect that is not named is mentioned
 LEFT = 1.5  # [noise] of a held-out error after the correction that is worth a caution
 SOIL = {
     "friction_angle_deg": ("friction angle", "deg"),
@@ -44,7 +50,8 @@ def summary(report: Report) -> str:
     values = int(report.problem.used.sum())
     if report.verdict == "none":
         unseen = len(report.finding.untestable)
-        rest = f" {unseen} effects cannot be seen in this table." if unseen else ""
+        rest = _weak_signs(report)
+        rest += f" {_plural(unseen, 'effect')} cannot be seen in this table." if unseen else ""
         return (
             f"Nothing is missing that these {values} values could show: the calibrated model fits to the noise.{rest}"
         )
@@ -69,9 +76,34 @@ def summary(report: Report) -> str:
     return text
 
 
+def _weak_signs(report: Report) -> str:
+    """A sentence on the effect that is nearest to being named, or on a misfit, where either is no plain chance."""
+    finding = report.finding
+    if finding.chance >= WEAK:
+        return ""
+    found = [(chance_of(report.problem, finding.base, c), title(c.names[0])) for c in finding.singles]
+    chance, name = min(found, default=(1.0, ""))
+    if chance >= WEAK:
+        return f" There are weak signs of a misfit (chance {finding.chance:.2g}), and no effect accounts for them."
+    return f" There are weak signs of {name} (chance {chance:.2g}), not enough to name it."
+
+
+def rule(report: Report) -> str:
+    """How a name is given, and what the probabilities and the redraws rest on."""
+    prior = f"{LISTED / (1.0 + LISTED):.3f} = {LISTED:.0f}/{1.0 + LISTED:.0f}"
+    text = (
+        f"An effect is named only where every rival that fits the table, with a soil that can be, falls {TOLD} nats of "
+        "held-out likelihood behind; otherwise the verdict is ambiguous. A listed effect reaches a probability of at "
+        f"most {prior}, the prior that what is missing is in the catalogue."
+    )
+    if report.sureness is not None:
+        text += " The redraws of the noise assume the named model: they do not see a wrong form."
+    return text
+
+
 def _shrinks(report: Report) -> str:
-    """How the gap shrinks, on the channel in which it was widest."""
-    name = max(report.gap, key=lambda k: report.gap[k].before / report.gap[k].noise_floor)
+    """How the gap shrinks, on the channel in which it shrinks most."""
+    name = max(report.gap, key=lambda k: (report.gap[k].before - report.gap[k].after) / report.gap[k].noise_floor)
     gap = report.gap[name]
     text = (
         f"the held-out error of {TITLES[name]} goes from {gap.before / gap.noise_floor:.2f} to "
@@ -87,10 +119,16 @@ def _percent(share: float) -> str:
 
 
 def cautions(report: Report) -> list[str]:
-    """What a reader should be wary of, in sentences."""
+    """What a reader should be wary of, in sentences; of the fit that `model.yaml` holds."""
+    return [*_of_table(report), *_of_fit(report), *_of_gap(report), *_of_model(report)]
+
+
+def _of_table(report: Report) -> list[str]:
     problem, noise, out = report.problem, report.noise, []
-    fit = report.finding.best.fit if report.finding.named else report.finding.base.fit
-    values, unknowns = int(problem.used.sum()), len(fit.unknowns)
+    conditions = len(np.unique(problem.data.cell))
+    if conditions < FEW:
+        out.append(f"{conditions} conditions can hardly show a misfit.")
+    values, unknowns = int(problem.used.sum()), len(report.fit.unknowns)
     if values < unknowns:
         out.append(f"{values} values for {unknowns} unknowns: the priors decide much of this.")
     missing = [TITLES[name] for name in CHANNELS if name not in report.channels]
@@ -106,30 +144,57 @@ def cautions(report: Report) -> list[str]:
         rows = ", ".join(f"{TITLES[name]} in row {row}" for row, name in report.left_out[:8])
         more = ", ..." if len(report.left_out) > 8 else ""
         out.append(f"{_plural(len(report.left_out), 'value')} left out as outliers: {rows}{more}.")
+    return out
+
+
+def _of_fit(report: Report) -> list[str]:
+    problem, fit, out = report.problem, report.fit, []
+    widened = {k.name: k for k in problem.soil}
+    farthest = 0.0
     for unknown, u in zip(fit.unknowns, fit.u, strict=True):
         label = SOIL.get(unknown.name, (unknown.name.replace("_", " "), ""))[0]
-        x = unknown.mean + unknown.sd * float(u)
+        value, x = float(unknown.value(u)), unknown.mean + unknown.sd * float(u)
+        prior = getattr(problem.data.setup.soil, unknown.name, None)
+        far = PRIOR_WIDTH * abs(widened[unknown.name].at(value)) if prior is not None else 0.0
+        farthest = max(farthest, far)
         if min(x - unknown.low, unknown.high - x) <= 1e-4 * unknown.sd:
-            out.append(f"{_first_upper(label)} is at a bound of its range ({float(unknown.value(u)):.4g}).")
-        elif getattr(problem.data.setup.soil, unknown.name, None) is not None and PRIOR_WIDTH * abs(u) > FAR:
-            far = f"{PRIOR_WIDTH * abs(u):.1f}"
-            out.append(f"{_first_upper(label)} is {far} standard deviations from the setup's value.")
+            out.append(f"{_first_upper(label)} is at a bound of its range ({value:.4g}).")
+        elif far > FAR:
+            out.append(f"{_first_upper(label)} is {far:.1f} standard deviations from the setup's value.")
+    if farthest > ABSURD[0] or any(g.before > ABSURD[1] * g.noise_floor for g in report.gap.values()):
+        out.append("So large a disagreement is usually a unit or a sign: check the columns and the setup.")
+    if not fit.converged:
+        out.append("The fit did not converge: take the numbers as rough.")
+    buried = int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * problem.data.wheel.radius))
+    if buried:
+        out.append(f"The fitted soil does not carry the load in {_plural(buried, 'row')}.")
+    return out
+
+
+def _of_gap(report: Report) -> list[str]:
+    out = []
     for name, g in report.gap.items():
         if report.verdict != "none" and g.after > LEFT * g.noise_floor:
             out.append(
                 f"The held-out error of {TITLES[name]} stays at {g.after / g.noise_floor:.1f} times the noise: "
                 "something is left, or the held-out conditions lie too far from the others."
             )
-    if report.problem.data.setup.wheel.grouser_height is None and "grousers" in report.model.effects:
+        if report.effects and g.after > (1.0 + WORSE) * g.before:
+            rise = _percent(g.after / g.before - 1.0)
+            with_it = "effect" if len(report.effects) == 1 else "effects"
+            out.append(f"The held-out error of {TITLES[name]} rises by {rise} with the named {with_it}.")
+    return out
+
+
+def _of_model(report: Report) -> list[str]:
+    out, height = [], report.problem.data.setup.wheel.grouser_height
+    if height is None and "grousers" in report.model.effects:
         h = report.model.wheel.grouser_height
         out.append(
             f"The setup gives no grouser_height: {1e3 * h:.3g} mm was taken, so only the product with it is told."
         )
-    if not fit.converged:
-        out.append("The fit did not converge: take the numbers as rough.")
-    buried = int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * problem.data.wheel.radius))
-    if buried:
-        out.append(f"The fitted soil does not carry the load in {_plural(buried, 'row')}.")
+    if height:
+        out.append("The base model has no grousers: those of the setup are tried as an effect.")
     if report.model.residual:
         out.append("The law without a name holds only within the conditions of this table.")
     if report.finding.untestable and report.verdict != "none":
@@ -153,7 +218,12 @@ def _plural(count: int, word: str) -> str:
 
 def figures(value: float, digits: int = 4) -> str:
     """A number for a table."""
-    return "" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
+    return "" if value is None or not math.isfinite(value) else f"{value + 0.0:.{digits}g}"
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number with so many decimals, never -0."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
 # --- rows of tables; a column whose title starts with ">" holds numbers ----------------------------------------------
@@ -214,4 +284,7 @@ def corrected(report: Report) -> bool:
 
 def soil_rows(report: Report) -> list[tuple[str, ...]]:
     """(parameter, value, interval, unit) of the soil."""
-    return [(SOIL[name][0], figures(p.value), interval(p) or "given", SOIL[name][1]) for name, p in report.soil.items()]
+    return [
+        (SOIL[k][0], figures(p.value), interval(p) or ("given" if report.known(k) else "assumed"), SOIL[k][1])
+        for k, p in report.soil.items()
+    ]

@@ -25,9 +25,12 @@ from soil_env.discrepancy.locate import Disagreement, locate
 from soil_env.discrepancy.search import Finding, search
 from soil_env.discrepancy.symbolic import ResidualFit, symbolic
 from soil_env.discrepancy.words import cautions, summary
+from soil_env.loading import ParameterError
 from soil_env.measurement import Setup, Table, read_setup, read_table
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Soil
+
+MOST_DRAWS = 100_000  # of the noise
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,7 @@ class Report:
     gap: dict[str, Gap]
     closed: float | None  # None where nothing was added
     next_tests: tuple[NextTest, ...]
+    fit: Fit  # of `model`, whose soil is `soil`
     base_model: WheelSoilModel
     model: WheelSoilModel
     held_before: np.ndarray  # [N, 3] held-out predictions of the base model, NaN where no value is in use
@@ -117,7 +121,7 @@ class Report:
                 "share": sure.share, "draws": sure.draws,
                 "instead": [{"names": names, "share": share} for names, share in sure.instead.items()],
             },
-            "soil": {name: v._asdict() | {"known": name in self.problem.known} for name, v in self.soil.items()},
+            "soil": {name: v._asdict() | {"known": self.known(name)} for name, v in self.soil.items()},
             "noise": {
                 name: {"sd": self.noise.sd[CHANNELS.index(name)], "origin": self.noise.origin[CHANNELS.index(name)]}
                 for name in self.channels
@@ -129,6 +133,10 @@ class Report:
             "versions": {"soil_env": __version__, "python": platform.python_version(), "numpy": np.__version__,
                          "scipy": scipy.__version__},
         })  # fmt: skip
+
+    def known(self, name: str) -> bool:
+        """Whether the setup gives a soil parameter as known."""
+        return name in self.problem.known or (name == "density" and self.problem.data.setup.soil.density is not None)
 
     @property
     def left_out(self) -> list[tuple[int, str]]:
@@ -145,7 +153,9 @@ def _plain(x):
         return [_plain(v) for v in x]
     if isinstance(x, np.generic):
         x = x.item()
-    return None if isinstance(x, float) and not math.isfinite(x) else x
+    if isinstance(x, float):
+        return x + 0.0 if math.isfinite(x) else None  # -0.0 + 0.0 is 0.0
+    return x
 
 
 def run(
@@ -170,7 +180,11 @@ def run(
 
     say = progress or (lambda text: None)
     if out is not None:
+        if not os.fspath(out):
+            raise ParameterError("out is empty: expected a folder")
         check_folder(Path(out))
+    if bootstrap > MOST_DRAWS:
+        raise ParameterError(f"bootstrap = {bootstrap}: expected at most {MOST_DRAWS} redraws")
     say("reading")
     read = setup if isinstance(setup, Setup) else read_setup(setup)
     rows = table if isinstance(table, Table) else read_table(table, read.wheel)
@@ -225,7 +239,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     share = None if final is base else judgement.closed(problem, gap)
     return Report(
         finding, problem, noise, where, _effects(problem, finding, told), law, _soil(problem, told), ranking, other,
-        sureness, gap, share, tests, model_of(problem, base), model_of(problem, final, terms), held, held_after,
+        sureness, gap, share, tests, final, model_of(problem, base), model_of(problem, final, terms), held, held_after,
         settings,
     )  # fmt: skip
 
@@ -245,7 +259,10 @@ def model_of(problem: Problem, fit: Fit, terms=()) -> WheelSoilModel:
     return WheelSoilModel(
         wheel,
         Soil(
-            **values, density=problem.density, dig_gain=problem.digging[0], dig_recovery=problem.digging[1],
+            **values,
+            density=problem.density,
+            dig_gain=problem.digging[0],
+            dig_recovery=problem.digging[1],
             source="calibrated by soil_env.discrepancy",
         ),
         effects,
