@@ -161,7 +161,11 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[
     classical = min(controllers, key=lambda n: result["controllers"][n]["immobilised"]["value"])
     course = _telling_course(runs, list(agents))
     plots.course_figure(
-        scenario, HELD_OUT_SET, course, {n: contestants[n] for n in (classical, *agents)}, Path(folder) / "course.png",
+        scenario,
+        HELD_OUT_SET,
+        course,
+        {n: contestants[n] for n in (classical, *agents)},
+        Path(folder) / "course.png",
         world,
     )
     print_table(result)

@@ -209,7 +209,11 @@ def _check_rows(table: Table, header: list[str], rows: list, wheel: SetupWheel |
         size = getattr(table, name)
         refuse(name, (size <= 0.0) | (size > LARGEST_WHEEL), f"metres in (0, {LARGEST_WHEEL:g}]")
     refuse("grouser_height", (table.grouser_height < 0.0) | (table.grouser_height > 1.0), "metres in [0, 1]")
-    refuse("sinkage", np.abs(table.sinkage) > DEEPEST, "metres (this can only be millimetres, divide by 1000, or centimetres)")
+    refuse(
+        "sinkage",
+        np.abs(table.sinkage) > DEEPEST,
+        "metres (this can only be millimetres, divide by 1000, or centimetres)",
+    )
     radius = table.wheel_radius if wheel is None else table.radius(wheel)
     deep = np.abs(table.sinkage) > radius
     if np.any(deep):
