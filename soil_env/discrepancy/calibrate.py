@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 
 from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.data import CHANNELS, Data, Noise, find_noise
-from soil_env.effects import NO_EFFECTS, Effects
+from soil_env.effects import NO_EFFECTS, Effects, sliding_speed
 from soil_env.model import predict_rows
 from soil_env.parameters import SoilState
 
@@ -196,7 +196,7 @@ class Problem:
             "shear_softening_onset": (0.15 * r, 0.0, 2.0 * r),
             "slip_sinkage_length": (0.3 * z, 0.0, 5.0 * z),
         }
-        slide = np.where(rows.slip >= 0.0, rows.slip / np.maximum(1.0 - rows.slip, 0.02), -rows.slip) * speed
+        slide = np.array([sliding_speed(i, v) for i, v in zip(rows.slip, speed, strict=True)])
         self.neutral = NO_EFFECTS._replace(shear_softening_length=0.3 * r)
         if np.all(speed > 0.0):
             middle = math.exp(float(np.mean(np.log(speed))))

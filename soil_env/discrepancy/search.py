@@ -244,6 +244,12 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
         named = Named(first.names[0], tuple(c.names[0] for c in near))
         return conclude("ambiguous" if near else "named", [named], first, pairs)
 
+    def conclude_without(pairs=()):
+        """No listed effect is enough: unlisted, or none where the base model itself has no lack of fit."""
+        if base.misfit > CHANCE:
+            return conclude("none", (), base, pairs)
+        return conclude("unlisted", (), max((*pairs[:1], singles[0]), key=lambda c: c.score), pairs)
+
     if chance > CHANCE:
         return conclude("none", (), base)
     # one effect
@@ -255,7 +261,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
             return conclude_one(enough)
     # two effects, where the table has more than twice as many values as such a model has unknowns
     if problem.used.sum() <= 2 * (len(problem.soil) + 4):
-        return conclude_one(enough) if enough else conclude("unlisted", (), singles[0])
+        return conclude_one(enough) if enough else conclude_without()
     pairs = two_effects(problem, singles, names, base_score, say)
     enough_pairs = [c for c in pairs if acceptable(problem, base, c) and both_needed(problem, c, singles)]
     if enough and (not enough_pairs or enough_pairs[0].score < enough[0].score + TOLD):
@@ -265,9 +271,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
         leads = ahead > LEADING and acceptable(problem, base, pairs[0], LEAST_FIT[0])
         enough_pairs = pairs[:1] if leads and both_needed(problem, pairs[0], singles) else []
     if not enough_pairs:
-        if base.misfit > CHANCE:
-            return conclude("none", (), base, pairs)
-        return conclude("unlisted", (), pairs[0] if pairs and pairs[0].score > singles[0].score else singles[0], pairs)
+        return conclude_without(pairs)
     first, near = undecided(enough_pairs)
     named = [Named(name, _instead(name, first, near)) for name in first.names]
     return conclude("ambiguous" if near else "named", named, first, pairs)
