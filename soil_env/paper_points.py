@@ -14,7 +14,7 @@ from numba import njit
 from scipy.optimize import brentq
 
 from soil_env.contact import entry_angle
-from soil_env.identification import Estimate, Reading, Status, generalized_newton_raphson, newton_raphson, predict
+from soil_env.identification import Estimate, Reading, generalized_newton_raphson, newton_raphson, predict
 from soil_env.model import steady_state
 from soil_env.parameters import Soil, soils, wheels
 
@@ -164,7 +164,7 @@ def nearest_by_assumption(points: Points) -> dict[str, Nearest]:
         best = Nearest("none converges", np.full(3, np.nan), math.inf)
         for value, reading, changed in cases:
             estimate = identified(changed, reading)
-            if estimate.status is Status.CONVERGED and miss(triple(estimate)) < best.miss:
+            if estimate.converged and miss(triple(estimate)) < best.miss:
                 best = Nearest(value, triple(estimate), float(miss(triple(estimate))))
         out[name] = best
     return out
@@ -279,7 +279,7 @@ def _plain_outcome(points: Points, guess, root) -> str:
 
 def _our_outcome(points: Points, guess, root) -> tuple[str, np.ndarray]:
     estimate = identified(points, guess=guess)
-    if estimate.status is not Status.CONVERGED:
+    if not estimate.converged:
         return estimate.status.name.lower(), triple(estimate)
     if _same(triple(estimate), root):
         return "root", triple(estimate)
@@ -345,7 +345,7 @@ def noisy(clean: Points, noise: tuple[float, float, float], rng, draws: int) -> 
     for _ in range(draws):
         factors = 1.0 + np.array(noise)[:, None] * rng.standard_normal((3, clean.slip.size))
         estimate = identified(Points(*(v * f for v, f in zip(clean, factors, strict=True))), READING)
-        if estimate.status is Status.CONVERGED:
+        if estimate.converged:
             found.append(100.0 * (triple(estimate) / truth - 1.0))
     errors = np.array(found)
     size = np.median(np.abs(errors), axis=0)

@@ -32,6 +32,7 @@ from soil_env.identification.solver import (
     solve,
     weigh,
 )
+from soil_env.identification.uniqueness import other_soil
 from soil_env.parameters import Soil
 
 __all__ = [
@@ -62,6 +63,12 @@ class Estimate:
     iterations: int
     residual: float  # root of the mean squared whitened residual [-]
     condition: float  # condition number of the whitened Jacobian by (phi, ln K, ln S)
+    other: Soil | None = None  # with AMBIGUOUS: another soil that explains the points exactly
+
+    @property
+    def converged(self) -> bool:
+        """Whether `soil` explains the points best, be it alone (CONVERGED) or not (AMBIGUOUS)."""
+        return self.status in (Status.CONVERGED, Status.AMBIGUOUS)
 
 
 def _rows(slip, sinkage, channels, dig_ratio, reading) -> np.ndarray:
@@ -121,7 +128,8 @@ def generalized_newton_raphson(
     With `slip_sd` [-] and `sinkage_sd` [m], the noise of slip and sinkage enters the weights by its first-order
     effect on the channels (`solver.weigh`), renewed at the solution until it no longer changes. With `restarts`, a
     solve that ends with a misfit beyond the noise starts again from soils spread over the bounds, and the best end is
-    taken.
+    taken. Three measured values can have several exact solutions within the bounds; the status is then AMBIGUOUS, and
+    a second one is in `other`.
 
     Raises ValueError for arrays that do not match or are not finite. Source: Hutangkabodee et al. (2006), Sec. 3.
     """
@@ -171,14 +179,21 @@ def generalized_newton_raphson(
         covariance[:, :] = 0.0
     eigenvalues = np.linalg.eigvalsh(matrix)
     condition = math.sqrt(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0.0 else math.inf
-    soil = Soil(
+    second, other = np.empty(3), None
+    if measured == 3 and status == Status.CONVERGED and other_soil(x, points, reading, second):
+        status, other = Status.AMBIGUOUS, _soil(second, reading)
+    residual = math.sqrt(cost / measured)
+    return Estimate(_soil(x, reading), covariance, Status(status), iterations, residual, condition, other)
+
+
+def _soil(x, reading: Reading) -> Soil:
+    return Soil(
         friction_angle_deg=math.degrees(x[0]),
         cohesion=reading.cohesion,
         shear_modulus=math.exp(x[1]),
         sinkage_exponent=reading.exponent,
         sinkage_coefficient=math.exp(x[2]),
     )
-    return Estimate(soil, covariance, Status(status), iterations, math.sqrt(cost / measured), condition)
 
 
 def _misfit_allowed(measured: int) -> float:

@@ -56,6 +56,7 @@ class Status(enum.IntEnum):
     NOT_EXCITED = 2  # the points do not tell the unknowns apart; an online estimate is then the last good one
     AT_BOUND = 3  # the solution lies on a bound
     DIVERGED = 4  # no convergence within the allowed iterations
+    AMBIGUOUS = 5  # converged, but another soil explains the three measured values as exactly
 
 
 class Reading(NamedTuple):
