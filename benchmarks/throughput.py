@@ -275,7 +275,14 @@ def run(smoke: bool, say=lambda text: None) -> dict:
         ("targets", lambda: against_others(seconds, rounds, wheels, threads, notes)),
         ("scaling", lambda: scaling(0.4 * seconds, rounds, sizes, (1, 2))),
         ("parts", lambda: throughput_parts.parts(wheels, 40 if smoke else 400, 2 if smoke else 7)),
-        ("limit", lambda: throughput_parts.limit(2 if smoke else 7, 2_000 if smoke else 1_000_000)),
+        (
+            "limit",
+            lambda: throughput_parts.limit(
+                2 if smoke else 7,
+                2_000 if smoke else 1_000_000,
+                *(result["parts"][f"{what}_a_step"] for what in ("solves", "patches")),
+            ),
+        ),
         ("independence", lambda: independence(seconds, rounds, wheels, 10 if smoke else 60)),
         ("accuracy", lambda: throughput_parts.accuracy(20 if smoke else 300)),
         ("startup", lambda: {} if smoke else startup(5)),

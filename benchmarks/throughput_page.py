@@ -67,7 +67,10 @@ def parts(result: dict) -> str:
     least = sum(possible.values())
     rows.append(["all", f"{total:.3f}", "100 %", f"{least:.3f}", f"{100 * least / total:.0f} %"])
     text = table(["part", "us a wheel and step, one core", "share", "limit, us", "limit / achieved"], rows)
-    often = f"A step solves {p['solves_a_step']:.2f} windows and resets {p['resets_a_step']:.4f} wheels on average."
+    often = (
+        f"A step solves {p['solves_a_step']:.2f} windows, draws {p['patches_a_step']:.4f} patches and resets "
+        f"{p['resets_a_step']:.4f} wheels on average."
+    )
     return text + "\n\n" + often
 
 

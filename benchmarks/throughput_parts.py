@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from soil_env import contact, dynamics, identifier, lanes, task
+from soil_env import contact, dynamics, identifier, lanes, task, terrain
 from soil_env.compiled import Entry, kernel
 from soil_env.identifier import SensorReading
 from soil_env.parameters import load_scenario
@@ -60,14 +60,20 @@ def _report(worlds, numbers, readings, over):
 
 
 @kernel
-def _restart(worlds, numbers, over):
+def _ground(worlds, numbers, over):
     for k in range(over.size):
+        w = worlds.state[k]
         if over[k]:
             restart(worlds, numbers, k)
+        else:
+            terrain.draw_ahead(k, worlds.courses, w.x, w.mass, numbers.course)
 
 
 def parts(wheels: int, steps: int, rounds: int) -> dict:
-    """Processor time a wheel and step [us] of each part, one thread, resets included; and how often things happen."""
+    """Processor time a wheel and step [us] of each part, one thread; and how often things happen.
+
+    "ground" draws patches and puts wheels at the start of a course.
+    """
     sim = Simulation(wheels, load_scenario("mixed"), "identified", threads=1)
     rng = np.random.default_rng(0)
     for k in range(wheels):
@@ -76,20 +82,22 @@ def parts(wheels: int, steps: int, rounds: int) -> dict:
     kernels = {name: Entry(f) for name, f in _PARTS.items()}
     readings, over = np.zeros((wheels, 8)), np.zeros(wheels, dtype=np.bool_)
     w, n, clock = sim.worlds, sim.numbers, time.process_time
-    found, solves, resets = {name: [] for name in kernels}, 0, 0
+    found, solves, resets, patches = {name: [] for name in kernels}, 0, 0, 0
     for turn in range(rounds + 1):  # the first warms up and spreads the ages
         spent = dict.fromkeys(kernels, 0.0)
         for step in range(steps):
             if step % 8 == 0:
                 commands = rng.uniform(0.0, 0.8, wheels)
+            drawn = np.where(over, 0, w.courses.patches)
             for name, f in kernels.items():
-                extra = {"dynamics": (commands,), "reset": ()}.get(name, (readings,))
+                extra = {"dynamics": (commands,), "ground": ()}.get(name, (readings,))
                 start = clock()
                 f(w, n, *extra, over)
                 spent[name] += clock() - start
             if turn > 0:
                 solves += int(w.solved[~over].sum())
                 resets += int(over.sum())
+                patches += int((w.courses.patches - drawn).sum())
             over = w.cause != task.Cause.RUNNING
         if turn > 0:
             for name, value in spent.items():
@@ -100,10 +108,11 @@ def parts(wheels: int, steps: int, rounds: int) -> dict:
         "us": {name: _spread(values) for name, values in found.items()} | {"Python": _spread(_python(wheels, rounds))},
         "solves_a_step": solves / made,
         "resets_a_step": resets / made,
+        "patches_a_step": patches / made,
     }
 
 
-_PARTS = {"reset": _restart, "dynamics": _drive, "sensors": _sense, "identification": _identify, "report": _report}
+_PARTS = {"ground": _ground, "dynamics": _drive, "sensors": _sense, "identification": _identify, "report": _report}
 
 
 def _python(wheels: int, rounds: int) -> list[float]:
@@ -194,11 +203,11 @@ WORK = {
 }
 SUBSTEPS = 2
 SOLVES = {"store_nodes": 1, "stored_integrals": 3, "arc_nodes": 2, "shear_integrals": 2}  # see, step, judge; weigh
-STEADY_STATES = 11 * 8  # in a reset: grounds that are checked, slips of each
+STEADY_STATES = 2 * 8  # for a patch: two grounds that are checked, itself and its border, slips of each
 EVALUATIONS = 2  # the fewest that a root takes: one to see it, one to know it
 
 
-def limit(rounds: int, repeats: int, solves: float = 0.28, resets: float = 0.0032) -> dict:
+def limit(rounds: int, repeats: int, solves: float = 0.28, patches: float = 0.0095) -> dict:
     """This machine's throughput [ns] for each operation, and the time [us] of a step's operations at that rate."""
     ns = {}
     for name, (f, each) in _RATES.items():
@@ -215,7 +224,7 @@ def limit(rounds: int, repeats: int, solves: float = 0.28, resets: float = 0.003
         "dynamics": SUBSTEPS * (evaluation + cost["rest of a substep"]),
         "sensors": cost["noise"],
         "identification": ns["scalar"]["low"] + solves * sum(cost[piece] * count for piece, count in SOLVES.items()),
-        "reset": resets * STEADY_STATES * EVALUATIONS * evaluation,
+        "ground": patches * STEADY_STATES * EVALUATIONS * evaluation,
     }
     return {"ns": ns, "us": {name: 1e-3 * value for name, value in pieces.items()}, "bytes": _memory()}
 

@@ -146,6 +146,7 @@ class Renderer:
             return None
         self._canvas = self._canvas or Canvas(self.size)
         self._canvas.clear()
+        simulation.complete(k)
         courses = simulation.worlds.courses
         key = courses.edges[k].tobytes() + courses.soils[k].tobytes() + courses.grades[k].tobytes()
         if key != self._course_key:

@@ -17,7 +17,16 @@ from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 from soil_env.streams import seed_stream
 from soil_env.task import REWARD_TERMS, Cause, TaskNumbers, judge, reward_terms, sense, task_numbers, write_observation
-from soil_env.terrain import CourseNumbers, Courses, course_numbers, draw_course, new_courses
+from soil_env.terrain import (
+    CourseNumbers,
+    Courses,
+    course_numbers,
+    draw_ahead,
+    draw_course,
+    extend_course,
+    new_courses,
+    start_course,
+)
 
 _TRIAL_COURSES = 8
 _CHUNK = 16  # wheels that a thread takes at a time
@@ -50,8 +59,8 @@ class Numbers(NamedTuple):
 
 @kernel
 def restart(worlds, numbers, k):
-    """Draw a new course for wheel k, put the wheel at its start, and observe."""
-    mass = draw_course(k, worlds.courses, worlds.streams, numbers.course)
+    """Start a new course for wheel k, put the wheel at its start, and observe."""
+    mass = start_course(k, worlds.courses, worlds.streams, numbers.course)
     if mass < 0.0:
         raise RuntimeError("no passable course found: the soils are too weak for this wheel")
     settle(worlds.state, k, mass, worlds.courses, worlds.streams, numbers.world)
@@ -71,6 +80,7 @@ def restart(worlds, numbers, k):
 def step_one(worlds, numbers, k, command):
     """One control period of wheel k: drive, sense, identify, judge, reward, observe."""
     advance(worlds.state, k, command, worlds.courses, worlds.streams, numbers.world)
+    draw_ahead(k, worlds.courses, worlds.state[k].x, worlds.state[k].mass, numbers.course)
     reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
     worlds.solved[k] = observe(worlds.ids, k, reading, numbers.identifier)
     cause = judge(worlds.state, k, numbers.task)
@@ -171,6 +181,10 @@ class Simulation:
     def restart(self, k: int) -> None:
         """New course and fresh start for wheel k."""
         self._restart(self.worlds, self.numbers, int(k))
+
+    def complete(self, k: int) -> None:
+        """Draw what is left of the course of wheel k; it goes on as it would have."""
+        extend_course(int(k), self.worlds.courses, float(self.worlds.state["mass"][k]), np.inf, self.numbers.course)
 
     def step(self, k: int, command: float) -> None:
         """One control period of wheel k."""

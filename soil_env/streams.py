@@ -27,14 +27,19 @@ def seed_stream(rng: np.random.Generator) -> np.uint64:
 
 
 @inlined
-def uniform(streams, k):
-    """Next number in [0, 1) of stream k; `streams` is uint64 [wheels]."""
+def word(streams, k):
+    """Next 64 bits of stream k; `streams` is uint64 [wheels]. Another stream may start from them."""
     streams[k] += _GAMMA
     z = streams[k]
     z = (z ^ (z >> _S30)) * _MIX1
     z = (z ^ (z >> _S27)) * _MIX2
-    z = z ^ (z >> _S31)
-    return float(z >> _S11) * _TO_UNIT
+    return z ^ (z >> _S31)
+
+
+@inlined
+def uniform(streams, k):
+    """Next number in [0, 1) of stream k."""
+    return float(word(streams, k) >> _S11) * _TO_UNIT
 
 
 @inlined

@@ -1,9 +1,10 @@
 """A course: patches of soil with a grade each, smooth borders between them, and the rut the wheel leaves.
 
-A course is drawn from one random stream. Each patch draws a preset by weight and scatters it (`SoilSpread`); its grade
-follows from what the wheel can do there at its best slip less the margin of the scenario (`CourseSpec`), so that every
-course is passable by construction. Soils on which even the mildest grade leaves less than the margin, or in which the
-wheel would be bogged, are drawn again.
+A course has a random stream of its own, and its patches are drawn from it in order, each as the wheel comes near it:
+what they are like does not depend on how far or in how many pieces the course is drawn. Each patch draws a preset by
+weight and scatters it (`SoilSpread`); its grade follows from what the wheel can do there at its best slip less the
+margin of the scenario (`CourseSpec`), so that every course is passable by construction. Soils on which even the mildest
+grade leaves less than the margin, or in which the wheel would be bogged, are drawn again.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from soil_env.lanes import scratch
 from soil_env.model import Conditions, Rim, WheelSoilModel, steady_with
 from soil_env.parameters import Scenario, SoilState, soils
 from soil_env.residual import ResidualLaw, dimensionless_groups, residual_at, residual_law
-from soil_env.streams import between, normal_pair, uniform
+from soil_env.streams import between, normal_pair, uniform, word
 from soil_env.traversability import best_working_point_with
 
 CELL = 0.05  # [m] length of one cell of the rut
 _MAX_REDRAWS = 30
+_PERIODS_AHEAD = 3.0  # control periods of travel at top rim speed before a wheel within which ground is drawn
 _BISECTIONS = 8  # of the steepest grade on ground that slopes weaken
 _six = scratch(6)
 
@@ -36,13 +38,18 @@ MODULUS_BOUNDS = (0.3, 3.0)
 
 
 class Courses(NamedTuple):
-    """The ground of many wheels: arrays with one row a wheel. x [m] is the distance along the course."""
+    """The ground of many wheels: arrays with one row a wheel. x [m] is the distance along the course.
 
-    edges: np.ndarray  # [wheels, patches + 1] patch borders [m]; unused ones are +inf
+    Only the first `patches` patches of a course are drawn, and the cells below them cleared.
+    """
+
+    edges: np.ndarray  # [wheels, patches + 1] patch borders [m]; those not drawn are +inf
     soils: np.ndarray  # [wheels, patches, 7] `SoilState` of each patch
     grades: np.ndarray  # [wheels, patches] grade angle [rad], uphill positive
     margins: np.ndarray  # [wheels, patches] drawbar pull in reserve at best slip [of weight]
-    patches: np.ndarray  # [wheels] number of patches
+    patches: np.ndarray  # [wheels] patches drawn
+    ready: np.ndarray  # [wheels] x [m] up to which the ground is final; +inf once the whole course is drawn
+    streams: np.ndarray  # [wheels] uint64, from which the patches to come are drawn
     modulus: np.ndarray  # [wheels, cells] factor on S left by earlier passes [-]
     rut: np.ndarray  # [wheels, cells] depth of the rut [m]
 
@@ -54,6 +61,7 @@ class CourseNumbers(NamedTuple):
     patch_low: float
     patch_high: float
     border: float
+    ahead: float  # [m] final ground before a wheel: more than it travels in a control period
     grade_low: float  # tangent
     grade_high: float  # tangent
     margin_low: float
@@ -91,6 +99,7 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
         c.length,
         *c.patch_length,
         c.border,
+        _PERIODS_AHEAD * w.radius * w.no_load_speed * scenario.control.period,
         *(math.tan(math.radians(g)) for g in c.grade_deg),
         *c.margin,
         *c.payload,
@@ -124,6 +133,8 @@ def new_courses(wheels: int, scenario: Scenario) -> Courses:
         np.zeros((wheels, patches)),
         np.zeros((wheels, patches)),
         np.zeros(wheels, dtype=np.int64),
+        np.full(wheels, np.inf),
+        np.zeros(wheels, dtype=np.uint64),
         np.ones((wheels, cells), dtype=np.float32),
         np.zeros((wheels, cells), dtype=np.float32),
     )
@@ -293,69 +304,129 @@ def _margin_at_border(k, courses, i, load, numbers):
 
 @kernel
 def draw_course(k, courses, streams, numbers):
-    """Draw course k afresh from stream k and clear its rut; the mass [kg] on the wheel with payload, or -1.
+    """`start_course` and all of its patches; the mass [kg] on the wheel with payload, or -1.
 
-    At each border the blend of both sides is checked too, and both grades lowered if it falls short. -1: no passable
-    course was found, as the soils are too weak for this wheel within the bounds of grade and margin.
+    -1: no passable course was found, as the soils are too weak for this wheel within the bounds of grade and margin.
     """
+    mass = start_course(k, courses, streams, numbers)
+    if mass > 0.0 and not extend_course(k, courses, mass, np.inf, numbers):
+        return -1.0
+    return mass
+
+
+@kernel
+def start_course(k, courses, streams, numbers):
+    """Start course k afresh, with a seed from stream k; the mass [kg] on the wheel with payload, or -1 (`draw_course`).
+
+    Only as much is drawn as a wheel at its start needs; `extend_course` draws the rest.
+    """
+    for i in range(courses.patches[k] + 1):
+        courses.edges[k, i] = np.inf
+    courses.patches[k] = 0
+    courses.streams[k] = word(streams, k)
     for _ in range(_MAX_REDRAWS):
-        mass = _try_course(k, courses, streams, numbers)
-        if mass > 0.0:
+        mass = numbers.body_mass + between(courses.streams, k, numbers.payload_low, numbers.payload_high)
+        if _try_patch(k, courses, mass * numbers.gravity, numbers):
+            extend_course(k, courses, mass, numbers.ahead, numbers)
             return mass
     return -1.0
 
 
+@inlined
+def draw_ahead(k, courses, x, mass, numbers):
+    """Draw what a wheel of `mass` [kg] at x [m] may reach in the next control period, unless it is there already."""
+    if courses.ready[k] < x + numbers.ahead:
+        extend_course(k, courses, mass, x + numbers.ahead, numbers)
+
+
 @kernel
-def _try_course(k, courses, streams, numbers):
-    """One attempt of `draw_course`."""
-    mass = numbers.body_mass + between(streams, k, numbers.payload_low, numbers.payload_high)
-    load = mass * numbers.gravity
-    edges = courses.edges[k]
-    for i in range(edges.size):
-        edges[i] = np.inf
-    x, p = 0.0, 0
-    while x < numbers.length and p < courses.soils.shape[1]:
-        edges[p] = x
-        x += between(streams, k, numbers.patch_low, numbers.patch_high)
-        margin = between(streams, k, numbers.margin_low, numbers.margin_high)
-        if p == 0:
-            margin = max(margin, 0.5 * (numbers.margin_low + numbers.margin_high))  # somewhere to get going
+def extend_course(k, courses, mass, x, numbers):
+    """Draw patches of course k until the ground is final up to x [m] or the course ends.
+
+    False if no passable patch was found for some place, and the patch before it was repeated there.
+    """
+    found = True
+    while courses.ready[k] < x:
+        tries = 0
+        while tries < _MAX_REDRAWS and not _try_patch(k, courses, mass * numbers.gravity, numbers):
+            tries += 1
+        if tries == _MAX_REDRAWS:
+            found = False
+            p = courses.patches[k]
+            for j in range(7):
+                courses.soils[k, p, j] = courses.soils[k, p - 1, j]
+            courses.grades[k, p], courses.margins[k, p] = courses.grades[k, p - 1], courses.margins[k, p - 1]
+            _add_patch(k, courses, between(courses.streams, k, numbers.patch_low, numbers.patch_high), numbers)
+    return found
+
+
+@kernel
+def _try_patch(k, courses, load, numbers):
+    """Draw the next patch of course k and add it; False, with the course as before, if it is not passable.
+
+    The blend at the border to the patch before is checked too, and the grades on both sides lowered if it falls short.
+    So the grade of a patch is final when the next one is drawn.
+    """
+    p, streams = courses.patches[k], courses.streams
+    length = between(streams, k, numbers.patch_low, numbers.patch_high)
+    margin = between(streams, k, numbers.margin_low, numbers.margin_high)
+    if p == 0:
+        margin = max(margin, 0.5 * (numbers.margin_low + numbers.margin_high))  # somewhere to get going
+    tangent = capacity = -np.inf
+    for _ in range(_MAX_REDRAWS):
         soil = draw_soil(streams, k, numbers)
         tangent, capacity = _steepest(load, soil, margin, numbers)
-        for _ in range(_MAX_REDRAWS):
-            if capacity > -np.inf:
-                break
-            soil = draw_soil(streams, k, numbers)
-            tangent, capacity = _steepest(load, soil, margin, numbers)
-        if capacity == -np.inf:
-            return -1.0
-        for j in range(7):
-            courses.soils[k, p, j] = soil[j]
-        courses.margins[k, p] = capacity - tangent
-        courses.grades[k, p] = math.atan(tangent)
-        p += 1
-    edges[p] = x
-    courses.patches[k] = p
-    for i in range(1, p):
-        short = numbers.margin_low - _margin_at_border(k, courses, i, load, numbers)
-        if short > 0.0:
-            for j in (i - 1, i):
-                tangent = math.tan(courses.grades[k, j])
-                lowered = max(tangent - 1.02 * short, numbers.grade_low)
-                courses.grades[k, j] = math.atan(lowered)
-                courses.margins[k, j] += tangent - lowered
-            if numbers.margin_low - _margin_at_border(k, courses, i, load, numbers) > 1e-6:
-                return -1.0
+        if capacity > -np.inf:
+            for j in range(7):
+                courses.soils[k, p, j] = soil[j]
+            break
+    if capacity == -np.inf:
+        return False
+    courses.margins[k, p] = capacity - tangent
+    courses.grades[k, p] = math.atan(tangent)
+    if p > 0:
+        grade, margin = courses.grades[k, p - 1], courses.margins[k, p - 1]
+        if not _joined(k, courses, p, load, numbers):
+            courses.grades[k, p - 1], courses.margins[k, p - 1] = grade, margin
+            return False
+    _add_patch(k, courses, length, numbers)
+    return True
+
+
+@kernel
+def _joined(k, courses, i, load, numbers):
+    """Lower the grades of patches i - 1 and i until their border is passable; False if that cannot be."""
+    short = numbers.margin_low - _margin_at_border(k, courses, i, load, numbers)
+    if short <= 0.0:
+        return True
+    for j in (i - 1, i):
+        tangent = math.tan(courses.grades[k, j])
+        lowered = max(tangent - 1.02 * short, numbers.grade_low)
+        courses.grades[k, j] = math.atan(lowered)
+        courses.margins[k, j] += tangent - lowered
+    least = _margin_at_border(k, courses, i, load, numbers)
     if numbers.effects.grade_weakening != 0.0:  # a lowered grade may be a steep descent on weaker ground
-        for i in range(p):
-            tangent = math.tan(courses.grades[k, i])
-            courses.margins[k, i] = _capacity(load, _row(courses.soils[k, i]), tangent, numbers) - tangent
-            margin = courses.margins[k, i]
-            if i > 0:
-                margin = min(margin, _margin_at_border(k, courses, i, load, numbers))
-            if numbers.margin_low - margin > 1e-6:
-                return -1.0
-    for i in range(courses.modulus.shape[1]):
+        for j in (i - 1, i):
+            tangent = math.tan(courses.grades[k, j])
+            courses.margins[k, j] = _capacity(load, _row(courses.soils[k, j]), tangent, numbers) - tangent
+            least = min(least, courses.margins[k, j])
+        if i > 1:
+            least = min(least, _margin_at_border(k, courses, i - 1, load, numbers))
+    return numbers.margin_low - least <= 1e-6
+
+
+@kernel
+def _add_patch(k, courses, length, numbers):
+    """Count the patch just written: its edges, the cells below it, and how far the ground is final now."""
+    p = courses.patches[k]
+    start = 0.0 if p == 0 else courses.edges[k, p]
+    end = start + length
+    whole = end >= numbers.length or p + 1 == courses.soils.shape[1]
+    courses.edges[k, p], courses.edges[k, p + 1] = start, end
+    courses.patches[k] = p + 1
+    courses.ready[k] = np.inf if whole else start - 0.5 * numbers.border
+    first = 0 if p == 0 else cell_at(courses, start) + 1
+    last = courses.modulus.shape[1] - 1 if whole else cell_at(courses, end)
+    for i in range(first, last + 1):
         courses.modulus[k, i] = 1.0
         courses.rut[k, i] = 0.0
-    return mass

@@ -63,6 +63,83 @@ def test_patches_cover_the_course(drawn, scenario):
         assert np.all(np.degrees(courses.grades[0, :p]) <= scenario.course.grade_deg[1] + 1e-9)
 
 
+# --- drawn as the wheel comes to them ---------------------------------------------------------------------------------
+
+
+LONG = {"course": {"length": 40.0, "grade_deg": [-20.0, 35.0], "margin": [0.1, 0.1]}}
+
+
+def started(seed, scenario):
+    """(courses, mass, numbers) of a course of which no more is drawn than its start."""
+    courses, numbers = terrain.new_courses(1, scenario), terrain.course_numbers(scenario)
+    words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
+    return courses, terrain.start_course(0, courses, words, numbers), numbers
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_course_drawn_piece_by_piece_is_that_drawn_at_once(seed):
+    scenario = load_scenario("mixed", LONG)
+    whole, mass = draw(seed, scenario)
+    courses, same, numbers = started(seed, scenario)
+    assert same == mass
+    rng, x, pieces = np.random.default_rng(seed), 0.0, 0
+    while not np.isinf(courses.ready[0]):
+        x += rng.uniform(0.0, 3.0)
+        before = courses.patches[0]
+        assert terrain.extend_course(0, courses, mass, x, numbers)
+        pieces += courses.patches[0] > before
+    assert pieces > 5
+    for name, a, b in zip(terrain.Courses._fields, courses, whole, strict=True):
+        np.testing.assert_array_equal(a, b, name)
+
+
+def test_a_start_takes_a_few_patches_however_long_the_course():
+    drawn = [started(3, load_scenario("mixed", {"course": {"length": m}}))[0].patches[0] for m in (10.0, 100.0, 1000.0)]
+    assert drawn[0] == drawn[1] == drawn[2] <= 3
+
+
+def test_ground_up_to_ready_is_final():
+    """Lowering grades at the next border must not change the ground that a wheel may already have seen."""
+    scenario, changed = load_scenario("mixed", LONG), 0
+    for seed in SEEDS:
+        courses, mass, numbers = started(seed, scenario)
+        while not np.isinf(courses.ready[0]):
+            x = np.linspace(0.0, courses.ready[0], 40)
+            before = [terrain.ground_at(courses, 0, at, 0, scenario.course.border)[:2] for at in x]
+            last, grade = courses.patches[0] - 1, courses.grades[0, courses.patches[0] - 1]
+            terrain.extend_course(0, courses, mass, courses.ready[0] + 1e-9, numbers)
+            assert [terrain.ground_at(courses, 0, at, 0, scenario.course.border)[:2] for at in x] == before
+            changed += courses.grades[0, last] != grade
+    assert changed > 10
+
+
+def test_cells_are_cleared_with_their_patch():
+    scenario = load_scenario("mixed", LONG)
+    courses, _ = draw(3, scenario)
+    courses.modulus[:], courses.rut[:] = 0.5, 0.1
+    words = np.array([seed_stream(np.random.default_rng(4))], dtype=np.uint64)
+    numbers = terrain.course_numbers(scenario)
+    mass = terrain.start_course(0, courses, words, numbers)
+    for _ in range(8):
+        drawn = terrain.cell_at(courses, courses.edges[0, courses.patches[0]]) + 1
+        assert np.all(courses.modulus[0, :drawn] == 1.0) and np.all(courses.rut[0, :drawn] == 0.0)
+        courses.rut[0, :drawn] = 0.0
+        terrain.extend_course(0, courses, mass, courses.ready[0] + 1e-9, numbers)
+
+
+def test_where_no_soil_is_passable_the_patch_before_goes_on(scenario):
+    courses, mass, numbers = started(3, scenario)
+    p = courses.patches[0]
+    mud = numbers._replace(library=numbers.library * [1.0, 1.0, 1.0, 1e-3, 1.0, 1.0, 1.0])
+    assert not terrain.extend_course(0, courses, mass, np.inf, mud)
+    n = courses.patches[0]
+    assert n > p and courses.edges[0, n] >= scenario.course.length
+    assert np.all(courses.soils[0, p:n] == courses.soils[0, p - 1]) and np.all(
+        courses.grades[0, p:n] == courses.grades[0, p - 1]
+    )
+    assert terrain.draw_course(0, courses, np.zeros(1, dtype=np.uint64), mud) == -1.0
+
+
 # --- passable by construction -----------------------------------------------------------------------------------------
 
 
