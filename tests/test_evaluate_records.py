@@ -46,7 +46,7 @@ def test_records_depend_neither_on_threads_nor_on_blocks(scenario, full):
 
 def test_metrics_equal_a_loop_over_one_wheel(scenario):
     controller = make_controller("fixed_slip", scenario, slip=0.45, start=0.2)
-    got = record(controller, scenario, SEED, 0, 6)
+    got, pulled = record(controller, scenario, SEED, 0, 6), 0
     for course in range(6):
         sim = Simulation(1, scenario, "blind", threads=1)
         sim.seed(0, course_rng(SEED, course))
@@ -67,8 +67,13 @@ def test_metrics_equal_a_loop_over_one_wheel(scenario):
         assert one["slip_p95"] == pytest.approx(np.quantile(slips, 0.95))
         assert one["sinkage_p50"] == pytest.approx(np.median(depths))
         assert one["sinkage_p95"] == pytest.approx(np.quantile(depths, 0.95))
+        if motor == 0.0:  # downhill all the way
+            assert np.isnan(one["tractive_efficiency"])
+            continue
         assert one["tractive_efficiency"] == pytest.approx(drawbar / motor)
         assert 0.0 < one["tractive_efficiency"] < 1.0
+        pulled += 1
+    assert pulled > 2
 
 
 def test_metrics_are_defined_where_they_mean_something(full):

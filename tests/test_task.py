@@ -318,8 +318,8 @@ def test_each_cause_can_be_driven_to():
     assert driven(0.3, changes=flat)[0] == Cause.FINISHED
     hill = {"course": {"grade_deg": [10.0, 35.0], "margin": [0.0, 0.01], "halt_interval": [1e5, 1e5]}}
     assert driven(0.05, changes=flat) == (Cause.STALLED, 40)
-    assert driven(1.0, changes=hill)[0] in (Cause.ENTRAPPED, Cause.BOGGED)
+    assert driven(1.0, 8, hill)[0] in (Cause.ENTRAPPED, Cause.BOGGED)
     soft = hill | {"limits": {"bogged_sinkage": 0.3}}
-    assert driven(1.0, changes=soft)[0] == Cause.BOGGED
-    assert driven(1.0, changes=hill | {"limits": {"bogged_sinkage": 1.4}})[0] == Cause.ENTRAPPED
+    assert driven(1.0, 8, soft)[0] == Cause.BOGGED
+    assert driven(1.0, 8, hill | {"limits": {"bogged_sinkage": 1.4}})[0] == Cause.ENTRAPPED
     assert driven(0.3, changes=flat | {"control": {"time_limit": 2.0}}) == (Cause.TIME_LIMIT, 20)

@@ -299,3 +299,28 @@ def test_stepping_wheels_that_were_never_reset_is_refused(mode):
         return
     assert np.all(np.isfinite(observations))
     assert env.simulation.worlds.courses.patches[1] > 0  # or it was reset by the step
+
+
+def test_completing_courses_changes_no_trajectory():
+    """One env draws patches as its wheels come to them, the other all at once, and some on the way."""
+    changes = {"course": {"length": 60.0, "margin": [0.2, 0.25], "grade_deg": [-6.0, 2.0]}}
+    lazy, whole = (SoilWheelVectorEnv(6, observation="true_soil", **changes) for _ in range(2))
+    for env in (lazy, whole):
+        env.reset(seed=11)
+    for k in range(3):
+        whole.simulation.complete(k)
+    started = lazy.simulation.worlds.courses.patches.copy()
+    rng = np.random.default_rng(0)
+    for step in range(120):
+        if step == 40:
+            whole.simulation.complete(4)
+        actions = rng.uniform(0.2, 0.7, (6, 1))
+        for a, b in zip(lazy.step(actions)[:4], whole.step(actions)[:4], strict=True):
+            np.testing.assert_array_equal(a, b)
+    drawn, all_drawn = (env.simulation.worlds.courses.patches for env in (lazy, whole))
+    assert np.any(drawn > started) and np.all(drawn[:3] < all_drawn[:3])
+    for k in range(6):
+        lazy.simulation.complete(k)
+        whole.simulation.complete(k)
+    for name in ("edges", "soils", "grades", "margins", "patches", "modulus", "rut"):
+        np.testing.assert_array_equal(*(getattr(env.simulation.worlds.courses, name) for env in (lazy, whole)), name)

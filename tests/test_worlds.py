@@ -536,11 +536,13 @@ def test_patches_are_drawn_from_the_soil_of_the_model():
     exact = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "dig_gain", "exponent"), 0.0)
     env = SoilWheelEnv(model=model_of({}, soil=soil), spread=exact)
     env.reset(seed=0)
+    env.simulation.complete(0)
     courses = env.simulation.worlds.courses
     patches = courses.soils[0, : courses.patches[0]]
     np.testing.assert_allclose(patches, np.broadcast_to(soil.state(0.15), patches.shape), rtol=1e-9)
     scattered = SoilWheelEnv(model=model_of({}, soil=soil))
     scattered.reset(seed=0)
+    scattered.simulation.complete(0)
     friction = scattered.simulation.worlds.courses.soils[0, :3, 0]
     assert np.ptp(friction) > 0.0 and np.all(np.abs(np.degrees(np.arctan(friction)) - 31.0) < 10.0)
 
