@@ -7,10 +7,10 @@ point triggers one safeguarded generalized Newton-Raphson solve (`identification
 torque, with the prior of the `Belief` as a further, weak measurement.
 
 Slip and sinkage carry noise too. Their first-order effect on the three channels and a model error enter the weight of
-each point (errors in variables by effective variance, Fuller 1987, Sec. 1.4). Cohesion and digging are held at the
-values of the belief, wrongly: what that does to the estimate is the same error in all points and does not average
-out. It is added to the covariance after the solve ("consider parameters", Schmidt 1966, Adv. Control Syst.
-3:293-340).
+each point (errors in variables by effective variance, Fuller 1987, Sec. 1.4). So does the doubt about the digging: a
+point at which the wheel has dug says less of S. Cohesion and the gain of digging are held at the values of the belief,
+wrongly: what that does to the estimate is the same error in all points and does not average out. It is added to the
+covariance after the solve ("consider parameters", Schmidt 1966, Adv. Control Syst. 3:293-340).
 """
 
 from __future__ import annotations
@@ -220,7 +220,10 @@ def _complete(ids, k, numbers):
         sd[2] * sd[2] / readings + twist * twist,
     )  # fmt: skip
     share = 1.0 / math.sqrt(readings)
-    weigh(row, ids.trial[k], variances, share * numbers.slip_sd, share * numbers.sinkage_sd, numbers.reading)
+    weigh(
+        row, ids.trial[k], variances, share * numbers.slip_sd, share * numbers.sinkage_sd, numbers.reading,
+        numbers.dig_gain_sd,
+    )  # fmt: skip
     for i in range(6):
         run[i] = 0.0
     run[_COUNT] = 0.0
@@ -282,7 +285,7 @@ def _free_slot(ids, k, place, numbers):
 def _consider(x, count, numbers, covariance, work):
     """Widen `covariance` C by the uncertainty of cohesion and digging: + (C b)(C b)^T each, b = sum J^T W dy/dp sd.
 
-    Returns the squared whitened misfit of the last point under unknowns x.
+    Returns the squared misfit of the last point under unknowns x, whitened by its noise alone.
     """
     misfit, phi, K, S, c = whitened_block(x, work, 0, numbers.reading)
     # d ln S_effective per sd of the gain
@@ -306,7 +309,10 @@ def _consider(x, count, numbers, covariance, work):
     m[0, 1] = m[1, 0] = m[0, 1] + a0 * a1 + b0 * b1
     m[0, 2] = m[2, 0] = m[0, 2] + a0 * a2 + b0 * b2
     m[1, 2] = m[2, 1] = m[1, 2] + a1 * a2 + b1 * b2
-    return lane(chi, count - 1)
+    # without the doubt about digging in the weights (Sherman & Morrison 1950), which the window shares
+    newest = count - 1
+    along, size = lane(dug * dot(misfit, S), newest), lane(dug * dug * dot(S, S), newest)
+    return lane(chi, newest) + along * along / max(1.0 - size, 0.05)
 
 
 @pasted

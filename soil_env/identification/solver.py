@@ -455,12 +455,13 @@ def solve_prepared(start, points, count, prior, precision, reading, max_iteratio
 
 
 @inlined
-def weigh(row, x, variances, slip_sd, sinkage_sd, reading):
+def weigh(row, x, variances, slip_sd, sinkage_sd, reading, dig_sd=0.0):
     """Set the whitening weights of a point from the noise of all its channels, at unknowns x.
 
     `variances` [3] of drawbar pull, load and torque; infinite where not measured. The noise of slip and sinkage moves
     all three channels together; its first-order effect is added to their covariance (effective variance, Fuller 1987,
-    Measurement Error Models, Sec. 1.4).
+    Measurement Error Models, Sec. 1.4). So is that of the digging ratio, from `dig_sd`, the relative standard deviation
+    of its excess over 1.
     """
     y, by_slip = _channels_at(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading)
     a0, a1, a2 = slip_sd * by_slip[0], slip_sd * by_slip[1], slip_sd * by_slip[2]
@@ -470,14 +471,20 @@ def weigh(row, x, variances, slip_sd, sinkage_sd, reading):
         z, _ = _channels_at(x, row[SLIP], row[SINKAGE] + h, row[DIG_RATIO], reading)
         scale = sinkage_sd / h
         b0, b1, b2 = scale * (z.pull - y.pull), scale * (z.load - y.load), scale * (z.torque - y.torque)
+    g = dig_sd * reading.exponent * (1.0 - 1.0 / row[DIG_RATIO])
+    c0, c1, c2 = g * y.by_S[0], g * y.by_S[1], g * y.by_S[2]
     # a channel that was not measured: no covariance, no weight
     w0 = 0.0 if variances[0] == np.inf else 1.0
     w1 = 0.0 if variances[1] == np.inf else 1.0
     w2 = 0.0 if variances[2] == np.inf else 1.0
-    v00 = variances[0] + a0 * a0 + b0 * b0 if w0 > 0.0 else 1.0
-    v11 = variances[1] + a1 * a1 + b1 * b1 if w1 > 0.0 else 1.0
-    v22 = variances[2] + a2 * a2 + b2 * b2 if w2 > 0.0 else 1.0
-    v10, v20, v21 = w1 * w0 * (a1 * a0 + b1 * b0), w2 * w0 * (a2 * a0 + b2 * b0), w2 * w1 * (a2 * a1 + b2 * b1)
+    v00 = variances[0] + a0 * a0 + b0 * b0 + c0 * c0 if w0 > 0.0 else 1.0
+    v11 = variances[1] + a1 * a1 + b1 * b1 + c1 * c1 if w1 > 0.0 else 1.0
+    v22 = variances[2] + a2 * a2 + b2 * b2 + c2 * c2 if w2 > 0.0 else 1.0
+    v10, v20, v21 = (
+        w1 * w0 * (a1 * a0 + b1 * b0 + c1 * c0),
+        w2 * w0 * (a2 * a0 + b2 * b0 + c2 * c0),
+        w2 * w1 * (a2 * a1 + b2 * b1 + c2 * c1),
+    )
     # inverse of the Cholesky factor of v
     l00 = math.sqrt(v00)
     l10, l20 = v10 / l00, v20 / l00
