@@ -7,21 +7,29 @@ import time
 
 import numpy as np
 
-from soil_env import contact, dynamics, identifier, lanes, task, terrain
+from soil_env import contact, identifier, lanes, lockstep, task, terrain
 from soil_env.compiled import Entry, kernel
 from soil_env.identifier import SensorReading
 from soil_env.parameters import load_scenario
 from soil_env.simulation import Simulation, restart
 from soil_env.vector_env import SoilWheelVectorEnv
 
+_eight = lanes.scratch(lanes.COUNT)
+
 # --- parts ------------------------------------------------------------------------------------------------------------
 
 
 @kernel
 def _drive(worlds, numbers, commands, over):
-    for k in range(commands.size):
+    which, given = _eight(), _eight()
+    count, wheels = 0, commands.size
+    for k in range(wheels):
         if not over[k]:
-            dynamics.advance(worlds.state, k, commands[k], worlds.courses, worlds.streams, numbers.world)
+            which[count], given[count] = k, commands[k]
+            count += 1
+        if count == lanes.COUNT or (count > 0 and k == wheels - 1):
+            lockstep.advance_eight(worlds.state, which, count, given, worlds.courses, worlds.streams, numbers.world)
+            count = 0
 
 
 @kernel

@@ -37,17 +37,19 @@ from soil_env.lanes import (
     from_array,
     half_sin_cos,
     log_lanes,
+    root,
     to_array,
     total,
     totals,
+    where_less,
 )
 
 #: Gauss-Legendre nodes per zone of the contact arc (front and rear nodes share the normal stress).
 NODES_PER_ZONE = 8
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
-_U2 = (0.5 * (_x + 1.0)) ** 2  # u^2: relative distance of the node from the end of the arc
-_DU2 = 0.5 * _w * 2.0 * (0.5 * (_x + 1.0))  # weight times d(u^2)/du
-_u2, _du2 = constant(_U2), constant(_DU2)
+NODE_DEPTHS = (0.5 * (_x + 1.0)) ** 2  # u^2: relative distance of the node from the end of the arc
+NODE_WEIGHTS = 0.5 * _w * 2.0 * (0.5 * (_x + 1.0))  # weight times d(u^2)/du
+_u2, _du2 = constant(NODE_DEPTHS), constant(NODE_WEIGHTS)
 
 
 class ShearLaw(NamedTuple):
@@ -133,10 +135,10 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
     """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and reversal.
 
     `direction` in (-1, 1) is the smoothed sign of V; `floor` [m/s] is the speed below which the wheel counts as
-    resting.
+    resting. Of floats or in lanes.
     """
-    v = math.sqrt(rim_speed * rim_speed + floor * floor)
-    return rim_speed / v, travel_speed / v, travel_speed / math.sqrt(travel_speed * travel_speed + floor * floor)
+    v = root(rim_speed * rim_speed + floor * floor)
+    return rim_speed / v, travel_speed / v, travel_speed / root(travel_speed * travel_speed + floor * floor)
 
 
 @kernel
@@ -315,7 +317,7 @@ def store_nodes(theta1, travel, n, r, out, at):
     to_array(half, out, at)
     at += COUNT
     for k in range(NODES_PER_ZONE):
-        ahead, behind = theta1 - half * _U2[k], half * _U2[k]
+        ahead, behind = theta1 - half * NODE_DEPTHS[k], half * NODE_DEPTHS[k]
         sin_half, cos_half = half_sin_cos(ahead)
         sin_half2, cos_half2 = half_sin_cos(behind)
         p = exp_lanes(n * log_lanes((2.0 * r) * (rise1 - sin_half * sin_half)))
@@ -342,7 +344,7 @@ def stored_integrals(nodes, at, K):
     kpe_cos, kpe_sin, kpe, ke_cos, ke_sin, ke = o, o, o, o, o, o
     rate = -1.0 / K
     for k in range(NODES_PER_ZONE):
-        w = half * _DU2[k]
+        w = half * NODE_WEIGHTS[k]
         p = from_array(nodes, at)
         c, s, j = from_array(nodes, at + COUNT), from_array(nodes, at + 2 * COUNT), from_array(nodes, at + 3 * COUNT)
         c2, s2 = from_array(nodes, at + 4 * COUNT), from_array(nodes, at + 5 * COUNT)
@@ -426,6 +428,4 @@ def mobilised_modulus(integrals, load, tan_phi, c, r, b, direction):
     q = integrals
     bearing = q.p_cos + direction * tan_phi * q.pe_sin
     rest = load / (r * b) - direction * c * q.e_sin
-    if bearing <= 1e-12 * q.p_cos or rest <= 0.0:
-        return 0.0
-    return rest / bearing
+    return where_less(1e-12 * q.p_cos, bearing, where_less(0.0, rest, rest / bearing, 0.0), 0.0)

@@ -52,6 +52,7 @@ from soil_env.effects import (
     slip_sinkage_ratio,
     soil_in_contact,
 )
+from soil_env.lanes import exp, larger, power, root, smaller, where_less
 from soil_env.model import Conditions, Rim, WheelSoilModel, contact_arc, sheared_from, steady_with
 from soil_env.parameters import Scenario, SoilState
 from soil_env.residual import ResidualLaw, dimensionless_groups, residual_at, residual_law
@@ -60,9 +61,9 @@ from soil_env.terrain import cell_at, ground_at, leave_rut, stiffened
 
 REST_SPEED = 0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
-_TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
-_SHORT = 0.1  # first step by the last reaction, at most this share of the rim speed
-_FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
+TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
+SHORT = 0.1  # first step by the last reaction, at most this share of the rim speed
+FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
 _MAX_ITERATIONS = 30
 _FINEST = 1024  # a substep that fails is halved down to this fraction; softening soil breaks away within 1 ms
 
@@ -180,18 +181,25 @@ def reaction(speed, rim_speed, sinkage, load, soil, r, b):
 @inlined
 def reaction_of(nodes, speed, rim_speed, load, soil, r, b, law):
     """`reaction` on given nodes of the contact arc (`contact.arc_nodes`), which depend on sinkage and soil only."""
-    rim, travel, direction = motion_from_speeds(rim_speed, speed, REST_SPEED)
-    q, by_rim, by_travel = shear_integrals(nodes, rim, travel, soil.shear_modulus, law)
-    tan_phi, c = soil.tan_phi, soil.cohesion
+    motion = motion_from_speeds(rim_speed, speed, REST_SPEED)
+    integrals = shear_integrals(nodes, motion[0], motion[1], soil.shear_modulus, law)
+    return reaction_from(integrals, motion, speed, rim_speed, load, soil.tan_phi, soil.cohesion, r, b)
+
+
+@inlined
+def reaction_from(integrals, motion, speed, rim_speed, load, tan_phi, c, r, b):
+    """`reaction` from the arc's integrals with their rates, of floats or in lanes."""
+    q, by_rim, by_travel = integrals
+    _, travel, direction = motion
     s = mobilised_modulus(q, load, tan_phi, c, r, b, direction)
     f = forces(q, s, tan_phi, c, r, b, direction)
 
     rest2 = REST_SPEED * REST_SPEED
     u2, v2 = rim_speed * rim_speed + rest2, speed * speed + rest2
-    travel_v = 1.0 / math.sqrt(u2)
+    travel_v = 1.0 / root(u2)
     rim_u, travel_u = rest2 * travel_v / u2, -travel * rim_speed / u2
-    turn = rest2 / (v2 * math.sqrt(v2))  # d direction/dV
-    share = 1.0 / (q.p_cos + direction * tan_phi * q.pe_sin) if s > 0.0 else 0.0
+    turn = rest2 / (v2 * root(v2))  # d direction/dV
+    share = where_less(0.0, s, 1.0 / (q.p_cos + direction * tan_phi * q.pe_sin), 0.0)
     st = s * tan_phi
 
     # d/dV and d/du of the soil's reaction: first at the present s, then by s
@@ -326,7 +334,7 @@ def moved(f, dv, du):
         f.load,
         f.drawbar_pull + f.dp_v * dv + f.dp_u * du,
         f.torque + f.torque_v * dv + f.torque_u * du,
-        max(f.modulus + f.modulus_v * dv + f.modulus_u * du, 0.0),
+        larger(f.modulus + f.modulus_v * dv + f.modulus_u * du, 0.0),
         f.dp_v,
         f.dp_u,
         f.torque_v,
@@ -343,37 +351,34 @@ def motor(command, by_speed, wheel_speed, world):
     The command is a share of the stall torque or, with `by_speed`, of the no-load speed, which a stiff speed loop then
     follows. Either way the torque stays between the torque-speed lines of full voltage forward and backward,
     T_stall (+-1 - w/w_0), and within +-T_stall: faster than the no-load speed the motor brakes. `available` is the line
-    on the side of the command.
+    on the side of the command. Of floats or in lanes; `by_speed` is 1 or 0.
     """
     stall, line = world.stall_torque, world.stall_torque / world.no_load_speed
-    high = min(max(stall - line * wheel_speed, -stall), stall)
-    low = min(max(-stall - line * wheel_speed, -stall), stall)
-    if by_speed:
-        gain = 10.0 * line
-        torque, slope = gain * (command * world.no_load_speed - wheel_speed), -gain
-    else:
-        torque, slope = command * stall, 0.0
-    available = high if torque >= 0.0 else -low
-    if torque > high:
-        return high, (-line if -stall < high < stall else 0.0), available
-    if torque < low:
-        return low, (-line if -stall < low < stall else 0.0), available
-    return torque, slope, available
+    high = smaller(larger(stall - line * wheel_speed, -stall), stall)
+    low = smaller(larger(-stall - line * wheel_speed, -stall), stall)
+    gain = 10.0 * line
+    follow = gain * (command * world.no_load_speed - wheel_speed)
+    torque = where_less(0.5, by_speed, follow, command * stall)
+    slope = where_less(0.5, by_speed, -gain, 0.0)
+    available = where_less(torque, 0.0, -low, high)
+    on_high = where_less(-stall, high, where_less(high, stall, -line, 0.0), 0.0)
+    on_low = where_less(-stall, low, where_less(low, stall, -line, 0.0), 0.0)
+    slope = where_less(high, torque, on_high, where_less(torque, low, on_low, slope))
+    return where_less(high, torque, high, where_less(torque, low, low, torque)), slope, available
 
 
 @inlined
-def _newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
+def newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
     """(dV, du) of Newton's method for the residuals of implicit Euler; `net_u` = d(T - T_motor)/du."""
     a11, a12 = 1.0 - cv * dp_v, -cv * dp_u
     a21, a22 = cu * torque_v, 1.0 + cu * net_u
     det = a11 * a22 - a12 * a21
-    if not abs(det) > 1e-12:
-        det = 1e-12
+    det = where_less(1e-12, abs(det), det, 1e-12)
     return -(a22 * f1 - a12 * f2) / det, -(a11 * f2 - a21 * f1) / det
 
 
 @inlined
-def _implicit_speeds(w, load, ground, command, by_speed, grade, world, h):
+def implicit_speeds(w, load, ground, command, by_speed, grade, world, h):
     """Implicit Euler for (V, u = r w) of wheel `w` (a WHEEL_STATE) over h seconds: (V, u, Reaction, converged).
 
     The first step goes by the reaction of the last substep to first order, where it is short. Newton's residual falls
@@ -386,11 +391,11 @@ def _implicit_speeds(w, load, ground, command, by_speed, grade, world, h):
     speed0, u0 = w.speed, w.wheel_speed * r
     v, u = speed0, u0
     torque, torque_w, _ = motor(command, by_speed, u / r, world)
-    dv, du = _newton_step(
+    dv, du = newton_step(
         -cv * (w.drawbar_pull - weight_along), -cu * (torque - w.torque), cv, cu,
         w.pull_by_speed, w.pull_by_rim, w.torque_by_speed, w.torque_by_rim - torque_w / r,
     )  # fmt: skip
-    if max(abs(dv), abs(du)) < _SHORT * (abs(u) + REST_SPEED):
+    if max(abs(dv), abs(du)) < SHORT * (abs(u) + REST_SPEED):
         v, u = v + dv, u + du
         torque, torque_w, _ = motor(command, by_speed, u / r, world)
     soil = ground.soil
@@ -404,18 +409,18 @@ def _implicit_speeds(w, load, ground, command, by_speed, grade, world, h):
     norm = max(abs(f1), abs(f2))
     before = 0.1 * norm  # nothing is foretold by the first residual alone
     for _ in range(_MAX_ITERATIONS):
-        dv, du = _newton_step(
+        dv, du = newton_step(
             f1, f2, cv, cu, soil_force.dp_v, soil_force.dp_u, soil_force.torque_v, soil_force.torque_u - torque_w / r
         )
         foretold = min(norm / before, max(abs(dv), abs(du)) * curvature / (abs(u) + REST_SPEED)) * norm
-        if foretold < _FORETOLD * _TOLERANCE:
+        if foretold < FORETOLD * TOLERANCE:
             trial = moved(soil_force, dv, du)
             torque, _, _ = motor(command, by_speed, (u + du) / r, world)
             g1 = v + dv - speed0 - cv * (trial.drawbar_pull - weight_along)
             g2 = u + du - u0 - cu * (torque - trial.torque)
-            if max(abs(g1), abs(g2)) < 0.1 * _TOLERANCE and trial.modulus > 0.0:
+            if max(abs(g1), abs(g2)) < 0.1 * TOLERANCE and trial.modulus > 0.0:
                 return v + dv, u + du, trial, True
-        if norm < _TOLERANCE:
+        if norm < TOLERANCE:
             return v, u, soil_force, True
         share = 1.0
         v1, u1, g1, g2, trial = v, u, f1, f2, soil_force
@@ -440,24 +445,21 @@ def _implicit_speeds(w, load, ground, command, by_speed, grade, world, h):
 @inlined
 def bearing_sinkage(sinkage, modulus, soil):
     """z_w [m]: depth at which undisturbed soil bears the pressure `modulus` z^n, at most 10 z."""
-    n = max(soil.sinkage_exponent, 0.05)
-    return sinkage * min((modulus / soil.sinkage_coefficient) ** (1.0 / n), 10.0)
+    n = larger(soil.sinkage_exponent, 0.05)
+    return sinkage * smaller(power(modulus / soil.sinkage_coefficient, 1.0 / n), 10.0)
 
 
 @inlined
 def relax_sinkage(sinkage, bearing, speed, slip_speed, soil, length, h):
     """Sinkage [m] after h seconds of dz/dt = B z_w - A z (`effects.excavation_rate`)."""
     a, b = excavation_rate(abs(speed), abs(slip_speed), soil.dig_gain, soil.dig_recovery, length)
-    if bearing > sinkage:  # the soil yields under the load at once, travelling or not
-        a += 1.0 / SETTLING_TIME
-        b += 1.0 / SETTLING_TIME
-    if a * h < 1e-12:
-        return sinkage
+    yielding = where_less(sinkage, bearing, 1.0 / SETTLING_TIME, 0.0)  # under the load at once, travelling or not
+    a, b = a + yielding, b + yielding
     goal = b * bearing / a
-    return goal + (sinkage - goal) * math.exp(-a * h)
+    return where_less(a * h, 1e-12, sinkage, goal + (sinkage - goal) * exp(-a * h))
 
 
-@inlined
+@kernel
 def advance(state, k, command, courses, streams, world):
     """Drive wheel k for one control period with a command in [-1, 1]; updates state[k] and its rut.
 
@@ -467,12 +469,20 @@ def advance(state, k, command, courses, streams, world):
     by_speed = world.speed_command
     if w.halt_left > 0.0:
         command, by_speed = 0.0, True
-    r = world.radius
-    longest = world.period / world.substeps
-    left, h = world.period, longest
     x_start = w.x
     w.motor_work = 0.0
     w.converged = 1
+    drive(state, k, command, by_speed, courses, world, world.period)
+    finish(state, k, command, x_start, streams, world)
+
+
+@kernel
+def drive(state, k, command, by_speed, courses, world, left):
+    """Substeps of wheel k for the `left` seconds that remain of a control period."""
+    w = state[k]
+    r = world.radius
+    longest = world.period / world.substeps
+    h = longest
     while left > 1e-9 * longest:
         h = min(h, left)
         soil, grade, patch = ground_at(courses, k, w.x + 0.5 * h * w.speed, w.patch, world.border)
@@ -483,7 +493,7 @@ def advance(state, k, command, courses, streams, world):
             ground = ground_with_effects(w, soil, grade, passes, world)
         else:
             ground = plain_ground(w, soil, world)
-        v, u, soil_force, converged = _implicit_speeds(w, load, ground, command, by_speed, grade, world, h)
+        v, u, soil_force, converged = implicit_speeds(w, load, ground, command, by_speed, grade, world, h)
         if not converged:
             if h > longest / _FINEST:
                 h *= 0.5
@@ -509,7 +519,13 @@ def advance(state, k, command, courses, streams, world):
         while w.cell != cell:
             leave_rut(courses, k, w.cell, w.sinkage, bearing)
             w.cell += 1 if cell > w.cell else -1
-    w.slip = slip_ratio(w.wheel_speed * r, w.speed, REST_SPEED)
+
+
+@inlined
+def finish(state, k, command, x_start, streams, world):
+    """The end of a control period of wheel k, which began at `x_start` [m]: slip, travel and halts."""
+    w = state[k]
+    w.slip = slip_ratio(w.wheel_speed * world.radius, w.speed, REST_SPEED)
     w.travel = w.x - x_start
     w.best_x = max(w.best_x, w.x)
     w.last_action = command

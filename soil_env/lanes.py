@@ -351,6 +351,38 @@ def where_below(typingctx, a, limit, x, y):
 
 
 @intrinsic
+def where_less(typingctx, a, b, x, y):
+    """x where a < b, else y; each a float or lanes, a float where all are."""
+    wide = lanes in (a, b, x, y)
+
+    def emit(context, builder, sig, args):
+        if wide:
+            args = [v if t == lanes else _spread(builder, v) for v, t in zip(args, sig.args, strict=True)]
+        return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[2], args[3])
+
+    return (lanes if wide else types.float64)(*(t if t == lanes else types.float64 for t in (a, b, x, y))), emit
+
+
+@inlined
+def smaller(a, b):
+    """The smaller of two, each a float or lanes."""
+    return where_less(b, a, b, a)
+
+
+@inlined
+def larger(a, b):
+    """The larger of two, each a float or lanes."""
+    return where_less(a, b, b, a)
+
+
+@intrinsic
+def root(typingctx, x):
+    """Square root of a float or of lanes."""
+    name, wide = ("llvm.sqrt.v8f64", lanes) if x == lanes else ("llvm.sqrt.f64", types.float64)
+    return wide(wide), lambda context, builder, sig, args: _call(builder, name, args)
+
+
+@intrinsic
 def sqrt_lanes(typingctx, a):
     """Square root of lanes."""
     return lanes(lanes), lambda context, builder, sig, args: _call(builder, "llvm.sqrt.v8f64", args)
@@ -412,6 +444,18 @@ def _copysign_of(size, sign):
     if size == lanes:
         return lambda size, sign: _copysign(size, sign)
     return lambda size, sign: math.copysign(size, sign)
+
+
+def power(x, y):
+    """x^y of floats or of lanes; of the latter x is at least 1e-300."""
+    raise NotImplementedError("for compiled code")
+
+
+@overload(power, inline="always")
+def _power_of(x, y):
+    if x == lanes:
+        return lambda x, y: exp_lanes(y * log_lanes(larger(x, 1e-300)))
+    return lambda x, y: x**y
 
 
 @overload(exp)

@@ -10,9 +10,11 @@ from numba import njit
 
 from soil_env.compiled import Entry, kernel, pasted, take
 from soil_env.crew import crew
-from soil_env.dynamics import WHEEL_STATE, WorldNumbers, advance, settle, world_numbers
+from soil_env.dynamics import WHEEL_STATE, WorldNumbers, settle, world_numbers
 from soil_env.identifier import IdentifierNumbers, Identifiers, forget, identifier_numbers, new_identifiers, observe
+from soil_env.lanes import COUNT, scratch
 from soil_env.loading import ParameterError
+from soil_env.lockstep import advance_eight
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 from soil_env.streams import seed_stream
@@ -28,8 +30,9 @@ from soil_env.terrain import (
     start_course,
 )
 
+_eight = scratch(COUNT)
 _TRIAL_COURSES = 8
-_CHUNK = 16  # wheels that a thread takes at a time
+_CHUNK = 2 * COUNT  # wheels that a thread takes at a time
 STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 
@@ -77,9 +80,8 @@ def restart(worlds, numbers, k):
 
 
 @pasted
-def step_one(worlds, numbers, k, command):
-    """One control period of wheel k: drive, sense, identify, judge, reward, observe."""
-    advance(worlds.state, k, command, worlds.courses, worlds.streams, numbers.world)
+def report(worlds, numbers, k):
+    """What follows on the drive of wheel k in a control period: sense, identify, judge, reward, observe."""
     draw_ahead(k, worlds.courses, worlds.state[k].x, worlds.state[k].mass, numbers.course)
     reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
     worlds.solved[k] = observe(worlds.ids, k, reading, numbers.identifier)
@@ -95,15 +97,25 @@ def step_one(worlds, numbers, k, command):
 
 @njit(cache=True, error_model="numpy", _nrt=False, nogil=True)
 def step_chunks(worlds, numbers, commands, what, counter):
-    """Wheels by chunks from `counter` [1]: `step_one` (what[k] = STEP), `restart` (RESTART) or nothing (IDLE)."""
+    """Wheels by chunks from `counter` [1]: a control period (what[k] = STEP), `restart` (RESTART) or nothing (IDLE)."""
+    which, given = _eight(), _eight()
     wheels = what.size
     start = take(counter, _CHUNK)
     while start < wheels:
-        for k in range(start, min(start + _CHUNK, wheels)):
+        stop, count = min(start + _CHUNK, wheels), 0
+        for k in range(start, stop):
             if what[k] == STEP:
-                step_one(worlds, numbers, k, commands[k])
+                which[count], given[count] = k, commands[k]
+                count += 1
             elif what[k] == RESTART:
                 restart(worlds, numbers, k)
+            if count == COUNT or (count > 0 and k == stop - 1):
+                advance_eight(
+                    worlds.state, which, count, given, worlds.courses, worlds.streams, numbers.world
+                )  # fmt: skip
+                for i in range(count):
+                    report(worlds, numbers, int(which[i]))
+                count = 0
         start = take(counter, _CHUNK)
 
 
