@@ -9,7 +9,6 @@ iteration fails goes on alone, by `dynamics.drive`, from the substep that failed
 
 from __future__ import annotations
 
-
 from soil_env.arcs import ARCS, arcs_integrals, store_arcs
 from soil_env.compiled import inlined, kernel
 from soil_env.contact import entry_angle_of_many, motion_from_speeds
