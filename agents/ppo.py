@@ -304,7 +304,7 @@ class TrainConfig(Checked):
     name: str = _text("", "of the run folder; empty: observation, scenario and time")
     runs: str = _text("runs", "folder of the run folders")
     seed: int = quantity("", 0, 2**31 - 1, default=0, doc="of the training")
-    timesteps: int = quantity("", 1, 10**12, default=12_000_000, doc="environment steps of the training")
+    timesteps: int = quantity("", 1, 10**12, default=20_000_000, doc="environment steps of the training")
     checkpoint_every: int = quantity("", 1, 10**12, default=1_000_000, doc="environment steps between checkpoints")
     courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
     tuning_courses: int = quantity("", 1, 10**6, default=200, doc="courses to tune the classical controllers on")

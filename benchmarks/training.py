@@ -96,7 +96,24 @@ class Curve(BaseCallback):
         self.timing.pause()
 
 
-LAYOUTS = {}
+def _layouts() -> dict[str, tuple]:
+    """{name: layout} of the study."""
+    relu, tanh = {"activation": "relu"}, {"activation": "tanh"}
+    out = {}
+    for arguments, more in (
+        ((128, 128, 1024, 6, 1e-3), tanh), ((512, 16, 2048, 4, 1e-3), relu), ((512, 32, 2048, 4, 1e-3), tanh),
+        ((512, 32, 2048, 4, 1e-3), relu), ((512, 64, 4096, 4, 1.5e-3), tanh), ((512, 64, 4096, 4, 1.5e-3), relu),
+        ((512, 128, 8192, 6, 2e-3), tanh), ((1024, 16, 4096, 3, 1.5e-3), tanh), ((1024, 16, 4096, 3, 1.5e-3), relu),
+        ((1024, 32, 4096, 4, 1.5e-3), tanh), ((1024, 32, 4096, 4, 1.5e-3), relu), ((1024, 32, 8192, 8, 2e-3), tanh),
+        ((1024, 64, 8192, 4, 2e-3), tanh), ((2048, 32, 8192, 4, 2e-3), tanh),
+    ):  # fmt: skip
+        out[f"{arguments[0]} x {arguments[1]}, batch {arguments[2]}, {more['activation']}"] = layout(*arguments, **more)
+    for key, value in (("gae_lambda", 0.95), ("gamma", 0.9985)):
+        out[f"512 x 64, relu, {key} {value:g}"] = layout(512, 64, 4096, 4, 1.5e-3, activation="relu", **{key: value})
+    return out
+
+
+LAYOUTS = _layouts()
 
 
 def learn(make, config: ppo.PPOConfig, seed: int, seconds: float, marks: int, courses: int) -> dict:
@@ -136,27 +153,47 @@ def keep(result: dict, path: Path) -> None:
 
 
 def costs(steps: int, rounds: int) -> dict:
-    """Microseconds a step of rollout and update together, and of the update, by SB3's PPO and by ours, in turns."""
-    small, large = (128, 128, 1024, 6, 1e-3), (512, 64, 4096, 4, 1.5e-3)
-    tries = {
-        "SB3, 128 x 128": layout(*small, make=plain, activation="tanh"),
-        "ours, 128 x 128": layout(*small, activation="tanh"),
-        "SB3, 512 x 64": layout(*large, make=plain, activation="tanh"),
-        "ours, 512 x 64": layout(*large, activation="tanh"),
-        "ours, 512 x 64, relu": layout(*large, activation="relu"),
+    """Microseconds a step: wall time in all, wall time of the update, and processor time; measured in turns."""
+    small, large = (128, 128, 1024, 6, 1e-3), (512, 32, 2048, 4, 1e-3)
+    tries = {  # layout, torch threads, update threads
+        "SB3, 128 x 128, tanh": (layout(*small, make=plain, activation="tanh"), 1, 1),
+        "ours, 128 x 128, tanh": (layout(*small, activation="tanh"), 1, 1),
+        "SB3, 512 x 32, tanh": (layout(*large, make=plain, activation="tanh"), 1, 1),
+        "ours, 512 x 32, tanh": (layout(*large, activation="tanh"), 1, 1),
+        "ours, 512 x 32, relu": (layout(*large, activation="relu"), 1, 1),
+        "ours, 512 x 32, relu, halves of a batch on 2 threads": (layout(*large, activation="relu"), 1, 2),
+        "ours, 512 x 32, relu, torch on 2 threads": (layout(*large, activation="relu"), 2, 1),
     }
-    models = {name: make(config, 0) for name, (make, config) in tries.items()}
-    found = {name: {"step": [], "update": []} for name in tries}
+    models = {name: make(config, 0) for name, ((make, config), _, _) in tries.items()}
+    found = {name: {"step": [], "update": [], "processor": []} for name in tries}
     for turn in range(rounds + 1):
         for name, model in models.items():
-            timing = Timing(dict.fromkeys(TRAINING, 0.0))
+            torch.set_num_threads(tries[name][1])
+            model.update_threads = tries[name][2]
+            timing, start = Timing(dict.fromkeys(TRAINING, 0.0)), time.process_time()
             before = model.num_timesteps
             model.learn(steps, callback=timing, reset_num_timesteps=False)
-            if turn:  # the first one warms up
-                done = model.num_timesteps - before
-                found[name]["step"].append(1e6 * sum(timing.seconds.values()) / done)
-                found[name]["update"].append(1e6 * timing.seconds["update"] / done)
+            spent = {"step": sum(timing.seconds.values()), "update": timing.seconds["update"]}
+            spent["processor"] = time.process_time() - start
+            for key, value in spent.items() if turn else ():  # the first one warms up
+                found[name][key].append(1e6 * value / (model.num_timesteps - before))
+    torch.set_num_threads(1)
     return {name: {key: spread(values) for key, values in row.items()} for name, row in found.items()}
+
+
+#: Layouts that are trained for long, with two seeds.
+FINALISTS = tuple(name for name in LAYOUTS if name.startswith(("512 x 32, batch", "512 x 64, batch 4096, relu")))
+
+
+def jobs() -> list[tuple]:
+    """The whole study: (part, layout, seed, seconds, marks, courses)."""
+    short = [("layouts", name, 0, 40.0, 4, 300) for name in LAYOUTS]
+    return short + [("finalists", name, seed, 150.0, 6, 300) for name in FINALISTS for seed in (0, 1)]
+
+
+def smoke() -> list[tuple]:
+    """A study of seconds."""
+    return [("layouts", name, 0, 0.2, 2, 4) for name in FINALISTS] + [("finalists", FINALISTS[0], 0, 0.3, 2, 4)]
 
 
 def main(arguments: list[str] | None = None) -> int:

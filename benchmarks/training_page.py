@@ -70,10 +70,16 @@ def finalists(result: dict) -> str:
 def update(result: dict) -> str:
     """What a step costs with SB3's update and with ours."""
     rows = [
-        [name, *(f"{c[key]['median']:.1f} ({c[key]['low']:.1f}-{c[key]['high']:.1f})" for key in ("step", "update"))]
+        [
+            name,
+            *(
+                f"{c[key]['median']:.1f} ({c[key]['low']:.1f}-{c[key]['high']:.1f})"
+                for key in ("step", "update", "processor")
+            ),
+        ]
         for name, c in result["update"].items()
     ]
-    return table(["", "us a step in all", "of that the update"], rows)
+    return table(["", "us a step in all", "of that the update", "processor time"], rows)
 
 
 def default_run(result: dict) -> str:
