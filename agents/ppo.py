@@ -49,7 +49,7 @@ class PPOConfig(Checked):
     n_steps: int = quantity("", 8, 65536, default=64, doc="steps of each wheel per update")
     batch_size: int = quantity("", 8, 1_000_000, default=4096, doc="transitions per gradient step")
     n_epochs: int = quantity("", 1, 100, default=4, doc="passes over a rollout")
-    learning_rate: float = quantity("", 1e-7, 1.0, default=1.5e-3, doc="step of Adam at the start")
+    learning_rate: float = quantity("", 1e-7, 1.0, default=1e-3, doc="step of Adam at the start")
     gamma: float = quantity("", 0.5, 1.0, default=0.999, doc="discount a step")
     gae_lambda: float = quantity("", 0.0, 1.0, default=0.9, doc="bias against variance of the advantages")
     clip_range: float = quantity("", 0.01, 1.0, default=0.2, doc="how far an update may move a probability ratio")
