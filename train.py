@@ -1,5 +1,9 @@
 """Train a PPO agent on randomised soil and compare it with slip controllers at avoiding immobilisation.
 
+The run trains the agent, tunes the classical controllers on courses of their own, drives all of them over the same
+held-out courses, prints the comparison, and says where the wall time went. On two cores the defaults take a few
+minutes. Everything is kept in one run folder.
+
 Examples:
     python train.py                                      the default: observation "identified", scenario "mixed"
     python train.py --config configs/smoke.yaml          a run of seconds, to see that everything works

@@ -11,25 +11,50 @@ import yaml
 
 from soil_env.loading import ParameterError, merge, read_yaml
 
+_FILES = """
+The run folder, runs/NAME, holds
+  config.yaml, scenario.yaml   what was asked, every key resolved; --resume reads them
+  model.zip                    the agent with its normalisation; agents.ppo.load_agent(folder) loads it
+  checkpoint.zip               the agent on the way, until it is done
+  tensorboard/                 curves of the training: tensorboard --logdir runs
+  comparison.json, .csv, .png  every controller on the held-out courses, with 95 % intervals
+  course.png                   one course in detail
+  time.json                    where the wall time went, in seconds
+
+Interrupted with Ctrl-C, a run leaves a checkpoint and says how to go on; killed, it goes on from the last checkpoint.
+
+Exit status: 0 done, 2 bad input (one line on stderr says what, where, and what was expected), 130 interrupted.
+"""
+
+
+def _keys() -> str:
+    """The config keys by group: option with default, what it is, and its bounds."""
+    from agents.ppo import PPOConfig, TrainConfig
+
+    lines = ["Keys of the config with their defaults, in the YAML file or as options:"]
+    for title, prefix, cls in (("The run", "", TrainConfig), ("PPO", "ppo.", PPOConfig)):
+        lines.append(f"\n  {title}")
+        for f in dataclasses.fields(cls):
+            if f.name not in ("ppo", "changes"):
+                default = "" if f.default in ("", dataclasses.MISSING) else str(f.default)
+                lines.append(f"    --{prefix + f.name:22s} {default:12s} {_about(f)}".rstrip())
+    lines.append(f"\n  The scenario\n    --changes.KEY{'':24s} any key, e.g. --changes.course.margin '[0.05, 0.1]'")
+    return "\n".join(lines)
+
+
+def _about(f: dataclasses.Field) -> str:
+    """What a key is, with its bounds."""
+    text, low, high = (f.metadata.get(key) for key in ("doc", "low", "high"))
+    return text if low is None else f"{text}, {low:g} to {high:g}"
+
 
 def parser(description: str) -> argparse.ArgumentParser:
     """Options of train.py; the keys of the config are listed from `TrainConfig` itself."""
-    from agents.ppo import PPOConfig, TrainConfig
-
-    lines = []
-    for prefix, cls in (("", TrainConfig), ("ppo.", PPOConfig)):
-        for f in dataclasses.fields(cls):
-            if f.name == "model":
-                lines.append(f"  --{f.name:24s} {'':12s} model.yaml with the effects that are on in this world")
-            elif f.name not in ("ppo", "changes"):
-                note = f.metadata.get("unit", "")
-                lines.append(f"  --{prefix + f.name:24s} {f.default!s:12s} {note}".rstrip())
-    keys = "config keys and their defaults:\n" + "\n".join(lines)
-    keys += "\n  --changes.KEY              any key of the scenario, e.g. --changes.course.margin '[0.05, 0.1]'"
     p = argparse.ArgumentParser(
         "train.py",
+        usage="train.py [--config YAML] [--KEY VALUE ...]\n       train.py --resume RUN",
         description=description,
-        epilog=keys,
+        epilog=_keys() + "\n" + _FILES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
@@ -90,7 +115,9 @@ def main(arguments: list[str] | None = None, description: str = "") -> int:
         training.console.print(f"Run folder: {folder}")
         agent = training.train(folder, config, scenario)
         training.compare(folder, config, scenario, {agent.name: agent})
-        training.console.print(f"Written to {folder}: comparison.json, comparison.csv, comparison.png, course.png")
+        training.console.print(
+            f"Written to {folder}: comparison.json, comparison.csv, comparison.png, course.png, time.json"
+        )
     except ParameterError as error:
         print(f"train.py: {error}", file=sys.stderr)
         return 2

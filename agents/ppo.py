@@ -20,7 +20,9 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
+from torch import nn
 
+from agents.learner import Learner, Tanh
 from agents.sb3 import SoilWheelVecEnv
 from soil_env.loading import Checked, ParameterError, load, quantity, to_dict
 from soil_env.model import WheelSoilModel
@@ -31,23 +33,32 @@ from soil_env.task import layout
 NAMES = {"blind": "ppo_blind", "identified": "ppo_identified", "true_soil": "ppo_true"}
 
 
+def _text(default: str, doc: str):
+    """A dataclass field of text."""
+    return field(default=default, metadata={"doc": doc})
+
+
 @dataclass(frozen=True)
 class PPOConfig(Checked):
-    """Hyperparameters of PPO (Schulman et al. 2017), in SB3's terms. The learning rate falls linearly to 5 %."""
+    """Hyperparameters of PPO (Schulman et al. 2017), in SB3's terms. The learning rate falls linearly to 5 %.
 
-    num_envs: int = quantity("wheels stepped together", 1, 65536, default=128)
-    n_steps: int = quantity("steps of each wheel per update", 8, 65536, default=128)
-    batch_size: int = quantity("transitions per gradient step", 8, 1_000_000, default=1024)
-    n_epochs: int = quantity("passes over a rollout", 1, 100, default=6)
-    learning_rate: float = quantity("", 1e-7, 1.0, default=1e-3)
-    gamma: float = quantity("discount", 0.5, 1.0, default=0.999)
-    gae_lambda: float = quantity("", 0.0, 1.0, default=0.9)
-    clip_range: float = quantity("", 0.01, 1.0, default=0.2)
-    ent_coef: float = quantity("", 0.0, 1.0, default=0.0)
-    layer: int = quantity("units in each of two hidden layers", 1, 4096, default=64)
-    log_std_init: float = quantity("log of the initial standard deviation", -5.0, 2.0, default=-1.6)
-    initial_action: float = quantity("mean action of the untrained policy", -1.0, 1.0, default=0.3)
-    threads: int = quantity("torch threads", 1, 256, default=1)
+    docs/training.md says how the layout was chosen.
+    """
+
+    num_envs: int = quantity("", 1, 65536, default=512, doc="wheels stepped together")
+    n_steps: int = quantity("", 8, 65536, default=64, doc="steps of each wheel per update")
+    batch_size: int = quantity("", 8, 1_000_000, default=4096, doc="transitions per gradient step")
+    n_epochs: int = quantity("", 1, 100, default=4, doc="passes over a rollout")
+    learning_rate: float = quantity("", 1e-7, 1.0, default=1e-3, doc="step of Adam at the start")
+    gamma: float = quantity("", 0.5, 1.0, default=0.999, doc="discount a step")
+    gae_lambda: float = quantity("", 0.0, 1.0, default=0.9, doc="bias against variance of the advantages")
+    clip_range: float = quantity("", 0.01, 1.0, default=0.2, doc="how far an update may move a probability ratio")
+    ent_coef: float = quantity("", 0.0, 1.0, default=0.0, doc="weight of the entropy")
+    layer: int = quantity("", 1, 4096, default=64, doc="units in each of two hidden layers")
+    activation: Literal["relu", "tanh"] = _text("relu", "what follows a hidden layer: relu or tanh")
+    log_std_init: float = quantity("", -5.0, 2.0, default=-1.6, doc="log of the initial standard deviation")
+    initial_action: float = quantity("", -1.0, 1.0, default=0.3, doc="mean action of the untrained policy")
+    threads: int = quantity("", 1, 256, default=2, doc="threads of environment and update; the result is the same")
 
     def __post_init__(self):
         super().__post_init__()
@@ -67,9 +78,9 @@ def build(
     world: WheelSoilModel | None = None,
 ) -> PPO:
     """A fresh PPO agent with its normalised vector environment; `world` brings the effects that are on there."""
-    torch.set_num_threads(config.threads)
+    torch.set_num_threads(1)  # its tensors are too small to be shared out; `Learner` shares out whole minibatches
     env = normalised(scenario, observation, config, seed, world)
-    model = PPO(
+    model = Learner(
         "MlpPolicy",
         env,
         learning_rate=_schedule(config),
@@ -80,13 +91,19 @@ def build(
         gae_lambda=config.gae_lambda,
         clip_range=config.clip_range,
         ent_coef=config.ent_coef,
-        policy_kwargs={"net_arch": [config.layer, config.layer], "log_std_init": config.log_std_init},
+        policy_kwargs={
+            "net_arch": [config.layer, config.layer],
+            "activation_fn": {"relu": nn.ReLU, "tanh": Tanh}[config.activation],
+            "log_std_init": config.log_std_init,
+            "optimizer_kwargs": {"fused": True},
+        },
         tensorboard_log=None if tensorboard is None else str(tensorboard),
         seed=seed,
         device="cpu",
     )
     with torch.no_grad():  # exploring around full stop would teach little but how to stall
         model.policy.action_net.bias.fill_(config.initial_action)
+    model.update_threads = config.threads
     return model
 
 
@@ -94,7 +111,8 @@ def normalised(
     scenario: Scenario, observation: str, config: PPOConfig, seed: int, world: WheelSoilModel | None = None
 ) -> VecNormalize:
     """The vector environment of `config.num_envs` wheels with running normalisation of observations and rewards."""
-    env = VecNormalize(SoilWheelVecEnv(config.num_envs, scenario, observation, model=world), gamma=config.gamma)
+    wheels = SoilWheelVecEnv(config.num_envs, scenario, observation, threads=config.threads, model=world)
+    env = VecNormalize(wheels, gamma=config.gamma)
     env.seed(seed)
     return env
 
@@ -232,7 +250,7 @@ def load_agent(path: Path) -> Agent:
 
 def _load_zip(path: Path, **options) -> PPO:
     try:
-        return PPO.load(path, device="cpu", **options)
+        return Learner.load(path, device="cpu", **options)
     except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
         reason = (str(error).splitlines() or [""])[0][:200]
         raise ParameterError(f"{path}: cannot be loaded as a PPO model ({type(error).__name__}: {reason})") from None
@@ -252,7 +270,7 @@ def resume(
     if meta["observation"] != observation:
         raise ParameterError(f"{path}: trained with observation {meta['observation']!r}, not {observation!r}")
     check_layout(meta, path)
-    torch.set_num_threads(config.threads)
+    torch.set_num_threads(1)
     env = normalised(scenario, observation, config, seed, world)
     env.obs_rms = _running(meta["mean"], meta["var"], meta["count"])
     env.ret_rms = _running(meta["return_mean"], meta["return_var"], meta["return_count"])
@@ -262,6 +280,7 @@ def resume(
         custom_objects={"learning_rate": _schedule(config), "lr_schedule": _schedule(config)},
         tensorboard_log=None if log is None else str(log),
     )
+    model.update_threads = config.threads
     model.set_random_seed((seed + meta["timesteps"]) % 2**31)  # loading has set the seed of the start of the run
     return model
 
@@ -276,17 +295,19 @@ def _running(mean, var, count) -> RunningMeanStd:
 class TrainConfig(Checked):
     """A training run: what `train.py` takes from YAML and from its command line."""
 
-    scenario: str = "mixed"
+    scenario: str = _text("mixed", "name of a scenario in configs/scenarios, or a YAML file")
     changes: dict = field(default_factory=dict)  # merged over the scenario
-    model: dict = field(default_factory=dict)  # model.yaml of the world's effects, as a mapping; empty = none
-    observation: Literal["blind", "identified", "true_soil"] = "identified"
-    name: str = ""  # of the run folder; empty = observation, scenario and time
-    runs: str = "runs"
-    seed: int = quantity("", 0, 2**31 - 1, default=0)
-    timesteps: int = quantity("environment steps", 1, 10**12, default=12_000_000)
-    checkpoint_every: int = quantity("environment steps", 1, 10**12, default=1_000_000)
-    courses: int = quantity("held-out courses of the comparison", 1, 10**7, default=1000)
-    tuning_courses: int = quantity("training courses to tune slip and speed on", 1, 10**6, default=200)
+    model: dict = field(default_factory=dict, metadata={"doc": "model.yaml with the effects that are on in this world"})
+    observation: Literal["blind", "identified", "true_soil"] = _text(
+        "identified", "what the agent knows: blind, identified or true_soil"
+    )
+    name: str = _text("", "of the run folder; empty: observation, scenario and time")
+    runs: str = _text("runs", "folder of the run folders")
+    seed: int = quantity("", 0, 2**31 - 1, default=0, doc="of the training")
+    timesteps: int = quantity("", 1, 10**12, default=20_000_000, doc="environment steps of the training")
+    checkpoint_every: int = quantity("", 1, 10**12, default=1_000_000, doc="environment steps between checkpoints")
+    courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
+    tuning_courses: int = quantity("", 1, 10**6, default=200, doc="courses to tune the classical controllers on")
     ppo: PPOConfig = PPOConfig()
 
     @property

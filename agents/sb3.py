@@ -46,6 +46,7 @@ class SoilWheelVecEnv(VecEnv):
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, dtype=np.int64)
         self._start = time.time()
+        self.seconds = 0.0  # spent in `step_wait`
         self._unseeded = True
 
     def reset(self) -> np.ndarray:
@@ -77,7 +78,7 @@ class SoilWheelVecEnv(VecEnv):
 
     def step_wait(self):
         """One control period; (observations, rewards, dones, infos)."""
-        worlds = self.simulation.worlds
+        worlds, start = self.simulation.worlds, time.perf_counter()
         self.simulation.step_all(self._commands, self._drive)
         self._returns += worlds.reward
         self._lengths += 1
@@ -95,6 +96,7 @@ class SoilWheelVecEnv(VecEnv):
             self.simulation.restart_where(done)
             self._returns[done] = 0.0
             self._lengths[done] = 0
+        self.seconds += time.perf_counter() - start
         return worlds.observation.copy(), rewards, done, infos
 
     def close(self) -> None:

@@ -16,6 +16,7 @@ from agents import evaluate, plots, ppo, progress, tuning
 from agents.controllers import CONTROLLERS, make_controller
 from agents.evaluate import HELD_OUT_SET, TUNING_SET
 from agents.ppo import TrainConfig
+from agents.timing import Times, Timing
 from soil_env.loading import ParameterError, read_yaml, to_dict
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario, load_scenario
@@ -33,9 +34,9 @@ class Bar(progress.Bar):
 class _Watch(BaseCallback):
     """Progress bar, immobilisation rate on TensorBoard, and checkpoints."""
 
-    def __init__(self, folder: Path, every: int, bar: Bar):
+    def __init__(self, folder: Path, every: int, bar: Bar, times: Times):
         super().__init__()
-        self.folder, self.every, self.bar = folder, every, bar
+        self.folder, self.every, self.bar, self.times = folder, every, bar, times
         self.next_save = 0
         self.causes: list[str] = []
         self.returns: list[float] = []
@@ -64,6 +65,7 @@ class _Watch(BaseCallback):
         self.bar.update(self.num_timesteps, note=note)
         if self.num_timesteps >= self.next_save:
             ppo.save(self.model, self.folder / "checkpoint.zip")
+            self.times.save()
             self.next_save = self.num_timesteps + self.every
 
 
@@ -112,15 +114,18 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
         console.print(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
     else:
         model = ppo.build(scenario, config.observation, config.ppo, config.seed, log, config.world)
+    times = Times(folder)
     left = config.timesteps - model.num_timesteps
     if left > 0:
         with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
-            watch = _Watch(folder, config.checkpoint_every, bar)
+            watch = _Watch(folder, config.checkpoint_every, bar, times)
             try:
-                model.learn(left, callback=watch, reset_num_timesteps=False, tb_log_name="PPO")
+                model.learn(left, callback=[watch, Timing(times.seconds)], reset_num_timesteps=False, tb_log_name="PPO")
             except KeyboardInterrupt:
                 ppo.save(model, folder / "checkpoint.zip")
+                times.save()
                 raise
+    times.save()
     ppo.save(model, folder / "model.zip")
     for left_over in (folder / "checkpoint.zip", *folder.glob(".*.partial.zip")):
         left_over.unlink(missing_ok=True)
@@ -138,37 +143,37 @@ def tuned_controllers(scenario: Scenario, courses: int, world: WheelSoilModel | 
 
 
 def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[str, ppo.Agent]) -> dict:
-    """Every controller and agent on the same held-out courses; writes comparison.* and course.png, prints the table."""
-    world = config.world
-    controllers, settings = tuned_controllers(scenario, config.tuning_courses, world)
+    """Every controller and agent on the same held-out courses; writes comparison.* and course.png, prints the table
+    and where the wall time of the run went."""
+    world, times, folder = config.world, Times(folder), Path(folder)
+    with times.part("tuning"):
+        controllers, settings = tuned_controllers(scenario, config.tuning_courses, world)
     contestants = {**controllers, **agents}
     runs = {}
-    with Bar("Comparing", config.courses * len(contestants), "courses") as bar:
-        for name, contestant in contestants.items():
-            runs[name] = evaluate.run_courses(
-                contestant,
-                scenario,
-                HELD_OUT_SET,
-                config.courses,
-                progress=lambda count, name=name: bar.update(advance=count, note=name),
-                model=world,
-            )
-    result = evaluate.comparison(scenario, HELD_OUT_SET, runs, settings)
+    with times.part("comparison"):
+        with Bar("Comparing", config.courses * len(contestants), "courses") as bar:
+            for name, contestant in contestants.items():
+                runs[name] = evaluate.run_courses(
+                    contestant,
+                    scenario,
+                    HELD_OUT_SET,
+                    config.courses,
+                    progress=lambda count, name=name: bar.update(advance=count, note=name),
+                    model=world,
+                )
+        result = evaluate.comparison(scenario, HELD_OUT_SET, runs, settings)
     if world is not None:
         result["model"] = world.content()
     evaluate.save(result, folder)
-    plots.comparison_figure(result, Path(folder) / "comparison.png")
-    classical = min(controllers, key=lambda n: result["controllers"][n]["immobilised"]["value"])
-    course = _telling_course(runs, list(agents))
-    plots.course_figure(
-        scenario,
-        HELD_OUT_SET,
-        course,
-        {n: contestants[n] for n in (classical, *agents)},
-        Path(folder) / "course.png",
-        world,
-    )
+    with times.part("figures"):
+        plots.comparison_figure(result, folder / "comparison.png")
+        classical = min(controllers, key=lambda n: result["controllers"][n]["immobilised"]["value"])
+        drivers = {n: contestants[n] for n in (classical, *agents)}
+        course = _telling_course(runs, list(agents))
+        plots.course_figure(scenario, HELD_OUT_SET, course, drivers, folder / "course.png", world)
+    times.save()
     print_table(result)
+    console.print(str(times), soft_wrap=True, highlight=False)
     return result
 
 

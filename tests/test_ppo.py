@@ -505,9 +505,9 @@ def test_config_is_strict():
 
 def test_config_defaults_and_conversions():
     assert load_config({}, "x") == TrainConfig()
-    config = load_config({"timesteps": "5e6", "ppo": {"num_envs": 24.0}}, "x")
+    config = load_config({"timesteps": "5e6", "ppo": {"num_envs": 1024.0}}, "x")
     assert config.timesteps == 5_000_000 and isinstance(config.timesteps, int)
-    assert config.ppo.num_envs == 24 and isinstance(config.ppo.num_envs, int)
+    assert config.ppo.num_envs == 1024 and isinstance(config.ppo.num_envs, int)
     assert config.ppo.gamma == PPOConfig().gamma
 
 

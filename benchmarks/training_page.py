@@ -1,0 +1,128 @@
+"""The figure and the tables of docs/training.md from the content of training.json."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from benchmarks.throughput_page import table
+
+PARTS = ("env", "policy", "update")
+
+
+def machine(result: dict) -> str:
+    """The machine line."""
+    m = result["machine"]
+    load = "" if m["load"] is None else f", load average {m['load']:.1f} at the start"
+    return (
+        f"{m['processor']}, {m['cores']} cores, shared with other work{load}; Python {m['python']}, torch {m['torch']}."
+    )
+
+
+def _runs(result: dict, part: str) -> dict[str, list[dict]]:
+    """{layout: its runs} of one part."""
+    out: dict[str, list[dict]] = {}
+    for run in result["runs"]:
+        if run["part"] == part:
+            out.setdefault(run["layout"], []).append(run)
+    return out
+
+
+def _each(runs: list[dict], value, digits: int) -> str:
+    """A value of every seed."""
+    return ", ".join(f"{value(run):.{digits}f}" for run in runs)
+
+
+def _layouts(result: dict, part: str) -> str:
+    head = ["layout", "batch", "epochs", "rate", "units", "Msteps", "us/step", "env", "policy", "update",
+            "return", "finished [%]", "immobilised [%]", "out of time [%]"]  # fmt: skip
+    rows = []
+    for name, runs in _runs(result, part).items():
+        c, seconds = runs[0]["config"], {p: sum(run["seconds"][p] for run in runs) for p in PARTS}
+        total, steps = sum(seconds.values()), sum(run["timesteps"] for run in runs)
+        rows.append([
+            name, str(c["batch_size"]), str(c["n_epochs"]), f"{c['learning_rate']:g}", c["activation"],
+            f"{steps / len(runs) / 1e6:.1f}", f"{total / steps * 1e6:.1f}",
+            *(f"{seconds[p] / total:.0%}" for p in PARTS),
+            _each(runs, lambda run: run["points"][-1]["return"], 2),
+            *(_each(runs, lambda run, m=m: 100.0 * run["points"][-1][m], 1)
+              for m in ("finished", "immobilised", "time_limit")),
+        ])  # fmt: skip
+    return table(head, rows)
+
+
+def screening(result: dict) -> str:
+    """All layouts in the short budget."""
+    return _layouts(result, "layouts")
+
+
+def finalists(result: dict) -> str:
+    """The best of them and changes of them in the long budget."""
+    return _layouts(result, "finalists")
+
+
+def update(result: dict) -> str:
+    """What a step costs with SB3's update and with ours."""
+    rows = [
+        [
+            name,
+            *(
+                f"{c[key]['median']:.1f} ({c[key]['low']:.1f}-{c[key]['high']:.1f})"
+                for key in ("step", "update", "processor")
+            ),
+        ]
+        for name, c in result["update"].items()
+    ]
+    return table(["", "us a step in all", "of that the update", "processor time"], rows)
+
+
+def default_run(result: dict) -> str:
+    """Where the wall time of one run of train.py went."""
+    seconds = result.get("run")
+    if not seconds:
+        return "Not measured."
+    total = sum(seconds.values())
+    rows = [[part, f"{s:.0f}", f"{s / total:.0%}"] for part, s in seconds.items()]
+    return table(["part", "s", "share"], [*rows, ["all", f"{total:.0f}", "100%"]])
+
+
+def figure(result: dict, path: Path) -> None:
+    """Share of courses finished, over wall time: the layouts in the short budget and the finalists in the long one."""
+    figure, axes = plt.subplots(1, 2, figsize=(12, 4.6), sharey=True)
+    for axis, part in zip(axes, ("layouts", "finalists"), strict=True):
+        for k, (name, runs) in enumerate(_runs(result, part).items()):
+            for run in runs:
+                wall, finished = ([p[key] for p in run["points"]] for key in ("wall", "finished"))
+                style = {"color": f"C{k % 10}", "marker": "o^sv"[k // 10 % 4], "markersize": 4}
+                axis.plot(wall, 100.0 * np.array(finished), label=name if run is runs[0] else None, **style)
+        axis.set_xlabel("wall time of training on one core [s]")
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=7, loc="lower right")
+    axes[0].set_ylabel("validation courses finished [%]")
+    axes[0].set_title("every layout, the same short time")
+    axes[1].set_title("finalists, a curve a seed")
+    figure.tight_layout()
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+SECTIONS = {
+    "machine": machine, "update": update, "screening": screening, "finalists": finalists, "run": default_run,
+}  # fmt: skip
+
+
+def write(result: dict, template: Path, out: Path) -> None:
+    """`template` with the text between its markers renewed, into `out`; a KeyError for a marker without figures."""
+
+    def section(match):
+        return f"<!-- {match[1]} -->\n{SECTIONS[match[1]](result)}\n<!-- end -->"
+
+    text = template.read_text(encoding="utf-8")
+    text = re.sub(r"<!-- (\w+) -->\n.*?<!-- end -->", section, text, flags=re.DOTALL)
+    out.write_text(text, encoding="utf-8")
