@@ -12,18 +12,29 @@ Examples:
     python train.py --resume runs/NAME                   go on with a run that was interrupted or killed
 """
 
-import sys
+import os
+import signal
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run with the given command line, sys.argv's by default; returns the exit status."""
-    try:
-        from agents.cli import main as run  # torch takes seconds to import: an interrupt then ends quietly too
+    from agents.cli import main as run
 
-        return run(arguments, description=__doc__)
-    except KeyboardInterrupt:
-        return 130
+    return run(arguments, description=__doc__)
 
+
+def _interrupted(*_) -> None:
+    """End at once: imports take seconds, nothing is begun yet, and `agents.cli` lets Ctrl-C raise again."""
+    os.write(2, b"\ntrain.py: interrupted\n")
+    os._exit(130)
+
+
+_interrupted.while_starting = True  # see soil_env/starting.py
 
 if __name__ == "__main__":
-    sys.exit(main())
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupted)
+    status = main()
+    from soil_env.starting import leave
+
+    leave(status)

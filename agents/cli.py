@@ -10,6 +10,7 @@ from pathlib import Path
 import yaml
 
 from soil_env.loading import ParameterError, merge, read_yaml
+from soil_env.starting import started
 
 _FILES = """
 The run folder, runs/NAME, holds
@@ -92,15 +93,16 @@ def overrides(arguments: list[str]) -> dict:
 def main(arguments: list[str] | None = None, description: str = "") -> int:
     """Run train.py; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options, rest = parser(description).parse_known_args(arguments)
+    from agents import ppo, training
+    from soil_env.parameters import load_scenario
+
+    started()
     folder = None
     try:
         for name in ("config", "resume"):
             if getattr(options, name) == "":
                 raise ParameterError(f"--{name}: expected a path, got nothing")
         changes = overrides(rest)
-        from agents import ppo, training
-        from soil_env.parameters import load_scenario
-
         if options.resume is not None:
             if options.config is not None or changes:
                 raise ParameterError("--resume takes no other option: the run folder has its config")

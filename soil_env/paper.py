@@ -51,6 +51,7 @@ from soil_env.paper_points import (
     unknowns,
 )
 from soil_env.parameters import Soil, soils
+from soil_env.starting import INTERRUPTED, leave, started
 from soil_env.traversability import Best, best_working_point
 
 #: Soils of Figs. 8 and 9: the name in the paper and the preset that stands for it.
@@ -231,6 +232,7 @@ def _seed(text: str) -> int:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; exit status."""
+    started()
     parser = argparse.ArgumentParser(prog="python -m soil_env.paper", description="The source paper, recomputed.")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write DIR/paper.md and DIR/paper/*.png")
     parser.add_argument("--seed", type=_seed, default=0, help="of the noise in Table 5 (default 0)")
@@ -241,13 +243,17 @@ def main(arguments: list[str] | None = None) -> int:
         except OSError as error:
             print(f"error: --out {options.out}: cannot write there ({error.strerror})", file=sys.stderr)
             return 2
-    results = compute(options.seed)
-    paper_page.show(results)
-    if options.out is not None:
-        paper_page.write(results, options.out)
-        print(f"written: {options.out / 'paper.md'}, figures in {options.out / 'paper'}")
+    try:
+        results = compute(options.seed)
+        paper_page.show(results)
+        if options.out is not None:
+            paper_page.write(results, options.out)
+            print(f"written: {options.out / 'paper.md'}, figures in {options.out / 'paper'}")
+    except KeyboardInterrupt:
+        print("\nsoil_env.paper: interrupted", file=sys.stderr)
+        return INTERRUPTED
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

@@ -42,6 +42,7 @@ from agents.tuning import candidates_in_all, tuned_settings
 from soil_env.loading import ParameterError, unknown_key
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import load_scenario
+from soil_env.starting import leave, started
 
 
 def parser() -> argparse.ArgumentParser:
@@ -86,6 +87,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
+    started()
     options, rest = parser().parse_known_args(arguments)
     console, folder = Console(), options.resume or options.out
     try:
@@ -213,4 +215,4 @@ def _begin(study: studies.Study, folder: Path, console: Console) -> studies.Stud
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

@@ -22,6 +22,7 @@ from agents.sim2real import report, study
 from agents.training import console
 from soil_env.loading import ParameterError
 from soil_env.parameters import load_scenario
+from soil_env.starting import leave, started
 
 
 def parser() -> argparse.ArgumentParser:
@@ -51,6 +52,7 @@ _NUMBERS = {
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
+    started()
     options = parser().parse_args(arguments)
     try:
         scenario = load_scenario(options.scenario)
@@ -82,4 +84,4 @@ def _refuse(message: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

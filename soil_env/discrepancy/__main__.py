@@ -51,14 +51,16 @@ from soil_env.discrepancy.report import FILES, show
 from soil_env.discrepancy.words import summary
 from soil_env.discrepancy.workflow import MOST_DRAWS, Report, run
 from soil_env.loading import ParameterError
+from soil_env.starting import INTERRUPTED, leave, started
 
 NAME = "soil_env.discrepancy"
 
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    options = _parser().parse_args(arguments)
+    started()
     try:
+        options = _parser().parse_args(arguments)
         with _progress(options.quiet) as say:
             report = run(
                 options.data, options.setup, options.out, seed=options.seed, bootstrap=options.bootstrap, progress=say
@@ -68,7 +70,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         print(f"{NAME}: interrupted, nothing written", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     try:
         _tell(report, Path(options.out), options.quiet)
     except OSError as error:
@@ -147,4 +149,4 @@ def _whole(text: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

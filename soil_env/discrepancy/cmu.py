@@ -44,6 +44,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from soil_env.loading import ParameterError
+from soil_env.starting import INTERRUPTED, leave, started
 
 REPOSITORY = "github.com/robomechanics/3d-terramechanics"
 FILES = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}
@@ -308,6 +309,7 @@ def _write(out: Path, files: dict[str, str]) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
+    started()
     parser = argparse.ArgumentParser(
         prog="python -m soil_env.discrepancy.cmu",
         description=__doc__,
@@ -327,6 +329,9 @@ def main(arguments: list[str] | None = None) -> int:
     except ParameterError as error:
         print(f"soil_env.discrepancy.cmu: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("\nsoil_env.discrepancy.cmu: interrupted", file=sys.stderr)
+        return INTERRUPTED
     for wheel, of_wheel in runs.items():
         slips = len({run.rim_command for run in of_wheel})
         print(f"written: {options.out / wheel}.csv ({len(of_wheel)} runs, {slips} rim speeds) and {wheel}.setup.yaml")
@@ -334,4 +339,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

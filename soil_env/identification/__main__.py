@@ -48,6 +48,7 @@ from rich.table import Table as Grid
 from soil_env.identification.table import Fit, TableEstimate, identify_table
 from soil_env.loading import ParameterError
 from soil_env.measurement import read_setup, read_table
+from soil_env.starting import INTERRUPTED, leave, started
 
 NAMES = {
     "friction_angle_deg": "friction angle",
@@ -60,18 +61,25 @@ NAMES = {
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    options = _parser().parse_args(arguments)
+    started()
     try:
-        setup = read_setup(options.setup)
-        table = read_table(options.data, setup.wheel)
-        if options.out is not None and options.out.exists() and not options.out.is_dir():
-            raise ParameterError(f"{options.out}: is a file: expected a folder")
-        estimate = identify_table(table, setup)
-        files = {} if options.out is None else _files(estimate)
-        _write(options.out, files)
+        return _run(_parser().parse_args(arguments))
     except ParameterError as error:
         print(f"soil_env.identification: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("\nsoil_env.identification: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _run(options: argparse.Namespace) -> int:
+    setup = read_setup(options.setup)
+    table = read_table(options.data, setup.wheel)
+    if options.out is not None and options.out.exists() and not options.out.is_dir():
+        raise ParameterError(f"{options.out}: is a file: expected a folder")
+    estimate = identify_table(table, setup)
+    files = {} if options.out is None else _files(estimate)
+    _write(options.out, files)
     show(estimate, Console(width=None if sys.stdout.isatty() else 110))
     for name in files:
         print(f"written: {options.out / name}")
@@ -84,8 +92,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m soil_env.identification",
         description=description,
         epilog="files:\n\nDATA.csv" + files + "\nexit status: 0 identified; 2 bad input, said in one line and nothing "
-        "written.\n\nexample:\n\n    python -m soil_env.identification examples/data/single_wheel.csv \\\n"
-        "        --setup examples/data/setup.yaml --out runs/identified",
+        "written; 130 interrupted.\n\nexample:\n\n    python -m soil_env.identification "
+        "examples/data/single_wheel.csv \\\n        --setup examples/data/setup.yaml --out runs/identified",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     p.add_argument("data", metavar="DATA.csv", type=Path, help="measurement table (CSV, or Parquet with pyarrow)")
@@ -259,4 +267,4 @@ def load_groups(load: np.ndarray) -> list[tuple[str, np.ndarray]]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())
