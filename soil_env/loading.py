@@ -70,17 +70,18 @@ def unknown_key(key, known, where: str) -> ParameterError:
 def load(cls, mapping, where: str = ""):
     """Build dataclass `cls` from a mapping; nested dataclasses from nested mappings.
 
-    Raises `ParameterError` for unknown or missing keys and for wrong types, naming `where` the mapping came from.
+    Raises `ParameterError` for unknown or missing keys, wrong types and values out of range. The message begins with
+    `where` the mapping came from, a file as a rule, and the path of keys in it: "setup.yaml: wheel.radius = 150: ...".
     """
     where = where or cls.__name__
     if not isinstance(mapping, dict):
-        raise ParameterError(f"{where}: expected a mapping of {cls.__name__} fields, got {mapping!r}")
+        raise ParameterError(f"{where}: expected a mapping of {_keys(cls)}, got {mapping!r}")
     hints = typing.get_type_hints(cls)
     names = {f.name: f for f in dataclasses.fields(cls) if f.init}
     for key in mapping:
         if key not in names:
             raise unknown_key(key, names, where)
-    values = {key: _convert(hints[key], value, f"{where}: {key}") for key, value in mapping.items()}
+    values = {key: _convert(hints[key], value, _below(where, key)) for key, value in mapping.items()}
     missing = [
         n
         for n, f in names.items()
@@ -91,7 +92,19 @@ def load(cls, mapping, where: str = ""):
     try:
         return cls(**values)
     except ParameterError as error:
-        raise ParameterError(f"{where}: {error}" if where != cls.__name__ else str(error)) from None
+        text, own = str(error), f"{cls.__name__}."
+        if where == cls.__name__:
+            raise
+        raise ParameterError(_below(where, text[len(own) :]) if text.startswith(own) else f"{where}: {text}") from None
+
+
+def _below(where: str, key: str) -> str:
+    """The place of a key: "file: key", and "file: section.key" further down."""
+    return f"{where}{'.' if ': ' in where else ': '}{key}"
+
+
+def _keys(cls) -> str:
+    return ", ".join(f.name for f in dataclasses.fields(cls) if f.init)
 
 
 def _convert(hint, value, where):

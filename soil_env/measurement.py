@@ -12,6 +12,7 @@ import csv
 import dataclasses
 import difflib
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,7 +106,9 @@ def read_table(path: str | Path, wheel: SetupWheel | None = None) -> Table:
 def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header and (line, cells) of the rows that are not blank, every cell stripped."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
+        with path.open(encoding="utf-8-sig", newline="") as stream:  # with or without a byte order mark
+            _check_separator(path, stream.readline(), stream.readline())
+            stream.seek(0)
             reader = csv.reader(stream, strict=True)
             lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
     except OSError as error:
@@ -120,8 +123,22 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     header, rows = lines[0][1], lines[1:]
     for line, cells in rows:
         if len(cells) != len(header):
-            raise ParameterError(f"{path}: row {line} has {len(cells)} cells: expected {len(header)}, as the header")
+            hint = " (numbers with decimal points, not commas)" if len(cells) > len(header) else ""
+            raise ParameterError(
+                f"{path}: row {line} has {len(cells)} cells: expected {len(header)}, as the header{hint}"
+            )
     return header, rows
+
+
+def _check_separator(path: Path, header: str, row: str) -> None:
+    """Refuse a header without commas that has semicolons or tabs; `row` tells of decimal commas."""
+    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+        if mark in header and "," not in header:
+            also = " and decimal commas" if re.search(r"\d,\d", row) else ""
+            raise ParameterError(
+                f"{path}: {name} between the columns{also}: expected commas between the columns and decimal points "
+                "(export it as comma-separated values with English number format)"
+            )
 
 
 def _parquet_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
@@ -143,8 +160,6 @@ def _check_header(path: Path, header: list[str]) -> None:
     for name in header:
         if name in COLUMNS:
             continue
-        if len(header) == 1 and any(c in name for c in ";\t"):
-            raise ParameterError(f"{path}: header {name!r}: expected column names with commas between them")
         near = difflib.get_close_matches(name.lower(), COLUMNS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise ParameterError(f"{path}: unknown column {name!r}{hint} (known: {', '.join(COLUMNS)})")
@@ -174,9 +189,8 @@ def _column(path: Path, name: str, header: list[str], rows: list) -> np.ndarray:
             out[k] = math.nan
         if not math.isfinite(out[k]):
             unit = f" of {UNITS[name]}" if UNITS[name] else ""
-            raise ParameterError(
-                f"{path}: row {line}, {name} = {text!r}: expected a finite number{unit} (empty = not measured)"
-            )
+            hint = "with a decimal point" if re.fullmatch(r"[-+]?\d+,\d+", text) else "(empty = not measured)"
+            raise ParameterError(f"{path}: row {line}, {name} = {text!r}: expected a finite number{unit} {hint}")
     return out
 
 
@@ -375,7 +389,7 @@ def read_setup(path: str | Path) -> Setup:
         if section in mapping and mapping[section] is None:
             del mapping[section]  # a heading with nothing below it
     if isinstance(mapping.get("soil"), dict):
-        mapping["soil"] = {key: _prior(v, f"{where}: soil: {key}") for key, v in mapping["soil"].items()}
+        mapping["soil"] = {key: _prior(v, f"{where}: soil.{key}") for key, v in mapping["soil"].items()}
     return load(Setup, mapping, where)
 
 

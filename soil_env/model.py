@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,6 +46,7 @@ from soil_env.loading import Checked, ParameterError, check, load, quantity, rea
 from soil_env.measurement import LARGEST_WHEEL, STEEPEST, Table
 from soil_env.parameters import Soil, SoilState
 from soil_env.residual import ResidualTerm, dimensionless_groups, residual_at, residual_law
+from soil_env.validity import OutsideValidity, checked, outside
 
 _SECANT = 1e-7  # step times last step [ln m]^2, the size of the error that the last step of the secant leaves
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
@@ -264,6 +266,9 @@ class ModelWheel(Checked):
     grouser_height: float = quantity("m", 0.0, 1.0, default=0.0)
 
 
+_EXPECTED = {"wheel": "a ModelWheel", "soil": "a Soil or None", "residual": "a sequence of ResidualTerm"}
+
+
 class Prediction(NamedTuple):
     """Steady values [N] at the conditions that were asked for."""
 
@@ -280,7 +285,9 @@ class WheelSoilModel:
     `effects` maps a name of the catalogue to its parameters; those left out are neutral. `soil.dig_gain` is the
     digging that the simulated world gives its soils; a model that was fitted to measurements has it at 0 and says
     slip-sinkage by name. Without a soil a model is a set of effects for worlds that bring their own soils; it cannot
-    predict.
+    predict. `validity` says what conditions a fitted model has seen, {"slip": (low, high), "load": ..., "speed": ...,
+    "pass": ..., "grade_deg": ...} in the units of a measurement table; empty where nothing is said. The first
+    prediction beyond them gives the warning `OutsideValidity`.
     """
 
     wheel: ModelWheel
@@ -288,10 +295,15 @@ class WheelSoilModel:
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     residual: tuple[ResidualTerm, ...] = ()
     gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81, doc="for the weight of the soil")
+    validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self):
+        for name, kind in (("wheel", ModelWheel), ("soil", (Soil, type(None))), ("residual", (tuple, list))):
+            if not isinstance(getattr(self, name), kind):
+                raise ParameterError(f"WheelSoilModel: {name} = {getattr(self, name)!r}: expected {_EXPECTED[name]}")
         check(self)
         pack_effects(self.effects)  # refuses what is unknown or out of range
+        object.__setattr__(self, "validity", checked(self.validity))
 
     @property
     def density(self) -> float:
@@ -308,11 +320,16 @@ class WheelSoilModel:
 
         `conditions`: a measurement `Table`, or a mapping of arrays [N] (scalars count for every row) with `slip` [-]
         and `load` [N] and, as far as they matter, `speed` [m/s], `pass`, `grade_deg`, `wheel_radius`, `wheel_width`,
-        `grouser_height` [m]. Raises `ParameterError` for unknown or missing names and for values that are not finite.
+        `grouser_height` [m]. Raises `ParameterError` for unknown or missing names and for values that are not finite;
+        warns once (`OutsideValidity`) of conditions outside `validity`.
         """
         if self.soil is None:
             raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")
         c = rows_of(conditions, self.wheel)
+        beyond = outside(self.validity, c.slip, c.load, c.conditions)
+        if beyond and not getattr(self, "_warned", False):
+            object.__setattr__(self, "_warned", True)
+            warnings.warn(f"predicting outside what the model was fitted to: {beyond}", OutsideValidity, stacklevel=2)
         out, carried = np.empty((c.slip.size, 3)), 0
         for width in np.unique(c.wheels[:, 1]):  # S = k_c/b + k_phi
             here = c.wheels[:, 1] == width
@@ -337,6 +354,8 @@ class WheelSoilModel:
             content["soil"] = {k: v for k, v in to_dict(self.soil).items() if v is not None and v != ""}
         if self.residual:
             content["residual"] = [to_dict(term) for term in self.residual]
+        if self.validity:
+            content["validity"] = {name: list(pair) for name, pair in self.validity.items()}
         return content
 
     def save(self, path: str | Path) -> None:
@@ -346,12 +365,16 @@ class WheelSoilModel:
     @classmethod
     def load(cls, path: str | Path) -> WheelSoilModel:
         """Read model.yaml; `ParameterError` with one line for anything unknown, missing or out of range."""
+        if not isinstance(path, (str, Path)) or not str(path):
+            raise ParameterError(f"model = {path!r}: expected the path of a model.yaml")
         return cls.from_content(read_yaml(Path(path)), str(path))
 
     @classmethod
     def from_content(cls, content: Mapping, where: str = "model") -> WheelSoilModel:
         """The model of the mapping of a model.yaml; errors name `where` it comes from."""
-        known = ("format", "wheel", "soil", "effects", "residual", "gravity")
+        known = ("format", "wheel", "soil", "effects", "residual", "gravity", "validity")
+        if not isinstance(content, Mapping):
+            raise ParameterError(f"{where}: expected the mapping of a model.yaml, got {content!r}")
         for key in content:
             if key not in known:
                 raise unknown_key(key, known, where)
@@ -370,6 +393,7 @@ class WheelSoilModel:
                 content.get("effects", {}),
                 tuple(load(ResidualTerm, t, f"{where}: residual") for t in terms),
                 content.get("gravity", 9.81),
+                content.get("validity", {}),
             )
         except ParameterError as error:
             text = str(error)
@@ -380,7 +404,7 @@ def load_model(model: str | Path | WheelSoilModel | None) -> WheelSoilModel | No
     """The model that the keyword `model` of an environment describes: a model.yaml, a model, or none."""
     if model is None or isinstance(model, WheelSoilModel):
         return model
-    if not isinstance(model, (str, Path)):
+    if not isinstance(model, (str, Path)) or not str(model):
         raise ParameterError(f"model = {model!r}: expected the path of a model.yaml, a WheelSoilModel or None")
     return WheelSoilModel.load(model)
 
@@ -425,6 +449,8 @@ def rows_of(conditions, wheel: ModelWheel) -> Rows:
         given = {name: getattr(conditions, "passes" if name == "pass" else name) for name in
                  ("slip", "load", *_OPTIONAL, *_SIZES)}  # fmt: skip
     else:
+        if not isinstance(conditions, Mapping):
+            raise ParameterError(f"conditions = {conditions!r}: expected a Table or a mapping of arrays")
         given = dict(conditions)
         known = ("slip", "load", *_OPTIONAL, *_SIZES)
         for name in given:

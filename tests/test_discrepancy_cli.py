@@ -100,7 +100,13 @@ BAD_TABLES = {
     "duplicate rows": (TABLE + TABLE.splitlines()[3] + "\n", r"row 8 repeats row 4"),
     "one slip": (table_text({}, slips=(0.2,)), r"slip = 0.2 in every row"),
     "speed partly empty": (rows("slip,load,speed,torque", "0.1,100,0.1,2", "0.2,100,,3"), r"row 3, speed is empty"),
-    "semicolons": ("slip;load;torque\n0.1;100;2\n", r"expected column names with commas"),
+    "semicolons": ("slip;load;torque\n0.1;100;2\n", r"semicolons between the columns"),
+    "European": (
+        "slip;load;torque\n0,1;100;2,5\n",
+        r"semicolons .* and decimal commas: expected commas .* decimal points",
+    ),
+    "tabs": ("slip\tload\ttorque\n0.1\t100\t2\n", r"tabs between the columns: expected commas"),
+    "decimal commas": (rows("slip,load,torque", '"0,1",100,2'), r"slip = '0,1': .* with a decimal point"),
     "ragged": ("slip,load,torque\n0.1,100\n", r"row 2 has 2 cells: expected 3"),
     "not text": (b"\xff\xfe\x00s", r"not UTF-8"),
 }
@@ -115,7 +121,8 @@ BAD_SETUPS = {
     "prior without sd": (edited(", sd: 700", "", SETUP), r"cohesion: missing sd"),
     "sd of zero": (edited("sd: 700", "sd: 0", SETUP), r"cohesion: sd = 0: expected > 0 \(write a known value"),
     "no wheel": (SETUP.split("\n", 1)[1], r"missing wheel"),
-    "radius in mm": (edited("radius: 0.15", "radius: 150", SETUP), r"radius = 150.0: expected a number in"),
+    "radius in mm": (edited("radius: 0.15", "radius: 150", SETUP), r"setup\.yaml: wheel\.radius = 150.0: expected a"),
+    "radius of text": (edited("radius: 0.15", "radius: big", SETUP), r"setup\.yaml: wheel\.radius = 'big': expected a"),
     "not a mapping": ("- 1\n", r"expected a mapping at the top"),
     "not YAML": ("wheel: {radius", r"not valid YAML"),
     "friction in radians": (edited("value: 30,", "value: -30,", SETUP), r"friction_angle_deg = -30: expected"),
@@ -127,6 +134,12 @@ def test_a_bad_table_is_one_line(tmp_path, capsys, table, message):
     write_files(tmp_path, "")
     (tmp_path / "data.csv").write_bytes(table if isinstance(table, bytes) else table.encode())
     refused(tmp_path, capsys, message)
+
+
+def test_a_byte_order_mark_is_read_over(tmp_path):
+    write_files(tmp_path, TABLE)
+    (tmp_path / "data.csv").write_bytes(b"\xef\xbb\xbf" + TABLE.replace("\n", "\r\n").encode())
+    assert call(tmp_path, "--quiet", "--bootstrap", "0") == 0
 
 
 @pytest.mark.parametrize("setup, message", BAD_SETUPS.values(), ids=BAD_SETUPS)

@@ -55,7 +55,7 @@ def test_reads_a_full_table(tmp_path):
         (["slip,load,sinkagge", "0.1,100,0.02"], ["unknown column 'sinkagge'", "'sinkage'"]),
         (["Slip,load,sinkage", "0.1,100,0.02"], ["unknown column 'Slip'", "'slip'"]),
         (["slip,load,load,sinkage", "0.1,100,1,0.02"], ["column 'load' appears 2 times"]),
-        (["slip;load;sinkage", "0.1;100;0.02"], ["expected column names with commas"]),
+        (["slip;load;sinkage", "0.1;100;0.02"], ["semicolons between the columns"]),
         ([HEADER, "0.1,100,deep,5"], ["row 2", "sinkage = 'deep'", "number of m"]),
         ([HEADER, GOOD[1], "0.1,nan,0.02,5"], ["row 3", "load = 'nan'", "finite number of N"]),
         ([HEADER, "0.1,100,0.02,-inf"], ["row 2", "drawbar_pull = '-inf'", "finite"]),

@@ -110,8 +110,16 @@ def _shrinks(report: Report) -> str:
         f"{gap.after / gap.noise_floor:.2f} times the noise"
     )
     if report.closed is not None and report.closed > 0.0:
-        text += f", and {_percent(report.closed)} of the gap above the noise is closed"
+        text += f", and {_percent(report.closed)} of the gap above the noise is closed{_range(report)}"
     return text
+
+
+def _range(report: Report) -> str:
+    """The 95 % interval of the share of the gap that is closed."""
+    if report.closed_interval is None:
+        return ""
+    low, high = (f"{100.0 * x:.0f}" for x in report.closed_interval)
+    return f" (95 % interval {low} to {high} %)"
 
 
 def _percent(share: float) -> str:

@@ -18,6 +18,7 @@ from soil_env import __version__
 from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy import judgement
 from soil_env.discrepancy.calibrate import GRAVITY, Choice, Fit, Problem, calibrate
+from soil_env.discrepancy.closing import closed_interval
 from soil_env.discrepancy.data import CHANNELS, Noise, prepare
 from soil_env.discrepancy.experiment import NextTest, next_tests
 from soil_env.discrepancy.judgement import Gap, Interval, Rank, Sureness
@@ -29,6 +30,7 @@ from soil_env.loading import ParameterError
 from soil_env.measurement import Setup, Table, read_setup, read_table
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Soil
+from soil_env.validity import seen
 
 MOST_DRAWS = 100_000  # of the noise
 
@@ -71,6 +73,7 @@ class Report:
     sureness: Sureness | None
     gap: dict[str, Gap]
     closed: float | None  # None where nothing was added
+    closed_interval: tuple[float, float] | None  # 95 %
     next_tests: tuple[NextTest, ...]
     fit: Fit  # of `model`, whose soil is `soil`
     base_model: WheelSoilModel
@@ -108,6 +111,7 @@ class Report:
             "ranking": [r._asdict() for r in self.ranking],
             "gap": {name: g._asdict() for name, g in self.gap.items()},
             "closed": self.closed,
+            "closed_interval": self.closed_interval,
             "untestable": [{"name": k, "reason": v} for k, v in self.finding.untestable.items()],
             "next_tests": [
                 {"conditions": t.conditions, "channel": t.channel, "separates": t.separates,
@@ -128,6 +132,7 @@ class Report:
             },
             "left_out": [{"row": row, "channel": name} for row, name in self.left_out],
             "cautions": cautions(self),
+            "validity": {name: list(pair) for name, pair in self.model.validity.items()},
             "rows": len(self.problem.data.table),
             "settings": vars(self.settings),
             "versions": {"soil_env": __version__, "python": platform.python_version(), "numpy": np.__version__,
@@ -237,9 +242,11 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     spread = final if not finding.named else finding.best.fit
     told = judgement.intervals(spread, final.parameters())
     share = None if final is base else judgement.closed(problem, gap)
+    again = np.random.default_rng([settings.seed, 1])  # the draws above stay the same
+    interval = None if share is None else closed_interval(problem, held, held_after, again)
     return Report(
         finding, problem, noise, where, _effects(problem, finding, told), law, _soil(problem, told), ranking, other,
-        sureness, gap, share, tests, final, model_of(problem, base), model_of(problem, final, terms), held, held_after,
+        sureness, gap, share, interval, tests, final, model_of(problem, base), model_of(problem, final, terms), held, held_after,
         settings,
     )  # fmt: skip
 
@@ -268,6 +275,7 @@ def model_of(problem: Problem, fit: Fit, terms=()) -> WheelSoilModel:
         effects,
         tuple(terms),
         GRAVITY,
+        seen(problem.data.rows.slip, problem.data.rows.load, problem.data.rows.conditions),
     )
 
 
