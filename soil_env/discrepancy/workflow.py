@@ -246,8 +246,8 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     interval = None if share is None else closed_interval(problem, held, held_after, again)
     return Report(
         finding, problem, noise, where, _effects(problem, finding, told), law, _soil(problem, told), ranking, other,
-        sureness, gap, share, interval, tests, final, model_of(problem, base), model_of(problem, final, terms), held, held_after,
-        settings,
+        sureness, gap, share, interval, tests, final, model_of(problem, base), model_of(problem, final, terms), held,
+        held_after, settings,
     )  # fmt: skip
 
 
