@@ -143,6 +143,12 @@ class Term(NamedTuple):
     meaning: str
 
 
+def plain(x: float, digits: int = 3) -> str:
+    """A number in so many digits, without an exponent up to a million."""
+    text = f"{x + 0.0:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(x) < 1e6 else text
+
+
 def published(name: str, form: str) -> str:
     """The equation of a form in symbols."""
     return EQUATIONS[name, form].format(**SYMBOLS[name])
@@ -153,7 +159,7 @@ def fitted(name: str, form: str, values: Mapping[str, float], units: bool = True
 
     def number(match: re.Match) -> str:
         p = CATALOGUE[name].parameter(match[1])
-        text = f"{values[p.name] + 0.0:.{digits}g}" + (f" {p.unit}" if units and p.unit else "")
+        text = plain(values[p.name], digits) + (f" {p.unit}" if units and p.unit else "")
         return f"({text})" if text.startswith("-") or " " in text else text
 
     text = re.sub(r"\{(\w+)\}", number, EQUATIONS[name, form])

@@ -6,7 +6,7 @@ import base64
 from html import escape
 from typing import TYPE_CHECKING
 
-from soil_env.catalogue import CATALOGUE
+from soil_env.discrepancy.formulas import as_html, blocks, validity_line
 from soil_env.discrepancy.pictures import pictures
 from soil_env.discrepancy.words import (
     EFFECT_COLUMNS,
@@ -37,6 +37,9 @@ table{border-collapse:collapse;margin:.5rem 0;font-size:.92rem}
 th,td{text-align:left;padding:.22rem .9rem .22rem 0;border-bottom:1px solid #ddd;vertical-align:top}
 th{font-weight:600;border-bottom:1.5px solid #888}
 .n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
+h3{font-size:.98rem;margin:1rem 0 .3rem}
+.eq{font:1.12rem/1.5 Cambria,"STIX Two Text","Times New Roman",serif;margin:.2rem 0 .2rem 1.2rem;max-width:none}
+.eq sub,.eq sup{font-size:.72em;line-height:0}
 figure{margin:1rem 0}img{max-width:100%;height:auto;display:block}
 ul{margin:.3rem 0;padding-left:1.2rem;max-width:50rem}
 .small{color:#555;font-size:.88rem}code{font-size:.88em}
@@ -71,9 +74,9 @@ def page(report: Report, content: dict) -> str:
             "<h2>What is missing</h2>",
             _table(EFFECT_COLUMNS, effect_rows(report)),
         ]
-        parts += [f'<p class="small">{_about(e)}</p>' for e in report.effects]
     if report.model.residual:
-        parts += ["<h2>A law for what is left</h2>", f"<p>{escape(report.law.words)}</p>"]
+        parts.append("<h2>A law for what is missing</h2>")
+    parts += [as_html(block) for block in blocks(report)]
     if content["where"]:
         parts += [
             "<h2>Where the calibrated base model disagrees</h2>",
@@ -105,7 +108,8 @@ def page(report: Report, content: dict) -> str:
     if content["next_tests"]:
         rows = [(t["words"], fixed(t["expected_sigma"], 1)) for t in content["next_tests"]]
         parts += ["<h2>Next tests</h2>", _table(("test", ">expected difference [sd of the noise]"), rows)]
-    parts += ["<h2>Soil</h2>", _table(SOIL_COLUMNS, soil_rows(report))]
+    parts += ["<h2>Soil</h2>", _table(SOIL_COLUMNS, soil_rows(report)),
+              f'<p class="small">{escape(validity_line(report))}</p>']  # fmt: skip
     if content["cautions"]:
         parts += ["<h2>Cautions</h2>", _list(content["cautions"])]
     parts += ["<h2>How this was made</h2>", *_made(content), "</body></html>"]
@@ -143,16 +147,6 @@ def _table(columns: tuple[str, ...], rows) -> str:
 
 def _list(lines) -> str:
     return "<ul>" + "".join(f"<li>{escape(text)}</li>" for text in lines) + "</ul>"
-
-
-def _about(e) -> str:
-    """Equation and source of a named effect."""
-    effect = CATALOGUE[e.name]
-    form = next(f for f in effect.forms if f.name == e.form)
-    return (
-        f"{escape(effect.title)} (<code>{e.name}</code>), form <i>{escape(e.form.replace('_', ' '))}</i>: "
-        f"<code>{escape(effect.equation)}</code>. {escape(form.source)}"
-    )
 
 
 def _sure(report: Report) -> list[str]:

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.padding import Padding
 from rich.panel import Panel
 from rich.table import Table as Grid
 from rich.text import Text
 
+from soil_env.discrepancy.formulas import as_lines, blocks, validity_line
 from soil_env.discrepancy.page import page
 from soil_env.discrepancy.words import (
     EFFECT_COLUMNS,
@@ -91,9 +93,12 @@ def show(report: Report, console: Console) -> None:
     """Print the conclusion with its tables."""
     colour = COLOURS[report.verdict]
     console.print(Panel(Text(summary(report)), title=f"[bold]{report.verdict}[/]", title_align="left", style=colour))
-    for grid in (_effects(report), _where(report), _gap(report), _ranking(report), _soil(report), _tests(report)):
+    for grid in (_effects(report), *_equations(report), _where(report), _gap(report), _ranking(report), _soil(report)):
         if grid is not None:
             console.print(grid)
+    console.print(Text(validity_line(report)))
+    if report.next_tests:
+        console.print(_tests(report))
     if report.finding.untestable:
         console.print(_grid("Not testable with this table", ("effect", "reason"),
                             [(title(k), v) for k, v in report.finding.untestable.items()]))  # fmt: skip
@@ -119,6 +124,15 @@ def _effects(report: Report) -> Grid | None:
     return _grid("Missing effect", EFFECT_COLUMNS, rows) if rows else None
 
 
+def _equations(report: Report) -> list[Text | Padding]:
+    """The equations of what was added, with the fitted numbers."""
+    out = []
+    for block in blocks(report):
+        out.append(Text(block.heading[:1].upper() + block.heading[1:], style="bold italic"))
+        out += [Padding(Text(line.strip()), (0, 0, 0, len(line) - len(line.lstrip()))) for line in as_lines(block)]
+    return out
+
+
 def _where(report: Report) -> Grid | None:
     if not report.where:
         return None
@@ -141,6 +155,6 @@ def _soil(report: Report) -> Grid:
     return _grid("Soil", SOIL_COLUMNS, soil_rows(report))
 
 
-def _tests(report: Report) -> Grid | None:
+def _tests(report: Report) -> Grid:
     rows = [(t.words, fixed(t.expected_sigma, 1)) for t in report.next_tests]
-    return _grid("Next tests", ("test", ">expected [sd]"), rows) if rows else None
+    return _grid("Next tests", ("test", ">expected [sd]"), rows)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from soil_env.catalogue import CATALOGUE
+from soil_env.discrepancy import unlisted
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.judgement import LISTED, chance_of
@@ -59,7 +60,8 @@ def summary(report: Report) -> str:
         text = "Something is missing that no listed effect explains"
         text += f": {report.where[0].words}." if report.where else "."
         if report.model.residual:
-            text += f" A law without a name stands in for it ({report.law.words}); {_shrinks(report)}."
+            law = ", ".join(unlisted.formulas(report.model.residual, 2).values())
+            text += f" A law without a name stands in for it: {law}. With it, {_shrinks(report)}."
         return text
     first = listed(title(e.name) for e in report.effects)
     if report.verdict == "ambiguous":

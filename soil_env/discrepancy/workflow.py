@@ -6,7 +6,7 @@ import hashlib
 import math
 import os
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,11 +20,14 @@ from soil_env.discrepancy import judgement
 from soil_env.discrepancy.calibrate import GRAVITY, Choice, Fit, Problem, calibrate
 from soil_env.discrepancy.closing import closed_interval
 from soil_env.discrepancy.data import CHANNELS, Noise, prepare
+from soil_env.discrepancy.equations import SYMBOLS
 from soil_env.discrepancy.experiment import NextTest, next_tests
+from soil_env.discrepancy.formulas import as_json, blocks
 from soil_env.discrepancy.judgement import Gap, Interval, Rank, Sureness
 from soil_env.discrepancy.locate import Disagreement, locate
 from soil_env.discrepancy.search import Finding, search
 from soil_env.discrepancy.symbolic import ResidualFit, symbolic
+from soil_env.discrepancy.unlisted import coefficients, law_tests
 from soil_env.discrepancy.words import cautions, summary
 from soil_env.loading import ParameterError
 from soil_env.measurement import Setup, Table, read_setup, read_table
@@ -95,13 +98,14 @@ class Report:
     def as_dict(self) -> dict:
         """Plain values for JSON, null where there is no number; every key is always present."""
         sure, law = self.sureness, self.law
+        shown = [as_json(block) for block in blocks(self)]
         return _plain({
             "verdict": self.verdict,
             "summary": summary(self),
             "effects": [
                 {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
-                 "alternatives": e.alternatives}
-                for e in self.effects
+                 "alternatives": e.alternatives, "symbols": SYMBOLS[e.name], **block}
+                for e, block in zip(self.effects, shown, strict=False)
             ],
             "where": [
                 {"channel": d.channel, "region": d.region, "size": d.size, "size_sd": d.size_sd,
@@ -118,7 +122,14 @@ class Report:
                  "expected_sigma": t.expected_sigma, "words": t.words}
                 for t in self.next_tests
             ],
-            "residual": None if law is None else {"terms": [str(t) for t in self.model.residual], "words": law.words},
+            "residual": None if law is None else {
+                "terms": [str(t) for t in self.model.residual], "words": law.words,
+                "coefficients": [
+                    {"channel": t.channel, "powers": t.powers, "ranges": t.ranges, **c._asdict()}
+                    for t, c in zip(law.terms, coefficients(law), strict=True)
+                ],
+                **(shown[-1] if self.model.residual else {}),
+            },
             "probability": self.other,
             "chance": self.finding.chance,
             "confidence": None if sure is None else {
@@ -152,7 +163,7 @@ class Report:
 
 def _plain(x):
     """Nested plain values; what is not finite becomes None."""
-    if isinstance(x, dict):
+    if isinstance(x, Mapping):
         return {str(k): _plain(v) for k, v in x.items()}
     if isinstance(x, (list, tuple)):
         return [_plain(v) for v in x]
@@ -238,7 +249,11 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     sureness = judgement.sureness(problem, finding, settings.bootstrap, rng, say)
     ranking, other = judgement.ranking(problem, finding)
     say("choosing the next tests")
-    tests = next_tests(problem, finding)
+    corrected = model_of(problem, final, terms)
+    if finding.verdict == "unlisted":
+        tests = law_tests(problem, base, law, corrected)
+    else:
+        tests = next_tests(problem, finding)
     spread = final if not finding.named else finding.best.fit
     told = judgement.intervals(spread, final.parameters())
     share = None if final is base else judgement.closed(problem, gap)
@@ -246,8 +261,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     interval = None if share is None else closed_interval(problem, held, held_after, again)
     return Report(
         finding, problem, noise, where, _effects(problem, finding, told), law, _soil(problem, told), ranking, other,
-        sureness, gap, share, interval, tests, final, model_of(problem, base), model_of(problem, final, terms), held,
-        held_after, settings,
+        sureness, gap, share, interval, tests, final, model_of(problem, base), corrected, held, held_after, settings,
     )  # fmt: skip
 
 
