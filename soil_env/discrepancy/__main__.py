@@ -48,7 +48,7 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from soil_env.discrepancy.report import FILES, show
-from soil_env.discrepancy.words import summary
+from soil_env.discrepancy.words import check_first, summary
 from soil_env.discrepancy.workflow import MOST_DRAWS, Report, run
 from soil_env.loading import ParameterError
 from soil_env.starting import INTERRUPTED, leave, started
@@ -82,7 +82,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _tell(report: Report, folder: Path, quiet: bool) -> None:
     if quiet:
-        print(f"{report.verdict}: {summary(report)}")
+        first = check_first(report)
+        print(f"{report.verdict}: {'CHECK FIRST: ' + ' '.join(first) + ' ' if first else ''}{summary(report)}")
     else:
         show(report, Console(width=None if sys.stdout.isatty() else 110))
         for name in FILES:

@@ -26,7 +26,7 @@ class Block(NamedTuple):
     heading: str
     equation: tuple[str, ...]  # as published, in symbols
     fitted: tuple[str, ...]  # with the numbers in
-    numbers: tuple[str, ...]  # "l = 0.0061 m (95 % interval ...): what it is"
+    numbers: tuple[tuple[str, str], ...]  # ("l", " = 0.0061 m (95 % interval ...): what it is")
     where: tuple[tuple[str, str], ...]  # (symbol, meaning) of the rest
     source: str
 
@@ -43,8 +43,8 @@ def _number(x: float, unit: str = "", digits: int = 4) -> str:
     return f"{plain(x, digits)} {unit}".rstrip()
 
 
-def _told(symbol: str, value, unit: str, meaning: str) -> str:
-    text = f"{symbol} = {_number(value.value, unit, 3)}"
+def _told(value, unit: str, meaning: str) -> str:
+    text = f" = {_number(value.value, unit, 3)}"
     if value.low != value.high:
         text += f" (95 % interval {_number(value.low, '', 3)} to {_number(value.high, unit, 3)})"
     else:
@@ -66,7 +66,7 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
     numbers = []
     for name in used(e.name, e.form):
         p = effect.parameter(name)
-        numbers.append(_told(symbols[name], e.parameters[name], p.unit, _meaning(p.doc, symbols[name])))
+        numbers.append((symbols[name], _told(e.parameters[name], p.unit, _meaning(p.doc, symbols[name]))))
     known = {symbol: _number(report.soil[key].value, unit) for symbol, (key, unit) in _SOIL.items()}
     known |= {"r": _number(wheel.radius, "m"), "h": _number(wheel.grouser_height, "m"),
               "gamma": _number(report.model.density * report.model.gravity, "N/m3")}  # fmt: skip
@@ -83,13 +83,17 @@ def _of_law(report: Report) -> Block:
     terms = report.model.residual
     told = unlisted.coefficients(report.law)
     numbers = [
-        f"{plain(t.coefficient)}{unlisted.product(t.powers)}, in {TITLES[t.channel]}: 95 % interval of the coefficient "
-        f"{plain(c.low)} to {plain(c.high)}"
+        (
+            f"{plain(t.coefficient)}{unlisted.product(t.powers)}",
+            f" in {TITLES[t.channel]}: 95 % interval of the coefficient {plain(c.low)} to {plain(c.high)}",
+        )
         for t, c in zip(terms, told, strict=True)
     ]
     for channel, (low, high) in unlisted.added(report.model, report.problem).items():
         unit, scale = UNITS[channel]
-        numbers.append(f"it adds {scale * low:.3g} to {scale * high:.3g} {unit} of {TITLES[channel]} in this table")
+        numbers.append(
+            ("", f"it adds {scale * low:.3g} to {scale * high:.3g} {unit} of {TITLES[channel]} in this table")
+        )
     where = []
     for symbol, meaning, seen in unlisted.legend(terms):
         where.append((symbol, meaning + (f", seen from {seen[0]:.3g} to {seen[1]:.3g}" if seen else "")))
@@ -105,7 +109,7 @@ def as_lines(block: Block) -> list[str]:
     lines = [f"  {text}" for text in block.equation]
     if block.fitted:
         lines += ["with the fitted numbers:", *(f"  {text}" for text in block.fitted)]
-    lines += ["where:", *(f"  {text}" for text in block.numbers)]
+    lines += ["where:", *(f"  {symbol}{text}" for symbol, text in block.numbers)]
     if block.where:
         lines.append("  " + "; ".join(f"{symbol}: {meaning}" for symbol, meaning in block.where))
     return [*lines, f"source: {block.source}"]
@@ -118,7 +122,11 @@ def as_html(block: Block) -> str:
     if block.fitted:
         parts.append('<p class="small">With the fitted numbers:</p>')
         parts += [f'<p class="eq">{mathematics(text)}</p>' for text in block.fitted]
-    parts.append("<ul>" + "".join(f"<li>{_leading(text)}</li>" for text in block.numbers) + "</ul>")
+    parts.append(
+        "<ul>"
+        + "".join(f"<li>{mathematics(symbol)}{html.escape(text)}</li>" for symbol, text in block.numbers)
+        + "</ul>"
+    )
     rest = "; ".join(f"{mathematics(symbol)}: {_leading(meaning)}" for symbol, meaning in block.where)
     source = html.escape(block.source)
     return "\n".join(
@@ -126,12 +134,10 @@ def as_html(block: Block) -> str:
     )
 
 
-def _leading(text: str) -> str:
-    """Text that may begin with a formula, up to the first comma or " = "."""
-    symbol, mark, rest = text.partition(" = ")
-    if mark and len(symbol) < 4:
-        return f"{mathematics(symbol)} = {html.escape(rest)}"
-    return html.escape(text)
+def _leading(meaning: str) -> str:
+    """A meaning that may begin with a formula, up to its first comma."""
+    first, mark, rest = meaning.partition(", ")
+    return (mathematics(first) if re.search(r"[(/^|]", first) else html.escape(first)) + html.escape(mark + rest)
 
 
 def mathematics(text: str) -> str:

@@ -11,10 +11,12 @@ from soil_env.discrepancy.pictures import pictures
 from soil_env.discrepancy.words import (
     EFFECT_COLUMNS,
     SOIL_COLUMNS,
+    check_first,
     effect_rows,
     fixed,
     gap_columns,
     gap_rows,
+    lesser,
     listed,
     p_value,
     rule,
@@ -32,6 +34,7 @@ h1{font-size:1.35rem;margin:0 0 .8rem}h2{font-size:1.08rem;margin:2rem 0 .5rem}
 p{margin:.4rem 0;max-width:50rem}
 .summary{border-left:6px solid #1f6f8b;background:#eef5f7;padding:.8rem 1.1rem;font-size:1.08rem;max-width:none}
 .ambiguous,.unlisted{border-color:#c2871a;background:#fbf5e6}
+.check{border-color:#b3261e;background:#fbeceb;margin-bottom:.8rem}
 .verdict{font-size:.78rem;font-weight:600;letter-spacing:.06em;text-transform:uppercase;color:#555;display:block}
 table{border-collapse:collapse;margin:.5rem 0;font-size:.92rem}
 th,td{text-align:left;padding:.22rem .9rem .22rem 0;border-bottom:1px solid #ddd;vertical-align:top}
@@ -69,6 +72,11 @@ def page(report: Report, content: dict) -> str:
         f'<p class="small">{escape(s["data"])}: {content["rows"]} rows, {int(report.problem.used.sum())} values in '
         "use.</p>",
     ]  # fmt: skip
+    first = check_first(report)
+    if first:
+        text = " ".join(escape(line) for line in first)
+        at = next(k for k, part in enumerate(parts) if part.startswith('<p class="summary'))
+        parts.insert(at, f'<p class="summary check"><span class="verdict">check first</span>{text}</p>')
     if report.effects:
         parts += [
             "<h2>What is missing</h2>",
@@ -110,8 +118,9 @@ def page(report: Report, content: dict) -> str:
         parts += ["<h2>Next tests</h2>", _table(("test", ">expected difference [sd of the noise]"), rows)]
     parts += ["<h2>Soil</h2>", _table(SOIL_COLUMNS, soil_rows(report)),
               f'<p class="small">{escape(validity_line(report))}</p>']  # fmt: skip
-    if content["cautions"]:
-        parts += ["<h2>Cautions</h2>", _list(content["cautions"])]
+    rest = lesser(report)
+    if rest:
+        parts += ["<h2>Cautions</h2>", _list(rest)]
     parts += ["<h2>How this was made</h2>", *_made(content), "</body></html>"]
     return "\n".join(parts) + "\n"
 

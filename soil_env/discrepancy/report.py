@@ -20,11 +20,12 @@ from soil_env.discrepancy.page import page
 from soil_env.discrepancy.words import (
     EFFECT_COLUMNS,
     SOIL_COLUMNS,
-    cautions,
+    check_first,
     effect_rows,
     fixed,
     gap_columns,
     gap_rows,
+    lesser,
     p_value,
     rule,
     soil_rows,
@@ -91,7 +92,9 @@ def write(report: Report, folder: Path) -> list[Path]:
 
 def show(report: Report, console: Console) -> None:
     """Print the conclusion with its tables."""
-    colour = COLOURS[report.verdict]
+    colour, first = COLOURS[report.verdict], check_first(report)
+    if first:
+        console.print(Panel(Text(" ".join(first)), title="[bold]check first[/]", title_align="left", style="red"))
     console.print(Panel(Text(summary(report)), title=f"[bold]{report.verdict}[/]", title_align="left", style=colour))
     for grid in (_effects(report), *_equations(report), _where(report), _gap(report), _ranking(report), _soil(report)):
         if grid is not None:
@@ -103,7 +106,7 @@ def show(report: Report, console: Console) -> None:
         console.print(_grid("Not testable with this table", ("effect", "reason"),
                             [(title(k), v) for k, v in report.finding.untestable.items()]))  # fmt: skip
     console.print(Text(rule(report)))
-    for text in cautions(report):
+    for text in lesser(report):
         console.print(Text(f"! {text}", style="yellow"))
 
 

@@ -30,7 +30,7 @@ SYMBOL = MappingProxyType({
 })  # fmt: skip
 GROUP = MappingProxyType({
     "slip": Term("i", "slip"),
-    "grip": Term("1 - i", "1 - slip"),
+    "grip": Term("1 - i", "travel over rim speed"),
     "sinkage": Term("Z", "z_0/r, sinkage over radius"),
     "load": Term("L", "W/(S b r^(n+1)), load over bearing strength"),
     "speed": Term("Fr", "V/sqrt(g r), Froude number"),
@@ -39,8 +39,10 @@ GROUP = MappingProxyType({
 })  # fmt: skip
 VALUES = MappingProxyType({"sinkage": "z", "drawbar_pull": "DP", "torque": "T"})
 LAW, BASE, GOES_ON, STAYS = "the law", "the base model", "the law goes on", "it stays as at the end of the table"
-_CONDITION = MappingProxyType({"slip": "slip", "grip": "slip", "sinkage": "load", "load": "load", "speed": "speed",
-                               "pass": "pass", "grade": "grade_deg"})  # fmt: skip
+#: What a group is about, and the condition of a table that moves it.
+CONDITION = MappingProxyType({"slip": "slip", "grip": "slip", "sinkage": "sinkage", "load": "load", "speed": "speed",
+                              "pass": "pass number", "grade": "grade"})  # fmt: skip
+_CONDITION = CONDITION | {"sinkage": "load", "pass": "pass", "grade": "grade_deg"}
 _SURE = 1.959964  # [sd] of a 95 % interval
 
 

@@ -60,8 +60,9 @@ def summary(report: Report) -> str:
         text = "Something is missing that no listed effect explains"
         text += f": {report.where[0].words}." if report.where else "."
         if report.model.residual:
-            law = ", ".join(unlisted.formulas(report.model.residual, 2).values())
-            text += f" A law without a name stands in for it: {law}. With it, {_shrinks(report)}."
+            groups = list(dict.fromkeys(unlisted.CONDITION[g] for t in report.model.residual for g in t.powers))
+            by = f", of {listed(groups)}," if groups else ""
+            text += f" A law without a name{by} stands in for it. With it, {_shrinks(report)}."
         return text
     first = listed(title(e.name) for e in report.effects)
     if report.verdict == "ambiguous":
@@ -128,8 +129,33 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
+def check_first(report: Report) -> list[str]:
+    """What to check before anything else is read: signs and units."""
+    out = list(report.doubts)
+    far = max((abs(x) for _, x, _ in _from_priors(report)), default=0.0)
+    if far > ABSURD[0] or any(g.before > ABSURD[1] * g.noise_floor for g in report.gap.values()):
+        out.append("So large a disagreement is usually a unit or a sign: check the columns and the setup.")
+    return out
+
+
+def _from_priors(report: Report) -> list[tuple[str, float, float]]:
+    """(label, value, distance from the setup's value in its sd) of the soil parameters that have a prior."""
+    widened = {k.name: k for k in report.problem.soil}
+    out = []
+    for unknown, u in zip(report.fit.unknowns, report.fit.u, strict=True):
+        if getattr(report.problem.data.setup.soil, unknown.name, None) is not None:
+            value = float(unknown.value(u))
+            out.append((SOIL[unknown.name][0], value, PRIOR_WIDTH * widened[unknown.name].at(value)))
+    return out
+
+
 def cautions(report: Report) -> list[str]:
-    """What a reader should be wary of, in sentences; of the fit that `model.yaml` holds."""
+    """What a reader should be wary of, in sentences, `check_first` first; of the fit that `model.yaml` holds."""
+    return [*check_first(report), *lesser(report)]
+
+
+def lesser(report: Report) -> list[str]:
+    """`cautions` without what is to be checked first."""
     return [*_of_table(report), *_of_fit(report), *_of_gap(report), *_of_model(report)]
 
 
@@ -159,20 +185,15 @@ def _of_table(report: Report) -> list[str]:
 
 def _of_fit(report: Report) -> list[str]:
     problem, fit, out = report.problem, report.fit, []
-    widened = {k.name: k for k in problem.soil}
-    farthest = 0.0
+    from_prior = {label: far for label, _, far in _from_priors(report)}
     for unknown, u in zip(fit.unknowns, fit.u, strict=True):
         label = SOIL.get(unknown.name, (unknown.name.replace("_", " "), ""))[0]
         value, x = float(unknown.value(u)), unknown.mean + unknown.sd * float(u)
-        prior = getattr(problem.data.setup.soil, unknown.name, None)
-        far = PRIOR_WIDTH * abs(widened[unknown.name].at(value)) if prior is not None else 0.0
-        farthest = max(farthest, far)
+        far = abs(from_prior.get(label, 0.0))
         if min(x - unknown.low, unknown.high - x) <= 1e-4 * unknown.sd:
             out.append(f"{_first_upper(label)} is at a bound of its range ({value:.4g}).")
         elif far > FAR:
             out.append(f"{_first_upper(label)} is {far:.1f} standard deviations from the setup's value.")
-    if farthest > ABSURD[0] or any(g.before > ABSURD[1] * g.noise_floor for g in report.gap.values()):
-        out.append("So large a disagreement is usually a unit or a sign: check the columns and the setup.")
     if not fit.converged:
         out.append("The fit did not converge: take the numbers as rough.")
     buried = int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * problem.data.wheel.radius))

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from soil_env import __version__
 from soil_env.catalogue import CATALOGUE
-from soil_env.discrepancy import judgement
+from soil_env.discrepancy import judgement, mistakes
 from soil_env.discrepancy.calibrate import GRAVITY, Choice, Fit, Problem, calibrate
 from soil_env.discrepancy.closing import closed_interval
 from soil_env.discrepancy.data import CHANNELS, Noise, prepare
@@ -28,7 +28,7 @@ from soil_env.discrepancy.locate import Disagreement, locate
 from soil_env.discrepancy.search import Finding, search
 from soil_env.discrepancy.symbolic import ResidualFit, symbolic
 from soil_env.discrepancy.unlisted import coefficients, law_tests
-from soil_env.discrepancy.words import cautions, summary
+from soil_env.discrepancy.words import cautions, check_first, summary
 from soil_env.loading import ParameterError
 from soil_env.measurement import Setup, Table, read_setup, read_table
 from soil_env.model import WheelSoilModel
@@ -83,6 +83,7 @@ class Report:
     model: WheelSoilModel
     held_before: np.ndarray  # [N, 3] held-out predictions of the base model, NaN where no value is in use
     held_after: np.ndarray  # [N, 3] of the corrected model
+    doubts: tuple[str, ...]  # mistakes of sign or unit that the table looks like
     settings: Settings
 
     @property
@@ -142,6 +143,7 @@ class Report:
                 for name in self.channels
             },
             "left_out": [{"row": row, "channel": name} for row, name in self.left_out],
+            "check_first": check_first(self),
             "cautions": cautions(self),
             "validity": {name: list(pair) for name, pair in self.model.validity.items()},
             "rows": len(self.problem.data.table),
@@ -228,6 +230,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     data = prepare(table, setup)
     say("calibrating the base model")
     problem, noise = calibrate(data)
+    doubts = mistakes.examine(problem)
     finding = search(problem, lambda text: say(f"searching: {text}"))
     base = finding.base.fit
     say("locating the disagreement")
@@ -261,7 +264,8 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     interval = None if share is None else closed_interval(problem, held, held_after, again)
     return Report(
         finding, problem, noise, where, _effects(problem, finding, told), law, _soil(problem, told), ranking, other,
-        sureness, gap, share, interval, tests, final, model_of(problem, base), corrected, held, held_after, settings,
+        sureness, gap, share, interval, tests, final, model_of(problem, base), corrected, held,
+        held_after, doubts, settings,
     )  # fmt: skip
 
 

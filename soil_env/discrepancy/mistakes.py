@@ -1,0 +1,169 @@
+"""Mistakes of sign and unit that no effect should be sought in: told before the search, or refused.
+
+Two things speak for one: the table read otherwise (the drawbar pull with its sign turned, the load as kilograms ...)
+is fitted far better by the base model, and the table as it is breaks what a wheel on soil can do. Where both hold the
+table is refused; one of them alone is a doubt that a report says first.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.data import Data
+from soil_env.loading import ParameterError
+from soil_env.model import Rows
+
+LARGE = 3.0  # [noise] rms of what the base model leaves, below which no mistake is looked for
+BETTER = 4.0  # times smaller that rms has to get where the table is read otherwise
+GRAVITY = 9.81
+FALLS = 0.8  # share of the groups of rows in which the drawbar pull falls with slip
+LOW_SLIP, LEAST_SPAN = 0.2, 0.15  # slip below which a group must begin, and its span, for that to say anything
+SURE = 4.0  # [sd] beyond the setup's value at which a soil parameter is not sought
+STEEPEST = 50.0  # [deg] friction angle where the setup says nothing
+
+
+class Reading(NamedTuple):
+    """The table read otherwise."""
+
+    name: str
+    words: str  # "with ...", in a sentence
+    remedy: str
+    problem: Problem
+
+
+def examine(problem: Problem) -> tuple[str, ...]:
+    """Doubts in sentences, none as a rule; `ParameterError` where the table cannot be right."""
+    rms = _rms(problem)
+    if rms < LARGE:
+        return ()
+    found = []
+    for reading in _readings(problem):
+        other = _rms(reading.problem)
+        if other * BETTER < rms:
+            found.append((other, reading))
+    found.sort(key=lambda f: f[0])
+    doubts = []
+    for other, reading in found[:1]:
+        text = (
+            f"{reading.words}, the base model misses the table by {other:.2g} times the noise instead of {rms:.2g}: "
+            f"{reading.remedy}"
+        )
+        broken = _broken(problem, reading.name)
+        if broken:
+            raise ParameterError(f"{problem.data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
+        doubts.append(f"{text}.")
+    if not doubts and _pull_falls(problem):
+        doubts.append(f"{_pull_falls(problem)}: check the sign of drawbar_pull (positive = the wheel pulls).")
+    return tuple(doubts)
+
+
+def _rms(problem: Problem) -> float:
+    fit = problem.fit()
+    return math.sqrt(float(np.mean(fit.residual**2)))
+
+
+def _readings(problem: Problem) -> list[Reading]:
+    data, rows = problem.data, problem.data.rows
+    out = []
+
+    def add(name, words, remedy, **changes):
+        noise = problem.noise * changes.pop("scale", np.ones(3))
+        there = dataclasses.replace(data, **changes)
+        out.append(Reading(name, words, remedy, Problem(there, noise, problem.used, problem.freedom)))
+
+    if problem.used[:, 1].any():
+        add("pull", "With the sign of drawbar_pull turned",
+            "expected drawbar_pull positive where the wheel pulls", y=data.y * [1.0, -1.0, 1.0])  # fmt: skip
+        add("pull_kg", f"With drawbar_pull as kilograms (times {GRAVITY})", "expected drawbar_pull in newtons",
+            y=data.y * [1.0, GRAVITY, 1.0], scale=np.array([1.0, GRAVITY, 1.0]))  # fmt: skip
+    if problem.used[:, 2].any():
+        add("torque_kg", f"With torque as kilogram metres (times {GRAVITY})", "expected torque in newton metres",
+            y=data.y * [1.0, 1.0, GRAVITY], scale=np.array([1.0, 1.0, GRAVITY]))  # fmt: skip
+    add("load", f"With load as kilograms (times {GRAVITY})", "expected load in newtons",
+        rows=rows._replace(load=rows.load * GRAVITY))  # fmt: skip
+    add("slip", "With the sign of slip turned", "expected slip positive where the wheel drives",
+        rows=rows._replace(slip=-rows.slip))  # fmt: skip
+    if not np.any(np.isfinite(data.table.wheel_radius)) and data.wheel.radius >= 0.02:
+        half = 0.5 * data.wheel.radius
+        if not np.any(data.y[:, 0] > half):
+            add("radius", f"With wheel.radius of the setup halved to {half:g} m",
+                "expected the radius, not the diameter",
+                wheel=dataclasses.replace(data.wheel, radius=half), rows=_resized(rows, half))  # fmt: skip
+    return out
+
+
+def _resized(rows: Rows, radius: float) -> Rows:
+    wheels = rows.wheels.copy()
+    wheels[:, 0] = radius
+    return rows._replace(wheels=wheels)
+
+
+# --- what cannot be ---------------------------------------------------------------------------------------------------
+
+
+def _broken(problem: Problem, name: str) -> str:
+    """What a table breaks that a reading of that name would mend; "" where nothing."""
+    if name == "pull":
+        return _pull_falls(problem)
+    if name == "load":
+        return _beyond_strength(problem)
+    return ""
+
+
+def _pull_falls(problem: Problem) -> str:
+    """The drawbar pull falls with slip from low slip on, below 0 at much slip, in nearly all groups of rows."""
+    data = problem.data
+    falls, first, last = [], [], []
+    for rows in _groups(data):
+        rows = rows[problem.used[rows, 1]]
+        slip = data.rows.slip[rows]
+        if rows.size < 3 or slip.min() < -0.05 or slip.min() > LOW_SLIP or np.ptp(slip) < LEAST_SPAN:
+            continue
+        order = np.argsort(slip)
+        pull, slip = data.y[rows[order], 1], slip[order]
+        slope = np.polyfit(slip, pull, 1)[0]
+        falls.append(slope * np.ptp(slip) < -3.0 * problem.noise[1] and pull[-1] < min(pull[0], 0.0))
+        first.append(pull[0])
+        last.append(pull[-1])
+    if not falls or np.mean(falls) < FALLS:
+        return ""
+    where = "in every group of rows" if all(falls) else f"in {100.0 * np.mean(falls):.0f} % of the groups of rows"
+    return (
+        f"drawbar_pull falls with slip {where} that differ in slip alone, from {np.median(first):.3g} N at the least "
+        f"to {np.median(last):.3g} N at the largest slip"
+    )
+
+
+def _groups(data: Data) -> list[np.ndarray]:
+    """Rows that differ in slip alone."""
+    others = [c.level for name, c in data.varied.items() if name != "slip"]
+    if not others:
+        return [np.arange(data.rows.slip.size)]
+    label = np.unique(np.stack(others), axis=1, return_inverse=True)[1].ravel()
+    return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
+
+
+def _beyond_strength(problem: Problem) -> str:
+    """The thrust is larger than a soil within the priors can bear at that load: c A + W tan(phi) on the contact."""
+    data, priors = problem.data, problem.data.setup.soil
+    if priors.cohesion is None:
+        return ""
+    cohesion = priors.cohesion.value + SURE * priors.cohesion.sd
+    phi = priors.friction_angle_deg
+    tangent = math.tan(math.radians(STEEPEST if phi is None else min(phi.value + SURE * phi.sd, STEEPEST)))
+    radius, width = data.rows.wheels[:, 0], data.rows.wheels[:, 1]
+    depth = np.clip(np.nan_to_num(data.y[:, 0], nan=0.3 * float(radius[0])), 0.02 * radius, radius)
+    bearable = cohesion * width * radius * np.arccos(1.0 - depth / radius) + tangent * data.rows.load
+    for j, name, force in ((2, "torque/radius", data.y[:, 2] / radius), (1, "drawbar_pull", data.y[:, 1])):
+        share = (force / bearable)[problem.used[:, j] & (data.rows.slip > 0.15)]
+        if share.size > 2 and np.median(share) > 1.0:
+            return (
+                f"{name} is {np.median(share):.2g} times the strength that the setup's soil has under this load, in "
+                "the middle of the rows with slip above 0.15"
+            )
+    return ""
