@@ -19,7 +19,7 @@ from soil_env.loading import ParameterError
 from soil_env.model import Rows
 
 LARGE = 3.0  # [noise] rms of what the base model leaves, below which no mistake is looked for
-BETTER = 4.0  # times smaller that rms has to get where the table is read otherwise
+BETTER = 10.0  # times smaller that its mean square above the noise has to get where the table is read otherwise
 GRAVITY = 9.81
 FALLS = 0.8  # share of the groups of rows in which the drawbar pull falls with slip
 LOW_SLIP, LEAST_SPAN = 0.2, 0.15  # slip below which a group must begin, and its span, for that to say anything
@@ -44,7 +44,7 @@ def examine(problem: Problem) -> tuple[str, ...]:
     found = []
     for reading in _readings(problem):
         other = _rms(reading.problem)
-        if other * BETTER < rms:
+        if BETTER * (other**2 - 1.0) < rms**2 - 1.0:
             found.append((other, reading))
     found.sort(key=lambda f: f[0])
     doubts = []
