@@ -45,7 +45,8 @@ FOLLOWS_FROM = (  # modules of soil_env that the records follow from, besides di
     "catalogue", "compiled", "contact", "effects", "lanes", "loading", "measurement", "model", "parameters", "residual",
 )  # fmt: skip
 APART = (  # modules of discrepancy and of the benchmark from which no record follows
-    "__main__", "cmu", "page", "pictures", "report", "words", "blind", "blind_judge", "blind_page", "blind_plots",
+    "__main__", "closing", "cmu", "equations", "formulas", "page", "pictures", "report", "unlisted", "words",
+    "blind", "blind_judge", "blind_page", "blind_plots",
 )  # fmt: skip
 
 

@@ -4,7 +4,8 @@ Reads a table of steady points of a wheel and what is known beforehand of wheel,
 calibrated to the table; where it disagrees is said; every effect of the catalogue is refitted together with the soil
 and judged on held-out conditions; what is missing is named, or said to be undecided, unlisted, or nothing. The
 conclusion is printed, and written into DIR: report.html to read and to mail, report.json, and model.yaml, the
-corrected model, which gymnasium.make("SoilWheel-v0", model=...) simulates.
+corrected model, which gymnasium.make("SoilWheel-v0", model=...) simulates. A table whose signs or units cannot be
+right is refused; what looks wrong there is said before everything else.
 
 DATA.csv (SI units; a cell is left empty where nothing was measured):
 

@@ -157,7 +157,7 @@ def mathematics(text: str) -> str:
 
     out, unit = [], re.compile(r"\(-?[\d.e+-]+ [^()]+\)")
     for piece in re.split(r"(\(-?[\d.e+-]+ [A-Za-z][^()]*\))", text):  # a number with its unit stays as it is
-        out.append(piece if unit.fullmatch(piece) else re.sub(r"[A-Za-z]\w*", word, piece))
+        out.append(piece if unit.fullmatch(piece) else re.sub(r"(?<![&\w])[A-Za-z]\w*", word, piece))
     text = "".join(out)
     text = re.sub(r"\^\(([^()]*)\)", r"<sup>\1</sup>", text)
     text = re.sub(r"\^(-?[\w.]+|<i>.*?</i>)", r"<sup>\1</sup>", text)

@@ -53,8 +53,8 @@ _CAPTIONS = {
     "slip": "Measured values and models over slip, in a few groups of rows that differ in slip alone, from where "
     "the base model does best (top) to where it does worst. A red cross was left out as an outlier.",
     "residual": "Held-out residuals over slip in standard deviations of the noise; grey: twice the noise.",
-    "ranking": "Gain of held-out likelihood by each candidate over the base model; dark: named, light: its "
-    "alternatives.",
+    "ranking": "Gain of held-out likelihood by each candidate over the base model. Dark: named; light: its "
+    "alternatives; grey: neither.",
 }
 
 
@@ -98,7 +98,8 @@ def page(report: Report, content: dict) -> str:
         "fitted without the slip of the value, and without its combination of the other conditions.</p>",
         images["predicted"], images["slip"], images["residual"],
     ]  # fmt: skip
-    parts += ["<h2>How sure the name is</h2>", *_sure(report), images["ranking"]]
+    heading = "How sure the name is" if report.effects else "The candidates"
+    parts += [f"<h2>{heading}</h2>", *_sure(report), images["ranking"]]
     parts.append(
         _table(
             ("effect", ">held-out gain [nats]", ">probability"),
@@ -187,6 +188,6 @@ def _made(content: dict) -> list[str]:
         + (f" (sha256 {s['setup_sha256'][:16]}...)" if s["setup_sha256"] else "") + ".",
         f"Seed {s['seed']}, {s['bootstrap']} draws; " + ", ".join(f"{k} {x}" for k, x in v.items()) + ".",
         "Beside this page: report.json (the same in numbers) and model.yaml (the corrected model, for "
-        "gymnasium.make(..., model=...)).",
+        "gymnasium.make(..., model=...); it keeps the conditions that it was fitted to).",
     ]  # fmt: skip
     return [_list(lines)]
