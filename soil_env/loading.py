@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import re
 import types
 import typing
 from dataclasses import field
@@ -95,7 +96,9 @@ def load(cls, mapping, where: str = ""):
         text, own = str(error), f"{cls.__name__}."
         if where == cls.__name__:
             raise
-        raise ParameterError(_below(where, text[len(own) :]) if text.startswith(own) else f"{where}: {text}") from None
+        text = text.removeprefix(own).removeprefix(f"{cls.__name__}: ")
+        of_key = re.match(r"\w+( = |: expected)", text)
+        raise ParameterError(_below(where, text) if of_key else f"{where}: {text}") from None
 
 
 def _below(where: str, key: str) -> str:

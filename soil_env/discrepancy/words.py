@@ -133,7 +133,9 @@ def check_first(report: Report) -> list[str]:
     """What to check before anything else is read: signs and units."""
     out = list(report.doubts)
     far = max((abs(x) for _, x, _ in _from_priors(report)), default=0.0)
-    if far > ABSURD[0] or any(g.before > ABSURD[1] * g.noise_floor for g in report.gap.values()):
+    large = [g for g in report.gap.values() if g.before > ABSURD[1] * g.noise_floor]
+    explained = bool(report.effects) and all(g.after < 0.5 * g.before for g in large)
+    if far > ABSURD[0] or (large and not explained):
         out.append("So large a disagreement is usually a unit or a sign: check the columns and the setup.")
     return out
 
@@ -191,7 +193,7 @@ def _of_fit(report: Report) -> list[str]:
         value, x = float(unknown.value(u)), unknown.mean + unknown.sd * float(u)
         far = abs(from_prior.get(label, 0.0))
         if min(x - unknown.low, unknown.high - x) <= 1e-4 * unknown.sd:
-            out.append(f"{_first_upper(label)} is at a bound of its range ({value:.4g}).")
+            out.append(f"{_first_upper(label)} is at a bound of its range ({_not_tiny(value):.4g}).")
         elif far > FAR:
             out.append(f"{_first_upper(label)} is {far:.1f} standard deviations from the setup's value.")
     if not fit.converged:
@@ -272,7 +274,13 @@ def effect_rows(report: Report) -> list[tuple[str, ...]]:
         )
         for name, p in e.parameters.items():
             rows.append(
-                (label, name.replace("_", " "), figures(p.value), interval(p), CATALOGUE[e.name].parameter(name).unit)
+                (
+                    label,
+                    name.replace("_", " "),
+                    figures(p.value),
+                    interval(p) or "set",
+                    CATALOGUE[e.name].parameter(name).unit,
+                )
             )
             label = ""
     return rows
@@ -308,6 +316,11 @@ def gap_rows(report: Report) -> list[tuple[str, ...]]:
     return rows
 
 
+def _not_tiny(value: float) -> float:
+    """0 for what a bound at 0 leaves of a soil parameter."""
+    return value if abs(value) > 1e-6 else 0.0
+
+
 def corrected(report: Report) -> bool:
     """Whether anything was added to the base model."""
     return bool(report.model.effects or report.model.residual)
@@ -316,6 +329,11 @@ def corrected(report: Report) -> bool:
 def soil_rows(report: Report) -> list[tuple[str, ...]]:
     """(parameter, value, interval, unit) of the soil."""
     return [
-        (SOIL[k][0], figures(p.value), interval(p) or ("given" if report.known(k) else "assumed"), SOIL[k][1])
+        (
+            SOIL[k][0],
+            figures(_not_tiny(p.value)),
+            interval(p) or ("given" if report.known(k) else "assumed"),
+            SOIL[k][1],
+        )
         for k, p in report.soil.items()
     ]
