@@ -132,7 +132,7 @@ def _percent(share: float) -> str:
 def check_first(report: Report) -> list[str]:
     """What to check before anything else is read: signs and units."""
     out = list(report.doubts)
-    far = max((abs(x) for _, x, _ in _from_priors(report)), default=0.0)
+    far = max((abs(x) for _, _, x in _from_priors(report)), default=0.0)
     large = [g for g in report.gap.values() if g.before > ABSURD[1] * g.noise_floor]
     explained = bool(report.effects) and all(g.after < 0.5 * g.before for g in large)
     if far > ABSURD[0] or (large and not explained):
