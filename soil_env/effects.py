@@ -140,7 +140,8 @@ def rate_factor(speed, reference, exponent, slope):
 def depends_on_speed(fx):
     """Whether a rate law is on."""
     penetration = fx.penetration_rate_exponent != 0.0 or fx.penetration_rate_slope != 0.0
-    return penetration or fx.shear_rate_exponent != 0.0 or fx.shear_rate_slope != 0.0
+    shear = fx.shear_rate_exponent != 0.0 or fx.shear_rate_slope != 0.0 or fx.shear_rate_cohesion != 0.0
+    return penetration or shear
 
 
 @kernel
@@ -175,7 +176,7 @@ def soil_in_contact(soil, fx, slip, speed, slide, passes, sin_grade):
         speed, fx.penetration_rate_reference_speed, fx.penetration_rate_exponent, fx.penetration_rate_slope
     )
     s *= slope_factor(soil, sin_grade, fx)
-    c = soil.cohesion
+    c = soil.cohesion * rate_factor(slide, fx.shear_rate_reference_speed, 0.0, fx.shear_rate_cohesion)
     strength = rate_factor(slide, fx.shear_rate_reference_speed, fx.shear_rate_exponent, fx.shear_rate_slope)
     tan_phi, K = soil.tan_phi * strength, soil.shear_modulus
     if passes > 1.0:

@@ -29,7 +29,9 @@ SIZES = {
         "stiffening": (-0.3, 0.5), "strength": (-0.1, 0.1),
     },
     "penetration_rate": {"exponent": (-0.2, 0.3), "slope": (-0.1, 0.3), "reference_speed": (0.01, 0.3)},
-    "shear_rate": {"exponent": (-0.1, 0.2), "slope": (-0.1, 0.2), "reference_speed": (0.005, 0.1)},
+    "shear_rate": {
+        "exponent": (-0.1, 0.2), "slope": (-0.1, 0.2), "cohesion": (-0.2, 0.4), "reference_speed": (0.005, 0.1),
+    },
     "shear_softening": {"sharpness": (1, 8), "drop": (0, 0.6), "length": (0.02, 0.2), "onset": (0, 0.02)},
     "grade": {"share": (0, 1.2), "weakening": (-0.3, 1.2)},
     "drivetrain_friction": {"constant": (0, 5), "share": (0, 0.3), "viscous": (0, 3)},

@@ -24,7 +24,7 @@ from scipy.optimize import least_squares
 from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.data import CHANNELS, Data, Noise, find_noise
 from soil_env.effects import NO_EFFECTS, Effects, sliding_speed
-from soil_env.model import predict_rows
+from soil_env.model import Rows, predict_rows
 from soil_env.parameters import SoilState
 
 PRIOR_WIDTH = 1.5
@@ -195,7 +195,10 @@ class Problem:
             "shear_softening_sharpness": (4.0, 1.0, 30.0),  # below 1 the law has no peak
             "shear_softening_onset": (0.15 * r, 0.0, 2.0 * r),
             "slip_sinkage_length": (0.3 * z, 0.0, 5.0 * z),
+            "slip_sinkage_exponent_slope": (0.5, 0.0, 2.0),  # slip digs: less of it would be another effect
         }
+        if np.min(rows.slip) > -0.02:  # every published peak of a driven wheel moves forward with slip
+            self.scales["stress_peak_shift_slope"] = (0.3, 0.0, 0.9)
         slide = np.array([sliding_speed(i, v) for i, v in zip(rows.slip, speed, strict=True)])
         self.neutral = NO_EFFECTS._replace(shear_softening_length=0.3 * r)
         if np.all(speed > 0.0):
@@ -252,9 +255,9 @@ class Problem:
         values = {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
         return self.predict(values, choices, guess)
 
-    def predict(self, values: dict[str, float], choices, guess: np.ndarray) -> np.ndarray:
-        """Model values [N, 3] of a set of parameters."""
-        rows, out = self.data.rows, np.empty((self.data.rows.slip.size, 3))
+    def predict(self, values: dict[str, float], choices, guess: np.ndarray, rows: Rows | None = None) -> np.ndarray:
+        """Model values [N, 3] of a set of parameters, at other `rows` than those of the table if given."""
+        rows, out = rows or self.data.rows, np.empty((self.data.rows.slip.size, 3))
         predict_rows(
             rows.slip, rows.load, rows.wheels, rows.conditions, self.state(values), self.density * GRAVITY,
             self.effects(choices, values), guess, out,

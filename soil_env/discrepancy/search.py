@@ -2,7 +2,7 @@
 
 The steps, for the conclusion `Finding`:
 
-1. The base model. If neither the smooth-surface test (`lack_of_fit`) nor any candidate shows more than chance would,
+1. The base model. If neither the test of what it leaves (`lack_of_fit`) nor any candidate shows more than chance would,
    after accounting for all that were tried, nothing is missing.
 2. One effect. Each candidate is refitted in each of its forms. Those that leave no significant misfit, and gain nothing
    significant from a second effect, can be the answer; the one with the best held-out likelihood is named, and every
@@ -19,12 +19,11 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
 
 from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.calibrate import Choice, Fit, Problem
-from soil_env.discrepancy.data import folds, smooth_basis
+from soil_env.discrepancy.data import folds
+from soil_env.discrepancy.misfit import lack_of_fit, probability
 
 CHANCE = 0.004  # probability of a false alarm over everything that is tried
 LEAST_FIT = (3e-3, 0.05)  # p value of the lack of fit below which one effect, two effects, are not enough: where
@@ -51,44 +50,6 @@ class Candidate:
 
 
 # --- judgement of one fit ---------------------------------------------------------------------------------------------
-
-
-def lack_of_fit(problem: Problem, fit: Fit) -> float:
-    """p value of the smooth misfit: what polynomials of the conditions in every channel would still explain.
-
-    The smaller of two, doubled: of all polynomials together, and of the one that explains most.
-    """
-    a, e = fit.linearised()
-    columns = []
-    for j in range(3):
-        if problem.used[:, j].any():
-            for v in smooth_basis(problem.data).T:
-                values = np.zeros_like(problem.data.y)
-                values[:, j] = v
-                columns.append(problem.whiten(values) * problem.noise[j])
-    c = np.concatenate([np.stack(columns, axis=1), np.zeros((a.shape[0] - fit.residual.size, len(columns)))])
-    size = np.linalg.norm(c, axis=0)
-    q, _ = np.linalg.qr(a)
-    c = c - q @ (q.T @ c)
-    left, s, _ = np.linalg.svd(c, full_matrices=False)
-    rank = int(np.sum(s > 1e-6 * max(s[0], 1e-300)))
-    together = probability(float(np.sum((left[:, :rank].T @ e) ** 2)), rank, problem.freedom)
-    rest = np.linalg.norm(c, axis=0)
-    seen = rest > 0.05 * size  # what the parameters do not explain anyway
-    if not seen.any():
-        return together
-    most = float(np.max((c[:, seen].T @ e / rest[seen]) ** 2))
-    alone = -math.expm1(seen.sum() * math.log1p(-min(probability(most, 1, problem.freedom), 1.0 - 1e-12)))
-    return min(1.0, 2.0 * min(together, alone))
-
-
-def probability(gain: float, count: int, freedom: float) -> float:
-    """Chance of a fall of the objective by `gain` from `count` further unknowns, the noise known to `freedom`."""
-    if gain <= 0.0:
-        return 1.0
-    if math.isinf(freedom):
-        return float(chi2.sf(gain, count))
-    return float(f_distribution.sf(gain / count, count, freedom))
 
 
 def held_out(problem: Problem, fit: Fit) -> tuple[float, np.ndarray]:
@@ -178,22 +139,32 @@ def first_gain(problem: Problem, fit: Fit, name: str) -> tuple[float, float]:
     for k in forms(problem, name):
         choice = Choice(name, k)
         own = [u for u in problem.unknowns((choice,)) if u.name in choice.free]
-        columns = []
+        columns, one_sided = [], []
         for moved in own:
             if moved.log:
                 continue
             trial = {u.name: u.value(0.0) for u in own} | {moved.name: moved.value(0.05)}
             there = problem.predict(values | trial, (*fit.choices, choice), guess.copy())
             columns.append((problem.whiten(there) - base) / 0.05)
+            one_sided.append(moved.low >= moved.mean)
         c = np.concatenate([np.stack(columns, axis=1), np.zeros((e.size - base.size, len(columns)))])
         c = c - q @ (q.T @ c)
-        prior = np.eye(len(columns))  # of the new strengths
-        solved = np.linalg.solve(c.T @ c + prior, c.T @ e)
-        gain = float(e @ c @ solved)
+        gain = _gain(c, e, np.array(one_sided))
         p = probability(gain, len(columns), problem.freedom)
         if p < best[1]:
             best = (gain, p)
     return best
+
+
+def _gain(c: np.ndarray, e: np.ndarray, one_sided: np.ndarray) -> float:
+    """Fall of |e|^2 by strengths of the columns c with a unit prior; those that may not be negative stay at 0."""
+    while c.shape[1]:
+        solved = np.linalg.solve(c.T @ c + np.eye(c.shape[1]), c.T @ e)
+        wrong = one_sided & (solved < 0.0)
+        if not wrong.any():
+            return float(e @ c @ solved)
+        c, one_sided = c[:, ~wrong], one_sided[~wrong]
+    return 0.0
 
 
 # --- the conclusion ---------------------------------------------------------------------------------------------------
