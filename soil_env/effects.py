@@ -176,7 +176,9 @@ def soil_in_contact(soil, fx, slip, speed, slide, passes, sin_grade):
         speed, fx.penetration_rate_reference_speed, fx.penetration_rate_exponent, fx.penetration_rate_slope
     )
     s *= slope_factor(soil, sin_grade, fx)
-    c = soil.cohesion * rate_factor(slide, fx.shear_rate_reference_speed, 0.0, fx.shear_rate_cohesion)
+    c = soil.cohesion
+    if fx.shear_rate_cohesion != 0.0:
+        c = c * max(1.0 + fx.shear_rate_cohesion * math.log1p(slide / fx.shear_rate_onset_speed), 0.1)
     strength = rate_factor(slide, fx.shear_rate_reference_speed, fx.shear_rate_exponent, fx.shear_rate_slope)
     tan_phi, K = soil.tan_phi * strength, soil.shear_modulus
     if passes > 1.0:

@@ -204,7 +204,7 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     rate = fx["shear_rate"]
     strength = rate_law(sliding, rate.get("reference_speed", 0.02), rate.get("exponent", 0.0), rate.get("slope", 0.0))
     tan_phi, c = tan_phi * strength * site.passes ** track.get("strength", 0.0), c * strength
-    c *= rate_law(sliding, rate.get("reference_speed", 0.02), 0.0, rate.get("cohesion", 0.0))
+    c *= max(1.0 + rate.get("cohesion", 0.0) * math.log(1.0 + sliding / rate.get("onset_speed", 0.02)), 0.1)
     K *= site.passes ** -track.get("stiffening", 0.0)
 
     # the wheel

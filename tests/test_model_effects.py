@@ -30,7 +30,8 @@ SIZES = {
     },
     "penetration_rate": {"exponent": (-0.2, 0.3), "slope": (-0.1, 0.3), "reference_speed": (0.01, 0.3)},
     "shear_rate": {
-        "exponent": (-0.1, 0.2), "slope": (-0.1, 0.2), "cohesion": (-0.2, 0.4), "reference_speed": (0.005, 0.1),
+        "exponent": (-0.1, 0.2), "slope": (-0.1, 0.2), "cohesion": (-0.1, 0.4), "onset_speed": (0.005, 0.1),
+        "reference_speed": (0.005, 0.1),
     },
     "shear_softening": {"sharpness": (1, 8), "drop": (0, 0.6), "length": (0.02, 0.2), "onset": (0, 0.02)},
     "grade": {"share": (0, 1.2), "weakening": (-0.3, 1.2)},

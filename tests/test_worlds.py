@@ -43,7 +43,7 @@ VALUES = {
         "saturating": {"gain": 0.8, "stiffening": 0.1, "strength": 0.03},
     },
     "penetration_rate": {"power": {"exponent": 0.2}, "logarithmic": {"slope": 0.15}},
-    "shear_rate": {"power": {"exponent": 0.08}, "logarithmic": {"slope": 0.08}, "cohesion": {"cohesion": 0.2}},
+    "shear_rate": {"power": {"exponent": 0.08}, "logarithmic": {"slope": 0.08}, "cohesion": {"cohesion": 0.2, "onset_speed": 0.01}},
     "shear_softening": {
         "hump": {"sharpness": 4.0}, "hump_of_first_slope": {"sharpness": 4.0},
         "decaying": {"drop": 0.4, "length": 0.03, "onset": 0.001},

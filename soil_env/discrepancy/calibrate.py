@@ -121,6 +121,8 @@ _BROAD = {
     "sinkage_coefficient": (math.nan, 3.0, math.log(10.0), math.log(1e13), True),
     "sinkage_exponent": (0.95, 0.3, 0.05, 2.5, False),
 }
+#: Parameters about a value that the table sets.
+_CENTRED = ("shear_softening_length", "shear_rate_onset_speed")
 _LEAST = {"friction_angle_deg": 0.05, "cohesion": 1.0, "shear_modulus": 1e-3, "sinkage_coefficient": 1e-3,
           "sinkage_exponent": 1e-3}  # fmt: skip
 
@@ -204,9 +206,11 @@ class Problem:
         if np.all(speed > 0.0):
             middle = math.exp(float(np.mean(np.log(speed))))
             slide = slide[slide > 0.0]
+            sliding = math.exp(float(np.mean(np.log(slide)))) if slide.size else middle
             self.neutral = self.neutral._replace(
                 penetration_rate_reference_speed=middle,
-                shear_rate_reference_speed=math.exp(float(np.mean(np.log(slide)))) if slide.size else middle,
+                shear_rate_reference_speed=sliding,
+                shear_rate_onset_speed=sliding,
             )
 
     # --- unknowns and outputs ---
@@ -219,7 +223,7 @@ class Problem:
                 p = CATALOGUE[choice.effect].parameter(full[len(choice.effect) + 1 :])
                 low, high = p.low, p.high
                 if p.centre is not None:
-                    centre = getattr(self.neutral, full) if full == "shear_softening_length" else p.centre
+                    centre = getattr(self.neutral, full) if full in _CENTRED else p.centre
                     out.append(Unknown(full, math.log(centre), p.scale, math.log(max(low, 1e-3 * centre)),
                                        math.log(high), True))  # fmt: skip
                     continue

@@ -13,7 +13,6 @@ The steps, for the conclusion `Finding`:
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import combinations
@@ -28,6 +27,7 @@ from soil_env.discrepancy.misfit import lack_of_fit, probability
 CHANCE = 0.004  # probability of a false alarm over everything that is tried
 LEAST_FIT = (3e-3, 0.05)  # p value of the lack of fit below which one effect, two effects, are not enough: where
 # -e p ln p (Sellke et al. 2001) meets prior odds of 20, of 3, that what is missing is in the catalogue
+SECOND = 1e-4  # the same for a second effect beside one that is enough: B(p) of it against prior odds of 20 is again 20
 TOLD = 4.6  # [nats] of held-out likelihood by which a candidate must lose to be ruled out
 TRIED = 20  # independent looks that the candidates amount to
 IMPLAUSIBLE = 4.0  # [widened prior sd] of a soil that no candidate may need
@@ -299,7 +299,7 @@ def second(problem: Problem, first: Candidate, names: list[str], base_score: flo
         fit = fit_effect(problem, name, first.fit.choices)
         p = probability(first.fit.objective - fit.objective, strengths(fit.choices[-1:]), problem.freedom)
         c = judge(problem, fit, base_score)
-        if _family(p) < CHANCE and c.score > first.score + TOLD and (best is None or c.score > best.score):
+        if _family(p) < SECOND and c.score > first.score + TOLD and (best is None or c.score > best.score):
             best = c
     return best
 
