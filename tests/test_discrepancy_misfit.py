@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from soil_env.discrepancy.calibrate import Choice
 from soil_env.discrepancy.misfit import (
@@ -42,7 +43,25 @@ def test_looks_are_as_many_as_independent_directions():
     axes = np.eye(12)[:, :5]
     assert looks(axes) == pytest.approx(5.0)
     assert looks(np.repeat(axes[:, :1], 7, axis=1)) == pytest.approx(1.0)
-    assert 1.0 < looks(np.stack([axes[:, 0], (axes[:, 0] + 0.1 * axes[:, 1]) / np.sqrt(1.01)], axis=1)) < 1.2
+    near = np.stack([axes[:, 0], (axes[:, 0] + 0.1 * axes[:, 1]) / np.sqrt(1.01)], axis=1)
+    assert 1.0 < looks(near) < 2.1
+
+
+def test_noise_alone_looks_as_it_should():
+    """The null distribution of the largest of all directions, simulated."""
+    p = noisy(2)
+    fit = p.fit()
+    q, _ = np.linalg.qr(fit.linearised()[0])
+    noise = np.random.default_rng(0).standard_normal((q.shape[0], 4000))
+    count, largest_of = 0.0, np.zeros(4000)
+    for directions in (smooth_directions(p), physical_directions(p, fit)):
+        left, seen = _apart(q, directions)
+        c = left[:, seen] / np.linalg.norm(left[:, seen], axis=0)
+        count += looks(c)
+        largest_of = np.maximum(largest_of, np.max((c.T @ noise) ** 2, axis=0))
+    for level in (0.1, 0.02):
+        threshold = chi2.isf(-np.expm1(np.log1p(-level) / count), 1)
+        assert 0.5 < np.mean(largest_of > threshold) / level < 1.5
 
 
 def test_a_response_is_the_difference_of_two_predictions():

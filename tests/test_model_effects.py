@@ -222,6 +222,7 @@ def test_units_do_not_matter(seed, length, force, speed):
         ("shear_softening", "onset"): length,
         ("penetration_rate", "reference_speed"): speed,
         ("shear_rate", "reference_speed"): speed,
+        ("shear_rate", "onset_speed"): speed,
         ("drivetrain_friction", "constant"): force * length,
         ("drivetrain_friction", "viscous"): force * length * length / speed,
     }

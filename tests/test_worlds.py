@@ -43,7 +43,9 @@ VALUES = {
         "saturating": {"gain": 0.8, "stiffening": 0.1, "strength": 0.03},
     },
     "penetration_rate": {"power": {"exponent": 0.2}, "logarithmic": {"slope": 0.15}},
-    "shear_rate": {"power": {"exponent": 0.08}, "logarithmic": {"slope": 0.08}, "cohesion": {"cohesion": 0.2, "onset_speed": 0.01}},
+    "shear_rate": {
+        "power": {"exponent": 0.08}, "logarithmic": {"slope": 0.08}, "cohesion": {"cohesion": 0.2, "onset_speed": 0.01},
+    },
     "shear_softening": {
         "hump": {"sharpness": 4.0}, "hump_of_first_slope": {"sharpness": 4.0},
         "decaying": {"drop": 0.4, "length": 0.03, "onset": 0.001},
@@ -258,7 +260,8 @@ def test_blades_push_the_soil_between_them_whatever_the_shear_radius():
 IDLE = {
     "slip_sinkage": {"recovery": 0.9}, "rear_contact": {"peak_follows": 0.0}, "multipass": {"passes": 3.0},
     "grousers": {"slip_at_rim": 1.0}, "penetration_rate": {"reference_speed": 0.5},
-    "shear_rate": {"reference_speed": 0.5}, "shear_softening": {"length": 0.2, "onset": 0.1, "slope_kept": 1.0},
+    "shear_rate": {"reference_speed": 0.5, "onset_speed": 0.1},
+    "shear_softening": {"length": 0.2, "onset": 0.1, "slope_kept": 1.0},
 }  # fmt: skip
 NEUTRAL = {name: {p.name: p.neutral for p in effect.parameters} for name, effect in CATALOGUE.items()}
 

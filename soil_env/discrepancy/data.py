@@ -27,6 +27,7 @@ REPEAT_SLIP = 0.02  # largest difference of slip within repeats
 REPEAT_LOAD = 0.2  # largest difference of load within repeats, over their mean
 _SAME = 0.02  # relative difference below which two values of a condition are one level
 _SAME_SLIP = 0.005
+_SAME_GRADE = 0.1  # [deg]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +131,7 @@ def _condition(name: str, value: np.ndarray, log: bool) -> Conditions:
     """Levels by gaps: values closer than 2 % of the span (or of themselves) are one level."""
     x = np.log(np.maximum(value, 1e-9)) if log else value
     span = float(np.ptp(x))
-    gap = max(0.02 * span, math.log(1.0 + _SAME) if log else (_SAME_SLIP if name == "slip" else 0.25))
+    gap = max(0.02 * span, math.log(1.0 + _SAME) if log else (_SAME_SLIP if name == "slip" else _SAME_GRADE))
     order = np.argsort(x, kind="stable")
     steps = np.diff(x[order]) > gap
     level = np.empty(x.size, dtype=int)

@@ -14,6 +14,7 @@ import numpy as np
 
 from soil_env.discrepancy.calibrate import Fit, Problem, Unknown
 from soil_env.discrepancy.data import CHANNELS, folds
+from soil_env.discrepancy.misfit import log_bound, probability
 from soil_env.discrepancy.search import (
     CHANCE,
     TOLD,
@@ -22,7 +23,6 @@ from soil_env.discrepancy.search import (
     Finding,
     acceptable,
     held_out,
-    probability,
     strengths,
 )
 
@@ -169,19 +169,13 @@ def chance_of(problem: Problem, base: Candidate, c: Candidate) -> float:
     return 1.0 if p >= 1.0 else -math.expm1(TRIED * math.log1p(-p))
 
 
-def _log_bound(p: float) -> float:
-    """Logarithm of the largest odds against a hypothesis that a p value speaks for."""
-    p = max(p, 1e-300)
-    return -1.0 - math.log(-p * math.log(p)) if p < 1.0 / math.e else 0.0
-
-
 def _log_odds(problem: Problem, base: Candidate, c: Candidate, count: int) -> float:
     """Logarithm of the odds of a model against the base model."""
     if not c.names:
         return 0.0
     gain = 0.5 * (c.score + c.fit.evidence - base.fit.evidence) - TOLD * (len(c.names) - 1)
     chance = chance_of(problem, base, c)
-    most = _log_bound(chance) - _log_bound(CHANCE) if chance > CHANCE else math.inf
+    most = log_bound(chance) - log_bound(CHANCE) if chance > CHANCE else math.inf
     return min(gain + math.log(LISTED / (1.0 + LISTED) / count), most)
 
 
@@ -190,7 +184,7 @@ def _listed(problem: Problem, base: Candidate, c: Candidate) -> float:
     p = c.misfit
     if c.names and chance_of(problem, base, c) <= CHANCE and not acceptable(problem, base, c):
         p = min(p, REFUSED)
-    return 1.0 / (1.0 + math.exp(_log_bound(p)) / LISTED)
+    return 1.0 / (1.0 + math.exp(log_bound(p)) / LISTED)
 
 
 def sureness(

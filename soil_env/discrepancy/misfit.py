@@ -35,6 +35,15 @@ def probability(gain: float, count: int, freedom: float) -> float:
     return float(f_distribution.sf(gain / count, count, freedom))
 
 
+def log_bound(p: float) -> float:
+    """Logarithm of the largest odds against a hypothesis that a p value speaks for, B(p) = 1/(-e p ln p).
+
+    Sellke, Bayarri & Berger (2001), Am. Stat. 55:62-71; 0 from p = 1/e on.
+    """
+    p = max(p, 1e-300)
+    return -1.0 - math.log(-p * math.log(p)) if p < 1.0 / math.e else 0.0
+
+
 def lack_of_fit(problem: Problem, fit: Fit) -> float:
     """p value of what a fit leaves: the smaller of two, doubled.
 
@@ -48,22 +57,22 @@ def lack_of_fit(problem: Problem, fit: Fit) -> float:
     rank = int(np.sum(s > 1e-6 * max(s[0], 1e-300)))
     together = probability(float(np.sum((left[:, :rank].T @ e) ** 2)), rank, problem.freedom)
     physical, also = _apart(q, physical_directions(problem, fit))
-    single = np.concatenate([smooth[:, seen], physical[:, also]], axis=1)
-    if not single.shape[1]:
+    families = [c / np.linalg.norm(c, axis=0) for c in (smooth[:, seen], physical[:, also]) if c.shape[1]]
+    if not families:
         return together
-    single = single / np.linalg.norm(single, axis=0)
-    most = probability(float(np.max((single.T @ e) ** 2)), 1, problem.freedom)
-    alone = -math.expm1(looks(single) * math.log1p(-min(most, 1.0 - 1e-12)))
+    most = probability(max(float(np.max((c.T @ e) ** 2)) for c in families), 1, problem.freedom)
+    alone = -math.expm1(sum(looks(c) for c in families) * math.log1p(-min(most, 1.0 - 1e-12)))
     return min(1.0, 2.0 * min(together, alone))
 
 
 def looks(single: np.ndarray) -> float:
-    """Independent tests that correlated directions [M, C] of length one amount to: (sum sqrt l)^2 / sum l.
+    """Independent tests that correlated directions [M, C] of length one amount to: sum of [l >= 1] + l - floor(l).
 
-    l: eigenvalues of their correlations (Galwey 2009, Genet. Epidemiol. 33:559-568).
+    l: eigenvalues of their correlations (Li & Ji 2005, Heredity 95:221-227).
     """
-    s = np.linalg.svd(single, compute_uv=False)
-    return float(np.sum(s) ** 2 / np.sum(s**2))
+    values = np.maximum(np.linalg.eigvalsh(single.T @ single), 0.0)
+    values = np.where(np.abs(values - np.round(values)) < 1e-9, np.round(values), values)
+    return float(np.sum((values >= 1.0) + values - np.floor(values)))
 
 
 def _apart(q: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -22,16 +22,17 @@ import numpy as np
 from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.calibrate import Choice, Fit, Problem
 from soil_env.discrepancy.data import folds
-from soil_env.discrepancy.misfit import lack_of_fit, probability
+from soil_env.discrepancy.misfit import lack_of_fit, log_bound, probability
 
 CHANCE = 0.004  # probability of a false alarm over everything that is tried
-LEAST_FIT = (3e-3, 0.05)  # p value of the lack of fit below which one effect, two effects, are not enough: where
-# -e p ln p (Sellke et al. 2001) meets prior odds of 20, of 3, that what is missing is in the catalogue
+LEAST_FIT = (3e-3, 0.02)  # p value of the lack of fit below which one effect, two effects, are not enough: where
+# -e p ln p (Sellke et al. 2001) meets prior odds of 20, of 5, that what is missing is in the catalogue
 SECOND = 1e-4  # the same for a second effect beside one that is enough: B(p) of it against prior odds of 20 is again 20
 TOLD = 4.6  # [nats] of held-out likelihood by which a candidate must lose to be ruled out
 TRIED = 20  # independent looks that the candidates amount to
 IMPLAUSIBLE = 4.0  # [widened prior sd] of a soil that no candidate may need
-LEADING = 10.0  # [nats] by which a pair must lead all others to be named with a fit down to LEAST_FIT of one effect
+LEADING = 10.0  # [nats] by which a pair must lead to be named with a fit down to LEAST_FIT of one effect, and by which
+# what is named may not be behind a model that does not fit
 _PAIRS = 8  # pairs refitted after the screen
 
 
@@ -42,6 +43,11 @@ class Candidate:
     fit: Fit
     score: float  # held-out log-likelihood minus that of the base model
     misfit: float  # p value of the lack of fit
+
+    @property
+    def worth(self) -> float:
+        """Held-out log-likelihood less what the lack of fit speaks against it at most."""
+        return self.score - log_bound(self.misfit)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -211,7 +217,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
         return Finding(verdict, tuple(named), base, best, tuple(singles), tuple(pairs), untestable, chance)
 
     def conclude_one(enough, pairs=()):
-        first, near = undecided(enough)
+        first, near = undecided(enough, [c for c in singles if possible(problem, base, c)])
         named = Named(first.names[0], tuple(c.names[0] for c in near))
         return conclude("ambiguous" if near else "named", [named], first, pairs)
 
@@ -224,7 +230,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     if chance > CHANCE:
         return conclude("none", (), base)
     # one effect
-    enough = [c for c in singles if acceptable(problem, base, c)]
+    enough = not_behind([c for c in singles if acceptable(problem, base, c)], singles, problem, base)
     if enough:
         first = enough[0]
         say("looking for a second effect")
@@ -234,7 +240,8 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     if problem.used.sum() <= 2 * (len(problem.soil) + 4):
         return conclude_one(enough) if enough else conclude_without()
     pairs = two_effects(problem, singles, names, base_score, say)
-    enough_pairs = [c for c in pairs if acceptable(problem, base, c) and both_needed(problem, c, singles)]
+    needed = [c for c in pairs if both_needed(problem, c, singles)]
+    enough_pairs = not_behind([c for c in needed if acceptable(problem, base, c)], needed, problem, base)
     if enough and (not enough_pairs or enough_pairs[0].score < enough[0].score + TOLD):
         return conclude_one(enough, pairs)
     if not enough_pairs and pairs:
@@ -243,16 +250,28 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
         enough_pairs = pairs[:1] if leads and both_needed(problem, pairs[0], singles) else []
     if not enough_pairs:
         return conclude_without(pairs)
-    first, near = undecided(enough_pairs)
+    first, near = undecided(enough_pairs, [c for c in needed if possible(problem, base, c)])
     named = [Named(name, _instead(name, first, near)) for name in first.names]
     return conclude("ambiguous" if near else "named", named, first, pairs)
 
 
-def undecided(enough: list[Candidate]) -> tuple[Candidate, list[Candidate]]:
-    """(first, others) of the candidates that the held-out likelihood cannot rule out, the most probable first."""
-    near = [c for c in enough if c.score > enough[0].score - TOLD]
-    near.sort(key=lambda c: -(c.score + c.fit.evidence))
-    return near[0], near[1:]
+def not_behind(enough: list[Candidate], others: list[Candidate], problem: Problem, base: Candidate) -> list[Candidate]:
+    """`enough`, best first; nothing where another, which does not fit, is ahead of all by `LEADING`."""
+    enough = sorted(enough, key=lambda c: -c.score)
+    ahead = max((c.worth for c in others if possible(problem, base, c)), default=0.0)
+    return enough if enough and max(c.worth for c in enough) > ahead - LEADING else []
+
+
+def undecided(enough: list[Candidate], others: list[Candidate]) -> tuple[Candidate, list[Candidate]]:
+    """(first, others) of the candidates that cannot be ruled out, the most probable first.
+
+    The first is one that fits; another is ruled out by the held-out likelihood and its lack of fit together.
+    """
+    least = max(c.score for c in enough) - TOLD
+    first = max((c for c in enough if c.score > least), key=lambda c: c.score + c.fit.evidence)
+    least = max(c.worth for c in enough) - TOLD
+    near = [c for c in others if c.worth > least and c is not first]
+    return first, sorted(near, key=lambda c: -(c.worth + c.fit.evidence))
 
 
 def _instead(name: str, best: Candidate, near: list[Candidate]) -> tuple[str, ...]:
@@ -277,14 +296,18 @@ def _p_gain(problem: Problem, base: Candidate, c: Candidate) -> float:
     return probability(gain, strengths(c.fit.choices), problem.freedom)
 
 
-def acceptable(problem: Problem, base: Candidate, c: Candidate, least: float | None = None) -> bool:
-    """Whether a model is enough: significant, better on what is held out, no lack of fit, and a soil that can be."""
+def possible(problem: Problem, base: Candidate, c: Candidate) -> bool:
+    """Whether a model is significant, better on what is held out, and has a soil that can be."""
     priors = problem.data.setup.soil
     for unknown, x, without in zip(problem.soil, c.fit.u, base.fit.u, strict=False):
         if getattr(priors, unknown.name, None) and abs(x) > max(IMPLAUSIBLE, abs(without) + 1.0):
             return False
-    significant = c.score > TOLD and _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
-    return significant and c.misfit > (LEAST_FIT[len(c.names) - 1] if least is None else least)
+    return c.score > TOLD and _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
+
+
+def acceptable(problem: Problem, base: Candidate, c: Candidate, least: float | None = None) -> bool:
+    """Whether a model is enough: possible, and without lack of fit."""
+    return possible(problem, base, c) and c.misfit > (LEAST_FIT[len(c.names) - 1] if least is None else least)
 
 
 def second(problem: Problem, first: Candidate, names: list[str], base_score: float) -> Candidate | None:
