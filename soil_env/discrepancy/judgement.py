@@ -23,6 +23,7 @@ from soil_env.discrepancy.search import (
     Finding,
     acceptable,
     held_out,
+    possible,
     strengths,
 )
 
@@ -126,8 +127,9 @@ def ranking(problem: Problem, finding: Finding) -> tuple[tuple[Rank, ...], dict[
     with the bound B(p) = 1/(-e p ln p) for p < 1/e, else 1 (Sellke, Bayarri & Berger 2001, Am. Stat. 55:62-71), so that
     the search and the odds turn to an effect at the same chance. Something unlisted has 1/`LISTED` of the odds of each
     model times B(p value of its lack of fit); a model with a significant gain that the search refuses, for an
-    implausible soil say, has a p value of `REFUSED` at most. Where the search finds nothing, no effect has more than
-    even odds, pairs do not count, and only what the base model lacks speaks for something unlisted.
+    implausible soil or, where it names nothing, for its lack of fit, has a p value of `REFUSED` at most. Where the
+    search finds nothing, no effect has more than even odds, pairs do not count, and only what the base model lacks
+    speaks for something unlisted.
 
     The probability of a name is that of all models with it. Its score is the gain of held-out log-likelihood by it
     alone, or by the best pair with it where two effects are named.
@@ -139,7 +141,8 @@ def ranking(problem: Problem, finding: Finding) -> tuple[tuple[Rank, ...], dict[
     if none:
         log_odds = np.minimum(log_odds, 0.0)
     weight = np.exp(log_odds - log_odds.max())
-    fits = np.array([_listed(problem, base, c) for c in models])
+    enough = possible if finding.named else acceptable
+    fits = np.array([_listed(problem, base, c, enough(problem, base, c)) for c in models])
     lacking = weight * (1.0 - fits)
     if none:
         fits, lacking[1:] = np.minimum(fits, fits[0]), 0.0
@@ -179,10 +182,10 @@ def _log_odds(problem: Problem, base: Candidate, c: Candidate, count: int) -> fl
     return min(gain + math.log(LISTED / (1.0 + LISTED) / count), most)
 
 
-def _listed(problem: Problem, base: Candidate, c: Candidate) -> float:
-    """Probability that a model lacks nothing."""
+def _listed(problem: Problem, base: Candidate, c: Candidate, enough: bool) -> float:
+    """Probability that a model lacks nothing; `enough`: whether the search would have it."""
     p = c.misfit
-    if c.names and chance_of(problem, base, c) <= CHANCE and not acceptable(problem, base, c):
+    if c.names and chance_of(problem, base, c) <= CHANCE and not enough:
         p = min(p, REFUSED)
     return 1.0 / (1.0 + math.exp(log_bound(p)) / LISTED)
 
