@@ -211,12 +211,12 @@ _LIST = (
     Effect(
         "shear_rate",
         "rate of shear",
-        "(c, tan phi) (v/v0)^m, or (c, tan phi) [1 + a ln(v/v0)], or c [1 + b ln(1 + v/v1)], v = |r w - V|",
+        "(c, tan phi) (v/v0)^m, or (c, tan phi) [1 + a ln(v/v0)], or c [1 + d ln(1 + v/v1)], v = |r w - V|",
         (SINKAGE, PULL, TORQUE),
         (
             P("exponent", "", 0.0, -0.3, 0.6, 0.07, "m"),
             P("slope", "", 0.0, -0.3, 0.6, 0.07, "a"),
-            P("cohesion", "", 0.0, -0.2, 1.5, 0.2, "b, of the cohesion alone"),
+            P("cohesion", "", 0.0, -0.2, 1.5, 0.2, "d, of the cohesion alone"),
             P("onset_speed", "m/s", 0.02, 1e-5, 10.0, 1.5, "v1, below which cohesion does not change", centre=0.02),
             P("reference_speed", "m/s", 0.02, 1e-5, 10.0, 0.0, "v0"),
         ),

@@ -48,6 +48,7 @@ EQUATIONS = MappingProxyType({
         "c_v = c (v/{reference_speed})^{exponent}; tan(phi_v) = tan(phi) (v/{reference_speed})^{exponent}",
     ("shear_rate", "logarithmic"):
         "c_v = c [1 + {slope} ln(v/{reference_speed})]; tan(phi_v) = tan(phi) [1 + {slope} ln(v/{reference_speed})]",
+    ("shear_rate", "cohesion"): "c_v = c [1 + {cohesion} ln(1 + v/{onset_speed})]; tan(phi_v) = tan(phi)",
     ("shear_softening", "hump"): _HUMP + "x = exp(-j/K)",
     ("shear_softening", "hump_of_first_slope"): _HUMP + "x = exp(-j/(k K)); k = 4 {sharpness}/(1 + {sharpness})",
     ("shear_softening", "decaying"):
@@ -74,7 +75,7 @@ SYMBOLS = MappingProxyType({
     "multipass": {"hardening": "a", "gain": "g", "passes": "d", "slip_gain": "s", "slip_scale": "k1", "per_pass": "p",
                   "stiffening": "k", "strength": "f", "cohesion": "h"},
     "penetration_rate": {"exponent": "m", "slope": "a", "reference_speed": "V0"},
-    "shear_rate": {"exponent": "m", "slope": "a", "reference_speed": "v0"},
+    "shear_rate": {"exponent": "m", "slope": "a", "cohesion": "d", "onset_speed": "v1", "reference_speed": "v0"},
     "shear_softening": {"sharpness": "s", "drop": "d", "length": "L", "onset": "j0"},
     "grade": {"share": "f", "weakening": "w"},
     "drivetrain_friction": {"constant": "T0", "share": "e", "viscous": "v"},
