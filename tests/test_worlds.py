@@ -221,7 +221,7 @@ def test_rates_of_the_reaction_against_central_differences(case):
 def test_recorded_forces_are_those_of_the_motion(case):
     """The last iteration is taken to first order: its forces are still those of `react`, as far as speeds are known."""
     effects = TOGETHER if case == "together" else CASES[case]
-    soil, h, met = soils()["lete_sand"].state(0.15), 0.05, dynamics._TOLERANCE
+    soil, h, met = soils()["lete_sand"].state(0.15), 0.05, dynamics.TOLERANCE
     courses, state, world, _ = on_uniform_ground(effects, soil, 0.05, "torque")
     world, w, rng = world._replace(substeps=1, period=h), state[0], np.random.default_rng(1)
     judged = 0
