@@ -173,16 +173,14 @@ def keep(result: dict, path: Path) -> None:
     replace_file(path, (json.dumps(result, indent=1) + "\n").encode())
 
 
-def costs(steps: int, rounds: int) -> dict:
+def costs(small: ppo.PPOConfig, large: ppo.PPOConfig, steps: int, rounds: int) -> dict:
     """Processor time a step [us], in all and of the update, by SB3's PPO and by ours; measured in turns."""
-    small, large = layout(128, 128, 6, 1024, 1e-3, "tanh"), layout(512, 64, 4, 4096, 1e-3, "tanh")
-    tries = {
-        "SB3, 128 x 128, 6 epochs, tanh": (plain, small),
-        "ours, 128 x 128, 6 epochs, tanh": (ours, small),
-        "SB3, 512 x 64, 4 epochs, tanh": (plain, large),
-        "ours, 512 x 64, 4 epochs, tanh": (ours, large),
-        "ours, 512 x 64, 4 epochs, relu": (ours, replace(large, activation="relu")),
-    }
+    tries = {}
+    for config in (small, large):
+        for who, make in (("SB3", plain), ("ours", ours)):
+            tries[f"{who}, {config.num_envs} x {config.n_steps}, {config.n_epochs} epochs, tanh"] = make, config
+    title = f"ours, {large.num_envs} x {large.n_steps}, {large.n_epochs} epochs, relu"
+    tries[title] = ours, replace(large, activation="relu")
     models = {title: make(config, 0) for title, (make, config) in tries.items()}
     found = {title: {"step": [], "update": []} for title in tries}
     for turn in range(rounds + 1):
@@ -206,7 +204,8 @@ def costs(steps: int, rounds: int) -> dict:
 def jobs(smoke: bool) -> list[tuple]:
     """The study: (part, layout, seed, seconds, marks, courses)."""
     if smoke:
-        return [("layouts", SHORT[0][0], 0, 0.2, 2, 4), ("finalists", LONG[0][0], 0, 0.3, 2, 4)]
+        tiny = layout(8, 16, 2, 64, 1e-3, "relu")
+        return [("layouts", tiny, 0, 0.2, 2, 4), ("finalists", tiny, 0, 0.3, 2, 4)]
     return [("layouts", config, seed, 40.0, 4, 300) for config, seeds in SHORT for seed in seeds] + [
         ("finalists", config, seed, seconds, 6 if seconds > 100.0 else 5, 300)
         for config, seconds, seeds in LONG
@@ -228,7 +227,12 @@ def main(arguments: list[str] | None = None) -> int:
     if options.run is not None:
         result["run"] = Times(options.run).seconds
     if "update" not in result:
-        result["update"] = costs(*((2_000, 1) if options.smoke else (32_768, 3)))
+        if options.smoke:
+            tiny = layout(8, 16, 2, 64, 1e-3, "tanh")
+            result["update"] = costs(tiny, replace(tiny, num_envs=16), 300, 1)
+        else:
+            small, large = layout(128, 128, 6, 1024, 1e-3, "tanh"), layout(512, 64, 4, 4096, 1e-3, "tanh")
+            result["update"] = costs(small, large, 32_768, 3)
         keep(result, path)
     study(jobs(options.smoke), result, path, print)
     keep(result, path)

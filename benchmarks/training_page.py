@@ -72,10 +72,7 @@ def update(result: dict) -> str:
     rows = [
         [
             name,
-            *(
-                f"{c[key]['median']:.1f} ({c[key]['low']:.1f}-{c[key]['high']:.1f})"
-                for key in ("step", "update", "processor")
-            ),
+            *(f"{c[key]['median']:.1f} ({c[key]['low']:.1f}-{c[key]['high']:.1f})" for key in ("step", "update")),
         ]
         for name, c in result["update"].items()
     ]
