@@ -60,7 +60,7 @@ class Learner(PPO):
             for array in (buffer.observations, buffer.actions, buffer.log_probs, buffer.advantages, buffer.returns)
         ]
         rows = len(columns[0])
-        sums, batches = torch.zeros(5), 0
+        sums, batches = torch.zeros(6), 0
         with ThreadPoolExecutor(1) as pool:
             for _ in range(self.n_epochs):
                 order = torch.randperm(rows)
@@ -84,7 +84,7 @@ class Learner(PPO):
                     sums += terms + more_terms
                     batches += 1
         self._n_updates += self.n_epochs
-        names = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction")
+        names = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction", "loss")
         for name, value in zip(names, (sums / batches).tolist(), strict=True):
             self.logger.record(f"train/{name}", value)
         explained = explained_variance(np.ravel(buffer.values), np.ravel(buffer.returns))
@@ -94,7 +94,7 @@ class Learner(PPO):
         self.logger.record("train/clip_range", clip)
 
     def _gradients(self, parameters, share, rows: int, clip: float):
-        """Gradients of the loss over `share` of a minibatch of `rows`, and its five terms for the log [5]."""
+        """Gradients of the loss over `share` of a minibatch of `rows`, and its share of what `train` logs [6]."""
         observations, actions, old, advantages, returns = share
         policy = self.policy
         mean = policy.action_net(policy.mlp_extractor.policy_net(observations))
@@ -112,4 +112,4 @@ class Learner(PPO):
         with torch.no_grad():
             kl = (ratio - 1.0 - log_ratio).sum() / rows
             outside = ((ratio - 1.0).abs() > clip).sum() / rows
-            return list(gradients), torch.stack([policy_loss, value_loss, -entropy, kl, outside])
+            return list(gradients), torch.stack([policy_loss, value_loss, -entropy, kl, outside, loss])

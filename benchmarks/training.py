@@ -17,7 +17,7 @@ import argparse
 import json
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -57,9 +57,49 @@ def ours(config: ppo.PPOConfig, seed: int) -> PPO:
     return ppo.build(load_scenario("mixed"), "identified", config, seed)
 
 
-def layout(num_envs, n_steps, batch_size, n_epochs, learning_rate, make=ours, **more) -> tuple:
-    """(how the agent is made, its config on one thread)."""
-    return make, ppo.PPOConfig(num_envs, n_steps, batch_size, n_epochs, learning_rate, threads=1, **more)
+def layout(num_envs, n_steps, n_epochs, batch_size, learning_rate, activation, **more) -> ppo.PPOConfig:
+    """A layout of the study, on one thread."""
+    return ppo.PPOConfig(
+        num_envs, n_steps, batch_size, n_epochs, learning_rate, activation=activation, threads=1, **more
+    )  # fmt: skip
+
+
+def name(config: ppo.PPOConfig) -> str:
+    """Wheels x steps an update, epochs x batch, learning rate, activation, and what else is not the default."""
+    c, usual = config, ppo.PPOConfig()
+    text = f"{c.num_envs} x {c.n_steps}, {c.n_epochs} x {c.batch_size}, {c.learning_rate:g}, {c.activation}"
+    for key in ("gamma", "gae_lambda", "ent_coef"):
+        if getattr(c, key) != getattr(usual, key):
+            text += f", {key} {getattr(c, key):g}"
+    return text
+
+
+SHORT = (  # layout, seeds
+    (layout(128, 128, 6, 1024, 1e-3, "tanh"), (0,)),
+    (layout(512, 16, 4, 2048, 1e-3, "relu"), (0,)),
+    (layout(512, 32, 4, 2048, 1e-3, "tanh"), (0,)),
+    (layout(512, 32, 4, 2048, 1e-3, "relu"), (0,)),
+    (layout(512, 32, 4, 2048, 1e-3, "relu", gae_lambda=0.8), (0,)),
+    (layout(512, 64, 4, 4096, 1.5e-3, "tanh"), (0, 1)),
+    (layout(512, 64, 4, 4096, 1.5e-3, "relu"), (0, 1)),
+    (layout(512, 64, 4, 4096, 1.5e-3, "relu", gae_lambda=0.95), (0,)),
+    (layout(512, 64, 4, 4096, 1.5e-3, "relu", gamma=0.9985), (0,)),
+    (layout(512, 128, 6, 8192, 2e-3, "tanh"), (0,)),
+    (layout(1024, 16, 3, 4096, 1.5e-3, "tanh"), (0,)),
+    (layout(1024, 16, 3, 4096, 1.5e-3, "relu"), (0,)),
+    (layout(1024, 32, 4, 4096, 1.5e-3, "tanh"), (0,)),
+    (layout(1024, 32, 4, 4096, 1.5e-3, "relu"), (0,)),
+    (layout(1024, 32, 8, 8192, 2e-3, "tanh"), (0,)),
+    (layout(1024, 64, 4, 8192, 2e-3, "tanh"), (0,)),
+    (layout(2048, 32, 4, 8192, 2e-3, "tanh"), (0,)),
+)
+LONG = (  # layout, seconds, seeds
+    (layout(512, 32, 4, 2048, 1e-3, "tanh"), 150.0, (0, 1)),
+    (layout(512, 32, 4, 2048, 1e-3, "relu"), 150.0, (0,)),
+    (layout(512, 64, 4, 4096, 1.5e-3, "relu"), 150.0, (0, 1)),
+    (layout(512, 64, 4, 4096, 1.5e-3, "relu", ent_coef=0.003), 100.0, (1,)),
+    (layout(512, 64, 4, 4096, 1e-3, "relu"), 100.0, (0, 1)),
+)
 
 
 class Curve(BaseCallback):
@@ -96,35 +136,17 @@ class Curve(BaseCallback):
         self.timing.pause()
 
 
-def _layouts() -> dict[str, tuple]:
-    """{name: layout} of the study."""
-    relu, tanh = {"activation": "relu"}, {"activation": "tanh"}
-    out = {}
-    for arguments, more in (
-        ((128, 128, 1024, 6, 1e-3), tanh), ((512, 16, 2048, 4, 1e-3), relu), ((512, 32, 2048, 4, 1e-3), tanh),
-        ((512, 32, 2048, 4, 1e-3), relu), ((512, 64, 4096, 4, 1.5e-3), tanh), ((512, 64, 4096, 4, 1.5e-3), relu),
-        ((512, 128, 8192, 6, 2e-3), tanh), ((1024, 16, 4096, 3, 1.5e-3), tanh), ((1024, 16, 4096, 3, 1.5e-3), relu),
-        ((1024, 32, 4096, 4, 1.5e-3), tanh), ((1024, 32, 4096, 4, 1.5e-3), relu), ((1024, 32, 8192, 8, 2e-3), tanh),
-        ((1024, 64, 8192, 4, 2e-3), tanh), ((2048, 32, 8192, 4, 2e-3), tanh),
-    ):  # fmt: skip
-        out[f"{arguments[0]} x {arguments[1]}, batch {arguments[2]}, {more['activation']}"] = layout(*arguments, **more)
-    for key, value in (("gae_lambda", 0.95), ("gamma", 0.9985)):
-        out[f"512 x 64, relu, {key} {value:g}"] = layout(512, 64, 4096, 4, 1.5e-3, activation="relu", **{key: value})
-    return out
-
-
-LAYOUTS = _layouts()
-
-
-def learn(make, config: ppo.PPOConfig, seed: int, seconds: float, marks: int, courses: int) -> dict:
+def learn(config: ppo.PPOConfig, seed: int, seconds: float, marks: int, courses: int) -> dict:
     """One training of `seconds` wall time with `marks` evaluations, the last one at its end."""
     rollout = config.num_envs * config.n_steps
-    trial = make(config, seed + 1000)  # how many steps fit
+    trial = ours(config, seed + 1000)  # how many steps fit
     trial.learn(rollout)
-    start, count = time.perf_counter(), max(1, 100_000 // rollout)
-    trial.learn(count * rollout, reset_num_timesteps=False)
-    timesteps = rollout * max(1, round(seconds / (time.perf_counter() - start) * count))
-    model = make(config, seed)
+    start, count, spent = time.perf_counter(), 0, 0.0
+    while spent < 0.05 * seconds:
+        trial.learn(rollout, reset_num_timesteps=False)
+        count, spent = count + 1, time.perf_counter() - start
+    timesteps = rollout * max(1, round(seconds / spent * count))
+    model = ours(config, seed)
     timing = Timing(dict.fromkeys(TRAINING, 0.0))
     curve = Curve(timing, np.linspace(0.0, seconds, marks + 1)[1:-1], courses)
     model.learn(timesteps, callback=[timing, curve])
@@ -134,17 +156,16 @@ def learn(make, config: ppo.PPOConfig, seed: int, seconds: float, marks: int, co
 
 def study(jobs, result: dict, path: Path, say) -> None:
     """Do the jobs [(part, layout, seed, seconds, marks, courses)] that `result` does not hold yet, and keep each."""
-    for part, name, seed, seconds, marks, courses in jobs:
-        make, config = LAYOUTS[name]
-        key = {"part": part, "layout": name, "seed": seed, "budget": seconds, "courses": courses}
+    for part, config, seed, seconds, marks, courses in jobs:
+        key = {"part": part, "layout": name(config), "seed": seed, "budget": seconds, "courses": courses}
         key["config"] = asdict(config)
         if any(all(run[k] == v for k, v in key.items()) for run in result["runs"]):
             continue
-        run = key | learn(make, config, seed, seconds, marks, courses)
+        run = key | learn(config, seed, seconds, marks, courses)
         result["runs"].append(run)
         keep(result, path)
         last = run["points"][-1]
-        say(f"{part}, {name}, seed {seed}: {run['timesteps']:,} steps, finished {last['finished']:.1%}")
+        say(f"{part}, {name(config)}, seed {seed}: {run['timesteps']:,} steps, finished {last['finished']:.1%}")
 
 
 def keep(result: dict, path: Path) -> None:
@@ -152,48 +173,44 @@ def keep(result: dict, path: Path) -> None:
     replace_file(path, (json.dumps(result, indent=1) + "\n").encode())
 
 
-def costs(steps: int, rounds: int) -> dict:
-    """Microseconds a step: wall time in all, wall time of the update, and processor time; measured in turns."""
-    small, large = (128, 128, 1024, 6, 1e-3), (512, 32, 2048, 4, 1e-3)
-    tries = {  # layout, torch threads, update threads
-        "SB3, 128 x 128, tanh": (layout(*small, make=plain, activation="tanh"), 1, 1),
-        "ours, 128 x 128, tanh": (layout(*small, activation="tanh"), 1, 1),
-        "SB3, 512 x 32, tanh": (layout(*large, make=plain, activation="tanh"), 1, 1),
-        "ours, 512 x 32, tanh": (layout(*large, activation="tanh"), 1, 1),
-        "ours, 512 x 32, relu": (layout(*large, activation="relu"), 1, 1),
-        "ours, 512 x 32, relu, halves of a batch on 2 threads": (layout(*large, activation="relu"), 1, 2),
-        "ours, 512 x 32, relu, torch on 2 threads": (layout(*large, activation="relu"), 2, 1),
-    }
-    models = {name: make(config, 0) for name, ((make, config), _, _) in tries.items()}
-    found = {name: {"step": [], "update": [], "processor": []} for name in tries}
+def costs(small: ppo.PPOConfig, large: ppo.PPOConfig, steps: int, rounds: int) -> dict:
+    """Processor time a step [us], in all and of the update, by SB3's PPO and by ours; measured in turns."""
+    tries = {}
+    for config in (small, large):
+        for who, make in (("SB3", plain), ("ours", ours)):
+            tries[f"{who}, {config.num_envs} x {config.n_steps}, {config.n_epochs} epochs, tanh"] = make, config
+    title = f"ours, {large.num_envs} x {large.n_steps}, {large.n_epochs} epochs, relu"
+    tries[title] = ours, replace(large, activation="relu")
+    models = {title: make(config, 0) for title, (make, config) in tries.items()}
+    found = {title: {"step": [], "update": []} for title in tries}
     for turn in range(rounds + 1):
-        for name, model in models.items():
-            torch.set_num_threads(tries[name][1])
-            model.update_threads = tries[name][2]
-            timing, start = Timing(dict.fromkeys(TRAINING, 0.0)), time.process_time()
-            before = model.num_timesteps
-            model.learn(steps, callback=timing, reset_num_timesteps=False)
-            spent = {"step": sum(timing.seconds.values()), "update": timing.seconds["update"]}
-            spent["processor"] = time.process_time() - start
-            for key, value in spent.items() if turn else ():  # the first one warms up
-                found[name][key].append(1e6 * value / (model.num_timesteps - before))
-    torch.set_num_threads(1)
-    return {name: {key: spread(values) for key, values in row.items()} for name, row in found.items()}
+        for title, model in models.items():
+            updating, before = [], model.num_timesteps
+
+            def train(updating=updating, model=model):
+                start = time.process_time()
+                type(model).train(model)
+                updating.append(time.process_time() - start)
+
+            model.train, start = train, time.process_time()
+            model.learn(steps, reset_num_timesteps=False)
+            spent, done = time.process_time() - start, model.num_timesteps - before
+            if turn:  # the first one warms up
+                found[title]["step"].append(1e6 * spent / done)
+                found[title]["update"].append(1e6 * sum(updating) / done)
+    return {title: {key: spread(values) for key, values in row.items()} for title, row in found.items()}
 
 
-#: Layouts that are trained for long, with two seeds.
-FINALISTS = tuple(name for name in LAYOUTS if name.startswith(("512 x 32, batch", "512 x 64, batch 4096, relu")))
-
-
-def jobs() -> list[tuple]:
-    """The whole study: (part, layout, seed, seconds, marks, courses)."""
-    short = [("layouts", name, 0, 40.0, 4, 300) for name in LAYOUTS]
-    return short + [("finalists", name, seed, 150.0, 6, 300) for name in FINALISTS for seed in (0, 1)]
-
-
-def smoke() -> list[tuple]:
-    """A study of seconds."""
-    return [("layouts", name, 0, 0.2, 2, 4) for name in FINALISTS] + [("finalists", FINALISTS[0], 0, 0.3, 2, 4)]
+def jobs(smoke: bool) -> list[tuple]:
+    """The study: (part, layout, seed, seconds, marks, courses)."""
+    if smoke:
+        tiny = layout(8, 16, 2, 64, 1e-3, "relu")
+        return [("layouts", tiny, 0, 0.2, 2, 4), ("finalists", tiny, 0, 0.3, 2, 4)]
+    return [("layouts", config, seed, 40.0, 4, 300) for config, seeds in SHORT for seed in seeds] + [
+        ("finalists", config, seed, seconds, 6 if seconds > 100.0 else 5, 300)
+        for config, seconds, seeds in LONG
+        for seed in seeds
+    ]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -210,9 +227,14 @@ def main(arguments: list[str] | None = None) -> int:
     if options.run is not None:
         result["run"] = Times(options.run).seconds
     if "update" not in result:
-        result["update"] = costs(2_000 if options.smoke else 65_536, 2 if options.smoke else 5)
+        if options.smoke:
+            tiny = layout(8, 16, 2, 64, 1e-3, "tanh")
+            result["update"] = costs(tiny, replace(tiny, num_envs=16), 300, 1)
+        else:
+            small, large = layout(128, 128, 6, 1024, 1e-3, "tanh"), layout(512, 64, 4, 4096, 1e-3, "tanh")
+            result["update"] = costs(small, large, 32_768, 3)
         keep(result, path)
-    study(smoke() if options.smoke else jobs(), result, path, print)
+    study(jobs(options.smoke), result, path, print)
     keep(result, path)
     training_page.figure(result, options.out / "training.png")
     training_page.write(result, ROOT / "docs" / "training.md", options.out / "training.md")

@@ -40,14 +40,14 @@ def _each(runs: list[dict], value, digits: int) -> str:
 
 
 def _layouts(result: dict, part: str) -> str:
-    head = ["layout", "batch", "epochs", "rate", "units", "Msteps", "us/step", "env", "policy", "update",
+    head = ["layout", "s", "million steps", "us/step", "env", "policy", "update",
             "return", "finished [%]", "immobilised [%]", "out of time [%]"]  # fmt: skip
     rows = []
     for name, runs in _runs(result, part).items():
-        c, seconds = runs[0]["config"], {p: sum(run["seconds"][p] for run in runs) for p in PARTS}
+        seconds = {p: sum(run["seconds"][p] for run in runs) for p in PARTS}
         total, steps = sum(seconds.values()), sum(run["timesteps"] for run in runs)
         rows.append([
-            name, str(c["batch_size"]), str(c["n_epochs"]), f"{c['learning_rate']:g}", c["activation"],
+            name, f"{runs[0]['budget']:g}",
             f"{steps / len(runs) / 1e6:.1f}", f"{total / steps * 1e6:.1f}",
             *(f"{seconds[p] / total:.0%}" for p in PARTS),
             _each(runs, lambda run: run["points"][-1]["return"], 2),
@@ -72,14 +72,11 @@ def update(result: dict) -> str:
     rows = [
         [
             name,
-            *(
-                f"{c[key]['median']:.1f} ({c[key]['low']:.1f}-{c[key]['high']:.1f})"
-                for key in ("step", "update", "processor")
-            ),
+            *(f"{c[key]['median']:.1f} ({c[key]['low']:.1f}-{c[key]['high']:.1f})" for key in ("step", "update")),
         ]
         for name, c in result["update"].items()
     ]
-    return table(["", "us a step in all", "of that the update", "processor time"], rows)
+    return table(["", "us a step in all", "of that the update"], rows)
 
 
 def default_run(result: dict) -> str:

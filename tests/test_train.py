@@ -30,7 +30,7 @@ from tests.saved import edit
 ROOT = Path(__file__).resolve().parent.parent
 FILES = {
     "config.yaml", "scenario.yaml", "model.zip", "tensorboard",
-    "comparison.json", "comparison.csv", "comparison.png", "course.png",
+    "comparison.json", "comparison.csv", "comparison.png", "course.png", "time.json",
 }  # fmt: skip
 TINY = (
     "--ppo.num_envs=8 --ppo.n_steps=16 --ppo.batch_size=64 --ppo.n_epochs=1 --ppo.layer=8 --timesteps=256 --courses=4 "
@@ -118,6 +118,16 @@ def test_output_names_the_folder_and_has_the_table(finished):
     for name in (*CONTROLLERS, "ppo_identified", "comparison.json"):
         assert name in flat
     assert "of the way to best_slip_true" in flat or "is immobilised" in flat
+
+
+def test_wall_time_is_said_and_kept(finished):
+    folder, out, _ = finished
+    seconds = json.loads((folder / "time.json").read_text())["seconds"]
+    assert list(seconds) == ["env", "policy", "update", "tuning", "comparison", "figures"]
+    assert all(value > 0.0 for value in seconds.values())
+    said = out[out.index("Wall time ") :]
+    for words in ("training, of which", "environment", "updates", "tuning", "comparison on held-out", "figures"):
+        assert words in said
 
 
 def test_config_is_resolved_and_loads_again(finished):
@@ -397,7 +407,7 @@ def test_overrides_are_read_as_yaml():
         (["--config", ""], ["--config", "expected a path"]),
         (["--config="], ["--config", "expected a path"]),
         (["--config", "", "--courses", "5"], ["--config", "expected a path"]),
-        (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "16384"]),
+        (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "32768"]),
         (["--resume"], ["resume"]),
         (["--config"], ["config"]),
     ],
