@@ -19,6 +19,7 @@ COMMANDS = (
     "benchmarks.cmu",
     "benchmarks.identification",
     "benchmarks.throughput",
+    "benchmarks.training",
 )
 SECTIONS = {  # a manual page has these
     "synopsis": r"^usage: ",
@@ -55,4 +56,6 @@ def test_help_is_a_manual_page(module, monkeypatch):
         takes_value = re.match(r"(?:-\w, )?--[\w-]+ \S", words[0])
         if takes_value and not re.search(r"default|required|go on|folder with|cluster|first|classical", option):
             named = re.match(r"--([\w-]+)", words[0]).group(1)
-            assert named in ("data", "resume", "controllers", "out", "model", "world", "effect", "records"), option
+            assert named in ("data", "resume", "controllers", "out", "model", "world", "effect", "records", "run"), (
+                option
+            )

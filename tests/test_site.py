@@ -21,7 +21,7 @@ FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 # Functions that have no equation of their own: plumbing, packing, or another form of one that the pages name.
 NO_EQUATION = {
-    "dynamics": {"advance", "plain_ground", "react", "reaction_of", "moved", "world_numbers"},
+    "dynamics": {"finish", "plain_ground", "react", "reaction_from", "reaction_of", "moved", "world_numbers"},
     "effects": {"pack_effects"},
     "residual": {"residual_law"},
     "traversability": set(),
