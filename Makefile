@@ -33,7 +33,7 @@ lint: $(TEST_READY)  ## ruff and import-linter only
 	$(VENV)/bin/lint-imports
 
 docs: $(TEST_READY)  ## build the documentation into site/; a warning is an error
-	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
 
 dist: $(TEST_READY)  ## wheel and sdist into dist/
 	$(PIP) install -q -c constraints.txt build

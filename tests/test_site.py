@@ -104,6 +104,16 @@ def test_the_code_that_a_page_names_exists(page):
         resolve(target)
 
 
+def test_what_the_pages_link_to_is_in_the_api():
+    """A reference is a link only where the API has the module; mkdocs --strict fails otherwise."""
+    shown = {t for page in PAGES for t in re.findall(r"^::: ([\w.]+)$", page.read_text(encoding="utf-8"), re.MULTILINE)}
+    for page in PAGES:
+        for target in re.findall(r"\]\s*\[((?:soil_env|agents)\.[\w.]+)\]", text_of(page)):
+            found = resolve(target)
+            names = {target.rsplit(".", 1)[0], target.rsplit(".", 2)[0], getattr(found, "__module__", "")}
+            assert names & shown, f"{page.name}: {target}: its module is on no page of docs/api"
+
+
 def test_every_law_of_the_physics_is_on_a_page():
     named = {target for page in PHYSICS for _, _, target in REFERENCE.findall(page.read_text(encoding="utf-8"))}
     for module, plumbing in NO_EQUATION.items():
