@@ -17,7 +17,7 @@ TEST_READY := $(VENV)/.installed-test
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help train test lint bench clean
+.PHONY: help train test lint docs dist bench clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
@@ -25,19 +25,26 @@ help:  ## list the targets
 train: $(TRAIN_READY)  ## install what training needs, then run train.py $(ARGS)
 	$(PY) train.py $(ARGS)
 
-test: lint  ## lint, check the import contracts, run the tests
+test: lint docs  ## lint, check the import contracts, build the site, run the tests
 	SDL_VIDEODRIVER=dummy SDL_AUDIODRIVER=dummy MPLBACKEND=Agg $(PY) -m pytest -q $(ARGS)
 
 lint: $(TEST_READY)  ## ruff and import-linter only
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/lint-imports
 
+docs: $(TEST_READY)  ## build the documentation into site/; a warning is an error
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
+
+dist: $(TEST_READY)  ## wheel and sdist into dist/
+	$(PIP) install -q -c constraints.txt build
+	$(PY) -m build
+
 bench: $(TRAIN_READY)  ## run the studies of benchmarks/ and renew their pages in docs/
 	$(PY) benchmarks/identification.py $(ARGS)
 	$(PY) benchmarks/throughput.py $(ARGS)
 
 clean:  ## remove .venv, build products and caches; runs/ stays
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PY):
@@ -55,5 +62,5 @@ $(TRAIN_READY): pyproject.toml constraints.txt | $(PY)
 	@touch $@
 
 $(TEST_READY): $(TRAIN_READY)
-	$(PIP) install -q -c constraints.txt -e '.[train,test]'
+	$(PIP) install -q -c constraints.txt -e '.[train,test,docs]'
 	@touch $@

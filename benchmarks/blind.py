@@ -202,11 +202,15 @@ def _parser() -> argparse.ArgumentParser:
         prog=f"python -m {NAME}",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="exit status: 0 done, 2 bad input, 130 interrupted.",
+        epilog="files:\n  OUT/discrepancy.json, .md and discrepancy_*.png; every case as a line of FILE\n\n"
+        "exit status:\n  0 done; 2 bad input, said in one line; 130 interrupted, --resume goes on",
     )
-    p.add_argument("--cases", type=_count, default=IN_ALL, metavar="N", help=f"in all, about (default {IN_ALL})")
-    p.add_argument("--seed", type=_seed, default=0, help="of the cases (default 0)")
-    p.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of discrepancy.json, .md and plots")
+    p.add_argument("--cases", type=_count, default=IN_ALL, metavar="N", help=f"cases in all, about (default {IN_ALL})")
+    p.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the cases, >= 0 (default 0)")
+    p.add_argument(
+        "--out", type=Path, default=ROOT / "docs", metavar="OUT",
+        help="folder of discrepancy.json, .md and plots (default: docs of the clone)",
+    )  # fmt: skip
     p.add_argument("--workers", type=_count, default=2, metavar="N", help="processes (default 2; 1: this one)")
     p.add_argument("--records", type=Path, metavar="FILE", help="of the cases done (default runs/blind/seed-N.jsonl)")
     p.add_argument("--resume", action="store_true", help="go on with the cases that the records do not have yet")

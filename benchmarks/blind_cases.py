@@ -258,14 +258,25 @@ def write_case(case: Case, folder: Path, truth_file: Path) -> None:
 
 
 def main(arguments=None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.blind_cases", description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--count", type=int, default=1)
-    parser.add_argument("--kind", choices=KINDS, default="one")
-    parser.add_argument("--design", choices=DESIGNS, default="rich")
-    parser.add_argument("--noise", choices=NOISES, default="given")
-    parser.add_argument("--scale", choices=SCALES, default="detection", help="what the multiple refers to")
-    parser.add_argument("--prior-error", choices=PRIOR_ERRORS, default="normal")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.blind_cases",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="files:\n  OUT/cases/0000/    table and setup.yaml, all that the workflow may see\n  OUT/truth/0000.json"
+        "  what was hidden\n\nexit status:\n  0 done; 2 bad input or no such case\n\nexamples:\n"
+        "  python -m benchmarks.blind_cases --effect bulldozing --multiple 2 8 --out /tmp/cases",
+    )
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the cases (default 0)")
+    parser.add_argument("--count", metavar="N", type=int, default=1, help="cases (default 1)")
+    parser.add_argument("--kind", choices=KINDS, default="one", help="what is hidden (default one)")
+    parser.add_argument("--design", choices=DESIGNS, default="rich", help="of the experiment (default rich)")
+    parser.add_argument("--noise", choices=NOISES, default="given", help="what the setup says of it (default given)")
+    parser.add_argument(
+        "--scale", choices=SCALES, default="detection", help="what the multiple refers to (default detection)"
+    )
+    parser.add_argument(
+        "--prior-error", choices=PRIOR_ERRORS, default="normal", help="of the setup's priors (default normal)"
+    )
     parser.add_argument("--outliers", action="store_true", help="2 %% of the cells off by 5 to 15 sigma")
     parser.add_argument("--effect", action="append", default=[], help="effect to hide (twice for two), else drawn")
     parser.add_argument(
@@ -274,9 +285,9 @@ def main(arguments=None) -> int:
         nargs=2,
         default=MULTIPLES,
         metavar=("LOW", "HIGH"),
-        help="of the limit; HIGH may be inf",
+        help="size of the effect in multiples of the limit, drawn between; HIGH may be inf (default 2 8)",
     )
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--out", metavar="OUT", type=Path, required=True, help="folder of the cases; required")
     a = parser.parse_args(arguments)
     for number in range(a.count):
         rng = np.random.default_rng([a.seed, number])

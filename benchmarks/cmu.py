@@ -39,10 +39,16 @@ CAUTIONS = (
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     p = argparse.ArgumentParser(
-        prog="python -m benchmarks.cmu", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks.cmu",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="files:\n  OUT/discrepancy_cmu.json and .md\n\nexit status:\n  0 done; 2 bad input, said in one line\n\n"
+        "examples:\n  python -m benchmarks.cmu --data 3d-terramechanics/raw-data-processing --out docs",
     )
-    p.add_argument("--data", type=Path, help="folder with all_smooth_data.mat and all_grouser_data.mat")
-    p.add_argument("--out", type=Path, default=Path("docs"))
+    p.add_argument(
+        "--data", metavar="FOLDER", type=Path, help="folder with all_smooth_data.mat and all_grouser_data.mat"
+    )
+    p.add_argument("--out", metavar="OUT", type=Path, default=Path("docs"), help="folder of the page (default: docs)")
     options = p.parse_args(arguments)
     home = Path(os.environ.get("SOIL_ENV_DATA", Path(__file__).parents[2] / "shared" / "data"))
     try:

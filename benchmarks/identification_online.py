@@ -834,11 +834,20 @@ def figure(result: dict, path: Path | str) -> None:
 
 def main() -> None:
     """Run it alone: the result as JSON and its figure."""
-    parser = argparse.ArgumentParser(description="Compare online identifiers on courses.")
-    parser.add_argument("--courses", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("runs/identification_online"), help="folder")
-    parser.add_argument("--smoke", action="store_true", help="two courses")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.identification_online",
+        description="Compare online identifiers on the same courses and readings: soil_env's window and others.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="files:\n  OUT/online.json, OUT/online.png\n\nexit status:\n  0 done\n\nexamples:\n"
+        "  python -m benchmarks.identification_online --smoke --out /tmp/online",
+    )
+    parser.add_argument("--courses", metavar="N", type=int, default=200, help="courses (default 200)")
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the courses (default 0)")
+    parser.add_argument(
+        "--out", metavar="OUT", type=Path, default=Path("runs/identification_online"),
+        help="folder of the results (default runs/identification_online)",
+    )  # fmt: skip
+    parser.add_argument("--smoke", action="store_true", help="two courses, numbers without meaning")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     result = smoke(args.seed) if args.smoke else run(args.courses, args.seed, print)

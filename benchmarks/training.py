@@ -215,10 +215,21 @@ def jobs(smoke: bool) -> list[tuple]:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--smoke", action="store_true", help="seconds instead of an hour")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of training.json, .md and .png")
-    parser.add_argument("--run", type=Path, help="run folder of train.py whose wall time goes onto the page")
+    parser = argparse.ArgumentParser(
+        prog="python benchmarks/training.py",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="files:\n  OUT/training.json, training.md, training.png\n\nexit status:\n  0 done\n\nexamples:\n"
+        "  python benchmarks/training.py --smoke --out /tmp/training",
+    )
+    parser.add_argument("--smoke", action="store_true", help="seconds instead of an hour, numbers without meaning")
+    parser.add_argument(
+        "--out", metavar="OUT", type=Path, default=ROOT / "docs",
+        help="folder of training.json, .md and .png (default: docs of the clone)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--run", metavar="RUN", type=Path, help="run folder of train.py whose wall time goes onto the page"
+    )
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / "training.json"

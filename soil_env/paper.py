@@ -223,6 +223,36 @@ def compute(seed: int = 0, draws: int = DRAWS, counts=(40, 40, 9)) -> Results:
     )  # fmt: skip
 
 
+_HELP = """The tables and figures of the source paper, recomputed beside the printed values.
+
+Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251. Prints the drawbar pull of the checked
+point by every rule of integration, Tables 1 and 3 to 5 and Figs. 2 to 4 and 6 to 9, each with the printed value as far
+as it is at hand, the difference, and why. Every force comes from the compiled functions that the simulated world uses.
+Takes about a minute."""
+_EPILOG = """files:
+  DIR/paper.md       the page, with everything that is printed
+  DIR/paper/*.png    its figures
+
+exit status:
+  0 done; 2 bad input or a folder that cannot be written, said in one line; 130 interrupted
+
+examples:
+  python -m soil_env.paper
+  python -m soil_env.paper --out docs"""
+
+
+def _parser() -> argparse.ArgumentParser:
+    p = argparse.ArgumentParser(
+        prog="python -m soil_env.paper",
+        description=_HELP,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    p.add_argument("--out", type=Path, metavar="DIR", help="write the page and its figures there (default: print only)")
+    p.add_argument("--seed", type=_seed, metavar="N", default=0, help="of the noise in Table 5, >= 0 (default 0)")
+    return p
+
+
 def _seed(text: str) -> int:
     value = int(text)
     if value < 0:
@@ -233,10 +263,7 @@ def _seed(text: str) -> int:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; exit status."""
     started()
-    parser = argparse.ArgumentParser(prog="python -m soil_env.paper", description="The source paper, recomputed.")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write DIR/paper.md and DIR/paper/*.png")
-    parser.add_argument("--seed", type=_seed, default=0, help="of the noise in Table 5 (default 0)")
-    options = parser.parse_args(arguments)
+    options = _parser().parse_args(arguments)
     if options.out is not None:
         try:
             paper_page.prepare(options.out)

@@ -275,8 +275,8 @@ def test_the_help_reads_like_a_manual_page(capsys):
     for part in (
         "DATA.csv",
         "setup.yaml:",
-        "example:",
-        "exit status: 0",
+        "examples:",
+        "exit status:",
         "130",
         "--bootstrap",
         "report.html",
@@ -284,7 +284,7 @@ def test_the_help_reads_like_a_manual_page(capsys):
     ):
         assert part in text
     assert max(map(len, text.splitlines())) <= 120
-    example = text.split("example:")[1].replace("\\\n", " ").split()
+    example = text.split("examples:")[1].replace("\\\n", " ").split()
     for word in example:
         if word.startswith("examples/"):
             assert (ROOT / word).exists(), word

@@ -44,6 +44,14 @@ from soil_env.model import WheelSoilModel
 from soil_env.parameters import load_scenario
 from soil_env.starting import leave, started
 
+_EPILOG = """further options:
+  --changes.KEY VALUE        any key of the scenario, in SI units, as --changes.course.length 20 [m]
+  --settings.NAME.KEY VALUE  a setting of a classical controller: slip of fixed_slip [-], speed of constant_speed [m/s],
+                             start of all that hold a slip [share of the top rim speed]
+
+exit status:
+  0 done; 2 bad input, said in one line; 130 interrupted, --resume goes on"""
+
 
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
@@ -52,15 +60,14 @@ def parser() -> argparse.ArgumentParser:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
-        epilog="Any key of the scenario: --changes.KEY VALUE. Settings of a classical controller: --settings.NAME.KEY "
-        "VALUE.\nExit status: 0 done, 2 bad input, 130 interrupted.",
+        epilog=_EPILOG,
     )
     p.add_argument("--controllers", metavar="CONTROLLERS", help="what is compared, with commas (see above)")
     p.add_argument("--out", metavar="OUT", type=Path, help="folder of the results, made where it does not exist")
     p.add_argument("--resume", metavar="OUT", type=Path, help="go on with an evaluation; only the engine may be given")
-    p.add_argument("--scenario", metavar="NAME", default="mixed", help="name or YAML file (default: mixed)")
+    p.add_argument("--scenario", metavar="NAME", default="mixed", help="scenario or YAML file (default: mixed)")
     p.add_argument("--model", metavar="YAML", default="", help="model.yaml with the effects that are on in this world")
-    p.add_argument("--courses", metavar="N", type=int, default=1000, help="(default: 1000)")
+    p.add_argument("--courses", metavar="N", type=int, default=1000, help="courses that each drives (default: 1000)")
     p.add_argument(
         "--seed", metavar="N", type=int, default=HELD_OUT_SET,
         help=f"names the set of courses (default: {HELD_OUT_SET}, the held-out set of train.py)",
@@ -71,7 +78,7 @@ def parser() -> argparse.ArgumentParser:
         "no tuning)",
     )  # fmt: skip
     p.add_argument("--block", metavar="N", type=int, default=100, help="courses driven side by side (default: 100)")
-    p.add_argument("--resamples", metavar="N", type=int, default=2000, help="of the bootstrap (default: 2000)")
+    p.add_argument("--resamples", metavar="N", type=int, default=2000, help="redraws of the bootstrap (default: 2000)")
     p.add_argument(
         "--engine", metavar="ENGINE", default="local", help="local or ray (default: local); the results are the same"
     )

@@ -24,13 +24,23 @@ from soil_env.loading import ParameterError
 from soil_env.parameters import load_scenario
 from soil_env.starting import leave, started
 
+_EPILOG = """files:
+  YAML               model.yaml of a hidden world: `effects:` of the catalogue, `wheel:`; configs/worlds has five
+  OUT/sim2real.*     .json, .md and .png: the comparison over all worlds
+  OUT/worlds/WORLD/  table, report of the workflow, corrected model, what was tuned and trained on it
+
+exit status:
+  0 done; 2 bad input, said in one line; 130 interrupted, the same command goes on
+
+With its defaults it trains for hours: begin with --timesteps 100000 --courses 100 --tuning-courses 20."""
+
 
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     default = {f: study.Study.__dataclass_fields__[f].default for f in _NUMBERS}
     p = argparse.ArgumentParser(
         "python -m agents.sim2real", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False, epilog="Exit status: 0 done, 2 bad input, 130 interrupted.",
+        allow_abbrev=False, epilog=_EPILOG,
     )  # fmt: skip
     p.add_argument("--world", metavar="YAML", nargs="+", required=True, help="model.yaml of each hidden world")
     p.add_argument("--out", metavar="OUT", type=Path, required=True, help="folder of the results")

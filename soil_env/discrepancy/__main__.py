@@ -120,21 +120,39 @@ def _stages() -> Callable[[str], None]:
     return say
 
 
+_EPILOG = """
+DIR/report.html (self-contained, with plots), DIR/report.json (the same as data), DIR/model.yaml (the corrected model)
+
+exit status:
+
+    0 done, whatever the verdict; 2 bad input, said in one line and nothing written; 130 interrupted, nothing written
+
+examples:
+
+    python -m soil_env.discrepancy examples/data/rig.csv --setup examples/data/rig.setup.yaml --out runs/rig
+    python -m soil_env.discrepancy rig.csv --setup rig.setup.yaml --out rig --quiet --bootstrap 0"""
+
+
 def _parser() -> argparse.ArgumentParser:
     description, _, files = __doc__.partition("\n\nDATA.csv")
     p = argparse.ArgumentParser(
         prog=f"python -m {NAME}",
         description=description,
-        epilog="files:\n\nDATA.csv" + files + "\nexit status: 0 done, whatever the verdict; 2 bad input, said in one "
-        "line and nothing written; 130\ninterrupted, nothing written.\n\nexample:\n\n    "
-        "python -m soil_env.discrepancy examples/data/rig.csv \\\n"
-        "        --setup examples/data/rig.setup.yaml --out runs/rig",
+        epilog="files:\n\nDATA.csv" + files + _EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     p.add_argument("data", metavar="DATA.csv", type=Path, help="measurement table (CSV, or Parquet with pyarrow)")
-    p.add_argument("--setup", required=True, type=Path, help="YAML file: wheel, what is known of the soil, noise")
-    p.add_argument("--out", required=True, metavar="DIR", help="folder for the report; made if need be")
-    p.add_argument("--seed", type=_whole, default=0, help="of everything random (default 0); same seed, same report")
+    p.add_argument(
+        "--setup",
+        metavar="YAML",
+        required=True,
+        type=Path,
+        help="YAML: wheel, what is known of the soil, noise; required",
+    )
+    p.add_argument("--out", required=True, metavar="DIR", help="folder for the report, made if need be; required")
+    p.add_argument(
+        "--seed", type=_whole, default=0, metavar="N", help="of everything random (default 0); same seed, same report"
+    )
     p.add_argument(
         "--bootstrap", type=_whole, default=200, metavar="N",
         help=f"redraws of the noise that tell how sure the name is (default 200; 0 for none, at most {MOST_DRAWS})",

@@ -307,22 +307,39 @@ def _write(out: Path, files: dict[str, str]) -> None:
 # --- command line -----------------------------------------------------------------------------------------------------
 
 
+_EPILOG = """files:
+  all_smooth_data.mat, all_grouser_data.mat    read, in PATH or PATH/raw-data-processing
+  cmu_pressure_sinkage_fits.csv                read where it is beside them: plate tests, for the prior of the soil
+  DIR/{smooth,grouser}.csv                     measurement tables, SI units
+  DIR/{smooth,grouser}.setup.yaml              wheel, soil as the plate tests suggest, cautions
+
+exit status:
+  0 written; 2 bad input, said in one line and nothing written; 130 interrupted
+
+examples:
+  python -m soil_env.discrepancy.cmu 3d-terramechanics --out tables
+  python -m soil_env.discrepancy tables/smooth.csv --setup tables/smooth.setup.yaml --out smooth"""
+
+
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     started()
     parser = argparse.ArgumentParser(
         prog="python -m soil_env.discrepancy.cmu",
         description=__doc__,
-        epilog="exit status: 0 written; 2 bad input, said in one line and nothing written.",
+        epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "path", metavar="PATH", type=Path, help="clone of the repository, or the folder of its .mat files"
     )
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder for tables and setups")
     parser.add_argument(
-        "--braking", action="store_true", help="also the runs with a rim slower than the travel (slip < 0)"
+        "--out", metavar="DIR", type=Path, required=True, help="folder for tables and setups, made if need be; required"
     )
+    parser.add_argument(
+        "--braking", action="store_true",
+        help="also the runs with a rim slower than the travel, slip < 0 (default: driving only)",
+    )  # fmt: skip
     options = parser.parse_args(arguments)
     try:
         runs = convert(options.path, options.out, options.braking)

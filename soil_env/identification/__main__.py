@@ -86,19 +86,39 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
+_EPILOG = """
+DIR/identification.json (all that is printed, and the fitted values), DIR/identification.png (measured against fitted)
+
+exit status:
+
+    0 identified; 2 bad input, said in one line and nothing written; 130 interrupted
+
+examples:
+
+    python -m soil_env.identification examples/data/single_wheel.csv --setup examples/data/setup.yaml
+    python -m soil_env.identification rig.csv --setup rig.setup.yaml --out runs/identified"""
+
+
 def _parser() -> argparse.ArgumentParser:
     description, _, files = __doc__.partition("\n\nDATA.csv")
     p = argparse.ArgumentParser(
         prog="python -m soil_env.identification",
         description=description,
-        epilog="files:\n\nDATA.csv" + files + "\nexit status: 0 identified; 2 bad input, said in one line and nothing "
-        "written; 130 interrupted.\n\nexample:\n\n    python -m soil_env.identification "
-        "examples/data/single_wheel.csv \\\n        --setup examples/data/setup.yaml --out runs/identified",
+        epilog="files:\n\nDATA.csv" + files + _EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     p.add_argument("data", metavar="DATA.csv", type=Path, help="measurement table (CSV, or Parquet with pyarrow)")
-    p.add_argument("--setup", required=True, type=Path, help="YAML file: wheel, what is known of the soil, noise")
-    p.add_argument("--out", metavar="DIR", type=Path, help="write identification.json and identification.png there")
+    p.add_argument(
+        "--setup",
+        metavar="YAML",
+        required=True,
+        type=Path,
+        help="YAML: wheel, what is known of the soil, noise; required",
+    )
+    p.add_argument(
+        "--out", metavar="DIR", type=Path,
+        help="write identification.json and identification.png there; made if need be (default: print only)",
+    )  # fmt: skip
     return p
 
 

@@ -1,9 +1,9 @@
 """Whether another soil explains three measured values as exactly as the one found.
 
 Three values and three unknowns: the equations may have more than one root, and no solver can tell which is the soil.
-At a given K every channel is linear in S and S tan(phi) (Eqs. (1)-(10) of the source paper with sigma and tau of
-Eqs. (5)-(8)), so three values are consistent where a 3 x 3 determinant vanishes: one scalar equation in K, whose roots
-within the bounds are the soils that explain the values.
+At a given K every channel is linear in S and S tan(phi) (Eqs. (1)-(3) with the stresses of Eqs. (7)-(10)), so three
+values are consistent where a 3 x 3 determinant vanishes: one scalar equation in K, whose roots within the bounds are
+the soils that explain the values.
 """
 
 from __future__ import annotations
