@@ -2,6 +2,7 @@
 
     python -m benchmarks.blind                     all cases, an hour or two on two cores; writes docs/discrepancy*
     python -m benchmarks.blind --resume            goes on after an interrupt
+    python -m benchmarks.blind --engine ray        on a Ray cluster (--address); this clone is on the nodes' PYTHONPATH
     python -m benchmarks.blind --cases 60 --out X  fewer of each sort, the same ones
     python -m benchmarks.blind --page              renews page and plots from the figures of the last run
     python -m benchmarks.blind --smoke --out X     a case of each sort in seconds, numbers without meaning
@@ -14,7 +15,7 @@ the records (runs/blind/seed-N.jsonl) as soon as it is done, so an interrupt los
 from __future__ import annotations
 
 import argparse
-import hashlib
+import importlib
 import json
 import os
 import platform
@@ -31,8 +32,7 @@ import numpy as np  # noqa: E402
 import scipy  # noqa: E402
 from rich.console import Console  # noqa: E402
 
-import soil_env  # noqa: E402
-from agents.evaluate import engines  # noqa: E402
+from agents import engines  # noqa: E402
 from agents.progress import Bar  # noqa: E402
 from benchmarks import blind_page  # noqa: E402
 from benchmarks.blind_judge import figures  # noqa: E402
@@ -55,7 +55,7 @@ def code_version() -> str:
     package = ROOT / "soil_env"
     files = [*(package / "discrepancy").glob("*.py"), *(ROOT / "benchmarks").glob("blind*.py")]
     files = sorted(f for f in files if f.stem not in APART) + [package / f"{name}.py" for name in FOLLOWS_FROM]
-    return f"{soil_env.__version__}+{hashlib.sha256(b''.join(f.read_bytes() for f in files)).hexdigest()[:12]}"
+    return engines.fingerprint(files)
 
 
 def machine() -> str:
@@ -125,6 +125,9 @@ class Records:
 
 def study(options: argparse.Namespace, console: Console) -> dict:
     """Do the cases that are not done yet; the result as discrepancy.json has it."""
+    local = options.engine == "local"
+    workers = 2 if local and options.workers is None else options.workers
+    engine = engines.choose(options.engine, None if local and workers == 1 else workers, options.address)
     about = {"seed": options.seed, "smoke": options.smoke, "code": code_version()}
     path = options.records or (
         options.out / "cases.jsonl" if options.smoke else ROOT / "runs" / "blind" / f"seed-{options.seed}.jsonl"
@@ -132,11 +135,7 @@ def study(options: argparse.Namespace, console: Console) -> dict:
     records = Records(path, about, options.resume)
     wanted = tasks(options.cases, options.smoke)
     left = [t for t in wanted if (t.group, t.index) not in records.done]
-    work = partial(solve, options.seed)
-    if options.workers == 1:
-        done = engines.in_process(work, left)
-    else:
-        done = engines.processes(work, left, options.workers)
+    done = engine(partial(_solve, options.seed, about["code"]), left)
     with Bar("Blind cases", len(wanted), "cases", len(wanted) - len(left), console) as bar:
         for task, record in done:
             records.add(record)
@@ -146,10 +145,17 @@ def study(options: argparse.Namespace, console: Console) -> dict:
     return {
         "command": f"python -m {NAME} --seed {options.seed}" + (" --smoke" if options.smoke else asked),
         **about,
-        "machine": f"{machine()}; {options.workers} workers",
+        "machine": f"{machine()}; {f'{workers} workers' if local else 'Ray'}",
         "figures": figures(cases),
         "cases": cases,
     }
+
+
+def _solve(seed: int, code: str, task: Task) -> dict:
+    """`solve`, where the worker has the code that the records are of."""
+    if code != code_version():
+        raise ParameterError(f"a worker has code {code_version()}, the study {code}")
+    return solve(seed, task)
 
 
 def read_result(path: Path) -> dict:
@@ -211,7 +217,7 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=ROOT / "docs", metavar="OUT",
         help="folder of discrepancy.json, .md and plots (default: docs of the clone)",
     )  # fmt: skip
-    p.add_argument("--workers", type=_count, default=2, metavar="N", help="processes (default 2; 1: this one)")
+    engines.add_options(p, "2; 1 is this one")
     p.add_argument("--records", type=Path, metavar="FILE", help="of the cases done (default runs/blind/seed-N.jsonl)")
     p.add_argument("--resume", action="store_true", help="go on with the cases that the records do not have yet")
     p.add_argument("--smoke", action="store_true", help="a case of each sort in seconds")
@@ -232,4 +238,4 @@ def _seed(text: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(importlib.import_module(NAME).main())  # by its name, under which other processes find `_solve`

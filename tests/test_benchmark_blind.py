@@ -311,7 +311,11 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     (tmp_path / "some.jsonl").write_text("slip,load\n")
     assert blind.main(["--smoke", "--resume", "--records", str(tmp_path / "some.jsonl"), "--out", str(tmp_path)]) == 2
     assert "is not a file of records" in capsys.readouterr().err
-    for bad in (["--workers", "0"], ["--seed", "-1"], ["--cases", "many"]):
+    for bad in (["--workers", "0"], ["--engine", "rey"], ["--address", "127.0.0.1:9"]):
+        assert blind.main(["--smoke", *bad, "--out", str(tmp_path / "none")]) == 2
+        assert capsys.readouterr().err.startswith(f"benchmarks.blind: {bad[0]}")
+    assert not (tmp_path / "none").exists()
+    for bad in (["--workers", "x"], ["--seed", "-1"], ["--cases", "many"]):
         with pytest.raises(SystemExit) as error:
             blind.main(bad)
         assert error.value.code == 2

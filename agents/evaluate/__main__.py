@@ -27,14 +27,14 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import sys
-from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 
+from agents import engines
 from agents.cli import overrides
 from agents.evaluate import contestants as entries
-from agents.evaluate import engines, report, results
+from agents.evaluate import report, results
 from agents.evaluate import study as studies
 from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET
 from agents.progress import Bar
@@ -79,16 +79,7 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     p.add_argument("--block", metavar="N", type=int, default=100, help="courses driven side by side (default: 100)")
     p.add_argument("--resamples", metavar="N", type=int, default=2000, help="redraws of the bootstrap (default: 2000)")
-    p.add_argument(
-        "--engine", metavar="ENGINE", default="local", help="local or ray (default: local); the results are the same"
-    )
-    p.add_argument(
-        "--workers",
-        metavar="N",
-        type=int,
-        help="processes of this machine (default: one, threaded; with ray: all processors)",
-    )
-    p.add_argument("--address", metavar="ADDRESS", help="of a Ray cluster (default: RAY_ADDRESS, else this machine)")
+    engines.add_options(p, "one, threaded")
     return p
 
 
@@ -146,20 +137,8 @@ _STUDY_OPTIONS = ("controllers", "out", "scenario", "model", "courses", "seed", 
 
 def _engine(options):
     """(engine, threads of the simulation, whether models travel with the tasks)."""
-    if options.workers is not None and options.workers < 1:
-        raise ParameterError(f"--workers {options.workers}: expected a whole number >= 1")
-    if options.engine == "ray":
-        if options.address is not None and options.workers is not None:
-            raise ParameterError("--workers: only without --address, whose cluster has its own")
-        engines.check_ray(options.address)
-        return partial(engines.on_ray, address=options.address, workers=options.workers), 1, True
-    if options.engine != "local":
-        raise unknown_key(options.engine, ("local", "ray"), "--engine")
-    if options.address is not None:
-        raise ParameterError("--address: only with --engine ray")
-    if options.workers is None:
-        return engines.in_process, None, False
-    return partial(engines.processes, workers=options.workers), 1, False
+    engine = engines.choose(options.engine, options.workers, options.address)
+    return engine, None if engine is engines.in_process else 1, options.engine == "ray"
 
 
 def _asked(options, rest: list[str]) -> studies.Study:

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,6 +20,7 @@ import yaml
 
 import agents
 import soil_env
+from agents import engines
 from agents.evaluate import contestants as entries
 from agents.evaluate.contestants import Contestant
 from agents.evaluate.driving import HELD_OUT_SET
@@ -43,7 +43,7 @@ def code_version() -> str:
     here, there = (Path(package.__file__).parent for package in (soil_env, agents))
     files = sorted(here.rglob("*.py")) + [there / "controllers.py"]
     files += [there / "evaluate" / name for name in ("driving.py", "records.py", "warning.py")]
-    return f"{soil_env.__version__}+{hashlib.sha256(b''.join(f.read_bytes() for f in files)).hexdigest()[:12]}"
+    return engines.fingerprint(files)
 
 
 @dataclass(frozen=True)
@@ -254,10 +254,7 @@ class Log:
         return out
 
 
-Engine = Callable[[Job, list[Task]], Iterator[tuple[Task, dict[str, list]]]]
-
-
-def run(study: Study, folder: Path, engine: Engine, job: Job, progress: Callable[[int], None]) -> dict:
+def run(study: Study, folder: Path, engine: engines.Engine, job: Job, progress: Callable[[int], None]) -> dict:
     """Drive what is missing in `folder`; {algorithm: [Records of each member]}. `progress` is told courses done."""
     with Log(study, folder) as log:
         progress(sum(task.count for task in log.blocks))

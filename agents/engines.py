@@ -1,12 +1,14 @@
-"""Where blocks of courses are driven: here, in processes of this machine, or on a Ray cluster.
+"""Where tasks are done: here, in processes of this machine, or on a Ray cluster.
 
-An engine takes a picklable function and a list of tasks, and yields (task, result) in the order in which they are
-done, each task once. Which engine drives makes no difference to the results. A worker that is killed loses nothing:
-its task is given to another one.
+An engine takes a picklable function and a list of hashable tasks, and yields (task, result) in the order in which they
+are done, each task once. Tasks that draw random numbers draw them from a seed of their own, so that the engine makes
+no difference to the results. A worker that is killed loses nothing: its task is given to another one.
 """
 
 from __future__ import annotations
 
+import argparse
+import hashlib
 import multiprocessing
 import os
 import signal
@@ -15,11 +17,56 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from pathlib import Path
 
-from soil_env.loading import ParameterError
+import soil_env
+from soil_env.loading import ParameterError, unknown_key
 
 ATTEMPTS = 4  # at a task whose worker has died
 _AHEAD = 2  # tasks a worker has waiting
+
+Engine = Callable[[Callable, Iterable], Iterator[tuple]]
+
+
+def add_options(parser: argparse.ArgumentParser, default: str) -> None:
+    """--engine, --workers and --address; `default` says what is done without --workers."""
+    parser.add_argument(
+        "--engine", metavar="ENGINE", default="local", help="local or ray (default: local); the results are the same"
+    )
+    parser.add_argument(
+        "--workers",
+        metavar="N",
+        type=int,
+        help=f"processes of this machine (default: {default}; with ray: all processors)",
+    )
+    parser.add_argument(
+        "--address", metavar="ADDRESS", help="of a Ray cluster (default: RAY_ADDRESS, else this machine)"
+    )
+
+
+def choose(engine: str, workers: int | None = None, address: str | None = None) -> Engine:
+    """The engine that the options of `add_options` name; without `workers`, "local" means this process.
+
+    Raises `ParameterError` where they do not fit together, or where there is no Ray or no cluster.
+    """
+    if workers is not None and workers < 1:
+        raise ParameterError(f"--workers {workers}: expected a whole number >= 1")
+    if engine == "ray":
+        if address is not None and workers is not None:
+            raise ParameterError("--workers: only without --address, whose cluster has its own")
+        check_ray(address)
+        return partial(on_ray, address=address, workers=workers)
+    if engine != "local":
+        raise unknown_key(engine, ("local", "ray"), "--engine")
+    if address is not None:
+        raise ParameterError("--address: only with --engine ray")
+    return in_process if workers is None else partial(processes, workers=workers)
+
+
+def fingerprint(files: Iterable[Path]) -> str:
+    """Version of soil_env with a hash of the contents of `files`, for telling whether two machines have one code."""
+    return f"{soil_env.__version__}+{hashlib.sha256(b''.join(f.read_bytes() for f in files)).hexdigest()[:12]}"
 
 
 def in_process(work: Callable, tasks: Iterable) -> Iterator[tuple]:

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from agents import ppo
-from agents.evaluate import engines
+from agents import engines, ppo
 from agents.evaluate.__main__ import main
 from soil_env.loading import ParameterError
 from soil_env.parameters import load_scenario
