@@ -77,8 +77,7 @@ def make_run_folder(config: TrainConfig, scenario: Scenario) -> Path:
     folder = Path(config.runs) / name
     try:
         folder.mkdir(parents=True)
-        _dump(folder / "config.yaml", to_dict(config))
-        _dump(folder / "scenario.yaml", to_dict(scenario))
+        write_task(folder, config, scenario)
     except FileExistsError:
         raise ParameterError(f"{folder}: exists; give another --name, or --resume {folder}") from None
     except OSError as error:
@@ -86,8 +85,10 @@ def make_run_folder(config: TrainConfig, scenario: Scenario) -> Path:
     return folder
 
 
-def _dump(path: Path, content: dict) -> None:
-    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+def write_task(folder: Path, config: TrainConfig, scenario: Scenario) -> None:
+    """The config.yaml and scenario.yaml of a run folder."""
+    for name, content in (("config", config), ("scenario", scenario)):
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(to_dict(content), sort_keys=False), encoding="utf-8")
 
 
 def open_run(folder: Path) -> tuple[TrainConfig, Scenario]:

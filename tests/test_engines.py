@@ -35,12 +35,6 @@ def local(controllers, tmp_path_factory):
     return out
 
 
-@pytest.fixture()
-def importable(monkeypatch):
-    """Processes started from here find the packages and the tests, from any folder."""
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]))
-
-
 def same(a, b):
     for name in RESULTS:
         assert (a / name).read_bytes() == (b / name).read_bytes(), name
@@ -101,31 +95,6 @@ def test_ray_that_is_absent_is_said_in_one_line(capsys, monkeypatch, tmp_path):
 
 
 # --- Ray --------------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def cluster():
-    """Two nodes of one CPU each, on this machine."""
-    pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
-
-    patch = pytest.MonkeyPatch()
-    patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]))
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    cluster.add_node(num_cpus=1)
-    cluster.wait_for_nodes()
-    yield cluster
-    cluster.shutdown()
-    patch.undo()
-
-
-@pytest.fixture()
-def connected(cluster):
-    import ray
-
-    ray.init(address=cluster.address, log_to_driver=False, logging_level="ERROR")
-    yield ray
-    ray.shutdown()
 
 
 def where(x):
