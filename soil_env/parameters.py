@@ -278,7 +278,8 @@ class Scenario(Checked):
     """A complete task: the wheel, the ground it is driven over, its sensors, and what counts as success."""
 
     wheel: Wheel
-    soils: dict[str, float] = field(default_factory=dict)  # preset name -> weight in the draw
+    soils: dict[str, float] = field(default_factory=dict)  # name of a soil -> weight in the draw
+    own_soils: dict[str, Soil] = field(default_factory=dict)  # soils by name, beside and before the presets
     name: str = "unnamed"
     gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81)
     relaxation: float = quantity("wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts")
@@ -294,7 +295,7 @@ class Scenario(Checked):
         super().__post_init__()
         if not self.soils:
             raise ParameterError("Scenario.soils: expected at least one soil name with its weight")
-        library = soils()
+        library = self.library
         for name, weight in self.soils.items():
             if name not in library:
                 raise unknown_key(name, library, "Scenario.soils")
@@ -303,6 +304,11 @@ class Scenario(Checked):
             library[name].lumped(self.wheel.width)
         if sum(self.soils.values()) <= 0.0:
             raise ParameterError("Scenario.soils: expected at least one weight > 0")
+
+    @property
+    def library(self) -> dict[str, Soil]:
+        """The soils that `soils` may name."""
+        return soils() | self.own_soils
 
     @property
     def weight(self) -> float:

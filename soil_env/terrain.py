@@ -18,7 +18,7 @@ from soil_env.compiled import inlined, kernel
 from soil_env.effects import NO_EFFECTS, Effects, acting, depends_on_speed
 from soil_env.lanes import scratch
 from soil_env.model import Conditions, Rim, WheelSoilModel, steady_with
-from soil_env.parameters import Scenario, SoilState, soils
+from soil_env.parameters import Scenario, SoilState
 from soil_env.residual import ResidualLaw, dimensionless_groups, residual_at, residual_law
 from soil_env.streams import between, normal_pair, uniform, word
 from soil_env.traversability import best_working_point_with
@@ -92,7 +92,7 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
     if model is not None and model.soil is not None:
         library, weights = [model.soil.state(w.width)], np.ones(1)
     else:
-        presets = soils()
+        presets = scenario.library
         library = [presets[name].state(w.width) for name in scenario.soils]
         weights = np.array(list(scenario.soils.values()), dtype=float)
     return CourseNumbers(

@@ -1,0 +1,47 @@
+"""Compare controllers on the same held-out courses, and draw their rates with 95 % intervals.
+
+    python examples/compare_controllers.py
+    python examples/compare_controllers.py --scenario field_vehicle --courses 1000 --out compared.png
+
+The picture shows how often each controller gets stuck and how often it finishes. `python -m agents.evaluate` does the
+same for trained agents and for classes of your own, with resume, many processes and a report.
+"""
+
+import argparse
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+from agents.controllers import CONTROLLERS, make_controller
+from agents.evaluate import HELD_OUT_SET, run_courses, wilson
+from soil_env.parameters import load_scenario
+
+
+def main() -> None:
+    """Drive, print, draw."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--scenario", default="mixed", help="name or YAML file")
+    p.add_argument("--courses", type=int, default=200)
+    p.add_argument("--out", default="compared.png", help="the picture")
+    options = p.parse_args()
+
+    scenario = load_scenario(options.scenario)
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3), sharey=True, layout="constrained")
+    for y, name in enumerate(CONTROLLERS):
+        runs = run_courses(make_controller(name, scenario), scenario, HELD_OUT_SET, options.courses)
+        for axis, metric in zip(axes, ("immobilised", "finished"), strict=True):
+            share = runs.metric(metric).mean()
+            low, high = wilson(runs.metric(metric).sum(), options.courses)
+            axis.errorbar(100 * share, y, xerr=[[100 * (share - low)], [100 * (high - share)]], fmt="o", capsize=3)
+            axis.set(xlabel=f"{metric} [% of courses]", xlim=(0, 100))
+        stuck, done = (runs.metric(m).mean() for m in ("immobilised", "finished"))
+        print(f"{name:22s} immobilised {stuck:6.1%}   finished {done:6.1%}   return {runs.returns.mean():6.2f}")
+    axes[0].set_yticks(range(len(CONTROLLERS)), CONTROLLERS)
+    figure.savefig(options.out, dpi=130)
+    print(f"written: {options.out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,47 @@
+"""Write a controller of your own, and see it on a course beside full throttle.
+
+    python examples/own_controller.py
+    python -m agents.evaluate --controllers fixed_slip,careful=examples.own_controller:Careful --out evaluation
+
+The picture has a column for each of the two on the same course: grade, slip, sinkage, and the soil as identified. The
+second command, from the root of the repository, compares the class with others on 1000 courses.
+"""
+
+import argparse
+
+import numpy as np
+
+from agents.controllers import Controller, make_controller
+from agents.evaluate import HELD_OUT_SET
+from agents.plots import course_figure
+from soil_env.parameters import load_scenario
+
+
+class Careful(Controller):
+    """Turns the wheel the slower, the steeper the ground and the deeper the rut.
+
+    The base makes torque of a rim speed. Any class with `variant` and `predict` will do instead, see agents.evaluate.
+    """
+
+    variant = "identified"  # the observation it reads
+
+    def rim_speed(self, observation, state):
+        """Rim speed [m/s] of each wheel [n] for observations [n, D]; `state` may keep arrays [n] between calls."""
+        pitch, sinkage = (observation[:, self.column[name]] for name in ("pitch", "sinkage"))
+        return self.top_speed * np.clip(0.4 - 0.6 * np.maximum(pitch, 0.0) - 0.3 * sinkage, 0.15, 0.4)
+
+
+def main() -> None:
+    """Drive both on one course."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--course", type=int, default=3, help="which of the held-out courses")
+    p.add_argument("--out", default="own_controller.png", help="the picture")
+    options = p.parse_args()
+    scenario = load_scenario("mixed")
+    both = {"careful": Careful(scenario), "full_throttle": make_controller("full_throttle", scenario)}
+    course_figure(scenario, HELD_OUT_SET, options.course, both, options.out)
+    print(f"written: {options.out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""Many wheels in one call: how far each gets under a constant torque.
+
+    python examples/vector_env.py
+    python examples/vector_env.py --wheels 4096 --steps 2000
+
+Prints steps a second and how the courses ended, and draws where they ended: a constant torque digs in at the start or
+later, hardly any wheel finishes.
+"""
+
+import argparse
+import time
+from collections import Counter
+
+import gymnasium
+import matplotlib
+import numpy as np
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+from soil_env.task import Cause
+
+
+def main() -> None:
+    """Step, count, draw."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--wheels", type=int, default=512)
+    p.add_argument("--steps", type=int, default=1000, help="of every wheel")
+    p.add_argument("--out", default="vector_env.png", help="the picture")
+    options = p.parse_args()
+
+    envs = gymnasium.make_vec(
+        "soil_env:SoilWheel-v0", num_envs=options.wheels, vectorization_mode="vector_entry_point", observation="blind"
+    )
+    envs.reset(seed=0)
+    actions = np.linspace(0.2, 0.8, options.wheels, dtype=np.float32)[:, None]  # share of the stall torque
+    ends, start = [], time.perf_counter()
+    for _ in range(options.steps):
+        _, _, terminated, truncated, info = envs.step(actions)
+        for k in np.flatnonzero(terminated | truncated):
+            ends.append((actions[k, 0], info["x"][k], Cause(info["cause"][k]).name))
+    rate = options.wheels * options.steps / (time.perf_counter() - start)
+    print(f"{rate:,.0f} steps a second; courses that ended: {dict(Counter(cause for _, _, cause in ends))}")
+
+    figure, axis = plt.subplots(figsize=(6, 3.5), layout="constrained")
+    for cause in sorted({cause for _, _, cause in ends}):
+        at = np.array([(torque, x) for torque, x, c in ends if c == cause])
+        axis.plot(at[:, 0], at[:, 1], ".", ms=3, label=cause.lower().replace("_", " "))
+    axis.set(xlabel="motor torque [of stall torque]", ylabel="end of the course [m]")
+    figure.legend(loc="outside right upper")
+    figure.savefig(options.out, dpi=130)
+    print(f"written: {options.out}")
+
+
+if __name__ == "__main__":
+    main()
