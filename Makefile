@@ -17,7 +17,7 @@ TEST_READY := $(VENV)/.installed-test
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help train test lint docs dist bench clean
+.PHONY: help train test lint docs dist bench clients clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
@@ -42,6 +42,9 @@ dist: $(TEST_READY)  ## wheel and sdist into dist/
 bench: $(TRAIN_READY)  ## run the studies of benchmarks/ and renew their pages in docs/
 	$(PY) benchmarks/identification.py $(ARGS)
 	$(PY) benchmarks/throughput.py $(ARGS)
+
+clients: $(TRAIN_READY)  ## smoke runs in rl-zoo3, RLlib, Minari and Ray, each in an environment of its own
+	$(PY) -m benchmarks.clients $(ARGS)
 
 clean:  ## remove .venv, build products and caches; runs/ stays
 	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis

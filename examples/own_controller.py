@@ -28,7 +28,7 @@ class Careful(Controller):
     def rim_speed(self, observation, state):
         """Rim speed [m/s] of each wheel [n] for observations [n, D]; `state` may keep arrays [n] between calls."""
         pitch, sinkage = (observation[:, self.column[name]] for name in ("pitch", "sinkage"))
-        return self.top_speed * np.clip(0.4 - 0.6 * np.maximum(pitch, 0.0) - 0.3 * sinkage, 0.15, 0.4)
+        return self.top_speed * np.clip(0.45 - 0.6 * np.maximum(pitch, 0.0) - 0.3 * sinkage, 0.2, 0.45)
 
 
 def main() -> None:
