@@ -52,7 +52,8 @@ CLIENTS = {
         (
             _ZOO + " -n 16384 --eval-freq 8192 --eval-episodes 2 --seed 1 --num-threads 1 -f {out}",
             f"python -m rl_zoo3.enjoy {_TASK} --no-render -n 2000 -f {{out}}",
-            _ZOO + " -n 8192 -optimize --n-trials 2 --eval-episodes 2 --no-optim-plots --seed 1 -f {out}/search",
+            _ZOO
+            + " -n 8192 -params n_envs:4 -optimize --n-trials 2 --eval-episodes 2 --no-optim-plots -f {out}/search",
         ),
     ),
     "rllib": Client(
@@ -75,8 +76,9 @@ CLIENTS = {
         "Ray Core: evaluation, blind cases and training seeds on a cluster of two nodes, a worker killed in each",
         "ray,train,test",
         ("ray==2.60.0", "stable-baselines3==2.9.2", "gymnasium==1.4.0"),
-        (
-            "python -m pytest -q tests/test_engines.py tests/test_seeds.py tests/test_benchmark_blind.py -k 'ray or node'",
+        tuple(
+            f"python -m pytest -q tests/test_{name}.py -k 'ray or node'"
+            for name in ("engines", "seeds", "benchmark_blind")
         ),
     ),
 }
