@@ -173,7 +173,7 @@ def main() -> None:
     """Train, compare with full throttle, draw."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--scenario", default="mixed", help="name or YAML file")
-    p.add_argument("--steps", type=int, default=1_500_000)
+    p.add_argument("--steps", type=int, default=1_000_000)
     p.add_argument("--wheels", type=int, default=128)
     p.add_argument("--length", type=int, default=128, help="steps of each wheel between updates")
     p.add_argument("--courses", type=int, default=200, help="of the comparison at the end")

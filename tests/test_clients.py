@@ -1,10 +1,12 @@
-"""What is shipped for other people's code, as far as it can be tested without it; benchmarks/clients.py runs the rest."""
+"""What is shipped for other people's code, as far as that can be tested without it; `benchmarks.clients` runs it."""
 
 import json
+import pydoc
 import sys
 from pathlib import Path
 
 import gymnasium
+import numpy as np
 import pytest
 import yaml
 
@@ -46,7 +48,12 @@ def test_the_hyperparameters_of_rl_zoo3_build_an_agent():
     given = content.pop("SoilWheel-v0")
     assert not content and given.pop("n_timesteps") >= 1e6 and given.pop("learning_rate") == "lin_1e-3"
     normalise = eval(given.pop("normalize"))
-    env = VecNormalize(make_vec_env("SoilWheel-v0", given.pop("n_envs")), gamma=given["gamma"], **normalise)
+    ((wrapper, options),) = given.pop("env_wrapper")[0].items()
+    made = make_vec_env(
+        "SoilWheel-v0", given.pop("n_envs"), wrapper_class=pydoc.locate(wrapper), wrapper_kwargs=options
+    )
+    assert made.envs[0].action(np.zeros(1, np.float32)) == pytest.approx(0.3, abs=1e-3)
+    env = VecNormalize(made, gamma=given["gamma"], **normalise)
     assert env.num_envs * given["n_steps"] % given["batch_size"] == 0
     model = PPO(given.pop("policy"), env, policy_kwargs=eval(given.pop("policy_kwargs")), seed=0, **given)
     actions, _ = model.predict(env.reset())

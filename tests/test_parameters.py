@@ -206,6 +206,24 @@ def test_soil_round_trip(name):
     assert load(Soil, yaml.safe_load(yaml.safe_dump(to_dict(soil)))) == soil
 
 
+def test_own_soils_stand_beside_the_presets_and_before_them():
+    from soil_env.terrain import course_numbers
+
+    beach, sand = Soil(**SOIL_S), Soil(**SOIL_S | {"cohesion": 900})
+    scenario = load_scenario(
+        "mixed", {"own_soils": {"beach": beach, "dry_sand": sand}, "soils": {"beach": 1, "dry_sand": 1, "snow": 2}}
+    )
+    assert load(Scenario, yaml.safe_load(yaml.safe_dump(to_dict(scenario)))) == scenario
+    assert [scenario.library[n] for n in scenario.soils] == [beach, sand, parameters.soils()["snow"]]
+    width = scenario.wheel.width
+    drawn = course_numbers(scenario).library
+    assert [tuple(row) for row in drawn] == [s.state(width) for s in (beach, sand, parameters.soils()["snow"])]
+    assert parameters.soils()["dry_sand"].cohesion == 1040.0
+    with pytest.raises(ParameterError, match="own_soils.beach: unknown key 'phi'") as caught:
+        load_scenario("mixed", {"own_soils": {"beach": {"phi": 30}}})
+    assert_one_line(caught.value, ["mixed.yaml"])
+
+
 def test_scenario_from_a_file(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("wheel: {preset: planetary_rover, radius: 0.2}\nsoils: {dry_sand: 1}\n")
