@@ -4,8 +4,9 @@
     python examples/rllib_ppo.py                           prints the mean return after each iteration
     python examples/rllib_ppo.py --runners 2 --iterations 50
 
-RLlib makes the environment by its name in every env runner, many wheels at once; the mean return rises from iteration
-to iteration.
+RLlib makes the environment by its name in every env runner, many wheels in one call. Its connectors then handle wheel
+by wheel in Python, which takes most of the time: expect hours where Stable-Baselines3 takes minutes, and a mean return
+near -10 (immobilised at the start) for the first iterations.
 """
 
 import argparse
