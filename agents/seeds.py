@@ -41,7 +41,7 @@ _SET_HERE = ("seed", "name", "runs")
 def code_version() -> str:
     """Version of soil_env, with a hash of the code that an agent follows from."""
     here, there = (Path(package.__file__).parent for package in (soil_env, agents))
-    return engines.fingerprint([*sorted(here.rglob("*.py")), *(there / f"{n}.py" for n in ("ppo", "sb3", "training"))])
+    return engines.fingerprint([*sorted(here.rglob("*.py")), *sorted(there.glob("*.py"))])
 
 
 def folder_of(out: Path, seed: int) -> Path:
