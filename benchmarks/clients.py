@@ -44,6 +44,7 @@ class Client:
 
 _TASK = "--algo ppo --env SoilWheel-v0 --gym-packages soil_env"
 _ZOO = f"python -m rl_zoo3.train {_TASK} -conf configs/rl_zoo3/ppo.yml"
+_SEARCH = "-optimize --n-trials 2 --eval-episodes 2 --no-optim-plots"
 CLIENTS = {
     "zoo": Client(
         "rl-baselines3-zoo: training, evaluation, hyperparameter search with Optuna",
@@ -52,8 +53,7 @@ CLIENTS = {
         (
             _ZOO + " -n 16384 --eval-freq 8192 --eval-episodes 2 --seed 1 --num-threads 1 -f {out}",
             f"python -m rl_zoo3.enjoy {_TASK} --no-render -n 2000 -f {{out}}",
-            _ZOO
-            + " -n 8192 -params n_envs:4 -optimize --n-trials 2 --eval-episodes 2 --no-optim-plots -f {out}/search",
+            f"{_ZOO} -n 2048 -params n_envs:1 --seed 1 -f {{out}}/search {_SEARCH}",
         ),
     ),
     "rllib": Client(

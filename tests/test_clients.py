@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def test_the_page_is_that_of_the_committed_runs(tmp_path):
     result = json.loads((ROOT / "docs" / "clients.json").read_text())
-    assert set(result) == set(clients.CLIENTS)
+    assert result and set(result) <= set(clients.CLIENTS)
     assert all(run["ok"] for found in result.values() for run in found["runs"])
     assert (ROOT / "docs" / "clients.md").read_text() == clients.page(result)
 
