@@ -217,7 +217,8 @@ def _check_rows(table: Table, header: list[str], rows: list, wheel: SetupWheel |
         refuse("pass", (numbers != np.floor(numbers)) & ~np.isnan(numbers), "a whole number, 1 = fresh soil")
         refuse("pass", numbers < 1, "a whole number from 1, 1 = fresh soil")
     refuse("grade_deg", np.abs(table.grade_deg) > STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]")
-    if "grade_deg" in header and _in_radians([cells[header.index("grade_deg")] for _, cells in rows]):
+    grades = [cells[header.index("grade_deg")] for _, cells in rows] if "grade_deg" in header else []
+    if in_radians(grades) and np.unique(np.abs(table.grade_deg[table.grade_deg != 0.0])).size > 1:
         refuse("grade_deg", np.abs(table.grade_deg) > 0.0, "degrees (these look like radians: multiply by 57.3)")
     for name in ("wheel_radius", "wheel_width"):
         size = getattr(table, name)
@@ -260,8 +261,11 @@ def _canonical(cell: str):
         return cell
 
 
-def _in_radians(cells: list[str]) -> bool:
-    """Whether grades look like radians: none above 40 deg so, and all whole degrees rounded to three digits or more."""
+def in_radians(cells: list[str]) -> bool:
+    """Whether grades look like radians: none above 40 deg so, and all whole degrees rounded to three digits or more.
+
+    One grade alone looks so by chance: in six of a thousand cases with four digits.
+    """
     numbers = [(float(c), len(c.rpartition(".")[2])) for c in cells if c and float(c) != 0.0]
 
     def whole_degrees(x, digits):

@@ -63,6 +63,13 @@ def test_a_wrong_unit_or_sign_is_told_or_refused(tmp_path, column, factor, words
     assert words.lower() in " ".join(doubts).lower()
 
 
+def test_one_grade_that_could_be_radians_is_doubted(tmp_path):
+    lines = table_text({}).splitlines()
+    for grade, doubts in ((0.6458, ("grade_deg = 0.6458 is 37 degrees in radians: expected degrees.",)), (0.65, ())):
+        rows = [f"{row},{grade if k % 2 else 0}" for k, row in enumerate(lines[1:])]
+        assert examined(tmp_path, "\n".join([lines[0] + ",grade_deg", *rows]) + "\n") == doubts
+
+
 def test_a_diameter_for_the_radius_is_told(tmp_path):
     setup = SETUP.replace("radius: 0.15", "radius: 0.3")
     assert "With wheel.radius of the setup halved to 0.15 m" in " ".join(examined(tmp_path, table_text({}), setup))

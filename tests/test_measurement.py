@@ -68,7 +68,7 @@ def test_reads_a_full_table(tmp_path):
         ([HEADER + ",pass", "0.1,100,0.02,5,1.5"], ["row 2", "pass = 1.5", "whole number"]),
         ([HEADER + ",pass", "0.1,100,0.02,5,0"], ["row 2", "pass = 0", "from 1"]),
         ([HEADER + ",grade_deg", "0.1,100,0.02,5,75"], ["row 2", "grade_deg = 75", "[-60, 60]"]),
-        ([HEADER + ",grade_deg", "0.1,100,0.02,5,0", "0.2,100,0.02,5,0.1745"], ["row 3", "radians", "57.3"]),
+        ([HEADER + ",grade_deg", "0.1,100,0.02,5,-0.0873", "0.2,100,0.02,5,0.1745"], ["row 2", "radians", "57.3"]),
         ([HEADER + ",wheel_radius", "0.1,100,0.02,5,0"], ["row 2", "wheel_radius = 0", "metres in (0, 3]"]),
         ([HEADER + ",wheel_width", "0.1,100,0.02,5,-0.1"], ["row 2", "wheel_width = -0.1"]),
         ([HEADER + ",wheel_radius", "0.1,100,0.2,5,0.15"], ["row 2", "sinkage = 0.2", "wheel radius 0.15 m"]),
@@ -104,7 +104,7 @@ def test_sinkage_is_held_against_the_wheel_of_the_setup(tmp_path):
 
 
 def test_grades_that_are_degrees_stay_degrees(tmp_path):
-    for grades in (("0", "0.75"), ("0.5", "-0.31"), ("0.1745", "12"), ("", "0.5")):
+    for grades in (("0", "0.75"), ("0.5", "-0.31"), ("0.1745", "12"), ("", "0.5"), ("-0.6458", "0.6458")):
         rows = [f"0.{k + 1},100,0.02,5,{g}" for k, g in enumerate(grades)]
         read_table(written(tmp_path, HEADER + ",grade_deg", *rows))
 

@@ -16,6 +16,7 @@ import numpy as np
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import Data
 from soil_env.loading import ParameterError
+from soil_env.measurement import in_radians
 from soil_env.model import Rows
 
 LARGE = 3.0  # [noise] rms of what the base model leaves, below which no mistake is looked for
@@ -38,9 +39,10 @@ class Reading(NamedTuple):
 
 def examine(problem: Problem) -> tuple[str, ...]:
     """Doubts in sentences, none as a rule; `ParameterError` where the table cannot be right."""
+    grades = _grades_doubted(problem.data)
     rms = _rms(problem)
     if rms < LARGE:
-        return ()
+        return grades
     found = []
     for reading in _readings(problem):
         other = _rms(reading.problem)
@@ -59,7 +61,16 @@ def examine(problem: Problem) -> tuple[str, ...]:
         doubts.append(f"{text}.")
     if not doubts and _pull_falls(problem):
         doubts.append(f"{_pull_falls(problem)}: check the sign of drawbar_pull (positive = the wheel pulls).")
-    return tuple(doubts)
+    return (*doubts, *grades)
+
+
+def _grades_doubted(data: Data) -> tuple[str, ...]:
+    """A doubt where the only grade of the table is that of whole degrees in radians."""
+    grades = data.table.grade_deg[data.table.grade_deg != 0.0]
+    if not in_radians([repr(float(g)) for g in grades]):
+        return ()
+    angle = math.degrees(abs(float(grades[0])))
+    return (f"grade_deg = {abs(grades[0]):g} is {angle:.0f} degrees in radians: expected degrees.",)
 
 
 def _rms(problem: Problem) -> float:
