@@ -1,6 +1,6 @@
 """How often the discrepancy workflow finds what is missing: tables in which an effect is hidden, judged blind.
 
-    python -m benchmarks.blind                     all cases, a quarter of an hour on two idle cores; writes docs/discrepancy*
+    python -m benchmarks.blind                     all cases, 15 minutes on two idle cores; writes docs/discrepancy*
     python -m benchmarks.blind --resume            goes on after an interrupt
     python -m benchmarks.blind --engine ray        on a Ray cluster (--address); this clone is on the nodes' PYTHONPATH
     python -m benchmarks.blind --cases 60 --out X  fewer of each sort, the same ones
