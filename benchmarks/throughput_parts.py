@@ -14,21 +14,21 @@ from soil_env.parameters import load_scenario
 from soil_env.simulation import Simulation, restart
 from soil_env.vector_env import SoilWheelVectorEnv
 
-_eight = lanes.scratch(lanes.COUNT)
+_many = lanes.scratch(lockstep.MANY)
 
 # --- parts ------------------------------------------------------------------------------------------------------------
 
 
 @kernel
 def _drive(worlds, numbers, commands, over):
-    which, given = _eight(), _eight()
+    which, given = _many(), _many()
     count, wheels = 0, commands.size
     for k in range(wheels):
         if not over[k]:
             which[count], given[count] = k, commands[k]
             count += 1
-        if count == lanes.COUNT or (count > 0 and k == wheels - 1):
-            lockstep.advance_eight(worlds.state, which, count, given, worlds.courses, worlds.streams, numbers.world)
+        if count == lockstep.MANY or (count > 0 and k == wheels - 1):
+            lockstep.advance_many(worlds.state, which, count, given, worlds.courses, worlds.streams, numbers.world)
             count = 0
 
 

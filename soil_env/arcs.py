@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from soil_env.compiled import inlined
 from soil_env.contact import (
     NODE_DEPTHS,
@@ -10,33 +12,46 @@ from soil_env.contact import (
     ArcIntegrals,
     ArcRates,
 )
-from soil_env.lanes import COUNT, copysign, exp_lanes, fill, fma, from_array, half_sin_cos, log_lanes, to_array
+from soil_env.lanes import COUNT, copysign, exp_lanes, fill, fma, from_array, half_sin_cos, log_lanes, scratch, to_array
 
 #: Floats that `store_arcs` writes.
 ARCS = COUNT * 5 * NODES_PER_ZONE
+_shear = scratch(COUNT * 6 * NODES_PER_ZONE)
+
+
+class Arcs(NamedTuple):
+    """Eight contact arcs, in lanes, beside what `store_arcs` writes."""
+
+    theta1: float  # [rad]
+    sin1: float
+    p_cos: float  # as in `ArcIntegrals`
+    p_sin: float
 
 
 @inlined
-def store_arcs(theta1, n, r, out):
-    """What the nodes of `contact.arc_nodes` need whatever the motion and K, into `out` [ARCS]; sin(theta1).
+def store_arcs(theta1, n, r, out, at):
+    """What the nodes of `contact.arc_nodes` need whatever the motion and K, into out[at] .. out[at + ARCS - 1]; `Arcs`.
 
     `theta1` and `n` are lanes; theta2 = 0, thetam = theta1/2.
     """
     half = 0.5 * theta1
     sin_half1, cos_half1 = half_sin_cos(theta1)
     rise1 = sin_half1 * sin_half1
-    at = 0
+    p_cos, p_sin = fill(0.0), fill(0.0)
     for k in range(NODES_PER_ZONE):
         sin_half, cos_half = half_sin_cos(theta1 - half * NODE_DEPTHS[k])
         sin_half2, cos_half2 = half_sin_cos(half * NODE_DEPTHS[k])
-        p = exp_lanes(n * log_lanes((2.0 * r) * (rise1 - sin_half * sin_half)))
-        to_array(NODE_WEIGHTS[k] * p, out, at)
-        to_array(fma(-2.0 * sin_half, sin_half, fill(1.0)), out, at + COUNT)
-        to_array(2.0 * sin_half * cos_half, out, at + 2 * COUNT)
-        to_array(fma(-2.0 * sin_half2, sin_half2, fill(1.0)), out, at + 3 * COUNT)
-        to_array(2.0 * sin_half2 * cos_half2, out, at + 4 * COUNT)
+        wp = NODE_WEIGHTS[k] * exp_lanes(n * log_lanes((2.0 * r) * (rise1 - sin_half * sin_half)))
+        c, s = fma(-2.0 * sin_half, sin_half, fill(1.0)), 2.0 * sin_half * cos_half
+        c2, s2 = fma(-2.0 * sin_half2, sin_half2, fill(1.0)), 2.0 * sin_half2 * cos_half2
+        p_cos, p_sin = fma(wp, c + c2, p_cos), fma(wp, s + s2, p_sin)
+        to_array(wp, out, at)
+        to_array(c, out, at + COUNT)
+        to_array(s, out, at + 2 * COUNT)
+        to_array(c2, out, at + 3 * COUNT)
+        to_array(s2, out, at + 4 * COUNT)
         at += 5 * COUNT
-    return 2.0 * sin_half1 * cos_half1
+    return Arcs(theta1, 2.0 * sin_half1 * cos_half1, half * p_cos, half * p_sin)
 
 
 @inlined
@@ -47,39 +62,51 @@ def _mobilised(j, rate):
 
 
 @inlined
-def arcs_integrals(nodes, theta1, sin1, rim, travel, K, r):
-    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) in lanes, of the wheels of `store_arcs`."""
-    half, rate = 0.5 * theta1, 1.0 / K
+def _sums(nodes, at, shear, which, half):
+    """Six sums over the arcs of the values of front and rear nodes at shear[which]: with and without the stress.
+
+    One value at a time, as the sums of all of them do not fit into the registers.
+    """
     o = fill(0.0)
-    p_cos, p_sin, pe_cos, pe_sin, pe, e_cos, e_sin, e_sum = o, o, o, o, o, o, o, o
-    ape_cos, ape_sin, ape, ae_cos, ae_sin, ae = o, o, o, o, o, o
-    zpe_cos, zpe_sin, zpe, ze_cos, ze_sin, ze = o, o, o, o, o, o
-    at = 0
+    p_cos, p_sin, p, cos_, sin_, plain = o, o, o, o, o, o
+    i = which * COUNT
     for k in range(NODES_PER_ZONE):
         wp, w = from_array(nodes, at), NODE_WEIGHTS[k]
         c, s = from_array(nodes, at + COUNT), from_array(nodes, at + 2 * COUNT)
         c2, s2 = from_array(nodes, at + 3 * COUNT), from_array(nodes, at + 4 * COUNT)
-        at += 5 * COUNT
-        depth = half * NODE_DEPTHS[k]
-        a, a2 = r * depth, r * (theta1 - depth)  # dj/d(rim)
-        z, z2 = r * (s - sin1), r * (s2 - sin1)  # dj/d(travel)
-        e, g = _mobilised(fma(rim, a, travel * z), rate)
-        e2, g2 = _mobilised(fma(rim, a2, travel * z2), rate)
-        a, a2, z, z2 = g * a, g2 * a2, g * z, g2 * z2
+        e, e2 = from_array(shear, i), from_array(shear, i + COUNT)
+        at, i = at + 5 * COUNT, i + 6 * COUNT
         # the two nodes share weight and stress
         ec, es, e = fma(e, c, e2 * c2), fma(e, s, e2 * s2), e + e2
-        ac, as_, a = fma(a, c, a2 * c2), fma(a, s, a2 * s2), a + a2
-        zc, zs, z = fma(z, c, z2 * c2), fma(z, s, z2 * s2), z + z2
-        p_cos, p_sin = fma(wp, c + c2, p_cos), fma(wp, s + s2, p_sin)
-        pe_cos, pe_sin, pe = fma(wp, ec, pe_cos), fma(wp, es, pe_sin), fma(wp, e, pe)
-        e_cos, e_sin, e_sum = fma(w, ec, e_cos), fma(w, es, e_sin), fma(w, e, e_sum)
-        ape_cos, ape_sin, ape = fma(wp, ac, ape_cos), fma(wp, as_, ape_sin), fma(wp, a, ape)
-        ae_cos, ae_sin, ae = fma(w, ac, ae_cos), fma(w, as_, ae_sin), fma(w, a, ae)
-        zpe_cos, zpe_sin, zpe = fma(wp, zc, zpe_cos), fma(wp, zs, zpe_sin), fma(wp, z, zpe)
-        ze_cos, ze_sin, ze = fma(w, zc, ze_cos), fma(w, zs, ze_sin), fma(w, z, ze)
-    h = half
+        p_cos, p_sin, p = fma(wp, ec, p_cos), fma(wp, es, p_sin), fma(wp, e, p)
+        cos_, sin_, plain = fma(w, ec, cos_), fma(w, es, sin_), fma(w, e, plain)
+    return half * p_cos, half * p_sin, half * p, half * cos_, half * sin_, half * plain
+
+
+@inlined
+def arcs_integrals(nodes, start, arcs, rim, travel, K, r):
+    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) in lanes, of what `store_arcs` left at nodes[start]."""
+    half, rate, shear = 0.5 * arcs.theta1, 1.0 / K, _shear()
+    at, i = start, 0
+    for k in range(NODES_PER_ZONE):
+        depth = half * NODE_DEPTHS[k]
+        a, a2 = r * depth, r * (arcs.theta1 - depth)  # dj/d(rim)
+        z = r * (from_array(nodes, at + 2 * COUNT) - arcs.sin1)  # dj/d(travel)
+        z2 = r * (from_array(nodes, at + 4 * COUNT) - arcs.sin1)
+        e, g = _mobilised(fma(rim, a, travel * z), rate)
+        e2, g2 = _mobilised(fma(rim, a2, travel * z2), rate)
+        to_array(e, shear, i)
+        to_array(e2, shear, i + COUNT)
+        to_array(g * a, shear, i + 2 * COUNT)
+        to_array(g2 * a2, shear, i + 3 * COUNT)
+        to_array(g * z, shear, i + 4 * COUNT)
+        to_array(g2 * z2, shear, i + 5 * COUNT)
+        at, i = at + 5 * COUNT, i + 6 * COUNT
+    e = _sums(nodes, start, shear, 0, half)
+    a = _sums(nodes, start, shear, 2, half)
+    z = _sums(nodes, start, shear, 4, half)
     return (
-        ArcIntegrals(h * p_cos, h * p_sin, h * pe_cos, h * pe_sin, h * pe, h * e_cos, h * e_sin, h * e_sum),
-        ArcRates(h * ape_cos, h * ape_sin, h * ape, h * ae_cos, h * ae_sin, h * ae),
-        ArcRates(h * zpe_cos, h * zpe_sin, h * zpe, h * ze_cos, h * ze_sin, h * ze),
+        ArcIntegrals(arcs.p_cos, arcs.p_sin, e[0], e[1], e[2], e[3], e[4], e[5]),
+        ArcRates(a[0], a[1], a[2], a[3], a[4], a[5]),
+        ArcRates(z[0], z[1], z[2], z[3], z[4], z[5]),
     )

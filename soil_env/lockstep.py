@@ -1,15 +1,15 @@
-"""Eight wheels in lockstep, one a lane: `dynamics.advance` of the base model without waiting.
+"""Wheels in lockstep, eight at a time in the lanes of vectors: `dynamics.advance` of the base model without waiting.
 
 Within one wheel nearly everything depends on what came before, and a processor that steps one wheel after the other
 mostly waits. Here each operation acts on eight wheels. They share no number: a wheel goes through the same operations
 on the same bits whoever its neighbours are, so that a lone wheel, repeated in all lanes, gives what it gives among
-others. Newton's method goes on until the last wheel has converged; those that have are left as they are. A wheel whose
-iteration fails goes on alone, by `dynamics.drive`, from the substep that failed.
+others. Newton's method takes one wheel longer than another: a lane whose wheel has converged goes on with the next of
+up to `MANY`. A wheel whose iteration fails goes on alone, by `dynamics.drive`, from the substep that failed.
 """
 
 from __future__ import annotations
 
-from soil_env.arcs import ARCS, arcs_integrals, store_arcs
+from soil_env.arcs import ARCS, Arcs, arcs_integrals, store_arcs
 from soil_env.compiled import inlined, kernel
 from soil_env.contact import entry_angle_of_many, motion_from_speeds
 from soil_env.dynamics import (
@@ -32,19 +32,34 @@ from soil_env.lanes import COUNT, fill, from_array, half_sin_cos, larger, scratc
 from soil_env.parameters import SoilState
 from soil_env.terrain import cell_at, ground_at, leave_rut
 
+MANY = 4 * COUNT  # wheels that `advance_many` takes at most
 _PASSES = 60  # evaluations of the reaction in a substep, at most
 _TRIES = 8  # of them at most along one step of Newton's method
 _HUGE = 1e300
 
-# Rows of eight in the scratch of `advance_eight`
+# Scratch is in blocks of eight wheels, a row of eight floats for each quantity. Rows of the wheels over a period:
 _X, _SPEED, _WHEEL_SPEED, _SINKAGE, _MASS, _PULL, _TORQUE = 0, 8, 16, 24, 32, 40, 48
 _PULL_V, _PULL_U, _TORQUE_V, _TORQUE_U, _COMMAND, _BY_SPEED, _WORK = 56, 64, 72, 80, 88, 96, 104
-_MOTOR, _AVAILABLE, _LOAD, _BEARING, _START, _LEFT = 112, 120, 128, 136, 144, 152
-_wheels = scratch(20 * COUNT)
-# Rows of the scratch for the ground
+_MOTOR, _AVAILABLE, _LOAD, _BEARING, _START, _LEFT, _ALIVE = 112, 120, 128, 136, 144, 152, 160
+_WHEELS = 21 * COUNT
+_wheels = scratch(_WHEELS * MANY // COUNT)
+# of the ground under them in a substep:
 _TAN_PHI, _COHESION, _K, _S, _N, _GAIN, _RECOVERY, _GRADE = 0, 8, 16, 24, 32, 40, 48, 56
-_ground = scratch(8 * COUNT)
-_nodes = scratch(ARCS)
+_GROUND = 8 * COUNT
+_ground = scratch(_GROUND * MANY // COUNT)
+# of the equations of a substep, which Newton's method solves, and behind them the nodes of the arcs:
+_V0, _U0, _CV, _ALONG, _CARRIED, _TAN, _C, _SHEAR, _GIVEN, _FOLLOW, _THETA1, _SIN1, _P_COS, _P_SIN, _V1, _U1, _NODES = (
+    range(0, 17 * COUNT, COUNT)
+)
+_EQUATIONS = _NODES + ARCS
+# of its state and, in the end, its result:
+_V, _U, _FORCE, _CONVERGED, _F1, _F2, _SLOPE, _NORM, _BEFORE, _SHARE, _DONE_TRIES, _DONE_PASSES = (
+    0, 8, 16, 96, 104, 112, 120, 128, 136, 144, 152, 160
+)  # fmt: skip
+_RESULT = 13 * COUNT
+_STATE = 21 * COUNT
+_equations, _results = scratch(_EQUATIONS * MANY // COUNT), scratch(_RESULT * MANY // COUNT)
+_present, _newton, _ended, _occupants = scratch(_EQUATIONS), scratch(_STATE), scratch(COUNT), scratch(COUNT)
 
 
 @inlined
@@ -77,177 +92,291 @@ def _below(a, b):
 
 
 @inlined
-def _speeds(s, soil, grade_sin, load, theta1, sin1, nodes, world, h):
-    """`dynamics.implicit_speeds` of eight wheels: (V, u, Reaction, converged)."""
-    r, b = world.radius, world.width
-    mass, speed0, u0 = from_array(s, _MASS), from_array(s, _SPEED), r * from_array(s, _WHEEL_SPEED)
-    command, by_speed = from_array(s, _COMMAND), from_array(s, _BY_SPEED)
-    weight_along = (world.gravity * mass) * grade_sin
+def _load_force(a, at):
+    """`Reaction` from its ten rows at a[at]; the load is not kept."""
+    return Reaction(
+        from_array(a, at), from_array(a, at + 8), from_array(a, at + 16), from_array(a, at + 24),
+        from_array(a, at + 32), from_array(a, at + 40), from_array(a, at + 48), from_array(a, at + 56),
+        from_array(a, at + 64), from_array(a, at + 72),
+    )  # fmt: skip
+
+
+@inlined
+def _store_force(f, a, at):
+    to_array(f.load, a, at)
+    to_array(f.drawbar_pull, a, at + 8)
+    to_array(f.torque, a, at + 16)
+    to_array(f.modulus, a, at + 24)
+    to_array(f.dp_v, a, at + 32)
+    to_array(f.dp_u, a, at + 40)
+    to_array(f.torque_v, a, at + 48)
+    to_array(f.torque_u, a, at + 56)
+    to_array(f.modulus_v, a, at + 64)
+    to_array(f.modulus_u, a, at + 72)
+
+
+@inlined
+def _set_up(s, at, g, ground, e, to, world, h):
+    """The equations of one substep of eight wheels, into e[to], and where Newton's method starts."""
+    r = world.radius
+    mass, speed0, u0 = from_array(s, at + _MASS), from_array(s, at + _SPEED), r * from_array(s, at + _WHEEL_SPEED)
+    command, by_speed = from_array(s, at + _COMMAND), from_array(s, at + _BY_SPEED)
+    sin_half, cos_half = half_sin_cos(from_array(g, ground + _GRADE))
+    load = (world.gravity * mass) * (1.0 - 2.0 * sin_half * sin_half)
+    weight_along = (world.gravity * mass) * (2.0 * sin_half * cos_half)
     cv, cu = h / mass, h * r / world.inertia
     torque, torque_w, _ = motor(command, by_speed, u0 / r, world)
-    zero = fill(0.0)
-    f = Reaction(
-        load, from_array(s, _PULL), from_array(s, _TORQUE), zero, from_array(s, _PULL_V), from_array(s, _PULL_U),
-        from_array(s, _TORQUE_V), from_array(s, _TORQUE_U), zero, zero,
+    pull, twist = from_array(s, at + _PULL), from_array(s, at + _TORQUE)
+    dv, du = newton_step(
+        -cv * (pull - weight_along), -cu * (torque - twist), cv, cu,
+        from_array(s, at + _PULL_V), from_array(s, at + _PULL_U),
+        from_array(s, at + _TORQUE_V), from_array(s, at + _TORQUE_U) - torque_w / r,
     )  # fmt: skip
-    f1, f2 = -cv * (f.drawbar_pull - weight_along), -cu * (torque - f.torque)
+    short, zero = _below(larger(abs(dv), abs(du)), SHORT * (abs(u0) + REST_SPEED)), fill(0.0)
+    theta1 = entry_angle_of_many(from_array(s, at + _SINKAGE), r)
+    arcs = store_arcs(theta1, from_array(g, ground + _N), r, e, to + _NODES)
+    to_array(speed0, e, to + _V0)
+    to_array(u0, e, to + _U0)
+    to_array(cv, e, to + _CV)
+    to_array(weight_along, e, to + _ALONG)
+    to_array(load, e, to + _CARRIED)
+    to_array(from_array(g, ground + _TAN_PHI), e, to + _TAN)
+    to_array(from_array(g, ground + _COHESION), e, to + _C)
+    to_array(from_array(g, ground + _K), e, to + _SHEAR)
+    to_array(command, e, to + _GIVEN)
+    to_array(by_speed, e, to + _FOLLOW)
+    to_array(theta1, e, to + _THETA1)
+    to_array(arcs.sin1, e, to + _SIN1)
+    to_array(arcs.p_cos, e, to + _P_COS)
+    to_array(arcs.p_sin, e, to + _P_SIN)
+    to_array(speed0 + _chosen(short, dv, zero), e, to + _V1)
+    to_array(u0 + _chosen(short, du, zero), e, to + _U1)
+
+
+@inlined
+def _iterate(e, n, world, h):
+    """One pass of `dynamics.implicit_speeds` on the equations `e` with Newton's state `n`; 1 where it ended."""
+    r, b, cu = world.radius, world.width, h * world.radius / world.inertia
+    zero, one = fill(0.0), fill(1.0)
+    speed0, u0, cv, weight_along = from_array(e, _V0), from_array(e, _U0), from_array(e, _CV), from_array(e, _ALONG)
+    load, K = from_array(e, _CARRIED), from_array(e, _SHEAR)
+    command, by_speed = from_array(e, _GIVEN), from_array(e, _FOLLOW)
+    arcs = Arcs(from_array(e, _THETA1), from_array(e, _SIN1), from_array(e, _P_COS), from_array(e, _P_SIN))
+    v1, u1 = from_array(e, _V1), from_array(e, _U1)
+    motion = motion_from_speeds(u1, v1, REST_SPEED)
+    integrals = arcs_integrals(e, _NODES, arcs, motion[0], motion[1], K, r)
+    trial = reaction_from(integrals, motion, v1, u1, load, from_array(e, _TAN), from_array(e, _C), r, b)
+    torque, slope, _ = motor(command, by_speed, u1 / r, world)
+    g1 = v1 - speed0 - cv * (trial.drawbar_pull - weight_along)
+    g2 = u1 - u0 - cu * (torque - trial.torque)
+    reached = larger(abs(g1), abs(g2))
+    share, tries, norm = from_array(n, _SHARE), from_array(n, _DONE_TRIES), from_array(n, _NORM)
+    last = _below(_TRIES - 1.5, tries)
+    better = _below(reached, norm * _chosen(last, one, 1.0 - 0.1 * share))
+    failed = last * (1.0 - better)
+    before = _chosen(better, where_less(norm, 0.5 * _HUGE, norm, 0.1 * reached), from_array(n, _BEFORE))
+    norm = _chosen(better, reached, norm)
+    v, u = _chosen(better, v1, from_array(n, _V)), _chosen(better, u1, from_array(n, _U))
+    f1, f2 = _chosen(better, g1, from_array(n, _F1)), _chosen(better, g2, from_array(n, _F2))
+    torque_w = _chosen(better, slope, from_array(n, _SLOPE))
+    f = _pick(better, trial, _load_force(n, _FORCE))
+    share, tries = _chosen(better, one, 0.4 * share), _chosen(better, zero, tries + 1.0)
+    converged = failed * _below(norm, fill(1e-4))
+
     dv, du = newton_step(f1, f2, cv, cu, f.dp_v, f.dp_u, f.torque_v, f.torque_u - torque_w / r)
-    short = _below(larger(abs(dv), abs(du)), SHORT * (abs(u0) + REST_SPEED))
-    v, u = speed0, u0
-    v1, u1 = v + _chosen(short, dv, zero), u + _chosen(short, du, zero)
-    curvature = 1.0 + r * theta1 / soil.shear_modulus
-    norm, before = fill(_HUGE), fill(_HUGE)
-    share, tries, done, converged = fill(1.0), zero, zero, zero
-    for _ in range(_PASSES):
-        motion = motion_from_speeds(u1, v1, REST_SPEED)
-        integrals = arcs_integrals(nodes, theta1, sin1, motion[0], motion[1], soil.shear_modulus, r)
-        trial = reaction_from(integrals, motion, v1, u1, load, soil.tan_phi, soil.cohesion, r, b)
-        torque, slope, _ = motor(command, by_speed, u1 / r, world)
-        g1 = v1 - speed0 - cv * (trial.drawbar_pull - weight_along)
-        g2 = u1 - u0 - cu * (torque - trial.torque)
-        reached = larger(abs(g1), abs(g2))
-        last = _below(_TRIES - 1.5, tries)
-        better = _below(reached, norm * _chosen(last, fill(1.0), 1.0 - 0.1 * share)) * (1.0 - done)
-        failed = last * (1.0 - better) * (1.0 - done)
-        before = _chosen(better, where_less(norm, 0.5 * _HUGE, norm, 0.1 * reached), before)
-        norm = _chosen(better, reached, norm)
-        v, u = _chosen(better, v1, v), _chosen(better, u1, u)
-        f1, f2, torque_w = _chosen(better, g1, f1), _chosen(better, g2, f2), _chosen(better, slope, torque_w)
-        f = _pick(better, trial, f)
-        share, tries = _chosen(better, fill(1.0), 0.4 * share), _chosen(better, zero, tries + 1.0)
-        converged = _chosen(failed, _below(norm, fill(1e-4)), converged)
-        done = larger(done, failed)
-
-        dv, du = newton_step(f1, f2, cv, cu, f.dp_v, f.dp_u, f.torque_v, f.torque_u - torque_w / r)
-        foretold = norm * smaller(norm / before, larger(abs(dv), abs(du)) * curvature / (abs(u) + REST_SPEED))
-        ahead = moved(f, dv, du)
-        torque, _, _ = motor(command, by_speed, (u + du) / r, world)
-        g1 = v + dv - speed0 - cv * (ahead.drawbar_pull - weight_along)
-        g2 = u + du - u0 - cu * (torque - ahead.torque)
-        seen = _below(foretold, fill(FORETOLD * TOLERANCE)) * _below(larger(abs(g1), abs(g2)), fill(0.1 * TOLERANCE))
-        seen = seen * _below(zero, ahead.modulus) * better
-        v, u, f = _chosen(seen, v + dv, v), _chosen(seen, u + du, u), _pick(seen, ahead, f)
-        there = larger(seen, better * _below(norm, fill(TOLERANCE)))
-        converged, done = larger(converged, there), larger(done, there)
-        if total(done) == COUNT:
-            break
-        v1, u1 = v + share * dv, u + share * du
-    return v, u, f, converged
+    curvature = 1.0 + r * arcs.theta1 / K
+    foretold = norm * smaller(norm / before, larger(abs(dv), abs(du)) * curvature / (abs(u) + REST_SPEED))
+    ahead = moved(f, dv, du)
+    torque, _, _ = motor(command, by_speed, (u + du) / r, world)
+    g1 = v + dv - speed0 - cv * (ahead.drawbar_pull - weight_along)
+    g2 = u + du - u0 - cu * (torque - ahead.torque)
+    seen = _below(foretold, fill(FORETOLD * TOLERANCE)) * _below(larger(abs(g1), abs(g2)), fill(0.1 * TOLERANCE))
+    seen = seen * _below(zero, ahead.modulus) * better
+    there = larger(seen, better * _below(norm, fill(TOLERANCE)))
+    passes = from_array(n, _DONE_PASSES) + 1.0
+    to_array(f1, n, _F1)
+    to_array(f2, n, _F2)
+    to_array(torque_w, n, _SLOPE)
+    to_array(norm, n, _NORM)
+    to_array(before, n, _BEFORE)
+    to_array(share, n, _SHARE)
+    to_array(tries, n, _DONE_TRIES)
+    to_array(passes, n, _DONE_PASSES)
+    to_array(v + share * dv, e, _V1)
+    to_array(u + share * du, e, _U1)
+    to_array(_chosen(seen, v + dv, v), n, _V)
+    to_array(_chosen(seen, u + du, u), n, _U)
+    _store_force(_pick(seen, ahead, f), n, _FORCE)
+    to_array(larger(converged, there), n, _CONVERGED)
+    return larger(larger(failed, there), _below(_PASSES - 0.5, passes))
 
 
 @inlined
-def _gather_ground(s, g, which, state, courses, world, h):
-    """The ground under each wheel in the middle of the substep, into `g`."""
+def _enter(equations, k, e, n, i):
+    """Wheel k of the equations into lane i."""
+    start = (k // COUNT) * _EQUATIONS + k % COUNT
+    for row in range(0, _EQUATIONS, COUNT):
+        e[row + i] = equations[start + row]
+    for row in range(0, _STATE, COUNT):
+        n[row + i] = 0.0
+    n[_V + i], n[_U + i] = e[_V0 + i], e[_U0 + i]
+    n[_NORM + i] = n[_BEFORE + i] = _HUGE
+    n[_SHARE + i] = 1.0
+
+
+@kernel
+def _solve(equations, count, results, world, h):
+    """The speeds and reactions of `count` wheels at the end of a substep, into `results`."""
+    e, n, ended = _present(), _newton(), _ended()
+    which = _occupants()
     for i in range(COUNT):
-        k = int(which[i])
-        w = state[k]
-        soil, grade, patch = ground_at(courses, k, s[_X + i] + 0.5 * h * s[_SPEED + i], w.patch, world.border)
-        w.patch = patch
-        g[_TAN_PHI + i], g[_COHESION + i], g[_K + i] = soil.tan_phi, soil.cohesion, soil.shear_modulus
-        g[_S + i] = soil.sinkage_coefficient * courses.modulus[k, w.cell]
-        g[_N + i], g[_GAIN + i], g[_RECOVERY + i] = soil.sinkage_exponent, soil.dig_gain, soil.dig_recovery
-        g[_GRADE + i] = grade
+        _enter(equations, min(i, count - 1), e, n, i)
+        which[i] = float(i) if i < count else -1.0
+    following, left = COUNT, count
+    while left > 0:
+        there = _iterate(e, n, world, h)
+        if total(there) == 0.0:
+            continue
+        to_array(there, ended, 0)
+        for i in range(COUNT):
+            k = int(which[i])
+            if ended[i] == 0.0 or k < 0:
+                continue
+            to = (k // COUNT) * _RESULT + k % COUNT
+            for row in range(0, _RESULT, COUNT):
+                results[to + row] = n[row + i]
+            left -= 1
+            which[i] = -1.0
+            if following < count:
+                _enter(equations, following, e, n, i)
+                which[i] = float(following)
+                following += 1
 
 
 @inlined
-def _substep(s, g, nodes, alive, world, h):
-    """One substep of the wheels in `s` on the ground in `g`, but for those with `alive` 0; which of them converged."""
+def _gather_ground(s, at, g, ground, which, first, state, courses, world, h):
+    """The ground under eight wheels in the middle of the substep."""
+    for i in range(COUNT):
+        k = int(which[first + i])
+        w = state[k]
+        x = s[at + _X + i] + 0.5 * h * s[at + _SPEED + i]
+        soil, grade, patch = ground_at(courses, k, x, w.patch, world.border)
+        w.patch = patch
+        j = ground + i
+        g[j + _TAN_PHI], g[j + _COHESION], g[j + _K] = soil.tan_phi, soil.cohesion, soil.shear_modulus
+        g[j + _S] = soil.sinkage_coefficient * courses.modulus[k, w.cell]
+        g[j + _N], g[j + _GAIN], g[j + _RECOVERY] = soil.sinkage_exponent, soil.dig_gain, soil.dig_recovery
+        g[j + _GRADE] = grade
+
+
+@inlined
+def _move(s, at, g, ground, results, found, world, h):
+    """Eight wheels to the end of a substep, but those that are not alive or did not converge, which die."""
     r = world.radius
     soil = SoilState(
-        from_array(g, _TAN_PHI), from_array(g, _COHESION), from_array(g, _K), from_array(g, _S), from_array(g, _N),
-        from_array(g, _GAIN), from_array(g, _RECOVERY),
+        from_array(g, ground + _TAN_PHI), from_array(g, ground + _COHESION), from_array(g, ground + _K),
+        from_array(g, ground + _S), from_array(g, ground + _N), from_array(g, ground + _GAIN),
+        from_array(g, ground + _RECOVERY),
     )  # fmt: skip
-    sin_half, cos_half = half_sin_cos(from_array(g, _GRADE))
-    load = (world.gravity * from_array(s, _MASS)) * (1.0 - 2.0 * sin_half * sin_half)
-    speed, sinkage = from_array(s, _SPEED), from_array(s, _SINKAGE)
-    theta1 = entry_angle_of_many(sinkage, r)
-    sin1 = store_arcs(theta1, soil.sinkage_exponent, r, nodes)
-    v, u, f, converged = _speeds(s, soil, 2.0 * sin_half * cos_half, load, theta1, sin1, nodes, world, h)
-    alive = alive * converged
+    v, u, f = from_array(results, found + _V), from_array(results, found + _U), _load_force(results, found + _FORCE)
+    alive = from_array(s, at + _ALIVE) * from_array(results, found + _CONVERGED)
+    speed, sinkage = from_array(s, at + _SPEED), from_array(s, at + _SINKAGE)
     bearing = bearing_sinkage(sinkage, f.modulus, soil)
     relaxed = relax_sinkage(sinkage, bearing, v, u - v, soil, world.relaxation, h)
-    torque, _, available = motor(from_array(s, _COMMAND), from_array(s, _BY_SPEED), u / r, world)
-    x, work = from_array(s, _X), from_array(s, _WORK)
-    to_array(_chosen(alive, x + 0.5 * h * (speed + v), x), s, _X)
-    to_array(_chosen(alive, work + h * torque * u / r, work), s, _WORK)
-    to_array(_chosen(alive, v, speed), s, _SPEED)
-    to_array(_chosen(alive, u / r, from_array(s, _WHEEL_SPEED)), s, _WHEEL_SPEED)
-    to_array(_chosen(alive, smaller(larger(relaxed, fill(1e-4 * r)), fill(1.5 * r)), sinkage), s, _SINKAGE)
-    to_array(_chosen(alive, bearing, from_array(s, _BEARING)), s, _BEARING)
-    to_array(_chosen(alive, torque, from_array(s, _MOTOR)), s, _MOTOR)
-    to_array(_chosen(alive, available, from_array(s, _AVAILABLE)), s, _AVAILABLE)
-    to_array(_chosen(alive, f.load, from_array(s, _LOAD)), s, _LOAD)
-    to_array(_chosen(alive, f.drawbar_pull, from_array(s, _PULL)), s, _PULL)
-    to_array(_chosen(alive, f.torque, from_array(s, _TORQUE)), s, _TORQUE)
-    to_array(_chosen(alive, f.dp_v, from_array(s, _PULL_V)), s, _PULL_V)
-    to_array(_chosen(alive, f.dp_u, from_array(s, _PULL_U)), s, _PULL_U)
-    to_array(_chosen(alive, f.torque_v, from_array(s, _TORQUE_V)), s, _TORQUE_V)
-    to_array(_chosen(alive, f.torque_u, from_array(s, _TORQUE_U)), s, _TORQUE_U)
-    left = from_array(s, _LEFT)
-    to_array(_chosen(alive, left - h, left), s, _LEFT)
-    return alive
+    torque, _, available = motor(from_array(s, at + _COMMAND), from_array(s, at + _BY_SPEED), u / r, world)
+    x, work = from_array(s, at + _X), from_array(s, at + _WORK)
+    to_array(alive, s, at + _ALIVE)
+    to_array(_chosen(alive, x + 0.5 * h * (speed + v), x), s, at + _X)
+    to_array(_chosen(alive, work + h * torque * u / r, work), s, at + _WORK)
+    to_array(_chosen(alive, v, speed), s, at + _SPEED)
+    to_array(_chosen(alive, u / r, from_array(s, at + _WHEEL_SPEED)), s, at + _WHEEL_SPEED)
+    to_array(_chosen(alive, smaller(larger(relaxed, fill(1e-4 * r)), fill(1.5 * r)), sinkage), s, at + _SINKAGE)
+    to_array(_chosen(alive, bearing, from_array(s, at + _BEARING)), s, at + _BEARING)
+    to_array(_chosen(alive, torque, from_array(s, at + _MOTOR)), s, at + _MOTOR)
+    to_array(_chosen(alive, available, from_array(s, at + _AVAILABLE)), s, at + _AVAILABLE)
+    to_array(_chosen(alive, f.load, from_array(s, at + _LOAD)), s, at + _LOAD)
+    to_array(_chosen(alive, f.drawbar_pull, from_array(s, at + _PULL)), s, at + _PULL)
+    to_array(_chosen(alive, f.torque, from_array(s, at + _TORQUE)), s, at + _TORQUE)
+    to_array(_chosen(alive, f.dp_v, from_array(s, at + _PULL_V)), s, at + _PULL_V)
+    to_array(_chosen(alive, f.dp_u, from_array(s, at + _PULL_U)), s, at + _PULL_U)
+    to_array(_chosen(alive, f.torque_v, from_array(s, at + _TORQUE_V)), s, at + _TORQUE_V)
+    to_array(_chosen(alive, f.torque_u, from_array(s, at + _TORQUE_U)), s, at + _TORQUE_U)
+    left = from_array(s, at + _LEFT)
+    to_array(_chosen(alive, left - h, left), s, at + _LEFT)
 
 
 @inlined
-def _load_wheels(s, which, state, commands, world):
-    """The wheels into `s`."""
+def _load_wheels(s, at, which, first, state, commands, world):
+    """Eight wheels into the scratch."""
     for i in range(COUNT):
-        w = state[int(which[i])]
+        w, j = state[int(which[first + i])], at + i
         halted = w.halt_left > 0.0
-        s[_X + i] = s[_START + i] = w.x
-        s[_SPEED + i], s[_WHEEL_SPEED + i], s[_SINKAGE + i] = w.speed, w.wheel_speed, w.sinkage
-        s[_MASS + i], s[_PULL + i], s[_TORQUE + i] = w.mass, w.drawbar_pull, w.torque
-        s[_PULL_V + i], s[_PULL_U + i] = w.pull_by_speed, w.pull_by_rim
-        s[_TORQUE_V + i], s[_TORQUE_U + i] = w.torque_by_speed, w.torque_by_rim
-        s[_COMMAND + i] = 0.0 if halted else commands[i]
-        s[_BY_SPEED + i] = 1.0 if halted or world.speed_command else 0.0
-        s[_WORK + i], s[_LEFT + i] = 0.0, world.period
-        s[_MOTOR + i], s[_AVAILABLE + i], s[_LOAD + i] = w.motor_torque, w.available_torque, w.load
-        s[_BEARING + i] = w.bearing_sinkage
+        s[j + _X] = s[j + _START] = w.x
+        s[j + _SPEED], s[j + _WHEEL_SPEED], s[j + _SINKAGE] = w.speed, w.wheel_speed, w.sinkage
+        s[j + _MASS], s[j + _PULL], s[j + _TORQUE] = w.mass, w.drawbar_pull, w.torque
+        s[j + _PULL_V], s[j + _PULL_U] = w.pull_by_speed, w.pull_by_rim
+        s[j + _TORQUE_V], s[j + _TORQUE_U] = w.torque_by_speed, w.torque_by_rim
+        s[j + _COMMAND] = 0.0 if halted else commands[first + i]
+        s[j + _BY_SPEED] = 1.0 if halted or world.speed_command else 0.0
+        s[j + _WORK], s[j + _LEFT], s[j + _ALIVE] = 0.0, world.period, 1.0
+        s[j + _MOTOR], s[j + _AVAILABLE], s[j + _LOAD] = w.motor_torque, w.available_torque, w.load
+        s[j + _BEARING] = w.bearing_sinkage
 
 
 @inlined
-def _store_wheel(s, g, i, w):
-    """Wheel i of `s` into its state."""
-    w.x, w.speed, w.wheel_speed, w.sinkage = s[_X + i], s[_SPEED + i], s[_WHEEL_SPEED + i], s[_SINKAGE + i]
-    w.drawbar_pull, w.torque, w.load = s[_PULL + i], s[_TORQUE + i], s[_LOAD + i]
-    w.pull_by_speed, w.pull_by_rim = s[_PULL_V + i], s[_PULL_U + i]
-    w.torque_by_speed, w.torque_by_rim = s[_TORQUE_V + i], s[_TORQUE_U + i]
-    w.motor_torque, w.available_torque, w.motor_work = s[_MOTOR + i], s[_AVAILABLE + i], s[_WORK + i]
-    w.bearing_sinkage, w.grade = s[_BEARING + i], g[_GRADE + i]
+def _store_wheel(s, j, grade, w):
+    """A wheel from its place j in the scratch."""
+    w.x, w.speed, w.wheel_speed, w.sinkage = s[j + _X], s[j + _SPEED], s[j + _WHEEL_SPEED], s[j + _SINKAGE]
+    w.drawbar_pull, w.torque, w.load = s[j + _PULL], s[j + _TORQUE], s[j + _LOAD]
+    w.pull_by_speed, w.pull_by_rim = s[j + _PULL_V], s[j + _PULL_U]
+    w.torque_by_speed, w.torque_by_rim = s[j + _TORQUE_V], s[j + _TORQUE_U]
+    w.motor_torque, w.available_torque, w.motor_work = s[j + _MOTOR], s[j + _AVAILABLE], s[j + _WORK]
+    w.bearing_sinkage, w.grade = s[j + _BEARING], grade
     w.converged = 1
 
 
 @kernel
-def advance_eight(state, which, count, commands, courses, streams, world):
-    """`dynamics.advance` of `count` <= 8 wheels, of which[i] with commands[i]; both [8] float64, the rest repeated."""
-    for i in range(count, COUNT):
-        which[i], commands[i] = which[count - 1], commands[count - 1]
+def advance_many(state, which, count, commands, courses, streams, world):
+    """`dynamics.advance` of `count` <= MANY wheels, which[i] with commands[i]; both [MANY] float64.
+
+    The rest of their last block of eight is overwritten.
+    """
     if world.with_effects:
         for i in range(count):
             advance(state, int(which[i]), commands[i], courses, streams, world)
         return
-    s, g, nodes = _wheels(), _ground(), _nodes()
-    _load_wheels(s, which, state, commands, world)
+    blocks = (count + COUNT - 1) // COUNT
+    for i in range(count, blocks * COUNT):
+        which[i], commands[i] = which[count - 1], commands[count - 1]
+    s, g, equations, results = _wheels(), _ground(), _equations(), _results()
+    for b in range(blocks):
+        _load_wheels(s, b * _WHEELS, which, b * COUNT, state, commands, world)
     longest = world.period / world.substeps
-    alive, left = fill(1.0), world.period
+    left = world.period
     while left > 1e-9 * longest:
         h = min(longest, left)
-        _gather_ground(s, g, which, state, courses, world, h)
-        alive = _substep(s, g, nodes, alive, world, h)
+        for b in range(blocks):
+            _gather_ground(s, b * _WHEELS, g, b * _GROUND, which, b * COUNT, state, courses, world, h)
+            _set_up(s, b * _WHEELS, g, b * _GROUND, equations, b * _EQUATIONS, world, h)
+        _solve(equations, count, results, world, h)
+        for b in range(blocks):
+            for i in range(count - b * COUNT, COUNT):  # the repeated
+                for row in range(0, _RESULT, COUNT):
+                    results[b * _RESULT + row + i] = results[b * _RESULT + row]
+            _move(s, b * _WHEELS, g, b * _GROUND, results, b * _RESULT, world, h)
         left -= h
         for i in range(count):
-            k = int(which[i])
+            k, j = int(which[i]), (i // COUNT) * _WHEELS + i % COUNT
             w = state[k]
-            if s[_LEFT + i] > left + 1e-9 * longest:
+            if s[j + _LEFT] > left + 1e-9 * longest:
                 continue
-            cell = cell_at(courses, s[_X + i])
+            cell = cell_at(courses, s[j + _X])
             while w.cell != cell:
-                leave_rut(courses, k, w.cell, s[_SINKAGE + i], s[_BEARING + i])
+                leave_rut(courses, k, w.cell, s[j + _SINKAGE], s[j + _BEARING])
                 w.cell += 1 if cell > w.cell else -1
     for i in range(count):
-        k = int(which[i])
-        _store_wheel(s, g, i, state[k])
-        if s[_LEFT + i] > 1e-9 * longest:
-            drive(state, k, s[_COMMAND + i], s[_BY_SPEED + i] > 0.0, courses, world, s[_LEFT + i])
-        finish(state, k, s[_COMMAND + i], s[_START + i], streams, world)
+        k, j = int(which[i]), (i // COUNT) * _WHEELS + i % COUNT
+        _store_wheel(s, j, g[(i // COUNT) * _GROUND + _GRADE + i % COUNT], state[k])
+        if s[j + _LEFT] > 1e-9 * longest:
+            drive(state, k, s[j + _COMMAND], s[j + _BY_SPEED] > 0.0, courses, world, s[j + _LEFT])
+        finish(state, k, s[j + _COMMAND], s[j + _START], streams, world)

@@ -12,9 +12,9 @@ from soil_env.compiled import Entry, kernel, pasted, take
 from soil_env.crew import crew
 from soil_env.dynamics import WHEEL_STATE, WorldNumbers, settle, world_numbers
 from soil_env.identifier import IdentifierNumbers, Identifiers, forget, identifier_numbers, new_identifiers, observe
-from soil_env.lanes import COUNT, scratch
+from soil_env.lanes import scratch
 from soil_env.loading import ParameterError
-from soil_env.lockstep import advance_eight
+from soil_env.lockstep import MANY, advance_many
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 from soil_env.streams import seed_stream
@@ -30,9 +30,9 @@ from soil_env.terrain import (
     start_course,
 )
 
-_eight = scratch(COUNT)
+_many = scratch(MANY)
 _TRIAL_COURSES = 8
-_CHUNK = 2 * COUNT  # wheels that a thread takes at a time
+_CHUNK = MANY  # wheels that a thread takes at a time
 STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 
@@ -98,7 +98,7 @@ def report(worlds, numbers, k):
 @njit(cache=True, error_model="numpy", _nrt=False, nogil=True)
 def step_chunks(worlds, numbers, commands, what, counter):
     """Wheels by chunks from `counter` [1]: a control period (what[k] = STEP), `restart` (RESTART) or nothing (IDLE)."""
-    which, given = _eight(), _eight()
+    which, given = _many(), _many()
     wheels = what.size
     start = take(counter, _CHUNK)
     while start < wheels:
@@ -109,8 +109,8 @@ def step_chunks(worlds, numbers, commands, what, counter):
                 count += 1
             elif what[k] == RESTART:
                 restart(worlds, numbers, k)
-            if count == COUNT or (count > 0 and k == stop - 1):
-                advance_eight(
+            if count > 0 and k == stop - 1:
+                advance_many(
                     worlds.state, which, count, given, worlds.courses, worlds.streams, numbers.world
                 )  # fmt: skip
                 for i in range(count):

@@ -33,8 +33,14 @@ def start(seed=0, mode="torque", soil=None, grade_deg=None, halts=False, course=
 
 def step(courses, state, world, command):
     """One control period."""
-    lockstep.advance_eight(
-        state, np.zeros(8), 1, np.full(8, float(command)), courses, np.zeros(1, dtype=np.uint64), world
+    lockstep.advance_many(
+        state,
+        np.zeros(lockstep.MANY),
+        1,
+        np.full(lockstep.MANY, float(command)),
+        courses,
+        np.zeros(1, dtype=np.uint64),
+        world,
     )
 
 
