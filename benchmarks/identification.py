@@ -24,7 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import identification_online, identification_page  # noqa: E402
 from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict  # noqa: E402
-from soil_env.identification.solver import POINT_SIZE, WEIGHTS, solve, weigh  # noqa: E402
+from soil_env.identification.point import POINT_SIZE, WEIGHTS, weigh  # noqa: E402
+from soil_env.identification.solver import solve  # noqa: E402
 from soil_env.identification.uniqueness import other_soil  # noqa: E402
 from soil_env.model import steady_state  # noqa: E402
 from soil_env.parameters import Soil, SoilState, soils  # noqa: E402

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from soil_env import contact, identifier, lanes, lockstep, task, terrain
+from soil_env import contact, drawing, elementary, identifier, lanes, lockstep, task
 from soil_env.compiled import Entry, kernel
 from soil_env.identifier import SensorReading
 from soil_env.parameters import load_scenario
@@ -74,7 +74,7 @@ def _ground(worlds, numbers, over):
         if over[k]:
             restart(worlds, numbers, k)
         else:
-            terrain.draw_ahead(k, worlds.courses, w.x, w.mass, numbers.course)
+            drawing.draw_ahead(k, worlds.courses, w.x, w.mass, numbers.course)
 
 
 def parts(wheels: int, steps: int, rounds: int) -> dict:
@@ -149,8 +149,8 @@ def _many_exp(n):
     a = b = c = d = lanes.fill(0.0)
     for i in range(n):
         x = -1e-9 * i
-        a, b = a + lanes.exp_lanes(lanes.fill(x)), b + lanes.exp_lanes(lanes.fill(x - 0.1))
-        c, d = c + lanes.exp_lanes(lanes.fill(x - 0.2)), d + lanes.exp_lanes(lanes.fill(x - 0.3))
+        a, b = a + elementary.exp_lanes(lanes.fill(x)), b + elementary.exp_lanes(lanes.fill(x - 0.1))
+        c, d = c + elementary.exp_lanes(lanes.fill(x - 0.2)), d + elementary.exp_lanes(lanes.fill(x - 0.3))
     return lanes.total(a + b + c + d)
 
 
@@ -159,8 +159,8 @@ def _many_log(n):
     a = b = c = d = lanes.fill(0.0)
     for i in range(n):
         x = 1.0 + 1e-9 * i
-        a, b = a + lanes.log_lanes(lanes.fill(x)), b + lanes.log_lanes(lanes.fill(x + 0.1))
-        c, d = c + lanes.log_lanes(lanes.fill(x + 0.2)), d + lanes.log_lanes(lanes.fill(x + 0.3))
+        a, b = a + elementary.log_lanes(lanes.fill(x)), b + elementary.log_lanes(lanes.fill(x + 0.1))
+        c, d = c + elementary.log_lanes(lanes.fill(x + 0.2)), d + elementary.log_lanes(lanes.fill(x + 0.3))
     return lanes.total(a + b + c + d)
 
 
@@ -169,11 +169,11 @@ def _many_sin_cos(n):
     a = b = c = d = lanes.fill(0.0)
     for i in range(n):
         x = 1e-9 * i
-        s, t = lanes.half_sin_cos(lanes.fill(x))
-        u, v = lanes.half_sin_cos(lanes.fill(x + 0.1))
+        s, t = elementary.half_sin_cos(lanes.fill(x))
+        u, v = elementary.half_sin_cos(lanes.fill(x + 0.1))
         a, b, c, d = a + s, b + t, c + u, d + v
-        s, t = lanes.half_sin_cos(lanes.fill(x + 0.2))
-        u, v = lanes.half_sin_cos(lanes.fill(x + 0.3))
+        s, t = elementary.half_sin_cos(lanes.fill(x + 0.2))
+        u, v = elementary.half_sin_cos(lanes.fill(x + 0.3))
         a, b, c, d = a + s, b + t, c + u, d + v
     return lanes.total(a + b + c + d)
 
@@ -183,8 +183,8 @@ def _many_fma(n):
     a = b = c = d = e = f = g = h = lanes.fill(1e-3 * n)
     x, y = lanes.fill(0.999 - 1e-9 * n), lanes.fill(1e-3 + 1e-9 * n)
     for _ in range(n):
-        a, b, c, d = lanes.fma(a, x, y), lanes.fma(b, x, a), lanes.fma(c, x, b), lanes.fma(d, x, c)
-        e, f, g, h = lanes.fma(e, y, x), lanes.fma(f, y, e), lanes.fma(g, y, f), lanes.fma(h, y, g)
+        a, b, c, d = elementary.fma(a, x, y), elementary.fma(b, x, a), elementary.fma(c, x, b), elementary.fma(d, x, c)
+        e, f, g, h = elementary.fma(e, y, x), elementary.fma(f, y, e), elementary.fma(g, y, f), elementary.fma(h, y, g)
     return lanes.total(a + b + c + d + e + f + g + h)
 
 
@@ -200,11 +200,14 @@ def _many_scalar(n):
 _RATES = {"exp": (_many_exp, 4), "log": (_many_log, 4), "sin_cos": (_many_sin_cos, 4), "fma": (_many_fma, 8),
           "scalar": (_many_scalar, 4)}  # fmt: skip
 
-#: Operations on eight lanes that each piece of work cannot do without, counted in the code, and scalar functions.
+#: Operations on eight lanes that each piece of work of a wheel cannot do without, counted in the code, and scalar
+#: functions. In lockstep eight wheels share an operation.
 WORK = {
+    "store_arcs": {"sin_cos": 17 / 8, "log": 8 / 8, "exp": 8 / 8, "fma": 8 * 20 / 8},
+    "arcs_integrals": {"exp": 16 / 8, "fma": (8 * 59 + 190) / 8},  # with the reaction and a step of Newton's method
+    "rest of a substep": {"sin_cos": 1 / 8, "log": 1 / 8, "exp": 2 / 8, "fma": 80 / 8},
     "arc_nodes": {"sin_cos": 3, "log": 1, "exp": 1, "fma": 34, "scalar": 1},
     "shear_integrals": {"exp": 2, "fma": 101, "scalar": 0},  # 46 products and sums, 55 for the 20 sums over lanes
-    "rest of a substep": {"scalar": 5},  # sin and cos of the grade, a power (2), the relaxation
     "noise": {"log": 1, "sin_cos": 1, "fma": 10},
     "store_nodes": {"sin_cos": 17, "log": 8, "exp": 8, "fma": 8 * 22 + 30},
     "stored_integrals": {"exp": 16, "fma": 8 * 45 + 80},
@@ -229,7 +232,7 @@ def limit(rounds: int, repeats: int, solves: float = 0.28, patches: float = 0.00
     cost = {piece: sum(ns[op]["low"] * count for op, count in ops.items()) for piece, ops in WORK.items()}
     evaluation = cost["arc_nodes"] + cost["shear_integrals"]
     pieces = {
-        "dynamics": SUBSTEPS * (evaluation + cost["rest of a substep"]),
+        "dynamics": SUBSTEPS * (cost["store_arcs"] + cost["arcs_integrals"] + cost["rest of a substep"]),
         "sensors": cost["noise"],
         "identification": ns["scalar"]["low"] + solves * sum(cost[piece] * count for piece, count in SOLVES.items()),
         "ground": patches * STEADY_STATES * EVALUATIONS * evaluation,

@@ -22,9 +22,7 @@ import numpy as np
 
 from soil_env.compiled import inlined, kernel, pasted
 from soil_env.effects import excavation_rate
-from soil_env.identification.solver import (
-    BLOCK,
-    DIG,
+from soil_env.identification.point import (
     DIG_RATIO,
     DRAWBAR_PULL,
     LOAD,
@@ -34,25 +32,10 @@ from soil_env.identification.solver import (
     SLIP,
     TORQUE,
     Reading,
-    Status,
-    dot,
-    prepare,
-    solve_prepared,
     weigh,
-    whitened_block,
 )
-from soil_env.lanes import (
-    COUNT,
-    fill,
-    first,
-    from_array,
-    lane,
-    scratch,
-    smallest,
-    to_array,
-    totals,
-    transposed,
-)
+from soil_env.identification.solver import BLOCK, DIG, Status, dot, prepare, solve_prepared, whitened_block
+from soil_env.lanes import COUNT, fill, first, from_array, lane, scratch, smallest, to_array, totals, transposed
 from soil_env.parameters import Scenario
 
 _work = scratch(BLOCK)

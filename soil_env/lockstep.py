@@ -9,27 +9,25 @@ up to `MANY`. A wheel whose iteration fails goes on alone, by `dynamics.drive`, 
 
 from __future__ import annotations
 
-from soil_env.arcs import ARCS, Arcs, arcs_integrals, store_arcs
+from soil_env.arcs import ARCS, Arcs, arcs_integrals, entry_angle_of_many, store_arcs
 from soil_env.compiled import inlined, kernel
-from soil_env.contact import entry_angle_of_many, motion_from_speeds
+from soil_env.contact import motion_from_speeds
 from soil_env.dynamics import (
     FORETOLD,
-    REST_SPEED,
     SHORT,
     TOLERANCE,
-    Reaction,
     advance,
     bearing_sinkage,
     drive,
     finish,
     motor,
-    moved,
     newton_step,
-    reaction_from,
     relax_sinkage,
 )
-from soil_env.lanes import COUNT, fill, from_array, half_sin_cos, larger, scratch, smaller, to_array, total, where_less
+from soil_env.elementary import half_sin_cos, larger, smaller, where_less
+from soil_env.lanes import COUNT, fill, from_array, scratch, to_array, total
 from soil_env.parameters import SoilState
+from soil_env.reaction import REST_SPEED, Reaction, moved, reaction_from
 from soil_env.terrain import cell_at, ground_at, leave_rut
 
 MANY = 4 * COUNT  # wheels that `advance_many` takes at most

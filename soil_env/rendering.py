@@ -33,16 +33,16 @@ from soil_env.canvas import (
     Canvas,
     soil_colour,
 )
+from soil_env.charts import SPAN, draw_charts, nice, ticks
 from soil_env.contact import arc_node, entry_angle, mirror_angle, motion_from_speeds, relative_stress
-from soil_env.dynamics import REST_SPEED, reaction
 from soil_env.identification import Status
 from soil_env.model import sinkage_coefficient_at
 from soil_env.parameters import Scenario
+from soil_env.reaction import REST_SPEED, reaction
 from soil_env.task import Cause
 from soil_env.terrain import CELL, ground_at
 
 MODES = ("rgb_array", "human")
-SPAN = 30.0  # [s] shown by the charts
 _POINTS = 600  # of the history, at most
 _VIEW = 8.5  # [radii] width of the side view
 _WHEEL_AT = (0.46, 0.6)  # place of the ground under the wheel in the side view, from left and top
@@ -51,7 +51,6 @@ _ARC_POINTS = 25
 # Boxes of the layout: (left, top, width, height)
 SCENE = (14, 92, 548, 304)
 COURSE = (32, 448, 512, 66)
-CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
 
 
 class Stresses(NamedTuple):
@@ -156,7 +155,7 @@ class Renderer:
         _draw_scene(self._canvas, simulation, k, self._profile, bounds, self._angle)
         _draw_readings(self._canvas, simulation, k, bounds)
         _draw_course(self._canvas, simulation, k, self._profile, bounds)
-        _draw_charts(self._canvas, np.array(self._history).reshape(-1, 12).T)
+        draw_charts(self._canvas, np.array(self._history).reshape(-1, 12).T)
         surface = self._canvas.finish()
         if self.mode == "human":
             self._window.get_surface().blit(surface, (0, 0))
@@ -215,7 +214,7 @@ def _draw_scene(c: Canvas, simulation, k: int, profile: _Profile, bounds, angle:
     _draw_stresses(c, at(*hub), r * scale, grade, side, stresses, 0.45 * r * scale / typical)
     c.clip(None)
     c.box(SCENE, None, GRID)
-    bar, right, y = _nice(0.25 * _VIEW * r), SCENE[0] + SCENE[2] - 14, SCENE[1] + 22
+    bar, right, y = nice(0.25 * _VIEW * r), SCENE[0] + SCENE[2] - 14, SCENE[1] + 22
     left = right - bar * scale
     for ends in ([(left, y), (right, y)], [(left, y - 4), (left, y + 4)], [(right, y - 4), (right, y + 4)]):
         c.lines(ends, INK, 2)
@@ -328,7 +327,7 @@ def _draw_course(c: Canvas, simulation, k: int, profile: _Profile, bounds) -> No
     c.soil(np.stack([left + width * x / length, y], axis=1), top + height, friction, bounds)
     wheel = min(max(float(simulation.worlds.state[k]["x"]), 0.0), length)
     c.circle((left + width * wheel / length, float(np.interp(wheel, x, y)) - 5), 5, RIM)
-    for tick in _ticks(0.0, length, _nice(length / 5.0)):
+    for tick in ticks(0.0, length, nice(length / 5.0)):
         c.text(left + width * tick / length, top + height + 10, f"{tick:g} m", 14, GREY, 0.5)
     c.text(14, 434, "course", 15, GREY)
     c.text(424, 434, f"φ  {bounds[0]:.0f}°", 14, GREY, 1.0)
@@ -337,91 +336,7 @@ def _draw_course(c: Canvas, simulation, k: int, profile: _Profile, bounds) -> No
         c.box((430 + 2 * i, 429, 2.5, 10), colour)
 
 
-def _draw_charts(c: Canvas, history: np.ndarray) -> None:
-    """Slip and sinkage, then phi, K and S, estimated and true, from the history [12, samples]."""
-    end = max(SPAN, history[0].max(initial=0.0))
-    history = history[:, history[0] >= end - SPAN - 1e-9]
-    time, slip, sinkage = history[:3]
-    low = -1.0 if slip.min(initial=0.0) < -0.25 else -0.25
-    x, y, _, h = CHARTS[0]
-    _draw_chart(c, CHARTS[0], end, time, (low, 1.0), False, [(sinkage, GREEN), (slip, INK)])
-    c.text(x, y - 11, "slip [-]", 16)
-    c.text(x + 62, y - 11, "sinkage / radius [-]", 16, GREEN)
-    names = "friction angle φ [deg]", "shear modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
-    for i, name in enumerate(names):
-        estimate, sd, true = history[3 + i], history[6 + i], history[9 + i]
-        low, high, estimate, true = (_readable(v, i) for v in (estimate - sd, estimate + sd, estimate, true))
-        limits = _limits(np.concatenate([low, high, true]), i > 0)
-        _draw_chart(c, CHARTS[i + 1], end, time, limits, i > 0, [(true, ORANGE), (estimate, BLUE)], (low, high))
-        c.text(x, CHARTS[i + 1][1] - 11, name, 16)
-    right, y = x + CHARTS[1][2], CHARTS[1][1] - 11
-    c.box((right - 146, y - 5, 16, 10), LIGHT_BLUE)
-    for place, words, colour in ((right - 146, "estimate ± sd", BLUE), (right - 44, "true", ORANGE)):
-        c.lines([(place, y), (place + 16, y)], colour, 2)
-        c.text(place + 20, y, words, 15, colour)
-    for t in _ticks(end - SPAN, end, 5.0):
-        c.text(x + CHARTS[3][2] * (t - end + SPAN) / SPAN, CHARTS[3][1] + h + 10, f"{t:g}", 14, GREY, 0.5)
-    c.text(x + 0.5 * CHARTS[3][2], CHARTS[3][1] + h + 24, "time [s]", 15, GREY, 0.5)
-
-
-def _draw_chart(c: Canvas, box, end, time, limits, log, lines, band=None) -> None:
-    """A strip chart of `SPAN` seconds up to `end` [s]: (values, colour) of each line, (lower, upper) of a band."""
-    left, top, width, height = box
-    of = np.log if log else np.asarray
-    low, high = of(limits)
-
-    def at(t, values):
-        share = (of(values) - low) / (high - low)
-        return np.stack([left + width * (1.0 + (t - end) / SPAN), top + height * (1.0 - share.clip(0.0, 1.0))], axis=-1)
-
-    c.box(box, WHITE)
-    for t in _ticks(end - SPAN, end, 5.0):
-        c.lines(at(np.array([t, t]), limits), GRID, 1)
-    for v in _log_ticks(*limits) if log else _ticks(*limits, _nice((limits[1] - limits[0]) / 2.4)):
-        ends = at(np.array([end - SPAN, end]), [v, v])
-        c.lines(ends, GRID, 1)
-        c.text(left - 6, ends[0, 1], f"{v:g}", 14, GREY, 1.0)
-    c.lines([(left, top), (left, top + height), (left + width, top + height)], GREY, 1)
-    if band is not None and time.size > 1:
-        c.polygon([*at(time, band[0]), *at(time, band[1])[::-1]], LIGHT_BLUE)
-    for values, colour in lines:
-        c.lines(at(time, values), colour, 1.8)
-
-
-def _readable(values: np.ndarray, i: int) -> np.ndarray:
-    """phi [deg], K [mm] or S [MN/m^(n+2)], for i = 0, 1, 2, from phi [rad] or the logarithm of K or S in SI units."""
-    return np.degrees(values) if i == 0 else (1e3, 1e-6)[i - 1] * np.exp(np.clip(values, -50.0, 50.0))
-
-
 def _friction_range(scenario: Scenario, simulation) -> tuple[float, float]:
     """Range of phi [deg] that the soil colours span: that of the scenario's presets and two deviations more."""
     phi, spread = np.degrees(np.arctan(simulation.numbers.course.library[:, 0])), 2.0 * scenario.spread.friction + 0.02
     return float(phi.min() * (1.0 - spread)), float(phi.max() * (1.0 + spread))
-
-
-def _nice(value: float) -> float:
-    """The largest of 1, 2, 5, 10, ... not above `value`."""
-    decade = 10.0 ** math.floor(math.log10(value))
-    return decade * max(m for m in (1.0, 2.0, 5.0) if m * decade <= value * (1.0 + 1e-9))
-
-
-def _ticks(low: float, high: float, step: float) -> list[float]:
-    """Multiples of `step` in [low, high]."""
-    return [i * step for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
-
-
-def _log_ticks(low: float, high: float) -> list[float]:
-    """Decades in [low, high], with 2 and 5 between them where there are at most two decades."""
-    parts = (1.0, 2.0, 5.0) if high <= 101.0 * low else (1.0,)
-    decades = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
-    return [m * 10.0**d for d in decades for m in parts if 0.999 * low <= m * 10.0**d <= 1.001 * high]
-
-
-def _limits(values: np.ndarray, log: bool) -> tuple[float, float]:
-    """Limits of a value axis: 1, 2, 5, 10, ... and a decade at least when log, else multiples of 5 and at least 10."""
-    low, high = (values.min(), values.max()) if values.size else (1.0, 1.0)
-    if log:
-        low = _nice(low)
-        return low, 1.0 / _nice(1.0 / max(high, 10.0 * low))
-    low = 5.0 * math.floor(low / 5.0)
-    return low, max(5.0 * math.ceil(high / 5.0), low + 10.0)

@@ -10,6 +10,7 @@ from numba import njit
 
 from soil_env.compiled import Entry, kernel, pasted, take
 from soil_env.crew import crew
+from soil_env.drawing import CourseNumbers, course_numbers, draw_ahead, draw_course, extend_course, start_course
 from soil_env.dynamics import WHEEL_STATE, WorldNumbers, settle, world_numbers
 from soil_env.identifier import IdentifierNumbers, Identifiers, forget, identifier_numbers, new_identifiers, observe
 from soil_env.lanes import scratch
@@ -19,16 +20,7 @@ from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 from soil_env.streams import seed_stream
 from soil_env.task import REWARD_TERMS, Cause, TaskNumbers, judge, reward_terms, sense, task_numbers, write_observation
-from soil_env.terrain import (
-    CourseNumbers,
-    Courses,
-    course_numbers,
-    draw_ahead,
-    draw_course,
-    extend_course,
-    new_courses,
-    start_course,
-)
+from soil_env.terrain import Courses, new_courses
 
 _many = scratch(MANY)
 _TRIAL_COURSES = 8

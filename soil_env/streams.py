@@ -12,7 +12,8 @@ import math
 import numpy as np
 
 from soil_env.compiled import inlined, kernel
-from soil_env.lanes import half_sin_cos, lane, log_lanes, made_of, sqrt_lanes
+from soil_env.elementary import half_sin_cos, log_lanes, sqrt_lanes
+from soil_env.lanes import lane, made_of
 
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)

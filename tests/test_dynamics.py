@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from soil_env import dynamics, lockstep, terrain
+from soil_env import drawing, dynamics, lockstep, reaction, terrain
 from soil_env.parameters import load_scenario, soils
 from soil_env.streams import seed_stream
 
@@ -19,7 +19,7 @@ def start(seed=0, mode="torque", soil=None, grade_deg=None, halts=False, course=
     scenario = load_scenario("mixed", {"control": {"action": mode}, "course": course or {}})
     courses, world = terrain.new_courses(1, scenario), dynamics.world_numbers(scenario)
     words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
-    mass = terrain.draw_course(0, courses, words, terrain.course_numbers(scenario))
+    mass = drawing.draw_course(0, courses, words, drawing.course_numbers(scenario))
     if soil is not None:
         courses.soils[0, :] = soils()[soil].state(world.width)
     if grade_deg is not None:
@@ -120,12 +120,12 @@ def test_reaction_rates_against_central_differences(seed):
     v, u = rng.uniform(-1.0, 1.0, 2) * scale
 
     def forces(v, u):
-        return np.array(dynamics.reaction(v, u, sinkage, load, soil, 0.15, 0.15)[1:3])
+        return np.array(reaction.reaction(v, u, sinkage, load, soil, 0.15, 0.15)[1:3])
 
     d = 1e-7
     by_v = (forces(v + d, u) - forces(v - d, u)) / (2 * d)
     by_u = (forces(v, u + d) - forces(v, u - d)) / (2 * d)
-    found = dynamics.reaction(v, u, sinkage, load, soil, 0.15, 0.15)
+    found = reaction.reaction(v, u, sinkage, load, soil, 0.15, 0.15)
     size = np.abs([by_v, by_u]).max()
     np.testing.assert_allclose([found.dp_v, found.torque_v], by_v, rtol=1e-4, atol=1e-4 * size)
     np.testing.assert_allclose([found.dp_u, found.torque_u], by_u, rtol=1e-4, atol=1e-4 * size)
@@ -136,7 +136,7 @@ def test_reaction_carries_the_load(seed):
     rng = np.random.default_rng(seed)
     soil = soils()["lete_sand"].state(0.15)
     v, u = rng.uniform(-0.5, 0.5, 2)
-    found = dynamics.reaction(v, u, 0.03, 120.0, soil, 0.15, 0.15)
+    found = reaction.reaction(v, u, 0.03, 120.0, soil, 0.15, 0.15)
     assert found.modulus > 0.0
     assert found.load == pytest.approx(120.0, rel=1e-9)
 
@@ -232,7 +232,7 @@ def test_idle_wheel_stays_on_gentle_ground(soil):
     for grade_deg in (-2.0, 0.0, 2.0):
         courses, state, world = start(soil=soil, grade_deg=grade_deg)
         drive(courses, state, world, [0.0] * 100)
-        assert abs(state[0]["speed"]) < dynamics.REST_SPEED
+        assert abs(state[0]["speed"]) < reaction.REST_SPEED
         assert abs(state[0]["x"]) < 0.03
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from soil_env import dynamics, effects, model
+from soil_env import dynamics, effects, model, reaction
 from soil_env.catalogue import CATALOGUE
 from soil_env.contact import motion_from_slip
 from soil_env.effects import NO_EFFECTS, pack_effects
@@ -75,7 +75,7 @@ def test_spinning_on_the_spot_excavates(name):
     rest = model.steady_state(0.0, LOAD, soil, R, B).sinkage
     sinkage = rest
     for _ in range(20):
-        modulus = dynamics.reaction(0.0, 0.4, sinkage, LOAD, soil, R, B).modulus
+        modulus = reaction.reaction(0.0, 0.4, sinkage, LOAD, soil, R, B).modulus
         bearing = dynamics.bearing_sinkage(sinkage, modulus, soil)
         deeper = dynamics.relax_sinkage(sinkage, bearing, 0.0, 0.4, soil, LENGTH, 0.05)
         assert deeper > sinkage

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from soil_env import identification, identifier
 from soil_env.dynamics import advance
 from soil_env.identification import LOWER, UPPER, Status
-from soil_env.identification.solver import weigh
+from soil_env.identification.point import weigh
 from soil_env.identifier import SensorReading
 from soil_env.model import steady_state
 from soil_env.parameters import load_scenario, soils

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba.core.errors import NumbaError
 
-from soil_env import lanes
+from soil_env import elementary, lanes
 from soil_env.compiled import kernel
 
 
@@ -17,15 +17,15 @@ def over(which, x, out):
         a = lanes.from_array(x, i)
         b = a
         if which == 0:
-            a = lanes.exp(a)
+            a = elementary.exp(a)
         elif which == 1:
-            a = lanes.log_lanes(a)
+            a = elementary.log_lanes(a)
         elif which == 2:
-            a, b = lanes.half_sin_cos(a)
+            a, b = elementary.half_sin_cos(a)
         elif which == 3:
-            a = lanes.asin_root(a)
+            a = elementary.asin_root(a)
         elif which == 4:
-            a = lanes.copysign(lanes.fill(2.0), a)
+            a = elementary.copysign(lanes.fill(2.0), a)
         lanes.to_array(a, out[0], i)
         lanes.to_array(b, out[1], i)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soil_env import dynamics, lockstep, terrain
+from soil_env import drawing, dynamics, lockstep, terrain
 from soil_env.parameters import load_scenario
 from soil_env.streams import seed_stream
 
@@ -13,11 +13,11 @@ WHEELS = 21
 def worlds(mode="torque"):
     """(courses, state, streams, numbers) of wheels at rest, each on its own random course."""
     scenario = load_scenario("mixed", {"control": {"action": mode}})
-    courses, numbers = terrain.new_courses(WHEELS, scenario), terrain.course_numbers(scenario)
+    courses, numbers = terrain.new_courses(WHEELS, scenario), drawing.course_numbers(scenario)
     world, state = dynamics.world_numbers(scenario), np.zeros(WHEELS, dynamics.WHEEL_STATE)
     streams = np.array([seed_stream(np.random.default_rng(k)) for k in range(WHEELS)], dtype=np.uint64)
     for k in range(WHEELS):
-        mass = terrain.draw_course(k, courses, streams, numbers)
+        mass = drawing.draw_course(k, courses, streams, numbers)
         dynamics.settle(state, k, mass, courses, streams, world)
     return courses, state, streams, world
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from soil_env import dynamics, model
+from soil_env import dynamics, model, reaction
 from soil_env.contact import motion_from_slip
 from soil_env.effects import slip_sinkage_ratio
 from soil_env.parameters import SoilState, soils
@@ -71,7 +71,7 @@ def test_slip_sinkage_is_that_of_lyasko(name, slip):
     soil = soils()[name].state(B)._replace(dig_gain=1.5, dig_recovery=0.5)
     found = model.steady_state(slip, 100.0, soil, R, B)
     rim, travel = motion_from_slip(slip)
-    modulus = dynamics.reaction(1e3 * travel, 1e3 * rim, found.sinkage, 100.0, soil, R, B).modulus
+    modulus = reaction.reaction(1e3 * travel, 1e3 * rim, found.sinkage, 100.0, soil, R, B).modulus
     bearing = found.sinkage * (modulus / soil.sinkage_coefficient) ** (1.0 / soil.sinkage_exponent)
     assert found.sinkage / bearing == pytest.approx((1.0 + slip) / (1.0 - 0.5 * slip), rel=1e-4)
 
@@ -149,7 +149,7 @@ def test_the_dynamics_settle_at_the_steady_state(name, slip):
     speed, rim_speed, step = 100.0 * travel, 100.0 * rim, 2e-4
     sinkage = model.steady_state(0.0, 120.0, soil, R, B).sinkage
     for _ in range(1500):
-        modulus = dynamics.reaction(speed, rim_speed, sinkage, 120.0, soil, R, B).modulus
+        modulus = reaction.reaction(speed, rim_speed, sinkage, 120.0, soil, R, B).modulus
         bearing = dynamics.bearing_sinkage(sinkage, modulus, soil)
         sinkage = dynamics.relax_sinkage(sinkage, bearing, speed, rim_speed - speed, soil, 2.0 * R, step)
     assert sinkage == pytest.approx(model.steady_state(slip, 120.0, soil, R, B).sinkage, rel=1e-3)

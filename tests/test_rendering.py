@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from soil_env import rendering
+from soil_env import charts, rendering
 from soil_env.parameters import load_scenario
 from soil_env.rendering import Renderer, contact_stresses
 from soil_env.simulation import Simulation
@@ -237,7 +237,7 @@ def test_charts_cover_thirty_seconds_whatever_the_period(period):
         renderer.record(simulation, 0)
     times = np.array(renderer._history)[:, 0]
     assert len(times) <= 602
-    assert times[-1] - times[0] >= rendering.SPAN - 0.2
+    assert times[-1] - times[0] >= charts.SPAN - 0.2
     renderer.draw(simulation, 0)
 
 
@@ -245,7 +245,7 @@ def test_estimate_and_truth_are_drawn_apart():
     simulation, renderer = start()
     drive(simulation, renderer, 150)
     picture = renderer.draw(simulation, 0)
-    for x, y, w, h in rendering.CHARTS[1:]:
+    for x, y, w, h in charts.CHARTS[1:]:
         chart = picture[y : y + h, x + 2 : x + w]
         assert near(chart, rendering.BLUE, 30).sum() > 60
         assert near(chart, rendering.ORANGE, 40).sum() > 60

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from soil_env import terrain
+from soil_env import drawing, terrain
 from soil_env.model import steady_state
 from soil_env.parameters import ParameterError, SoilState, load_scenario, soils
 from soil_env.streams import seed_stream
@@ -18,7 +18,7 @@ def draw(seed, scenario):
     """(courses, mass) of one course."""
     courses = terrain.new_courses(1, scenario)
     words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
-    return courses, terrain.draw_course(0, courses, words, terrain.course_numbers(scenario))
+    return courses, drawing.draw_course(0, courses, words, drawing.course_numbers(scenario))
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_drawing_again_forgets_the_last_course(scenario):
     courses, _ = draw(3, scenario)
     courses.modulus[0, 5], courses.rut[0, 5] = 0.5, 0.1
     words = np.array([seed_stream(np.random.default_rng(4))], dtype=np.uint64)
-    terrain.draw_course(0, courses, words, terrain.course_numbers(scenario))
+    drawing.draw_course(0, courses, words, drawing.course_numbers(scenario))
     fresh, _ = draw(4, scenario)
     p = fresh.patches[0]
     assert courses.patches[0] == p
@@ -71,9 +71,9 @@ LONG = {"course": {"length": 40.0, "grade_deg": [-20.0, 35.0], "margin": [0.1, 0
 
 def started(seed, scenario):
     """(courses, mass, numbers) of a course of which no more is drawn than its start."""
-    courses, numbers = terrain.new_courses(1, scenario), terrain.course_numbers(scenario)
+    courses, numbers = terrain.new_courses(1, scenario), drawing.course_numbers(scenario)
     words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
-    return courses, terrain.start_course(0, courses, words, numbers), numbers
+    return courses, drawing.start_course(0, courses, words, numbers), numbers
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -86,7 +86,7 @@ def test_a_course_drawn_piece_by_piece_is_that_drawn_at_once(seed):
     while not np.isinf(courses.ready[0]):
         x += rng.uniform(0.0, 3.0)
         before = courses.patches[0]
-        assert terrain.extend_course(0, courses, mass, x, numbers)
+        assert drawing.extend_course(0, courses, mass, x, numbers)
         pieces += courses.patches[0] > before
     assert pieces > 5
     for name, a, b in zip(terrain.Courses._fields, courses, whole, strict=True):
@@ -107,7 +107,7 @@ def test_ground_up_to_ready_is_final():
             x = np.linspace(0.0, courses.ready[0], 40)
             before = [terrain.ground_at(courses, 0, at, 0, scenario.course.border)[:2] for at in x]
             last, grade = courses.patches[0] - 1, courses.grades[0, courses.patches[0] - 1]
-            terrain.extend_course(0, courses, mass, courses.ready[0] + 1e-9, numbers)
+            drawing.extend_course(0, courses, mass, courses.ready[0] + 1e-9, numbers)
             assert [terrain.ground_at(courses, 0, at, 0, scenario.course.border)[:2] for at in x] == before
             changed += courses.grades[0, last] != grade
     assert changed > 10
@@ -118,26 +118,26 @@ def test_cells_are_cleared_with_their_patch():
     courses, _ = draw(3, scenario)
     courses.modulus[:], courses.rut[:] = 0.5, 0.1
     words = np.array([seed_stream(np.random.default_rng(4))], dtype=np.uint64)
-    numbers = terrain.course_numbers(scenario)
-    mass = terrain.start_course(0, courses, words, numbers)
+    numbers = drawing.course_numbers(scenario)
+    mass = drawing.start_course(0, courses, words, numbers)
     for _ in range(8):
         drawn = terrain.cell_at(courses, courses.edges[0, courses.patches[0]]) + 1
         assert np.all(courses.modulus[0, :drawn] == 1.0) and np.all(courses.rut[0, :drawn] == 0.0)
         courses.rut[0, :drawn] = 0.0
-        terrain.extend_course(0, courses, mass, courses.ready[0] + 1e-9, numbers)
+        drawing.extend_course(0, courses, mass, courses.ready[0] + 1e-9, numbers)
 
 
 def test_where_no_soil_is_passable_the_patch_before_goes_on(scenario):
     courses, mass, numbers = started(3, scenario)
     p = courses.patches[0]
     mud = numbers._replace(library=numbers.library * [1.0, 1.0, 1.0, 1e-3, 1.0, 1.0, 1.0])
-    assert not terrain.extend_course(0, courses, mass, np.inf, mud)
+    assert not drawing.extend_course(0, courses, mass, np.inf, mud)
     n = courses.patches[0]
     assert n > p and courses.edges[0, n] >= scenario.course.length
     assert np.all(courses.soils[0, p:n] == courses.soils[0, p - 1]) and np.all(
         courses.grades[0, p:n] == courses.grades[0, p - 1]
     )
-    assert terrain.draw_course(0, courses, np.zeros(1, dtype=np.uint64), mud) == -1.0
+    assert drawing.draw_course(0, courses, np.zeros(1, dtype=np.uint64), mud) == -1.0
 
 
 # --- passable by construction -----------------------------------------------------------------------------------------
@@ -270,7 +270,7 @@ def test_drawn_soils_are_positive(drawn):
 @pytest.mark.parametrize("share", [0.2, 0.35])
 def test_soils_stay_physical_under_the_widest_scatter(share):
     spread = {"friction": share, "cohesion": 1.0, "shear_modulus": 1.5, "stiffness": 1.5, "exponent": 0.3}
-    numbers = terrain.course_numbers(load_scenario("mixed", {"spread": spread}))
+    numbers = drawing.course_numbers(load_scenario("mixed", {"spread": spread}))
     rows = sample(numbers, 2000)
     assert np.all(np.isfinite(rows)) and np.all(rows > 0.0)
     assert rows[:, 0].max() < math.tan(math.radians(75.0))
@@ -278,7 +278,7 @@ def test_soils_stay_physical_under_the_widest_scatter(share):
 
 def sample(numbers, count=20_000):
     words = np.array([seed_stream(np.random.default_rng(0))], dtype=np.uint64)
-    return np.array([terrain.draw_soil(words, 0, numbers) for _ in range(count)])
+    return np.array([drawing.draw_soil(words, 0, numbers) for _ in range(count)])
 
 
 @pytest.fixture(scope="module")
@@ -286,7 +286,7 @@ def lete_sand():
     """(scenario, sampled quantities [n, 5] that scatter, exponents [n], their preset values)."""
     spread = {"shear_modulus": 0.4, "dig_gain": 0.4}
     scenario = load_scenario("mixed", {"soils": {"lete_sand": 1}, "spread": spread})
-    rows, preset = sample(terrain.course_numbers(scenario)), soils()["lete_sand"].state(scenario.wheel.width)
+    rows, preset = sample(drawing.course_numbers(scenario)), soils()["lete_sand"].state(scenario.wheel.width)
 
     def scattering(s):
         pressure = s[3] * scenario.spread.reference_sinkage ** s[4]
@@ -321,7 +321,7 @@ def test_presets_are_drawn_by_weight():
     changes = {"soils": {"dry_sand": 3, "snow": 1, "lete_sand": 0}, "spread": dict.fromkeys(
         ("friction", "cohesion", "shear_modulus", "stiffness", "dig_gain", "exponent"), 0.0)}  # fmt: skip
     scenario = load_scenario("mixed", changes)
-    cohesions = sample(terrain.course_numbers(scenario), 4000)[:, 1]
+    cohesions = sample(drawing.course_numbers(scenario), 4000)[:, 1]
     assert set(np.round(cohesions)) == {1040.0, 1030.0}
     assert np.mean(np.round(cohesions) == 1040.0) == pytest.approx(0.75, abs=0.03)
 

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from numba import njit
 
-from soil_env import dynamics, terrain
+from soil_env import drawing, dynamics, reaction, terrain
 from soil_env.catalogue import CATALOGUE
 from soil_env.contact import arc_nodes
 from soil_env.effects import NO_EFFECTS, acting, pack_effects
@@ -99,15 +99,15 @@ def drive(courses, state, world, command, periods):
 
 @njit
 def ground_of(state, soil, grade, passes, world):
-    return dynamics.ground_with_effects(state[0], soil, grade, passes, world)
+    return reaction.ground_with_effects(state[0], soil, grade, passes, world)
 
 
 @njit
-def reaction(ground, v, u, load, world):
+def react(ground, v, u, load, world):
     nodes = arc_nodes(
         ground.theta1, ground.theta2, ground.thetam, ground.soil.sinkage_exponent, ground.radius, ground.sheared_from
     )
-    return dynamics.react(nodes, ground, v, u, load, world)
+    return reaction.react(nodes, ground, v, u, load, world)
 
 
 @njit
@@ -207,11 +207,11 @@ def test_rates_of_the_reaction_against_central_differences(case):
         load, ground = rng.uniform(50.0, 250.0), ground_of(state, soil, 0.1, 2.0, world)
 
         def forces(v, u, load=load, ground=ground):
-            return np.array(reaction(ground, v, u, load, world)[1:4])
+            return np.array(react(ground, v, u, load, world)[1:4])
 
         by_v = (forces(v + d, u) - forces(v - d, u)) / (2.0 * d)
         by_u = (forces(v, u + d) - forces(v, u - d)) / (2.0 * d)
-        f = reaction(ground, v, u, load, world)
+        f = react(ground, v, u, load, world)
         size = 1e-3 * np.maximum(np.abs(by_v), np.abs(by_u)) + 1e-6
         assert np.all(np.abs([f.dp_v, f.torque_v, f.modulus_v] - by_v) <= size)
         assert np.all(np.abs([f.dp_u, f.torque_u, f.modulus_u] - by_u) <= size)
@@ -236,7 +236,7 @@ def test_recorded_forces_are_those_of_the_motion(case):
         push = w["drawbar_pull"] - w["mass"] * world.gravity * math.sin(w["grade"])
         if abs(w["speed"] - v0 - h * push / w["mass"]) > met:
             continue  # went in several substeps
-        f = reaction(ground, w["speed"], w["wheel_speed"] * world.radius, load, world)
+        f = react(ground, w["speed"], w["wheel_speed"] * world.radius, load, world)
         assert w["drawbar_pull"] - f.drawbar_pull == pytest.approx(0.0, abs=5.0 * met * w["mass"] / h)
         assert w["torque"] - f.torque == pytest.approx(0.0, abs=5.0 * met * world.inertia / world.radius / h)
         judged += 1
@@ -424,11 +424,11 @@ def test_halving_the_substep_changes_little(case):
 def margins(model, speeds, seeds=range(25)):
     """Drawbar pull in reserve of W at each patch and speed, with all that the world has there; also the grades."""
     scenario = load_scenario("mixed")
-    numbers, wheel = terrain.course_numbers(scenario, model), scenario.wheel
+    numbers, wheel = drawing.course_numbers(scenario, model), scenario.wheel
     rows, grades = [], []
     for seed in seeds:
         courses = terrain.new_courses(1, scenario)
-        mass = terrain.draw_course(0, courses, np.array([seed_stream(np.random.default_rng(seed))]), numbers)
+        mass = drawing.draw_course(0, courses, np.array([seed_stream(np.random.default_rng(seed))]), numbers)
         assert mass > 0.0
         load = mass * scenario.gravity
         for soil, grade in zip(courses.soils[0, : courses.patches[0]], courses.grades[0], strict=False):
@@ -467,9 +467,9 @@ def test_a_residual_law_counts_on_the_grades():
     """A pull that lacks everywhere lowers every grade by as much."""
     scenario, tangents = load_scenario("mixed"), []
     for residual in ((), (ResidualTerm("drawbar_pull", -0.05, {}),)):
-        courses, numbers = terrain.new_courses(1, scenario), terrain.course_numbers(scenario, model_of({}, residual))
+        courses, numbers = terrain.new_courses(1, scenario), drawing.course_numbers(scenario, model_of({}, residual))
         for seed in range(20):
-            terrain.draw_course(0, courses, np.array([seed_stream(np.random.default_rng(seed))]), numbers)
+            drawing.draw_course(0, courses, np.array([seed_stream(np.random.default_rng(seed))]), numbers)
             tangents.append(np.tan(courses.grades[0, 0]))
     before, after = np.array(tangents).reshape(2, 20)
     lower = (before < math.tan(math.radians(scenario.course.grade_deg[1])) - 1e-9) & (

@@ -19,19 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soil_env.identification.solver import (
-    LOWER,
-    POINT_SIZE,
-    UPPER,
-    WEIGHTS,
-    Reading,
-    Status,
-    invert3,
-    normal_equations,
-    predict,
-    solve,
-    weigh,
-)
+from soil_env.identification.point import POINT_SIZE, WEIGHTS, Reading, predict, weigh
+from soil_env.identification.solver import LOWER, UPPER, Status, invert3, normal_equations, solve
 from soil_env.identification.uniqueness import other_soil
 from soil_env.parameters import Soil
 

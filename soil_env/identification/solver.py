@@ -1,4 +1,4 @@
-"""Compiled core of the identification: prediction of a measured point, its weight, and the safeguarded iteration.
+"""Compiled core of the identification: the normal equations of measured points and the safeguarded iteration.
 
 Unknowns are x = (phi, ln K, ln S). `solve` serves the paper's three points, any larger table and the online window
 alike. It takes the points eight at a time in lanes (`prepare`), but for the paper's Simpson rule.
@@ -13,39 +13,22 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from soil_env.arcs import STORED_NODES, entry_angle_of_many, store_nodes, stored_integrals
 from soil_env.compiled import inlined, kernel
-from soil_env.contact import (
-    JANOSI,
-    STORED_NODES,
-    arc_nodes,
-    compaction_resistance,
-    entry_angle,
-    entry_angle_of_many,
-    forces,
-    motion_from_slip,
-    shear_integrals,
-    shear_modulus_rates,
-    simpson_integrals,
-    store_nodes,
-    stored_integrals,
+from soil_env.elementary import exp, exp_lanes, half_sin_cos, log_lanes, where_below
+from soil_env.identification.point import (
+    DIG_RATIO,
+    DRAWBAR_PULL,
+    LOAD,
+    POINT_SIZE,
+    SINKAGE,
+    SLIP,
+    TORQUE,
+    WEIGHTS,
+    channels,
+    channels_at,
 )
-from soil_env.lanes import (
-    COUNT,
-    exp,
-    exp_lanes,
-    fill,
-    first,
-    from_array,
-    half_sin_cos,
-    lane,
-    log_lanes,
-    made_of,
-    to_array,
-    total,
-    totals,
-    transposed,
-    where_below,
-)
+from soil_env.lanes import COUNT, fill, first, from_array, lane, made_of, to_array, total, totals, transposed
 
 
 class Status(enum.IntEnum):
@@ -59,68 +42,12 @@ class Status(enum.IntEnum):
     AMBIGUOUS = 5  # converged, but another soil explains the three measured values as exactly
 
 
-class Reading(NamedTuple):
-    """How a drawbar pull is computed, and what is held fixed while identifying."""
-
-    cohesion: float  # [Pa]
-    exponent: float  # n [-]
-    radius: float  # [m]
-    width: float  # [m]
-    simpson: int = 0  # m of the paper's composite Simpson rule; 0 = Gauss-Legendre
-    paper_resistance: bool = False  # Eq. (12) instead of the exact Eq. (11)
-
-
 #: Bounds of (phi [rad], ln K [m], ln S): the box of the paper's Table 4, widened.
 LOWER = np.array([math.radians(1.0), math.log(2e-4), math.log(1e3)])
 UPPER = np.array([math.radians(89.5), math.log(0.3) - 1e-9, math.log(1e13) - 1e-9])
 #: No unknown moves further than this in one iteration.
 LONGEST = np.array([0.35, 1.5, 1.5])
 _MAX_DAMPINGS = 12
-
-# Columns of a measured point.
-SLIP, SINKAGE, DIG_RATIO, DRAWBAR_PULL, LOAD, TORQUE, WEIGHTS, PLACE = 0, 1, 2, 3, 4, 5, 6, 12
-POINT_SIZE = (
-    16  # six weights: lower triangle of the matrix that whitens (drawbar pull, load, torque); two rows of lanes
-)
-
-
-class Channels(NamedTuple):
-    """Drawbar pull, load and torque at a point, each with its derivatives by phi, ln K, ln S and cohesion."""
-
-    pull: float
-    load: float
-    torque: float
-    by_phi: tuple
-    by_K: tuple
-    by_S: tuple
-    by_c: tuple
-
-
-@inlined
-def _channels(q, k, S, tan_phi, K, c, r, b, paper_resistance):
-    """`Channels` from `ArcIntegrals` q and their `ArcRates` k by K, of one point or in lanes.
-
-    `paper_resistance` replaces the resistance of Eq. (11) in the drawbar pull, unless it is negative.
-    """
-    f = forces(q, S, tan_phi, c, r, b, 1.0)
-    rb = r * b
-    resistance = rb * (S * q.p_sin)
-    pull = f.drawbar_pull
-    if paper_resistance >= 0.0:
-        pull = pull + resistance - paper_resistance
-        resistance = resistance * 0.0 + paper_resistance
-    s_phi = S * (rb * (1.0 + tan_phi * tan_phi))  # d tan(phi) / d phi
-    st, ck = S * tan_phi, rb * K
-    friction = rb * (st * q.pe_cos)
-    return Channels(
-        pull,
-        f.load,
-        f.torque,
-        (s_phi * q.pe_cos, s_phi * q.pe_sin, r * (s_phi * q.pe)),
-        (ck * (st * k.pe_cos + c * k.e_cos), ck * (st * k.pe_sin + c * k.e_sin), (r * ck) * (st * k.pe + c * k.e)),
-        (friction - resistance, rb * (S * q.p_cos + st * q.pe_sin), (r * rb) * (st * q.pe)),
-        (rb * q.e_cos, rb * q.e_sin, (r * rb) * q.e),
-    )
 
 
 @inlined
@@ -130,44 +57,6 @@ def _soil_of(x):
     sin_half, cos_half = lane(sin_half, 0), lane(cos_half, 0)
     moduli = exp_lanes(made_of(x[1], x[2], x[1], x[2], x[1], x[2], x[1], x[2]))
     return 2.0 * sin_half * cos_half / (1.0 - 2.0 * sin_half * sin_half), lane(moduli, 0), lane(moduli, 1)
-
-
-@kernel
-def _channels_at(x, slip, sinkage, dig_ratio, reading):
-    """(`Channels`, their derivatives by slip) of one point."""
-    r, n = reading.radius, reading.exponent
-    K, tan_phi = math.exp(x[1]), math.tan(x[0])
-    S = math.exp(x[2]) * dig_ratio**-n
-    theta1 = entry_angle(sinkage, r)
-    rim, travel = motion_from_slip(slip)
-    if reading.simpson > 0:
-        q, by_rim, by_travel = simpson_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, K, n, r, reading.simpson)
-    else:
-        nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, n, r, theta1)
-        q, by_rim, by_travel = shear_integrals(nodes, rim, travel, K, JANOSI)
-    resistance = compaction_resistance(sinkage, S, n, reading.width) if reading.paper_resistance else -1.0
-    k = shear_modulus_rates(by_rim, by_travel, rim, travel, K)
-    y = _channels(q, k, S, tan_phi, K, reading.cohesion, r, reading.width, resistance)
-    rate = -1.0 if slip >= 0.0 else -travel * travel  # d travel/d slip
-    st, c, rb, z = S * tan_phi, reading.cohesion, rate * r * reading.width, by_travel
-    by_slip = (
-        rb * (st * z.pe_cos + c * z.e_cos), rb * (st * z.pe_sin + c * z.e_sin), r * rb * (st * z.pe + c * z.e)
-    )  # fmt: skip
-    return y, by_slip
-
-
-@kernel
-def predict(x, slip, sinkage, dig_ratio, reading, out, jacobian):
-    """Drawbar pull, load and torque for unknowns x at one point into `out` [3], derivatives into `jacobian` [3, 4].
-
-    Columns of `jacobian`: phi, ln K, ln S, and cohesion; by ln(dig ratio) it is -n times the column of ln S.
-    `dig_ratio` z/z_w >= 1 is how much deeper the wheel stands than its load alone would sink it: the soil then bears
-    like one with S (z/z_w)^-n (`effects.slip_sinkage_ratio`).
-    """
-    y, _ = _channels_at(x, slip, sinkage, dig_ratio, reading)
-    out[0], out[1], out[2] = y.pull, y.load, y.torque
-    for i in range(3):
-        jacobian[i, 0], jacobian[i, 1], jacobian[i, 2], jacobian[i, 3] = y.by_phi[i], y.by_K[i], y.by_S[i], y.by_c[i]
 
 
 # Floats of a block of eight points as `prepare` leaves them: nodes, dig ratio, its factor on S, channels, weights.
@@ -249,7 +138,7 @@ def whitened_block(x, work, at, reading):
     """(misfit, by phi, by ln K, by ln S, by cohesion) of eight prepared points, each whitened, in lanes."""
     tan_phi, K, S = _soil_of(x)
     q, k = stored_integrals(work, at, K)
-    y = _channels(
+    y = channels(
         q, k, S * from_array(work, at + _FACTOR), tan_phi, K, reading.cohesion, reading.radius, reading.width, -1.0
     )
     i = at + _WHITE
@@ -284,7 +173,7 @@ def _normal(x, points, count, prior, precision, reading, work):
     if reading.simpson > 0 or reading.paper_resistance:
         for p in range(count):
             row = points[p]
-            y, _ = _channels_at(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading)
+            y, _ = channels_at(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading)
             w = (
                 row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2], row[WEIGHTS + 3], row[WEIGHTS + 4], row[WEIGHTS + 5]
             )  # fmt: skip
@@ -452,48 +341,3 @@ def solve_prepared(start, points, count, prior, precision, reading, max_iteratio
             if x[k] <= LOWER[k] or x[k] >= UPPER[k]:
                 status = Status.AT_BOUND.value
     return status, iterations, m.cost
-
-
-@inlined
-def weigh(row, x, variances, slip_sd, sinkage_sd, reading, dig_sd=0.0):
-    """Set the whitening weights of a point from the noise of all its channels, at unknowns x.
-
-    `variances` [3] of drawbar pull, load and torque; infinite where not measured. The noise of slip and sinkage moves
-    all three channels together; its first-order effect is added to their covariance (effective variance, Fuller 1987,
-    Measurement Error Models, Sec. 1.4). So is that of the digging ratio, from `dig_sd`, the relative standard deviation
-    of its excess over 1.
-    """
-    y, by_slip = _channels_at(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading)
-    a0, a1, a2 = slip_sd * by_slip[0], slip_sd * by_slip[1], slip_sd * by_slip[2]
-    b0 = b1 = b2 = 0.0
-    if sinkage_sd > 0.0:
-        h = 0.02 * row[SINKAGE]
-        z, _ = _channels_at(x, row[SLIP], row[SINKAGE] + h, row[DIG_RATIO], reading)
-        scale = sinkage_sd / h
-        b0, b1, b2 = scale * (z.pull - y.pull), scale * (z.load - y.load), scale * (z.torque - y.torque)
-    g = dig_sd * reading.exponent * (1.0 - 1.0 / row[DIG_RATIO])
-    c0, c1, c2 = g * y.by_S[0], g * y.by_S[1], g * y.by_S[2]
-    # a channel that was not measured: no covariance, no weight
-    w0 = 0.0 if variances[0] == np.inf else 1.0
-    w1 = 0.0 if variances[1] == np.inf else 1.0
-    w2 = 0.0 if variances[2] == np.inf else 1.0
-    v00 = variances[0] + a0 * a0 + b0 * b0 + c0 * c0 if w0 > 0.0 else 1.0
-    v11 = variances[1] + a1 * a1 + b1 * b1 + c1 * c1 if w1 > 0.0 else 1.0
-    v22 = variances[2] + a2 * a2 + b2 * b2 + c2 * c2 if w2 > 0.0 else 1.0
-    v10, v20, v21 = (
-        w1 * w0 * (a1 * a0 + b1 * b0 + c1 * c0),
-        w2 * w0 * (a2 * a0 + b2 * b0 + c2 * c0),
-        w2 * w1 * (a2 * a1 + b2 * b1 + c2 * c1),
-    )
-    # inverse of the Cholesky factor of v
-    l00 = math.sqrt(v00)
-    l10, l20 = v10 / l00, v20 / l00
-    l11 = math.sqrt(max(v11 - l10 * l10, 1e-12 * v11))
-    l21 = (v21 - l20 * l10) / l11
-    l22 = math.sqrt(max(v22 - l20 * l20 - l21 * l21, 1e-12 * v22))
-    row[WEIGHTS] = w0 / l00
-    row[WEIGHTS + 1] = -w1 * l10 / (l00 * l11)
-    row[WEIGHTS + 2] = w1 / l11
-    row[WEIGHTS + 3] = w2 * (l10 * l21 - l20 * l11) / (l00 * l11 * l22)
-    row[WEIGHTS + 4] = -w2 * l21 / (l11 * l22)
-    row[WEIGHTS + 5] = w2 / l22

@@ -13,23 +13,10 @@ import math
 import numpy as np
 from numba import njit
 
+from soil_env.arcs import stored_integrals
 from soil_env.compiled import inlined, kernel
-from soil_env.contact import stored_integrals
-from soil_env.identification.solver import (
-    _FACTOR,
-    BLOCK,
-    DIG_RATIO,
-    DRAWBAR_PULL,
-    LOWER,
-    SINKAGE,
-    SLIP,
-    UPPER,
-    WEIGHTS,
-    _channels,
-    _channels_at,
-    blocks,
-    prepare,
-)
+from soil_env.identification.point import DIG_RATIO, DRAWBAR_PULL, SINKAGE, SLIP, WEIGHTS, channels, channels_at
+from soil_env.identification.solver import _FACTOR, BLOCK, LOWER, UPPER, blocks, prepare
 from soil_env.lanes import fill, from_array, to_array
 
 _CELLS = 64  # of ln K within its bounds, each searched for one root
@@ -45,7 +32,7 @@ def _coefficients(ln_k, points, reading, work, lanes, values):
         for p in range(len(points)):
             row = points[p]
             x = (_QUARTER[0], ln_k, 0.0)
-            y, _ = _channels_at(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading)
+            y, _ = channels_at(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading)
             for channel in range(3):
                 if row[WEIGHTS + _DIAGONAL[channel]] > 0.0:
                     by_tan = 0.5 * y.by_phi[channel]  # d tan(phi) / d phi = 2
@@ -56,7 +43,7 @@ def _coefficients(ln_k, points, reading, work, lanes, values):
         return
     K = math.exp(ln_k)
     q, k = stored_integrals(work, 0, K)
-    y = _channels(
+    y = channels(
         q, k, from_array(work, _FACTOR), 1.0, K, reading.cohesion, reading.radius, reading.width, -1.0
     )  # fmt: skip
     for channel in range(3):

@@ -1,0 +1,402 @@
+"""The online identifiers that `identification_online.py` compares, and their replay of a logged drive."""
+
+from __future__ import annotations
+
+import math
+from time import perf_counter
+
+import numpy as np
+from numba import njit
+from scipy.optimize import least_squares
+
+from soil_env.effects import excavation_rate
+from soil_env.identification.point import POINT_SIZE, WEIGHTS, predict, weigh
+from soil_env.identification.solver import LOWER, UPPER, Status
+from soil_env.identifier import SensorReading, forget, identifier_numbers, new_identifiers, observe
+from soil_env.parameters import Scenario
+
+PARAMETERS = ("phi_deg", "ln_K", "ln_S")
+CONTENDERS = ("ours", "newton_raphson", "linear", "ukf", "batch")
+_CONVERGED = Status.CONVERGED.value
+
+
+# --- contenders -------------------------------------------------------------------------------------------------------
+
+
+class Contender:
+    """Sees belief, wheel and noise of a scenario, and readings. `elsewhere` [s]: time of `update` not its own."""
+
+    name = "contender"
+
+    def __init__(self, scenario: Scenario):
+        self.numbers = identifier_numbers(scenario)
+        self.x = self.numbers.prior.copy()
+        self.sd: np.ndarray | None = 1.0 / np.sqrt(self.numbers.precision)
+        self.valid = False
+        self.solved = False  # did the last update solve, or only collect
+        self.elsewhere = 0.0
+
+    def update(self, reading: SensorReading):
+        """(estimate [3] of (phi [rad], ln K, ln S), its sd [3] or None, valid) after one more reading."""
+        raise NotImplementedError
+
+
+class Ours(Contender):
+    """`identifier.observe`, called from Python."""
+
+    name = "ours"
+
+    def __init__(self, scenario):
+        super().__init__(scenario)
+        self.ids = new_identifiers(1)
+        forget(self.ids, 0, self.numbers)
+
+    def update(self, reading):
+        """One call of `observe`."""
+        self.solved = observe(self.ids, 0, reading, self.numbers)
+        return self.ids.estimate[0], self.ids.sd[0], self.ids.status[0] == _CONVERGED
+
+
+class _Digging:
+    """The digging ratio z/z_w, as `identifier.observe` has it."""
+
+    def __init__(self, numbers):
+        self.numbers, self.ratio = numbers, 1.0
+
+    def update(self, reading):
+        n = self.numbers
+        a, b = excavation_rate(
+            abs(reading.speed), abs(reading.rim_speed - reading.speed), n.dig_gain, n.dig_recovery, n.relaxation
+        )
+        if a > 0.0:
+            self.ratio = b / a + (self.ratio - b / a) * math.exp(-a * n.period)
+        self.ratio = max(self.ratio, 1.0)
+        return self.ratio
+
+
+def _says_something(reading, numbers):
+    """The wheel turns and touches the ground: the condition of `identifier.observe`."""
+    return abs(reading.rim_speed) >= 0.02 and reading.sinkage >= 1e-3 * numbers.reading.radius
+
+
+class NewtonRaphson(Contender):
+    """The paper's: phi, K and S from the drawbar pulls of the last three distinct points, plain Newton.
+
+    Points are means of five readings; they are distinct if their slips differ by `distinct`. It starts from its last
+    solution, else from the prior. A solution outside the bounds, or none within 30 iterations, is not valid.
+    """
+
+    name = "newton_raphson"
+    distinct = 0.03
+
+    def __init__(self, scenario):
+        super().__init__(scenario)
+        self.digging = _Digging(self.numbers)
+        self.open, self.points, self.odometer = [], [], 0.0
+        self.out, self.jac = np.empty(3), np.empty((3, 4))
+
+    def update(self, reading):
+        """Solves when a point is complete and two distinct ones precede it."""
+        n = self.numbers
+        self.odometer += reading.speed * n.period
+        self.solved = False
+        ratio = self.digging.update(reading)
+        if not _says_something(reading, n):
+            return self.x, self.sd, self.valid
+        self.open.append((reading.slip, reading.sinkage, ratio, reading.drawbar_pull, self.odometer))
+        if len(self.open) == 5:
+            self.points.append(np.mean(self.open, axis=0))
+            self.open = []
+            self.points = [p for p in self.points if self.odometer - p[4] <= n.memory][-40:]
+            self._solve()
+        return self.x, self.sd, self.valid
+
+    def _solve(self):
+        chosen = []
+        for p in reversed(self.points):
+            if all(abs(p[0] - q[0]) >= self.distinct for q in chosen):
+                chosen.append(p)
+                if len(chosen) == 3:
+                    break
+        self.valid = False
+        if len(chosen) < 3:
+            return
+        self.solved = True
+        points, n = np.array(chosen), self.numbers
+        points[:, 0] = np.clip(points[:, 0], -0.999, 1.0)
+        x, residual, jacobian = self.x.copy(), np.empty(3), np.empty((3, 3))
+        for _ in range(30):
+            for i, p in enumerate(points):
+                predict(x, p[0], p[1], p[2], n.reading, self.out, self.jac)
+                residual[i], jacobian[i] = p[3] - self.out[0], self.jac[0, :3]
+            if not np.all(np.isfinite(jacobian)) or abs(np.linalg.det(jacobian)) < 1e-300:
+                return
+            # the paper iterates on (phi, K, S) themselves: d ln K = dK/K
+            step = np.linalg.solve(jacobian, residual)
+            moved = np.array([x[0] + step[0], math.exp(x[1]) * (1.0 + step[1]), math.exp(x[2]) * (1.0 + step[2])])
+            if not (LOWER[0] < moved[0] < UPPER[0] and moved[1] > 0.0 and moved[2] > 0.0):
+                return
+            x = np.array([moved[0], math.log(moved[1]), math.log(moved[2])])
+            if np.max(np.abs(step)) < 1e-4:
+                break
+        else:
+            return
+        if np.any(x <= LOWER) or np.any(x >= UPPER):
+            return
+        inverse = np.linalg.inv(jacobian)
+        self.x, self.valid = x, True
+        self.sd = np.sqrt(np.sum(inverse**2, axis=1) * n.force_sd[0] ** 2 / 5.0)
+
+
+class LinearLeastSquares(Contender):
+    """Cohesion and friction angle by linear least squares over the last `window` readings (Iagnemma et al. 2004).
+
+    Normal and shear stress rise linearly from both ends of the arc to their peaks s and t at thm = th1/2, the shear
+    stress behind from c. Then load and torque give t = t0 - t1 c and s = s0 - s1 c, and Eq. (10) at thm reads
+    t/e = c + s tan(phi), e from slip and a known K (that of the belief). The product c tan(phi), small, is taken at the
+    last pass of three. K and S are not identified: NaN.
+    """
+
+    name = "linear"
+    window = 50
+
+    def __init__(self, scenario):
+        super().__init__(scenario)
+        self.rows = []
+        self.x[1:] = np.nan
+        self.sd = np.array([self.sd[0], np.nan, np.nan])
+
+    def update(self, reading):
+        """Adds one row and solves two normal equations."""
+        n = self.numbers
+        r, b = n.reading.radius, n.reading.width
+        self.solved = False
+        if not _says_something(reading, n) or reading.slip < 0.01:
+            return self.x, self.sd, self.valid
+        th1 = math.acos(max(-1.0, 1.0 - reading.sinkage / r))
+        thm = 0.5 * th1
+        sin1, cos1, sinm, cosm = math.sin(th1), math.cos(th1), math.sin(thm), math.cos(thm)
+        # T = r^2 b/2 (t th1 + c thm);  W = r b/thm (s A + t B + c C)
+        A, B, C = 2.0 * cosm - cos1 - 1.0, 2.0 * sinm - sin1, thm - sinm
+        t0, t1 = 2.0 * reading.torque / (r * r * b * th1), thm / th1
+        s0 = (reading.load * thm / (r * b) - t0 * B) / A
+        s1 = (C - t1 * B) / A
+        j = r * ((th1 - thm) - (1.0 - reading.slip) * (sin1 - sinm))
+        e = -math.expm1(-max(j, 1e-6) / math.exp(n.prior[1]))
+        self.rows = [*self.rows[1 - self.window :], (t0, t1, s0, s1, e)]
+        self.solved = len(self.rows) >= 10
+        if self.solved:
+            self._solve()
+        return self.x, self.sd, self.valid
+
+    def _solve(self):
+        t0, t1, s0, s1, e = np.array(self.rows).T
+        product = 0.0
+        self.valid = False
+        rhs, a1 = t0 / e, 1.0 + t1 / e
+        s11, s12, s22 = a1 @ a1, a1 @ s0, s0 @ s0
+        det = s11 * s22 - s12 * s12
+        if not det > 1e-6 * s11 * s22:
+            return
+        for _ in range(3):
+            y = rhs + s1 * product
+            y1, y2 = a1 @ y, s0 @ y
+            c, tan_phi = (s22 * y1 - s12 * y2) / det, (s11 * y2 - s12 * y1) / det
+            product = c * tan_phi
+        if not 0.0 < tan_phi < 2.0:
+            return
+        rest = y - a1 * c - s0 * tan_phi
+        variance = rest @ rest / (len(rest) - 2) * s11 / det
+        self.x[0], self.valid = math.atan(tan_phi), True
+        self.sd[0] = math.sqrt(variance) / (1.0 + tan_phi * tan_phi)
+
+
+class UnscentedKalman(Contender):
+    """Unscented Kalman filter of (phi, ln K, ln S): random walk over the distance, three channels a reading.
+
+    `walk` [prior sd per sqrt(m)] and `inflation` (of the measurement variance, as readings in a row share their model
+    error) were tuned by `tune_ukf` on other courses. Measurement noise: channels, effective variance of slip and
+    sinkage, and model error, at the present mean (`solver.weigh`). It is valid when the sd of phi and K are below 0.6
+    of the prior, as ours.
+    """
+
+    name = "ukf"
+    walk = 0.5
+    inflation = 1.0
+
+    def __init__(self, scenario):
+        super().__init__(scenario)
+        self.digging = _Digging(self.numbers)
+        self.P = np.diag(1.0 / self.numbers.precision)
+        self.row = np.zeros(POINT_SIZE)
+        self.out, self.jac = np.empty(3), np.empty((3, 4))
+        alpha, kappa = 0.5, 0.0
+        lam = alpha**2 * (3.0 + kappa) - 3.0
+        self.spread = math.sqrt(3.0 + lam)
+        self.mean_weights = np.full(7, 0.5 / (3.0 + lam))
+        self.mean_weights[0] = lam / (3.0 + lam)
+        self.cov_weights = self.mean_weights.copy()
+        self.cov_weights[0] += 1.0 - alpha**2 + 2.0
+
+    def update(self, reading):
+        """Time update over the distance travelled, measurement update by one reading."""
+        n = self.numbers
+        ratio = self.digging.update(reading)
+        q = self.walk**2 * abs(reading.speed) * n.period / n.precision
+        self.P = self.P + np.diag(np.minimum(q, np.maximum(1.0 / n.precision - np.diag(self.P), 0.0)))
+        self.solved = _says_something(reading, n)
+        if self.solved:
+            self._measure(reading, ratio)
+        self.sd = np.sqrt(np.diag(self.P))
+        self.valid = bool(np.all(self.sd[:2] ** 2 * n.precision[:2] < 0.36))
+        return self.x, self.sd, self.valid
+
+    def _measure(self, reading, ratio):
+        n, row = self.numbers, self.row
+        row[:6] = (min(max(reading.slip, -0.999), 1.0), reading.sinkage, ratio, reading.drawbar_pull, reading.load,
+                   reading.torque)  # fmt: skip
+        error = n.model_error * abs(reading.load) * np.array([1.0, 1.0, n.reading.radius])
+        weigh(row, self.x, n.force_sd**2 + error**2, n.slip_sd, n.sinkage_sd, n.reading)
+        w = row[WEIGHTS : WEIGHTS + 6]
+        whiten = np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]])
+        root = self.spread * np.linalg.cholesky(self.P)
+        sigma = np.clip(np.vstack([self.x, self.x + root.T, self.x - root.T]), LOWER, UPPER)
+        z = np.empty((7, 3))
+        for i in range(7):
+            predict(sigma[i], row[0], row[1], row[2], n.reading, self.out, self.jac)
+            z[i] = self.out
+        z = z @ whiten.T
+        z_mean = self.mean_weights @ z
+        dz, dx = z - z_mean, sigma - self.x
+        pzz = (dz.T * self.cov_weights) @ dz + self.inflation * np.eye(3)
+        gain = np.linalg.solve(pzz, (dz.T * self.cov_weights) @ dx).T
+        self.x = np.clip(self.x + gain @ (whiten @ row[3:6] - z_mean), LOWER, UPPER)
+        P = self.P - gain @ pzz @ gain.T
+        P = 0.5 * (P + P.T)
+        values, vectors = np.linalg.eigh(P)
+        self.P = (vectors * np.maximum(values, 1e-8)) @ vectors.T
+
+
+@njit(cache=True)
+def _whitened(x, points, prior, precision, reading, residual, jacobian):
+    """Whitened residuals [3 M + 3] (prior last) and their Jacobian [3 M + 3, 3]."""
+    out, jac = np.empty(3), np.empty((3, 4))
+    m = len(points)
+    jacobian[:, :] = 0.0
+    for p in range(m):
+        row = points[p]
+        predict(x, row[0], row[1], row[2], reading, out, jac)
+        d0, d1, d2 = out[0] - row[3], out[1] - row[4], out[2] - row[5]
+        w = row[WEIGHTS:]
+        residual[3 * p] = w[0] * d0
+        residual[3 * p + 1] = w[1] * d0 + w[2] * d1
+        residual[3 * p + 2] = w[3] * d0 + w[4] * d1 + w[5] * d2
+        for i in range(3):
+            jacobian[3 * p, i] = w[0] * jac[0, i]
+            jacobian[3 * p + 1, i] = w[1] * jac[0, i] + w[2] * jac[1, i]
+            jacobian[3 * p + 2, i] = w[3] * jac[0, i] + w[4] * jac[1, i] + w[5] * jac[2, i]
+    for i in range(3):
+        root = math.sqrt(precision[i])
+        residual[3 * m + i] = root * (x[i] - prior[i])
+        jacobian[3 * m + i, i] = root
+
+
+class Batch(Contender):
+    """scipy.optimize.least_squares (its default, 'trf', within the bounds) on the window, weights and prior of ours.
+
+    It solves whenever ours does, from its last solution, with compiled residuals and analytic Jacobian; only its own
+    solve counts as its time. Valid and held by the rules of ours, with the covariance of the fit.
+    """
+
+    name = "batch"
+
+    def __init__(self, scenario):
+        super().__init__(scenario)
+        self.ids = new_identifiers(1)
+        forget(self.ids, 0, self.numbers)
+        self.start, self.held = self.x.copy(), False
+
+    def update(self, reading):
+        """One step of our window, then scipy."""
+        began = perf_counter()
+        self.solved = observe(self.ids, 0, reading, self.numbers)
+        self.elsewhere += perf_counter() - began
+        if self.solved:
+            self._solve(self.ids.points[0, : self.ids.count[0]])
+        return self.x, self.sd, self.valid
+
+    def _solve(self, points):
+        n = self.numbers
+        rows = 3 * len(points) + 3
+        residual, jacobian = np.empty(rows), np.empty((rows, 3))
+
+        def fun(x):
+            _whitened(x, points, n.prior, n.precision, n.reading, residual, jacobian)
+            return residual.copy()
+
+        def jac(x):
+            _whitened(x, points, n.prior, n.precision, n.reading, residual, jacobian)
+            return jacobian.copy()
+
+        start = np.clip(self.start, LOWER + 1e-6, UPPER - 1e-6)
+        result = least_squares(fun, start, jac=jac, bounds=(LOWER, UPPER), xtol=1e-3, ftol=1e-6)
+        self.start = result.x
+        covariance = np.linalg.inv(result.jac.T @ result.jac)
+        sd = np.sqrt(np.diag(covariance))
+        self.valid = bool(result.success and np.all(sd[:2] ** 2 * n.precision[:2] < 0.36))
+        self.held = self.held and len(points) > 1  # one point: our window started anew
+        if self.valid or not self.held:
+            self.x, self.sd = result.x, sd
+        self.held = self.held or self.valid
+
+
+def make(name: str, scenario: Scenario) -> Contender:
+    """A contender by name."""
+    classes = (Ours, NewtonRaphson, LinearLeastSquares, UnscentedKalman, Batch)
+    return {c.name: c for c in classes}[name](scenario)
+
+
+# --- replay -----------------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True)
+def replay_compiled(readings, ids, numbers, estimate, sd, valid):
+    """`observe` over a log [T, 7], as the environment calls it; the number of solves."""
+    forget(ids, 0, numbers)
+    solves = 0
+    for t in range(len(readings)):
+        q = readings[t]
+        if observe(ids, 0, SensorReading(q[0], q[1], q[2], q[3], q[4], q[5], q[6]), numbers):
+            solves += 1
+        estimate[t] = ids.estimate[0]
+        sd[t] = ids.sd[0]
+        valid[t] = ids.status[0] == _CONVERGED
+    return solves
+
+
+def replay(name: str, scenario: Scenario, readings: np.ndarray):
+    """One contender over one log: (estimate [T, 3], sd [T, 3], valid [T], seconds of each update [T]).
+
+    `ours` runs compiled, and its seconds are the mean of the loop; the others are called from Python.
+    """
+    T = len(readings)
+    estimate, sd = np.full((T, 3), np.nan), np.full((T, 3), np.nan)
+    valid, seconds = np.zeros(T, dtype=bool), np.zeros(T)
+    if name == "ours":
+        numbers, ids = identifier_numbers(scenario), new_identifiers(1)
+        replay_compiled(readings[:1], ids, numbers, estimate, sd, valid)
+        began = perf_counter()
+        replay_compiled(readings, ids, numbers, estimate, sd, valid)
+        seconds[:] = (perf_counter() - began) / T
+        return estimate, sd, valid, seconds
+    contender = make(name, scenario)
+    for t, q in enumerate(readings.tolist()):
+        reading = SensorReading(*q)
+        before = contender.elsewhere
+        began = perf_counter()
+        x, s, valid[t] = contender.update(reading)
+        seconds[t] = perf_counter() - began - (contender.elsewhere - before)
+        estimate[t] = x
+        if s is not None:
+            sd[t] = s
+    return estimate, sd, valid, seconds
