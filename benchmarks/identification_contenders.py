@@ -216,7 +216,7 @@ class UnscentedKalman(Contender):
 
     `walk` [prior sd per sqrt(m)] and `inflation` (of the measurement variance, as readings in a row share their model
     error) were tuned by `tune_ukf` on other courses. Measurement noise: channels, effective variance of slip and
-    sinkage, and model error, at the present mean (`solver.weigh`). It is valid when the sd of phi and K are below 0.6
+    sinkage, and model error, at the present mean (`point.weigh`). It is valid when the sd of phi and K are below 0.6
     of the prior, as ours.
     """
 

@@ -115,7 +115,7 @@ def generalized_newton_raphson(
     `dig_ratio` [M], see `predict`, 1 if left out.
 
     With `slip_sd` [-] and `sinkage_sd` [m], the noise of slip and sinkage enters the weights by its first-order
-    effect on the channels (`solver.weigh`), renewed at the solution until it no longer changes. With `restarts`, a
+    effect on the channels (`point.weigh`), renewed at the solution until it no longer changes. With `restarts`, a
     solve that ends with a misfit beyond the noise starts again from soils spread over the bounds, and the best end is
     taken. Three measured values can have several exact solutions within the bounds; the status is then AMBIGUOUS, and
     a second one is in `other`.
