@@ -310,8 +310,9 @@ def _solve_window(ids, k, numbers):
     status, _, _ = solve_prepared(
         trial, ids.points[k], count, numbers.prior, numbers.precision, numbers.reading, 20, 1e-2, covariance, work
     )
+    singular = covariance[0, 0] <= 0.0  # then the points say nothing, and there is no standard deviation to publish
     chi_squared = _consider(trial, count, numbers, covariance, work)
-    learnt = 0.0
+    learnt = 1.0 if singular else 0.0
     for i in range(2):  # S shows in every point; friction and shear modulus need a range of slip
         learnt = max(learnt, math.sqrt(covariance[i, i] * numbers.precision[i]))
     ids.condition[k] = learnt
@@ -325,7 +326,7 @@ def _solve_window(ids, k, numbers):
     good = status == Status.CONVERGED.value
     if good:
         ids.running[k, _HELD] = 1.0
-    if good or (status == Status.NOT_EXCITED.value and ids.running[k, _HELD] == 0.0):
+    if not singular and (good or (status == Status.NOT_EXCITED.value and ids.running[k, _HELD] == 0.0)):
         for i in range(3):
             ids.estimate[k, i] = trial[i]
             ids.sd[k, i] = math.sqrt(covariance[i, i])
