@@ -207,7 +207,7 @@ def test_soil_round_trip(name):
 
 
 def test_own_soils_stand_beside_the_presets_and_before_them():
-    from soil_env.terrain import course_numbers
+    from soil_env.drawing import course_numbers
 
     beach, sand = Soil(**SOIL_S), Soil(**SOIL_S | {"cohesion": 900})
     scenario = load_scenario(
