@@ -15,6 +15,7 @@ from soil_env.contact import entry_angle_of_many, motion_from_speeds
 from soil_env.dynamics import (
     FORETOLD,
     REST_SPEED,
+    SHALLOWEST,
     SHORT,
     TOLERANCE,
     Reaction,
@@ -29,6 +30,7 @@ from soil_env.dynamics import (
     relax_sinkage,
 )
 from soil_env.lanes import COUNT, fill, from_array, half_sin_cos, larger, scratch, smaller, to_array, total, where_less
+from soil_env.model import DEEPEST
 from soil_env.parameters import SoilState
 from soil_env.terrain import cell_at, ground_at, leave_rut
 
@@ -39,8 +41,8 @@ _HUGE = 1e300
 # Rows of eight in the scratch of `advance_eight`
 _X, _SPEED, _WHEEL_SPEED, _SINKAGE, _MASS, _PULL, _TORQUE = 0, 8, 16, 24, 32, 40, 48
 _PULL_V, _PULL_U, _TORQUE_V, _TORQUE_U, _COMMAND, _BY_SPEED, _WORK = 56, 64, 72, 80, 88, 96, 104
-_MOTOR, _AVAILABLE, _LOAD, _BEARING, _START, _LEFT = 112, 120, 128, 136, 144, 152
-_wheels = scratch(20 * COUNT)
+_MOTOR, _AVAILABLE, _LOAD, _BEARING, _START, _LEFT, _SOIL = 112, 120, 128, 136, 144, 152, 160
+_wheels = scratch(21 * COUNT)
 # Rows of the scratch for the ground
 _TAN_PHI, _COHESION, _K, _S, _N, _GAIN, _RECOVERY, _GRADE = 0, 8, 16, 24, 32, 40, 48, 56
 _ground = scratch(8 * COUNT)
@@ -170,9 +172,11 @@ def _substep(s, g, nodes, alive, world, h):
     x, work = from_array(s, _X), from_array(s, _WORK)
     to_array(_chosen(alive, x + 0.5 * h * (speed + v), x), s, _X)
     to_array(_chosen(alive, work + h * torque * u / r, work), s, _WORK)
+    taken = from_array(s, _SOIL)
+    to_array(_chosen(alive, taken + h * (f.torque * u / r - f.drawbar_pull * v), taken), s, _SOIL)
     to_array(_chosen(alive, v, speed), s, _SPEED)
     to_array(_chosen(alive, u / r, from_array(s, _WHEEL_SPEED)), s, _WHEEL_SPEED)
-    to_array(_chosen(alive, smaller(larger(relaxed, fill(1e-4 * r)), fill(1.5 * r)), sinkage), s, _SINKAGE)
+    to_array(_chosen(alive, smaller(larger(relaxed, fill(SHALLOWEST * r)), fill(DEEPEST * r)), sinkage), s, _SINKAGE)
     to_array(_chosen(alive, bearing, from_array(s, _BEARING)), s, _BEARING)
     to_array(_chosen(alive, torque, from_array(s, _MOTOR)), s, _MOTOR)
     to_array(_chosen(alive, available, from_array(s, _AVAILABLE)), s, _AVAILABLE)
@@ -201,7 +205,7 @@ def _load_wheels(s, which, state, commands, world):
         s[_TORQUE_V + i], s[_TORQUE_U + i] = w.torque_by_speed, w.torque_by_rim
         s[_COMMAND + i] = 0.0 if halted else commands[i]
         s[_BY_SPEED + i] = 1.0 if halted or world.speed_command else 0.0
-        s[_WORK + i], s[_LEFT + i] = 0.0, world.period
+        s[_WORK + i], s[_SOIL + i], s[_LEFT + i] = 0.0, 0.0, world.period
         s[_MOTOR + i], s[_AVAILABLE + i], s[_LOAD + i] = w.motor_torque, w.available_torque, w.load
         s[_BEARING + i] = w.bearing_sinkage
 
@@ -214,7 +218,7 @@ def _store_wheel(s, g, i, w):
     w.pull_by_speed, w.pull_by_rim = s[_PULL_V + i], s[_PULL_U + i]
     w.torque_by_speed, w.torque_by_rim = s[_TORQUE_V + i], s[_TORQUE_U + i]
     w.motor_torque, w.available_torque, w.motor_work = s[_MOTOR + i], s[_AVAILABLE + i], s[_WORK + i]
-    w.bearing_sinkage, w.grade = s[_BEARING + i], g[_GRADE + i]
+    w.soil_work, w.bearing_sinkage, w.grade = s[_SOIL + i], s[_BEARING + i], g[_GRADE + i]
     w.converged = 1
 
 

@@ -32,6 +32,7 @@ from soil_env.terrain import (
 
 _eight = scratch(COUNT)
 _TRIAL_COURSES = 8
+_RESTARTS = 100  # attempts at a course in the middle of a run, where there is nobody to change the scenario
 _CHUNK = 2 * COUNT  # wheels that a thread takes at a time
 STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
@@ -63,7 +64,10 @@ class Numbers(NamedTuple):
 @kernel
 def restart(worlds, numbers, k):
     """Start a new course for wheel k, put the wheel at its start, and observe."""
-    mass = start_course(k, worlds.courses, worlds.streams, numbers.course)
+    mass, attempts = -1.0, 0
+    while mass < 0.0 and attempts < _RESTARTS:
+        mass = start_course(k, worlds.courses, worlds.streams, numbers.course)
+        attempts += 1
     if mass < 0.0:
         raise RuntimeError("no passable course found: the soils are too weak for this wheel")
     settle(worlds.state, k, mass, worlds.courses, worlds.streams, numbers.world)
