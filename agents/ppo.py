@@ -1,8 +1,8 @@
 """PPO agents (Stable-Baselines3): build, save, load and resume, with their observation normalisation.
 
 A saved agent is one zip in SB3's own format with a further member, soil_env.json, which holds the
-running mean and variance of the observations, the names of the observation layout and the resolved scenario. Loading
-a model of SB3 unpickles parts of the zip: load only models you trust.
+running mean and variance of the observations, the names of the observation layout and the resolved scenario. It is
+loaded without unpickling anything (`agents.zips`); SB3's own `PPO.load` would unpickle parts of it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import zipfile
-import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -22,8 +21,10 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
+from agents import zips
 from agents.learner import Learner, Tanh
 from agents.sb3 import SoilWheelVecEnv
+from soil_env.env import action_space, observation_space
 from soil_env.loading import Checked, ParameterError, load, quantity, to_dict
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
@@ -188,14 +189,9 @@ def read_meta(path: Path) -> dict:
     """What `save` noted about a model; ParameterError with one line if the file is missing, broken or not ours."""
     path = Path(path)
     try:
-        with zipfile.ZipFile(path) as archive:
-            meta = json.loads(archive.read(_META))
-    except OSError as error:
-        raise ParameterError(f"{path}: cannot be read ({error.strerror}); expected a model saved by train.py") from None
-    except (zipfile.BadZipFile, KeyError, ValueError, zlib.error, RuntimeError, NotImplementedError) as error:
-        raise ParameterError(f"{path}: not a model saved by train.py ({error})") from None
-    if not isinstance(meta, dict):
-        raise ParameterError(f"{path}: {_META}: expected a mapping, got {type(meta).__name__}")
+        meta = zips.read_member(path, _META, "a model saved by train.py")
+    except KeyError:
+        raise ParameterError(f"{path}: not a model saved by train.py (it has no {_META})") from None
     for key, kind in _META_TYPES.items():
         if not isinstance(meta.get(key), kind):
             raise ParameterError(f"{path}: {_META}: {key} = {meta.get(key)!r}: expected {kind}")
@@ -243,14 +239,15 @@ def load_agent(path: Path) -> Agent:
         path = path / "model.zip"
     meta = read_meta(path)
     check_layout(meta, path)
-    model = _load_zip(path)
+    model = _load_zip(path, meta["observation"])
     sd = np.sqrt(np.asarray(meta["var"]) + 1e-8)
     return Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], meta["observation"], meta["timesteps"], meta)
 
 
-def _load_zip(path: Path, **options) -> PPO:
+def _load_zip(path: Path, observation: str, objects: dict | None = None, **options) -> PPO:
+    replaced = zips.without_pickles(path, observation_space(observation), action_space(), **(objects or {}))
     try:
-        return Learner.load(path, device="cpu", **options)
+        return Learner.load(path, device="cpu", custom_objects=replaced, **options)
     except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
         reason = (str(error).splitlines() or [""])[0][:200]
         raise ParameterError(f"{path}: cannot be loaded as a PPO model ({type(error).__name__}: {reason})") from None
@@ -274,10 +271,12 @@ def resume(
     env = normalised(scenario, observation, config, seed, world)
     env.obs_rms = _running(meta["mean"], meta["var"], meta["count"])
     env.ret_rms = _running(meta["return_mean"], meta["return_var"], meta["return_count"])
+    rate = _schedule(config)
     model = _load_zip(
         Path(path),
+        observation,
+        {"learning_rate": rate, "lr_schedule": rate, "clip_range": config.clip_range},
         env=env,
-        custom_objects={"learning_rate": _schedule(config), "lr_schedule": _schedule(config)},
         tensorboard_log=None if log is None else str(log),
     )
     model.update_threads = config.threads

@@ -17,6 +17,7 @@ from agents.controllers import CONTROLLERS, make_controller
 from agents.evaluate import HELD_OUT_SET, TUNING_SET
 from agents.ppo import TrainConfig
 from agents.timing import Times, Timing
+from soil_env.files import replace_file
 from soil_env.loading import ParameterError, read_yaml, to_dict
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario, load_scenario
@@ -88,7 +89,7 @@ def make_run_folder(config: TrainConfig, scenario: Scenario) -> Path:
 def write_task(folder: Path, config: TrainConfig, scenario: Scenario) -> None:
     """The config.yaml and scenario.yaml of a run folder."""
     for name, content in (("config", config), ("scenario", scenario)):
-        (folder / f"{name}.yaml").write_text(yaml.safe_dump(to_dict(content), sort_keys=False), encoding="utf-8")
+        replace_file(folder / f"{name}.yaml", yaml.safe_dump(to_dict(content), sort_keys=False))
 
 
 def open_run(folder: Path) -> tuple[TrainConfig, Scenario]:

@@ -33,6 +33,7 @@ from scipy.optimize import least_squares
 
 from agents.controllers import ConstantSpeed
 from soil_env.effects import excavation_rate
+from soil_env.files import replace_file, save_figure
 from soil_env.identification.solver import LOWER, POINT_SIZE, UPPER, WEIGHTS, Status, predict, weigh
 from soil_env.identifier import SensorReading, forget, identifier_numbers, new_identifiers, observe
 from soil_env.parameters import Scenario, load_scenario
@@ -828,7 +829,7 @@ def figure(result: dict, path: Path | str) -> None:
         "bars and bands: 95 % intervals over courses"
     )
     fig.tight_layout(rect=(0, 0.07, 1, 1))
-    fig.savefig(path, dpi=120)
+    save_figure(fig, path, dpi=120)
     plt.close(fig)
 
 
@@ -851,7 +852,7 @@ def main() -> None:
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     result = smoke(args.seed) if args.smoke else run(args.courses, args.seed, print)
-    (args.out / "online.json").write_text(json.dumps(result, indent=1, allow_nan=False), encoding="utf-8")
+    replace_file(args.out / "online.json", json.dumps(result, indent=1, allow_nan=False))
     figure(result, args.out / "online.png")
 
 
