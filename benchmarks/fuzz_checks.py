@@ -9,7 +9,8 @@ left the work of the motor; right the change of kinetic energy, the work against
 of speed, and e, what the Newton iteration leaves: at most 1e-4 m/s (m |V| + J |w|/r), in general a hundredth of it.
 The gain of height is taken here from the course itself, by quadrature over the distance travelled. It differs from the
 sum of the substeps by m g h/2 times the change of V sin(grade) and, where the grade changes, by m g times the distance
-times its change within a substep.
+times its change within a substep. A wheel that starts or stops may do so within one substep, anywhere in the period:
+all of its gain of height counts as uncertain.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.compiled import kernel
+from soil_env.dynamics import REST_SPEED
 from soil_env.terrain import ground_at
 
 _x, _w = np.polynomial.legendre.leggauss(8)
@@ -85,6 +87,8 @@ def ledger(before: np.ndarray, worlds, scenario) -> Ledger:
     newton = substeps * NEWTON * (m * fastest + inertia * spin / r)
     steepest = np.maximum(np.abs(low), np.abs(high))
     sums = weight * (h * steepest * np.abs(dv) + (high - low) * (np.abs(after["travel"]) + h * fastest))
+    resting = np.minimum(np.abs(before["speed"]), np.abs(after["speed"])) < 2.0 * REST_SPEED
+    sums += np.where(resting, weight * steepest * np.abs(after["travel"]), 0.0)
     return Ledger(after["motor_work"], kinetic, weight * rise, after["soil_work"], newton + sums,
                   0.5 * m * dv**2 + 0.5 * inertia * dw**2)  # fmt: skip
 

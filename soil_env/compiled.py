@@ -5,6 +5,8 @@ arrays slow each other down, and a function that would allocate does not compile
 stack. `error_model="numpy"`: a division by zero gives inf, as in numpy, not a test and an exception.
 """
 
+import importlib
+
 from numba import njit, typeof, types
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
@@ -45,5 +47,11 @@ class Entry:
             self._code = self._function.overloads[signature].entry_point
         return self._code(*arguments)
 
-    def __reduce__(self):  # the code is found again where a copy is used
-        return Entry, (self._function,)
+    def __reduce__(self):
+        """By name: numba would pickle the source of the function, and compile it anew in another process."""
+        function = self._function.py_func
+        return _entry, (function.__module__, function.__name__)
+
+
+def _entry(module: str, name: str) -> Entry:
+    return Entry(getattr(importlib.import_module(module), name))
