@@ -7,8 +7,8 @@ loaded without unpickling anything (`agents.zips`); SB3's own `PPO.load` would u
 
 from __future__ import annotations
 
+import io
 import json
-import os
 import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,10 +21,11 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-from agents import zips
+from agents import checkpoint, zips
 from agents.learner import Learner, Tanh
 from agents.sb3 import SoilWheelVecEnv
 from soil_env.env import action_space, observation_space
+from soil_env.files import replace_file
 from soil_env.loading import Checked, ParameterError, load, quantity, to_dict
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
@@ -127,12 +128,15 @@ def _schedule(config: PPOConfig):
     return learning_rate
 
 
-_META = "soil_env.json"  # member of the model's zip
+_META, _STATE = "soil_env.json", "training.npz"  # members of the model's zip
 
 
-def save(model: PPO, path: Path) -> None:
-    """Save the agent to `path` (.zip), replaced in one piece: a kill in between leaves the old file whole."""
-    path = Path(path)
+def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
+    """Save the agent to `path` (.zip), replaced in one piece: a kill in between leaves the old file whole.
+
+    `between_rollouts`: keep the state of the training too (`agents.checkpoint`), from which it goes on as if it had
+    not been interrupted.
+    """
     env = model.get_vec_normalize_env()
     meta = {
         "timesteps": int(model.num_timesteps),
@@ -150,11 +154,13 @@ def save(model: PPO, path: Path) -> None:
     world = env.get_attr("model")[0]
     if world is not None:
         meta["model"] = world.content()
-    partial = path.with_name(f".{path.stem}.partial.zip")
-    model.save(partial)
-    with zipfile.ZipFile(partial, "a", zipfile.ZIP_DEFLATED) as archive:
+    stream = io.BytesIO()
+    model.save(stream)
+    with zipfile.ZipFile(stream, "a", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(_META, json.dumps(meta, indent=1))
-    os.replace(partial, path)
+        if between_rollouts:
+            archive.writestr(_STATE, checkpoint.content(model))
+    replace_file(path, stream.getvalue())
 
 
 def _variant(env) -> str:
@@ -262,7 +268,11 @@ def resume(
     log: Path | None,
     world: WheelSoilModel | None = None,
 ) -> PPO:
-    """The agent of a checkpoint, ready to go on learning; its worlds start new courses."""
+    """The agent of a checkpoint, ready to go on learning.
+
+    Where the checkpoint has the state of the training, it goes on as the run would have; else its worlds start new
+    courses.
+    """
     meta = read_meta(path)
     if meta["observation"] != observation:
         raise ParameterError(f"{path}: trained with observation {meta['observation']!r}, not {observation!r}")
@@ -281,6 +291,9 @@ def resume(
     )
     model.update_threads = config.threads
     model.set_random_seed((seed + meta["timesteps"]) % 2**31)  # loading has set the seed of the start of the run
+    state = zips.read_bytes(path, _STATE)
+    if state is not None:
+        checkpoint.restore(model, state, path)
     return model
 
 

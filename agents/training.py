@@ -64,8 +64,10 @@ class _Watch(BaseCallback):
             note = f"return {np.mean(returns):.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
             self.causes, self.returns = recent, returns
         self.bar.update(self.num_timesteps, note=note)
+
+    def _on_rollout_start(self) -> None:
         if self.num_timesteps >= self.next_save:
-            ppo.save(self.model, self.folder / "checkpoint.zip")
+            ppo.save(self.model, self.folder / "checkpoint.zip", between_rollouts=True)
             self.times.save()
             self.next_save = self.num_timesteps + self.every
 
@@ -129,7 +131,7 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
                 raise
     times.save()
     ppo.save(model, folder / "model.zip")
-    for left_over in (folder / "checkpoint.zip", *folder.glob(".*.partial.zip")):
+    for left_over in (folder / "checkpoint.zip", *folder.glob(".*.partial*")):
         left_over.unlink(missing_ok=True)
     return ppo.load_agent(folder)
 

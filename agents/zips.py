@@ -62,6 +62,22 @@ def read_member(path: Path, name: str, what: str = "a model of Stable-Baselines3
     return content
 
 
+def read_bytes(path: Path, name: str) -> bytes | None:
+    """A member of a model's zip, None where there is none; ParameterError in one line."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if name not in archive.namelist():
+                return None
+            if archive.getinfo(name).file_size > MOST_BYTES:
+                raise ParameterError(f"{path}: {name}: too large to be that of a model")
+            return archive.read(name)
+    except ParameterError:
+        raise
+    except Exception as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise ParameterError(f"{path}: {name}: cannot be read ({reason})") from None
+
+
 def without_pickles(path: Path, observation_space, action_space, **known) -> dict:
     """`custom_objects` for SB3's `load` in place of every pickle in the zip; ParameterError if one cannot be replaced.
 
