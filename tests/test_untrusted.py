@@ -1,4 +1,4 @@
-"""Files from elsewhere: YAML made to be a burden, zips that are broken, foreign or hostile: one line, no code is run."""
+"""Files from elsewhere: YAML made to be a burden, zips broken, foreign or hostile: one line, and no code is run."""
 
 import io
 import json
