@@ -224,6 +224,7 @@ def summary(tally: Tally, seed: int) -> str:
     effects_met = sum(name.startswith("effect ") for name in k)
     ends = ", ".join(f"{name} {n:,}" for name, n in sorted(tally.causes.items()))
     refused = ", ".join(f"{n} for {name}" for name, n in sorted(tally.refused.items())) or "none"
+    law, own = k["model with a residual law"], k["model with its own soil"]
     rows = [
         ("steps", f"{tally.steps:,}"),
         ("configurations", f"{tally.cases} driven; refused with one line: {refused}"),
@@ -231,7 +232,7 @@ def summary(tally: Tally, seed: int) -> str:
         ("scenario that was changed", many("scenario ")),
         ("soils", f"{soils_met} presets"),
         ("effects", f"in {k['model']} configurations, {effects_met} different ones; "
-                    f"{k['model with a residual law']} with a residual law, {k['model with its own soil']} a soil"),
+                    f"{law} with a residual law, {own} with a soil"),
         ("episode ends", ends or "none"),
         ("exceptions, NaN, broken invariants", f"{len(tally.broken)}"),
         ("control periods not converged", f"{tally.not_converged}"),

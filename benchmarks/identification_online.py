@@ -32,6 +32,7 @@ from numba import njit
 from scipy.optimize import least_squares
 
 from agents.controllers import ConstantSpeed
+from soil_env.compiled import CACHE
 from soil_env.effects import excavation_rate
 from soil_env.files import replace_file, save_figure
 from soil_env.identification.solver import LOWER, POINT_SIZE, UPPER, WEIGHTS, Status, predict, weigh
@@ -66,7 +67,7 @@ class SwingingSpeed(ConstantSpeed):
         return self.speed * (1.0 + SWING * np.sin(2.0 * math.pi * t / SWING_PERIOD))
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def _log_truth(state, courses, border, exponent, out):
     """Per wheel into `out` [n, 6]: phi, ln K, ln S at `exponent` and the true bearing sinkage, distance since the last
     border [m], patch, halted."""
@@ -393,7 +394,7 @@ class UnscentedKalman(Contender):
         self.P = (vectors * np.maximum(values, 1e-8)) @ vectors.T
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def _whitened(x, points, prior, precision, reading, residual, jacobian):
     """Whitened residuals [3 M + 3] (prior last) and their Jacobian [3 M + 3, 3]."""
     out, jac = np.empty(3), np.empty((3, 4))
@@ -475,7 +476,7 @@ def make(name: str, scenario: Scenario) -> Contender:
 # --- replay -----------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def _replay_compiled(readings, ids, numbers, estimate, sd, valid):
     """`observe` over a log [T, 7], as the environment calls it; the number of solves."""
     forget(ids, 0, numbers)

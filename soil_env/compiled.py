@@ -11,12 +11,27 @@ from numba import njit, typeof, types
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
+
+def _nothing():
+    pass
+
+
+def _cacheable() -> bool:
+    try:
+        njit(cache=True)(_nothing)
+    except RuntimeError:  # numba finds no folder that it could write
+        return False
+    return True
+
+
+#: Whether compiled code is kept on the disk; without a folder for it every process compiles anew.
+CACHE = _cacheable()
 #: For functions of a step.
-kernel = njit(cache=True, error_model="numpy", _nrt=False)
+kernel = njit(cache=CACHE, error_model="numpy", _nrt=False)
 #: The same for small ones whose values should stay in registers: always inlined.
-inlined = njit(cache=True, error_model="numpy", _nrt=False, forceinline=True)
+inlined = njit(cache=CACHE, error_model="numpy", _nrt=False, forceinline=True)
 #: The same for large ones with one caller: put into it before compilation, so that they are not compiled twice.
-pasted = njit(cache=True, error_model="numpy", _nrt=False, inline="always")
+pasted = njit(cache=CACHE, error_model="numpy", _nrt=False, inline="always")
 
 
 @intrinsic

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from soil_env.compiled import Entry, kernel, pasted, take
+from soil_env.compiled import CACHE, Entry, kernel, pasted, take
 from soil_env.crew import crew
 from soil_env.dynamics import WHEEL_STATE, WorldNumbers, settle, world_numbers
 from soil_env.identifier import IdentifierNumbers, Identifiers, forget, identifier_numbers, new_identifiers, observe
@@ -99,7 +99,7 @@ def report(worlds, numbers, k):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, nogil=True)
+@njit(cache=CACHE, error_model="numpy", _nrt=False, nogil=True)
 def step_chunks(worlds, numbers, commands, what, counter):
     """Wheels by chunks from `counter` [1]: a control period (what[k] = STEP), `restart` (RESTART) or nothing (IDLE)."""
     which, given = _eight(), _eight()
@@ -123,7 +123,7 @@ def step_chunks(worlds, numbers, commands, what, counter):
         start = take(counter, _CHUNK)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, nogil=True)
+@njit(cache=CACHE, error_model="numpy", _nrt=False, nogil=True)
 def restart_chunks(worlds, numbers, which, counter):
     """`restart` the wheels with `which` True, by chunks from `counter` [1]."""
     wheels = which.size

@@ -221,3 +221,30 @@ def test_one_processor_and_no_home(tmp_path):
     for _ in range(5):
         out = env.step(np.full((40, 1), 0.45))
     assert text.strip() == out[0].tobytes().hex()[:64] and error == ""
+
+
+def test_without_a_folder_for_compiled_code_nothing_is_cached(monkeypatch):
+    """Where neither the package nor the home can be written, numba refuses to cache; then it is not asked to."""
+    from soil_env import compiled
+
+    def refuses(**options):
+        assert options == {"cache": True}
+
+        def decorate(function):
+            raise RuntimeError("cannot cache function '_nothing': no locator available")
+
+        return decorate
+
+    assert compiled._cacheable() is compiled.CACHE
+    monkeypatch.setattr(compiled, "njit", refuses)
+    assert not compiled._cacheable()
+
+
+def test_every_kernel_asks_whether_it_can_be_cached():
+    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    for folder in ("soil_env", "agents"):
+        for where, _, names in os.walk(os.path.join(root, folder)):
+            for name in names:
+                if name.endswith(".py") and name != "compiled.py":
+                    with open(os.path.join(where, name), encoding="utf-8") as file:
+                        assert "cache=True" not in file.read(), name

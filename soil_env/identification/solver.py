@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from soil_env.compiled import inlined, kernel
+from soil_env.compiled import CACHE, inlined, kernel
 from soil_env.contact import (
     JANOSI,
     STORED_NODES,
@@ -307,7 +307,7 @@ def _normal(x, points, count, prior, precision, reading, work):
     return Normal(cost, v0, v1, v2, m00, m01, m02, m11, m12, m22)
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def normal_equations(x, points, count, prior, precision, reading, matrix, vector):
     """Sum of squared whitened residuals; fills `matrix` (J^T J + prior precision) and `vector` (J^T residual)."""
     work = np.empty(blocks(count) * BLOCK)
@@ -391,7 +391,7 @@ def _moved(x, step):
     )
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def solve(x, points, count, prior, precision, reading, max_iterations, tolerance, covariance):
     """Weighted least squares for x [3] in place, from its present value; (Status, iterations, cost).
 
