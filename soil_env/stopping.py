@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from functools import wraps
 
-INTERRUPTED, TERMINATED = 130, 143  # exit statuses, 128 + the number of the signal
+from soil_env.starting import INTERRUPTED, TERMINATED
 
 
 def terminable(main: Callable[..., int]) -> Callable[..., int]:
