@@ -82,8 +82,8 @@ def steps_logged(folder):
     for file in sorted(folder.glob("tensorboard/*/events*"), key=lambda p: p.stat().st_mtime_ns):
         events = EventAccumulator(str(file))
         events.Reload()
-        if "train/loss" in events.Tags()["scalars"]:
-            steps.append([event.step for event in events.Scalars("train/loss")])
+        if "train/value_loss" in events.Tags()["scalars"]:
+            steps.append([event.step for event in events.Scalars("train/value_loss")])
     return steps
 
 
