@@ -106,7 +106,7 @@ def case_of(env) -> Case:
 
 
 @pytest.mark.parametrize(
-    ("name", "factor"), [("motor_work", 0.97), ("soil_work", 1.03), ("soil_work", 0.9), ("speed", 1.05)]
+    ("name", "factor"), [("motor_work", 0.97), ("soil_work", 1.03), ("speed", 1.05)]
 )
 def test_a_planted_gap_in_the_balance_is_found(driven, name, factor):
     env, _, before, _ = driven
