@@ -105,9 +105,7 @@ def case_of(env) -> Case:
     return Case(env.scenario, "identified", None)
 
 
-@pytest.mark.parametrize(
-    ("name", "factor"), [("motor_work", 0.97), ("soil_work", 1.03), ("speed", 1.05)]
-)
+@pytest.mark.parametrize(("name", "factor"), [("motor_work", 0.97), ("soil_work", 1.03), ("speed", 1.05)])
 def test_a_planted_gap_in_the_balance_is_found(driven, name, factor):
     env, _, before, _ = driven
     shares = []
