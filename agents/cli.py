@@ -9,8 +9,9 @@ from pathlib import Path
 
 import yaml
 
-from soil_env.loading import ParameterError, merge, read_yaml
+from soil_env.loading import ParameterError, merge, parse_yaml, read_yaml
 from soil_env.starting import started
+from soil_env.stopping import terminable
 
 _FILES = """
 The run folder, runs/NAME, holds
@@ -81,7 +82,7 @@ def overrides(arguments: list[str]) -> dict:
                 raise ParameterError(f"{key}: expected a value after it")
             value = rest.pop(0)
         try:
-            entry = value if name in _TEXT else yaml.safe_load(value)
+            entry = value if name in _TEXT else parse_yaml(value)
         except yaml.YAMLError:
             entry = value
         for part in reversed(name.replace("-", "_").split(".")):
@@ -90,6 +91,7 @@ def overrides(arguments: list[str]) -> dict:
     return out
 
 
+@terminable
 def main(arguments: list[str] | None = None, description: str = "") -> int:
     """Run train.py; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options, rest = parser(description).parse_known_args(arguments)

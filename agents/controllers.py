@@ -19,6 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from soil_env.compiled import CACHE
 from soil_env.loading import unknown_key
 from soil_env.parameters import Scenario, SoilState
 from soil_env.task import layout
@@ -184,7 +185,7 @@ class BestSlipTrue(BestSlipIdentified):
         return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=CACHE, nogil=True)
 def _best_slips(soils, load, r, b, torque, known, slip):
     for k in range(len(soils)):
         changed = abs(load[k] - known[k, 7]) > 0.1 * known[k, 7]

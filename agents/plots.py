@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from agents.evaluate import METRICS, RATES, course_rng
+from soil_env.files import save_figure
 from soil_env.model import WheelSoilModel, sinkage_coefficient_at
 from soil_env.parameters import Scenario
 from soil_env.simulation import Simulation
@@ -38,7 +39,7 @@ def comparison_figure(result: dict, path: Path) -> None:
     axes[0].set_yticks(range(len(names)), names)
     figure.suptitle(f"{result['courses']} held-out courses, scenario {result['scenario']!r}; bars: 95 % intervals")
     figure.tight_layout()
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path, dpi=130)
     plt.close(figure)
 
 
@@ -95,7 +96,7 @@ def course_figure(
             axis.grid(alpha=0.3)
     figure.suptitle(f"Held-out course {course} of scenario {scenario.name!r}")
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, dpi=110)
     plt.close(figure)
 
 

@@ -1,16 +1,15 @@
 """PPO agents (Stable-Baselines3): build, save, load and resume, with their observation normalisation.
 
 A saved agent is one zip in SB3's own format with a further member, soil_env.json, which holds the
-running mean and variance of the observations, the names of the observation layout and the resolved scenario. Loading
-a model of SB3 unpickles parts of the zip: load only models you trust.
+running mean and variance of the observations, the names of the observation layout and the resolved scenario. It is
+loaded without unpickling anything (`agents.zips`); SB3's own `PPO.load` would unpickle parts of it.
 """
 
 from __future__ import annotations
 
+import io
 import json
-import os
 import zipfile
-import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -22,8 +21,11 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
+from agents import checkpoint, zips
 from agents.learner import Learner, Tanh
 from agents.sb3 import SoilWheelVecEnv
+from soil_env.env import action_space, observation_space
+from soil_env.files import replace_file
 from soil_env.loading import Checked, ParameterError, load, quantity, to_dict
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
@@ -126,12 +128,15 @@ def _schedule(config: PPOConfig):
     return learning_rate
 
 
-_META = "soil_env.json"  # member of the model's zip
+_META, _STATE = "soil_env.json", "training.npz"  # members of the model's zip
 
 
-def save(model: PPO, path: Path) -> None:
-    """Save the agent to `path` (.zip), replaced in one piece: a kill in between leaves the old file whole."""
-    path = Path(path)
+def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
+    """Save the agent to `path` (.zip), replaced in one piece: a kill in between leaves the old file whole.
+
+    `between_rollouts`: keep the state of the training too (`agents.checkpoint`), from which it goes on as if it had
+    not been interrupted.
+    """
     env = model.get_vec_normalize_env()
     meta = {
         "timesteps": int(model.num_timesteps),
@@ -149,11 +154,13 @@ def save(model: PPO, path: Path) -> None:
     world = env.get_attr("model")[0]
     if world is not None:
         meta["model"] = world.content()
-    partial = path.with_name(f".{path.stem}.partial.zip")
-    model.save(partial)
-    with zipfile.ZipFile(partial, "a", zipfile.ZIP_DEFLATED) as archive:
+    stream = io.BytesIO()
+    model.save(stream)
+    with zipfile.ZipFile(stream, "a", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(_META, json.dumps(meta, indent=1))
-    os.replace(partial, path)
+        if between_rollouts:
+            archive.writestr(_STATE, checkpoint.content(model))
+    replace_file(path, stream.getvalue())
 
 
 def _variant(env) -> str:
@@ -188,14 +195,9 @@ def read_meta(path: Path) -> dict:
     """What `save` noted about a model; ParameterError with one line if the file is missing, broken or not ours."""
     path = Path(path)
     try:
-        with zipfile.ZipFile(path) as archive:
-            meta = json.loads(archive.read(_META))
-    except OSError as error:
-        raise ParameterError(f"{path}: cannot be read ({error.strerror}); expected a model saved by train.py") from None
-    except (zipfile.BadZipFile, KeyError, ValueError, zlib.error, RuntimeError, NotImplementedError) as error:
-        raise ParameterError(f"{path}: not a model saved by train.py ({error})") from None
-    if not isinstance(meta, dict):
-        raise ParameterError(f"{path}: {_META}: expected a mapping, got {type(meta).__name__}")
+        meta = zips.read_member(path, _META, "a model saved by train.py")
+    except KeyError:
+        raise ParameterError(f"{path}: not a model saved by train.py (it has no {_META})") from None
     for key, kind in _META_TYPES.items():
         if not isinstance(meta.get(key), kind):
             raise ParameterError(f"{path}: {_META}: {key} = {meta.get(key)!r}: expected {kind}")
@@ -243,14 +245,15 @@ def load_agent(path: Path) -> Agent:
         path = path / "model.zip"
     meta = read_meta(path)
     check_layout(meta, path)
-    model = _load_zip(path)
+    model = _load_zip(path, meta["observation"])
     sd = np.sqrt(np.asarray(meta["var"]) + 1e-8)
     return Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], meta["observation"], meta["timesteps"], meta)
 
 
-def _load_zip(path: Path, **options) -> PPO:
+def _load_zip(path: Path, observation: str, objects: dict | None = None, **options) -> PPO:
+    replaced = zips.without_pickles(path, observation_space(observation), action_space(), **(objects or {}))
     try:
-        return Learner.load(path, device="cpu", **options)
+        return Learner.load(path, device="cpu", custom_objects=replaced, **options)
     except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
         reason = (str(error).splitlines() or [""])[0][:200]
         raise ParameterError(f"{path}: cannot be loaded as a PPO model ({type(error).__name__}: {reason})") from None
@@ -265,7 +268,11 @@ def resume(
     log: Path | None,
     world: WheelSoilModel | None = None,
 ) -> PPO:
-    """The agent of a checkpoint, ready to go on learning; its worlds start new courses."""
+    """The agent of a checkpoint, ready to go on learning.
+
+    Where the checkpoint has the state of the training, it goes on as the run would have; else its worlds start new
+    courses.
+    """
     meta = read_meta(path)
     if meta["observation"] != observation:
         raise ParameterError(f"{path}: trained with observation {meta['observation']!r}, not {observation!r}")
@@ -274,14 +281,19 @@ def resume(
     env = normalised(scenario, observation, config, seed, world)
     env.obs_rms = _running(meta["mean"], meta["var"], meta["count"])
     env.ret_rms = _running(meta["return_mean"], meta["return_var"], meta["return_count"])
+    rate = _schedule(config)
     model = _load_zip(
         Path(path),
+        observation,
+        {"learning_rate": rate, "lr_schedule": rate, "clip_range": config.clip_range},
         env=env,
-        custom_objects={"learning_rate": _schedule(config), "lr_schedule": _schedule(config)},
         tensorboard_log=None if log is None else str(log),
     )
     model.update_threads = config.threads
     model.set_random_seed((seed + meta["timesteps"]) % 2**31)  # loading has set the seed of the start of the run
+    state = zips.read_bytes(path, _STATE)
+    if state is not None:
+        checkpoint.restore(model, state, path)
     return model
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 from stable_baselines3.common.callbacks import BaseCallback
 
+from soil_env.files import replace_file
+
 FILE = "time.json"
 #: Part -> what it is, in the order they come. "policy" is all of a rollout but the environment.
 PARTS = {
@@ -44,7 +46,7 @@ class Times:
     def save(self) -> None:
         """Write time.json."""
         content = {"seconds": {part: round(value, 3) for part, value in self.seconds.items()}}
-        self.path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        replace_file(self.path, json.dumps(content, indent=1) + "\n")
 
     def __str__(self) -> str:
         """One line a part that took time, training first."""

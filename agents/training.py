@@ -17,6 +17,7 @@ from agents.controllers import CONTROLLERS, make_controller
 from agents.evaluate import HELD_OUT_SET, TUNING_SET
 from agents.ppo import TrainConfig
 from agents.timing import Times, Timing
+from soil_env.files import replace_file
 from soil_env.loading import ParameterError, read_yaml, to_dict
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario, load_scenario
@@ -63,8 +64,10 @@ class _Watch(BaseCallback):
             note = f"return {np.mean(returns):.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
             self.causes, self.returns = recent, returns
         self.bar.update(self.num_timesteps, note=note)
+
+    def _on_rollout_start(self) -> None:
         if self.num_timesteps >= self.next_save:
-            ppo.save(self.model, self.folder / "checkpoint.zip")
+            ppo.save(self.model, self.folder / "checkpoint.zip", between_rollouts=True)
             self.times.save()
             self.next_save = self.num_timesteps + self.every
 
@@ -88,7 +91,7 @@ def make_run_folder(config: TrainConfig, scenario: Scenario) -> Path:
 def write_task(folder: Path, config: TrainConfig, scenario: Scenario) -> None:
     """The config.yaml and scenario.yaml of a run folder."""
     for name, content in (("config", config), ("scenario", scenario)):
-        (folder / f"{name}.yaml").write_text(yaml.safe_dump(to_dict(content), sort_keys=False), encoding="utf-8")
+        replace_file(folder / f"{name}.yaml", yaml.safe_dump(to_dict(content), sort_keys=False))
 
 
 def open_run(folder: Path) -> tuple[TrainConfig, Scenario]:
@@ -128,7 +131,7 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
                 raise
     times.save()
     ppo.save(model, folder / "model.zip")
-    for left_over in (folder / "checkpoint.zip", *folder.glob(".*.partial.zip")):
+    for left_over in (folder / "checkpoint.zip", *folder.glob(".*.partial*")):
         left_over.unlink(missing_ok=True)
     return ppo.load_agent(folder)
 

@@ -37,7 +37,9 @@ from agents.progress import Bar  # noqa: E402
 from benchmarks import blind_page  # noqa: E402
 from benchmarks.blind_judge import figures  # noqa: E402
 from benchmarks.blind_study import IN_ALL, Task, solve, tasks  # noqa: E402
+from soil_env.files import append_line, replace_file  # noqa: E402
 from soil_env.loading import ParameterError  # noqa: E402
+from soil_env.stopping import terminable  # noqa: E402
 
 NAME = "benchmarks.blind"
 ROOT = Path(__file__).resolve().parent.parent
@@ -86,7 +88,7 @@ class Records:
             self._read()
         else:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(about) + "\n", encoding="utf-8")
+            replace_file(path, json.dumps(about) + "\n")
 
     def _read(self) -> None:
         raw = self.path.read_bytes()
@@ -108,10 +110,7 @@ class Records:
 
     def add(self, record: dict) -> None:
         """Keep a case on the disk."""
-        with self.path.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(record, allow_nan=False) + "\n")
-            stream.flush()
-            os.fsync(stream.fileno())
+        append_line(self.path, json.dumps(record, allow_nan=False))
         self.done[record["group"], record["index"]] = record
 
     def of(self, wanted: list[Task]) -> list[dict]:
@@ -176,9 +175,10 @@ def write_result(result: dict, folder: Path) -> None:
     lines = ",\n".join(json.dumps(r, allow_nan=False) for r in result["cases"])
     text = head.removesuffix("\n}") + ',\n "cases": [\n' + lines + "\n]}\n"
     blind_page.write(result, folder)
-    (folder / "discrepancy.json").write_text(text, encoding="utf-8")
+    replace_file(folder / "discrepancy.json", text)
 
 
+@terminable
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = _parser().parse_args(arguments)

@@ -13,6 +13,7 @@ from pathlib import Path
 from benchmarks import blind_plots
 from benchmarks.blind_judge import LARGEST_GAP, LEAST_CASES, OPTIONS, TARGETS
 from benchmarks.blind_study import GROUPS
+from soil_env.files import replace_file
 
 KEPT = ("remarks", "cmu")
 LEAST_TOLD = 1.0
@@ -356,7 +357,7 @@ def write(result: dict, folder: Path) -> None:
     blind_plots.curve(f, folder / "discrepancy_curve.png")
     blind_plots.confusion([r for r in cases if r["group"] == "one"], folder / "discrepancy_confusion.png")
     blind_plots.gap(cases, folder / "discrepancy_gap.png")
-    path.write_text(text, encoding="utf-8")
+    replace_file(path, text)
 
 
 def summary(result: dict) -> str:

@@ -12,6 +12,7 @@ import numpy as np  # noqa: E402
 
 from benchmarks.blind_forms import EFFECTS  # noqa: E402
 from benchmarks.blind_judge import gap_of  # noqa: E402
+from soil_env.files import save_figure
 
 CURVES = (
     ("right", "right name first", "#1b7837", "o"),
@@ -98,5 +99,5 @@ def _logarithmic(axis, ticks: tuple[float, ...]) -> None:
 
 
 def _save(figure, path: Path) -> None:
-    figure.savefig(path, dpi=110, bbox_inches="tight")
+    save_figure(figure, path, dpi=110, bbox_inches="tight")
     plt.close(figure)

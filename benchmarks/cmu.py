@@ -22,8 +22,10 @@ from pathlib import Path
 import yaml
 
 from soil_env.discrepancy import cmu, run
+from soil_env.files import replace_file
 from soil_env.loading import ParameterError
 from soil_env.measurement import Prior, Setup, SetupWheel, SoilPriors, read_setup
+from soil_env.stopping import terminable
 
 OTHER_SIZE = (0.0625, 0.060)  # [m] radius, width in qishuny/3D-RFT-wheel
 SOIL = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
@@ -36,6 +38,7 @@ CAUTIONS = (
 )
 
 
+@terminable
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     p = argparse.ArgumentParser(
@@ -56,9 +59,16 @@ def main(arguments: list[str] | None = None) -> int:
     except ParameterError as error:
         print(f"benchmarks.cmu: {error}", file=sys.stderr)
         return 2
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "discrepancy_cmu.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    (options.out / "discrepancy_cmu.md").write_text(page(result), encoding="utf-8")
+    except KeyboardInterrupt:
+        print("\nbenchmarks.cmu: interrupted, nothing written", file=sys.stderr)
+        return 130
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+        replace_file(options.out / "discrepancy_cmu.json", json.dumps(result, indent=1) + "\n")
+        replace_file(options.out / "discrepancy_cmu.md", page(result))
+    except OSError as error:
+        print(f"benchmarks.cmu: {error.filename or options.out}: {error.strerror}", file=sys.stderr)
+        return 2
     print(f"written: {options.out / 'discrepancy_cmu.json'} and .md")
     return 0
 

@@ -23,12 +23,14 @@ from scipy.optimize import root
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import identification_online, identification_page  # noqa: E402
+from soil_env.files import replace_file
 from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict  # noqa: E402
 from soil_env.identification.point import POINT_SIZE, WEIGHTS, weigh  # noqa: E402
 from soil_env.identification.solver import solve  # noqa: E402
 from soil_env.identification.uniqueness import other_soil  # noqa: E402
 from soil_env.model import steady_state  # noqa: E402
 from soil_env.parameters import Soil, SoilState, soils  # noqa: E402
+from soil_env.stopping import terminable
 
 PAPER = Reading(cohesion=3000.0, exponent=0.47, radius=0.6274, width=0.1524)  # the wheel and sand of the source paper
 ROVER = Reading(cohesion=170.0, exponent=1.0, radius=0.15, width=0.15)
@@ -328,6 +330,29 @@ def speed(rng: np.random.Generator, repeats: int) -> dict:
 # --- all --------------------------------------------------------------------------------------------------------------
 
 
+def study(seed: int, smoke: bool) -> dict:
+    """All parts, as plain values."""
+    seeds = np.random.SeedSequence(seed).spawn(3)
+    rngs = [np.random.default_rng(s) for s in seeds]
+    result: dict = {
+        "command": "python benchmarks/identification.py" + (" --smoke" if smoke else ""),
+        "seed": seed,
+        "machine": f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}",
+    }
+    for name, part in (
+        ("convergence", lambda: convergence(rngs[0], 50 if smoke else 10_000)),
+        ("efficiency", lambda: efficiency(rngs[1], 20 if smoke else 1000)),
+        ("identifiability", identifiability),
+        ("speed", lambda: speed(rngs[2], 3 if smoke else 50)),
+        ("online", lambda: identification_online.run(2 if smoke else 200, seed)),
+    ):
+        start = time.perf_counter()
+        result[name] = part()
+        print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
+    return result
+
+
+@terminable
 def main(arguments: list[str] | None = None) -> int:
     """Run the study and write its page."""
     p = argparse.ArgumentParser(
@@ -335,7 +360,7 @@ def main(arguments: list[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="files:\n  OUT/identification.md, identification.json, identification/*.png\n\nexit status:\n"
-        "  0 done; 2 a folder that cannot be written\n\nexamples:\n"
+        "  0 done; 2 a folder that cannot be written; 130 interrupted\n\nexamples:\n"
         "  python benchmarks/identification.py --smoke --out /tmp/identification",
     )
     p.add_argument(
@@ -345,32 +370,17 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--seed", metavar="N", type=int, default=0, help="of everything random (default: 0)")
     p.add_argument("--smoke", action="store_true", help="seconds instead of minutes, numbers without meaning")
     options = p.parse_args(arguments)
-    smoke = options.smoke
-    seeds = np.random.SeedSequence(options.seed).spawn(3)
-    rngs = [np.random.default_rng(s) for s in seeds]
-    result: dict = {
-        "command": "python benchmarks/identification.py" + (" --smoke" if smoke else ""),
-        "seed": options.seed,
-        "machine": f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}",
-    }
-    for name, part in (
-        ("convergence", lambda: convergence(rngs[0], 50 if smoke else 10_000)),
-        ("efficiency", lambda: efficiency(rngs[1], 20 if smoke else 1000)),
-        ("identifiability", identifiability),
-        ("speed", lambda: speed(rngs[2], 3 if smoke else 50)),
-        ("online", lambda: identification_online.run(2 if smoke else 200, options.seed)),
-    ):
-        start = time.perf_counter()
-        result[name] = part()
-        print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
+        result = study(options.seed, options.smoke)
         identification_page.write(result, options.out)
-        text = json.dumps(result, indent=1, allow_nan=True)
-        (options.out / "identification.json").write_text(text + "\n", encoding="utf-8")
+        replace_file(options.out / "identification.json", json.dumps(result, indent=1, allow_nan=True) + "\n")
     except OSError as error:
-        print(f"identification.py: {options.out}: {error.strerror}", file=sys.stderr)
+        print(f"identification.py: {error.filename or options.out}: {error.strerror or error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("\nidentification.py: interrupted, nothing written", file=sys.stderr)
+        return 130
     print(f"Written: {options.out / 'identification.md'}")
     return 0
 

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from scipy.optimize import least_squares
 
+from soil_env.compiled import CACHE
 from soil_env.effects import excavation_rate
 from soil_env.identification.point import POINT_SIZE, WEIGHTS, predict, weigh
 from soil_env.identification.solver import LOWER, UPPER, Status
@@ -277,7 +278,7 @@ class UnscentedKalman(Contender):
         self.P = (vectors * np.maximum(values, 1e-8)) @ vectors.T
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def _whitened(x, points, prior, precision, reading, residual, jacobian):
     """Whitened residuals [3 M + 3] (prior last) and their Jacobian [3 M + 3, 3]."""
     out, jac = np.empty(3), np.empty((3, 4))
@@ -359,7 +360,7 @@ def make(name: str, scenario: Scenario) -> Contender:
 # --- replay -----------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def replay_compiled(readings, ids, numbers, estimate, sd, valid):
     """`observe` over a log [T, 7], as the environment calls it; the number of solves."""
     forget(ids, 0, numbers)

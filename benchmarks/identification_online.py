@@ -41,6 +41,8 @@ from benchmarks.identification_contenders import (
     replay_compiled,
 )
 from benchmarks.identification_online_figure import figure
+from soil_env.compiled import CACHE
+from soil_env.files import replace_file
 from soil_env.identifier import SensorReading, identifier_numbers, new_identifiers
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation import IDLE, STEP, Simulation
@@ -69,7 +71,7 @@ class SwingingSpeed(ConstantSpeed):
         return self.speed * (1.0 + SWING * np.sin(2.0 * math.pi * t / SWING_PERIOD))
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def _log_truth(state, courses, border, exponent, out):
     """Per wheel into `out` [n, 6]: phi, ln K, ln S at `exponent` and the true bearing sinkage, distance since the last
     border [m], patch, halted."""
@@ -391,7 +393,7 @@ def main() -> None:
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     result = smoke(args.seed) if args.smoke else run(args.courses, args.seed, print)
-    (args.out / "online.json").write_text(json.dumps(result, indent=1, allow_nan=False), encoding="utf-8")
+    replace_file(args.out / "online.json", json.dumps(result, indent=1, allow_nan=False))
     figure(result, args.out / "online.png")
 
 

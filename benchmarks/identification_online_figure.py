@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.identification_contenders import PARAMETERS
+from soil_env.files import save_figure
 
 _COLOURS = {"ours": "#0072b2", "newton_raphson": "#d55e00", "linear": "#999999", "ukf": "#009e73", "batch": "#cc79a7"}
 _LABELS = {
@@ -84,5 +85,5 @@ def figure(result: dict, path: Path | str) -> None:
         "bars and bands: 95 % intervals over courses"
     )
     fig.tight_layout(rect=(0, 0.07, 1, 1))
-    fig.savefig(path, dpi=120)
+    save_figure(fig, path, dpi=120)
     plt.close(fig)

@@ -11,6 +11,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
 from benchmarks import identification_online  # noqa: E402
+from soil_env.files import replace_file, save_figure
 
 _NAMES = ("phi", "K", "S")
 
@@ -226,7 +227,7 @@ def efficiency_figure(rows, path: Path) -> None:
     axes[0].set_ylabel("RMS error / Cramer-Rao bound")
     axes[2].legend(fontsize=8)
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, dpi=110)
     plt.close(figure)
 
 
@@ -256,4 +257,4 @@ def write(result: dict, folder: Path) -> None:
         *_speed(result["speed"]),
         "",
     ]
-    (folder / "identification.md").write_text("\n".join(lines), encoding="utf-8")
+    replace_file(folder / "identification.md", "\n".join(lines))

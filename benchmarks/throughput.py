@@ -30,7 +30,9 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks import throughput_parts, throughput_page  # noqa: E402, I001
 from soil_env.env import SoilWheelEnv  # noqa: E402
+from soil_env.files import replace_file  # noqa: E402
 from soil_env.simulation import IDLE, STEP  # noqa: E402
+from soil_env.stopping import terminable  # noqa: E402
 from soil_env.task import Cause  # noqa: E402
 from soil_env.vector_env import SoilWheelVectorEnv  # noqa: E402
 
@@ -293,6 +295,7 @@ def run(smoke: bool, say=lambda text: None) -> dict:
     return result
 
 
+@terminable
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     parser = argparse.ArgumentParser(
@@ -308,14 +311,25 @@ def main(arguments: list[str] | None = None) -> int:
         help="folder of performance.json and performance.md (default: docs of the clone)",
     )  # fmt: skip
     options = parser.parse_args(arguments)
-    result = run(options.smoke, print)
-    for note in result["notes"]:
-        print(note)
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "performance.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    throughput_page.write(result, ROOT / "docs" / "performance.md", options.out / "performance.md")
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+        result = run(options.smoke, print)
+        for note in result["notes"]:
+            print(note)
+        _write(result, options.out)
+    except OSError as error:
+        print(f"throughput.py: {error.filename or options.out}: {error.strerror or error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nthroughput.py: interrupted, nothing written", file=sys.stderr)
+        return 130
     print(throughput_page.summary(result))
     return 0
+
+
+def _write(result: dict, folder: Path) -> None:
+    replace_file(folder / "performance.json", json.dumps(result, indent=1) + "\n")
+    throughput_page.write(result, ROOT / "docs" / "performance.md", folder / "performance.md")
 
 
 if __name__ == "__main__":

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from soil_env.files import replace_file
+
 
 def table(head: list[str], rows: list[list[str]]) -> str:
     """A Markdown table."""
@@ -138,7 +140,7 @@ def write(result: dict, template: Path, out: Path) -> None:
     text, count = re.subn(r"<!-- (\w+) -->\n.*?<!-- end -->", renewed, text, flags=re.DOTALL)
     if count != len(SECTIONS):
         raise ValueError(f"{template}: {count} figures, expected {len(SECTIONS)}")
-    out.write_text(text, encoding="utf-8")
+    replace_file(out, text)
 
 
 def summary(result: dict) -> str:

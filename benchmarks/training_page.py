@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.throughput_page import table
+from soil_env.files import replace_file
 
 PARTS = ("env", "policy", "update")
 
@@ -122,4 +123,4 @@ def write(result: dict, template: Path, out: Path) -> None:
 
     text = template.read_text(encoding="utf-8")
     text = re.sub(r"<!-- (\w+) -->\n.*?<!-- end -->", section, text, flags=re.DOTALL)
-    out.write_text(text, encoding="utf-8")
+    replace_file(out, text)

@@ -5,16 +5,33 @@ arrays slow each other down, and a function that would allocate does not compile
 stack. `error_model="numpy"`: a division by zero gives inf, as in numpy, not a test and an exception.
 """
 
+import importlib
+
 from numba import njit, typeof, types
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
+
+def _nothing():
+    pass
+
+
+def _cacheable() -> bool:
+    try:
+        njit(cache=True)(_nothing)
+    except RuntimeError:  # numba finds no folder that it could write
+        return False
+    return True
+
+
+#: Whether compiled code is kept on the disk; without a folder for it every process compiles anew.
+CACHE = _cacheable()
 #: For functions of a step.
-kernel = njit(cache=True, error_model="numpy", _nrt=False)
+kernel = njit(cache=CACHE, error_model="numpy", _nrt=False)
 #: The same for small ones whose values should stay in registers: always inlined.
-inlined = njit(cache=True, error_model="numpy", _nrt=False, forceinline=True)
+inlined = njit(cache=CACHE, error_model="numpy", _nrt=False, forceinline=True)
 #: The same for large ones with one caller: put into it before compilation, so that they are not compiled twice.
-pasted = njit(cache=True, error_model="numpy", _nrt=False, inline="always")
+pasted = njit(cache=CACHE, error_model="numpy", _nrt=False, inline="always")
 
 
 @intrinsic
@@ -45,5 +62,11 @@ class Entry:
             self._code = self._function.overloads[signature].entry_point
         return self._code(*arguments)
 
-    def __reduce__(self):  # the code is found again where a copy is used
-        return Entry, (self._function,)
+    def __reduce__(self):
+        """By name: numba would pickle the source of the function, and compile it anew in another process."""
+        function = self._function.py_func
+        return _entry, (function.__module__, function.__name__)
+
+
+def _entry(module: str, name: str) -> Entry:
+    return Entry(getattr(importlib.import_module(module), name))

@@ -36,13 +36,14 @@ from soil_env.effects import (
     excavation_rate,
 )
 from soil_env.elementary import exp, larger, power, smaller, where_less
-from soil_env.model import Conditions, Rim, WheelSoilModel, steady_with
+from soil_env.model import DEEPEST, Conditions, Rim, WheelSoilModel, steady_with
 from soil_env.parameters import Scenario
 from soil_env.reaction import REST_SPEED, ground_with_effects, moved, plain_ground, react
 from soil_env.residual import ResidualLaw, residual_law
 from soil_env.streams import between
 from soil_env.terrain import cell_at, ground_at, leave_rut, stiffened
 
+SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
 SHORT = 0.1  # first step by the last reaction, at most this share of the rim speed
@@ -72,6 +73,7 @@ WHEEL_STATE = np.dtype(
         ("bearing_sinkage", np.float64),  # z_w [m]
         ("grade", np.float64),  # [rad] at the wheel
         ("motor_work", np.float64),  # [J] in the last control period
+        ("soil_work", np.float64),  # [J] that soil and drivetrain took from it, T w - DP V, in the last control period
         ("travel", np.float64),  # [m] in the last control period
         ("last_action", np.float64),  # [-1, 1]
         ("entrapped_time", np.float64),  # [s] the conditions of entrapment have held
@@ -264,7 +266,7 @@ def advance(state, k, command, courses, streams, world):
     if w.halt_left > 0.0:
         command, by_speed = 0.0, True
     x_start = w.x
-    w.motor_work = 0.0
+    w.motor_work = w.soil_work = 0.0
     w.converged = 1
     drive(state, k, command, by_speed, courses, world, world.period)
     finish(state, k, command, x_start, streams, world)
@@ -299,8 +301,9 @@ def drive(state, k, command, by_speed, courses, world, left):
 
         w.x += 0.5 * h * (w.speed + v)
         w.motor_work += h * torque * u / r
+        w.soil_work += h * (soil_force.torque * u / r - soil_force.drawbar_pull * v)
         w.speed, w.wheel_speed = v, u / r
-        w.sinkage = min(max(sinkage, 1e-4 * r), 1.5 * r)
+        w.sinkage = min(max(sinkage, SHALLOWEST * r), DEEPEST * r)
         w.bearing_sinkage = bearing
         w.motor_torque, w.available_torque = torque, available
         w.load, w.drawbar_pull, w.torque = soil_force.load, soil_force.drawbar_pull, soil_force.torque
@@ -340,11 +343,11 @@ def settle(state, k, mass, courses, streams, world):
     wheel, here = Rim(world.radius, world.width, world.grouser_height), Conditions(0.0, 1.0, math.sin(grade))
     rest = steady_with(0.0, load, soil, wheel, here, world.unit_weight, world.effects, 0.0)
     w.x = w.best_x = w.speed = w.wheel_speed = 0.0
-    w.sinkage = w.bearing_sinkage = rest.sinkage
+    w.sinkage = w.bearing_sinkage = max(rest.sinkage, SHALLOWEST * world.radius)
     w.mass, w.load, w.grade, w.patch = mass, load, grade, patch
     w.motor_torque = w.drawbar_pull = w.torque = w.slip = 0.0
     w.pull_by_speed = w.pull_by_rim = w.torque_by_speed = w.torque_by_rim = 0.0
     w.available_torque = world.stall_torque
-    w.motor_work = w.travel = w.last_action = w.entrapped_time = w.stalled_time = 0.0
+    w.motor_work = w.soil_work = w.travel = w.last_action = w.entrapped_time = w.stalled_time = 0.0
     w.converged, w.cell, w.steps = 1, 0, 0
     w.next_halt, w.halt_left = between(streams, k, world.halt_low, world.halt_high), 0.0

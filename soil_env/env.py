@@ -231,6 +231,10 @@ class SoilWheelEnv(gymnasium.Env):
             return None
         return self._view().draw(self.simulation, 0)
 
+    def __getstate__(self):
+        """All but the window: a copy opens its own."""
+        return {**self.__dict__, "_renderer": None}
+
     def close(self):
         """Close the window, if there is one."""
         if self._renderer is not None:

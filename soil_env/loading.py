@@ -20,7 +20,14 @@ import yaml
 
 
 class ParameterError(ValueError):
-    """A parameter is unknown, of the wrong type or outside its physical range."""
+    """A parameter is unknown, of the wrong type or outside its physical range.
+
+    The middle of a message that quotes something very long is left out.
+    """
+
+    def __init__(self, message: str = ""):
+        text = str(message)
+        super().__init__(text if len(text) <= 1000 else f"{text[:700]} ... {text[-200:]}")
 
 
 # --- fields with units ------------------------------------------------------------------------------------------------
@@ -186,22 +193,76 @@ def to_dict(instance) -> dict:
     return plain(instance)
 
 
-class _NoDuplicates(yaml.SafeLoader):
-    """SafeLoader that refuses a mapping with the same key twice, of which YAML would silently keep the last."""
+MOST_BYTES, MOST_VALUES, DEEPEST = 1_000_000, 20_000, 40  # of a YAML file; shipped ones are far below
+_TOO_MUCH = f"more than {MOST_VALUES} values, or nested deeper than {DEEPEST} levels"
+
+
+class _Strict(yaml.SafeLoader):
+    """SafeLoader that refuses a key given twice, of which YAML would keep the last, and files made to be a burden.
+
+    Aliases are counted as often as they are used: ten lines of them can stand for more values than memory holds.
+    """
+
+    def get_single_node(self):
+        """The root of the document."""
+        root = super().get_single_node()
+        if root is not None:
+            self._count(root, 1, set())
+        return root
+
+    def compose_node(self, parent, index):
+        """A node, no deeper than `DEEPEST`, one of at most `MOST_VALUES`."""
+        self.depth, self.nodes = getattr(self, "depth", 0) + 1, getattr(self, "nodes", 0) + 1
+        if self.depth > DEEPEST or self.nodes > MOST_VALUES:
+            raise yaml.constructor.ConstructorError(None, None, _TOO_MUCH)
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self.depth -= 1
+
+    def _count(self, node, depth: int, above: set, seen: list | None = None) -> None:
+        seen = [0] if seen is None else seen
+        seen[0] += 1
+        if seen[0] > MOST_VALUES or depth > DEEPEST or id(node) in above:
+            reason = "a value that contains itself" if id(node) in above else _TOO_MUCH
+            raise yaml.constructor.ConstructorError(None, None, reason)
+        if isinstance(node, yaml.ScalarNode):
+            return
+        above.add(id(node))
+        for item in node.value:
+            for part in item if isinstance(item, tuple) else (item,):
+                self._count(part, depth + 1, above, seen)
+        above.discard(id(node))
 
     def construct_mapping(self, node, deep=False):
         """The mapping of a node."""
-        keys = [key.value for key, _ in node.value]
-        twice = sorted({k for k in keys if isinstance(k, str) and keys.count(k) > 1})
-        if twice:
-            raise yaml.constructor.ConstructorError(None, None, f"key {twice[0]!r} appears twice", node.start_mark)
+        known: set = set()
+        for key, _ in node.value:
+            if isinstance(key.value, str):
+                if key.value in known:
+                    raise yaml.constructor.ConstructorError(
+                        None, None, f"key {key.value!r} appears twice", node.start_mark
+                    )
+                known.add(key.value)
         return super().construct_mapping(node, deep)
+
+
+def parse_yaml(text: str):
+    """The value that a YAML text stands for; `yaml.YAMLError` for whatever is wrong with it."""
+    try:
+        return yaml.load(text, _Strict)  # a SafeLoader
+    except (ValueError, OverflowError, RecursionError) as error:  # a day 2001-99-99, a number of 5000 digits
+        raise yaml.YAMLError(f"{type(error).__name__}: {error}") from None
 
 
 def read_yaml(path: Path) -> dict:
     """The mapping in a YAML file; `ParameterError` if it cannot be read as one."""
     try:
-        content = yaml.load(Path(path).read_text(encoding="utf-8"), _NoDuplicates)  # a SafeLoader
+        with open(path, "rb") as stream:
+            raw = stream.read(MOST_BYTES + 1)
+        if len(raw) > MOST_BYTES:
+            raise ParameterError(f"{path}: larger than {MOST_BYTES // 1000} kB: expected a file of parameters")
+        content = parse_yaml(raw.decode("utf-8"))
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:

@@ -14,6 +14,7 @@ from soil_env.compiled import inlined, kernel
 from soil_env.contact import motion_from_speeds
 from soil_env.dynamics import (
     FORETOLD,
+    SHALLOWEST,
     SHORT,
     TOLERANCE,
     advance,
@@ -26,6 +27,7 @@ from soil_env.dynamics import (
 )
 from soil_env.elementary import half_sin_cos, larger, smaller, where_less
 from soil_env.lanes import COUNT, fill, from_array, scratch, to_array, total
+from soil_env.model import DEEPEST
 from soil_env.parameters import SoilState
 from soil_env.reaction import REST_SPEED, Reaction, moved, reaction_from
 from soil_env.terrain import cell_at, ground_at, leave_rut
@@ -38,8 +40,8 @@ _HUGE = 1e300
 # Scratch is in blocks of eight wheels, a row of eight floats for each quantity. Rows of the wheels over a period:
 _X, _SPEED, _WHEEL_SPEED, _SINKAGE, _MASS, _PULL, _TORQUE = 0, 8, 16, 24, 32, 40, 48
 _PULL_V, _PULL_U, _TORQUE_V, _TORQUE_U, _COMMAND, _BY_SPEED, _WORK = 56, 64, 72, 80, 88, 96, 104
-_MOTOR, _AVAILABLE, _LOAD, _BEARING, _START, _LEFT, _ALIVE = 112, 120, 128, 136, 144, 152, 160
-_WHEELS = 21 * COUNT
+_MOTOR, _AVAILABLE, _LOAD, _BEARING, _START, _LEFT, _ALIVE, _SOIL = 112, 120, 128, 136, 144, 152, 160, 168
+_WHEELS = 22 * COUNT
 _wheels = scratch(_WHEELS * MANY // COUNT)
 # of the ground under them in a substep:
 _TAN_PHI, _COHESION, _K, _S, _N, _GAIN, _RECOVERY, _GRADE = 0, 8, 16, 24, 32, 40, 48, 56
@@ -286,9 +288,12 @@ def _move(s, at, g, ground, results, found, world, h):
     to_array(alive, s, at + _ALIVE)
     to_array(_chosen(alive, x + 0.5 * h * (speed + v), x), s, at + _X)
     to_array(_chosen(alive, work + h * torque * u / r, work), s, at + _WORK)
+    taken = from_array(s, at + _SOIL)
+    to_array(_chosen(alive, taken + h * (f.torque * u / r - f.drawbar_pull * v), taken), s, at + _SOIL)
     to_array(_chosen(alive, v, speed), s, at + _SPEED)
     to_array(_chosen(alive, u / r, from_array(s, at + _WHEEL_SPEED)), s, at + _WHEEL_SPEED)
-    to_array(_chosen(alive, smaller(larger(relaxed, fill(1e-4 * r)), fill(1.5 * r)), sinkage), s, at + _SINKAGE)
+    sunk = smaller(larger(relaxed, fill(SHALLOWEST * r)), fill(DEEPEST * r))
+    to_array(_chosen(alive, sunk, sinkage), s, at + _SINKAGE)
     to_array(_chosen(alive, bearing, from_array(s, at + _BEARING)), s, at + _BEARING)
     to_array(_chosen(alive, torque, from_array(s, at + _MOTOR)), s, at + _MOTOR)
     to_array(_chosen(alive, available, from_array(s, at + _AVAILABLE)), s, at + _AVAILABLE)
@@ -316,7 +321,7 @@ def _load_wheels(s, at, which, first, state, commands, world):
         s[j + _TORQUE_V], s[j + _TORQUE_U] = w.torque_by_speed, w.torque_by_rim
         s[j + _COMMAND] = 0.0 if halted else commands[first + i]
         s[j + _BY_SPEED] = 1.0 if halted or world.speed_command else 0.0
-        s[j + _WORK], s[j + _LEFT], s[j + _ALIVE] = 0.0, world.period, 1.0
+        s[j + _WORK], s[j + _SOIL], s[j + _LEFT], s[j + _ALIVE] = 0.0, 0.0, world.period, 1.0
         s[j + _MOTOR], s[j + _AVAILABLE], s[j + _LOAD] = w.motor_torque, w.available_torque, w.load
         s[j + _BEARING] = w.bearing_sinkage
 
@@ -329,7 +334,7 @@ def _store_wheel(s, j, grade, w):
     w.pull_by_speed, w.pull_by_rim = s[j + _PULL_V], s[j + _PULL_U]
     w.torque_by_speed, w.torque_by_rim = s[j + _TORQUE_V], s[j + _TORQUE_U]
     w.motor_torque, w.available_torque, w.motor_work = s[j + _MOTOR], s[j + _AVAILABLE], s[j + _WORK]
-    w.bearing_sinkage, w.grade = s[j + _BEARING], grade
+    w.soil_work, w.bearing_sinkage, w.grade = s[j + _SOIL], s[j + _BEARING], grade
     w.converged = 1
 
 

@@ -42,6 +42,7 @@ from soil_env.effects import (
     soil_in_contact,
     true_slip,
 )
+from soil_env.files import replace_file
 from soil_env.loading import Checked, ParameterError, check, load, quantity, read_yaml, to_dict, unknown_key
 from soil_env.measurement import LARGEST_WHEEL, STEEPEST, Table
 from soil_env.parameters import Soil, SoilState
@@ -359,8 +360,8 @@ class WheelSoilModel:
         return content
 
     def save(self, path: str | Path) -> None:
-        """Write model.yaml."""
-        Path(path).write_text(yaml.safe_dump(self.content(), sort_keys=False), encoding="utf-8")
+        """Write model.yaml, in one piece."""
+        replace_file(path, yaml.safe_dump(self.content(), sort_keys=False))
 
     @classmethod
     def load(cls, path: str | Path) -> WheelSoilModel:

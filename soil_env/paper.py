@@ -52,6 +52,7 @@ from soil_env.paper_points import (
 )
 from soil_env.parameters import Soil, soils
 from soil_env.starting import INTERRUPTED, leave, started
+from soil_env.stopping import terminable
 from soil_env.traversability import Best, best_working_point
 
 #: Soils of Figs. 8 and 9: the name in the paper and the preset that stands for it.
@@ -260,22 +261,22 @@ def _seed(text: str) -> int:
     return value
 
 
+@terminable
 def main(arguments: list[str] | None = None) -> int:
     """Command line; exit status."""
     started()
     options = _parser().parse_args(arguments)
-    if options.out is not None:
-        try:
-            paper_page.prepare(options.out)
-        except OSError as error:
-            print(f"error: --out {options.out}: cannot write there ({error.strerror})", file=sys.stderr)
-            return 2
     try:
+        if options.out is not None:
+            paper_page.prepare(options.out)
         results = compute(options.seed)
         paper_page.show(results)
         if options.out is not None:
             paper_page.write(results, options.out)
             print(f"written: {options.out / 'paper.md'}, figures in {options.out / 'paper'}")
+    except OSError as error:
+        print(f"error: --out {options.out}: cannot write there ({error.strerror})", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("\nsoil_env.paper: interrupted", file=sys.stderr)
         return INTERRUPTED

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from soil_env import paper_figures as draw
+from soil_env.files import replace_file, save_figure
 from soil_env.paper_points import CONVERGED_SET, MOTOR, PRINTED_PULL, PRINTED_SET
 
 UNKNOWN = "not available to us"
@@ -431,5 +432,5 @@ def write(results, folder: Path) -> None:
         for picture in section.pictures:
             figure = Figure(figsize=(6.4, 4.2), layout="constrained")
             picture.draw(figure)
-            figure.savefig(folder / "paper" / f"{picture.name}.png", dpi=110, metadata={"Software": None})
-    (folder / "paper.md").write_text(markdown(results), encoding="utf-8")
+            save_figure(figure, folder / "paper" / f"{picture.name}.png", dpi=110, metadata={"Software": None})
+    replace_file(folder / "paper.md", markdown(results))

@@ -34,6 +34,7 @@ from soil_env.canvas import (
     soil_colour,
 )
 from soil_env.charts import SPAN, draw_charts, nice, ticks
+from soil_env.compiled import CACHE
 from soil_env.contact import arc_node, entry_angle, mirror_angle, motion_from_speeds, relative_stress
 from soil_env.identification import Status
 from soil_env.model import sinkage_coefficient_at
@@ -88,7 +89,7 @@ class _Profile(NamedTuple):
     friction: np.ndarray  # [points] phi [deg]
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def _along(courses, k, x, border):
     """(tan(grade), phi [deg]) of course k at each x [m]."""
     slope, friction, patch = np.empty(x.size), np.empty(x.size), 0

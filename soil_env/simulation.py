@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from soil_env.compiled import Entry, kernel, pasted, take
+from soil_env.compiled import CACHE, Entry, kernel, pasted, take
 from soil_env.crew import crew
 from soil_env.drawing import CourseNumbers, course_numbers, draw_ahead, draw_course, extend_course, start_course
 from soil_env.dynamics import WHEEL_STATE, WorldNumbers, settle, world_numbers
@@ -24,6 +24,7 @@ from soil_env.terrain import Courses, new_courses
 
 _many = scratch(MANY)
 _TRIAL_COURSES = 8
+_RESTARTS = 100  # attempts at a course in the middle of a run, where there is nobody to change the scenario
 _CHUNK = MANY  # wheels that a thread takes at a time
 STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
@@ -55,7 +56,10 @@ class Numbers(NamedTuple):
 @kernel
 def restart(worlds, numbers, k):
     """Start a new course for wheel k, put the wheel at its start, and observe."""
-    mass = start_course(k, worlds.courses, worlds.streams, numbers.course)
+    mass, attempts = -1.0, 0
+    while mass < 0.0 and attempts < _RESTARTS:
+        mass = start_course(k, worlds.courses, worlds.streams, numbers.course)
+        attempts += 1
     if mass < 0.0:
         raise RuntimeError("no passable course found: the soils are too weak for this wheel")
     settle(worlds.state, k, mass, worlds.courses, worlds.streams, numbers.world)
@@ -87,7 +91,7 @@ def report(worlds, numbers, k):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, nogil=True)
+@njit(cache=CACHE, error_model="numpy", _nrt=False, nogil=True)
 def step_chunks(worlds, numbers, commands, what, counter):
     """Wheels by chunks from `counter` [1]: a control period (what[k] = STEP), `restart` (RESTART) or nothing (IDLE)."""
     which, given = _many(), _many()
@@ -111,7 +115,7 @@ def step_chunks(worlds, numbers, commands, what, counter):
         start = take(counter, _CHUNK)
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, nogil=True)
+@njit(cache=CACHE, error_model="numpy", _nrt=False, nogil=True)
 def restart_chunks(worlds, numbers, which, counter):
     """`restart` the wheels with `which` True, by chunks from `counter` [1]."""
     wheels = which.size

@@ -12,7 +12,7 @@ import sys
 from typing import NoReturn
 
 PACKAGES = ("soil_env", "agents")
-INTERRUPTED = 130  # exit status
+INTERRUPTED, TERMINATED = 130, 143  # exit statuses, 128 + the number of the signal
 
 
 def arm() -> None:
@@ -50,7 +50,7 @@ def leave(status: int) -> NoReturn:
     After an interrupt without the interpreter's own end: where `KeyboardInterrupt` has passed through an `exec`, as in
     the making of a dataclass or the compiling of a kernel, that ends in death by signal though it was handled.
     """
-    if status != INTERRUPTED:
+    if status not in (INTERRUPTED, TERMINATED):
         sys.exit(status)
     for stream in (sys.stdout, sys.stderr):
         try:

@@ -86,7 +86,8 @@ def test_a_model_of_another_task_is_refused(capsys, tmp_path):
     command = [f"--controllers={tmp_path}/p.zip", f"--out={tmp_path}/out"]
     assert main(command) == 2
     error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "another observation layout: shape (3,)" in error
+    assert error.count("\n") == 2 and "another observation layout: shape (3,)" in error
+    assert "p.zip: not written by train.py, so parts of it are unpickled" in error.splitlines()[0]
     assert not (tmp_path / "out").exists()
 
 

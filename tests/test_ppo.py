@@ -202,7 +202,7 @@ def test_saving_leaves_just_the_one_file(saved, model):
 def test_leftovers_of_a_killed_save_are_ignored_and_replaced(saved, scenario, model):
     raw = raw_observations(scenario, "identified")
     expected = load_agent(saved).predict(raw)[0]
-    saved.with_name(".model.partial.zip").write_bytes(b"half a fil")
+    saved.with_name(".model.zip.partial").write_bytes(b"half a fil")
     np.testing.assert_array_equal(load_agent(saved).predict(raw)[0], expected)
     np.testing.assert_array_equal(load_agent(saved.parent).predict(raw)[0], expected)
     save(model, saved)
@@ -227,9 +227,8 @@ def test_a_save_that_fails_half_way_leaves_the_old_agent(saved, scenario, monkey
 
     if moment == "model":
 
-        def half(path, *args, **kwargs):
-            with open(path, "wb") as file:
-                file.write(b"PK half")
+        def half(stream, *args, **kwargs):
+            stream.write(b"PK half")
             raise Killed
 
         monkeypatch.setattr(newer, "save", half)

@@ -82,8 +82,8 @@ def steps_logged(folder):
     for file in sorted(folder.glob("tensorboard/*/events*"), key=lambda p: p.stat().st_mtime_ns):
         events = EventAccumulator(str(file))
         events.Reload()
-        if "train/loss" in events.Tags()["scalars"]:
-            steps.append([event.step for event in events.Scalars("train/loss")])
+        if "train/value_loss" in events.Tags()["scalars"]:
+            steps.append([event.step for event in events.Scalars("train/value_loss")])
     return steps
 
 
@@ -741,3 +741,31 @@ def test_kill_while_a_checkpoint_is_replaced(capsys, tmp_path, monkeypatch, mome
     assert f"Resuming at {ROLLOUT} of 512 steps" in out
     assert load_agent(folder).timesteps == 512
     assert {p.name for p in folder.iterdir()} == FILES
+
+
+def test_a_run_that_was_killed_ends_as_one_that_was_not(capsys, tmp_path, monkeypatch):
+    """Killed after a checkpoint, in the middle of the next rollout: the same weights, the same table."""
+    arguments = [*TINY, "--timesteps=640", f"--checkpoint_every={2 * ROLLOUT}", "--runs", tmp_path]
+    assert run(capsys, *arguments, "--name", "calm")[0] == 0
+
+    class Killed(BaseException):
+        pass
+
+    def killed(self):
+        if self.num_timesteps >= 3 * ROLLOUT + 40:
+            raise Killed
+        return True
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training._Watch, "_on_step", killed)
+        with pytest.raises(Killed):
+            run(capsys, *arguments, "--name", "killed")
+    code, out, err = run(capsys, "--resume", tmp_path / "killed")
+    assert code == 0, err
+    assert f"Resuming at {2 * ROLLOUT} of 640 steps" in out
+    for name in ("comparison.json", "comparison.csv"):
+        assert (tmp_path / "calm" / name).read_bytes() == (tmp_path / "killed" / name).read_bytes()
+    calm, resumed = (load_agent(tmp_path / name) for name in ("calm", "killed"))
+    assert calm.mean.tolist() == resumed.mean.tolist() and calm.sd.tolist() == resumed.sd.tolist()
+    weights = [agent.model.policy.state_dict() for agent in (calm, resumed)]
+    assert all((weights[0][key] == weights[1][key]).all() for key in weights[0])

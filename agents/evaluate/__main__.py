@@ -8,7 +8,8 @@ CONTROLLERS is a list with commas. An entry is
                                    does not read the observation "identified", an attribute `variant`
   NAME=...                         any of these under another name; a glob of models, 'ppo=runs/ppo_*', or the same
                                    NAME again makes one algorithm of several training seeds
-Models are unpickled in part and modules are imported: both run code. Name only what you trust.
+Models that train.py did not write are unpickled in part, and modules are imported: both run code. Name only what you
+trust.
 
 Examples:
   python -m agents.evaluate --controllers full_throttle,fixed_slip,best_slip_identified --out evaluation
@@ -43,6 +44,7 @@ from soil_env.loading import ParameterError, unknown_key
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import load_scenario
 from soil_env.starting import leave, started
+from soil_env.stopping import terminable
 
 _EPILOG = """further options:
   --changes.KEY VALUE        any key of the scenario, in SI units, as --changes.course.length 20 [m]
@@ -83,6 +85,7 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
+@terminable
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     started()

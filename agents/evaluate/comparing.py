@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from agents.evaluate.driving import METRICS, RATES, Runs
+from soil_env.files import replace_file
 from soil_env.parameters import Scenario
 
 
@@ -78,9 +80,10 @@ def paired_difference(a: Runs, b: Runs, metric: str, seed: int = 0, resamples: i
 def save(result: dict, folder: Path) -> None:
     """Write comparison.json and comparison.csv into `folder`."""
     folder = Path(folder)
-    (folder / "comparison.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    with open(folder / "comparison.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["controller", *(f"{m}{part}" for m in METRICS for part in ("", "_low", "_high"))])
-        for name, row in result["controllers"].items():
-            writer.writerow([name, *(f"{row[m][key]:.6g}" for m in METRICS for key in ("value", "low", "high"))])
+    replace_file(folder / "comparison.json", json.dumps(result, indent=1) + "\n")
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(["controller", *(f"{m}{part}" for m in METRICS for part in ("", "_low", "_high"))])
+    for name, row in result["controllers"].items():
+        writer.writerow([name, *(f"{row[m][key]:.6g}" for m in METRICS for key in ("value", "low", "high"))])
+    replace_file(folder / "comparison.csv", text.getvalue())

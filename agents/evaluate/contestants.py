@@ -7,7 +7,8 @@
 | `my.module:Thing` | a class or function, called with the scenario if it takes an argument; or an object |
 | `NAME=...` | any of these under another name; the same NAME again, or a glob of models, makes one algorithm of them |
 
-Models are unpickled in part, and modules are imported: both run code. Name only what you trust.
+Models that train.py did not write are unpickled in part, and modules are imported: both run code. Name only what you
+trust.
 """
 
 from __future__ import annotations

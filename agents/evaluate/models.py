@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import importlib
-import json
 import pickle
 import warnings
 import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from agents.evaluate.contestants import VECNORMALIZE
-from soil_env.env import observation_space
+from soil_env.env import action_space, observation_space
 from soil_env.loading import ParameterError
 from soil_env.parameters import Scenario
 from soil_env.task import VARIANTS
@@ -22,9 +20,9 @@ from soil_env.task import VARIANTS
 try:
     import torch
 
-    from agents import ppo
+    from agents import ppo, zips
 except ImportError:  # reported in one line where a model is loaded
-    torch = ppo = None
+    torch = ppo = zips = None
 
 #: (module of the policy starts with, keys the zip must hold, module and class of the algorithm); the first that fits.
 _ALGORITHMS = (
@@ -60,7 +58,7 @@ def load_model(path: Path, scenario: Scenario):
                 f"controllers: {path}: trained with action {trained!r}, scenario {scenario.name!r} takes "
                 f"{scenario.control.action!r}"
             )
-    model = _load(path, data)
+    model = _load(path, data, None if meta is None else meta["observation"])
     if meta is not None:
         sd = np.sqrt(np.asarray(meta["var"]) + 1e-8)
         return ppo.Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], meta["observation"], 0, meta)
@@ -69,18 +67,16 @@ def load_model(path: Path, scenario: Scenario):
 
 def _contents(path: Path) -> tuple[list[str], dict]:
     try:
+        data = zips.read_member(path, "data")
         with zipfile.ZipFile(path) as archive:
-            data = json.loads(archive.read("data"))
-            if not isinstance(data, dict):
-                raise ValueError("data is no mapping")
             return archive.namelist(), data
-    except OSError as error:
-        raise ParameterError(f"controllers: {path}: cannot be read ({error.strerror}); expected a model") from None
-    except (zipfile.BadZipFile, KeyError, ValueError, zlib.error, RuntimeError, NotImplementedError) as error:
-        raise ParameterError(f"controllers: {path}: not a model of Stable-Baselines3 ({error})") from None
+    except KeyError:
+        raise ParameterError(f"controllers: {path}: not a model of Stable-Baselines3 (it has no data)") from None
+    except ParameterError as error:
+        raise ParameterError(f"controllers: {error}") from None
 
 
-def _load(path: Path, data: dict):
+def _load(path: Path, data: dict, ours: str | None):
     policy = data.get("policy_class")
     module = str(policy.get("__module__", "")) if isinstance(policy, dict) else ""
     fitting = [made_by for prefix, keys, made_by in _ALGORITHMS if module.startswith(prefix) and keys <= set(data)]
@@ -91,10 +87,15 @@ def _load(path: Path, data: dict):
         cls = getattr(importlib.import_module(package), algorithm)
     except ImportError:
         raise ParameterError(f"controllers: {path}: a {algorithm} model needs {package.replace('_', '-')}") from None
+    objects = None
+    if ours is None:
+        zips.warn(str(path))
+    else:
+        objects = zips.without_pickles(path, observation_space(ours), action_space())
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return cls.load(path, device="cpu")
+            return cls.load(path, device="cpu", custom_objects=objects)
     except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
         reason = (str(error).splitlines() or [""])[0][:200]
         raise ParameterError(
@@ -118,6 +119,7 @@ def _normalisation(path: Path):
     file = path.with_name(VECNORMALIZE)
     if not file.is_file():
         return None
+    zips.warn(str(file))
     try:
         with open(file, "rb") as stream:
             normalisation = pickle.load(stream)

@@ -25,6 +25,7 @@ from agents.evaluate import contestants as entries
 from agents.evaluate.contestants import Contestant
 from agents.evaluate.driving import HELD_OUT_SET
 from agents.evaluate.records import Records, record
+from soil_env.files import replace_file
 from soil_env.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
@@ -125,17 +126,6 @@ def check_controllers(study: Study) -> None:
             if digest != contestant.digest:
                 raise ParameterError(f"controllers: {contestant.label}: the model has changed since the study began")
         entries.check(contestant, study.scenario, study.world)
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    """Write a file in one piece: a failure or a kill in between leaves the old one, and nothing beside it."""
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        partial.write_bytes(content)
-        os.replace(partial, path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
 
 
 # --- what is driven ---------------------------------------------------------------------------------------------------

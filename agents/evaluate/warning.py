@@ -30,6 +30,7 @@ import math
 import numpy as np
 from numba import njit
 
+from soil_env.compiled import CACHE
 from soil_env.parameters import Scenario, SoilState
 from soil_env.simulation import Worlds
 from soil_env.task import layout
@@ -102,7 +103,7 @@ class Warnings:
         return (self.best_pull <= grade) | (worlds.observation[:, _SLIP] > unstable)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=CACHE, nogil=True)
 def _renew(estimate, load, alive, c, n, dig_gain, dig_recovery, r, b, torque, known, slip, pull):
     """Best working points, computed again where the estimate has moved by 1 % (phi: 0.002 rad) or the load by 10 %."""
     for k in range(load.size):

@@ -23,6 +23,7 @@ from agents.training import console
 from soil_env.loading import ParameterError
 from soil_env.parameters import load_scenario
 from soil_env.starting import leave, started
+from soil_env.stopping import terminable
 
 _EPILOG = """files:
   YAML               model.yaml of a hidden world: `effects:` of the catalogue, `wheel:`; configs/worlds has five
@@ -60,6 +61,7 @@ _NUMBERS = {
 }
 
 
+@terminable
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     started()

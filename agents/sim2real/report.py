@@ -17,8 +17,8 @@ from rich.table import Table
 from agents.evaluate import statistics as st
 from agents.evaluate.comparing import wilson
 from agents.evaluate.figures import png
-from agents.evaluate.study import replace_file
 from agents.sim2real.study import ARMS, CONTROLLERS, CORRECTED, PPO, UNCORRECTED, Study, scores
+from soil_env.files import replace_file
 from soil_env.loading import config_dir
 from soil_env.model import WheelSoilModel
 

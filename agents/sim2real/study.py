@@ -25,13 +25,14 @@ import yaml
 from agents import training
 from agents.controllers import make_controller
 from agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses
-from agents.evaluate.study import code_version, replace_file
+from agents.evaluate.study import code_version
 from agents.ppo import PPOConfig, TrainConfig, load_agent
 from agents.sim2real import log
 from agents.sim2real.log import Commissioning
 from agents.training import Bar
 from agents.tuning import candidates_in_all, tuned_settings
 from soil_env.discrepancy import run as find_discrepancy
+from soil_env.files import replace_file
 from soil_env.loading import Checked, ParameterError, quantity, read_yaml, to_dict
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario

@@ -45,6 +45,7 @@ from scipy.io import loadmat
 
 from soil_env.loading import ParameterError
 from soil_env.starting import INTERRUPTED, leave, started
+from soil_env.stopping import terminable
 
 REPOSITORY = "github.com/robomechanics/3d-terramechanics"
 FILES = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}
@@ -321,6 +322,7 @@ examples:
   python -m soil_env.discrepancy tables/smooth.csv --setup tables/smooth.setup.yaml --out smooth"""
 
 
+@terminable
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     started()
@@ -347,7 +349,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"soil_env.discrepancy.cmu: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\nsoil_env.discrepancy.cmu: interrupted", file=sys.stderr)
+        print("\nsoil_env.discrepancy.cmu: interrupted, nothing written", file=sys.stderr)
         return INTERRUPTED
     for wheel, of_wheel in runs.items():
         slips = len({run.rim_command for run in of_wheel})

@@ -37,7 +37,6 @@ import argparse
 import io
 import json
 import math
-import os
 import sys
 from pathlib import Path
 
@@ -45,10 +44,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as Grid
 
+from soil_env.files import replace_file
 from soil_env.identification.table import Fit, TableEstimate, identify_table
 from soil_env.loading import ParameterError
 from soil_env.measurement import read_setup, read_table
 from soil_env.starting import INTERRUPTED, leave, started
+from soil_env.stopping import terminable
 
 NAMES = {
     "friction_angle_deg": "friction angle",
@@ -59,6 +60,7 @@ NAMES = {
 }
 
 
+@terminable
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     started()
@@ -188,9 +190,7 @@ def _write(folder: Path | None, files: dict[str, bytes]) -> None:
     try:
         for name, content in files.items():
             folder.mkdir(parents=True, exist_ok=True)
-            part = folder / (name + ".part")
-            part.write_bytes(content)
-            os.replace(part, folder / name)
+            replace_file(folder / name, content)
     except OSError as error:
         raise ParameterError(f"{folder}: cannot be written ({error.strerror})") from None
 

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from soil_env.arcs import STORED_NODES, entry_angle_of_many, store_nodes, stored_integrals
-from soil_env.compiled import inlined, kernel
+from soil_env.compiled import CACHE, inlined, kernel
 from soil_env.elementary import exp, exp_lanes, half_sin_cos, log_lanes, where_below
 from soil_env.identification.point import (
     DIG_RATIO,
@@ -196,7 +196,7 @@ def _normal(x, points, count, prior, precision, reading, work):
     return Normal(cost, v0, v1, v2, m00, m01, m02, m11, m12, m22)
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def normal_equations(x, points, count, prior, precision, reading, matrix, vector):
     """Sum of squared whitened residuals; fills `matrix` (J^T J + prior precision) and `vector` (J^T residual)."""
     work = np.empty(blocks(count) * BLOCK)
@@ -280,7 +280,7 @@ def _moved(x, step):
     )
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def solve(x, points, count, prior, precision, reading, max_iterations, tolerance, covariance):
     """Weighted least squares for x [3] in place, from its present value; (Status, iterations, cost).
 

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from soil_env.arcs import stored_integrals
-from soil_env.compiled import inlined, kernel
+from soil_env.compiled import CACHE, inlined, kernel
 from soil_env.identification.point import DIG_RATIO, DRAWBAR_PULL, SINKAGE, SLIP, WEIGHTS, channels, channels_at
 from soil_env.identification.solver import _FACTOR, BLOCK, LOWER, UPPER, blocks, prepare
 from soil_env.lanes import fill, from_array, to_array
@@ -86,7 +86,7 @@ def _soil_at(ln_k, v, out):
     return LOWER[0] <= out[0] <= UPPER[0] and LOWER[2] <= out[2] <= UPPER[2]
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def other_soil(x, points, reading, out):
     """True if another soil than x [3] within the bounds explains the three measured values of `points`; into `out` [3].
 

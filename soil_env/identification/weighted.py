@@ -26,6 +26,7 @@ import numpy as np
 from numba import njit
 from scipy.optimize import least_squares
 
+from soil_env.compiled import CACHE
 from soil_env.identification import Reading, predict
 from soil_env.loading import ParameterError
 from soil_env.measurement import Setup, Table
@@ -42,7 +43,7 @@ SOURCES = ("slip", "sinkage", "load", "drawbar_pull", "torque")  # of error, in 
 _STARTS, _EXACT = 8, 1e-4  # starting points; error of an exact load as a share of it
 
 
-@njit(cache=True)
+@njit(cache=CACHE)
 def predict_rows(x, ln_ref, slip, sinkage, radius, width, ln_ratio, out, rates):
     """Load, drawbar pull and torque into `out` [N, 3]; derivatives by x and by (slip, sinkage) into `rates` [N, 3, 7].
 

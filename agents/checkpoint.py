@@ -1,0 +1,73 @@
+"""The state of a training between two rollouts, so that a resumed run goes on as if it had never been killed.
+
+Beside the model that is the ground, the wheels and the identifiers of every environment, their random streams, the
+discounted returns of the reward normalisation, and the generators of torch and numpy. It is kept as one .npz without
+pickles.
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+
+from soil_env.loading import ParameterError
+
+
+def content(model: PPO) -> bytes:
+    """The state of a training, as the bytes of an .npz."""
+    name, keys, position, has_gauss, cached = np.random.get_state()  # noqa: NPY002 - SB3 draws from it
+    if name != "MT19937":
+        raise RuntimeError(f"numpy's global generator is {name}, expected MT19937")
+    parts = {
+        **_arrays(model),
+        "torch": torch.get_rng_state().numpy(),
+        "numpy": keys,
+        "numpy_rest": np.array([position, has_gauss, cached]),
+        "last_obs": model._last_obs,
+        "last_episode_starts": model._last_episode_starts,
+    }
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **parts)
+    return stream.getvalue()
+
+
+def restore(model: PPO, state: bytes, where: Path) -> None:
+    """Put a training back into a state of `content`; ParameterError where it is that of another one."""
+    try:
+        with np.load(io.BytesIO(state), allow_pickle=False) as archive:
+            parts = {name: archive[name] for name in archive.files}
+        arrays = _arrays(model)
+        for name, array in arrays.items():
+            if parts[name].shape != array.shape or parts[name].dtype != array.dtype:
+                raise ValueError(f"{name}: shape {parts[name].shape}, expected {array.shape}")
+        for name, array in arrays.items():
+            array[...] = parts[name]
+        torch.set_rng_state(torch.from_numpy(parts["torch"]))
+        position, has_gauss, cached = parts["numpy_rest"]
+        np.random.set_state(("MT19937", parts["numpy"], int(position), int(has_gauss), float(cached)))  # noqa: NPY002
+        model._last_obs, model._last_episode_starts = parts["last_obs"], parts["last_episode_starts"]
+    except Exception as error:  # zipfile and numpy fail in many ways
+        reason = (str(error).splitlines() or [""])[0][:200]
+        raise ParameterError(f"{where}: the state of the training cannot be restored ({reason})") from None
+    model.env.unwrapped._unseeded = False
+
+
+def _arrays(model: PPO) -> dict[str, np.ndarray]:
+    """The arrays of the environments by name, to be written into; all of them are written in place by a step."""
+    normalised = model.get_vec_normalize_env()
+    wheels = normalised.unwrapped
+    out = {"returns": wheels._returns, "lengths": wheels._lengths, "discounted": normalised.returns}
+    _collect("worlds", wheels.simulation.worlds, out)
+    return out
+
+
+def _collect(name: str, value, out: dict[str, np.ndarray]) -> None:
+    if isinstance(value, np.ndarray):
+        out[name] = value
+    else:
+        for field in value._fields:
+            _collect(f"{name}.{field}", getattr(value, field), out)

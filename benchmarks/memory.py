@@ -1,0 +1,109 @@
+"""Memory over many steps: the resident size of the process, sampled while environments are stepped.
+
+    python -m benchmarks.memory                                       prints the table, a minute or so
+    python -m benchmarks.memory --page docs/reliability.md            and puts it into the page
+
+The vector environment drives 1024 wheels for ten million steps in all, with resets; the single one, with effects on
+and a picture now and then, for two hundred thousand. After a tenth of the steps, in which caches fill, memory may not
+grow by more than 2 MB.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.fuzz import renew
+from soil_env.env import SoilWheelEnv
+from soil_env.loading import ParameterError, config_dir
+from soil_env.stopping import terminable
+from soil_env.vector_env import SoilWheelVectorEnv
+
+SAMPLES = 10
+MOST_GROWTH = 2.0  # MB
+
+
+def resident() -> float:
+    """Resident size of this process [MB]."""
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def vector(steps: int, wheels: int) -> list[float]:
+    """Sizes [MB] after each tenth of `steps` steps of one vector environment."""
+    env = SoilWheelVectorEnv(wheels, course={"length": 4.0})
+    env.reset(seed=0)
+    rng, out = np.random.default_rng(0), []
+    for _ in range(SAMPLES):
+        for _ in range(max(1, steps // SAMPLES // wheels)):
+            env.step(rng.uniform(-0.1, 0.9, (wheels, 1)))
+        out.append(resident())
+    return out
+
+
+def single(steps: int) -> list[float]:
+    """Sizes [MB] after each tenth of `steps` steps of one single environment."""
+    world = config_dir() / "worlds" / "two_effects.yaml"
+    env = SoilWheelEnv(model=world, render_mode="rgb_array", course={"length": 4.0})
+    env.reset(seed=0)
+    rng, out = np.random.default_rng(0), []
+    for _ in range(SAMPLES):
+        for step in range(max(1, steps // SAMPLES)):
+            _, _, terminated, truncated, _ = env.step(rng.uniform(-0.1, 0.9, 1))
+            if step % 1000 == 0:
+                env.render()
+            if terminated or truncated:
+                env.reset()
+        out.append(resident())
+    return out
+
+
+def growth(sizes: list[float]) -> float:
+    """MB from the first sample to the largest after it."""
+    return max(sizes) - sizes[0]
+
+
+@terminable
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; returns the exit status: 0 flat, 1 not, 2 bad input, 130 interrupted."""
+    p = argparse.ArgumentParser(
+        prog="python -m benchmarks.memory", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    p.add_argument("--share", type=float, default=1.0, help="of the steps, to see that it works (default 1)")
+    p.add_argument("--page", type=Path, metavar="MD", help="put the result between the markers of this page")
+    options = p.parse_args(arguments)
+    try:
+        if not 0.0 < options.share <= 100.0:
+            raise ParameterError(f"--share {options.share}: expected a number in (0, 100]")
+        counts = round(1e7 * options.share), round(2e5 * options.share)
+        rows = [
+            (f"vector, 1024 wheels, {counts[0]:,} steps", vector(counts[0], 1024)),
+            (f"single, effects and pictures, {counts[1]:,} steps", single(counts[1])),
+        ]
+        lines = ["| resident size [MB] after each tenth of the steps | | growth after the first |", "|---|---|---|"]
+        for name, sizes in rows:
+            lines.append(f"| {name} | {', '.join(f'{s:.1f}' for s in sizes)} | {growth(sizes):.1f} |")
+        text = "\n".join(lines)
+        if options.page is not None:
+            renew(options.page, "memory", text)
+    except ParameterError as error:
+        print(f"benchmarks.memory: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"benchmarks.memory: {error.filename}: {error.strerror}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nbenchmarks.memory: interrupted", file=sys.stderr)
+        return 130
+    print(text)
+    return 0 if all(growth(sizes) <= MOST_GROWTH for _, sizes in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,53 @@
+"""Files written in one piece."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+
+
+def replace_file(path: str | Path, content: bytes | str) -> None:
+    """Write a file whole or not at all: a failure or a kill in between leaves the old one, a failure nothing beside it.
+
+    Text is written as UTF-8. OSError names `path`.
+    """
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_bytes(content.encode() if isinstance(content, str) else content)
+        os.replace(partial, path)
+    except OSError as error:
+        _remove(partial)
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    except BaseException:
+        _remove(partial)
+        raise
+
+
+def _remove(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError:  # the first failure is what is told
+        pass
+
+
+def save_figure(figure, path: str | Path, **options) -> None:
+    """`figure.savefig` of a matplotlib figure into `replace_file`; the suffix of `path` says the format."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format=Path(path).suffix[1:], **options)
+    replace_file(path, stream.getvalue())
+
+
+def append_line(path: str | Path, text: str) -> None:
+    """Add a line to a file and wait until it is on the disk; where that fails the file is left as it was (OSError)."""
+    with open(path, "ab", buffering=0) as stream:
+        size = stream.seek(0, os.SEEK_END)
+        try:
+            rest = memoryview(text.encode() + b"\n")
+            while rest:
+                rest = rest[stream.write(rest) :]
+            os.fsync(stream.fileno())
+        except OSError as error:
+            os.ftruncate(stream.fileno(), size)
+            raise OSError(error.errno, error.strerror, str(path)) from None

@@ -1,0 +1,77 @@
+"""The checkers of gymnasium and SB3 with effects on, and the vector environments, for every shipped scenario."""
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+from soil_env.env import SoilWheelEnv
+from soil_env.loading import config_dir
+from soil_env.model import ModelWheel, WheelSoilModel
+from soil_env.parameters import load_scenario, scenario_names
+from soil_env.task import VARIANTS
+from soil_env.vector_env import SoilWheelVectorEnv
+
+MODES = ("torque", "wheel_speed")
+WORLDS = sorted((config_dir() / "worlds").glob("*.yaml"))
+
+
+def world(scenario: str, number: int = 0) -> WheelSoilModel:
+    """The effects of a shipped hidden world on the wheel of a scenario."""
+    wheel = load_scenario(scenario).wheel
+    effects = WheelSoilModel.load(WORLDS[number % len(WORLDS)]).effects
+    return WheelSoilModel(ModelWheel(wheel.radius, wheel.width, 0.05 * wheel.radius), None, effects)
+
+
+@pytest.mark.parametrize("scenario", scenario_names())
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_checkers_with_effects(scenario, mode, variant):
+    number = VARIANTS.index(variant) + 3 * MODES.index(mode)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*(not have a spec|render|spec).*")
+        check_env(SoilWheelEnv(scenario, variant, mode, model=world(scenario, number)), skip_render_check=True)
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    checker.check_env(SoilWheelEnv(scenario, variant, mode, model=world(scenario, number)), warn=True)
+
+
+def check_vector(env, steps=30):
+    """What gymnasium demands of a vector environment: spaces, dtypes, shapes, seeds, and data of its own."""
+    n, single = env.num_envs, env.single_observation_space
+    first, info = env.reset(seed=5)
+    assert env.observation_space.contains(first) and isinstance(info, dict)
+    np.testing.assert_array_equal(first, env.reset(seed=5)[0])
+    rng = np.random.default_rng(0)
+    kept = first.copy()
+    for _ in range(steps):
+        observation, reward, terminated, truncated, info = env.step(rng.uniform(-1, 1, (n, 1)).astype(np.float32))
+        assert env.observation_space.contains(observation) and observation.dtype == single.dtype
+        assert reward.shape == terminated.shape == truncated.shape == (n,)
+        assert reward.dtype == np.float64 and terminated.dtype == truncated.dtype == np.bool_
+        assert not np.shares_memory(observation, first)
+    np.testing.assert_array_equal(first, kept)
+    env.close()
+
+
+@pytest.mark.parametrize("scenario", scenario_names())
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_vector_env(scenario, mode, variant):
+    for model in (None, world(scenario)):
+        check_vector(SoilWheelVectorEnv(3, scenario, variant, mode, model=model, course={"length": 2.0}))
+
+
+@pytest.mark.parametrize("mode", ["vector_entry_point", "sync"])
+def test_made_by_gymnasium(mode):
+    check_vector(gymnasium.make_vec("soil_env:SoilWheel-v0", num_envs=3, vectorization_mode=mode))
+
+
+def test_under_a_wrapper_of_gymnasium():
+    env = RecordEpisodeStatistics(SoilWheelVectorEnv(4, max_episode_steps=5))
+    env.reset(seed=0)
+    infos = [env.step(np.full((4, 1), 0.4, dtype=np.float32))[4] for _ in range(6)]
+    assert any("episode" in info for info in infos)

@@ -1,0 +1,107 @@
+"""Files are written whole or not at all; SIGTERM ends a command as Ctrl-C does."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import matplotlib.figure
+import pytest
+
+from soil_env.files import append_line, replace_file, save_figure
+from soil_env.stopping import TERMINATED, terminable
+
+resource = pytest.importorskip("resource")
+
+
+@pytest.fixture
+def full():
+    """A disk that takes no file longer than 1000 bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_text_and_bytes(tmp_path):
+    replace_file(tmp_path / "a", "grün\n")
+    replace_file(str(tmp_path / "b"), b"\x00\xff")
+    assert (tmp_path / "a").read_bytes() == "grün\n".encode() and (tmp_path / "b").read_bytes() == b"\x00\xff"
+
+
+def test_a_full_disk_leaves_the_old_file_and_nothing_beside_it(tmp_path, full):
+    path = tmp_path / "a"
+    replace_file(path, "old")
+    with pytest.raises(OSError) as raised:
+        replace_file(path, "x" * 5000)
+    assert raised.value.filename == str(path) and raised.value.strerror
+    assert path.read_text() == "old" and os.listdir(tmp_path) == ["a"]
+
+
+def test_a_figure_is_whole_or_not_at_all(tmp_path, full):
+    with pytest.raises(OSError):
+        save_figure(matplotlib.figure.Figure(), tmp_path / "a.png")
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_figure(tmp_path):
+    save_figure(matplotlib.figure.Figure(), tmp_path / "a.png", dpi=30)
+    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_line_is_added_whole_or_not_at_all(tmp_path, full):
+    path = tmp_path / "a"
+    append_line(path, "one")
+    with pytest.raises(OSError):
+        append_line(path, "x" * 5000)
+    append_line(path, "two")
+    assert path.read_text() == "one\ntwo\n"
+
+
+def test_no_folder(tmp_path):
+    with pytest.raises(OSError) as raised:
+        replace_file(tmp_path / "no" / "a", "x")
+    assert raised.value.filename == str(tmp_path / "no" / "a")
+
+
+# --- SIGTERM ----------------------------------------------------------------------------------------------------------
+
+
+def test_sigterm_is_an_interrupt():
+    @terminable
+    def main(value):
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(5.0)
+        except KeyboardInterrupt:
+            return value
+        return 0
+
+    before = signal.getsignal(signal.SIGTERM)
+    assert main(130) == TERMINATED
+    assert main(2) == 2  # what it returns otherwise stays
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_sigterm_that_is_ignored_stays_ignored():
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        assert terminable(lambda: os.kill(os.getpid(), signal.SIGTERM) or 0)() == 0
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
+def test_a_command_ends_in_one_line(tmp_path, name, status):
+    """While it works: one line, and nothing is written."""
+    command = [sys.executable, "-m", "soil_env.paper", "--out", str(tmp_path / "out")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while not (tmp_path / "out").exists() and process.poll() is None:  # made when the work begins
+        time.sleep(0.02)
+    process.send_signal(getattr(signal, name))
+    _, error = process.communicate(timeout=120)
+    assert process.returncode == status, error
+    assert error.strip() == "soil_env.paper: interrupted"
+    assert not list((tmp_path / "out").rglob("*.md"))

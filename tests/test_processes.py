@@ -1,0 +1,250 @@
+"""Copies, processes and threads: an environment is the same wherever it is stepped, and does not outlive its close."""
+
+import copy
+import multiprocessing
+import os
+import pickle
+import subprocess
+import sys
+import threading
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AsyncVectorEnv
+
+from soil_env.env import SoilWheelEnv
+from soil_env.parameters import ParameterError
+from soil_env.vector_env import SoilWheelVectorEnv
+
+SHORT = {"course": {"length": 2.0}}
+ACTION = np.array([0.45], dtype=np.float32)
+METHODS = [
+    m if m == "fork" else pytest.param(m, marks=pytest.mark.slow) for m in multiprocessing.get_all_start_methods()
+]
+
+
+def rollout(env, steps=40):
+    """Observations of a run with resets, from the present state on."""
+    rows = []
+    for _ in range(steps):
+        observation, _, terminated, truncated, _ = env.step(ACTION)
+        rows.append(observation)
+        if terminated or truncated:
+            rows.append(env.reset()[0])
+    return np.array(rows)
+
+
+# --- copies -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["deepcopy", "pickle"])
+@pytest.mark.parametrize("render_mode", [None, "rgb_array"])
+def test_a_copy_goes_on_as_the_original(make, render_mode):
+    env = SoilWheelEnv(render_mode=render_mode, **SHORT)
+    env.reset(seed=3)
+    rollout(env, 5)
+    if render_mode is not None:
+        env.render()
+    other = make(env)
+    untouched = make(env)
+    np.testing.assert_array_equal(rollout(env), rollout(other))
+    np.testing.assert_array_equal(env.reset()[0], other.reset()[0])
+    if render_mode is not None:
+        assert untouched.render().dtype == np.uint8  # before it was stepped
+    for e in (env, other, untouched):
+        e.close()
+
+
+@pytest.mark.parametrize("make", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["deepcopy", "pickle"])
+def test_a_copy_of_a_vector_env_goes_on_as_the_original(make):
+    env = SoilWheelVectorEnv(40, threads=2, **SHORT)
+    env.reset(seed=3)
+    a = np.full((40, 1), 0.45)
+    env.step(a)
+    other = make(env)
+    for _ in range(60):
+        np.testing.assert_array_equal(env.step(a)[0], other.step(a)[0])
+
+
+# --- processes --------------------------------------------------------------------------------------------------------
+
+
+def make_env():
+    return SoilWheelEnv(**SHORT)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_processes_step_as_this_one(method):
+    """With the threads of a vector env alive in this process, which a fork does not take along."""
+    SoilWheelVectorEnv(64, threads=3).reset(seed=0)
+    many = AsyncVectorEnv([make_env] * 2, context=method)
+    try:
+        observations, _ = many.reset(seed=[4, 5])
+        stepped = many.step(np.array([ACTION, ACTION]))[0]
+    finally:
+        many.close()
+    for k in range(2):
+        env = make_env()
+        np.testing.assert_array_equal(observations[k], env.reset(seed=4 + k)[0])
+        np.testing.assert_array_equal(stepped[k], env.step(ACTION)[0])
+
+
+def _drive(queue, env):
+    env.step(np.full((64, 1), 0.4))
+    queue.put(env.step(np.full((64, 1), 0.4))[0])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_vector_env_with_threads_in_another_process(method):
+    env, same = SoilWheelVectorEnv(64, threads=3), SoilWheelVectorEnv(64, threads=3)
+    for e in (env, same):
+        e.reset(seed=1)
+    context = multiprocessing.get_context(method)
+    queue = context.SimpleQueue()
+    child = context.Process(target=_drive, args=(queue, env))
+    child.start()
+    there = queue.get()
+    child.join()
+    same.step(np.full((64, 1), 0.4))
+    np.testing.assert_array_equal(there, same.step(np.full((64, 1), 0.4))[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_subproc_vec_env_of_sb3(method):
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.vec_env import SubprocVecEnv
+
+    many = SubprocVecEnv([make_env] * 2, start_method=method)
+    try:
+        many.seed(4)
+        observations = many.reset()
+        many.step(np.array([ACTION, ACTION]))
+    finally:
+        many.close()
+    np.testing.assert_array_equal(observations[1], make_env().reset(seed=5)[0])
+
+
+# --- threads ----------------------------------------------------------------------------------------------------------
+
+
+def test_two_vector_envs_in_two_threads_at_once():
+    results, a = {}, np.full((48, 1), 0.4)
+
+    def drive(name, seed):
+        env = SoilWheelVectorEnv(48, threads=2, **SHORT)
+        env.reset(seed=seed)
+        results[name] = [env.step(a)[0] for _ in range(60)]
+
+    workers = [threading.Thread(target=drive, args=(k, k)) for k in range(3)]
+    for w in workers:
+        w.start()
+    for w in workers:
+        w.join()
+    for k in range(3):
+        drive("alone", k)
+        np.testing.assert_array_equal(results["alone"], results[k])
+
+
+# --- close, reset, render ---------------------------------------------------------------------------------------------
+
+
+def test_close_twice_and_use_after_it():
+    """There is nothing to release but the window, so that a closed environment goes on; it opens a new picture."""
+    env = SoilWheelEnv(render_mode="rgb_array", **SHORT)
+    env.close()
+    first, _ = env.reset(seed=2)
+    env.render()
+    env.close()
+    env.close()
+    np.testing.assert_array_equal(env.step(ACTION)[0], rollout_from(2))
+    assert env.render().shape == (540, 960, 3)
+    env.close()
+    many = SoilWheelVectorEnv(2, **SHORT)
+    many.reset(seed=2)
+    many.close()
+    many.close()
+    np.testing.assert_array_equal(many.step(np.array([ACTION, ACTION]))[0][0], rollout_from(2))
+
+
+def rollout_from(seed):
+    env = make_env()
+    env.reset(seed=seed)
+    return env.step(ACTION)[0]
+
+
+def test_misuse_is_told():
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        SoilWheelEnv().step(ACTION)
+    with pytest.raises(ValueError, match="reset options"):
+        SoilWheelEnv().reset(options={"soil": 1})
+    with pytest.raises(ParameterError, match="render_mode"):
+        SoilWheelEnv(render_mode="ansi")
+    for seed in (-1, 1.5, "a"):
+        with pytest.raises((gymnasium.error.Error, TypeError, ValueError)):
+            SoilWheelEnv().reset(seed=seed)
+        with pytest.raises((gymnasium.error.Error, TypeError, ValueError)):
+            SoilWheelVectorEnv(2).reset(seed=[seed, seed])
+
+
+# --- a poor machine ---------------------------------------------------------------------------------------------------
+
+CODE = """
+import numpy as np
+from soil_env.vector_env import SoilWheelVectorEnv
+env = SoilWheelVectorEnv(40, course={"length": 2.0})
+env.reset(seed=3)
+for _ in range(5):
+    out = env.step(np.full((40, 1), 0.45))
+print(out[0].tobytes().hex()[:64])
+"""
+
+
+def poor(folder, **changes):
+    """What CODE prints in a process that has one processor, no home and no cache it could write."""
+    nowhere = "/proc/nowhere"
+    env = {**os.environ, "HOME": nowhere, "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", **changes}
+    before = (lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})) if sys.platform == "linux" else None
+    done = subprocess.run(
+        [sys.executable, "-c", CODE], cwd=folder, env=env, capture_output=True, text=True, preexec_fn=before
+    )
+    assert done.returncode == 0, done.stderr[-800:]
+    return done.stdout, done.stderr
+
+
+def test_one_processor_and_no_home(tmp_path):
+    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    text, error = poor(tmp_path, PYTHONPATH=root)
+    env = SoilWheelVectorEnv(40, **SHORT)
+    env.reset(seed=3)
+    for _ in range(5):
+        out = env.step(np.full((40, 1), 0.45))
+    assert text.strip() == out[0].tobytes().hex()[:64] and error == ""
+
+
+def test_without_a_folder_for_compiled_code_nothing_is_cached(monkeypatch):
+    """Where neither the package nor the home can be written, numba refuses to cache; then it is not asked to."""
+    from soil_env import compiled
+
+    def refuses(**options):
+        assert options == {"cache": True}
+
+        def decorate(function):
+            raise RuntimeError("cannot cache function '_nothing': no locator available")
+
+        return decorate
+
+    assert compiled._cacheable() is compiled.CACHE
+    monkeypatch.setattr(compiled, "njit", refuses)
+    assert not compiled._cacheable()
+
+
+def test_every_kernel_asks_whether_it_can_be_cached():
+    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    for folder in ("soil_env", "agents"):
+        for where, _, names in os.walk(os.path.join(root, folder)):
+            for name in names:
+                if name.endswith(".py") and name != "compiled.py":
+                    with open(os.path.join(where, name), encoding="utf-8") as file:
+                        assert "cache=True" not in file.read(), name
