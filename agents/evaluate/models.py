@@ -11,8 +11,6 @@ import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from agents.evaluate.contestants import VECNORMALIZE
 from soil_env.env import observation_space
 from soil_env.loading import ParameterError
@@ -62,8 +60,7 @@ def load_model(path: Path, scenario: Scenario):
             )
     model = _load(path, data)
     if meta is not None:
-        sd = np.sqrt(np.asarray(meta["var"]) + 1e-8)
-        return ppo.Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], meta["observation"], 0, meta)
+        return ppo.agent_of(model, meta)
     return _Plain(model, _variant(model, path), _normalisation(path))
 
 
