@@ -22,14 +22,19 @@ ENTRIES = ("guide_rim_speed", "guide_slip")
 GUIDES = tuple(name for name, cls in CONTROLLERS.items() if issubclass(cls, FixedSlip))
 
 
+def check_guide(controller: str, variant: str) -> None:
+    """ParameterError unless a controller can guide an agent that reads the observation `variant`."""
+    if controller not in GUIDES:
+        raise ParameterError(f"guide = {controller!r}: expected one of {', '.join(GUIDES)}")
+    if CONTROLLERS[controller].variant not in ("blind", variant):
+        raise ParameterError(f"guide = {controller!r}: does not read the observation {variant!r}")
+
+
 class Guide:
     """The controller with its settings, and how far it may be trimmed; keeps nothing between calls."""
 
     def __init__(self, scenario: Scenario, controller: str, settings: dict, trim: float, variant: str):
-        if controller not in GUIDES:
-            raise ParameterError(f"guide = {controller!r}: expected one of {', '.join(GUIDES)}")
-        if CONTROLLERS[controller].variant not in ("blind", variant):
-            raise ParameterError(f"guide = {controller!r}: does not read the observation {variant!r}")
+        check_guide(controller, variant)
         self.controller = make_controller(controller, scenario, **settings)
         self.settings, self.trim = settings, trim
 

@@ -154,7 +154,10 @@ def block(asked: Ablation, result: dict, where: str) -> str:
 
 
 def _guided(agent: dict) -> str:
-    return f"trims the rim speed of `{agent['guide']}`, " if agent["guide"] else "sets the torque, "
+    if not agent["guide"]:
+        return "sets the torque, "
+    others = "".join(f" (on `{source}`: `{guide}`)" for source, guide in agent["guides"].items())
+    return f"trims the rim speed of `{agent['guide']}`{others}, "
 
 
 def _scenario(asked, result, name, entry) -> list[str]:

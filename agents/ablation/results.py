@@ -43,7 +43,7 @@ def result(asked: Ablation, folder: Path) -> dict:
         "seeds": asked.seeds,
         "tuning_courses": asked.tuning_courses,
         "agents": {
-            name: {key: getattr(spec, key) for key in ("observation", "algorithm", "guide", "timesteps")}
+            name: {key: getattr(spec, key) for key in ("observation", "algorithm", "guide", "guides", "timesteps")}
             for name, spec in asked.agents.items()
         },
         "metrics": {name: {"unit": METRICS[name][0], "meaning": METRICS[name][1]} for name in SHOWN},

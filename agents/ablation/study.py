@@ -29,6 +29,7 @@ from agents.evaluate import HELD_OUT_SET, TUNING_SET
 from agents.evaluate import study as driving
 from agents.evaluate.contestants import Contestant, digest
 from agents.evaluate.records import Records
+from agents.guided import check_guide
 from agents.ppo import PPOConfig, TrainConfig
 from agents.tuning import tuned_settings
 from soil_env.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict, unknown_key
@@ -59,8 +60,18 @@ class AgentSpec(Checked):
     observation: Literal["blind", "identified", "true_soil"]
     algorithm: Literal["ppo", "recurrent_ppo"] = "ppo"
     guide: str = ""  # the slip controller whose rim speed it trims, with the settings tuned on the scenario
+    guides: dict[str, str] = field(default_factory=dict)  # another guide on some scenarios: {scenario: controller}
     timesteps: int = quantity("environment steps", 1, 10**12, default=3_000_000)
     ppo: PPOConfig = PPOConfig()
+
+    def __post_init__(self):
+        super().__post_init__()
+        for guide in filter(None, (self.guide, *self.guides.values())):
+            check_guide(guide, self.observation)
+
+    def guide_on(self, source: str) -> str:
+        """The guide on a scenario; empty = none."""
+        return self.guides.get(source, self.guide)
 
 
 @dataclass(frozen=True)
@@ -83,7 +94,10 @@ class Ablation(Checked):
             source = target.trained_on
             if source and source not in self.sources:
                 raise unknown_key(source, self.sources, f"targets.{name}: trained_on")
-        for name in self.agents:
+        for name, spec in self.agents.items():
+            for source in spec.guides:
+                if source not in self.sources:
+                    raise unknown_key(source, self.sources, f"agents.{name}: guides")
             if name in CONTROLLERS or "-" in name or "/" in name:
                 raise ParameterError(f"agents: {name!r}: expected a name without - and /, not that of a controller")
         if not self.sources or not self.agents:
@@ -126,7 +140,16 @@ def read_config(path: Path, only: list[str] | None = None, **changes) -> Ablatio
             "trained_on": entry.get("trained_on", ""),
             "model": WheelSoilModel.load(_beside(path, world)).content() if world else {},
         }
+    if only and isinstance(content.get("agents"), dict):
+        content["agents"] = {name: _for_some(spec, only) for name, spec in content["agents"].items()}
     return load(Ablation, {**content, "targets": targets}, str(path))
+
+
+def _for_some(spec, only: list[str]):
+    """An agent's entry without guides on scenarios that are left out."""
+    if not isinstance(spec, dict) or not isinstance(spec.get("guides"), dict):
+        return spec
+    return {**spec, "guides": {source: guide for source, guide in spec["guides"].items() if source in only}}
 
 
 def with_steps(study: Ablation, timesteps: int) -> Ablation:
@@ -252,9 +275,10 @@ class _Count:
 def _train(study: Ablation, folder: Path, step: Step, progress: Callable[[int], None]) -> Path:
     """Train from the checkpoint where there is one; the path of the model."""
     target, spec = study.targets[step.source], study.agents[step.agent]
-    settings = _tuned(study, folder, step.source)[spec.guide] if spec.guide else {}
+    guide = spec.guide_on(step.source)
+    settings = _tuned(study, folder, step.source)[guide] if guide else {}
     config = TrainConfig(
-        guide=spec.guide, guide_settings=settings, scenario=target.scenario.name, model=target.model,
+        guide=guide, guide_settings=settings, scenario=target.scenario.name, model=target.model,
         observation=spec.observation, algorithm=spec.algorithm,
         name=f"{step.agent}-{step.seed}", runs=str(folder / step.source / "trained"), seed=_seed_of(step),
         timesteps=spec.timesteps, checkpoint_every=study.checkpoint_every, ppo=spec.ppo,
