@@ -1,4 +1,4 @@
-"""Agents with a memory: made as the others are, loaded by the same hands, and refused in one line without sb3-contrib."""
+"""Agents with a memory: made as the others are, loaded by the same hands, refused in one line without sb3-contrib."""
 
 import sys
 
