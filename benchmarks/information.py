@@ -1,5 +1,5 @@
-"""What can a controller know of the slip that the soil under it needs: from its sensors at one moment, with the estimate
-of the identifier, with the true soil?
+"""What can a controller know of the slip that the soil under it needs: from its sensors at one moment, with the
+estimate of the identifier, with the true soil?
 
 The best slip of the true soil (`traversability.best_working_point`, at the nominal load) is foretold by a small network
 from what can be read on courses driven by `fixed_slip`; the share of its variance that is foretold on other courses
