@@ -39,7 +39,7 @@ def config(folder, **changes):
     """A small study as a file in `folder`."""
     shutil.copy(config_dir() / "worlds" / "bulldozing.yaml", folder / "effect.yaml")
     path = folder / "ablation.yaml"
-    path.write_text(yaml.safe_dump({**CONFIG, **changes}))
+    path.write_text(yaml.safe_dump({**CONFIG, **changes}, sort_keys=False))
     return path
 
 
@@ -180,7 +180,7 @@ def test_a_killed_study_goes_on_from_its_checkpoints(tmp_path):
     shorter = {"ppo_true": {**agents["ppo_true"], "timesteps": steps + 64}}
     begun = yaml.safe_load((out / "study.yaml").read_text())
     begun["agents"]["ppo_true"]["timesteps"] = steps + 64
-    (out / "study.yaml").write_text(yaml.safe_dump(begun))
+    (out / "study.yaml").write_text(yaml.safe_dump(begun, sort_keys=False))
     run = out / "mixed" / "trained" / "ppo_true-0"
     asked = study.read_config(config(tmp_path, agents=shorter, seeds=1))
     told = []
