@@ -56,14 +56,17 @@ class Controller:
         batch = np.atleast_2d(np.asarray(observation, dtype=np.float64))
         fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
         state = self._begin(batch, state, fresh)
-        target = self.rim_speed(batch, state)
+        action = self.command(batch, self.rim_speed(batch, state), state)
+        return (action[0] if np.ndim(observation) == 1 else action), state
+
+    def command(self, batch: np.ndarray, rim_speed: np.ndarray, state: dict) -> np.ndarray:
+        """Actions [n, 1] float32 that follow a rim speed [m/s] [n], for observations [n, D]; advances `state`."""
         if self.by_speed:
             droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)  # of the drive's loop
-            action = target / self.top_speed + droop
+            action = rim_speed / self.top_speed + droop
         else:
-            action = self._torque(batch, target, state) / self.stall
-        action = np.clip(action, -1.0, 1.0).astype(np.float32)[:, None]
-        return (action[0] if np.ndim(observation) == 1 else action), state
+            action = self._torque(batch, rim_speed, state) / self.stall
+        return np.clip(action, -1.0, 1.0).astype(np.float32)[:, None]
 
     def _begin(self, batch, state, fresh):
         if state is None or len(state["integral"]) != len(batch):

@@ -22,6 +22,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from agents import checkpoint, zips
+from agents.guided import ENTRIES, Guide, GuidedVecEnv, spaces_of
 from agents.learner import Learner, Tanh
 from agents.sb3 import SoilWheelVecEnv
 from soil_env.env import action_space, observation_space
@@ -78,10 +79,14 @@ def build(
     seed: int,
     tensorboard: Path | None = None,
     world: WheelSoilModel | None = None,
+    guide: Guide | None = None,
 ) -> PPO:
-    """A fresh PPO agent with its normalised vector environment; `world` brings the effects that are on there."""
+    """A fresh PPO agent with its normalised vector environment; `world` brings the effects that are on there.
+
+    With a `guide` the agent trims its rim speed (`agents.guided`), from none at first.
+    """
     torch.set_num_threads(1)  # its tensors are too small to be shared out; `Learner` shares out whole minibatches
-    env = normalised(scenario, observation, config, seed, world)
+    env = normalised(scenario, observation, config, seed, world, guide)
     model = Learner(
         "MlpPolicy",
         env,
@@ -104,17 +109,22 @@ def build(
         device="cpu",
     )
     with torch.no_grad():  # exploring around full stop would teach little but how to stall
-        model.policy.action_net.bias.fill_(config.initial_action)
+        model.policy.action_net.bias.fill_(config.initial_action if guide is None else 0.0)
     model.update_threads = config.threads
     return model
 
 
 def normalised(
-    scenario: Scenario, observation: str, config: PPOConfig, seed: int, world: WheelSoilModel | None = None
+    scenario: Scenario,
+    observation: str,
+    config: PPOConfig,
+    seed: int,
+    world: WheelSoilModel | None = None,
+    guide: Guide | None = None,
 ) -> VecNormalize:
     """The vector environment of `config.num_envs` wheels with running normalisation of observations and rewards."""
     wheels = SoilWheelVecEnv(config.num_envs, scenario, observation, threads=config.threads, model=world)
-    env = VecNormalize(wheels, gamma=config.gamma)
+    env = VecNormalize(wheels if guide is None else GuidedVecEnv(wheels, guide), gamma=config.gamma)
     env.seed(seed)
     return env
 
@@ -154,11 +164,14 @@ def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
     world = env.get_attr("model")[0]
     if world is not None:
         meta["model"] = world.content()
+    guided = isinstance(env.venv, GuidedVecEnv)
+    if guided:
+        meta["guide"] = env.venv.guide.content()
     stream = io.BytesIO()
     model.save(stream)
     with zipfile.ZipFile(stream, "a", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(_META, json.dumps(meta, indent=1))
-        if between_rollouts:
+        if between_rollouts and not guided and isinstance(model, Learner):
             archive.writestr(_STATE, checkpoint.content(model))
     replace_file(path, stream.getvalue())
 
@@ -179,6 +192,7 @@ class Agent:
     variant: str
     timesteps: int
     meta: dict = field(repr=False)
+    guide: Guide | None = None
 
     @property
     def name(self) -> str:
@@ -187,8 +201,29 @@ class Agent:
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions for raw observations [n, D] or [D]; as SB3's predict."""
-        x = np.clip((np.asarray(observation) - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)
-        return self.model.predict(x, state, episode_start, deterministic)
+        if self.guide is None:
+            return self.model.predict(self._normalised(observation), state, episode_start, deterministic)
+        batch = np.atleast_2d(observation)
+        fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
+        guided, memory = (None, None) if state is None else state
+        seen, guided = self.guide.observe(batch, guided, fresh)
+        trims, memory = self.model.predict(self._normalised(seen), memory, episode_start, deterministic)
+        action = self.guide.act(trims, guided)
+        return (action[0] if np.ndim(observation) == 1 else action), (guided, memory)
+
+    def _normalised(self, observation):
+        return np.clip((np.asarray(observation) - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)
+
+
+def agent_of(model, meta: dict) -> Agent:
+    """The agent of a loaded model and what was noted with it."""
+    guide = None
+    if "guide" in meta:
+        scenario = load(Scenario, meta["scenario"], "scenario")
+        guide = Guide(scenario, **meta["guide"], variant=meta["observation"])
+    sd = np.sqrt(np.asarray(meta["var"]) + 1e-8)
+    variant, timesteps = meta["observation"], meta["timesteps"]
+    return Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], variant, timesteps, meta, guide)
 
 
 def read_meta(path: Path) -> dict:
@@ -201,7 +236,7 @@ def read_meta(path: Path) -> dict:
     for key, kind in _META_TYPES.items():
         if not isinstance(meta.get(key), kind):
             raise ParameterError(f"{path}: {_META}: {key} = {meta.get(key)!r}: expected {kind}")
-    size = len(meta["observation_names"])
+    size = len(meta["observation_names"]) + (len(ENTRIES) if "guide" in meta else 0)
     for key in ("mean", "var"):
         if len(meta[key]) != size or not all(isinstance(x, (int, float)) for x in meta[key]):
             raise ParameterError(f"{path}: {_META}: {key}: expected {size} numbers")
@@ -245,13 +280,17 @@ def load_agent(path: Path) -> Agent:
         path = path / "model.zip"
     meta = read_meta(path)
     check_layout(meta, path)
-    model = _load_zip(path, meta["observation"])
-    sd = np.sqrt(np.asarray(meta["var"]) + 1e-8)
-    return Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], meta["observation"], meta["timesteps"], meta)
+    return agent_of(_load_zip(path, meta), meta)
 
 
-def _load_zip(path: Path, observation: str, objects: dict | None = None, **options) -> PPO:
-    replaced = zips.without_pickles(path, observation_space(observation), action_space(), **(objects or {}))
+def agent_spaces(meta: dict) -> tuple:
+    """Observation and action space of the network of a saved agent."""
+    box = observation_space(meta["observation"])
+    return spaces_of(box) if "guide" in meta else (box, action_space())
+
+
+def _load_zip(path: Path, meta: dict, objects: dict | None = None, **options) -> PPO:
+    replaced = zips.without_pickles(path, *agent_spaces(meta), **(objects or {}))
     try:
         return Learner.load(path, device="cpu", custom_objects=replaced, **options)
     except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
@@ -267,24 +306,19 @@ def resume(
     seed: int,
     log: Path | None,
     world: WheelSoilModel | None = None,
+    guide: Guide | None = None,
 ) -> PPO:
     """The agent of a checkpoint, ready to go on learning.
 
-    Where the checkpoint has the state of the training, it goes on as the run would have; else its worlds start new
-    courses.
+    Where the checkpoint has the state of the training, it goes on as the run would have; else, as with a guide, its
+    worlds start new courses.
     """
-    meta = read_meta(path)
-    if meta["observation"] != observation:
-        raise ParameterError(f"{path}: trained with observation {meta['observation']!r}, not {observation!r}")
-    check_layout(meta, path)
     torch.set_num_threads(1)
-    env = normalised(scenario, observation, config, seed, world)
-    env.obs_rms = _running(meta["mean"], meta["var"], meta["count"])
-    env.ret_rms = _running(meta["return_mean"], meta["return_var"], meta["return_count"])
+    meta, env = reopened(path, scenario, observation, config, seed, world, guide)
     rate = _schedule(config)
     model = _load_zip(
         Path(path),
-        observation,
+        meta,
         {"learning_rate": rate, "lr_schedule": rate, "clip_range": config.clip_range},
         env=env,
         tensorboard_log=None if log is None else str(log),
@@ -295,6 +329,20 @@ def resume(
     if state is not None:
         checkpoint.restore(model, state, path)
     return model
+
+
+def reopened(path: Path, scenario, observation: str, config: PPOConfig, seed: int, world, guide):
+    """(what is noted in a checkpoint, the vector environment with its normalisation)."""
+    meta = read_meta(path)
+    if meta["observation"] != observation:
+        raise ParameterError(f"{path}: trained with observation {meta['observation']!r}, not {observation!r}")
+    check_layout(meta, path)
+    if meta.get("guide") != (None if guide is None else guide.content()):
+        raise ParameterError(f"{path}: trained with guide {meta.get('guide')}")
+    env = normalised(scenario, observation, config, seed, world, guide)
+    env.obs_rms = _running(meta["mean"], meta["var"], meta["count"])
+    env.ret_rms = _running(meta["return_mean"], meta["return_var"], meta["return_count"])
+    return meta, env
 
 
 def _running(mean, var, count) -> RunningMeanStd:
@@ -313,6 +361,12 @@ class TrainConfig(Checked):
     observation: Literal["blind", "identified", "true_soil"] = _text(
         "identified", "what the agent knows: blind, identified or true_soil"
     )
+    algorithm: Literal["ppo", "recurrent_ppo"] = _text("ppo", "ppo, or recurrent_ppo: with a memory, of sb3-contrib")
+    guide: Literal["", "fixed_slip", "best_slip_identified", "best_slip_true"] = _text(
+        "", "slip controller whose rim speed the agent trims; empty: it sets the torque itself"
+    )
+    guide_settings: dict = field(default_factory=dict, metadata={"doc": "of the guide: slip, start"})
+    trim: float = quantity("", 0.0, 5.0, default=1.4, doc="log of the largest factor on the guide's rim speed")
     name: str = _text("", "of the run folder; empty: observation, scenario and time")
     runs: str = _text("runs", "folder of the run folders")
     seed: int = quantity("", 0, 2**31 - 1, default=0, doc="of the training")
@@ -326,6 +380,12 @@ class TrainConfig(Checked):
     def world(self) -> WheelSoilModel | None:
         """The model of the world's effects."""
         return WheelSoilModel.from_content(self.model, "model") if self.model else None
+
+    def made_guide(self, scenario: Scenario) -> Guide | None:
+        """The controller whose rim speed the agent trims, if there is one."""
+        if not self.guide:
+            return None
+        return Guide(scenario, self.guide, self.guide_settings, self.trim, self.observation)
 
 
 def load_config(mapping: dict, where: str) -> TrainConfig:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from rich.markup import escape
 from rich.table import Table
 from stable_baselines3.common.callbacks import BaseCallback
 
-from agents import evaluate, plots, ppo, progress, tuning
+from agents import evaluate, plots, ppo, progress, recurrent, tuning
 from agents.controllers import CONTROLLERS, make_controller
 from agents.evaluate import HELD_OUT_SET, TUNING_SET
+from agents.evaluate.models import load_model
 from agents.ppo import TrainConfig
 from agents.timing import Times, Timing
 from soil_env.files import replace_file
@@ -104,25 +106,25 @@ def open_run(folder: Path) -> tuple[TrainConfig, Scenario]:
     return config, load_scenario(folder / "scenario.yaml")
 
 
-def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
-    """Train in `folder`, from its checkpoint if it has one, and save model.zip."""
+def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable = Bar) -> ppo.Agent:
+    """Train in `folder`, from its checkpoint if it has one, and save model.zip. `bar`: as `Bar`, shows progress."""
     folder = Path(folder)
     if (folder / "model.zip").is_file():
         console.print(f"{folder} is trained already.")
-        return ppo.load_agent(folder)
+        return load_model(folder / "model.zip", scenario)
     log = folder / "tensorboard"
+    maker = recurrent if config.algorithm == "recurrent_ppo" else ppo
+    rest = config.ppo, config.seed, log, config.world, config.made_guide(scenario)
     if (folder / "checkpoint.zip").is_file():
-        model = ppo.resume(
-            folder / "checkpoint.zip", scenario, config.observation, config.ppo, config.seed, log, config.world
-        )
+        model = maker.resume(folder / "checkpoint.zip", scenario, config.observation, *rest)
         console.print(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
     else:
-        model = ppo.build(scenario, config.observation, config.ppo, config.seed, log, config.world)
+        model = maker.build(scenario, config.observation, *rest)
     times = Times(folder)
     left = config.timesteps - model.num_timesteps
     if left > 0:
-        with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
-            watch = _Watch(folder, config.checkpoint_every, bar, times)
+        with bar("Training", config.timesteps, "steps", model.num_timesteps) as shown:
+            watch = _Watch(folder, config.checkpoint_every, shown, times)
             try:
                 model.learn(left, callback=[watch, Timing(times.seconds)], reset_num_timesteps=False, tb_log_name="PPO")
             except KeyboardInterrupt:
@@ -133,7 +135,7 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario) -> ppo.Agent:
     ppo.save(model, folder / "model.zip")
     for left_over in (folder / "checkpoint.zip", *folder.glob(".*.partial*")):
         left_over.unlink(missing_ok=True)
-    return ppo.load_agent(folder)
+    return load_model(folder / "model.zip", scenario)
 
 
 def tuned_controllers(scenario: Scenario, courses: int, world: WheelSoilModel | None = None) -> tuple[dict, dict]:

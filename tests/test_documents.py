@@ -66,3 +66,19 @@ def test_the_benchmark_of_the_identification_runs(tmp_path):
     for part in ("convergence", "efficiency", "identifiability", "online", "speed"):
         assert result[part]
     assert "--smoke" in page and page.count("\n## ") == 5
+
+
+def test_the_page_of_the_ablation_is_the_committed_result():
+    from agents.ablation import page
+    from agents.ablation.study import read_config
+
+    result = json.loads((ROOT / "docs" / "comparison" / "comparison.json").read_text())
+    text = (ROOT / "docs" / "comparison.md").read_text()
+    marked = text.split(page.BEGIN)[1].split(page.END)[0].strip()
+    assert marked == page.block(read_config(ROOT / "configs" / "ablation.yaml"), result, "comparison/")
+    assert result["courses"] >= 1000
+    for scenario in result["scenarios"].values():
+        seeds = {name: c["members"] for name, c in scenario["controllers"].items() if name in result["agents"]}
+        assert min(seeds.values()) == max(seeds.values()) >= result["seeds"] - 1
+    for link in re.findall(r"\]\(([^)#]+)\)", text):
+        assert link.startswith("http") or (ROOT / "docs" / link).exists(), link

@@ -9,10 +9,8 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from agents.evaluate.contestants import VECNORMALIZE
-from soil_env.env import action_space, observation_space
+from soil_env.env import observation_space
 from soil_env.loading import ParameterError
 from soil_env.parameters import Scenario
 from soil_env.task import VARIANTS
@@ -58,10 +56,9 @@ def load_model(path: Path, scenario: Scenario):
                 f"controllers: {path}: trained with action {trained!r}, scenario {scenario.name!r} takes "
                 f"{scenario.control.action!r}"
             )
-    model = _load(path, data, None if meta is None else meta["observation"])
+    model = _load(path, data, meta)
     if meta is not None:
-        sd = np.sqrt(np.asarray(meta["var"]) + 1e-8)
-        return ppo.Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], meta["observation"], 0, meta)
+        return ppo.agent_of(model, meta)
     return _Plain(model, _variant(model, path), _normalisation(path))
 
 
@@ -76,7 +73,7 @@ def _contents(path: Path) -> tuple[list[str], dict]:
         raise ParameterError(f"controllers: {error}") from None
 
 
-def _load(path: Path, data: dict, ours: str | None):
+def _load(path: Path, data: dict, meta: dict | None):
     policy = data.get("policy_class")
     module = str(policy.get("__module__", "")) if isinstance(policy, dict) else ""
     fitting = [made_by for prefix, keys, made_by in _ALGORITHMS if module.startswith(prefix) and keys <= set(data)]
@@ -88,10 +85,10 @@ def _load(path: Path, data: dict, ours: str | None):
     except ImportError:
         raise ParameterError(f"controllers: {path}: a {algorithm} model needs {package.replace('_', '-')}") from None
     objects = None
-    if ours is None:
+    if meta is None:
         zips.warn(str(path))
     else:
-        objects = zips.without_pickles(path, observation_space(ours), action_space())
+        objects = zips.without_pickles(path, *ppo.agent_spaces(meta))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

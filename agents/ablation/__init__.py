@@ -1,0 +1,1 @@
+"""Does the identifier help? Agents of several variants, trained and compared on several scenarios."""

@@ -1,0 +1,132 @@
+"""Does the identifier help? PPO agents that are blind, that read the identified soil and that know the true soil, and a
+recurrent one that is blind, against the classical controllers, on several scenarios and with several training seeds.
+
+Examples:
+  python -m agents.ablation --out runs/ablation --workers 2
+  python -m agents.ablation --config configs/ablation_smoke.yaml --out runs/smoke    numbers without meaning
+  python -m agents.ablation --out runs/sticky --scenarios sticky --seeds 2 --steps 1e6
+  python -m agents.ablation --report runs/ablation --page docs/comparison.md         write the results again
+
+Interrupted or killed, it goes on where it was with the same command (or --resume OUT): trainings from their last
+checkpoint. With a larger --seeds it adds to what is there. OUT then holds comparison.json, comparison.md, figures, and
+for each scenario an evaluation as of `python -m agents.evaluate`, with its report.html.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from rich.console import Console
+
+from agents.ablation import page, results, study, workers
+from agents.progress import Bar
+from soil_env.loading import ParameterError, config_dir
+
+
+def parser() -> argparse.ArgumentParser:
+    """Options of the command."""
+    p = argparse.ArgumentParser(
+        "python -m agents.ablation",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+        epilog="Exit status: 0 done, 2 bad input, 130 interrupted.",
+    )
+    p.add_argument("--out", metavar="OUT", type=Path, help="folder of the study, made where it does not exist")
+    p.add_argument("--resume", metavar="OUT", type=Path, help="go on with a study; only --workers may be given")
+    p.add_argument("--report", metavar="OUT", type=Path, help="only write the results of what a study has so far")
+    p.add_argument("--config", metavar="YAML", type=Path, help="what is asked (default: configs/ablation.yaml)")
+    p.add_argument("--scenarios", metavar="A,B", help="only these of the config")
+    p.add_argument("--seeds", metavar="N", type=int, help="trainings of each agent on each scenario")
+    p.add_argument("--steps", metavar="N", type=float, help="environment steps of each training")
+    p.add_argument("--courses", metavar="N", type=int, help="held-out courses of each scenario")
+    p.add_argument("--workers", metavar="N", type=int, help="processes side by side (default: none but this one)")
+    p.add_argument(
+        "--page", metavar="MD", type=Path,
+        help="write the results into the marked part of this page, with comparison/*.json and *.png beside it",
+    )  # fmt: skip
+    return p
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
+    options = parser().parse_args(arguments)
+    folder = options.report or options.resume or options.out
+    try:
+        _run(options, folder, Console())
+    except ParameterError as error:
+        return _refuse(str(error))
+    except OSError as error:
+        return _refuse(f"{error.filename or folder}: {error.strerror or error}")
+    except MemoryError as error:
+        return _refuse(f"not enough memory ({error}); expected a smaller ppo.num_envs or --courses")
+    except KeyboardInterrupt:
+        known = folder is not None and (folder / "study.yaml").is_file()
+        again = f"; go on with: python -m agents.ablation --resume {folder}" if known else ""
+        print(f"\nagents.ablation: interrupted{again}", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _refuse(message: str) -> int:
+    print(f"agents.ablation: {' '.join(message.split())}", file=sys.stderr)
+    return 2
+
+
+_ASKING = ("config", "scenarios", "seeds", "steps", "courses")
+
+
+def _run(options, folder: Path | None, console: Console) -> None:
+    if [options.out, options.resume, options.report].count(None) != 2:
+        raise ParameterError("expected one of --out, --resume and --report (see --help)")
+    if options.workers is not None and options.workers < 1:
+        raise ParameterError(f"--workers {options.workers}: expected a whole number >= 1")
+    if options.out is not None:
+        asked = _asked(options)
+        study.begin(asked, folder)
+    else:
+        given = [name for name in _ASKING if getattr(options, name) is not None]
+        if given:
+            raise ParameterError(f"--{given[0]}: only with --out; {folder} has what is asked")
+        asked = study.open_study(folder)
+    if options.report is None:
+        fill(asked, folder, options.workers, console)
+    result = results.result(asked, folder)
+    written = page.write(asked, folder, result, options.page)
+    page.print_tables(result, console)
+    console.print(f"Written: {', '.join(map(str, written))}", soft_wrap=True, highlight=False)
+
+
+def _asked(options) -> study.Ablation:
+    path = options.config or config_dir() / "ablation.yaml"
+    only = options.scenarios.split(",") if options.scenarios else None
+    asked = study.read_config(path, only, seeds=options.seeds, courses=options.courses)
+    return asked if options.steps is None else study.with_steps(asked, int(options.steps))
+
+
+def fill(asked: study.Ablation, folder: Path, count: int | None, console: Console) -> None:
+    """Do all work that is not done yet."""
+    todo = [step for step in study.steps(asked) if not study.done(asked, folder, step)]
+    total = sum(study.cost(asked, step) for step in todo)
+    left = [len(todo)]
+    with Bar("Training", max(total, 1), "steps", 0, console) as bar:
+
+        def progress(count: int) -> None:
+            bar.update(advance=count, note=f"{left[0]} of {len(todo)} pieces of work left")
+
+        def ended(step: study.Step) -> None:
+            left[0] -= 1
+            progress(0)
+            if not console.is_terminal:
+                console.print(f"{step}: done, {left[0]} left", soft_wrap=True, highlight=False)
+
+        if count is None:
+            workers.here(asked, folder, todo, progress, ended)
+        else:
+            workers.processes(asked, folder, todo, progress, ended, count)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

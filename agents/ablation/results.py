@@ -1,0 +1,170 @@
+"""From the driven courses of an ablation to its numbers and its three verdicts.
+
+Intervals are those of `agents.evaluate`: 95 %, over training seeds and courses, both drawn whole.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from agents.ablation import study as studies
+from agents.ablation.study import Ablation
+from agents.controllers import CONTROLLERS
+from agents.evaluate import results as evaluation_results
+from agents.evaluate import statistics as st
+from agents.evaluate.records import METRICS
+
+SHOWN = (
+    "immobilised", "entrapped", "stalled", "bogged", "time_limit", "finished", "distance", "time", "energy_per_metre",
+    "tractive_efficiency", "slip", "sinkage", "return",
+)  # fmt: skip
+WITHIN = 0.05  # share of courses, of the second goal
+_BY_SEED = ("immobilised", "finished", "return")
+
+
+def result(asked: Ablation, folder: Path) -> dict:
+    """The content of comparison.json, from the courses that are driven so far.
+
+    {"agents": {name: {...}}, "scenarios": {name: {"trained_on", "controllers": {name: {"members", "settings",
+    "metrics": {metric: {"value", "low", "high"}}, "by_seed"}}, "paired": {a: {b: {metric: {...}}}}, "improvement": {a:
+    {b: {...}}}, "profile": {name: {...}}}}, "loss": {name: {...}}, "goals": [...]}.
+    """
+    kept = {name: studies.evaluation(asked, folder, name) for name in asked.targets}
+    kept = {name: entry for name, entry in kept.items() if entry[1]}
+    scenarios = {}
+    for name, (study, records) in kept.items():
+        whole = evaluation_results.result(study, records)
+        scenarios[name] = _condensed(asked, name, study, records, whole)
+    out = {
+        "version": asked.version,
+        "courses": asked.courses,
+        "seeds": asked.seeds,
+        "tuning_courses": asked.tuning_courses,
+        "agents": {
+            name: {key: getattr(spec, key) for key in ("observation", "algorithm", "guide", "guides", "timesteps")}
+            for name, spec in asked.agents.items()
+        },
+        "metrics": {name: {"unit": METRICS[name][0], "meaning": METRICS[name][1]} for name in SHOWN},
+        "scenarios": scenarios,
+    }
+    out["loss"] = {name: _loss(asked, kept, name) for name in scenarios if asked.source(name) in scenarios}
+    out["loss"] = {name: entry for name, entry in out["loss"].items() if asked.source(name) != name}
+    agent = identified(asked)
+    out["goals"] = [] if agent is None else _goals(asked, out, agent)
+    return out
+
+
+def identified(asked: Ablation) -> str | None:
+    """The agent in question: the first that reads the identified soil."""
+    return next((n for n, spec in asked.agents.items() if spec.observation == "identified"), None)
+
+
+def knows_truth(asked: Ablation, name: str) -> bool:
+    """Whether a controller or agent is told the true soil."""
+    return (CONTROLLERS[name].variant if name in CONTROLLERS else asked.agents[name].observation) == "true_soil"
+
+
+def _condensed(asked, name, study, records, whole) -> dict:
+    controllers = {}
+    for key, rows in records.items():
+        entry = whole["controllers"][key]
+        controllers[key] = {
+            "members": entry["members"],
+            "settings": entry["settings"],
+            "metrics": {m: entry["metrics"][m] for m in SHOWN},
+            "by_seed": {m: [float(np.nanmean(r.metric(m))) for r in rows] for m in _BY_SEED},
+        }
+    target = asked.targets[name]
+    return {
+        "trained_on": asked.source(name),
+        **({"model": target.model} if target.model else {}),
+        "controllers": controllers,
+        "paired": {a: whole["paired"][a] for a in records if a in asked.agents},
+        "improvement": {a: whole["improvement"][a] for a in records if a in asked.agents},
+        "profile": {a: whole["controllers"][a]["profile"]["return"] for a in records},
+    }
+
+
+def _loss(asked: Ablation, kept: dict, name: str) -> dict:
+    """What each controller loses from the scenario it was made on to this one, in immobilised and finished courses.
+
+    {metric: {controller: {"value", "low", "high", "against": the identified agent's loss minus this one's}}}; the same
+    draws of training seeds on both scenarios, other draws of courses.
+    """
+    study, agent = kept[name][0], identified(asked)
+    before, after = kept[asked.source(name)][1], kept[name][1]
+    first, second = (st.draws(study.seed + k, study.courses, study.resamples) for k in (0, 1))
+    out = {}
+    for metric, sign in (("immobilised", 1.0), ("finished", -1.0)):
+        a, b = studies.scores(before, metric), studies.scores(after, metric)
+        value, samples = {}, {}
+        for key in after:
+            members = first.members(key, len(a[key]))
+            value[key] = sign * (st.mean(b[key]) - st.mean(a[key]))
+            lost = st.mean_samples(b[key], members, second.courses) - st.mean_samples(a[key], members, first.courses)
+            samples[key] = sign * lost
+        out[metric] = {key: _bounds(value[key], samples[key]) for key in after}
+        for key in after:
+            if agent in after and key != agent:
+                out[metric][key]["against"] = _bounds(value[agent] - value[key], samples[agent] - samples[key])
+    return out
+
+
+def _bounds(value: float, samples: np.ndarray) -> dict:
+    low, high = st.interval(value, samples)
+    return {"value": value, "low": low, "high": high}
+
+
+# --- the goals --------------------------------------------------------------------------------------------------------
+
+
+def _goals(asked: Ablation, out: dict, agent: str) -> list[dict]:
+    """Verdicts: [{"goal", "scenario", "answer": "yes" | "no" | "open", "text", "details"}]."""
+    goals = []
+    for name, entry in out["scenarios"].items():
+        if agent in entry["controllers"]:
+            goals.append({"goal": "beats", "scenario": name, **_beats(asked, entry, agent)})
+            for true in asked.agents:
+                if knows_truth(asked, true) and true in entry["controllers"]:
+                    goals.append({"goal": "within", "scenario": name, **_within(entry, agent, true)})
+    for name, losses in out["loss"].items():
+        if agent in losses["immobilised"]:
+            goals.append({"goal": "loses least", "scenario": name, **_loses_least(asked, losses, agent)})
+    return goals
+
+
+def _beats(asked: Ablation, entry: dict, agent: str) -> dict:
+    """Less often immobilised than every controller that does not know the true soil, intervals apart?"""
+    rates = {n: c["metrics"]["immobilised"] for n, c in entry["controllers"].items()}
+    mine = rates[agent]
+    ranks = {}
+    for name, other in rates.items():
+        if name != agent and not knows_truth(asked, name):
+            if mine["high"] < other["low"]:
+                ranks[name] = "apart"
+            elif mine["value"] < other["value"]:
+                ranks[name] = "lower"
+            else:
+                ranks[name] = "higher" if mine["low"] > other["high"] else "not lower"
+    values = set(ranks.values())
+    answer = "yes" if values <= {"apart"} else "no" if values & {"higher", "not lower"} else "open"
+    return {"answer": answer, "details": ranks}
+
+
+def _within(entry: dict, agent: str, true: str) -> dict:
+    """Immobilised at most 5 percentage points more often than the agent that knows the true soil?"""
+    d = entry["paired"][agent][true]["immobilised"]
+    answer = "yes" if d["high"] <= WITHIN else "no" if d["value"] > WITHIN else "open"
+    return {"answer": answer, "details": {true: d}}
+
+
+def _loses_least(asked: Ablation, losses: dict, agent: str) -> dict:
+    """Does the agent lose less than every controller that does not know the true soil?"""
+    against = {n: e["against"] for n, e in losses["immobilised"].items() if n != agent and not knows_truth(asked, n)}
+    if all(d["high"] < 0.0 for d in against.values()):
+        answer = "yes"
+    else:
+        answer = "no" if any(d["value"] > 0.0 for d in against.values()) else "open"
+    return {"answer": answer, "details": against}
