@@ -43,13 +43,13 @@ def seen(slip, load, conditions: np.ndarray) -> dict[str, tuple[float, float]]:
 
 
 def outside(validity: Mapping[str, tuple[float, float]], slip, load, conditions: np.ndarray) -> str:
-    """What of the rows lies outside, in words; "" for nothing."""
+    """What of the rows lies outside by more than 1 % of the range, in words; "" for nothing."""
     asked, out = seen(slip, load, conditions), []
     for name, (low, high) in validity.items():
         if name not in asked:
             continue
         a, b = asked[name]
-        near = 1e-6 * max(abs(low), abs(high))
+        near = max(0.01 * (high - low), 1e-6 * max(abs(low), abs(high)))
         if a < low - near or b > high + near:
             out.append(f"{name} {_span(a, b, '')} (fitted to {_span(low, high, CONDITIONS[name])})")
     return ", ".join(out)

@@ -147,10 +147,14 @@ def _gap(report: Report) -> Grid:
     return _grid("Held-out error (rms)", gap_columns(report), gap_rows(report))
 
 
+_OTHER = (("unlisted", "something that no catalogue lists"), ("none", "nothing is missing"))
+
+
 def _ranking(report: Report) -> Grid:
     rows = [(title(r.name), fixed(r.score, 1), fixed(r.probability, 3)) for r in report.ranking[:_SHOWN]]
     left = len(report.ranking) - _SHOWN
     name = "Candidates" + (f" (first {_SHOWN}, {left} more in the report)" if left > 0 else "")
+    rows += [(words, "", fixed(report.other[key], 3)) for key, words in _OTHER if report.other.get(key)]
     return _grid(name, ("effect", ">held-out gain [nats]", ">probability"), rows)
 
 

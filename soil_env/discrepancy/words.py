@@ -181,7 +181,29 @@ def _of_table(report: Report) -> list[str]:
     if report.left_out:
         rows = ", ".join(f"{TITLES[name]} in row {row}" for row, name in report.left_out[:8])
         more = ", ..." if len(report.left_out) > 8 else ""
-        out.append(f"{_plural(len(report.left_out), 'value')} left out as outliers: {rows}{more}.")
+        out.append(
+            f"{_plural(len(report.left_out), 'value')} left out as outliers: {rows}{more}.{_with_outliers(report)}"
+        )
+    return out
+
+
+def _with_outliers(report: Report) -> str:
+    """How the final model stands to the values that were left out."""
+    problem, fit = report.problem, report.fit
+    far = np.abs(problem.data.y - fit.output) / problem.noise
+    dropped = problem.data.measured & ~problem.used
+    ordinary, out = int(np.sum(far[dropped] <= 3.0)), ""
+    if ordinary:
+        out += f" By the final model {ordinary} of them {'is' if ordinary == 1 else 'are'} ordinary."
+    for j, name in enumerate(CHANNELS):
+        if dropped[:, j].any():
+            kept = math.sqrt(float(np.mean(far[problem.used[:, j], j] ** 2)))
+            whole = math.sqrt(float(np.mean(far[problem.data.measured[:, j], j] ** 2)))
+            if whole > 1.2 * kept:
+                out += (
+                    f" With them it misses {TITLES[name]} by {whole:.2g} times the noise instead of {kept:.2g}: where "
+                    "their repeats agree, that is lack of fit."
+                )
     return out
 
 
