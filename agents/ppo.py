@@ -56,7 +56,7 @@ class PPOConfig(Checked):
     gamma: float = quantity("", 0.5, 1.0, default=0.999, doc="discount a step")
     gae_lambda: float = quantity("", 0.0, 1.0, default=0.9, doc="bias against variance of the advantages")
     clip_range: float = quantity("", 0.01, 1.0, default=0.2, doc="how far an update may move a probability ratio")
-    ent_coef: float = quantity("", 0.0, 1.0, default=0.0, doc="weight of the entropy")
+    ent_coef: float = quantity("", 0.0, 1.0, default=0.003, doc="weight of the entropy")
     layer: int = quantity("", 1, 4096, default=64, doc="units in each of two hidden layers")
     activation: Literal["relu", "tanh"] = _text("relu", "what follows a hidden layer: relu or tanh")
     log_std_init: float = quantity("", -5.0, 2.0, default=-1.6, doc="log of the initial standard deviation")

