@@ -1,5 +1,6 @@
 """Files are written whole or not at all; SIGTERM ends a command as Ctrl-C does."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -15,13 +16,15 @@ from soil_env.stopping import TERMINATED, terminable
 resource = pytest.importorskip("resource")
 
 
-@pytest.fixture
+@contextlib.contextmanager
 def full():
-    """A disk that takes no file longer than 1000 bytes."""
+    """A disk that takes no file longer than 1000 bytes; not for pytest, which may write its own lines to a file."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_text_and_bytes(tmp_path):
@@ -30,17 +33,17 @@ def test_text_and_bytes(tmp_path):
     assert (tmp_path / "a").read_bytes() == "grün\n".encode() and (tmp_path / "b").read_bytes() == b"\x00\xff"
 
 
-def test_a_full_disk_leaves_the_old_file_and_nothing_beside_it(tmp_path, full):
+def test_a_full_disk_leaves_the_old_file_and_nothing_beside_it(tmp_path):
     path = tmp_path / "a"
     replace_file(path, "old")
-    with pytest.raises(OSError) as raised:
+    with full(), pytest.raises(OSError) as raised:
         replace_file(path, "x" * 5000)
     assert raised.value.filename == str(path) and raised.value.strerror
     assert path.read_text() == "old" and os.listdir(tmp_path) == ["a"]
 
 
-def test_a_figure_is_whole_or_not_at_all(tmp_path, full):
-    with pytest.raises(OSError):
+def test_a_figure_is_whole_or_not_at_all(tmp_path):
+    with full(), pytest.raises(OSError):
         save_figure(matplotlib.figure.Figure(), tmp_path / "a.png")
     assert os.listdir(tmp_path) == []
 
@@ -50,10 +53,10 @@ def test_a_figure(tmp_path):
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_a_line_is_added_whole_or_not_at_all(tmp_path, full):
+def test_a_line_is_added_whole_or_not_at_all(tmp_path):
     path = tmp_path / "a"
     append_line(path, "one")
-    with pytest.raises(OSError):
+    with full(), pytest.raises(OSError):
         append_line(path, "x" * 5000)
     append_line(path, "two")
     assert path.read_text() == "one\ntwo\n"
