@@ -21,11 +21,12 @@ FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 # Functions that have no equation of their own: plumbing, packing, or another form of one that the pages name.
 NO_EQUATION = {
-    "dynamics": {"finish", "plain_ground", "react", "reaction_from", "reaction_of", "moved", "world_numbers"},
+    "dynamics": {"finish", "world_numbers"},
+    "reaction": {"plain_ground", "react", "reaction_from", "reaction_of", "moved"},
     "effects": {"pack_effects"},
     "residual": {"residual_law"},
     "traversability": set(),
-    "contact": set(),
+    "contact": {"zone"},
 }
 
 
