@@ -60,7 +60,7 @@ class Controller:
         return (action[0] if np.ndim(observation) == 1 else action), state
 
     def command(self, batch: np.ndarray, rim_speed: np.ndarray, state: dict) -> np.ndarray:
-        """Actions [n, 1] float32 that follow a rim speed [m/s] [n], for observations [n, D]; advances `state`."""
+        """Actions [n, 1] float32 that follow a `rim_speed` [n] m/s, for observations [n, D]; advances `state`."""
         if self.by_speed:
             droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)  # of the drive's loop
             action = rim_speed / self.top_speed + droop
