@@ -58,15 +58,15 @@ def ours(config: ppo.PPOConfig, seed: int) -> PPO:
 
 
 def layout(num_envs, n_steps, n_epochs, batch_size, learning_rate, activation, **more) -> ppo.PPOConfig:
-    """A layout of the study, on one thread."""
-    return ppo.PPOConfig(
-        num_envs, n_steps, batch_size, n_epochs, learning_rate, activation=activation, threads=1, **more
-    )  # fmt: skip
+    """A layout of the study, on one thread; without a weight on the entropy, which was chosen after it."""
+    more = {"ent_coef": 0.0} | more
+    more |= {"activation": activation, "threads": 1}
+    return ppo.PPOConfig(num_envs, n_steps, batch_size, n_epochs, learning_rate, **more)
 
 
 def name(config: ppo.PPOConfig) -> str:
-    """Wheels x steps an update, epochs x batch, learning rate, activation, and what else is not the default."""
-    c, usual = config, ppo.PPOConfig()
+    """Wheels x steps an update, epochs x batch, learning rate, activation, and what else is not usual."""
+    c, usual = config, ppo.PPOConfig(ent_coef=0.0)
     text = f"{c.num_envs} x {c.n_steps}, {c.n_epochs} x {c.batch_size}, {c.learning_rate:g}, {c.activation}"
     for key in ("gamma", "gae_lambda", "ent_coef"):
         if getattr(c, key) != getattr(usual, key):

@@ -50,6 +50,8 @@ def test_the_committed_page_has_the_committed_figures(committed, tmp_path):
     assert (tmp_path / "training.md").read_text(encoding="utf-8") == (DOCS / "training.md").read_text(encoding="utf-8")
 
 
-def test_the_default_is_a_finalist():
-    found = [config for config, _, _ in training.LONG if training.name(config) == training.name(PPOConfig())]
+def test_the_default_layout_is_a_finalist():
+    """But for its weight on the entropy, which was chosen afterwards (docs/training.md)."""
+    default = training.name(PPOConfig(ent_coef=0.0))
+    found = [config for config, _, _ in training.LONG if training.name(config) == default]
     assert len(found) == 1
