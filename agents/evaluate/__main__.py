@@ -8,8 +8,8 @@ CONTROLLERS is a list with commas. An entry is
                                    does not read the observation "identified", an attribute `variant`
   NAME=...                         any of these under another name; a glob of models, 'ppo=runs/ppo_*', or the same
                                    NAME again makes one algorithm of several training seeds
-Models that train.py did not write are unpickled in part, and modules are imported: both run code. Name only what you
-trust.
+Models that train.py did not write are unpickled in part, and modules are imported: both run code.
+Name only what you trust.
 
 Examples:
   python -m agents.evaluate --controllers full_throttle,fixed_slip,best_slip_identified --out evaluation
