@@ -651,9 +651,9 @@ def test_checkpoints_come_as_often_as_asked(capsys, tmp_path, monkeypatch):
     saved = []
     original = ppo.save
 
-    def spy(model, path):
+    def spy(model, path, **more):
         saved.append((Path(path).name, model.num_timesteps))
-        original(model, path)
+        original(model, path, **more)
 
     monkeypatch.setattr(ppo, "save", spy)
     code, _, err = run(capsys, *TINY, "--timesteps=640", "--checkpoint_every=256", "--runs", tmp_path, "--name", "n")
