@@ -96,22 +96,24 @@ def test_sigterm_that_is_ignored_stays_ignored():
         signal.signal(signal.SIGTERM, before)
 
 
-@pytest.fixture(scope="module")
-def compiled(tmp_path_factory):
-    """The kernels of the command are in the cache: LLVM's callbacks swallow what a signal raises in them."""
-    command = [sys.executable, "-m", "soil_env.paper", "--out", str(tmp_path_factory.mktemp("paper"))]
-    subprocess.run(command, capture_output=True, check=True, timeout=600)
-
-
 @pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
-def test_a_command_ends_in_one_line(tmp_path, compiled, name, status):
-    """While it works: one line, and nothing is written."""
-    command = [sys.executable, "-m", "soil_env.paper", "--out", str(tmp_path / "out")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not (tmp_path / "out").exists() and process.poll() is None:  # made when the work begins
-        time.sleep(0.02)
-    process.send_signal(getattr(signal, name))
-    _, error = process.communicate(timeout=120)
+def test_a_command_ends_in_one_line(tmp_path, name, status):
+    """While it works: one line, and nothing is written.
+
+    A signal that comes while LLVM loads a kernel is swallowed by its callback ("Exception ignored"), and the command
+    goes on: that attempt says nothing.
+    """
+    for attempt in range(6):
+        folder = tmp_path / f"out{attempt}"
+        command = [sys.executable, "-m", "soil_env.paper", "--out", str(folder)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        while not folder.exists() and process.poll() is None:  # made when the work begins
+            time.sleep(0.02)
+        time.sleep(0.3 * attempt)
+        process.send_signal(getattr(signal, name))
+        _, error = process.communicate(timeout=120)
+        if "Exception ignored" not in error:
+            break
     assert process.returncode == status, error
     assert error.strip() == "soil_env.paper: interrupted"
-    assert not list((tmp_path / "out").rglob("*.md"))
+    assert not list(folder.rglob("*.md"))
