@@ -90,14 +90,7 @@ def build(
     model = Learner(
         "MlpPolicy",
         env,
-        learning_rate=_schedule(config),
-        n_steps=config.n_steps,
-        batch_size=config.batch_size,
-        n_epochs=config.n_epochs,
-        gamma=config.gamma,
-        gae_lambda=config.gae_lambda,
-        clip_range=config.clip_range,
-        ent_coef=config.ent_coef,
+        **hyperparameters(config),
         policy_kwargs={
             "net_arch": [config.layer, config.layer],
             "activation_fn": {"relu": nn.ReLU, "tanh": Tanh}[config.activation],
@@ -112,6 +105,12 @@ def build(
         model.policy.action_net.bias.fill_(config.initial_action if guide is None else 0.0)
     model.update_threads = config.threads
     return model
+
+
+def hyperparameters(config: PPOConfig) -> dict:
+    """What PPO and RecurrentPPO take from a config alike."""
+    same = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "ent_coef")
+    return {"learning_rate": schedule(config)} | {name: getattr(config, name) for name in same}
 
 
 def normalised(
@@ -129,7 +128,8 @@ def normalised(
     return env
 
 
-def _schedule(config: PPOConfig):
+def schedule(config: PPOConfig):
+    """The learning rate by the share of the training that is left."""
     rate = config.learning_rate
 
     def learning_rate(left: float) -> float:
@@ -315,7 +315,7 @@ def resume(
     """
     torch.set_num_threads(1)
     meta, env = reopened(path, scenario, observation, config, seed, world, guide)
-    rate = _schedule(config)
+    rate = schedule(config)
     model = _load_zip(
         Path(path),
         meta,

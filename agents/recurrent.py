@@ -40,14 +40,7 @@ def build(
     model = _algorithm()(
         "MlpLstmPolicy",
         ppo.normalised(scenario, observation, config, seed, world, guide),
-        learning_rate=ppo._schedule(config),
-        n_steps=config.n_steps,
-        batch_size=config.batch_size,
-        n_epochs=config.n_epochs,
-        gamma=config.gamma,
-        gae_lambda=config.gae_lambda,
-        clip_range=config.clip_range,
-        ent_coef=config.ent_coef,
+        **ppo.hyperparameters(config),
         policy_kwargs={
             "lstm_hidden_size": config.layer,
             "shared_lstm": True,
@@ -76,7 +69,7 @@ def resume(
 ):
     """The agent of a checkpoint, ready to go on learning; its worlds start new courses, its memory is empty."""
     meta, env = ppo.reopened(path, scenario, observation, config, seed, world, guide)
-    cls, rate = _algorithm(), ppo._schedule(config)
+    cls, rate = _algorithm(), ppo.schedule(config)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

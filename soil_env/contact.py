@@ -212,6 +212,7 @@ class Zone(NamedTuple):
 
 @inlined
 def zone(theta1, sin1, theta, sin_half, cos_half, w, p, r):
+    """`Zone` of nodes at theta with weights w and normal stress p over S: j of Eq. (10) split by rim and by travel."""
     s, c = 2.0 * sin_half * cos_half, fma(-2.0 * sin_half, sin_half, 1.0)
     pw = p * w
     return Zone(w, w * c, w * s, pw, pw * c, pw * s, r * (theta1 - theta), r * (s - sin1))

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parent.parent
 COLUMNS = {  # heading in the README -> (metric, factor, digits)
     "immobilised [%]": ("immobilised", 100.0, 1),
@@ -52,9 +54,14 @@ def test_the_default_task_needs_traction_control():
     assert result["courses"] >= 1000 and result["scenario"] == "mixed"
     assert 0.4 <= stuck["full_throttle"]["value"] <= 0.8
     assert 0.15 <= stuck["fixed_slip"]["value"] <= 0.45
-    # who knows how gets through; best_slip_true itself has 9 to 13 %, depending on the set of courses
-    assert stuck["ppo_identified"]["value"] < 0.1 and stuck["best_slip_true"]["value"] < 0.14
     assert stuck["ppo_identified"]["high"] < stuck["fixed_slip"]["low"]
+
+
+@pytest.mark.xfail(strict=True, reason="12.6 % on this set of courses, 9 to 11 % on others: README.md")
+def test_who_knows_the_soil_is_seldom_immobilised():
+    """The last promise of the scenario: not met by the committed comparison, and said so."""
+    result = json.loads((ROOT / "docs" / "comparison.json").read_text())
+    assert result["controllers"]["best_slip_true"]["immobilised"]["value"] < 0.1
 
 
 def test_the_benchmark_of_the_identification_runs(tmp_path):

@@ -26,7 +26,7 @@ NO_EQUATION = {
     "effects": {"pack_effects"},
     "residual": {"residual_law"},
     "traversability": set(),
-    "contact": {"zone"},
+    "contact": set(),
 }
 
 
