@@ -32,8 +32,9 @@ class Reading(NamedTuple):
     paper_resistance: bool = False  # Eq. (12) instead of the exact Eq. (11)
 
 
-# Columns of a measured point.
-SLIP, SINKAGE, DIG_RATIO, DRAWBAR_PULL, LOAD, TORQUE, WEIGHTS, PLACE = 0, 1, 2, 3, 4, 5, 6, 12
+# Columns of a measured point. Its digging ratio is DIG_RATIO + g DIG_RESPONSE where the gain of digging is unknown too
+# (`joint.py`); elsewhere the response is 0.
+SLIP, SINKAGE, DIG_RATIO, DRAWBAR_PULL, LOAD, TORQUE, WEIGHTS, PLACE, DIG_RESPONSE = 0, 1, 2, 3, 4, 5, 6, 12, 13
 POINT_SIZE = (
     16  # six weights: lower triangle of the matrix that whitens (drawbar pull, load, torque); two rows of lanes
 )
@@ -117,23 +118,24 @@ def predict(x, slip, sinkage, dig_ratio, reading, out, jacobian):
 
 
 @inlined
-def weigh(row, x, variances, slip_sd, sinkage_sd, reading, dig_sd=0.0):
-    """Set the whitening weights of a point from the noise of all its channels, at unknowns x.
+def weigh(row, x, variances, slip_sd, sinkage_sd, reading, ratio_sd=0.0, gain=1.0):
+    """Set the whitening weights of a point from the noise of all its channels, at unknowns x; its `Channels` there.
 
     `variances` [3] of drawbar pull, load and torque; infinite where not measured. The noise of slip and sinkage moves
     all three channels together; its first-order effect is added to their covariance (effective variance, Fuller 1987,
-    Measurement Error Models, Sec. 1.4). So is that of the digging ratio, from `dig_sd`, the relative standard deviation
-    of its excess over 1.
+    Measurement Error Models, Sec. 1.4). So is that of the digging ratio, from `ratio_sd`, its relative standard
+    deviation.
     """
-    y, by_slip = channels_at(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading)
+    ratio = row[DIG_RATIO] + gain * row[DIG_RESPONSE]
+    y, by_slip = channels_at(x, row[SLIP], row[SINKAGE], ratio, reading)
     a0, a1, a2 = slip_sd * by_slip[0], slip_sd * by_slip[1], slip_sd * by_slip[2]
     b0 = b1 = b2 = 0.0
     if sinkage_sd > 0.0:
         h = 0.02 * row[SINKAGE]
-        z, _ = channels_at(x, row[SLIP], row[SINKAGE] + h, row[DIG_RATIO], reading)
+        z, _ = channels_at(x, row[SLIP], row[SINKAGE] + h, ratio, reading)
         scale = sinkage_sd / h
         b0, b1, b2 = scale * (z.pull - y.pull), scale * (z.load - y.load), scale * (z.torque - y.torque)
-    g = dig_sd * reading.exponent * (1.0 - 1.0 / row[DIG_RATIO])
+    g = ratio_sd * reading.exponent
     c0, c1, c2 = g * y.by_S[0], g * y.by_S[1], g * y.by_S[2]
     # a channel that was not measured: no covariance, no weight
     w0 = 0.0 if variances[0] == np.inf else 1.0
@@ -159,3 +161,4 @@ def weigh(row, x, variances, slip_sd, sinkage_sd, reading, dig_sd=0.0):
     row[WEIGHTS + 3] = w2 * (l10 * l21 - l20 * l11) / (l00 * l11 * l22)
     row[WEIGHTS + 4] = -w2 * l21 / (l11 * l22)
     row[WEIGHTS + 5] = w2 / l22
+    return y

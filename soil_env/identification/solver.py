@@ -18,6 +18,7 @@ from soil_env.compiled import CACHE, inlined, kernel
 from soil_env.elementary import exp, exp_lanes, half_sin_cos, log_lanes, where_below
 from soil_env.identification.point import (
     DIG_RATIO,
+    DIG_RESPONSE,
     DRAWBAR_PULL,
     LOAD,
     POINT_SIZE,
@@ -59,9 +60,11 @@ def _soil_of(x):
     return 2.0 * sin_half * cos_half / (1.0 - 2.0 * sin_half * sin_half), lane(moduli, 0), lane(moduli, 1)
 
 
-# Floats of a block of eight points as `prepare` leaves them: nodes, dig ratio, its factor on S, channels, weights.
-DIG, _FACTOR, _CHANNELS, _WHITE = STORED_NODES, STORED_NODES + COUNT, STORED_NODES + 2 * COUNT, STORED_NODES + 5 * COUNT
-BLOCK = STORED_NODES + 11 * COUNT
+# Floats of a block of eight points as `prepare` leaves them: nodes, dig ratio and response, factor on S of the ratio,
+# channels, weights.
+DIG, RESPONSE, _FACTOR, _CHANNELS = (STORED_NODES + i * COUNT for i in range(4))
+_WHITE = _CHANNELS + 3 * COUNT
+BLOCK = _WHITE + 6 * COUNT
 
 
 @inlined
@@ -94,6 +97,7 @@ def prepare(points, count, reading, work):
         travel = where_below(slip, 0.0, one / free, 1.0 - slip)  # `motion_from_slip`
         store_nodes(entry_angle_of_many(a[SINKAGE], reading.radius), travel, reading.exponent, reading.radius, work, at)
         to_array(a[DIG_RATIO], work, at + DIG)
+        to_array(w[DIG_RESPONSE - COUNT], work, at + RESPONSE)
         to_array(exp(-reading.exponent * log_lanes(a[DIG_RATIO])), work, at + _FACTOR)
         to_array(a[DRAWBAR_PULL], work, at + _CHANNELS)
         to_array(a[LOAD], work, at + _CHANNELS + COUNT)
@@ -123,7 +127,7 @@ class Normal(NamedTuple):
 
 
 @inlined
-def _whitened(w, a0, a1, a2):
+def whitened(w, a0, a1, a2):
     """Lower triangle w times (a0, a1, a2)."""
     return w[0] * a0, w[1] * a0 + w[2] * a1, w[3] * a0 + w[4] * a1 + w[5] * a2
 
@@ -134,20 +138,21 @@ def dot(a, b):
 
 
 @inlined
-def whitened_block(x, work, at, reading):
-    """(misfit, by phi, by ln K, by ln S, by cohesion) of eight prepared points, each whitened, in lanes."""
+def whitened_block(x, factor, cohesion, work, at, reading):
+    """(misfit, by phi, by ln K, by ln S, by cohesion) of eight prepared points, each whitened, in lanes.
+
+    `factor`, in lanes, is S_effective over S: of the digging ratio.
+    """
     tan_phi, K, S = _soil_of(x)
     q, k = stored_integrals(work, at, K)
-    y = channels(
-        q, k, S * from_array(work, at + _FACTOR), tan_phi, K, reading.cohesion, reading.radius, reading.width, -1.0
-    )
+    y = channels(q, k, S * factor, tan_phi, K, cohesion, reading.radius, reading.width, -1.0)
     i = at + _WHITE
     w = (
         from_array(work, i), from_array(work, i + COUNT), from_array(work, i + 2 * COUNT),
         from_array(work, i + 3 * COUNT), from_array(work, i + 4 * COUNT), from_array(work, i + 5 * COUNT),
     )  # fmt: skip
     i = at + _CHANNELS
-    misfit = _whitened(
+    misfit = whitened(
         w,
         from_array(work, i) - y.pull,
         from_array(work, i + COUNT) - y.load,
@@ -155,10 +160,10 @@ def whitened_block(x, work, at, reading):
     )
     return (
         misfit,
-        _whitened(w, y.by_phi[0], y.by_phi[1], y.by_phi[2]),
-        _whitened(w, y.by_K[0], y.by_K[1], y.by_K[2]),
-        _whitened(w, y.by_S[0], y.by_S[1], y.by_S[2]),
-        _whitened(w, y.by_c[0], y.by_c[1], y.by_c[2]),
+        whitened(w, y.by_phi[0], y.by_phi[1], y.by_phi[2]),
+        whitened(w, y.by_K[0], y.by_K[1], y.by_K[2]),
+        whitened(w, y.by_S[0], y.by_S[1], y.by_S[2]),
+        whitened(w, y.by_c[0], y.by_c[1], y.by_c[2]),
     )
 
 
@@ -177,17 +182,18 @@ def _normal(x, points, count, prior, precision, reading, work):
             w = (
                 row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2], row[WEIGHTS + 3], row[WEIGHTS + 4], row[WEIGHTS + 5]
             )  # fmt: skip
-            u = _whitened(w, row[DRAWBAR_PULL] - y.pull, row[LOAD] - y.load, row[TORQUE] - y.torque)
-            a = _whitened(w, y.by_phi[0], y.by_phi[1], y.by_phi[2])
-            b = _whitened(w, y.by_K[0], y.by_K[1], y.by_K[2])
-            c = _whitened(w, y.by_S[0], y.by_S[1], y.by_S[2])
+            u = whitened(w, row[DRAWBAR_PULL] - y.pull, row[LOAD] - y.load, row[TORQUE] - y.torque)
+            a = whitened(w, y.by_phi[0], y.by_phi[1], y.by_phi[2])
+            b = whitened(w, y.by_K[0], y.by_K[1], y.by_K[2])
+            c = whitened(w, y.by_S[0], y.by_S[1], y.by_S[2])
             cost += dot(u, u)
             v0, v1, v2 = v0 + dot(a, u), v1 + dot(b, u), v2 + dot(c, u)
             m00, m01, m02 = m00 + dot(a, a), m01 + dot(a, b), m02 + dot(a, c)
             m11, m12, m22 = m11 + dot(b, b), m12 + dot(b, c), m22 + dot(c, c)
     else:
         for block in range(blocks(count)):
-            u, a, b, c, _ = whitened_block(x, work, block * BLOCK, reading)
+            factor = from_array(work, block * BLOCK + _FACTOR)
+            u, a, b, c, _ = whitened_block(x, factor, reading.cohesion, work, block * BLOCK, reading)
             s = totals(dot(u, u), dot(a, u), dot(b, u), dot(c, u), dot(a, a), dot(a, b), dot(a, c), dot(b, b))
             cost += s[0]
             v0, v1, v2 = v0 + s[1], v1 + s[2], v2 + s[3]
@@ -281,8 +287,8 @@ def _moved(x, step):
 
 
 @njit(cache=CACHE)
-def solve(x, points, count, prior, precision, reading, max_iterations, tolerance, covariance):
-    """Weighted least squares for x [3] in place, from its present value; (Status, iterations, cost).
+def solve(start, points, count, prior, precision, reading, max_iterations, tolerance, covariance):
+    """Weighted least squares for x = `start` [3] in place, from its present value; (Status, iterations, cost).
 
     Minimises |W (measured - predicted)|^2 + (x - prior)^T diag(precision) (x - prior). Each iteration solves the normal
     equations with Levenberg-Marquardt damping; the damping rises until the cost falls, and a step across a bound is
@@ -291,14 +297,6 @@ def solve(x, points, count, prior, precision, reading, max_iterations, tolerance
     """
     work = np.empty(blocks(count) * BLOCK)
     prepare(points, count, reading, work)
-    return solve_prepared(
-        x, points, count, prior, precision, reading, max_iterations, tolerance, covariance, work
-    )  # fmt: skip
-
-
-@inlined
-def solve_prepared(start, points, count, prior, precision, reading, max_iterations, tolerance, covariance, work):
-    """`solve` with the `work` that `prepare` left."""
     x = (start[0], start[1], start[2])
     m = _normal(x, points, count, prior, precision, reading, work)
     damping, iterations = 0.0, 0
