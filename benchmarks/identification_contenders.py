@@ -9,15 +9,24 @@ import numpy as np
 from numba import njit
 from scipy.optimize import least_squares
 
-from soil_env.compiled import CACHE
+from soil_env.compiled import CACHE, kernel
 from soil_env.effects import excavation_rate
-from soil_env.identification.point import POINT_SIZE, WEIGHTS, predict, weigh
+from soil_env.identification.point import (
+    DIG_RATIO,
+    DIG_RESPONSE,
+    DRAWBAR_PULL,
+    SINKAGE,
+    SLIP,
+    WEIGHTS,
+    Reading,
+    predict,
+)
 from soil_env.identification.solver import LOWER, UPPER, Status
 from soil_env.identifier import SensorReading, forget, identifier_numbers, new_identifiers, observe
 from soil_env.parameters import Scenario
 
 PARAMETERS = ("phi_deg", "ln_K", "ln_S")
-CONTENDERS = ("ours", "newton_raphson", "linear", "ukf", "batch")
+CONTENDERS = ("ours", "newton_raphson", "linear", "ukf", "ukf_joint", "batch", "batch_joint")
 _CONVERGED = Status.CONVERGED.value
 
 
@@ -31,8 +40,9 @@ class Contender:
 
     def __init__(self, scenario: Scenario):
         self.numbers = identifier_numbers(scenario)
-        self.x = self.numbers.prior.copy()
-        self.sd: np.ndarray | None = 1.0 / np.sqrt(self.numbers.precision)
+        self.prior, self.precision = self.numbers.prior[:3], self.numbers.precision[:3]
+        self.x = self.prior.copy()
+        self.sd: np.ndarray | None = 1.0 / np.sqrt(self.precision)
         self.valid = False
         self.solved = False  # did the last update solve, or only collect
         self.elsewhere = 0.0
@@ -58,8 +68,8 @@ class Ours(Contender):
         return self.ids.estimate[0], self.ids.sd[0], self.ids.status[0] == _CONVERGED
 
 
-class _Digging:
-    """The digging ratio z/z_w, as `identifier.observe` has it."""
+class Digging:
+    """The digging ratio z/z_w by the law of sinkage at the gain of the belief, from 1 on."""
 
     def __init__(self, numbers):
         self.numbers, self.ratio = numbers, 1.0
@@ -75,7 +85,7 @@ class _Digging:
         return self.ratio
 
 
-def _says_something(reading, numbers):
+def says_something(reading, numbers):
     """The wheel turns and touches the ground: the condition of `identifier.observe`."""
     return abs(reading.rim_speed) >= 0.02 and reading.sinkage >= 1e-3 * numbers.reading.radius
 
@@ -92,7 +102,7 @@ class NewtonRaphson(Contender):
 
     def __init__(self, scenario):
         super().__init__(scenario)
-        self.digging = _Digging(self.numbers)
+        self.digging = Digging(self.numbers)
         self.open, self.points, self.odometer = [], [], 0.0
         self.out, self.jac = np.empty(3), np.empty((3, 4))
 
@@ -102,7 +112,7 @@ class NewtonRaphson(Contender):
         self.odometer += reading.speed * n.period
         self.solved = False
         ratio = self.digging.update(reading)
-        if not _says_something(reading, n):
+        if not says_something(reading, n):
             return self.x, self.sd, self.valid
         self.open.append((reading.slip, reading.sinkage, ratio, reading.drawbar_pull, self.odometer))
         if len(self.open) == 5:
@@ -172,7 +182,7 @@ class LinearLeastSquares(Contender):
         n = self.numbers
         r, b = n.reading.radius, n.reading.width
         self.solved = False
-        if not _says_something(reading, n) or reading.slip < 0.01:
+        if not says_something(reading, n) or reading.slip < 0.01:
             return self.x, self.sd, self.valid
         th1 = math.acos(max(-1.0, 1.0 - reading.sinkage / r))
         thm = 0.5 * th1
@@ -183,7 +193,7 @@ class LinearLeastSquares(Contender):
         s0 = (reading.load * thm / (r * b) - t0 * B) / A
         s1 = (C - t1 * B) / A
         j = r * ((th1 - thm) - (1.0 - reading.slip) * (sin1 - sinm))
-        e = -math.expm1(-max(j, 1e-6) / math.exp(n.prior[1]))
+        e = -math.expm1(-max(j, 1e-6) / math.exp(self.prior[1]))
         self.rows = [*self.rows[1 - self.window :], (t0, t1, s0, s1, e)]
         self.solved = len(self.rows) >= 10
         if self.solved:
@@ -212,110 +222,49 @@ class LinearLeastSquares(Contender):
         self.sd[0] = math.sqrt(variance) / (1.0 + tan_phi * tan_phi)
 
 
-class UnscentedKalman(Contender):
-    """Unscented Kalman filter of (phi, ln K, ln S): random walk over the distance, three channels a reading.
-
-    `walk` [prior sd per sqrt(m)] and `inflation` (of the measurement variance, as readings in a row share their model
-    error) were tuned by `tune_ukf` on other courses. Measurement noise: channels, effective variance of slip and
-    sinkage, and model error, at the present mean (`point.weigh`). It is valid when the sd of phi and K are below 0.6
-    of the prior, as ours.
-    """
-
-    name = "ukf"
-    walk = 0.5
-    inflation = 1.0
-
-    def __init__(self, scenario):
-        super().__init__(scenario)
-        self.digging = _Digging(self.numbers)
-        self.P = np.diag(1.0 / self.numbers.precision)
-        self.row = np.zeros(POINT_SIZE)
-        self.out, self.jac = np.empty(3), np.empty((3, 4))
-        alpha, kappa = 0.5, 0.0
-        lam = alpha**2 * (3.0 + kappa) - 3.0
-        self.spread = math.sqrt(3.0 + lam)
-        self.mean_weights = np.full(7, 0.5 / (3.0 + lam))
-        self.mean_weights[0] = lam / (3.0 + lam)
-        self.cov_weights = self.mean_weights.copy()
-        self.cov_weights[0] += 1.0 - alpha**2 + 2.0
-
-    def update(self, reading):
-        """Time update over the distance travelled, measurement update by one reading."""
-        n = self.numbers
-        ratio = self.digging.update(reading)
-        q = self.walk**2 * abs(reading.speed) * n.period / n.precision
-        self.P = self.P + np.diag(np.minimum(q, np.maximum(1.0 / n.precision - np.diag(self.P), 0.0)))
-        self.solved = _says_something(reading, n)
-        if self.solved:
-            self._measure(reading, ratio)
-        self.sd = np.sqrt(np.diag(self.P))
-        self.valid = bool(np.all(self.sd[:2] ** 2 * n.precision[:2] < 0.36))
-        return self.x, self.sd, self.valid
-
-    def _measure(self, reading, ratio):
-        n, row = self.numbers, self.row
-        row[:6] = (min(max(reading.slip, -0.999), 1.0), reading.sinkage, ratio, reading.drawbar_pull, reading.load,
-                   reading.torque)  # fmt: skip
-        error = n.model_error * abs(reading.load) * np.array([1.0, 1.0, n.reading.radius])
-        weigh(row, self.x, n.force_sd**2 + error**2, n.slip_sd, n.sinkage_sd, n.reading)
-        w = row[WEIGHTS : WEIGHTS + 6]
-        whiten = np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]])
-        root = self.spread * np.linalg.cholesky(self.P)
-        sigma = np.clip(np.vstack([self.x, self.x + root.T, self.x - root.T]), LOWER, UPPER)
-        z = np.empty((7, 3))
-        for i in range(7):
-            predict(sigma[i], row[0], row[1], row[2], n.reading, self.out, self.jac)
-            z[i] = self.out
-        z = z @ whiten.T
-        z_mean = self.mean_weights @ z
-        dz, dx = z - z_mean, sigma - self.x
-        pzz = (dz.T * self.cov_weights) @ dz + self.inflation * np.eye(3)
-        gain = np.linalg.solve(pzz, (dz.T * self.cov_weights) @ dx).T
-        self.x = np.clip(self.x + gain @ (whiten @ row[3:6] - z_mean), LOWER, UPPER)
-        P = self.P - gain @ pzz @ gain.T
-        P = 0.5 * (P + P.T)
-        values, vectors = np.linalg.eigh(P)
-        self.P = (vectors * np.maximum(values, 1e-8)) @ vectors.T
-
-
 @njit(cache=CACHE)
 def _whitened(x, points, prior, precision, reading, residual, jacobian):
-    """Whitened residuals [3 M + 3] (prior last) and their Jacobian [3 M + 3, 3]."""
+    """Whitened residuals [3 M + 5] (prior last) and their Jacobian [3 M + 5, 5] at x = (phi, ln K, ln S, c, ln g)."""
     out, jac = np.empty(3), np.empty((3, 4))
-    m = len(points)
+    m, gain, n = len(points), math.exp(x[4]), reading.exponent
+    at = Reading(x[3], n, reading.radius, reading.width, 0, False)
     jacobian[:, :] = 0.0
     for p in range(m):
         row = points[p]
-        predict(x, row[0], row[1], row[2], reading, out, jac)
-        d0, d1, d2 = out[0] - row[3], out[1] - row[4], out[2] - row[5]
+        ratio = row[DIG_RATIO] + gain * row[DIG_RESPONSE]
+        predict(x, row[SLIP], row[SINKAGE], ratio, at, out, jac)
+        dug = -n * gain * row[DIG_RESPONSE] / ratio
         w = row[WEIGHTS:]
-        residual[3 * p] = w[0] * d0
-        residual[3 * p + 1] = w[1] * d0 + w[2] * d1
-        residual[3 * p + 2] = w[3] * d0 + w[4] * d1 + w[5] * d2
+        k = 0
         for i in range(3):
-            jacobian[3 * p, i] = w[0] * jac[0, i]
-            jacobian[3 * p + 1, i] = w[1] * jac[0, i] + w[2] * jac[1, i]
-            jacobian[3 * p + 2, i] = w[3] * jac[0, i] + w[4] * jac[1, i] + w[5] * jac[2, i]
-    for i in range(3):
+            for j in range(i + 1):
+                residual[3 * p + i] = (residual[3 * p + i] if j else 0.0) + w[k] * (out[j] - row[DRAWBAR_PULL + j])
+                for q in range(4):
+                    jacobian[3 * p + i, q] += w[k] * jac[j, q]
+                jacobian[3 * p + i, 4] += w[k] * dug * jac[j, 2]
+                k += 1
+    for i in range(5):
         root = math.sqrt(precision[i])
         residual[3 * m + i] = root * (x[i] - prior[i])
         jacobian[3 * m + i, i] = root
 
 
 class Batch(Contender):
-    """scipy.optimize.least_squares (its default, 'trf', within the bounds) on the window, weights and prior of ours.
+    """scipy.optimize.least_squares (its default, 'trf', within the bounds) on the window and weights of ours.
 
-    It solves whenever ours does, from its last solution, with compiled residuals and analytic Jacobian; only its own
-    solve counts as its time. Valid and held by the rules of ours, with the covariance of the fit.
+    For phi, K and S, with cohesion and gain of digging as the belief has them. It solves whenever ours does, from its
+    last solution, with compiled residuals and analytic Jacobian; only its own solve counts as its time. Valid and held
+    by the rules of ours, with the covariance of the fit.
     """
 
     name = "batch"
+    unknowns = 3
 
     def __init__(self, scenario):
         super().__init__(scenario)
         self.ids = new_identifiers(1)
         forget(self.ids, 0, self.numbers)
-        self.start, self.held = self.x.copy(), False
+        self.start, self.held = self.numbers.prior.copy(), False
 
     def update(self, reading):
         """One step of our window, then scipy."""
@@ -327,50 +276,69 @@ class Batch(Contender):
         return self.x, self.sd, self.valid
 
     def _solve(self, points):
-        n = self.numbers
-        rows = 3 * len(points) + 3
-        residual, jacobian = np.empty(rows), np.empty((rows, 3))
+        n, u = self.numbers, self.unknowns
+        residual, jacobian, x = np.empty(3 * len(points) + 5), np.empty((3 * len(points) + 5, 5)), n.prior.copy()
 
-        def fun(x):
+        def whitened(free):
+            x[:u] = free
             _whitened(x, points, n.prior, n.precision, n.reading, residual, jacobian)
+
+        def fun(free):
+            whitened(free)
             return residual.copy()
 
-        def jac(x):
-            _whitened(x, points, n.prior, n.precision, n.reading, residual, jacobian)
-            return jacobian.copy()
+        def jac(free):
+            whitened(free)
+            return jacobian[:, :u].copy()
 
-        start = np.clip(self.start, LOWER + 1e-6, UPPER - 1e-6)
-        result = least_squares(fun, start, jac=jac, bounds=(LOWER, UPPER), xtol=1e-3, ftol=1e-6)
+        lower, upper = np.append(LOWER, [0.0, -3.0])[:u], np.append(UPPER, [2e5, 3.0])[:u]
+        start = np.clip(self.start[:u], lower + 1e-6, upper - 1e-6)
+        result = least_squares(
+            fun, start, jac=jac, bounds=(lower, upper), xtol=1e-3, ftol=1e-6, x_scale=1.0 / np.sqrt(n.precision[:u])
+        )
         self.start = result.x
         covariance = np.linalg.inv(result.jac.T @ result.jac)
-        sd = np.sqrt(np.diag(covariance))
-        self.valid = bool(result.success and np.all(sd[:2] ** 2 * n.precision[:2] < 0.36))
+        sd = np.sqrt(np.diag(covariance))[:3]
+        self.valid = bool(result.success and np.all(sd[:2] ** 2 * self.precision[:2] < 0.36))
         self.held = self.held and len(points) > 1  # one point: our window started anew
         if self.valid or not self.held:
-            self.x, self.sd = result.x, sd
+            self.x, self.sd = result.x[:3], sd
         self.held = self.held or self.valid
+
+
+class BatchJoint(Batch):
+    """The same with all five unknowns of ours: the same least squares by another solver."""
+
+    name = "batch_joint"
+    unknowns = 5
 
 
 def make(name: str, scenario: Scenario) -> Contender:
     """A contender by name."""
-    classes = (Ours, NewtonRaphson, LinearLeastSquares, UnscentedKalman, Batch)
+    from benchmarks.identification_kalman import UnscentedKalman, UnscentedKalmanJoint
+
+    classes = (Ours, NewtonRaphson, LinearLeastSquares, UnscentedKalman, UnscentedKalmanJoint, Batch, BatchJoint)
     return {c.name: c for c in classes}[name](scenario)
 
 
 # --- replay -----------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=CACHE)
+@kernel
 def replay_compiled(readings, ids, numbers, estimate, sd, valid):
-    """`observe` over a log [T, 7], as the environment calls it; the number of solves."""
+    """`observe` over a log [T, 7], compiled as in the environment; the number of solves."""
     forget(ids, 0, numbers)
     solves = 0
     for t in range(len(readings)):
-        q = readings[t]
-        if observe(ids, 0, SensorReading(q[0], q[1], q[2], q[3], q[4], q[5], q[6]), numbers):
+        reading = SensorReading(
+            readings[t, 0], readings[t, 1], readings[t, 2], readings[t, 3], readings[t, 4], readings[t, 5],
+            readings[t, 6],
+        )  # fmt: skip
+        if observe(ids, 0, reading, numbers):
             solves += 1
-        estimate[t] = ids.estimate[0]
-        sd[t] = ids.sd[0]
+        for i in range(3):
+            estimate[t, i] = ids.estimate[0, i]
+            sd[t, i] = ids.sd[0, i]
         valid[t] = ids.status[0] == _CONVERGED
     return solves
 

@@ -9,10 +9,12 @@ import numpy as np
 from benchmarks.identification_contenders import PARAMETERS
 from soil_env.files import save_figure
 
-_COLOURS = {"ours": "#0072b2", "newton_raphson": "#d55e00", "linear": "#999999", "ukf": "#009e73", "batch": "#cc79a7"}
+_COLOURS = {"ours": "#0072b2", "newton_raphson": "#d55e00", "linear": "#999999", "ukf": "#009e73",
+            "ukf_joint": "#56b4e9", "batch": "#cc79a7", "batch_joint": "#000000"}  # fmt: skip
 _LABELS = {
     "ours": "ours", "newton_raphson": "Newton-Raphson, 3 points", "linear": "linear least squares (c, phi)",
-    "ukf": "unscented Kalman filter", "batch": "scipy least_squares, same window",
+    "ukf": "unscented Kalman filter", "ukf_joint": "the same, unknowns of ours",
+    "batch": "scipy least_squares, same window", "batch_joint": "the same, unknowns of ours",
 }  # fmt: skip
 _AXES = {"phi_deg": "friction angle [deg]", "ln_K": "ln K [-]", "ln_S": "ln S [-]"}
 
@@ -36,7 +38,7 @@ def figure(result: dict, path: Path | str) -> None:
             if curve is None:
                 continue
             value, low, high = (numbers(curve[key]) for key in ("value", "low", "high"))
-            style = "--" if name == "batch" else "-"
+            style = "--" if name.startswith("batch") else "-"
             axis.plot(middle, value, style, marker="o", ms=3, color=_COLOURS[name], label=_LABELS[name])
             axis.fill_between(middle, low, high, color=_COLOURS[name], alpha=0.15, lw=0)
             top, bottom = max(top, np.nanmax(value)), min(bottom, np.nanmin(value))

@@ -175,8 +175,10 @@ _CONTENDERS = {
     "ours": "ours",
     "newton_raphson": "three-point Newton-Raphson (the paper)",
     "linear": "linear least squares, c and phi (Iagnemma & Dubowsky 2004)",
-    "ukf": "unscented Kalman filter",
-    "batch": "scipy least_squares on our window",
+    "ukf": "unscented Kalman filter of phi, K, S",
+    "ukf_joint": "unscented Kalman filter of what ours solves for",
+    "batch": "scipy least_squares for phi, K, S on our window",
+    "batch_joint": "scipy least_squares for what ours solves for, on our window",
 }
 
 
@@ -195,9 +197,7 @@ def _speed(s) -> list[str]:
         ),
         "",
         *_head("solve", "time", "times faster than scipy"),
-        _row(
-            "compiled `solve`, as the online identifier calls it", us(s["compiled_solve_s"]), times(s["ratio_compiled"])
-        ),
+        _row("compiled `solve`", us(s["compiled_solve_s"]), times(s["ratio_compiled"])),
         _row("the same, and the search for a second soil", us(s["checked_solve_s"]), times(s["ratio_checked"])),
         _row("`newton_raphson` from Python, checks included", us(s["newton_raphson_s"]), times(s["ratio"])),
         _row("scipy", us(s["scipy_s"]), "1"),

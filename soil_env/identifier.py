@@ -37,7 +37,7 @@ from soil_env.identification.point import (
     weigh,
 )
 from soil_env.identification.solver import BLOCK, Status, prepare, whitened
-from soil_env.lanes import COUNT, fill, first, from_array, lane, scratch, smallest, to_array, totals, transposed
+from soil_env.lanes import COUNT, fill, first, from_array, lane, scratch, smallest, to_array, transposed
 from soil_env.parameters import Scenario
 
 _work = scratch(BLOCK)
@@ -47,8 +47,8 @@ _BUCKET_LENGTH = 0.06  # [m] travelled within one point, at most
 _BUCKET_SLIP = 0.05  # slip range within one point, at most
 # chi-squared of three channels beyond which a point belongs to another soil. Low, since the doubts that a point is
 # weighed with are larger than what differs between neighbours; set on courses of seeds 7 and 8, docs/identification.md
-_CONTRADICTION = 3.0
-_RATIO_ERROR = 0.07  # relative error of the digging ratio that the law of sinkage itself makes
+CONTRADICTION = 3.0
+RATIO_ERROR = 0.07  # relative error of the digging ratio that the law of sinkage itself makes
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
 _MINIMUM_RIM_SPEED = 0.02  # [m/s] below which readings say nothing of shear
 
@@ -215,9 +215,9 @@ def _complete(ids, k, numbers):
     predicted = weigh(
         row, x, variances, share * numbers.slip_sd, share * numbers.sinkage_sd,
         Reading(x[COHESION], n.exponent, n.radius, n.width, 0, False),
-        math.sqrt(_RATIO_ERROR * _RATIO_ERROR + ratio_sd * ratio_sd), gain,
+        math.sqrt(RATIO_ERROR * RATIO_ERROR + ratio_sd * ratio_sd), gain,
     )  # fmt: skip
-    if slot > 0 and _contradicts(row, predicted, gain, n.exponent, ids.covariance[k]):
+    if slot > 0 and contradicts(row, predicted, gain, n.exponent, ids.covariance[k]):
         # another soil: keep the newest point only, and nothing of the old estimate
         _copy_point(points, slot, 0)
         slot = 0
@@ -228,7 +228,7 @@ def _complete(ids, k, numbers):
 
 
 @inlined
-def _contradicts(row, predicted, gain, exponent, covariance):
+def contradicts(row, predicted, gain, exponent, covariance):
     """Whether a point is further from its prediction than its own error and that of the estimate explain."""
     w = row[WEIGHTS:]
     u = whitened(w, row[DRAWBAR_PULL] - predicted.pull, row[LOAD] - predicted.load, row[TORQUE] - predicted.torque)
@@ -260,7 +260,7 @@ def _contradicts(row, predicted, gain, exponent, covariance):
     y1 = u[1] - l10 * u[0]
     y2 = u[2] - l20 * u[0] - l21 * y1
     d2 = m22 - l20 * m20 - l21 * l21 * d1
-    return u[0] * u[0] / m00 + y1 * y1 / d1 + y2 * y2 / d2 > _CONTRADICTION
+    return u[0] * u[0] / m00 + y1 * y1 / d1 + y2 * y2 / d2 > CONTRADICTION
 
 
 @inlined

@@ -113,7 +113,7 @@ def test_newton_raphson_solves_three_noise_free_points():
     from soil_env.identification import predict
 
     contender = online.make("newton_raphson", SCENARIO)
-    truth = contender.numbers.prior + np.array([0.05, 0.1, 0.1])
+    truth = contender.prior + np.array([0.05, 0.1, 0.1])
     out, jac = np.empty(3), np.empty((3, 4))
     for slip, z in ((0.1, 0.03), (0.3, 0.032), (0.6, 0.035)):
         for _ in range(5):

@@ -21,7 +21,7 @@ _HIGHEST = np.append(UPPER, [2e5, 3.0])
 _FARTHEST = np.append(LONGEST, [2e5, 2.0])  # in one iteration
 _MAX_DAMPINGS = 12
 
-# A system of normal equations: the vector J^T residual, then the lower triangle of J^T J row by row, both with the prior
+# A system of normal equations: the vector J^T residual, then the lower triangle of J^T J row by row; with the prior
 _TRIANGLE = SIZE
 SYSTEM = SIZE + SIZE * (SIZE + 1) // 2
 _two_systems, _two_vectors = scratch(2 * SYSTEM), scratch(4 * SIZE)
@@ -62,39 +62,38 @@ def _normal(x, prior, precision, reading, work, system, at):
 
 @inlined
 def _factorise(system, at, damping, held):
-    """Lower triangle of J^T J to its factors L D L^T in place, D damped; False unless positive definite.
+    """Lower triangle of J^T J, its diagonal damped, to L and 1/D of L D L^T in place; False unless positive definite.
 
     held[i] > 0 takes unknown i out.
     """
     for i in range(SIZE):
-        diagonal = system[at + _place(i, i)]
-        for j in range(i):
-            if held[i] > 0.0 or held[j] > 0.0:
-                system[at + _place(i, j)] = 0.0
+        row, diagonal = at + _place(i, 0), system[at + _place(i, i)]
         pivot = diagonal * (1.0 + damping)
         for j in range(i):
-            element = system[at + _place(i, j)]
+            element = 0.0 if held[i] > 0.0 or held[j] > 0.0 else system[row + j]
             for k in range(j):
-                element -= system[at + _place(i, k)] * system[at + _place(j, k)] * system[at + _place(k, k)]
-            element /= system[at + _place(j, j)]
-            system[at + _place(i, j)] = element
-            pivot -= element * element * system[at + _place(j, j)]
+                element -= system[row + k] * system[at + _place(j, k)]
+            system[row + j] = element  # L_ij D_j
+        for j in range(i):
+            element = system[row + j] * system[at + _place(j, j)]
+            pivot -= element * system[row + j]
+            system[row + j] = element
         if not pivot > 1e-13 * diagonal:
             return False
-        system[at + _place(i, i)] = pivot
+        system[row + i] = 1.0 / pivot
     return True
 
 
 @inlined
-def _substitute(system, at, out, o):
-    """Solve L D L^T out = out in place, out[o] .. out[o + SIZE - 1]."""
+def _substitute(system, at, out):
+    """Solve L D L^T x = out [SIZE] in place."""
     for i in range(SIZE):
         for j in range(i):
-            out[o + i] -= system[at + _place(i, j)] * out[o + j]
+            out[i] -= system[at + _place(i, j)] * out[j]
     for i in range(SIZE - 1, -1, -1):
-        out[o + i] /= system[at + _place(i, i)]
+        out[i] *= system[at + _place(i, i)]
         for j in range(i + 1, SIZE):
-            out[o + i] -= system[at + _place(j, i)] * out[o + j]
+            out[i] -= system[at + _place(j, i)] * out[j]
 
 
 @inlined
@@ -103,7 +102,7 @@ def _invert(system, out, column):
     for i in range(SIZE):
         for j in range(SIZE):
             column[j] = 1.0 if i == j else 0.0
-        _substitute(system, 0, column, 0)
+        _substitute(system, 0, column)
         for j in range(SIZE):
             out[i, j] = column[j]
 
@@ -133,7 +132,7 @@ def solve_joint(x, prior, precision, reading, max_iterations, tolerance, covaria
                 vectors[held + i] = 1.0 if pressed else 0.0
                 vectors[i] = 0.0 if pressed else v
             if _factorise(systems, SYSTEM, damping, vectors[held:trial]):
-                _substitute(systems, SYSTEM, vectors, 0)
+                _substitute(systems, SYSTEM, vectors)
                 share = 1.0
                 for i in range(SIZE):
                     if abs(vectors[i]) * share > _FARTHEST[i]:

@@ -1,0 +1,118 @@
+"""Unscented Kalman filters for `identification_online.py`: of the soil alone, and of what ours solves for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from benchmarks.identification_contenders import Contender, Digging, says_something
+from soil_env.identification.digging import DIGGING, close_point, note, roll
+from soil_env.identification.point import DIG_RESPONSE, POINT_SIZE, WEIGHTS, Reading, predict, weigh
+from soil_env.identification.solver import LOWER, UPPER
+from soil_env.identifier import RATIO_ERROR
+
+
+class UnscentedKalman(Contender):
+    """Unscented Kalman filter of (phi, ln K, ln S): random walk over the distance, three channels a reading.
+
+    `walk` [prior sd per sqrt(m)] and `inflation` (of the measurement variance, as readings in a row share their model
+    error) were tuned by `tune_ukf` on other courses. Measurement noise: channels, effective variance of slip and
+    sinkage, and model error, at the present mean (`point.weigh`). It is valid when the sd of phi and K are below 0.6
+    of the prior, as ours. Digging ratio: `Digging`.
+    """
+
+    name = "ukf"
+    walk = 0.5
+    inflation = 1.0
+    size = 3
+
+    def __init__(self, scenario):
+        super().__init__(scenario)
+        n, u = self.numbers, self.size
+        self.digging = Digging(n)
+        self.mean, self.variances = n.prior.copy(), 1.0 / n.precision[:u]
+        self.P = np.diag(self.variances)
+        self.row = np.zeros(POINT_SIZE)
+        self.out, self.jac = np.empty(3), np.empty((3, 4))
+        self.lower, self.upper = np.append(LOWER, [0.0, -3.0])[:u], np.append(UPPER, [2e5, 3.0])[:u]
+        alpha, kappa = 0.5, 0.0
+        lam = alpha**2 * (u + kappa) - u
+        self.spread = math.sqrt(u + lam)
+        self.mean_weights = np.full(2 * u + 1, 0.5 / (u + lam))
+        self.mean_weights[0] = lam / (u + lam)
+        self.cov_weights = self.mean_weights.copy()
+        self.cov_weights[0] += 1.0 - alpha**2 + 2.0
+
+    def update(self, reading):
+        """Time update over the distance travelled, measurement update by one reading."""
+        n = self.numbers
+        ratio = self.dug(reading)
+        q = self.walk**2 * abs(reading.speed) * n.period * self.variances
+        self.P = self.P + np.diag(np.minimum(q, np.maximum(self.variances - np.diag(self.P), 0.0)))
+        self.solved = says_something(reading, n)
+        if self.solved:
+            self._measure(reading, *ratio)
+        self.x, self.sd = self.mean[:3].copy(), np.sqrt(np.diag(self.P)[:3])
+        self.valid = bool(np.all(self.sd[:2] ** 2 * self.precision[:2] < 0.36))
+        return self.x, self.sd, self.valid
+
+    def dug(self, reading):
+        """(R0, R1, relative error): the digging ratio is R0 + g R1."""
+        return self.digging.update(reading), 0.0, 0.0
+
+    def _measure(self, reading, r0, r1, ratio_sd):
+        n, row, u = self.numbers, self.row, self.size
+        row[:6] = (min(max(reading.slip, -0.999), 1.0), reading.sinkage, r0, reading.drawbar_pull, reading.load,
+                   reading.torque)  # fmt: skip
+        row[DIG_RESPONSE] = r1
+        error = n.model_error * abs(reading.load) * np.array([1.0, 1.0, n.reading.radius])
+        weigh(row, self.mean, n.force_sd**2 + error**2, n.slip_sd, n.sinkage_sd, self._at(self.mean), ratio_sd,
+              math.exp(self.mean[4]))  # fmt: skip
+        w = row[WEIGHTS : WEIGHTS + 6]
+        whiten = np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]])
+        mean = self.mean[:u]
+        root = self.spread * np.linalg.cholesky(self.P)
+        sigma = np.clip(np.vstack([mean, mean + root.T, mean - root.T]), self.lower, self.upper)
+        z = np.empty((2 * u + 1, 3))
+        x = self.mean.copy()
+        for i in range(2 * u + 1):
+            x[:u] = sigma[i]
+            predict(x, row[0], row[1], r0 + math.exp(x[4]) * r1, self._at(x), self.out, self.jac)
+            z[i] = self.out
+        z = z @ whiten.T
+        z_mean = self.mean_weights @ z
+        dz, dx = z - z_mean, sigma - mean
+        pzz = (dz.T * self.cov_weights) @ dz + self.inflation * np.eye(3)
+        gain = np.linalg.solve(pzz, (dz.T * self.cov_weights) @ dx).T
+        self.mean[:u] = np.clip(mean + gain @ (whiten @ row[3:6] - z_mean), self.lower, self.upper)
+        P = self.P - gain @ pzz @ gain.T
+        P = 0.5 * (P + P.T)
+        scale = np.sqrt(self.variances)
+        values, vectors = np.linalg.eigh(P / np.outer(scale, scale))
+        self.P = (vectors * np.maximum(values, 1e-7)) @ vectors.T * np.outer(scale, scale)
+
+    def _at(self, x):
+        r = self.numbers.reading
+        return Reading(float(x[3]), r.exponent, r.radius, r.width, 0, False)
+
+
+class UnscentedKalmanJoint(UnscentedKalman):
+    """The same with the five unknowns of ours, and its way to follow the digging, at each reading."""
+
+    name = "ukf_joint"
+    size = 5
+
+    def __init__(self, scenario):
+        super().__init__(scenario)
+        self.memory = np.zeros(DIGGING)
+
+    def dug(self, reading):
+        n = self.numbers
+        roll(self.memory, reading.speed, reading.rim_speed - reading.speed, n.period, n.dig_gain, n.dig_recovery,
+             n.relaxation)  # fmt: skip
+        if not says_something(reading, n):
+            return 1.0, 0.0, 0.0
+        note(self.memory)
+        r0, r1, sd = close_point(self.memory, 1.0, reading.sinkage, n.sinkage_sd)
+        return r0, r1, math.hypot(sd, RATIO_ERROR)
