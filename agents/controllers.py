@@ -157,8 +157,8 @@ class BestSlipIdentified(FixedSlip):
         out[:, 0] = np.tan(np.clip(observation[:, self.column["friction_angle"]], 0.02, 1.4))
         out[:, 2] = 10.0 ** observation[:, self.column["log10_shear_modulus"]]
         out[:, 3] = 10.0 ** observation[:, self.column["log10_sinkage_coefficient"]]
-        out[:, 1], out[:, 4] = belief.cohesion, belief.sinkage_exponent
-        out[:, 5], out[:, 6] = belief.dig_gain, belief.dig_recovery
+        out[:, 1], out[:, 5] = 1000.0 * observation[:, self.column["cohesion"]], observation[:, self.column["dig_gain"]]
+        out[:, 4], out[:, 6] = belief.sinkage_exponent, belief.dig_recovery
         return out
 
     def target_slip(self, observation, state):
@@ -182,8 +182,7 @@ class BestSlipTrue(BestSlipIdentified):
     def soils(self, observation):
         """`SoilState` rows [n, 7] read from the observation."""
         out = super().soils(observation)
-        out[:, 1] = 1000.0 * observation[:, self.column["cohesion"]]
-        for i, name in ((4, "sinkage_exponent"), (5, "dig_gain"), (6, "dig_recovery")):
+        for i, name in ((4, "sinkage_exponent"), (6, "dig_recovery")):
             out[:, i] = observation[:, self.column[name]]
         return out
 

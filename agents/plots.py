@@ -61,7 +61,7 @@ def trace(
         same = sinkage_coefficient_at(soil, scenario.belief.sinkage_exponent, s["bearing_sinkage"])
         rows.append(
             (s["x"], s["slip"], 1000.0 * s["sinkage"], math.degrees(grade), math.degrees(math.atan(soil.tan_phi)),
-             1000.0 * soil.shear_modulus, same, *w.ids.estimate[0], *w.ids.sd[0])
+             1000.0 * soil.shear_modulus, same, *w.ids.estimate[0, :3], *w.ids.sd[0, :3])
         )  # fmt: skip
     names = ("x", "slip", "sinkage", "grade", "phi", "K", "S", "e_phi", "e_K", "e_S", "sd_phi", "sd_K", "sd_S")
     columns = {name: np.array(column) for name, column in zip(names, np.array(rows).T, strict=True)}

@@ -65,7 +65,7 @@ class Ours(Contender):
     def update(self, reading):
         """One call of `observe`."""
         self.solved = observe(self.ids, 0, reading, self.numbers)
-        return self.ids.estimate[0], self.ids.sd[0], self.ids.status[0] == _CONVERGED
+        return self.ids.estimate[0, :3], self.ids.sd[0, :3], self.ids.status[0] == _CONVERGED
 
 
 class Digging:

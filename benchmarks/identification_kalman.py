@@ -23,8 +23,8 @@ class UnscentedKalman(Contender):
     """
 
     name = "ukf"
-    walk = 0.5
-    inflation = 1.0
+    walk = 1.0
+    inflation = 0.3
     size = 3
 
     def __init__(self, scenario):
@@ -101,6 +101,7 @@ class UnscentedKalmanJoint(UnscentedKalman):
     """The same with the five unknowns of ours, and its way to follow the digging, at each reading."""
 
     name = "ukf_joint"
+    walk = 2.0
     size = 5
 
     def __init__(self, scenario):

@@ -94,6 +94,10 @@ class SoilWheelEnv(gymnasium.Env):
     | 15 | shear_modulus_sd | relative | 0 | 20 |
     | 16 | sinkage_coefficient_sd | relative | 0 | 20 |
     | 17 | estimate_valid | 1 while the estimate is current, 0 while prior or held | 0 | 1 |
+    | 18 | cohesion | kPa | 0 | 1000 |
+    | 19 | dig_gain | -, of slip-sinkage | 0 | 100 |
+    | 20 | cohesion_sd | kPa | 0 | 1000 |
+    | 21 | dig_gain_sd | relative | 0 | 20 |
 
     `"true_soil"`, for reference only, adds the undisturbed soil under the wheel instead:
 
@@ -138,7 +142,8 @@ class SoilWheelEnv(gymnasium.Env):
     | cause | name of the `task.Cause`, "RUNNING" before the end |
     | immobilised | bool |
     | reward_terms | dict of the terms above; their sum is the reward |
-    | estimate | dict: phi [deg], K [m], S [N/m^(n+2)], their standard deviations, status of the identifier |
+    | estimate | dict: phi [deg], K [m], S [N/m^(n+2)], cohesion [Pa], gain of digging, their standard deviations, |
+    |          | status of the identifier |
     | traversability | dict, from sensors and estimate only: best slip, drawbar margin there over the grade [of load; |
     |                | at least -1], torque required there and available [N m], passable; renewed with the estimate |
     | state | dict of the true x, speed, wheel speed, slip, sinkage, load, drawbar pull, torques, grade, in SI units |
@@ -242,15 +247,15 @@ class SoilWheelEnv(gymnasium.Env):
             self._renderer = None
 
     def estimate(self) -> Soil:
-        """The identified soil, with the belief's cohesion, exponent and digging."""
+        """The identified soil, with the belief's exponent and recovery of digging."""
         x, belief = self.simulation.worlds.ids.estimate[0], self.scenario.belief
         return Soil(
             friction_angle_deg=math.degrees(x[0]),
-            cohesion=belief.cohesion,
+            cohesion=x[3],
             shear_modulus=math.exp(x[1]),
             sinkage_exponent=belief.sinkage_exponent,
             sinkage_coefficient=min(math.exp(x[2]), 1e13),
-            dig_gain=belief.dig_gain,
+            dig_gain=min(belief.dig_gain * math.exp(x[4]), 20.0),
             dig_recovery=belief.dig_recovery,
         )
 
@@ -273,8 +278,8 @@ class SoilWheelEnv(gymnasium.Env):
         load = max(float(observation[3]), 0.05) * self.scenario.weight
         x, belief = self.simulation.worlds.ids.estimate[0].tolist(), self.scenario.belief
         soil = SoilState(
-            math.tan(math.radians(math.degrees(x[0]))), belief.cohesion, math.exp(x[1]), min(math.exp(x[2]), 1e13),
-            belief.sinkage_exponent, belief.dig_gain, belief.dig_recovery,
+            math.tan(math.radians(math.degrees(x[0]))), x[3], math.exp(x[1]), min(math.exp(x[2]), 1e13),
+            belief.sinkage_exponent, min(belief.dig_gain * math.exp(x[4]), 20.0), belief.dig_recovery,
         )  # fmt: skip
         best = self._best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
         margin = max(best.drawbar_pull / load - math.tan(float(observation[7])), -1.0)
@@ -299,9 +304,13 @@ class SoilWheelEnv(gymnasium.Env):
                 "friction_angle_deg": math.degrees(x[0]),
                 "shear_modulus": math.exp(x[1]),
                 "sinkage_coefficient": math.exp(x[2]),
+                "cohesion": x[3],
+                "dig_gain": self.scenario.belief.dig_gain * math.exp(x[4]),
                 "friction_angle_sd_deg": math.degrees(sd[0]),
                 "shear_modulus_relative_sd": sd[1],
                 "sinkage_coefficient_relative_sd": sd[2],
+                "cohesion_sd": sd[3],
+                "dig_gain_relative_sd": sd[4],
                 "status": _STATUS[worlds.ids.status.item(0)],
             },
             "traversability": dict(self._warning),

@@ -9,7 +9,7 @@ torque, with the prior of the `Belief` as a further, weak measurement.
 Slip and sinkage carry noise too. Their first-order effect on the three channels and a model error enter the weight of
 each point (errors in variables by effective variance, Fuller 1987, Sec. 1.4). How far the wheel has dug itself in is
 followed from its own speeds and sinkage (`identification.digging`). Cohesion and the gain of digging are unknown too,
-with the mean and the scatter of the belief; they are solved for with the other three and not published.
+with the mean and the scatter of the belief, and are solved for with the other three.
 """
 
 from __future__ import annotations
@@ -75,10 +75,10 @@ class Identifiers(NamedTuple):
     count: np.ndarray  # [wheels] points in the window
     running: np.ndarray  # [wheels, 11]
     digging: np.ndarray  # [wheels, DIGGING]
-    estimate: np.ndarray  # [wheels, 3] (phi [rad], ln K, ln S), the published estimate
-    sd: np.ndarray  # [wheels, 3] its standard deviations
+    estimate: np.ndarray  # [wheels, 5] the published estimate, in the order of `IdentifierNumbers.prior`
+    sd: np.ndarray  # [wheels, 5] its standard deviations
     status: np.ndarray  # [wheels] `Status`
-    trial: np.ndarray  # [wheels, 5] the newest solution, published or not, with cohesion and ln(gain of digging)
+    trial: np.ndarray  # [wheels, 5] the newest solution, published or not
     covariance: np.ndarray  # [wheels, 5, 5] of it
     condition: np.ndarray  # [wheels] largest posterior over prior standard deviation (1 = nothing learnt)
 
@@ -131,8 +131,8 @@ def new_identifiers(wheels: int) -> Identifiers:
         np.zeros(wheels, dtype=np.int64),
         np.zeros((wheels, _RUNNING)),
         np.zeros((wheels, DIGGING)),
-        np.zeros((wheels, 3)),
-        np.zeros((wheels, 3)),
+        np.zeros((wheels, SIZE)),
+        np.zeros((wheels, SIZE)),
         np.zeros(wheels, dtype=np.int64),
         np.zeros((wheels, SIZE)),
         np.zeros((wheels, SIZE, SIZE)),
@@ -149,9 +149,7 @@ def forget(ids, k, numbers):
     for i in range(DIGGING):
         ids.digging[k, i] = 0.0
     for i in range(SIZE):
-        ids.trial[k, i] = numbers.prior[i]
-    for i in range(3):
-        ids.estimate[k, i] = numbers.prior[i]
+        ids.estimate[k, i] = ids.trial[k, i] = numbers.prior[i]
         ids.sd[k, i] = 1.0 / math.sqrt(numbers.precision[i])
     ids.status[k] = Status.NO_DATA.value
     ids.condition[k] = 1.0
@@ -326,10 +324,10 @@ def _solve_window(ids, k, numbers):
     if good:
         ids.running[k, _HELD] = 1.0
     if good or (status == Status.NOT_EXCITED.value and ids.running[k, _HELD] == 0.0):
-        for i in range(3):
+        for i in range(SIZE):
             ids.estimate[k, i] = trial[i]
             ids.sd[k, i] = math.sqrt(covariance[i, i])
     else:  # held: the ground may have changed unseen
-        for i in range(3):
+        for i in range(SIZE):
             ids.sd[k, i] = min(1.05 * ids.sd[k, i], 1.0 / math.sqrt(numbers.precision[i]))
     ids.status[k] = status

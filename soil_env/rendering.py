@@ -138,7 +138,7 @@ class Renderer:
             same = sinkage_coefficient_at(soil, simulation.numbers.identifier.reading.exponent, w["bearing_sinkage"])
             truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
             now = w["steps"] * world.period, w["slip"], w["sinkage"] / world.radius
-            self._history.append((*now, *ids.estimate[k], *ids.sd[k], *truth))
+            self._history.append((*now, *ids.estimate[k, :3], *ids.sd[k, :3], *truth))
 
     def draw(self, simulation, k: int) -> np.ndarray | None:
         """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to the window."""

@@ -76,6 +76,10 @@ _IDENTIFIED = (
     Entry("shear_modulus_sd", "relative", 0.0, 20.0),
     Entry("sinkage_coefficient_sd", "relative", 0.0, 20.0),
     Entry("estimate_valid", "0 or 1", 0.0, 1.0),
+    Entry("cohesion", "kPa", 0.0, 1000.0),
+    Entry("dig_gain", "-", 0.0, 100.0),
+    Entry("cohesion_sd", "kPa", 0.0, 1000.0),
+    Entry("dig_gain_sd", "relative", 0.0, 20.0),
 )
 _TRUE = (
     Entry("friction_angle", "rad", 0.0, 1.6),
@@ -120,6 +124,7 @@ class TaskNumbers(NamedTuple):
     reward_progress: float
     reward_energy: float
     reward_immobilisation: float
+    dig_gain: float  # of the belief
 
 
 def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None = None) -> TaskNumbers:
@@ -154,6 +159,7 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
         scenario.reward.progress,
         scenario.reward.energy,
         scenario.reward.immobilisation,
+        scenario.belief.dig_gain,
     )
 
 
@@ -198,6 +204,8 @@ def write_observation(out, state, k, reading, pitch, courses, ids, task):
         out[11], out[12], out[13] = x[0], x[1] / math.log(10.0), x[2] / math.log(10.0)
         out[14], out[15], out[16] = sd[0], sd[1], sd[2]
         out[17] = 1.0 if ids.status[k] == _CONVERGED else 0.0
+        out[18], out[19] = x[3] / 1000.0, task.dig_gain * math.exp(x[4])
+        out[20], out[21] = sd[3] / 1000.0, sd[4]
     elif task.variant == 2:
         soil, _, _ = ground_at(courses, k, w.x, w.patch, task.border)
         out[11] = math.atan(soil.tan_phi)

@@ -23,7 +23,7 @@ class WithScenario:
         self.share = 0.2 + 0.001 * scenario.control.time_limit
 
     def predict(self, obs, state=None, episode_start=None, deterministic=True):
-        assert obs.shape[1] == 18
+        assert obs.shape[1] == 22
         return np.full((len(obs), 1), self.share), None
 
 

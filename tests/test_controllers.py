@@ -246,10 +246,14 @@ def test_best_slip_depends_on_the_soil_it_sees(name):
 
 def test_best_slip_identified_does_not_see_the_true_soil():
     """Its belief fills what the identifier does not estimate."""
-    scenario = load_scenario("mixed", {"belief": {"cohesion": 321.0, "sinkage_exponent": 0.9, "dig_gain": 1.2}})
+    scenario = load_scenario("mixed", {"belief": {"sinkage_exponent": 0.9, "dig_recovery": 0.4}})
     controller = make_controller("best_slip_identified", scenario)
-    soil = controller.soils(observations("identified").astype(float))
-    assert (soil[:, 1] == 321.0).all() and (soil[:, 4] == 0.9).all() and (soil[:, 5] == 1.2).all()
+    seen = observations("identified").astype(float)
+    soil = controller.soils(seen)
+    assert (soil[:, 4] == 0.9).all() and (soil[:, 6] == 0.4).all()
+    names = [e.name for e in layout("identified")]
+    np.testing.assert_allclose(soil[:, 1], 1000.0 * seen[:, names.index("cohesion")])
+    np.testing.assert_allclose(soil[:, 5], seen[:, names.index("dig_gain")])
 
 
 def test_full_throttle_is_all_ones():

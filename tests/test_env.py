@@ -69,15 +69,15 @@ def test_registration_in_a_fresh_process(code):
     code += "; assert type(e.unwrapped).__name__ == 'SoilWheelEnv'; print(e.reset(seed=0)[0].shape)"
     done = subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == ("(11,)" if "blind" in code else "(18,)")
+    assert done.stdout.strip() == ("(11,)" if "blind" in code else "(22,)")
 
 
 def test_spec_and_spaces():
     env = gymnasium.make("SoilWheel-v0")
     assert env.spec.id == "SoilWheel-v0"
     assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
-    assert env.observation_space.dtype == np.float32 and env.observation_space.shape == (18,)
-    assert len(env.unwrapped.observation_names) == 18
+    assert env.observation_space.dtype == np.float32 and env.observation_space.shape == (22,)
+    assert len(env.unwrapped.observation_names) == 22
 
 
 # --- determinism ------------------------------------------------------------------------------------------------------
@@ -386,7 +386,7 @@ def test_extreme_estimates_do_not_stop_the_episode():
     env = SoilWheelEnv()
     env.reset(seed=0)
     for corner in np.array(np.meshgrid(*zip(LOWER, UPPER, strict=True))).T.reshape(-1, 3):
-        env.simulation.worlds.ids.estimate[0] = corner
+        env.simulation.worlds.ids.estimate[0] = [*corner, 2e5 * (corner[0] > 1.0), 3.0 if corner[1] > -3.0 else -3.0]
         env._warn()
         assert all(math.isfinite(v) for k, v in env._info()["traversability"].items() if k in ("best_slip",))
         assert not math.isnan(env._info()["traversability"]["drawbar_margin"])

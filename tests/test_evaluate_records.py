@@ -143,12 +143,12 @@ def play(scenario, script):
     warnings = Warnings(scenario, 1)
     worlds = SimpleNamespace(
         state=np.zeros(1, dtype=WHEEL_STATE),
-        ids=SimpleNamespace(estimate=np.zeros((1, 3))),
+        ids=SimpleNamespace(estimate=np.zeros((1, 5))),
         observation=np.zeros((1, len(NAMES)), dtype=np.float32),
     )
     worlds.observation[0, NAMES.index("load")] = 1.0
     for estimate, slip, halted, clock in script:
-        worlds.ids.estimate[0] = estimate
+        worlds.ids.estimate[0] = [*estimate, scenario.belief.cohesion, 0.0]
         worlds.observation[0, NAMES.index("slip")] = slip
         worlds.state["halt_left"] = 1.0 if halted else 0.0
         worlds.state["entrapped_time"] = clock

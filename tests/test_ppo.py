@@ -467,8 +467,8 @@ def test_a_json_with_a_missing_key(saved, key):
 
 @pytest.mark.parametrize(
     "key, value",
-    [("mean", 3.0), ("mean", "abc"), ("mean", [0.0] * 5), ("mean", ["a"] * 18), ("var", [1.0] * 5), ("var", "abc"),
-     ("var", [[1.0]] * 18), ("clip", "ten"), ("observation_names", 5), ("observation", 5), ("timesteps", "many"),
+    [("mean", 3.0), ("mean", "abc"), ("mean", [0.0] * 5), ("mean", ["a"] * 22), ("var", [1.0] * 5), ("var", "abc"),
+     ("var", [[1.0]] * 22), ("clip", "ten"), ("observation_names", 5), ("observation", 5), ("timesteps", "many"),
      ("timesteps", 1.5), ("count", "1"), ("return_var", [1.0])],
 )  # fmt: skip
 def test_a_json_with_a_value_of_the_wrong_kind(saved, scenario, key, value):

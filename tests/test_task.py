@@ -146,12 +146,15 @@ def test_estimate_in_the_observation():
         ids, seen = sim.worlds.ids, sim.worlds.observation[0]
         x = ids.estimate[0]
         np.testing.assert_allclose(seen[11:14], [x[0], x[1] / math.log(10), x[2] / math.log(10)], rtol=1e-6)
-        np.testing.assert_allclose(seen[14:17], ids.sd[0], rtol=1e-6)
+        np.testing.assert_allclose(seen[14:17], ids.sd[0, :3], rtol=1e-6)
+        belief = load_scenario("mixed").belief
+        np.testing.assert_allclose(seen[18:20], [x[3] / 1000.0, belief.dig_gain * math.exp(x[4])], rtol=1e-6)
+        np.testing.assert_allclose(seen[20:], [ids.sd[0, 3] / 1000.0, ids.sd[0, 4]], rtol=1e-6)
         assert seen[17] == (ids.status[0] == Status.CONVERGED)
         rows.append(seen[17])
     assert {0.0, 1.0} == set(rows)
     changed = observed_again(sim) != observed_again(sim, estimate=0.01)
-    np.testing.assert_array_equal(np.flatnonzero(changed), [11, 12, 13])
+    np.testing.assert_array_equal(np.flatnonzero(changed), [11, 12, 13, 18, 19])
 
 
 def test_readings_scatter_as_stated():

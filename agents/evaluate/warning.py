@@ -51,7 +51,7 @@ class Warnings:
     def __init__(self, scenario: Scenario, count: int):
         self.scenario, self.count = scenario, count
         self.period = scenario.control.period
-        self.known = np.zeros((count, 4))  # estimate and load [N] of which the best working point was computed
+        self.known = np.zeros((count, 6))  # estimate and load [N] of which the best working point was computed
         self.best_slip, self.best_pull = np.zeros(count), np.zeros(count)  # [-], [of load]
         self.held, self.quiet = np.zeros(count), np.zeros(count)  # [s]
         self.on = np.zeros(count, dtype=bool)
@@ -94,9 +94,8 @@ class Warnings:
         belief, wheel = self.scenario.belief, self.scenario.wheel
         load = np.maximum(worlds.observation[:, _LOAD].astype(float), 0.05) * self.scenario.weight
         _renew(
-            worlds.ids.estimate, load, alive, belief.cohesion, belief.sinkage_exponent, belief.dig_gain,
-            belief.dig_recovery, wheel.radius, wheel.width, wheel.stall_torque, self.known, self.best_slip,
-            self.best_pull,
+            worlds.ids.estimate, load, alive, belief.sinkage_exponent, belief.dig_gain, belief.dig_recovery,
+            wheel.radius, wheel.width, wheel.stall_torque, self.known, self.best_slip, self.best_pull,
         )  # fmt: skip
         grade = np.tan(worlds.observation[:, _PITCH].astype(float))
         unstable = self.best_slip + SLIP_MARGIN * (1.0 - self.best_slip)
@@ -104,13 +103,18 @@ class Warnings:
 
 
 @njit(cache=CACHE, nogil=True)
-def _renew(estimate, load, alive, c, n, dig_gain, dig_recovery, r, b, torque, known, slip, pull):
-    """Best working points, computed again where the estimate has moved by 1 % (phi: 0.002 rad) or the load by 10 %."""
+def _renew(estimate, load, alive, n, dig_gain, dig_recovery, r, b, torque, known, slip, pull):
+    """Best working points, computed again where the estimate has moved by 1 % (phi: 0.002 rad) or the load by 10 %.
+
+    Cohesion counts by the change that it makes to the strength under the load.
+    """
     for k in range(load.size):
         x, old = estimate[k], known[k]
         moved = abs(x[0] - old[0]) > 0.002 or abs(x[1] - old[1]) > 0.01 or abs(x[2] - old[2]) > 0.01
-        if alive[k] and (moved or abs(load[k] - old[3]) > 0.1 * old[3]):
-            soil = SoilState(math.tan(x[0]), c, math.exp(x[1]), min(math.exp(x[2]), 1e13), n, dig_gain, dig_recovery)
+        moved = moved or abs(x[4] - old[4]) > 0.01 or abs(x[3] - old[3]) * r * b > 0.002 * load[k]
+        if alive[k] and (moved or abs(load[k] - old[5]) > 0.1 * old[5]):
+            gain = min(dig_gain * math.exp(x[4]), 20.0)
+            soil = SoilState(math.tan(x[0]), x[3], math.exp(x[1]), min(math.exp(x[2]), 1e13), n, gain, dig_recovery)
             best = best_working_point(load[k], soil, r, b, torque)
             slip[k], pull[k] = best.slip, best.drawbar_pull / load[k]
-            old[0], old[1], old[2], old[3] = x[0], x[1], x[2], load[k]
+            old[:5], old[5] = x, load[k]
