@@ -13,8 +13,8 @@ _COLOURS = {"ours": "#0072b2", "newton_raphson": "#d55e00", "linear": "#999999",
             "ukf_joint": "#56b4e9", "batch": "#cc79a7", "batch_joint": "#000000"}  # fmt: skip
 _LABELS = {
     "ours": "ours", "newton_raphson": "Newton-Raphson, 3 points", "linear": "linear least squares (c, phi)",
-    "ukf": "unscented Kalman filter", "ukf_joint": "the same, unknowns of ours",
-    "batch": "scipy least_squares, same window", "batch_joint": "the same, unknowns of ours",
+    "ukf": "unscented Kalman filter", "ukf_joint": "Kalman filter, unknowns of ours",
+    "batch": "scipy least_squares, same window", "batch_joint": "scipy, unknowns of ours",
 }  # fmt: skip
 _AXES = {"phi_deg": "friction angle [deg]", "ln_K": "ln K [-]", "ln_S": "ln S [-]"}
 
@@ -63,8 +63,8 @@ def figure(result: dict, path: Path | str) -> None:
                 c = coverage[parameter]
                 if c is None or c["value"] is None:
                     continue
-                x = j + (i - 0.5 * (len(names) - 1)) * 0.16
-                axis.bar(x, 100.0 * c["value"], 0.14, color=_COLOURS[name])
+                x = j + (i - 0.5 * (len(names) - 1)) * 0.8 / len(names)
+                axis.bar(x, 100.0 * c["value"], 0.7 / len(names), color=_COLOURS[name])
                 axis.plot([x, x], [100.0 * c["low"], 100.0 * c["high"]], color="k", lw=1)
         axis.axhline(float(level), color="k", ls=":", lw=1)
         axis.set_xticks(range(3), ["phi", "ln K", "ln S"])
@@ -76,9 +76,9 @@ def figure(result: dict, path: Path | str) -> None:
         axis.barh(i, times[name], color=_COLOURS[name])
         share = result["contenders"][name]["valid_share"]["value"]
         axis.text(times[name], i, f" {times[name]:.1f} us; valid {100.0 * share:.0f} %", va="center", fontsize=8)
-    axis.set_yticks(range(len(names)), [n.replace("_", " ") for n in reversed(names)])
+    axis.set_yticks(range(len(names)), [_LABELS[n] for n in reversed(names)], fontsize=8)
     axis.set_xscale("log")
-    axis.set_xlim(1.0, 60.0 * max(times[n] for n in names))
+    axis.set_xlim(0.5 * min(times[n] for n in names), 60.0 * max(times[n] for n in names))
     axis.set_xlabel("time a reading [us] (ours compiled)")
     for axis in axes.flat:
         axis.spines[["top", "right"]].set_visible(False)

@@ -15,7 +15,7 @@ from soil_env.simulation import IDLE, STEP, Simulation, Worlds
 from soil_env.task import Cause
 
 #: Course sets (`course_rng`), disjoint from each other and from all courses of training.
-TUNING_SET, HELD_OUT_SET = 1_000_001, 2_000_003
+TUNING_SET, HELD_OUT_SET = 1_000_001, 3_000_011
 _RUNNING = Cause.RUNNING.value
 
 
