@@ -282,6 +282,17 @@ def total(typingctx, a):
 
 
 @intrinsic
+def bits(typingctx, a):
+    """Whole number with bit i set where lane i is not 0."""
+
+    def emit(context, builder, sig, args):
+        mask = builder.fcmp_unordered("!=", args[0], numbers(*[0.0] * COUNT))
+        return builder.zext(builder.bitcast(mask, ir.IntType(COUNT)), ir.IntType(64))
+
+    return types.int64(lanes), emit
+
+
+@intrinsic
 def smallest(typingctx, a):
     """The smallest of the lanes."""
 

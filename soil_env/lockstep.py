@@ -26,13 +26,13 @@ from soil_env.dynamics import (
     relax_sinkage,
 )
 from soil_env.elementary import half_sin_cos, larger, smaller, where_less
-from soil_env.lanes import COUNT, fill, from_array, scratch, to_array, total
+from soil_env.lanes import COUNT, bits, fill, from_array, scratch, to_array
 from soil_env.model import DEEPEST
 from soil_env.parameters import SoilState
 from soil_env.reaction import REST_SPEED, Reaction, moved, reaction_from
 from soil_env.terrain import cell_at, ground_at, leave_rut
 
-MANY = 4 * COUNT  # wheels that `advance_many` takes at most
+MANY = 16 * COUNT  # wheels that `advance_many` takes at most
 _PASSES = 60  # evaluations of the reaction in a substep, at most
 _TRIES = 8  # of them at most along one step of Newton's method
 _HUGE = 1e300
@@ -58,8 +58,9 @@ _V, _U, _FORCE, _CONVERGED, _F1, _F2, _SLOPE, _NORM, _BEFORE, _SHARE, _DONE_TRIE
 )  # fmt: skip
 _RESULT = 13 * COUNT
 _STATE = 21 * COUNT
-_equations, _results = scratch(_EQUATIONS * MANY // COUNT), scratch(_RESULT * MANY // COUNT)
-_present, _newton, _ended, _occupants = scratch(_EQUATIONS), scratch(_STATE), scratch(COUNT), scratch(COUNT)
+# In both the last block is that of the wheels that take longer.
+_equations, _states = scratch(_EQUATIONS * (MANY // COUNT + 1)), scratch(_STATE * (MANY // COUNT + 1))
+_waiting, _occupants = scratch(MANY), scratch(COUNT)
 
 
 @inlined
@@ -132,7 +133,7 @@ def _set_up(s, at, g, ground, e, to, world, h):
         from_array(s, at + _PULL_V), from_array(s, at + _PULL_U),
         from_array(s, at + _TORQUE_V), from_array(s, at + _TORQUE_U) - torque_w / r,
     )  # fmt: skip
-    short, zero = _below(larger(abs(dv), abs(du)), SHORT * (abs(u0) + REST_SPEED)), fill(0.0)
+    share = smaller(SHORT * (abs(u0) + REST_SPEED) / larger(larger(abs(dv), abs(du)), 1e-12), 1.0)
     theta1 = entry_angle_of_many(from_array(s, at + _SINKAGE), r)
     arcs = store_arcs(theta1, from_array(g, ground + _N), r, e, to + _NODES)
     to_array(speed0, e, to + _V0)
@@ -149,37 +150,37 @@ def _set_up(s, at, g, ground, e, to, world, h):
     to_array(arcs.sin1, e, to + _SIN1)
     to_array(arcs.p_cos, e, to + _P_COS)
     to_array(arcs.p_sin, e, to + _P_SIN)
-    to_array(speed0 + _chosen(short, dv, zero), e, to + _V1)
-    to_array(u0 + _chosen(short, du, zero), e, to + _U1)
+    to_array(speed0 + share * dv, e, to + _V1)
+    to_array(u0 + share * du, e, to + _U1)
 
 
 @inlined
-def _iterate(e, n, world, h):
-    """One pass of `dynamics.implicit_speeds` on the equations `e` with Newton's state `n`; 1 where it ended."""
+def _iterate(e, at, n, to, world, h):
+    """One pass of `dynamics.implicit_speeds` on the equations e[at] with Newton's state n[to]; 1 where it ended."""
     r, b, cu = world.radius, world.width, h * world.radius / world.inertia
     zero, one = fill(0.0), fill(1.0)
-    speed0, u0, cv, weight_along = from_array(e, _V0), from_array(e, _U0), from_array(e, _CV), from_array(e, _ALONG)
-    load, K = from_array(e, _CARRIED), from_array(e, _SHEAR)
-    command, by_speed = from_array(e, _GIVEN), from_array(e, _FOLLOW)
-    arcs = Arcs(from_array(e, _THETA1), from_array(e, _SIN1), from_array(e, _P_COS), from_array(e, _P_SIN))
-    v1, u1 = from_array(e, _V1), from_array(e, _U1)
+    speed0, u0, cv, weight_along = from_array(e, at + _V0), from_array(e, at + _U0), from_array(e, at + _CV), from_array(e, at + _ALONG)
+    load, K = from_array(e, at + _CARRIED), from_array(e, at + _SHEAR)
+    command, by_speed = from_array(e, at + _GIVEN), from_array(e, at + _FOLLOW)
+    arcs = Arcs(from_array(e, at + _THETA1), from_array(e, at + _SIN1), from_array(e, at + _P_COS), from_array(e, at + _P_SIN))
+    v1, u1 = from_array(e, at + _V1), from_array(e, at + _U1)
     motion = motion_from_speeds(u1, v1, REST_SPEED)
-    integrals = arcs_integrals(e, _NODES, arcs, motion[0], motion[1], K, r)
-    trial = reaction_from(integrals, motion, v1, u1, load, from_array(e, _TAN), from_array(e, _C), r, b)
+    integrals = arcs_integrals(e, at + _NODES, arcs, motion[0], motion[1], K, r)
+    trial = reaction_from(integrals, motion, v1, u1, load, from_array(e, at + _TAN), from_array(e, at + _C), r, b)
     torque, slope, _ = motor(command, by_speed, u1 / r, world)
     g1 = v1 - speed0 - cv * (trial.drawbar_pull - weight_along)
     g2 = u1 - u0 - cu * (torque - trial.torque)
     reached = larger(abs(g1), abs(g2))
-    share, tries, norm = from_array(n, _SHARE), from_array(n, _DONE_TRIES), from_array(n, _NORM)
+    share, tries, norm = from_array(n, to + _SHARE), from_array(n, to + _DONE_TRIES), from_array(n, to + _NORM)
     last = _below(_TRIES - 1.5, tries)
     better = _below(reached, norm * _chosen(last, one, 1.0 - 0.1 * share))
     failed = last * (1.0 - better)
-    before = _chosen(better, where_less(norm, 0.5 * _HUGE, norm, 0.1 * reached), from_array(n, _BEFORE))
+    before = _chosen(better, where_less(norm, 0.5 * _HUGE, norm, 0.1 * reached), from_array(n, to + _BEFORE))
     norm = _chosen(better, reached, norm)
-    v, u = _chosen(better, v1, from_array(n, _V)), _chosen(better, u1, from_array(n, _U))
-    f1, f2 = _chosen(better, g1, from_array(n, _F1)), _chosen(better, g2, from_array(n, _F2))
-    torque_w = _chosen(better, slope, from_array(n, _SLOPE))
-    f = _pick(better, trial, _load_force(n, _FORCE))
+    v, u = _chosen(better, v1, from_array(n, to + _V)), _chosen(better, u1, from_array(n, to + _U))
+    f1, f2 = _chosen(better, g1, from_array(n, to + _F1)), _chosen(better, g2, from_array(n, to + _F2))
+    torque_w = _chosen(better, slope, from_array(n, to + _SLOPE))
+    f = _pick(better, trial, _load_force(n, to + _FORCE))
     share, tries = _chosen(better, one, 0.4 * share), _chosen(better, zero, tries + 1.0)
     converged = failed * _below(norm, fill(1e-4))
 
@@ -193,64 +194,98 @@ def _iterate(e, n, world, h):
     seen = _below(foretold, fill(FORETOLD * TOLERANCE)) * _below(larger(abs(g1), abs(g2)), fill(0.1 * TOLERANCE))
     seen = seen * _below(zero, ahead.modulus) * better
     there = larger(seen, better * _below(norm, fill(TOLERANCE)))
-    passes = from_array(n, _DONE_PASSES) + 1.0
-    to_array(f1, n, _F1)
-    to_array(f2, n, _F2)
-    to_array(torque_w, n, _SLOPE)
-    to_array(norm, n, _NORM)
-    to_array(before, n, _BEFORE)
-    to_array(share, n, _SHARE)
-    to_array(tries, n, _DONE_TRIES)
-    to_array(passes, n, _DONE_PASSES)
-    to_array(v + share * dv, e, _V1)
-    to_array(u + share * du, e, _U1)
-    to_array(_chosen(seen, v + dv, v), n, _V)
-    to_array(_chosen(seen, u + du, u), n, _U)
-    _store_force(_pick(seen, ahead, f), n, _FORCE)
-    to_array(larger(converged, there), n, _CONVERGED)
+    passes = from_array(n, to + _DONE_PASSES) + 1.0
+    to_array(f1, n, to + _F1)
+    to_array(f2, n, to + _F2)
+    to_array(torque_w, n, to + _SLOPE)
+    to_array(norm, n, to + _NORM)
+    to_array(before, n, to + _BEFORE)
+    to_array(share, n, to + _SHARE)
+    to_array(tries, n, to + _DONE_TRIES)
+    to_array(passes, n, to + _DONE_PASSES)
+    to_array(v + share * dv, e, at + _V1)
+    to_array(u + share * du, e, at + _U1)
+    to_array(_chosen(seen, v + dv, v), n, to + _V)
+    to_array(_chosen(seen, u + du, u), n, to + _U)
+    _store_force(_pick(seen, ahead, f), n, to + _FORCE)
+    to_array(larger(converged, there), n, to + _CONVERGED)
     return larger(larger(failed, there), _below(_PASSES - 0.5, passes))
 
 
 @inlined
-def _enter(equations, k, e, n, i):
-    """Wheel k of the equations into lane i."""
-    start = (k // COUNT) * _EQUATIONS + k % COUNT
-    for row in range(0, _EQUATIONS, COUNT):
-        e[row + i] = equations[start + row]
+def _begin(e, at, n, to):
+    """Newton's state of eight wheels at the start of a substep."""
+    zero, one, huge = fill(0.0), fill(1.0), fill(_HUGE)
     for row in range(0, _STATE, COUNT):
-        n[row + i] = 0.0
-    n[_V + i], n[_U + i] = e[_V0 + i], e[_U0 + i]
-    n[_NORM + i] = n[_BEFORE + i] = _HUGE
-    n[_SHARE + i] = 1.0
+        to_array(zero, n, to + row)
+    to_array(from_array(e, at + _V0), n, to + _V)
+    to_array(from_array(e, at + _U0), n, to + _U)
+    to_array(huge, n, to + _NORM)
+    to_array(huge, n, to + _BEFORE)
+    to_array(one, n, to + _SHARE)
+
+
+@inlined
+def _enter(e, n, k, block, i):
+    """Wheel k with its state into lane i of a block."""
+    start, to = (k // COUNT) * _EQUATIONS + k % COUNT, block * _EQUATIONS + i
+    for row in range(0, _EQUATIONS, COUNT):
+        e[to + row] = e[start + row]
+    start, to = (k // COUNT) * _STATE + k % COUNT, block * _STATE + i
+    for row in range(0, _STATE, COUNT):
+        n[to + row] = n[start + row]
 
 
 @kernel
-def _solve(equations, count, results, world, h):
-    """The speeds and reactions of `count` wheels at the end of a substep, into `results`."""
-    e, n, ended = _present(), _newton(), _ended()
-    which = _occupants()
-    for i in range(COUNT):
-        _enter(equations, min(i, count - 1), e, n, i)
-        which[i] = float(i) if i < count else -1.0
-    following, left = COUNT, count
-    while left > 0:
-        there = _iterate(e, n, world, h)
-        if total(there) == 0.0:
+def _solve(e, n, count, world, h):
+    """The speeds and reactions of `count` wheels at the end of a substep, into their states `n`.
+
+    One pass for all, on the spot; those that have not ended go on in the last block, where a lane takes the next as soon
+    as its wheel has ended.
+    """
+    blocks = (count + COUNT - 1) // COUNT
+    waiting, which = _waiting(), _occupants()
+    block = following = queue = working = 0
+    _begin(e, 0, n, 0)
+    while True:
+        ended = bits(_iterate(e, block * _EQUATIONS, n, block * _STATE, world, h))
+        if block < blocks:
+            for i in range(min(count - block * COUNT, COUNT)):
+                if ended >> i & 1 == 0:
+                    waiting[queue] = float(block * COUNT + i)
+                    queue += 1
+            block += 1
+            if block < blocks:
+                _begin(e, block * _EQUATIONS, n, block * _STATE)
+                continue
+            if queue == 0:
+                return
+            block = MANY // COUNT
+            working = min(queue, COUNT)
+            for i in range(COUNT):
+                following = min(i, queue - 1)
+                _enter(e, n, int(waiting[following]), block, i)
+                which[i] = waiting[following] if i < queue else -1.0
+            following = working
             continue
-        to_array(there, ended, 0)
+        if ended == 0:
+            continue
         for i in range(COUNT):
             k = int(which[i])
-            if ended[i] == 0.0 or k < 0:
+            if ended >> i & 1 == 0 or k < 0:
                 continue
-            to = (k // COUNT) * _RESULT + k % COUNT
+            start, to = block * _STATE + i, (k // COUNT) * _STATE + k % COUNT
             for row in range(0, _RESULT, COUNT):
-                results[to + row] = n[row + i]
-            left -= 1
+                n[to + row] = n[start + row]
             which[i] = -1.0
-            if following < count:
-                _enter(equations, following, e, n, i)
-                which[i] = float(following)
+            working -= 1
+            if following < queue:
+                _enter(e, n, int(waiting[following]), block, i)
+                which[i] = waiting[following]
+                working += 1
                 following += 1
+        if working == 0:
+            return
 
 
 @inlined
@@ -351,7 +386,7 @@ def advance_many(state, which, count, commands, courses, streams, world):
     blocks = (count + COUNT - 1) // COUNT
     for i in range(count, blocks * COUNT):
         which[i], commands[i] = which[count - 1], commands[count - 1]
-    s, g, equations, results = _wheels(), _ground(), _equations(), _results()
+    s, g, equations, states = _wheels(), _ground(), _equations(), _states()
     for b in range(blocks):
         _load_wheels(s, b * _WHEELS, which, b * COUNT, state, commands, world)
     longest = world.period / world.substeps
@@ -361,12 +396,12 @@ def advance_many(state, which, count, commands, courses, streams, world):
         for b in range(blocks):
             _gather_ground(s, b * _WHEELS, g, b * _GROUND, which, b * COUNT, state, courses, world, h)
             _set_up(s, b * _WHEELS, g, b * _GROUND, equations, b * _EQUATIONS, world, h)
-        _solve(equations, count, results, world, h)
+        _solve(equations, states, count, world, h)
         for b in range(blocks):
             for i in range(count - b * COUNT, COUNT):  # the repeated
                 for row in range(0, _RESULT, COUNT):
-                    results[b * _RESULT + row + i] = results[b * _RESULT + row]
-            _move(s, b * _WHEELS, g, b * _GROUND, results, b * _RESULT, world, h)
+                    states[b * _STATE + row + i] = states[b * _STATE + row + (count - 1) % COUNT]
+            _move(s, b * _WHEELS, g, b * _GROUND, states, b * _STATE, world, h)
         left -= h
         for i in range(count):
             k, j = int(which[i]), (i // COUNT) * _WHEELS + i % COUNT
