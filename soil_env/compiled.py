@@ -27,9 +27,12 @@ def _cacheable() -> bool:
 #: Whether compiled code is kept on the disk; without a folder for it every process compiles anew.
 CACHE = _cacheable()
 #: For functions of a step.
-kernel = njit(cache=CACHE, error_model="numpy", _nrt=False)
+kernel = njit(cache=CACHE, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+#: The same for those that only compiled code calls: without what takes Python's arguments apart, which for the nested
+#: tuples of a simulation is more code than the function. Called from Python they would crash.
+inner = njit(cache=CACHE, error_model="numpy", _nrt=False, no_cfunc_wrapper=True, no_cpython_wrapper=True)
 #: The same for small ones whose values should stay in registers: always inlined.
-inlined = njit(cache=CACHE, error_model="numpy", _nrt=False, forceinline=True)
+inlined = njit(cache=CACHE, error_model="numpy", _nrt=False, forceinline=True, no_cfunc_wrapper=True)
 #: The same for large ones with one caller: put into it before compilation, so that they are not compiled twice.
 pasted = njit(cache=CACHE, error_model="numpy", _nrt=False, inline="always")
 

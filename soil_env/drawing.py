@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.compiled import inlined, kernel
+from soil_env.compiled import inlined, inner, kernel
 from soil_env.effects import NO_EFFECTS, Effects, acting, depends_on_speed
 from soil_env.lanes import scratch
 from soil_env.model import Conditions, Rim, WheelSoilModel, steady_with
@@ -131,7 +131,7 @@ def draw_soil(streams, k, numbers):
     )
 
 
-@kernel
+@inner
 def _best_pull(load, soil, speed, sin_grade, numbers):
     """Best steady drawbar pull over load at this travel speed [m/s], -inf where the wheel would be bogged at it."""
     fx, r, b = numbers.effects, numbers.radius, numbers.width
@@ -144,7 +144,7 @@ def _best_pull(load, soil, speed, sin_grade, numbers):
     return best.drawbar_pull / load + pull
 
 
-@kernel
+@inner
 def _capacity(load, soil, tangent, numbers):
     """Best steady drawbar pull over load on a slope, -inf where the wheel would be bogged at rest or at its best.
 
@@ -162,7 +162,7 @@ def _capacity(load, soil, tangent, numbers):
     return pull
 
 
-@kernel
+@inner
 def _steepest(load, soil, margin, numbers):
     """(tangent of the steepest grade of the course that leaves `margin`, `_capacity` there); -inf twice if none does.
 
@@ -188,7 +188,7 @@ def _steepest(load, soil, margin, numbers):
     return flat, capacity
 
 
-@kernel
+@inner
 def _margin_at_border(k, courses, i, load, numbers):
     """Margin in the middle of the passage from patch i - 1 to patch i."""
     mid = blend(row_soil(courses.soils[k, i - 1]), row_soil(courses.soils[k, i]), 0.5)
@@ -254,7 +254,7 @@ def extend_course(k, courses, mass, x, numbers):
     return found
 
 
-@kernel
+@inner
 def _try_patch(k, courses, load, numbers):
     """Draw the next patch of course k and add it; False, with the course as before, if it is not passable.
 
@@ -287,7 +287,7 @@ def _try_patch(k, courses, load, numbers):
     return True
 
 
-@kernel
+@inner
 def _joined(k, courses, i, load, numbers):
     """Lower the grades of patches i - 1 and i until their border is passable; False if that cannot be."""
     short = numbers.margin_low - _margin_at_border(k, courses, i, load, numbers)
@@ -309,7 +309,7 @@ def _joined(k, courses, i, load, numbers):
     return numbers.margin_low - least <= 1e-6
 
 
-@kernel
+@inner
 def _add_patch(k, courses, length, numbers):
     """Count the patch just written: its edges, the cells below it, and how far the ground is final now."""
     p = courses.patches[k]

@@ -49,7 +49,7 @@ TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
 SHORT = 1.0  # first step by the last reaction, at most this share of the rim speed
 FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
 _MAX_ITERATIONS = 30
-_FINEST = 1024  # a substep that fails is halved down to this fraction; softening soil breaks away within 1 ms
+FINEST = 1024  # a substep that fails is halved down to this fraction; softening soil breaks away within 1 ms
 
 #: One wheel. Numbers that follow from the others in the same step are kept for sensors and info.
 WHEEL_STATE = np.dtype(
@@ -177,9 +177,10 @@ def newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
 def implicit_speeds(w, load, ground, command, by_speed, grade, world, h):
     """Implicit Euler for (V, u = r w) of wheel `w` (a WHEEL_STATE) over h seconds: (V, u, Reaction, converged).
 
-    The first step goes by the reaction of the last substep to first order, as far as that may hold. Newton's residual falls
-    quadratically: once it is foretold to fall far below the tolerance, by the last two residuals or by the change of
-    shear that the step makes, the step is taken with the reaction to first order instead of being computed once more.
+    The first step goes by the reaction of the last substep to first order, as far as that may hold. Newton's
+    residual falls quadratically: once it is foretold to fall far below the tolerance, by the last two residuals or by
+    the change of shear that the step makes, the step is taken with the reaction to first order instead of being
+    computed once more.
     """
     r = world.radius
     weight_along = w.mass * world.gravity * math.sin(grade)
@@ -291,7 +292,7 @@ def drive(state, k, command, by_speed, courses, world, left):
             ground = plain_ground(w, soil, world)
         v, u, soil_force, converged = implicit_speeds(w, load, ground, command, by_speed, grade, world, h)
         if not converged:
-            if h > longest / _FINEST:
+            if h > longest / FINEST:
                 h *= 0.5
                 continue
             w.converged = 0
@@ -338,11 +339,12 @@ def finish(state, k, command, x_start, streams, world):
 def settle(state, k, mass, courses, streams, world):
     """Put wheel k at rest at the start of its course, sunk in under its own load."""
     w = state[k]
-    soil, grade, patch = ground_at(courses, k, 0.0, 0, world.border)
+    w.x, w.patch = 0.0, 0
+    soil, grade, patch = ground_at(courses, k, w.x, w.patch, world.border)
     load = mass * world.gravity * math.cos(grade)
     wheel, here = Rim(world.radius, world.width, world.grouser_height), Conditions(0.0, 1.0, math.sin(grade))
     rest = steady_with(0.0, load, soil, wheel, here, world.unit_weight, world.effects, 0.0)
-    w.x = w.best_x = w.speed = w.wheel_speed = 0.0
+    w.best_x = w.speed = w.wheel_speed = 0.0
     w.sinkage = w.bearing_sinkage = max(rest.sinkage, SHALLOWEST * world.radius)
     w.mass, w.load, w.grade, w.patch = mass, load, grade, patch
     w.motor_torque = w.drawbar_pull = w.torque = w.slip = 0.0

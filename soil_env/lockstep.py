@@ -4,22 +4,22 @@ Within one wheel nearly everything depends on what came before, and a processor 
 mostly waits. Here each operation acts on eight wheels. They share no number: a wheel goes through the same operations
 on the same bits whoever its neighbours are, so that a lone wheel, repeated in all lanes, gives what it gives among
 others. Newton's method takes one wheel longer than another: a lane whose wheel has converged goes on with the next of
-up to `MANY`. A wheel whose iteration fails goes on alone, by `dynamics.drive`, from the substep that failed.
+up to `MANY`. A wheel whose iteration fails goes on alone by shorter substeps, as in `dynamics.drive`. Worlds with
+effects are stepped by `dynamics.advance`.
 """
 
 from __future__ import annotations
 
 from soil_env.arcs import ARCS, Arcs, arcs_integrals, entry_angle_of_many, store_arcs
-from soil_env.compiled import inlined, kernel
+from soil_env.compiled import inlined, inner, kernel, pasted
 from soil_env.contact import motion_from_speeds
 from soil_env.dynamics import (
+    FINEST,
     FORETOLD,
     SHALLOWEST,
     SHORT,
     TOLERANCE,
-    advance,
     bearing_sinkage,
-    drive,
     finish,
     motor,
     newton_step,
@@ -40,7 +40,7 @@ _HUGE = 1e300
 # Scratch is in blocks of eight wheels, a row of eight floats for each quantity. Rows of the wheels over a period:
 _X, _SPEED, _WHEEL_SPEED, _SINKAGE, _MASS, _PULL, _TORQUE = 0, 8, 16, 24, 32, 40, 48
 _PULL_V, _PULL_U, _TORQUE_V, _TORQUE_U, _COMMAND, _BY_SPEED, _WORK = 56, 64, 72, 80, 88, 96, 104
-_MOTOR, _AVAILABLE, _LOAD, _BEARING, _START, _LEFT, _ALIVE, _SOIL = 112, 120, 128, 136, 144, 152, 160, 168
+_MOTOR, _AVAILABLE, _LOAD, _BEARING, _CLEAN, _LEFT, _ALIVE, _SOIL = 112, 120, 128, 136, 144, 152, 160, 168
 _WHEELS = 22 * COUNT
 _wheels = scratch(_WHEELS * MANY // COUNT)
 # of the ground under them in a substep:
@@ -60,7 +60,8 @@ _RESULT = 13 * COUNT
 _STATE = 21 * COUNT
 # In both the last block is that of the wheels that take longer.
 _equations, _states = scratch(_EQUATIONS * (MANY // COUNT + 1)), scratch(_STATE * (MANY // COUNT + 1))
-_waiting, _occupants = scratch(MANY), scratch(COUNT)
+_waiting, _starts, _lefts = scratch(MANY), scratch(MANY), scratch(MANY)
+_occupants, _alone, _left_alone = scratch(COUNT), scratch(COUNT), scratch(COUNT)
 
 
 @inlined
@@ -116,7 +117,7 @@ def _store_force(f, a, at):
     to_array(f.modulus_u, a, at + 72)
 
 
-@inlined
+@pasted
 def _set_up(s, at, g, ground, e, to, world, h):
     """The equations of one substep of eight wheels, into e[to], and where Newton's method starts."""
     r = world.radius
@@ -154,15 +155,17 @@ def _set_up(s, at, g, ground, e, to, world, h):
     to_array(u0 + share * du, e, to + _U1)
 
 
-@inlined
+@pasted
 def _iterate(e, at, n, to, world, h):
     """One pass of `dynamics.implicit_speeds` on the equations e[at] with Newton's state n[to]; 1 where it ended."""
     r, b, cu = world.radius, world.width, h * world.radius / world.inertia
     zero, one = fill(0.0), fill(1.0)
-    speed0, u0, cv, weight_along = from_array(e, at + _V0), from_array(e, at + _U0), from_array(e, at + _CV), from_array(e, at + _ALONG)
+    speed0, u0 = from_array(e, at + _V0), from_array(e, at + _U0)
+    cv, weight_along = from_array(e, at + _CV), from_array(e, at + _ALONG)
     load, K = from_array(e, at + _CARRIED), from_array(e, at + _SHEAR)
     command, by_speed = from_array(e, at + _GIVEN), from_array(e, at + _FOLLOW)
-    arcs = Arcs(from_array(e, at + _THETA1), from_array(e, at + _SIN1), from_array(e, at + _P_COS), from_array(e, at + _P_SIN))
+    theta1, sin1 = from_array(e, at + _THETA1), from_array(e, at + _SIN1)
+    arcs = Arcs(theta1, sin1, from_array(e, at + _P_COS), from_array(e, at + _P_SIN))
     v1, u1 = from_array(e, at + _V1), from_array(e, at + _U1)
     motion = motion_from_speeds(u1, v1, REST_SPEED)
     integrals = arcs_integrals(e, at + _NODES, arcs, motion[0], motion[1], K, r)
@@ -236,59 +239,54 @@ def _enter(e, n, k, block, i):
         n[to + row] = n[start + row]
 
 
-@kernel
+@pasted
 def _solve(e, n, count, world, h):
     """The speeds and reactions of `count` wheels at the end of a substep, into their states `n`.
 
-    One pass for all, on the spot; those that have not ended go on in the last block, where a lane takes the next as soon
-    as its wheel has ended.
+    One pass for all, on the spot; those that have not ended go on in the last block, where a lane takes the next as
+    soon as its wheel has ended.
     """
     blocks = (count + COUNT - 1) // COUNT
     waiting, which = _waiting(), _occupants()
     block = following = queue = working = 0
-    _begin(e, 0, n, 0)
     while True:
+        filling = block < blocks
+        if filling:
+            _begin(e, block * _EQUATIONS, n, block * _STATE)
         ended = bits(_iterate(e, block * _EQUATIONS, n, block * _STATE, world, h))
-        if block < blocks:
+        if filling:
             for i in range(min(count - block * COUNT, COUNT)):
                 if ended >> i & 1 == 0:
                     waiting[queue] = float(block * COUNT + i)
                     queue += 1
             block += 1
             if block < blocks:
-                _begin(e, block * _EQUATIONS, n, block * _STATE)
                 continue
-            if queue == 0:
-                return
-            block = MANY // COUNT
-            working = min(queue, COUNT)
+            block, ended = MANY // COUNT, (1 << COUNT) - 1
             for i in range(COUNT):
-                following = min(i, queue - 1)
-                _enter(e, n, int(waiting[following]), block, i)
-                which[i] = waiting[following] if i < queue else -1.0
-            following = working
-            continue
-        if ended == 0:
-            continue
+                which[i] = -1.0
         for i in range(COUNT):
-            k = int(which[i])
-            if ended >> i & 1 == 0 or k < 0:
+            if ended >> i & 1 == 0:
                 continue
-            start, to = block * _STATE + i, (k // COUNT) * _STATE + k % COUNT
-            for row in range(0, _RESULT, COUNT):
-                n[to + row] = n[start + row]
-            which[i] = -1.0
-            working -= 1
-            if following < queue:
-                _enter(e, n, int(waiting[following]), block, i)
-                which[i] = waiting[following]
-                working += 1
+            k = int(which[i])
+            if k >= 0:
+                start, to = block * _STATE + i, (k // COUNT) * _STATE + k % COUNT
+                for row in range(0, _RESULT, COUNT):
+                    n[to + row] = n[start + row]
+                which[i] = -1.0
+                working -= 1
+            if following < queue or (filling and queue > 0):  # no lane without a wheel, if only another's
+                k = int(waiting[min(following, queue - 1)])
+                _enter(e, n, k, block, i)
+                if following < queue:
+                    which[i] = float(k)
+                    working += 1
                 following += 1
         if working == 0:
             return
 
 
-@inlined
+@pasted
 def _gather_ground(s, at, g, ground, which, first, state, courses, world, h):
     """The ground under eight wheels in the middle of the substep."""
     for i in range(COUNT):
@@ -304,9 +302,9 @@ def _gather_ground(s, at, g, ground, which, first, state, courses, world, h):
         g[j + _GRADE] = grade
 
 
-@inlined
-def _move(s, at, g, ground, results, found, world, h):
-    """Eight wheels to the end of a substep, but those that are not alive or did not converge, which die."""
+@pasted
+def _move(s, at, g, ground, results, found, world, h, anyhow):
+    """Eight wheels to the end of a substep, but those not alive; who did not converge dies, unless `anyhow` is 1."""
     r = world.radius
     soil = SoilState(
         from_array(g, ground + _TAN_PHI), from_array(g, ground + _COHESION), from_array(g, ground + _K),
@@ -314,13 +312,15 @@ def _move(s, at, g, ground, results, found, world, h):
         from_array(g, ground + _RECOVERY),
     )  # fmt: skip
     v, u, f = from_array(results, found + _V), from_array(results, found + _U), _load_force(results, found + _FORCE)
-    alive = from_array(s, at + _ALIVE) * from_array(results, found + _CONVERGED)
+    converged = from_array(results, found + _CONVERGED)
+    alive = from_array(s, at + _ALIVE) * larger(converged, anyhow)
     speed, sinkage = from_array(s, at + _SPEED), from_array(s, at + _SINKAGE)
     bearing = bearing_sinkage(sinkage, f.modulus, soil)
     relaxed = relax_sinkage(sinkage, bearing, v, u - v, soil, world.relaxation, h)
     torque, _, available = motor(from_array(s, at + _COMMAND), from_array(s, at + _BY_SPEED), u / r, world)
     x, work = from_array(s, at + _X), from_array(s, at + _WORK)
     to_array(alive, s, at + _ALIVE)
+    to_array(_chosen(alive, from_array(s, at + _CLEAN) * converged, fill(1.0)), s, at + _CLEAN)
     to_array(_chosen(alive, x + 0.5 * h * (speed + v), x), s, at + _X)
     to_array(_chosen(alive, work + h * torque * u / r, work), s, at + _WORK)
     taken = from_array(s, at + _SOIL)
@@ -343,25 +343,26 @@ def _move(s, at, g, ground, results, found, world, h):
     to_array(_chosen(alive, left - h, left), s, at + _LEFT)
 
 
-@inlined
-def _load_wheels(s, at, which, first, state, commands, world):
+@pasted
+def _load_wheels(s, at, which, first, state, commands, world, left):
     """Eight wheels into the scratch."""
     for i in range(COUNT):
         w, j = state[int(which[first + i])], at + i
         halted = w.halt_left > 0.0
-        s[j + _X] = s[j + _START] = w.x
+        s[j + _X] = w.x
         s[j + _SPEED], s[j + _WHEEL_SPEED], s[j + _SINKAGE] = w.speed, w.wheel_speed, w.sinkage
         s[j + _MASS], s[j + _PULL], s[j + _TORQUE] = w.mass, w.drawbar_pull, w.torque
         s[j + _PULL_V], s[j + _PULL_U] = w.pull_by_speed, w.pull_by_rim
         s[j + _TORQUE_V], s[j + _TORQUE_U] = w.torque_by_speed, w.torque_by_rim
         s[j + _COMMAND] = 0.0 if halted else commands[first + i]
         s[j + _BY_SPEED] = 1.0 if halted or world.speed_command else 0.0
-        s[j + _WORK], s[j + _SOIL], s[j + _LEFT], s[j + _ALIVE] = 0.0, 0.0, world.period, 1.0
+        s[j + _WORK], s[j + _SOIL], s[j + _LEFT], s[j + _ALIVE] = w.motor_work, w.soil_work, left, 1.0
+        s[j + _CLEAN] = 1.0
         s[j + _MOTOR], s[j + _AVAILABLE], s[j + _LOAD] = w.motor_torque, w.available_torque, w.load
         s[j + _BEARING] = w.bearing_sinkage
 
 
-@inlined
+@pasted
 def _store_wheel(s, j, grade, w):
     """A wheel from its place j in the scratch."""
     w.x, w.speed, w.wheel_speed, w.sinkage = s[j + _X], s[j + _SPEED], s[j + _WHEEL_SPEED], s[j + _SINKAGE]
@@ -370,27 +371,20 @@ def _store_wheel(s, j, grade, w):
     w.torque_by_speed, w.torque_by_rim = s[j + _TORQUE_V], s[j + _TORQUE_U]
     w.motor_torque, w.available_torque, w.motor_work = s[j + _MOTOR], s[j + _AVAILABLE], s[j + _WORK]
     w.soil_work, w.bearing_sinkage, w.grade = s[j + _SOIL], s[j + _BEARING], grade
-    w.converged = 1
+    if s[j + _CLEAN] == 0.0:
+        w.converged = 0
 
 
-@kernel
-def advance_many(state, which, count, commands, courses, streams, world):
-    """`dynamics.advance` of `count` <= MANY wheels, which[i] with commands[i]; both [MANY] float64.
+@inner
+def _drive_many(state, which, count, commands, courses, world, left, longest, anyhow, lefts):
+    """Substeps of at most `longest` seconds for `left` seconds; lefts[i] is what then is left of them to wheel i.
 
-    The rest of their last block of eight is overwritten.
+    That is where Newton's method fails, and the wheel stays as it was before; with `anyhow` = 1 it goes on.
     """
-    if world.with_effects:
-        for i in range(count):
-            advance(state, int(which[i]), commands[i], courses, streams, world)
-        return
     blocks = (count + COUNT - 1) // COUNT
-    for i in range(count, blocks * COUNT):
-        which[i], commands[i] = which[count - 1], commands[count - 1]
     s, g, equations, states = _wheels(), _ground(), _equations(), _states()
     for b in range(blocks):
-        _load_wheels(s, b * _WHEELS, which, b * COUNT, state, commands, world)
-    longest = world.period / world.substeps
-    left = world.period
+        _load_wheels(s, b * _WHEELS, which, b * COUNT, state, commands, world, left)
     while left > 1e-9 * longest:
         h = min(longest, left)
         for b in range(blocks):
@@ -401,7 +395,7 @@ def advance_many(state, which, count, commands, courses, streams, world):
             for i in range(count - b * COUNT, COUNT):  # the repeated
                 for row in range(0, _RESULT, COUNT):
                     states[b * _STATE + row + i] = states[b * _STATE + row + (count - 1) % COUNT]
-            _move(s, b * _WHEELS, g, b * _GROUND, states, b * _STATE, world, h)
+            _move(s, b * _WHEELS, g, b * _GROUND, states, b * _STATE, world, h, anyhow)
         left -= h
         for i in range(count):
             k, j = int(which[i]), (i // COUNT) * _WHEELS + i % COUNT
@@ -413,8 +407,37 @@ def advance_many(state, which, count, commands, courses, streams, world):
                 leave_rut(courses, k, w.cell, s[j + _SINKAGE], s[j + _BEARING])
                 w.cell += 1 if cell > w.cell else -1
     for i in range(count):
-        k, j = int(which[i]), (i // COUNT) * _WHEELS + i % COUNT
-        _store_wheel(s, j, g[(i // COUNT) * _GROUND + _GRADE + i % COUNT], state[k])
-        if s[j + _LEFT] > 1e-9 * longest:
-            drive(state, k, s[j + _COMMAND], s[j + _BY_SPEED] > 0.0, courses, world, s[j + _LEFT])
-        finish(state, k, s[j + _COMMAND], s[j + _START], streams, world)
+        j = (i // COUNT) * _WHEELS + i % COUNT
+        _store_wheel(s, j, g[(i // COUNT) * _GROUND + _GRADE + i % COUNT], state[int(which[i])])
+        lefts[i] = s[j + _LEFT] if s[j + _LEFT] > 1e-9 * longest else 0.0
+
+
+@kernel
+def advance_many(state, which, count, commands, courses, streams, world):
+    """`dynamics.advance` of `count` <= MANY wheels, which[i] with commands[i]; both [MANY] float64.
+
+    The rest of their last block of eight is overwritten. For worlds without effects.
+    """
+    starts, lefts, alone, given, rest = _starts(), _lefts(), _occupants(), _alone(), _left_alone()
+    for i in range(count, (count + COUNT - 1) // COUNT * COUNT):
+        which[i], commands[i] = which[count - 1], commands[count - 1]
+    for i in range(count):
+        w = state[int(which[i])]
+        starts[i] = w.x
+        w.motor_work = w.soil_work = 0.0
+        w.converged = 1
+    longest = world.period / world.substeps
+    _drive_many(state, which, count, commands, courses, world, world.period, longest, 0.0, lefts)
+    one = min(count, 1)  # not a literal, for which numba would compile the whole once more
+    for i in range(count):
+        k, left, h = int(which[i]), lefts[i], longest
+        while left > 1e-9 * longest:  # Newton's method failed: halve the substep until it does not
+            alone[0], given[0], h = which[i], commands[i], min(h, left)
+            finest = h <= longest / FINEST
+            _drive_many(state, alone, one, given, courses, world, h, h, 1.0 if finest else 0.0, rest)
+            if rest[0] > 0.0 and not finest:
+                h *= 0.5
+            else:
+                left -= h
+                h = longest
+        finish(state, k, 0.0 if state[k].halt_left > 0.0 else commands[i], starts[i], streams, world)

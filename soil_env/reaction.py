@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from soil_env.compiled import inlined, kernel
+from soil_env.compiled import inlined, inner, kernel
 from soil_env.contact import (
     JANOSI,
     ShearLaw,
@@ -196,7 +196,7 @@ def with_added_forces(f, ground, speed, rim_speed, world):
     )
 
 
-@kernel
+@inner
 def _added_forces(ground, speed, rim_speed, soil_torque, world):
     """(pull [N], torque [N m]) that lugs, bulldozing, drivetrain friction and the residual law add."""
     fx, r = world.effects, world.radius

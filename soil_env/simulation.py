@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from soil_env.compiled import CACHE, Entry, kernel, pasted, take
+from soil_env.compiled import CACHE, Entry, inlined, kernel, pasted, take
 from soil_env.crew import crew
 from soil_env.drawing import CourseNumbers, course_numbers, draw_ahead, draw_course, extend_course, start_course
-from soil_env.dynamics import WHEEL_STATE, WorldNumbers, settle, world_numbers
+from soil_env.dynamics import WHEEL_STATE, WorldNumbers, advance, settle, world_numbers
 from soil_env.identifier import IdentifierNumbers, Identifiers, forget, identifier_numbers, new_identifiers, observe
-from soil_env.lanes import scratch
+from soil_env.lanes import COUNT, scratch
 from soil_env.loading import ParameterError
 from soil_env.lockstep import MANY, advance_many
 from soil_env.model import WheelSoilModel
@@ -25,7 +25,7 @@ from soil_env.terrain import Courses, new_courses
 _many = scratch(MANY)
 _TRIAL_COURSES = 8
 _RESTARTS = 100  # attempts at a course in the middle of a run, where there is nobody to change the scenario
-_CHUNK = MANY  # wheels that a thread takes at a time
+_LEAST = 32  # wheels that a thread takes at a time, at least; in a step up to MANY
 STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 
@@ -91,14 +91,25 @@ def report(worlds, numbers, k):
     )  # fmt: skip
 
 
+@inlined
+def _portion(counter, wheels):
+    """Wheels to take next: many at first, and fewer towards the end, so that the threads end together."""
+    share = (wheels - counter[0]) // (2 * counter[1]) // COUNT * COUNT
+    return MANY if counter[1] == 1 else min(max(share, _LEAST), MANY)
+
+
 @njit(cache=CACHE, error_model="numpy", _nrt=False, nogil=True)
 def step_chunks(worlds, numbers, commands, what, counter):
-    """Wheels by chunks from `counter` [1]: a control period (what[k] = STEP), `restart` (RESTART) or nothing (IDLE)."""
+    """A control period of wheels (what[k] = STEP), `restart` (RESTART) or nothing (IDLE), by chunks.
+
+    `counter`: [next wheel, threads at work].
+    """
     which, given = _many(), _many()
     wheels = what.size
-    start = take(counter, _CHUNK)
+    portion = _portion(counter, wheels)
+    start = take(counter, portion)
     while start < wheels:
-        stop, count = min(start + _CHUNK, wheels), 0
+        stop, count = min(start + portion, wheels), 0
         for k in range(start, stop):
             if what[k] == STEP:
                 which[count], given[count] = k, commands[k]
@@ -112,19 +123,35 @@ def step_chunks(worlds, numbers, commands, what, counter):
                 for i in range(count):
                     report(worlds, numbers, int(which[i]))
                 count = 0
-        start = take(counter, _CHUNK)
+        portion = _portion(counter, wheels)
+        start = take(counter, portion)
+
+
+@njit(cache=CACHE, error_model="numpy", _nrt=False, nogil=True)
+def step_chunks_with_effects(worlds, numbers, commands, what, counter):
+    """`step_chunks` of worlds with effects, one wheel after the other."""
+    wheels = what.size
+    start = take(counter, _LEAST)
+    while start < wheels:
+        for k in range(start, min(start + _LEAST, wheels)):
+            if what[k] == STEP:
+                advance(worlds.state, k, commands[k], worlds.courses, worlds.streams, numbers.world)
+                report(worlds, numbers, k)
+            elif what[k] == RESTART:
+                restart(worlds, numbers, k)
+        start = take(counter, _LEAST)
 
 
 @njit(cache=CACHE, error_model="numpy", _nrt=False, nogil=True)
 def restart_chunks(worlds, numbers, which, counter):
-    """`restart` the wheels with `which` True, by chunks from `counter` [1]."""
+    """`restart` the wheels with `which` True, by chunks; `counter` as in `step_chunks`."""
     wheels = which.size
-    start = take(counter, _CHUNK)
+    start = take(counter, _LEAST)
     while start < wheels:
-        for k in range(start, min(start + _CHUNK, wheels)):
+        for k in range(start, min(start + _LEAST, wheels)):
             if which[k]:
                 restart(worlds, numbers, k)
-        start = take(counter, _CHUNK)
+        start = take(counter, _LEAST)
 
 
 def _processors() -> int:
@@ -149,15 +176,17 @@ class Simulation:
         self.scenario = scenario
         self._threads = threads or _processors()
         self._restart = Entry(restart)
-        self._step_chunks, self._restart_chunks = Entry(step_chunks), Entry(restart_chunks)
+        self._restart_chunks = Entry(restart_chunks)
         self._commands, self._what = np.zeros(wheels), np.full(wheels, IDLE)
-        self._counter = np.zeros(1, dtype=np.int64)
+        self._counter = np.ones(2, dtype=np.int64)
         task = task_numbers(scenario, variant, model)
         if max_episode_steps is not None:
             task = task._replace(steps=min(task.steps, int(max_episode_steps)))
         self.numbers = Numbers(
             world_numbers(scenario, model), course_numbers(scenario, model), identifier_numbers(scenario), task
         )
+        effects = self.numbers.world.with_effects
+        self._step_chunks = Entry(step_chunks_with_effects if effects else step_chunks)
         self.worlds = Worlds(
             np.zeros(wheels, dtype=WHEEL_STATE),
             new_courses(wheels, scenario),
@@ -197,7 +226,7 @@ class Simulation:
     def step(self, k: int, command: float) -> None:
         """One control period of wheel k."""
         self._commands[k], self._what[k] = command, STEP
-        self._counter[0] = 0
+        self._counter[:] = 0, 1
         self._step_chunks(self.worlds, self.numbers, self._commands, self._what, self._counter)
         self._what[k] = IDLE
 
@@ -214,10 +243,10 @@ class Simulation:
 
     def _in_parallel(self, kernel, *arrays) -> None:
         """Run a kernel over all wheels in several threads (it holds no lock, and they share no row)."""
-        chunks = -(-self.worlds.reward.size // _CHUNK)
-        self._counter[0] = 0
+        threads = min(self._threads, -(-self.worlds.reward.size // _LEAST))
+        self._counter[:] = 0, threads
         arguments = (self.worlds, self.numbers, *arrays, self._counter)
-        if self._threads == 1 or chunks == 1:
+        if threads == 1:
             kernel(*arguments)
         else:
-            crew(self._threads).run(kernel, arguments, min(self._threads, chunks) - 1)
+            crew(self._threads).run(kernel, arguments, threads - 1)
