@@ -44,7 +44,8 @@ from soil_env.stopping import terminable  # noqa: E402
 NAME = "benchmarks.blind"
 ROOT = Path(__file__).resolve().parent.parent
 FOLLOWS_FROM = (  # modules of soil_env that the records follow from, besides discrepancy
-    "catalogue", "compiled", "contact", "effects", "lanes", "loading", "measurement", "model", "parameters", "residual",
+    "catalogue", "compiled", "contact", "effects", "lanes", "loading", "measurement", "measurement_setup", "model",
+    "parameters", "residual", "steady",
 )  # fmt: skip
 APART = (  # modules of discrepancy and of the benchmark from which no record follows
     "__main__", "closing", "cmu", "equations", "formulas", "page", "pictures", "report", "unlisted", "words",
