@@ -25,6 +25,12 @@ def replace_file(path: str | Path, content: bytes | str) -> None:
         raise
 
 
+def is_unused(folder: str | Path) -> bool:
+    """Whether a folder is not there, or holds nothing but what a `replace_file` that was killed has left."""
+    folder = Path(folder)
+    return not folder.is_dir() or all(p.name.startswith(".") and p.suffix == ".partial" for p in folder.iterdir())
+
+
 def _remove(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
