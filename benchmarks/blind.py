@@ -37,8 +37,9 @@ from agents.progress import Bar  # noqa: E402
 from benchmarks import blind_page  # noqa: E402
 from benchmarks.blind_judge import figures  # noqa: E402
 from benchmarks.blind_study import IN_ALL, Task, solve, tasks  # noqa: E402
-from soil_env.files import append_line, replace_file  # noqa: E402
+from soil_env.files import append_line, make_folder, replace_file  # noqa: E402
 from soil_env.loading import ParameterError  # noqa: E402
+from soil_env.starting import leave  # noqa: E402
 from soil_env.stopping import terminable  # noqa: E402
 
 NAME = "benchmarks.blind"
@@ -171,7 +172,6 @@ def read_result(path: Path) -> dict:
 
 def write_result(result: dict, folder: Path) -> None:
     """discrepancy.json with one line a case, the page and its plots."""
-    folder.mkdir(parents=True, exist_ok=True)
     head = json.dumps({k: v for k, v in result.items() if k != "cases"}, indent=1, allow_nan=False)
     lines = ",\n".join(json.dumps(r, allow_nan=False) for r in result["cases"])
     text = head.removesuffix("\n}") + ',\n "cases": [\n' + lines + "\n]}\n"
@@ -188,6 +188,7 @@ def main(arguments: list[str] | None = None) -> int:
         if options.page:
             result = read_result(options.out / "discrepancy.json")
         else:
+            make_folder(options.out)
             result = study(options, console)
         write_result(result, options.out)
     except ParameterError as error:
@@ -239,4 +240,4 @@ def _seed(text: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(importlib.import_module(NAME).main())  # by its name, under which other processes find `_solve`
+    leave(importlib.import_module(NAME).main())  # by its name, under which other processes find `_solve`

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import tempfile
 from pathlib import Path
 
 
@@ -23,6 +24,17 @@ def replace_file(path: str | Path, content: bytes | str) -> None:
     except BaseException:
         _remove(partial)
         raise
+
+
+def make_folder(folder: str | Path) -> None:
+    """Make a folder where there is none, and see that files can be put into it: OSError now, not after the work."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from None
 
 
 def is_unused(folder: str | Path) -> bool:

@@ -1,7 +1,7 @@
 """Work that is killed with SIGKILL over and over and begun again, until it ends: `python -m tests.killing NAME FOLDER`.
 
-Each process is a fork of this one, which has done the work undisturbed, so that everything is loaded. It is killed where
-it puts a file in its place (`os.replace`, that is every file of `soil_env.files.replace_file`), before or after that.
+Each process is a fork of this one, which has done the work undisturbed, so that everything is loaded. It is killed
+where it puts a file in its place (`os.replace`, as `soil_env.files.replace_file` does), before or after that.
 """
 
 import functools

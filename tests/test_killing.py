@@ -1,4 +1,4 @@
-"""Commands that are killed with SIGKILL again and again and begun again give what they give undisturbed, to the byte."""
+"""Commands that are killed with SIGKILL and begun again, many times, give what they give undisturbed, to the byte."""
 
 import os
 import subprocess
