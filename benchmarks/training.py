@@ -243,7 +243,8 @@ def main(arguments: list[str] | None = None) -> int:
         prog="python benchmarks/training.py",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  OUT/training.json, training.md, training.png\n\nexit status:\n  0 done; 2 a folder that cannot be written; 130 interrupted\n\n"
+        epilog="files:\n  OUT/training.json, training.md, training.png\n\nexit status:\n"
+        "  0 done; 2 a folder that cannot be written; 130 interrupted\n\n"
         "examples:\n"
         "  python benchmarks/training.py --smoke --out /tmp/training",
     )
