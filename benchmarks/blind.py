@@ -129,6 +129,7 @@ def study(options: argparse.Namespace, console: Console) -> dict:
     local = options.engine == "local"
     workers = 2 if local and options.workers is None else options.workers
     engine = engines.choose(options.engine, None if local and workers == 1 else workers, options.address)
+    make_folder(options.out)
     about = {"seed": options.seed, "smoke": options.smoke, "code": code_version()}
     path = options.records or (
         options.out / "cases.jsonl" if options.smoke else ROOT / "runs" / "blind" / f"seed-{options.seed}.jsonl"
@@ -188,7 +189,6 @@ def main(arguments: list[str] | None = None) -> int:
         if options.page:
             result = read_result(options.out / "discrepancy.json")
         else:
-            make_folder(options.out)
             result = study(options, console)
         write_result(result, options.out)
     except ParameterError as error:

@@ -15,7 +15,7 @@ from tests.test_sim2real import WORLDS
 OUT, PAGE = ["--out", "{}"], ["--page", "{}/page.md"]
 #: command -> (module, its name in messages, arguments, what does the work)
 COMMANDS = {
-    "blind": (blind, "benchmarks.blind", OUT, "study"),
+    "blind": (blind, "benchmarks.blind", OUT, "tasks"),
     "clients": (clients, "benchmarks.clients", ["zoo", *OUT], "environment"),
     "cmu": (cmu, "benchmarks.cmu", OUT, "study"),
     "fuzz": (fuzz, "benchmarks.fuzz", PAGE, "run"),
@@ -86,7 +86,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(command, capsys, monkeypatch
         monkeypatch.setattr(clients, "smoke", lambda *args: [{"words": LARGE}])
     elif command != "sim2real":
         result = {"notes": [], "text": LARGE, "cases": [], "figures": {}}
-        monkeypatch.setattr(module, work, lambda *args: result)
+        monkeypatch.setattr(module, "study" if module is blind else work, lambda *args: result)
         monkeypatch.setattr(cmu, "page", lambda *args: LARGE)
         monkeypatch.setattr(blind.blind_page, "write", large)
         monkeypatch.setattr(paper, "paper_page", types.SimpleNamespace(
