@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import importlib
 import sys
 from pathlib import Path
 
 import yaml
 
 from soil_env.loading import ParameterError, merge, parse_yaml, read_yaml
-from soil_env.starting import started
 from soil_env.stopping import terminable
 
 _FILES = """
@@ -91,14 +91,18 @@ def overrides(arguments: list[str]) -> dict:
     return out
 
 
-@terminable
 def main(arguments: list[str] | None = None, description: str = "") -> int:
     """Run train.py; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options, rest = parser(description).parse_known_args(arguments)
+    importlib.import_module("agents.training")  # takes seconds, in which Ctrl-C ends the process at once
+    return _run(options, rest)
+
+
+@terminable
+def _run(options: argparse.Namespace, rest: list[str]) -> int:
     from agents import ppo, training
     from soil_env.parameters import load_scenario
 
-    started()
     folder = None
     try:
         for name in ("config", "resume"):

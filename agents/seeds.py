@@ -33,6 +33,8 @@ from agents.ppo import TrainConfig
 from agents.progress import Bar
 from soil_env.loading import ParameterError, merge, read_yaml
 from soil_env.parameters import Scenario, load_scenario
+from soil_env.starting import leave
+from soil_env.stopping import terminable
 
 NAME = "agents.seeds"
 _SET_HERE = ("seed", "name", "runs")
@@ -127,6 +129,7 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
+@terminable
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     options, rest = parser().parse_known_args(arguments)
@@ -162,4 +165,4 @@ def _refuse(message: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

@@ -13,7 +13,7 @@ Examples:
 
 from __future__ import annotations
 
-import sys
+from soil_env.starting import leave
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -27,4 +27,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

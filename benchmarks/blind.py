@@ -37,14 +37,16 @@ from agents.progress import Bar  # noqa: E402
 from benchmarks import blind_page  # noqa: E402
 from benchmarks.blind_judge import figures  # noqa: E402
 from benchmarks.blind_study import IN_ALL, Task, solve, tasks  # noqa: E402
-from soil_env.files import append_line, replace_file  # noqa: E402
+from soil_env.files import append_line, make_folder, replace_file  # noqa: E402
 from soil_env.loading import ParameterError  # noqa: E402
+from soil_env.starting import leave  # noqa: E402
 from soil_env.stopping import terminable  # noqa: E402
 
 NAME = "benchmarks.blind"
 ROOT = Path(__file__).resolve().parent.parent
 FOLLOWS_FROM = (  # modules of soil_env that the records follow from, besides discrepancy
-    "catalogue", "compiled", "contact", "effects", "lanes", "loading", "measurement", "model", "parameters", "residual",
+    "catalogue", "compiled", "contact", "effects", "lanes", "loading", "measurement", "measurement_setup", "model",
+    "parameters", "residual", "steady",
 )  # fmt: skip
 APART = (  # modules of discrepancy and of the benchmark from which no record follows
     "__main__", "closing", "cmu", "equations", "formulas", "page", "pictures", "report", "unlisted", "words",
@@ -127,6 +129,7 @@ def study(options: argparse.Namespace, console: Console) -> dict:
     local = options.engine == "local"
     workers = 2 if local and options.workers is None else options.workers
     engine = engines.choose(options.engine, None if local and workers == 1 else workers, options.address)
+    make_folder(options.out)
     about = {"seed": options.seed, "smoke": options.smoke, "code": code_version()}
     path = options.records or (
         options.out / "cases.jsonl" if options.smoke else ROOT / "runs" / "blind" / f"seed-{options.seed}.jsonl"
@@ -170,7 +173,6 @@ def read_result(path: Path) -> dict:
 
 def write_result(result: dict, folder: Path) -> None:
     """discrepancy.json with one line a case, the page and its plots."""
-    folder.mkdir(parents=True, exist_ok=True)
     head = json.dumps({k: v for k, v in result.items() if k != "cases"}, indent=1, allow_nan=False)
     lines = ",\n".join(json.dumps(r, allow_nan=False) for r in result["cases"])
     text = head.removesuffix("\n}") + ',\n "cases": [\n' + lines + "\n]}\n"
@@ -238,4 +240,4 @@ def _seed(text: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(importlib.import_module(NAME).main())  # by its name, under which other processes find `_solve`
+    leave(importlib.import_module(NAME).main())  # by its name, under which other processes find `_solve`

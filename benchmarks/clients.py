@@ -23,7 +23,10 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from soil_env.files import make_folder, replace_file
 from soil_env.loading import ParameterError, unknown_key
+from soil_env.starting import leave
+from soil_env.stopping import terminable
 
 NAME = "benchmarks.clients"
 ROOT = Path(__file__).resolve().parent.parent
@@ -182,6 +185,7 @@ def page(result: dict) -> str:
     return "\n".join(lines) + "\n"
 
 
+@terminable
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     p = argparse.ArgumentParser(
@@ -197,25 +201,29 @@ def main(arguments: list[str] | None = None) -> int:
         for name in options.clients:
             if name not in CLIENTS:
                 raise unknown_key(name, CLIENTS, "CLIENT")
+        make_folder(options.out)
         result = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
         for name in [] if options.page else options.clients or CLIENTS:
             python = environment(name, CLIENTS[name], options.envs.resolve())
             found = versions(python, CLIENTS[name])
             result[name] = {"versions": found, "runs": smoke(name, CLIENTS[name], python)}
-            options.out.mkdir(parents=True, exist_ok=True)
-            file.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        (options.out / "clients.md").write_text(page(result), encoding="utf-8")
+            replace_file(file, json.dumps(result, indent=1) + "\n")
+        replace_file(options.out / "clients.md", page(result))
     except ParameterError as error:
         print(f"{NAME}: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"{NAME}: {error.filename or options.out}: {error.strerror}", file=sys.stderr)
         return 2
     except subprocess.CalledProcessError as error:
         print(f"{NAME}: {error.cmd[0]} ended with {error.returncode}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
+        print(f"\n{NAME}: interrupted", file=sys.stderr)
         return 130
     asked = options.clients or CLIENTS
     return 0 if options.page or all(run["ok"] for name in asked for run in result[name]["runs"]) else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

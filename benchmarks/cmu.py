@@ -22,9 +22,10 @@ from pathlib import Path
 import yaml
 
 from soil_env.discrepancy import cmu, run
-from soil_env.files import replace_file
+from soil_env.files import make_folder, replace_file
 from soil_env.loading import ParameterError
 from soil_env.measurement import Prior, Setup, SetupWheel, SoilPriors, read_setup
+from soil_env.starting import leave
 from soil_env.stopping import terminable
 
 OTHER_SIZE = (0.0625, 0.060)  # [m] radius, width in qishuny/3D-RFT-wheel
@@ -55,20 +56,19 @@ def main(arguments: list[str] | None = None) -> int:
     options = p.parse_args(arguments)
     home = Path(os.environ.get("SOIL_ENV_DATA", Path(__file__).parents[2] / "shared" / "data"))
     try:
+        make_folder(options.out)
         result = study(options.data or home / "cmu_single_wheel")
+        replace_file(options.out / "discrepancy_cmu.json", json.dumps(result, indent=1) + "\n")
+        replace_file(options.out / "discrepancy_cmu.md", page(result))
     except ParameterError as error:
         print(f"benchmarks.cmu: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("\nbenchmarks.cmu: interrupted, nothing written", file=sys.stderr)
-        return 130
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-        replace_file(options.out / "discrepancy_cmu.json", json.dumps(result, indent=1) + "\n")
-        replace_file(options.out / "discrepancy_cmu.md", page(result))
     except OSError as error:
         print(f"benchmarks.cmu: {error.filename or options.out}: {error.strerror}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("\nbenchmarks.cmu: interrupted", file=sys.stderr)
+        return 130
     print(f"written: {options.out / 'discrepancy_cmu.json'} and .md")
     return 0
 
@@ -173,4 +173,4 @@ def page(result: list[dict]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

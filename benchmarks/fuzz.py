@@ -28,8 +28,9 @@ from gymnasium.vector import AutoresetMode
 from benchmarks.fuzz_cases import Case, Random, draw_case
 from benchmarks.fuzz_checks import faults, ledger
 from soil_env.env import SoilWheelEnv
-from soil_env.files import replace_file
+from soil_env.files import make_folder, replace_file
 from soil_env.loading import ParameterError
+from soil_env.starting import leave
 from soil_env.stopping import terminable
 from soil_env.task import Cause
 from soil_env.vector_env import SoilWheelVectorEnv
@@ -248,13 +249,18 @@ def summary(tally: Tally, seed: int) -> str:
 
 def renew(page: Path, name: str, text: str) -> None:
     """Put `text` between the markers of that name in a page."""
-    old = page.read_text(encoding="utf-8")
-    new, count = re.subn(
-        rf"<!-- {name} -->\n.*?<!-- end -->", lambda _: f"<!-- {name} -->\n{text}\n<!-- end -->", old, flags=re.DOTALL
-    )
-    if count != 1:
-        raise ParameterError(f"{page}: expected one pair of markers <!-- {name} --> ... <!-- end -->, found {count}")
-    replace_file(page, new)
+    before, after = around(page, name)
+    replace_file(page, f"{before}{text}{after}")
+
+
+def around(page: Path, name: str) -> tuple[str, str]:
+    """What stands before and after the marked part of a page; ParameterError or OSError if it cannot be renewed."""
+    make_folder(page.parent)
+    parts = re.split(rf"(?<=<!-- {name} -->\n).*?(?=\n<!-- end -->)", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    if len(parts) != 2:
+        found = len(parts) - 1
+        raise ParameterError(f"{page}: expected one pair of markers <!-- {name} --> ... <!-- end -->, found {found}")
+    return parts[0], parts[1]
 
 
 @terminable
@@ -272,6 +278,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if options.seed < 0 or (options.case or 0) < 0:
             raise ParameterError("--seed, --case: expected whole numbers >= 0")
+        if options.page is not None:
+            around(options.page, "fuzz")  # before the work
         tally = run(options.seed, options.steps, options.case, lambda text: print(text, flush=True))
         text = summary(tally, options.seed)
         if options.page is not None:
@@ -300,4 +308,4 @@ def _count(text: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

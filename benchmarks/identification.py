@@ -23,13 +23,14 @@ from scipy.optimize import root
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import identification_online, identification_page  # noqa: E402
-from soil_env.files import replace_file
+from soil_env.files import make_folder, replace_file
 from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict  # noqa: E402
 from soil_env.identification.point import POINT_SIZE, WEIGHTS, weigh  # noqa: E402
 from soil_env.identification.solver import solve  # noqa: E402
 from soil_env.identification.uniqueness import other_soil  # noqa: E402
 from soil_env.model import steady_state  # noqa: E402
 from soil_env.parameters import Soil, SoilState, soils  # noqa: E402
+from soil_env.starting import leave
 from soil_env.stopping import terminable
 
 PAPER = Reading(cohesion=3000.0, exponent=0.47, radius=0.6274, width=0.1524)  # the wheel and sand of the source paper
@@ -371,7 +372,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--smoke", action="store_true", help="seconds instead of minutes, numbers without meaning")
     options = p.parse_args(arguments)
     try:
-        options.out.mkdir(parents=True, exist_ok=True)
+        make_folder(options.out)
         result = study(options.seed, options.smoke)
         identification_page.write(result, options.out)
         replace_file(options.out / "identification.json", json.dumps(result, indent=1, allow_nan=True) + "\n")
@@ -386,4 +387,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

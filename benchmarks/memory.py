@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.fuzz import renew
+from benchmarks.fuzz import around, renew
 from soil_env.env import SoilWheelEnv
 from soil_env.loading import ParameterError, config_dir
+from soil_env.starting import leave
 from soil_env.stopping import terminable
 from soil_env.vector_env import SoilWheelVectorEnv
 
@@ -81,6 +82,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if not 0.0 < options.share <= 100.0:
             raise ParameterError(f"--share {options.share}: expected a number in (0, 100]")
+        if options.page is not None:
+            around(options.page, "memory")  # before the work
         counts = round(1e7 * options.share), round(2e5 * options.share)
         rows = [
             (f"vector, 1024 wheels, {counts[0]:,} steps", vector(counts[0], 1024)),
@@ -106,4 +109,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

@@ -30,8 +30,9 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks import throughput_parts, throughput_page  # noqa: E402, I001
 from soil_env.env import SoilWheelEnv  # noqa: E402
-from soil_env.files import replace_file  # noqa: E402
+from soil_env.files import make_folder, replace_file  # noqa: E402
 from soil_env.simulation import IDLE, STEP  # noqa: E402
+from soil_env.starting import leave  # noqa: E402
 from soil_env.stopping import terminable  # noqa: E402
 from soil_env.task import Cause  # noqa: E402
 from soil_env.vector_env import SoilWheelVectorEnv  # noqa: E402
@@ -303,7 +304,8 @@ def main(arguments: list[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="files:\n  OUT/performance.json\n  OUT/performance.md, docs/performance.md with its tables renewed\n\n"
-        "exit status:\n  0 done\n\nexamples:\n  python benchmarks/throughput.py --smoke --out /tmp/throughput",
+        "exit status:\n  0 done; 2 a folder that cannot be written; 130 interrupted\n\nexamples:\n"
+        "  python benchmarks/throughput.py --smoke --out /tmp/throughput",
     )
     parser.add_argument("--smoke", action="store_true", help="seconds instead of minutes, numbers without meaning")
     parser.add_argument(
@@ -312,7 +314,7 @@ def main(arguments: list[str] | None = None) -> int:
     )  # fmt: skip
     options = parser.parse_args(arguments)
     try:
-        options.out.mkdir(parents=True, exist_ok=True)
+        make_folder(options.out)
         result = run(options.smoke, print)
         for note in result["notes"]:
             print(note)
@@ -333,4 +335,4 @@ def _write(result: dict, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

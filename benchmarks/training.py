@@ -29,11 +29,13 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from agents import evaluate, ppo  # noqa: E402, I001
-from agents.evaluate.study import replace_file  # noqa: E402
 from agents.timing import TRAINING, Times, Timing  # noqa: E402
 from benchmarks import training_page  # noqa: E402
 from benchmarks.throughput import machine, spread  # noqa: E402
+from soil_env.files import make_folder, replace_file  # noqa: E402
 from soil_env.parameters import load_scenario  # noqa: E402
+from soil_env.starting import leave  # noqa: E402
+from soil_env.stopping import terminable  # noqa: E402
 
 VALIDATION_SET = 3_000_017  # courses, see `evaluate.course_rng`
 
@@ -213,25 +215,8 @@ def jobs(smoke: bool) -> list[tuple]:
     ]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python benchmarks/training.py",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  OUT/training.json, training.md, training.png\n\nexit status:\n  0 done\n\nexamples:\n"
-        "  python benchmarks/training.py --smoke --out /tmp/training",
-    )
-    parser.add_argument("--smoke", action="store_true", help="seconds instead of an hour, numbers without meaning")
-    parser.add_argument(
-        "--out", metavar="OUT", type=Path, default=ROOT / "docs",
-        help="folder of training.json, .md and .png (default: docs of the clone)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--run", metavar="RUN", type=Path, help="run folder of train.py whose wall time goes onto the page"
-    )
-    options = parser.parse_args(arguments)
-    options.out.mkdir(parents=True, exist_ok=True)
+def measure(options: argparse.Namespace) -> None:
+    """Measure what training.json does not have yet, and write it, its page and its figure."""
     path = options.out / "training.json"
     result = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {"runs": []}
     result.setdefault("machine", machine() | {"torch": torch.__version__})
@@ -249,8 +234,40 @@ def main(arguments: list[str] | None = None) -> int:
     keep(result, path)
     training_page.figure(result, options.out / "training.png")
     training_page.write(result, ROOT / "docs" / "training.md", options.out / "training.md")
+
+
+@terminable
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python benchmarks/training.py",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="files:\n  OUT/training.json, training.md, training.png\n\nexit status:\n"
+        "  0 done; 2 a folder that cannot be written; 130 interrupted\n\n"
+        "examples:\n"
+        "  python benchmarks/training.py --smoke --out /tmp/training",
+    )
+    parser.add_argument("--smoke", action="store_true", help="seconds instead of an hour, numbers without meaning")
+    parser.add_argument(
+        "--out", metavar="OUT", type=Path, default=ROOT / "docs",
+        help="folder of training.json, .md and .png (default: docs of the clone)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--run", metavar="RUN", type=Path, help="run folder of train.py whose wall time goes onto the page"
+    )
+    options = parser.parse_args(arguments)
+    try:
+        make_folder(options.out)
+        measure(options)
+    except OSError as error:
+        print(f"training.py: {error.filename or options.out}: {error.strerror}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\ntraining.py: interrupted; the same command goes on", file=sys.stderr)
+        return 130
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.throughput_page import table
-from soil_env.files import replace_file
+from soil_env.files import replace_file, save_figure
 
 PARTS = ("env", "policy", "update")
 
@@ -106,7 +106,7 @@ def figure(result: dict, path: Path) -> None:
     axes[0].set_title("every layout, the same short time")
     axes[1].set_title("finalists, a curve a seed")
     figure.tight_layout()
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path, dpi=130)
     plt.close(figure)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import tempfile
 from pathlib import Path
 
 
@@ -23,6 +24,23 @@ def replace_file(path: str | Path, content: bytes | str) -> None:
     except BaseException:
         _remove(partial)
         raise
+
+
+def make_folder(folder: str | Path) -> None:
+    """Make a folder where there is none, and see that files can be put into it: OSError now, not after the work."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from None
+
+
+def is_unused(folder: str | Path) -> bool:
+    """Whether a folder is not there, or holds nothing but what a `replace_file` that was killed has left."""
+    folder = Path(folder)
+    return not folder.is_dir() or all(p.name.startswith(".") and p.suffix == ".partial" for p in folder.iterdir())
 
 
 def _remove(path: Path) -> None:

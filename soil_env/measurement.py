@@ -1,9 +1,9 @@
-"""Measurement tables and the setup beside them: one row is one steady point of a wheel in a test rig or on a rover.
+"""Measurement tables: one row is one steady point of a wheel in a test rig or on a rover.
 
-`read_table` reads the table (CSV, or Parquet where pyarrow is installed), `read_setup` the YAML file that says which
-wheel it was, what is known of the soil and how noisy the sensors are. Everything is in SI units. What cannot be right
-is refused with one line that names the file, the row, the column, the value and what was expected (`ParameterError`);
-rows are counted as lines of the file, the header being row 1.
+`read_table` reads the table: CSV, or Parquet where pyarrow is installed. The YAML file beside it is the business of
+`soil_env.measurement_setup`, whose names can be had from here, too. Everything is in SI units. What cannot be right is
+refused with one line that names the file, the row, the column, the value and what was expected (`ParameterError`); rows
+are counted as lines of the file, the header being row 1.
 """
 
 from __future__ import annotations
@@ -18,10 +18,16 @@ from pathlib import Path
 
 import numpy as np
 
-from soil_env.loading import Checked, ParameterError, load, quantity, read_yaml
-from soil_env.parameters import Soil
-
-# --- the table --------------------------------------------------------------------------------------------------------
+from soil_env.loading import ParameterError
+from soil_env.measurement_setup import (  # noqa: F401
+    LARGEST_WHEEL,
+    NoiseLevels,
+    Prior,
+    Setup,
+    SetupWheel,
+    SoilPriors,
+    read_setup,
+)
 
 REQUIRED = ("slip", "load")
 MEASURED = ("sinkage", "drawbar_pull", "torque")
@@ -32,7 +38,6 @@ UNITS = {
     "wheel_width": "m", "grouser_height": "m", "sinkage": "m", "drawbar_pull": "N", "torque": "N m",
 }  # fmt: skip
 
-LARGEST_WHEEL = 3.0  # [m] as in `parameters.Wheel`
 DEEPEST = 1.0  # [m] a larger sinkage is taken for millimetres
 STEEPEST = 60.0  # [deg]
 FASTEST = 40.0  # [m/s] a larger speed is taken for mm/s
@@ -272,137 +277,3 @@ def in_radians(cells: list[str]) -> bool:
         return digits >= 3 and abs(round(math.radians(round(math.degrees(x))), digits) - x) < 10.0**-digits * 1e-3
 
     return bool(numbers) and all(abs(x) < math.radians(40.0) and whole_degrees(x, d) for x, d in numbers)
-
-
-# --- the setup --------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class SetupWheel(Checked):
-    """The wheel that was measured; `grouser_height` 0 is a smooth rim, None one of which nothing is said."""
-
-    radius: float = quantity("m", 0.01, LARGEST_WHEEL)
-    width: float = quantity("m", 0.005, LARGEST_WHEEL)
-    grouser_height: float | None = quantity("m", 0.0, 1.0, default=None)
-
-
-@dataclass(frozen=True)
-class Prior(Checked):
-    """What is known of a parameter before the table: its value and standard deviation, 0 if it is known exactly."""
-
-    value: float = quantity("")
-    sd: float = quantity("", 0.0)
-
-    @property
-    def known(self) -> bool:
-        """Whether the value is not to be fitted."""
-        return self.sd == 0.0
-
-
-@dataclass(frozen=True)
-class SoilPriors(Checked):
-    """Priors of the soil, `parameters.Soil` for their meaning; None is to be fitted with a broad prior.
-
-    `dig_gain` and `dig_recovery` are known or nothing: digging that the model is to have before any effect is sought,
-    none where they are left out.
-    """
-
-    friction_angle_deg: Prior | None = None
-    cohesion: Prior | None = None
-    shear_modulus: Prior | None = None
-    sinkage_coefficient: Prior | None = None
-    sinkage_exponent: Prior | None = None
-    k_c: Prior | None = None
-    k_phi: Prior | None = None
-    density: Prior | None = None
-    dig_gain: Prior | None = None
-    dig_recovery: Prior | None = None
-
-    def __post_init__(self):
-        limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
-        for f in dataclasses.fields(self):
-            prior, limit = getattr(self, f.name), limits[f.name]
-            if prior is not None and not limit["low"] <= prior.value <= limit["high"]:
-                expected = f"a number in [{limit['low']:g}, {limit['high']:g}] {limit['unit']}".rstrip()
-                raise ParameterError(f"{f.name} = {prior.value:g}: expected {expected}")
-        for name in ("dig_gain", "dig_recovery"):
-            if getattr(self, name) is not None and not getattr(self, name).known:
-                raise ParameterError(f"{name}: expected a plain number; digging that is not known is an effect to find")
-        if self.dig_recovery is not None and self.dig_gain is None:
-            raise ParameterError("dig_recovery: expected only with dig_gain")
-        pair = (self.k_c is not None) + (self.k_phi is not None)
-        if pair == 1 or (pair == 2 and self.sinkage_coefficient is not None):
-            raise ParameterError("expected either sinkage_coefficient, or both k_c and k_phi, or none of them")
-        if pair == 2 and self.k_phi.value <= 0.0:
-            raise ParameterError(f"k_phi = {self.k_phi.value:g}: expected a number > 0 N/m^(n+2)")
-
-    def lumped(self, width: float) -> Prior | None:
-        """Prior of S [N/m^(n+2)] under a wheel of width b [m]: k_c/b + k_phi where these are given."""
-        if self.k_c is None:
-            return self.sinkage_coefficient
-        value = self.k_c.value / width + self.k_phi.value
-        if value <= 0.0:
-            raise ParameterError(f"soil: k_c/b + k_phi = {value:g} for a wheel of width {width:g} m: expected > 0")
-        return Prior(value, math.hypot(self.k_c.sd / width, self.k_phi.sd))
-
-
-@dataclass(frozen=True)
-class NoiseLevels(Checked):
-    """Standard deviations of the measured values; None is to be estimated from the table.
-
-    `slip` and `load` are conditions: left out, they count as exact.
-    """
-
-    sinkage: float | None = quantity("m", default=None)
-    drawbar_pull: float | None = quantity("N", default=None)
-    torque: float | None = quantity("N m", default=None)
-    slip: float | None = quantity("", default=None)
-    load: float | None = quantity("N", default=None)
-
-    def __post_init__(self):
-        for f in dataclasses.fields(self):
-            value = getattr(self, f.name)
-            if value is not None and not 0.0 < value < math.inf:
-                unit = f" {f.metadata['unit']}".rstrip()
-                raise ParameterError(f"{f.name} = {value:g}: expected a standard deviation > 0{unit}, or leave it out")
-
-
-@dataclass(frozen=True)
-class Setup(Checked):
-    """What is known about a measurement table."""
-
-    wheel: SetupWheel
-    soil: SoilPriors = SoilPriors()
-    noise: NoiseLevels = NoiseLevels()
-
-    def __post_init__(self):
-        sinkage = self.noise.sinkage
-        if sinkage is not None and sinkage > 0.5 * self.wheel.radius:
-            raise ParameterError(
-                f"noise: sinkage = {sinkage:g}: expected metres, well below the wheel radius {self.wheel.radius:g} m "
-                "(if it is millimetres, divide by 1000)"
-            )
-
-
-def read_setup(path: str | Path) -> Setup:
-    """The setup in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
-    path = Path(path)
-    mapping = read_yaml(path)
-    where = str(path)
-    for section in ("soil", "noise"):
-        if section in mapping and mapping[section] is None:
-            del mapping[section]  # a heading with nothing below it
-    if isinstance(mapping.get("soil"), dict):
-        mapping["soil"] = {key: _prior(v, f"{where}: soil.{key}") for key, v in mapping["soil"].items()}
-    return load(Setup, mapping, where)
-
-
-def _prior(value, where: str):
-    """A number as a known `Prior` mapping; a mapping must have an sd > 0."""
-    if isinstance(value, dict):
-        if "sd" in value and isinstance(value["sd"], (int, float)) and not value["sd"] > 0.0:
-            raise ParameterError(f"{where}: sd = {value['sd']!r}: expected > 0 (write a known value as a plain number)")
-        return value
-    if value is None or isinstance(value, list):
-        raise ParameterError(f"{where} = {value!r}: expected a number or {{value: ..., sd: ...}}, or leave it out")
-    return {"value": value, "sd": 0.0}

@@ -51,7 +51,7 @@ from soil_env.paper_points import (
     unknowns,
 )
 from soil_env.parameters import Soil, soils
-from soil_env.starting import INTERRUPTED, leave, started
+from soil_env.starting import INTERRUPTED, leave
 from soil_env.stopping import terminable
 from soil_env.traversability import Best, best_working_point
 
@@ -264,7 +264,6 @@ def _seed(text: str) -> int:
 @terminable
 def main(arguments: list[str] | None = None) -> int:
     """Command line; exit status."""
-    started()
     options = _parser().parse_args(arguments)
     try:
         if options.out is not None:

@@ -6,33 +6,67 @@ import signal
 import threading
 from collections.abc import Callable
 from functools import wraps
+from types import FrameType
 
-from soil_env.starting import INTERRUPTED, TERMINATED
+from soil_env.starting import INTERRUPTED, TERMINATED, started
+
+_LATER = 0.02  # [s] after which a signal that came inside LLVM is sent again
 
 
 def terminable(main: Callable[..., int]) -> Callable[..., int]:
-    """A command's `main` in which SIGTERM raises `KeyboardInterrupt`; its status is then `TERMINATED`.
+    """A command's `main` in which SIGTERM raises `KeyboardInterrupt`, as SIGINT does; its status is then `TERMINATED`.
 
-    `main` handles `KeyboardInterrupt` and returns `INTERRUPTED`. Where SIGTERM is handled or ignored by someone else,
-    or outside the main thread, nothing is changed.
+    `main` handles `KeyboardInterrupt` and returns `INTERRUPTED`. Neither is raised inside a callback from LLVM, which
+    would swallow it, but as soon as that is over. A signal that is handled or ignored by someone else is left alone,
+    and outside the main thread nothing is changed.
     """
 
     @wraps(main)
     def run(*args, **kwargs) -> int:
-        ours = threading.current_thread() is threading.main_thread()
-        if not ours or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        if threading.current_thread() is not threading.main_thread():
             return main(*args, **kwargs)
-        received = []
+        started()
+        usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+        ours = [number for number, handler in usual.items() if signal.getsignal(number) is handler]
+        received, again = [], []
 
-        def stop(*_) -> None:
-            received.append(True)
+        def stop(number: int, frame: FrameType | None) -> None:
+            if _inside_llvm(frame):
+                timer = threading.Timer(_LATER, _send, (number,))
+                timer.daemon = True
+                again.append(timer)
+                timer.start()
+                return
+            received.append(number)
             raise KeyboardInterrupt
 
-        signal.signal(signal.SIGTERM, stop)
+        for number in ours:
+            signal.signal(number, stop)
         try:
             status = main(*args, **kwargs)
         finally:
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        return TERMINATED if received and status == INTERRUPTED else status
+            for timer in again:
+                timer.cancel()
+                timer.join()
+            for number in ours:
+                signal.signal(number, usual[number])
+        return TERMINATED if signal.SIGTERM in received and status == INTERRUPTED else status
 
     return run
+
+
+def _send(number: int) -> None:
+    """Send this signal to the main thread, where it also ends a call of the system that waits."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident, number)
+    else:
+        signal.raise_signal(number)
+
+
+def _inside_llvm(frame: FrameType | None) -> bool:
+    """Whether LLVM's Python side is among the callers of a frame: ctypes prints what is raised there, and goes on."""
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").startswith("llvmlite.binding"):
+            return True
+        frame = frame.f_back
+    return False

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soil_env import paper, paper_page, paper_points
+from soil_env import paper, paper_page, paper_points, paper_sections
 from soil_env.contact import entry_angle
 from soil_env.identification import Status
 from tests import reference
@@ -174,7 +174,7 @@ def test_noise_is_seeded():
 
 
 def test_which_soils_pass():
-    verdicts = {n: paper_page._verdict(paper.traverse(k, False)) for n, k in paper.FIELD.items()}
+    verdicts = {n: paper_sections._verdict(paper.traverse(k, False)) for n, k in paper.FIELD.items()}
     assert verdicts == {
         "sandy loam": "yes", "dry sand": "yes", "snow": "no: buried at every slip", "clayey soil": "no: DP < 0",
     }  # fmt: skip
@@ -196,14 +196,14 @@ def test_the_committed_page_holds_the_recomputed_numbers():
     for name, points in paper_points.synthetic_points().items():
         assert shown[f"{name}1"][3] == f"{points.pull[0]:.2f}"
         assert shown[f"ours: points {name}"][1:4] == list(
-            paper_page._set(paper_points.triple(paper_points.identified(points)))
+            paper_sections._set(paper_points.triple(paper_points.identified(points)))
         )
     shown = {(row[0], row[1]): row for row in rows("Figs. 8 and 9")}
     for name, key in paper.FIELD.items():
         for digging, label in ((False, "no"), (True, "yes")):
             ground = paper.traverse(key, digging)
-            assert shown[name, label][2] == paper_page._limits(ground.torque)
-            assert shown[name, label][6] == paper_page._verdict(ground)
+            assert shown[name, label][2] == paper_sections._limits(ground.torque)
+            assert shown[name, label][6] == paper_sections._verdict(ground)
 
 
 def test_the_committed_page_is_complete():

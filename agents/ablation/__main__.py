@@ -23,6 +23,8 @@ from rich.console import Console
 from agents.ablation import page, results, study, workers
 from agents.progress import Bar
 from soil_env.loading import ParameterError, config_dir
+from soil_env.starting import leave
+from soil_env.stopping import terminable
 
 
 def parser() -> argparse.ArgumentParser:
@@ -50,6 +52,7 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
+@terminable
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options = parser().parse_args(arguments)
@@ -129,4 +132,4 @@ def fill(asked: study.Ablation, folder: Path, count: int | None, console: Consol
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

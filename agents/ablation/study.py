@@ -32,6 +32,7 @@ from agents.evaluate.records import Records
 from agents.guided import check_guide
 from agents.ppo import PPOConfig, TrainConfig
 from agents.tuning import tuned_settings
+from soil_env.files import is_unused
 from soil_env.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict, unknown_key
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario, load_scenario
@@ -173,7 +174,7 @@ def begin(study: Ablation, folder: Path) -> None:
             raise ParameterError(
                 f"{folder}: holds another study (it differs in {', '.join(other)}); give another --out"
             )
-    elif path.parent.is_dir() and any(path.parent.iterdir()):
+    elif not is_unused(path.parent):
         raise ParameterError(f"{folder}: is not empty and holds no study; give another --out")
     path.parent.mkdir(parents=True, exist_ok=True)
     driving.replace_file(path, yaml.safe_dump(to_dict(study), sort_keys=False).encode())

@@ -40,10 +40,11 @@ from agents.evaluate import study as studies
 from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET
 from agents.progress import Bar
 from agents.tuning import candidates_in_all, tuned_settings
+from soil_env.files import is_unused
 from soil_env.loading import ParameterError, unknown_key
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import load_scenario
-from soil_env.starting import leave, started
+from soil_env.starting import leave
 from soil_env.stopping import terminable
 
 _EPILOG = """further options:
@@ -88,7 +89,6 @@ def parser() -> argparse.ArgumentParser:
 @terminable
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
-    started()
     options, rest = parser().parse_known_args(arguments)
     console, folder = Console(), options.resume or options.out
     try:
@@ -184,7 +184,7 @@ def _begin(study: studies.Study, folder: Path, console: Console) -> studies.Stud
                 f"{folder}: holds another evaluation (it differs in {', '.join(other)}); give another --out"
             )
         return begun
-    if folder.is_dir() and any(folder.iterdir()):
+    if not is_unused(folder):
         raise ParameterError(f"{folder}: is not empty and holds no evaluation; give another --out")
     folder.mkdir(parents=True, exist_ok=True)
     untuned = [

@@ -22,7 +22,7 @@ from agents.sim2real import report, study
 from agents.training import console
 from soil_env.loading import ParameterError
 from soil_env.parameters import load_scenario
-from soil_env.starting import leave, started
+from soil_env.starting import leave
 from soil_env.stopping import terminable
 
 _EPILOG = """files:
@@ -64,7 +64,6 @@ _NUMBERS = {
 @terminable
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
-    started()
     options = parser().parse_args(arguments)
     try:
         scenario = load_scenario(options.scenario)

@@ -32,7 +32,7 @@ from agents.sim2real.log import Commissioning
 from agents.training import Bar
 from agents.tuning import candidates_in_all, tuned_settings
 from soil_env.discrepancy import run as find_discrepancy
-from soil_env.files import replace_file
+from soil_env.files import is_unused, replace_file
 from soil_env.loading import Checked, ParameterError, quantity, read_yaml, to_dict
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
@@ -96,7 +96,7 @@ def begin(study: Study, folder: Path) -> None:
                 f"{folder}: holds another study (it differs in {', '.join(other)}); give another --out"
             )
         return
-    if path.parent.is_dir() and any(path.parent.iterdir()):
+    if not is_unused(path.parent):
         raise ParameterError(f"{folder}: is not empty and holds no study; give another --out")
     path.parent.mkdir(parents=True, exist_ok=True)
     replace_file(path, content.encode())
@@ -146,15 +146,16 @@ def correct(study: Study, name: str, here: Path, say: Callable[[str], None]) -> 
         log.write_table(points, table)
         log.write_setup(content, setup)
     say(f"{name}: discrepancy workflow")
+    workflow = here / "discrepancy"
+    for left in (workflow, *here.glob(".report-*")):  # by a run that was killed
+        shutil.rmtree(left, ignore_errors=True)
     report = find_discrepancy(
-        table, setup, here / "discrepancy", seed=study.seed, bootstrap=min(study.bootstrap, 50), progress=None
+        table, setup, workflow, seed=study.seed, bootstrap=min(study.bootstrap, 50), progress=None
     )
     # effects by name only: a law without a name holds on the bed that it was fitted to
     named = report.model.effects if report.finding.named else {}
     model = WheelSoilModel(hidden.wheel, None, named, (), report.model.gravity)
-    partial = kept.with_suffix(".partial")
-    model.save(partial)
-    partial.replace(kept)
+    model.save(kept)
     return model
 
 

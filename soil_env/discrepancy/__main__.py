@@ -52,7 +52,7 @@ from soil_env.discrepancy.report import FILES, show
 from soil_env.discrepancy.words import check_first, summary
 from soil_env.discrepancy.workflow import MOST_DRAWS, Report, run
 from soil_env.loading import ParameterError
-from soil_env.starting import INTERRUPTED, leave, started
+from soil_env.starting import INTERRUPTED, leave
 from soil_env.stopping import terminable
 
 NAME = "soil_env.discrepancy"
@@ -61,7 +61,6 @@ NAME = "soil_env.discrepancy"
 @terminable
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    started()
     try:
         options = _parser().parse_args(arguments)
         with _progress(options.quiet) as say:

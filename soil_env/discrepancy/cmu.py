@@ -44,7 +44,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from soil_env.loading import ParameterError
-from soil_env.starting import INTERRUPTED, leave, started
+from soil_env.starting import INTERRUPTED, leave
 from soil_env.stopping import terminable
 
 REPOSITORY = "github.com/robomechanics/3d-terramechanics"
@@ -325,7 +325,6 @@ examples:
 @terminable
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    started()
     parser = argparse.ArgumentParser(
         prog="python -m soil_env.discrepancy.cmu",
         description=__doc__,

@@ -48,7 +48,7 @@ from soil_env.files import replace_file
 from soil_env.identification.table import Fit, TableEstimate, identify_table
 from soil_env.loading import ParameterError
 from soil_env.measurement import read_setup, read_table
-from soil_env.starting import INTERRUPTED, leave, started
+from soil_env.starting import INTERRUPTED, leave
 from soil_env.stopping import terminable
 
 NAMES = {
@@ -63,7 +63,6 @@ NAMES = {
 @terminable
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    started()
     try:
         return _run(_parser().parse_args(arguments))
     except ParameterError as error:
