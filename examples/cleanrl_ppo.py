@@ -184,6 +184,9 @@ def main() -> None:
     start = time.perf_counter()
     agent, scaled, curve = train(make(options.scenario, options.wheels), options.steps, options.length, options.seed)
     print(f"trained {options.steps:,} steps in {time.perf_counter() - start:.0f} s")
+    if curve:
+        (first, begin), (last, end) = curve[0], curve[-1]
+        print(f"return while training: {begin:.2f} in the first {first:,} steps, {end:.2f} at {last:,}")
     with torch.no_grad():
         learnt = mean_return(options.scenario, lambda x: agent.actor(scaled(x)).clamp(-1, 1).numpy(), options.courses)
     throttle = mean_return(options.scenario, lambda x: np.ones((len(x), 1)), options.courses)
