@@ -1,4 +1,4 @@
-"""rl-baselines3-zoo (rl_zoo3) on the native vector environment: configs/rl_zoo3/ppo.yml names it as `vec_env_wrapper`."""
+"""The native vector environment for rl-baselines3-zoo, whose configs/rl_zoo3/ppo.yml names `native` as a wrapper."""
 
 from __future__ import annotations
 

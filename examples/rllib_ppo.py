@@ -9,7 +9,9 @@ by wheel in Python, which takes most of the time, about ten times what Stable-Ba
 """
 
 import argparse
+from collections import deque
 
+import numpy as np
 import ray
 import torch
 from ray.rllib.algorithms.ppo import PPOConfig
@@ -55,16 +57,14 @@ def main() -> None:
         .rl_module(
             rl_module_spec=RLModuleSpec(
                 module_class=Driving,
-                model_config=DefaultModelConfig(
-                    fcnet_hiddens=[64, 64], fcnet_activation="relu", vf_share_layers=False
-                ),
+                model_config=DefaultModelConfig(fcnet_hiddens=[64, 64], fcnet_activation="relu", vf_share_layers=False),
             )
         )
         .training(
             train_batch_size_per_learner=options.batch,
             minibatch_size=min(1024, options.batch),
             num_epochs=6,
-            lr=1e-3,
+            lr=[[0, 1e-3], [options.iterations * options.batch, 5e-5]],
             gamma=0.999,
             lambda_=0.9,
             use_kl_loss=False,
@@ -77,11 +77,13 @@ def main() -> None:
         )
         .debugging(seed=1)
     )
-    algorithm = config.build_algo()
+    algorithm, returns = config.build_algo(), deque(maxlen=100)
     for k in range(options.iterations):
         found = algorithm.train()["env_runners"]
-        steps, courses = int(found["num_env_steps_sampled_lifetime"]), found.get("num_episodes", 0)
-        mean = found.get("episode_return_mean", float("nan"))
+        steps, courses = int(found["num_env_steps_sampled_lifetime"]), int(found.get("num_episodes", 0))
+        if courses:
+            returns.extend([found["episode_return_mean"]] * courses)  # RLlib's mean is of this iteration alone
+        mean = np.mean(returns) if returns else np.nan
         print(f"{k + 1:3d}: {steps:,} steps, {courses} courses, return {mean:.2f}", flush=True)
     algorithm.stop()
     ray.shutdown()
