@@ -62,6 +62,7 @@ CLIENTS = {
             "gymnasium==1.4.0",
             "optuna==5.0.0",
             "pandas==2.3.3",
+            "pytest==9.2.0",
         ),
         (
             f"{_TRAIN} {_FILE} -n 2000000 --eval-freq 500000 --eval-episodes 100 --n-eval-envs 20 --seed 1",
@@ -70,6 +71,7 @@ CLIENTS = {
             f"{_SEARCH} --n-trials 2 --seed 2",
             f"{_TRAIN} agents.zoo_space {_FILE}/trial -n 1000000 --eval-freq 500000 --eval-episodes 100 "
             f"--n-eval-envs 20 --seed 1 {_STUDY} --trial-id 1",
+            "python -m pytest -q tests/test_zoo.py",
         ),
         notes="""
 The hyperparameters are those of `train.py`, and so are the 20 million steps without `-n`. The study of the search is
