@@ -69,7 +69,7 @@ CLIENTS = {
             f"python -m rl_zoo3.enjoy {_TASK} --no-render -n 20000 -f {{out}}",
             f"{_SEARCH} --n-trials 4 --seed 1",
             f"{_SEARCH} --n-trials 2 --seed 2",
-            f"{_TRAIN} agents.zoo_space {_FILE}/trial -n 1000000 --eval-freq 500000 --eval-episodes 100 "
+            f"{_TRAIN} agents.zoo_space {_FILE}/trial -n 500000 --eval-freq 250000 --eval-episodes 100 "
             f"--n-eval-envs 20 --seed 1 {_STUDY} --trial-id 1",
             "python -m pytest -q tests/test_zoo.py",
         ),
@@ -242,7 +242,9 @@ def main(arguments: list[str] | None = None) -> int:
             result[name] = {"versions": found, "runs": smoke(name, CLIENTS[name], python)}
             options.out.mkdir(parents=True, exist_ok=True)
             file.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        (options.out / "clients.md").write_text(page(result), encoding="utf-8")
+            (options.out / "clients.md").write_text(page(result), encoding="utf-8")
+        if options.page:
+            (options.out / "clients.md").write_text(page(result), encoding="utf-8")
     except ParameterError as error:
         print(f"{NAME}: {error}", file=sys.stderr)
         return 2
