@@ -141,7 +141,7 @@ def check_ray(address: str | None = None) -> None:
 
 
 def on_ray(work: Callable, tasks: Iterable, address: str | None = None, workers: int | None = None) -> Iterator[tuple]:
-    """Tasks of Ray Core on the cluster at `address`, else on the one that RAY_ADDRESS names, else on this machine.
+    """Tasks of Ray Core on the cluster at `address`, else on the one that RAY_ADDRESS names, else on one started here.
 
     Every node needs this version of soil_env, and the modules of controllers given as module:Class. Each task takes
     one CPU. `workers` limits the CPUs of a cluster started here.
@@ -152,9 +152,9 @@ def on_ray(work: Callable, tasks: Iterable, address: str | None = None, workers:
     ours = not ray.is_initialized()
     if ours:
         options = {"log_to_driver": False, "logging_level": "ERROR"}
-        if address is not None:
-            options["address"] = address
-        elif workers is not None:
+        if address is not None or not os.environ.get("RAY_ADDRESS"):
+            options["address"] = address or "local"  # not "auto": that tries one that died here for minutes
+        if workers is not None:
             options["num_cpus"] = workers
         try:
             ray.init(**options)

@@ -1,6 +1,6 @@
 """PPO in one file, in the manner of CleanRL (Huang et al. 2022): torch and the vector environment, nothing else.
 
-    python examples/cleanrl_ppo.py                          a minute on two idle cores
+    python examples/cleanrl_ppo.py                          half a minute: mean return of 500 courses from -9.6 to 4.8
     python examples/cleanrl_ppo.py --steps 10_000_000 --scenario field_vehicle --out curve.png
 
 The environment resets a wheel within the step that ends its course (SAME_STEP): the observation that step returns is
@@ -184,6 +184,9 @@ def main() -> None:
     start = time.perf_counter()
     agent, scaled, curve = train(make(options.scenario, options.wheels), options.steps, options.length, options.seed)
     print(f"trained {options.steps:,} steps in {time.perf_counter() - start:.0f} s")
+    if curve:
+        (first, begin), (last, end) = curve[0], curve[-1]
+        print(f"return while training: {begin:.2f} in the first {first:,} steps, {end:.2f} at {last:,}")
     with torch.no_grad():
         learnt = mean_return(options.scenario, lambda x: agent.actor(scaled(x)).clamp(-1, 1).numpy(), options.courses)
     throttle = mean_return(options.scenario, lambda x: np.ones((len(x), 1)), options.courses)

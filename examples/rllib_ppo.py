@@ -1,30 +1,48 @@
 """Train PPO of Ray RLlib on the vector environment.
 
     pip install "soil_env[rllib]"                          in an environment of its own: RLlib pins gymnasium 1.2.2
-    python examples/rllib_ppo.py                           prints the mean return after each iteration
-    python examples/rllib_ppo.py --runners 2 --iterations 50
+    python examples/rllib_ppo.py                           a minute: mean return of 100 courses from -9.7 to 3.5
+    python examples/rllib_ppo.py --runners 2 --iterations 400
 
 RLlib makes the environment by its name in every env runner, many wheels in one call. Its connectors then handle wheel
-by wheel in Python, which takes most of the time: expect hours where Stable-Baselines3 takes minutes, and a mean return
-near -10 (immobilised at the start) for the first iterations.
+by wheel in Python, which takes most of the time, about ten times what Stable-Baselines3 takes for a step.
 """
 
 import argparse
+from collections import deque
 
+import numpy as np
 import ray
+import torch
 from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.algorithms.ppo.torch.default_ppo_torch_rl_module import DefaultPPOTorchRLModule
 from ray.rllib.connectors.env_to_module import MeanStdFilter
+from ray.rllib.core.rl_module import RLModuleSpec
+from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
+
+
+class Driving(DefaultPPOTorchRLModule):
+    """RLlib's policy and value, with a policy that drives at first: exploring around full stop would teach to stall."""
+
+    def setup(self):
+        """Mean action 0.3, standard deviation 0.2 whatever is seen."""
+        super().setup()
+        last = [layer for layer in self.pi.modules() if isinstance(layer, torch.nn.Linear)][-1]
+        with torch.no_grad():
+            last.weight *= 0.01
+            last.bias.copy_(torch.tensor([0.3, -1.6]))
 
 
 def main() -> None:
     """Parse the command line, train."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--iterations", type=int, default=10)
-    p.add_argument("--batch", type=int, default=32768, help="steps an iteration (default: 32768)")
-    p.add_argument("--wheels", type=int, default=128, help="of each env runner (default: 128)")
+    p.add_argument("--iterations", type=int, default=40)
+    p.add_argument("--batch", type=int, default=8192, help="steps an iteration (default: 8192)")
+    p.add_argument("--wheels", type=int, default=64, help="of each env runner (default: 64)")
     p.add_argument("--runners", type=int, default=0, help="processes that drive (default: 0, this one)")
     options = p.parse_args()
-    ray.init(include_dashboard=False, log_to_driver=False, logging_level="ERROR")
+    torch.set_num_threads(1)
+    ray.init("local", num_cpus=options.runners + 1, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
     config = (
         PPOConfig()
         .environment("soil_env:SoilWheel-v0", env_config={"scenario": "mixed", "observation": "identified"})
@@ -36,23 +54,37 @@ def main() -> None:
             env_to_module_connector=lambda env, spaces, device: MeanStdFilter(),
         )
         .learners(num_learners=0)
+        .rl_module(
+            rl_module_spec=RLModuleSpec(
+                module_class=Driving,
+                model_config=DefaultModelConfig(fcnet_hiddens=[64, 64], fcnet_activation="relu", vf_share_layers=False),
+            )
+        )
         .training(
             train_batch_size_per_learner=options.batch,
             minibatch_size=min(1024, options.batch),
             num_epochs=6,
-            lr=1e-3,
+            lr=[[0, 1e-3], [options.iterations * options.batch, 5e-5]],
             gamma=0.999,
             lambda_=0.9,
+            use_kl_loss=False,
+            clip_param=0.2,
+            entropy_coeff=0.003,
+            vf_loss_coeff=0.5,
             vf_clip_param=100.0,
+            grad_clip=0.5,
+            grad_clip_by="global_norm",
         )
         .debugging(seed=1)
     )
-    algorithm = config.build_algo()
+    algorithm, returns = config.build_algo(), deque(maxlen=100)
     for k in range(options.iterations):
         found = algorithm.train()["env_runners"]
-        steps, courses = int(found["num_env_steps_sampled_lifetime"]), found.get("num_episodes", 0)
-        mean = found.get("episode_return_mean", float("nan"))
-        print(f"{k + 1:3d}: {steps:,} steps, {courses} courses, return {mean:.2f}")
+        steps, courses = int(found["num_env_steps_sampled_lifetime"]), int(found.get("num_episodes", 0))
+        if courses:
+            returns.extend([found["episode_return_mean"]] * courses)  # RLlib's mean is of this iteration alone
+        mean = np.mean(returns) if returns else np.nan
+        print(f"{k + 1:3d}: {steps:,} steps, {courses} courses, return {mean:.2f}", flush=True)
     algorithm.stop()
     ray.shutdown()
 

@@ -1,14 +1,11 @@
 """What is shipped for other people's code, as far as that can be tested without it; `benchmarks.clients` runs it."""
 
 import json
-import pydoc
 import sys
 from pathlib import Path
 
 import gymnasium
-import numpy as np
 import pytest
-import yaml
 
 from benchmarks import clients
 
@@ -37,27 +34,20 @@ def test_an_unknown_client_is_refused_in_one_line(capsys, tmp_path):
     assert error.count("\n") == 1 and "did you mean 'zoo'" in error and not list(tmp_path.iterdir())
 
 
-def test_the_hyperparameters_of_rl_zoo3_build_an_agent():
-    """As rl_zoo3 reads them: its own keys taken out, text in quotes evaluated, the rest arguments of SB3's PPO."""
-    pytest.importorskip("stable_baselines3")
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.env_util import make_vec_env
-    from stable_baselines3.common.vec_env import VecNormalize
-
-    content = yaml.safe_load((ROOT / "configs" / "rl_zoo3" / "ppo.yml").read_text())
-    given = content.pop("SoilWheel-v0")
-    assert not content and given.pop("n_timesteps") >= 1e6 and given.pop("learning_rate") == "lin_1e-3"
-    normalise = eval(given.pop("normalize"))
-    ((wrapper, options),) = given.pop("env_wrapper")[0].items()
-    made = make_vec_env(
-        "SoilWheel-v0", given.pop("n_envs"), wrapper_class=pydoc.locate(wrapper), wrapper_kwargs=options
+def test_what_a_command_printed_is_told_in_short():
+    series = "".join(f"  {k}: {1000 * k:,} steps, 5 courses, return {k}.00\n" for k in (1, 2, 3))
+    assert (
+        clients.told(f"noise\n{series}")
+        == "1: 1,000 steps, 5 courses, return 1.00; ...; 3: 3,000 steps, 5 courses, return 3.00"
     )
-    assert made.envs[0].action(np.zeros(1, np.float32)) == pytest.approx(0.3, abs=1e-3)
-    env = VecNormalize(made, gamma=given["gamma"], **normalise)
-    assert env.num_envs * given["n_steps"] % given["batch_size"] == 0
-    model = PPO(given.pop("policy"), env, policy_kwargs=eval(given.pop("policy_kwargs")), seed=0, **given)
-    actions, _ = model.predict(env.reset())
-    assert actions.shape == (env.num_envs, 1)
+    assert clients.told("=== 3 passed, 2 deselected in 4.12s ===\n") == "3 passed, 2 deselected"
+    best = (
+        "Number of finished trials:  6\nBest trial:\nValue:  -3.9169\nParams: \n    n_epochs: 4\n    rate: 1.2345e-05\n"
+    )
+    assert (
+        clients.told(f"noise\n{best}User Attributes: \n")
+        == "6 trials; best return -3.92 with n_epochs 4, rate 1.23e-05"
+    )
 
 
 def test_wrappers_for_vector_environments_take_the_native_one():

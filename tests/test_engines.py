@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -163,6 +164,32 @@ def test_an_evaluation_survives_the_loss_of_a_node(cluster, controllers, local, 
     assert taken
     assert main(["--resume", str(out)]) == 0
     same(out, local)
+
+
+@pytest.mark.parametrize(
+    ("environment", "given", "expected"),
+    [
+        ({}, {}, {"address": "local"}),
+        ({}, {"workers": 3}, {"address": "local", "num_cpus": 3}),
+        ({}, {"address": "auto"}, {"address": "auto"}),
+        ({"RAY_ADDRESS": "auto"}, {}, {}),
+    ],
+)
+def test_without_an_address_ray_starts_here(monkeypatch, environment, given, expected):
+    """Not where a cluster of this machine was said to be last: Ray tries one that died for minutes."""
+
+    def init(**options):
+        asked.append({key: options[key] for key in ("address", "num_cpus") if key in options})
+        raise ConnectionError("none")
+
+    asked = []
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False, init=init))
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(ParameterError, match="no cluster at"):
+        list(engines.on_ray(double, [], **given))
+    assert asked == [expected]
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:9", "ray://127.0.0.1:9", "nonsense", "host.invalid:x"])
