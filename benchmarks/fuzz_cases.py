@@ -112,6 +112,7 @@ def _scenario(choices: Choices, most_substeps: int) -> dict:
     out["limits"] = limits
     out["reward"] = {name: c.pick([0.0, 1.0, 10.0, c.number(0.0, 1e4)]) for name in
                      ("progress", "energy", "immobilisation")}  # fmt: skip
+    out["reward"]["information"] = out["reward"]["energy"]
     period = c.pick([0.1, _log(c, 1e-3, 1.0)])
     substep = c.pick([0.05, period, max(_log(c, 1e-4, 0.5), period / most_substeps)])
     out["control"] = {

@@ -60,7 +60,7 @@ def _report(worlds, numbers, readings, over):
         if not over[k]:
             cause = task.judge(worlds.state, k, numbers.task)
             worlds.cause[k] = cause
-            task.reward_terms(worlds.state, k, cause, numbers.task, worlds.terms[k])
+            task.reward_terms(worlds.state, k, cause, 0.0, 0.0, numbers.task, worlds.terms[k])
             task.write_observation(
                 worlds.observation[k], worlds.state, k, _reading(readings, k), readings[k, 7], worlds.courses,
                 worlds.ids, numbers.task,

@@ -119,6 +119,12 @@ class SoilWheelEnv(gymnasium.Env):
     | progress | distance travelled in the step / course length (negative backwards) | 10 |
     | energy | -motor work in the step, without recuperation / (weight with payload x course length) | 1 |
     | immobilisation | -1 in the step that ends the episode immobilised | 10 |
+    | information | discount x knowledge after the step - knowledge before it [nat] | 0 |
+
+    Knowledge is the sum of ln(prior standard deviation / standard deviation) over what the identifier estimates, each
+    at least 0; it counts as 0 once the episode has terminated. The discount is `information_discount`, 0.999, which
+    should be the agent's own. What is learnt pays at once and is paid back when it is lost or the episode terminates,
+    so that the best policy stays the same. `agents.evaluate` drives without this term.
 
     ## Starting state
     At rest at the start of a new random course, settled under its own load with a random payload.

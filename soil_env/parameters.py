@@ -261,6 +261,8 @@ class RewardWeights(Checked):
     progress: float = quantity("per course", 0.0, 1e4, default=10.0)
     energy: float = quantity("per weight x course length", 0.0, 1e4, default=1.0)
     immobilisation: float = quantity("", 0.0, 1e4, default=10.0)
+    information: float = quantity("per nat", 0.0, 1e4, default=0.0)
+    information_discount: float = quantity("a step", 0.0, 1.0, default=0.999, doc="the agent's own discount")
 
 
 @dataclass(frozen=True)

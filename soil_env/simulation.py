@@ -19,7 +19,17 @@ from soil_env.lockstep import MANY, advance_many
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 from soil_env.streams import seed_stream
-from soil_env.task import REWARD_TERMS, Cause, TaskNumbers, judge, reward_terms, sense, task_numbers, write_observation
+from soil_env.task import (
+    REWARD_TERMS,
+    Cause,
+    TaskNumbers,
+    judge,
+    knowledge,
+    reward_terms,
+    sense,
+    task_numbers,
+    write_observation,
+)
 from soil_env.terrain import Courses, new_courses
 
 _many = scratch(MANY)
@@ -38,7 +48,7 @@ class Worlds(NamedTuple):
     streams: np.ndarray  # [wheels] uint64
     ids: Identifiers
     observation: np.ndarray  # [wheels, D] float32
-    terms: np.ndarray  # [wheels, 3] reward terms
+    terms: np.ndarray  # [wheels, 4] reward terms
     reward: np.ndarray  # [wheels]
     cause: np.ndarray  # [wheels] `task.Cause`
     solved: np.ndarray  # [wheels] True where the last step renewed the estimate
@@ -80,12 +90,15 @@ def report(worlds, numbers, k):
     """What follows on the drive of wheel k in a control period: sense, identify, judge, reward, observe."""
     draw_ahead(k, worlds.courses, worlds.state[k].x, worlds.state[k].mass, numbers.course)
     reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
+    paid, prior = numbers.task.reward_information > 0.0, numbers.identifier.precision
+    before = knowledge(worlds.ids, k, prior) if paid else 0.0
     worlds.solved[k] = observe(worlds.ids, k, reading, numbers.identifier)
     cause = judge(worlds.state, k, numbers.task)
     worlds.cause[k] = cause
     terms = worlds.terms[k]
-    reward_terms(worlds.state, k, cause, numbers.task, terms)
-    worlds.reward[k] = terms[0] + terms[1] + terms[2]
+    after = knowledge(worlds.ids, k, prior) if paid else 0.0
+    reward_terms(worlds.state, k, cause, before, after, numbers.task, terms)
+    worlds.reward[k] = terms[0] + terms[1] + terms[2] + terms[3]
     write_observation(
         worlds.observation[k], worlds.state, k, reading, pitch, worlds.courses, worlds.ids, numbers.task
     )  # fmt: skip

@@ -41,7 +41,7 @@ _FINISHED, _ENTRAPPED, _STALLED, _BOGGED = (
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 _CONVERGED = Status.CONVERGED.value
 
-REWARD_TERMS = ("progress", "energy", "immobilisation")
+REWARD_TERMS = ("progress", "energy", "immobilisation", "information")
 VARIANTS = ("blind", "identified", "true_soil")
 
 
@@ -124,6 +124,8 @@ class TaskNumbers(NamedTuple):
     reward_progress: float
     reward_energy: float
     reward_immobilisation: float
+    reward_information: float
+    information_discount: float
     dig_gain: float  # of the belief
 
 
@@ -159,6 +161,8 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
         scenario.reward.progress,
         scenario.reward.energy,
         scenario.reward.immobilisation,
+        scenario.reward.information,
+        scenario.reward.information_discount,
         scenario.belief.dig_gain,
     )
 
@@ -240,14 +244,32 @@ def judge(state, k, task):
 
 
 @inlined
-def reward_terms(state, k, cause, task, terms):
-    """Fill `terms` [3] (see REWARD_TERMS) for the last step of wheel k; the reward is their sum.
+def knowledge(ids, k, precision):
+    """How far identifier k has come from its prior of that `precision` [nat]: the fall of entropy, summed over its
+    unknowns, each taken as Gaussian by itself.
+
+    None counts less than nothing, or more than with a millionth of its prior standard deviation.
+    """
+    left = 1.0
+    for i in range(precision.size):
+        left *= min(max(ids.sd[k, i] * math.sqrt(precision[i]), 1e-6), 1.0)
+    return -math.log(left)
+
+
+@inlined
+def reward_terms(state, k, cause, before, after, task, terms):
+    """Fill `terms` [4] (see REWARD_TERMS) for the last step of wheel k; the reward is their sum.
 
     progress: weight x distance travelled / course length; energy: -weight x motor work (no recuperation) / (weight of
-    the loaded wheel x course length); immobilisation: -weight once, when the wheel is immobilised.
+    the loaded wheel x course length); immobilisation: -weight once, when the wheel is immobilised; information: weight
+    x (discount x `knowledge` `after` the step - knowledge `before` it), where nothing counts as known after a
+    terminated course: shaping by a potential, which leaves the best policy as it is (Ng, Harada & Russell 1999, ICML;
+    its end: Grzes 2017, AAMAS).
     """
     w = state[k]
     terms[0] = task.reward_progress * w.travel / task.length
     terms[1] = -task.reward_energy * max(w.motor_work, 0.0) / (w.mass * task.gravity * task.length)
     stuck = cause == _ENTRAPPED or cause == _STALLED or cause == _BOGGED
     terms[2] = -task.reward_immobilisation if stuck else 0.0
+    kept = 0.0 if stuck or cause == _FINISHED else task.information_discount * after
+    terms[3] = task.reward_information * (kept - before)

@@ -292,7 +292,7 @@ def check_info(info, observation, env):
     assert set(info) == {"cause", "immobilised", "reward_terms", "estimate", "traversability", "state"}
     assert info["cause"] in Cause.__members__
     assert info["immobilised"] is (info["cause"] in ("ENTRAPPED", "STALLED", "BOGGED"))
-    assert set(info["reward_terms"]) == {"progress", "energy", "immobilisation"}
+    assert set(info["reward_terms"]) == {"progress", "energy", "immobilisation", "information"}
     assert set(info["traversability"]) == {
         "best_slip", "drawbar_margin", "torque_required", "torque_available", "passable"}  # fmt: skip
     assert info["traversability"]["passable"] == (info["traversability"]["drawbar_margin"] > 0.0)

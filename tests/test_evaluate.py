@@ -226,6 +226,13 @@ def test_return_is_that_of_the_reward_terms(scenario, runs):
     assert 0.0 < stuck.mean() <= 1.0
 
 
+def test_return_is_compared_without_the_information_that_an_agent_was_paid_for(scenario, runs):
+    paid = load_scenario(scenario, {"reward": {"information": 50.0}})
+    controller = make_controller("fixed_slip", paid)
+    got = run_courses(controller, paid, SEED, 4)
+    np.testing.assert_array_equal(got.returns, runs["fixed_slip"].returns[:4])
+
+
 def test_rates_of_the_causes_add_up_to_one(runs):
     for got in runs.values():
         total = sum(got.metric(name) for name in ("entrapped", "stalled", "bogged", "time_limit", "finished"))

@@ -200,6 +200,7 @@ def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
             assert terms[1] == pytest.approx(-3.0 * work / (w["mass"] * sim.scenario.gravity * 3.0), abs=1e-12)
             stuck = cause in (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
             assert terms[2] == (-5.0 if stuck else 0.0)
+            assert terms[3] == 0.0
             assert sim.worlds.reward[0] == terms[0] + terms[1] + terms[2]
             backwards += terms[0] < 0.0
             braking += w["motor_work"] < 0.0
@@ -208,7 +209,80 @@ def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
                 break
     assert backwards and braking and {Cause.FINISHED} < causes
     assert causes & {Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED}
-    assert REWARD_TERMS == ("progress", "energy", "immobilisation")
+    assert REWARD_TERMS == ("progress", "energy", "immobilisation", "information")
+
+
+def drives(reward, time_limit=90.0):
+    """(terms [4], reward, Phi before, Phi after, status, cause, observation) of each step of some courses."""
+    out = []
+    for seed in range(6):
+        changes = {"reward": reward, "course": {"length": 3.0}, "control": {"time_limit": time_limit}}
+        sim, rng = simulation("identified", seed, changes), np.random.default_rng(seed)
+        b, rows = sim.scenario.belief, []
+        prior = [math.radians(b.friction_sd_deg), b.shear_modulus_sd, b.sinkage_coefficient_sd, b.cohesion_sd,
+                 b.dig_gain_sd]  # fmt: skip
+        cause, after = Cause.RUNNING, 0.0
+        for step in range(900):
+            if step % 7 == 0:
+                command = 0.9 if seed == 5 else rng.uniform(0.1, 0.6)
+            sim.step(0, command)
+            w, before = sim.worlds, after
+            after = float(np.log(np.maximum(prior / w.ids.sd[0], 1.0)).sum())
+            cause = Cause(w.cause[0])
+            rows.append(
+                (w.terms[0].copy(), w.reward[0], before, after, w.ids.status[0], cause, w.observation[0].copy())
+            )
+            if cause != Cause.RUNNING:
+                break
+        out.append(rows)
+    return out
+
+
+def test_information_is_shaping_by_the_knowledge_of_the_identifier():
+    weight, discount = 2.5, 0.98
+    endings, won = set(), 0
+    for limit in (90.0, 4.0):
+        for rows in drives({"information": weight, "information_discount": discount}, limit):
+            paid, first = 0.0, None
+            for k, (terms, reward, before, after, status, cause, _) in enumerate(rows):
+                kept = after if cause in (Cause.RUNNING, Cause.TIME_LIMIT) else 0.0
+                assert terms[3] == pytest.approx(weight * (discount * kept - before), abs=1e-9)
+                assert reward == pytest.approx(terms.sum(), abs=1e-12)
+                paid += discount**k * terms[3]
+                if status == Status.CONVERGED.value and first is None:
+                    first = terms[3]
+            # it telescopes: over a terminated course it is worth nothing, whatever was learnt on the way
+            assert paid == pytest.approx(weight * discount ** len(rows) * kept, abs=1e-9)
+            endings.add(rows[-1][5])
+            won += first is not None and first > 0.0
+    assert won >= 6 and {Cause.FINISHED, Cause.TIME_LIMIT} < endings and len(endings) > 2
+
+
+def test_information_changes_nothing_but_its_own_term():
+    paid, free = drives({"information": 3.0}), drives({})
+    for a, b in zip(sum(paid, []), sum(free, []), strict=True):
+        np.testing.assert_array_equal(a[0][:3], b[0][:3])
+        np.testing.assert_array_equal(a[6], b[6])
+        assert b[0][3] == 0.0 and b[1] == b[0][0] + b[0][1] + b[0][2] and a[5] == b[5]
+    assert any(a[0][3] != 0.0 for a in sum(paid, []))
+
+
+@pytest.mark.parametrize(("shares", "nats"), [
+    ([1.0, 1.0, 1.0], 0.0), ([0.5, 1.0, 1.0], math.log(2.0)), ([0.1, 0.2, 0.5], math.log(100.0)),
+    ([7.0, 0.5, 1.0], math.log(2.0)), ([0.0, 1.0, 1.0], math.log(1e6)), ([math.inf, 1.0, 0.1], math.log(10.0)),
+])  # fmt: skip
+def test_knowledge_is_the_fall_of_the_entropy_and_bounded(shares, nats):
+    ids, precision = simulation().worlds.ids, np.array([4.0, 1.0, 0.01])
+    ids.sd[0, :3] = np.array(shares) / np.sqrt(precision)
+    assert task.knowledge(ids, 0, precision) == pytest.approx(nats, abs=1e-12)
+
+
+@pytest.mark.parametrize("reward", [
+    {"information": -1.0}, {"information": math.nan}, {"information_discount": 1.01}, {"information_discount": -0.1},
+])  # fmt: skip
+def test_weights_of_the_information_are_checked(reward):
+    with pytest.raises(ParameterError, match=f"{next(iter(reward))} = .*expected a number in"):
+        load_scenario("mixed", {"reward": reward})
 
 
 # --- ends -------------------------------------------------------------------------------------------------------------

@@ -36,8 +36,9 @@ def same_info(info, k, scalar):
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_next_step_is_the_scalar_env_bit_for_bit(variant, mode):
-    many = SoilWheelVectorEnv(WHEELS, observation=variant, action=mode, **SHORT)
-    one = [SoilWheelEnv(observation=variant, action=mode, **SHORT) for _ in range(WHEELS)]
+    changes = {**SHORT, "reward": {"information": 0.0 if mode == "torque" else 2.0}}
+    many = SoilWheelVectorEnv(WHEELS, observation=variant, action=mode, **changes)
+    one = [SoilWheelEnv(observation=variant, action=mode, **changes) for _ in range(WHEELS)]
     observations, info = many.reset(seed=11)
     for k, env in enumerate(one):
         first, scalar = env.reset(seed=11 + k)

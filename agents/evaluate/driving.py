@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -137,8 +137,10 @@ def drive(
 
     Yields (worlds, alive) after every control period: the arrays of the simulation, one row a course, and which
     courses were still under way in that period [count] bool. Rows of ended courses stay as they ended. Raises
-    `ControllerError` where an action is not of shape [count, 1] or not finite.
+    `ControllerError` where an action is not of shape [count, 1] or not finite. The reward has no term `information`,
+    whatever the scenario says: it helps to learn, and is no merit of a drive.
     """
+    scenario = replace(scenario, reward=replace(scenario.reward, information=0.0))
     sim = Simulation(count, scenario, controller.variant, threads=threads, model=model)
     for k in range(count):
         sim.seed(k, course_rng(seed, first + k))

@@ -1,0 +1,72 @@
+"""How much does the identifier know while a controller drives, and what would a plain bonus for information pay?
+
+Knowledge is that of the reward term `information` (`task.knowledge`, nat). A bonus for every gain of it could be earned
+again and again: `Rocking` hardly leaves its place and makes the identifier start anew each time.
+
+    python -m benchmarks.paying --controllers 'fixed_slip,rocking=benchmarks.paying:Rocking,ppo=runs/paid_1/seed_*'
+
+CONTROLLERS as of `python -m agents.evaluate`; several models of one name are averaged.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from agents.evaluate import contestants as entries
+from agents.evaluate.driving import HELD_OUT_SET, drive
+from soil_env.identifier import identifier_numbers
+from soil_env.parameters import Scenario, load_scenario
+from soil_env.task import knowledge
+
+
+class Rocking:
+    """Torque forwards and backwards in turn, a second each."""
+
+    variant = "blind"
+    share, periods = 0.5, 10  # of the stall torque; control periods one way
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        """Actions [n, 1]; `state` counts the control periods."""
+        step = 0 if state is None else state
+        sign = 1.0 if (step // self.periods) % 2 == 0 else -1.0
+        return np.full((len(observation), 1), sign * self.share, dtype=np.float32), step + 1
+
+
+def along(controller, scenario: Scenario, courses: int) -> dict[str, float]:
+    """{"mean", "highest", "gained" [nat], "distance" [m]}, means over held-out courses.
+
+    "mean" is over the time of a course, "gained" the sum of all rises.
+    """
+    precision = identifier_numbers(scenario).precision
+    last, highest, gained, total, steps = np.zeros((5, courses))
+    for w, alive in drive(controller, scenario, HELD_OUT_SET, 0, courses, threads=1):
+        known = np.array([knowledge(w.ids, k, precision) for k in range(courses)])
+        gained += np.where(alive, np.maximum(known - last, 0.0), 0.0)
+        highest = np.where(alive, np.maximum(highest, known), highest)
+        total += np.where(alive, known, 0.0)
+        steps += alive
+        last = known
+    found = {"mean": total / steps, "highest": highest, "gained": gained, "distance": w.state["best_x"]}
+    return {name: float(values.mean()) for name, values in found.items()}
+
+
+def main() -> None:
+    """Print the table."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--controllers", required=True)
+    p.add_argument("--scenario", default="mixed")
+    p.add_argument("--courses", type=int, default=200)
+    options = p.parse_args()
+    scenario, rows = load_scenario(options.scenario), {}
+    for one in entries.parse(options.controllers).values():
+        rows.setdefault(one.name, []).append(along(entries.load(one, scenario), scenario, options.courses))
+    print("| controller | knowledge [nat] | at its highest | gained in all | distance [m] |\n|---|---|---|---|---|")
+    for name, found in rows.items():
+        means = [f"{np.mean([row[key] for row in found]):.2f}" for key in ("mean", "highest", "gained", "distance")]
+        print(f"| {name} | " + " | ".join(means) + " |")
+
+
+if __name__ == "__main__":
+    main()
