@@ -5,12 +5,17 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import importlib
+import re
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import yaml
 
+from agents.extras import needing_train
 from soil_env.loading import ParameterError, merge, parse_yaml, read_yaml
+from soil_env.starting import command, label
 from soil_env.stopping import terminable
 
 _FILES = """
@@ -31,7 +36,7 @@ Exit status: 0 done, 2 bad input (one line on stderr says what, where, and what 
 
 def _keys() -> str:
     """The config keys by group: option with default, what it is, and its bounds."""
-    from agents.ppo import PPOConfig, TrainConfig
+    from agents.config import PPOConfig, TrainConfig
 
     lines = ["Keys of the config with their defaults, in the YAML file or as options:"]
     for title, prefix, cls in (("The run", "", TrainConfig), ("PPO", "ppo.", PPOConfig)):
@@ -50,11 +55,15 @@ def _about(f: dataclasses.Field) -> str:
     return text if low is None else f"{text}, {low:g} to {high:g}"
 
 
+_STARTED_AS = ("agents.train", "train.py")
+
+
 def parser(description: str) -> argparse.ArgumentParser:
     """Options of train.py; the keys of the config are listed from `TrainConfig` itself."""
+    typed = command(*_STARTED_AS).removeprefix("python ")
     p = argparse.ArgumentParser(
-        "train.py",
-        usage="train.py [--config YAML] [--KEY VALUE ...]\n       train.py --resume RUN",
+        label(*_STARTED_AS),
+        usage=f"{typed} [--config YAML] [--KEY VALUE ...]\n       {typed} --resume RUN",
         description=description,
         epilog=_keys() + "\n" + _FILES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -91,23 +100,48 @@ def overrides(arguments: list[str]) -> dict:
     return out
 
 
+@contextmanager
+def as_options(**names: str) -> Iterator[None]:
+    """Errors of a dataclass made from options name the option: "Study.courses = 0" becomes "--courses = 0".
+
+    `names`: {field: option} where they differ.
+    """
+    try:
+        yield
+    except ParameterError as error:
+        own = re.match(r"[A-Z]\w*\.(\w+)(?= = )", str(error))
+        if own is None:
+            raise
+        option = names.get(own[1], own[1]).replace("_", "-")
+        raise ParameterError(f"--{option}{str(error)[own.end() :]}") from None
+
+
+def check_folder(path: Path) -> None:
+    """ParameterError where a folder of results is something else."""
+    if path.exists() and not path.is_dir():
+        raise ParameterError(f"{path}: is a file: expected a folder")
+
+
 def main(arguments: list[str] | None = None, description: str = "") -> int:
     """Run train.py; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options, rest = parser(description).parse_known_args(arguments)
-    importlib.import_module("agents.training")  # takes seconds, in which Ctrl-C ends the process at once
+    with needing_train(label(*_STARTED_AS)):
+        importlib.import_module("agents.training")  # takes seconds, in which Ctrl-C ends the process at once
     return _run(options, rest)
 
 
 @terminable
 def _run(options: argparse.Namespace, rest: list[str]) -> int:
     from agents import ppo, training
+
+    name = label(*_STARTED_AS)
     from soil_env.parameters import load_scenario
 
     folder = None
     try:
-        for name in ("config", "resume"):
-            if getattr(options, name) == "":
-                raise ParameterError(f"--{name}: expected a path, got nothing")
+        for option in ("config", "resume"):
+            if getattr(options, option) == "":
+                raise ParameterError(f"--{option}: expected a path, got nothing")
         changes = overrides(rest)
         if options.resume is not None:
             if options.config is not None or changes:
@@ -127,16 +161,16 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
             f"Written to {folder}: comparison.json, comparison.csv, comparison.png, course.png, time.json"
         )
     except ParameterError as error:
-        print(f"train.py: {error}", file=sys.stderr)
+        print(f"{name}: {error}", file=sys.stderr)
         return 2
     except OSError as error:
-        print(f"train.py: {error.filename or folder}: {error.strerror}", file=sys.stderr)
+        print(f"{name}: {error.filename or folder}: {error.strerror}", file=sys.stderr)
         return 2
     except MemoryError as error:
-        print(f"train.py: not enough memory ({error}); expected smaller ppo.num_envs or ppo.n_steps", file=sys.stderr)
+        print(f"{name}: not enough memory ({error}); expected smaller ppo.num_envs or ppo.n_steps", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        again = f"; go on with: python train.py --resume {folder}" if folder else ""
-        print(f"\ntrain.py: interrupted{again}", file=sys.stderr)
+        again = f"; go on with: {command(*_STARTED_AS)} --resume {folder}" if folder else ""
+        print(f"\n{name}: interrupted{again}", file=sys.stderr)
         return 130
     return 0

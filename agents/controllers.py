@@ -20,11 +20,12 @@ import numpy as np
 from numba import njit
 
 from soil_env.compiled import CACHE
-from soil_env.loading import unknown_key
+from soil_env.loading import ParameterError, number, unknown_key
 from soil_env.parameters import Scenario, SoilState
 from soil_env.task import layout
 from soil_env.traversability import best_working_point
 
+_MOST_SLIP = 0.95  # that a controller can hold: the rim speed for it is V/(1 - i)
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
 
 
@@ -139,7 +140,7 @@ class FixedSlip(Controller):
     def rim_speed(self, observation, state):
         """V/(1 - i) with the measured V and a lead, at least the starting speed, at most 0.4 of the top rim speed."""
         speed = np.maximum(observation[:, self.column["speed"]] * self.top_speed, 0.0)
-        slip = np.minimum(self.target_slip(observation, state), 0.95)
+        slip = np.minimum(self.target_slip(observation, state), _MOST_SLIP)
         target = speed / (1.0 - slip) + _CREEP * self.start_speed
         return np.clip(target, self.start_speed, max(0.4 * self.top_speed, self.start_speed))
 
@@ -205,9 +206,42 @@ def _best_slips(soils, load, r, b, torque, known, slip):
 CONTROLLERS = {c.name: c for c in (FullThrottle, ConstantSpeed, FixedSlip, BestSlipIdentified, BestSlipTrue)}
 
 
-def make_controller(name: str, scenario: Scenario, **settings) -> Controller:
-    """A controller by name; `settings`: `speed` [m/s] of constant_speed, `slip` of fixed_slip, `start` of all that
-    hold a slip: their rim speed from rest, as a share of the top rim speed."""
+def _known(name: str, scenario: Scenario) -> dict[str, tuple[float, float, str]]:
+    """{setting of a controller: its bounds and the unit}."""
+    top = scenario.wheel.radius * scenario.wheel.no_load_speed
+    cls = CONTROLLERS[name]
+    out = {"speed": (0.0, top, "m/s, at most the top rim speed")} if cls is ConstantSpeed else {}
+    if cls is FixedSlip:
+        out["slip"] = (0.0, _MOST_SLIP, "")
+    if issubclass(cls, FixedSlip):
+        out["start"] = (0.0, 1.0, "of the top rim speed")
+    return out
+
+
+def checked_settings(name: str, scenario: Scenario, settings: dict, where: str) -> dict[str, float]:
+    """Settings of the controller `name` as numbers; ParameterError with one line that begins with `where` for an
+    unknown one, no number, or one that the controller or the motor cannot hold."""
     if name not in CONTROLLERS:
         raise unknown_key(name, CONTROLLERS, "controller")
-    return CONTROLLERS[name](scenario, **settings)
+    known, out = _known(name, scenario), {}
+    for key, given in settings.items():
+        if key not in known:
+            if not known:
+                raise ParameterError(f"{where}: unknown key {key!r}: {name} has no settings")
+            raise unknown_key(key, known, where)
+        low, high, unit = known[key]
+        value = number(float, given, f"{where}.{key}")
+        if not (low <= value <= high) or (key != "slip" and value == low):
+            bracket = "[" if key == "slip" else "("
+            raise ParameterError(
+                f"{where}.{key} = {given!r}: expected a number in {bracket}{low:g}, {high:.4g}] {unit}".rstrip()
+            )
+        out[key] = value
+    return out
+
+
+def make_controller(name: str, scenario: Scenario, **settings) -> Controller:
+    """A controller by name; `settings`: `speed` [m/s] of constant_speed, `slip` of fixed_slip, `start` of all that
+    hold a slip: their rim speed from rest, as a share of the top rim speed. ParameterError as `checked_settings`."""
+    values = checked_settings(name, scenario, settings, f"settings.{name}")
+    return CONTROLLERS[name](scenario, **values)

@@ -18,7 +18,8 @@ from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 
 
-def _algorithm():
+def algorithm():
+    """RecurrentPPO; ParameterError where sb3-contrib is not installed."""
     try:
         from sb3_contrib import RecurrentPPO
     except ImportError:
@@ -37,7 +38,7 @@ def build(
 ):
     """A fresh RecurrentPPO agent with its normalised vector environment; arguments as of `ppo.build`."""
     torch.set_num_threads(1)
-    model = _algorithm()(
+    model = algorithm()(
         "MlpLstmPolicy",
         ppo.normalised(scenario, observation, config, seed, world, guide),
         **ppo.hyperparameters(config),
@@ -69,7 +70,7 @@ def resume(
 ):
     """The agent of a checkpoint, ready to go on learning; its worlds start new courses, its memory is empty."""
     meta, env = ppo.reopened(path, scenario, observation, config, seed, world, guide)
-    cls, rate = _algorithm(), ppo.schedule(config)
+    cls, rate = algorithm(), ppo.schedule(config)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -7,13 +7,22 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv
 
-from soil_env.env import action_space, build_scenario, observation_space
+from agents.extras import TRAIN, lacks_train
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ModuleNotFoundError as error:
+    if lacks_train(error):
+        raise ModuleNotFoundError(f"agents.sb3 needs {TRAIN}", name=error.name) from None
+    raise
+
+from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
 from soil_env.model import load_model
 from soil_env.simulation import STEP, Simulation
 from soil_env.task import Cause, layout
 
+_OWN = ("num_envs", "scenario", "observation", "action", "threads", "model")  # keywords that are no part of a scenario
 _RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value
 
 
@@ -34,9 +43,13 @@ class SoilWheelVecEnv(VecEnv):
         model=None,
         **changes,
     ):
+        check_count("num_envs", num_envs)
+        if threads is not None:
+            check_count("threads", threads)
+        num_envs = int(num_envs)
         self.render_mode = None
+        self.scenario = build_scenario(scenario, action, changes, _OWN)
         super().__init__(num_envs, observation_space(observation), action_space())
-        self.scenario = build_scenario(scenario, action, changes)
         self.observation_names = tuple(e.name for e in layout(observation))
         self.model = load_model(model)
         self.simulation = Simulation(num_envs, self.scenario, observation, threads=threads, model=self.model)
@@ -69,12 +82,7 @@ class SoilWheelVecEnv(VecEnv):
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the actions [num_envs, 1]; NaN raises ValueError."""
-        actions = np.asarray(actions)
-        if actions.shape != (self.num_envs, 1):
-            raise ValueError(f"actions: expected shape ({self.num_envs}, 1), got {actions.shape}")
-        if not np.isfinite(actions).all():
-            raise ValueError("actions: expected finite numbers in [-1, 1]")
-        np.clip(actions[:, 0], -1.0, 1.0, out=self._commands)
+        np.clip(numbers(actions, self.num_envs)[:, 0], -1.0, 1.0, out=self._commands)
 
     def step_wait(self):
         """One control period; (observations, rewards, dones, infos)."""

@@ -27,9 +27,10 @@ from rich.console import Console
 
 import agents
 import soil_env
-from agents import engines, ppo, training
-from agents.cli import overrides
-from agents.ppo import TrainConfig
+from agents import engines
+from agents.cli import check_folder, overrides
+from agents.config import TrainConfig
+from agents.extras import needing_train
 from agents.progress import Bar
 from soil_env.loading import ParameterError, merge, read_yaml
 from soil_env.parameters import Scenario, load_scenario
@@ -37,6 +38,9 @@ from soil_env.starting import leave
 from soil_env.stopping import terminable
 
 NAME = "agents.seeds"
+with needing_train(NAME):
+    from agents import ppo, training
+
 _SET_HERE = ("seed", "name", "runs")
 
 
@@ -137,6 +141,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if options.seeds < 1 or options.first < 0:
             raise ParameterError("--seeds, --first: expected at least one seed, and none below 0")
+        check_folder(options.out)
         engine = engines.choose(options.engine, options.workers, options.address)
         changes = overrides(rest)
         given = [key for key in _SET_HERE if key in changes]
@@ -145,6 +150,7 @@ def main(arguments: list[str] | None = None) -> int:
         mapping = {} if options.config is None else read_yaml(Path(options.config))
         config = ppo.load_config(merge(mapping, changes), options.config or "command line")
         scenario = load_scenario(config.scenario, config.changes)
+        training.check(config, scenario)
         train(options.out, config, scenario, range(options.first, options.first + options.seeds), engine, console)
     except ParameterError as error:
         return _refuse(str(error))

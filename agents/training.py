@@ -74,11 +74,19 @@ class _Watch(BaseCallback):
             self.next_save = self.num_timesteps + self.every
 
 
+def check(config: TrainConfig, scenario: Scenario) -> None:
+    """ParameterError with one line where a training could not begin: a guide that cannot be made, no sb3-contrib."""
+    config.made_guide(scenario)
+    if config.algorithm == "recurrent_ppo":
+        recurrent.algorithm()
+
+
 def make_run_folder(config: TrainConfig, scenario: Scenario) -> Path:
     """Create the run folder with its resolved config.yaml and scenario.yaml; refuses to overwrite one."""
     name = config.name or f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
         raise ParameterError(f"name = {name!r}: expected the name of a folder, not a path")
+    check(config, scenario)
     folder = Path(config.runs) / name
     try:
         folder.mkdir(parents=True)

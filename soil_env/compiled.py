@@ -6,6 +6,8 @@ stack. `error_model="numpy"`: a division by zero gives inf, as in numpy, not a t
 """
 
 import importlib
+import multiprocessing
+import sys
 
 from numba import njit, typeof, types
 from numba.extending import intrinsic
@@ -48,6 +50,31 @@ def take(typingctx, counter, count):
     return types.int64(counter, types.int64), emit
 
 
+_told = [False]  # whether this process has said that it compiles
+
+
+def _tell(function) -> None:
+    """One line on stderr, once, where `function` is about to be compiled and not loaded from the cache.
+
+    Not in workers of `multiprocessing`, whose parent says it, and not in tests.
+    """
+    if _told[0] or "pytest" in sys.modules or multiprocessing.parent_process() is not None or _kept(function):
+        return
+    _told[0] = True
+    kept = "once" if CACHE else "in every process, as no cache can be written (NUMBA_CACHE_DIR)"
+    print(f"soil_env: compiling, {kept}; about a minute", file=sys.stderr, flush=True)
+
+
+def _kept(function) -> bool:
+    """Whether the cache holds compiled code of the function as it is now."""
+    if not CACHE:
+        return False
+    try:
+        return bool(function._cache._cache_file._load_index())
+    except (AttributeError, OSError):  # another numba: rather nothing than a wrong line
+        return True
+
+
 class Entry:
     """A compiled function without numba's look-up of the types of the arguments at each call.
 
@@ -61,6 +88,7 @@ class Entry:
     def __call__(self, *arguments):
         if self._code is None:
             signature = tuple(typeof(a) for a in arguments)
+            _tell(self._function)
             self._function.compile(signature)
             self._code = self._function.overloads[signature].entry_point
         return self._code(*arguments)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 from soil_env.compiled import Entry
 from soil_env.dynamics import WHEEL_STATE
 from soil_env.identification import Status
-from soil_env.loading import ParameterError
+from soil_env.loading import ParameterError, unknown_key
 from soil_env.model import WheelSoilModel, load_model
 from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
 from soil_env.simulation import Simulation
@@ -23,14 +24,29 @@ from soil_env.traversability import best_working_point
 IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
 
 
-def build_scenario(scenario: str | Path | Scenario, action: str | None, changes: dict) -> Scenario:
-    """The scenario that the keyword arguments of an environment describe."""
+_OWN = ("scenario", "observation", "action", "render_mode", "model")  # keywords that are no part of a scenario
+_FIELDS = tuple(f.name for f in dataclasses.fields(Scenario))
+
+
+def build_scenario(
+    scenario: str | Path | Scenario, action: str | None, changes: dict, own: tuple[str, ...] = _OWN
+) -> Scenario:
+    """The scenario that the keyword arguments of an environment describe; `own`: those that are no part of it."""
+    for key in changes:
+        if key not in _FIELDS:
+            raise unknown_key(key, (*own, *_FIELDS), "keyword")
     if action is not None:
         control = changes.get("control", {})
         if not isinstance(control, dict):
             raise ParameterError("action: expected only where `control` is not given as an object")
         changes = {**changes, "control": {**control, "action": action}}
-    return load_scenario(scenario, changes)
+    return load_scenario(scenario, changes, "keyword")
+
+
+def check_count(name: str, count) -> None:
+    """ParameterError unless `count` is a whole number of at least one."""
+    if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
+        raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
 
 
 def observation_space(variant: str) -> gymnasium.spaces.Box:
@@ -353,3 +369,16 @@ def command(action) -> float:
     if not np.isfinite(a[0]):
         raise ValueError(f"action = {a[0]}: expected a finite number in [-1, 1]")
     return min(max(float(a[0]), -1.0), 1.0)
+
+
+def numbers(actions, count: int) -> np.ndarray:
+    """Actions of `count` wheels as an array [count, 1]; ValueError if they are anything else."""
+    try:
+        a = np.asarray(actions, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"actions = {actions!r:.80}: expected numbers in [-1, 1], shape ({count}, 1)") from None
+    if a.shape != (count, 1):
+        raise ValueError(f"actions: expected shape ({count}, 1), got {a.shape}")
+    if not np.isfinite(a).all():
+        raise ValueError("actions: expected finite numbers in [-1, 1]")
+    return a

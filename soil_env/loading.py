@@ -52,10 +52,16 @@ def check(instance) -> None:
             if not (isinstance(x, (int, float)) and math.isfinite(x) and low <= x <= high):
                 raise ParameterError(
                     f"{type(instance).__name__}.{f.name} = {value!r}: expected a number "
-                    f"in [{low:g}, {high:g}] {f.metadata['unit']}".rstrip()
+                    f"in [{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
                 )
         if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
             raise ParameterError(f"{type(instance).__name__}.{f.name} = {value!r}: expected low <= high")
+
+
+def _bound(x: float) -> str:
+    """A bound for people; a whole number in full where the short form would be another one."""
+    short = f"{x:g}"
+    return str(x) if isinstance(x, int) and float(short) != x else short
 
 
 class Checked:
@@ -149,7 +155,7 @@ def _convert(hint, value, where):
             raise ParameterError(f"{where} = {value!r}: expected true or false")
         return value
     if hint in (float, int):
-        return _number(hint, value, where)
+        return number(hint, value, where)
     if hint is str:
         if not isinstance(value, str):
             raise ParameterError(f"{where} = {value!r}: expected text")
@@ -157,7 +163,8 @@ def _convert(hint, value, where):
     raise TypeError(f"{where}: no rule to load a {hint!r}")  # a programming error, not the user's
 
 
-def _number(kind, value, where):
+def number(kind: type, value, where: str):
+    """`value` as float or int (`kind`); ParameterError with `where` where it is no number nor text of one."""
     if isinstance(value, str):  # YAML 1.1 reads 1e6 as text
         try:
             value = float(value)

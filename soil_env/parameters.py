@@ -348,8 +348,12 @@ def scenario_names() -> list[str]:
     return sorted(p.stem for p in (config_dir() / "scenarios").glob("*.yaml"))
 
 
-def load_scenario(which: str | Path | Scenario = "mixed", changes: dict | None = None) -> Scenario:
+def load_scenario(
+    which: str | Path | Scenario = "mixed", changes: dict | None = None, place: str = "changes"
+) -> Scenario:
     """A scenario by name, by path of a YAML file, or as it is, with `changes` (nested mapping) merged over it.
+
+    What is wrong in `changes` is said to be in `place`.
 
     `wheel` may be the name of a preset, or a mapping whose key `preset` names one. `soils`, where given in `changes`,
     replaces the whole mixture. Raises `ParameterError` with one line for anything unknown or out of range.
@@ -363,10 +367,33 @@ def load_scenario(which: str | Path | Scenario = "mixed", changes: dict | None =
         if path.suffix not in (".yaml", ".yml"):
             path = config_dir() / "scenarios" / f"{which}.yaml"
             if not path.is_file():
+                if Path(which).is_dir():
+                    raise ParameterError(f"scenario = {str(which)!r}: is a folder; expected a name or a YAML file")
                 raise unknown_key(which, scenario_names(), "scenario")
         mapping, where = read_yaml(path), path.name
         mapping.setdefault("name", path.stem)
-    changes = dict(changes or {})
+    try:
+        return _merged(mapping, changes or {}, where)
+    except ParameterError as error:
+        if not changes or not _in_order(mapping):
+            raise
+        wrong = error
+    _merged(mapping, changes, place)
+    raise wrong
+
+
+def _in_order(mapping: dict) -> bool:
+    try:
+        _merged(mapping, {}, "")
+    except ParameterError:
+        return False
+    return True
+
+
+def _merged(mapping: dict, changes: dict, where: str) -> Scenario:
+    """The scenario of a mapping with `changes` over it."""
+    mapping = dict(mapping)
+    changes = dict(changes)
     if "soils" in changes:
         mapping["soils"] = changes.pop("soils")
     if "wheel" in changes and not isinstance(changes["wheel"], dict):

@@ -64,3 +64,16 @@ def _module() -> str:
     """Module that `python -m` was asked to run; "" where there is none."""
     words = sys.orig_argv
     return words[words.index("-m") + 1] if "-m" in words[:-1] else ""
+
+
+def command(module: str, script: str = "") -> str:
+    """What was typed to start this process: an installed command, python -m `module`, or python `script`."""
+    name = os.path.basename(sys.argv[0]) if sys.argv else ""
+    if name.startswith("soil-env-"):
+        return name
+    return f"python {script}" if script and _module() != module else f"python -m {module}"
+
+
+def label(module: str, script: str = "") -> str:
+    """The name of a command in its messages: the last word of `command`."""
+    return command(module, script).rpartition(" ")[2]

@@ -17,7 +17,7 @@ from soil_env.compiled import inlined
 from soil_env.effects import NO_EFFECTS, Effects, measured_slip, slip_sinkage_ratio
 from soil_env.identification import Status
 from soil_env.identifier import SensorReading
-from soil_env.loading import unknown_key
+from soil_env.loading import ParameterError, unknown_key
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
 from soil_env.streams import eight_normals
@@ -94,6 +94,8 @@ _TRUE = (
 
 def layout(variant: str) -> tuple[Entry, ...]:
     """The observation of a variant, number by number; the first entries are those of `blind` in every variant."""
+    if not isinstance(variant, str):
+        raise ParameterError(f"observation = {variant!r}: expected one of {', '.join(VARIANTS)}")
     if variant not in VARIANTS:
         raise unknown_key(variant, VARIANTS, "observation")
     return _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": _TRUE}[variant]

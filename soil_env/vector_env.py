@@ -11,13 +11,17 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from soil_env.env import action_space, build_scenario, observation_space
+from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
 from soil_env.loading import ParameterError
 from soil_env.model import WheelSoilModel, load_model
 from soil_env.parameters import Scenario
 from soil_env.simulation import Simulation
 from soil_env.task import REWARD_TERMS, Cause, layout
 
+_OWN = (  # keywords that are no part of a scenario
+    "num_envs", "scenario", "observation", "action", "autoreset_mode", "max_episode_steps", "threads", "render_mode",
+    "model",
+)  # fmt: skip
 _RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value
 
 
@@ -33,7 +37,9 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
     (`reset(options={"reset_mask": ...})`). `max_episode_steps` shortens the scenario's time limit. Other keyword
     arguments as in `SoilWheelEnv`.
 
-    `info` holds arrays: `cause` [N] (`task.Cause`), `reward_terms` {term: [N]}, `x` [N] m; no rendering.
+    `info` holds arrays: `cause` [N] int, the numbers of `task.Cause`: 0 RUNNING, 1 FINISHED, 2 ENTRAPPED, 3 STALLED,
+    4 BOGGED, 5 TIME_LIMIT (`Cause(k).name` is what `SoilWheelEnv` says); `reward_terms` {term: [N]}; `x` [N] m. No
+    rendering.
     """
 
     def __init__(
@@ -49,11 +55,10 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         model: str | Path | WheelSoilModel | None = None,
         **changes: Any,
     ):
-        counts = {"num_envs": num_envs, "max_episode_steps": max_episode_steps, "threads": threads}
-        for name, count in counts.items():
-            whole = isinstance(count, (int, np.integer)) and not isinstance(count, bool) and count >= 1
-            if not (whole or (count is None and name != "num_envs")):
-                raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
+        check_count("num_envs", num_envs)
+        for name, count in (("max_episode_steps", max_episode_steps), ("threads", threads)):
+            if count is not None:
+                check_count(name, count)
         if render_mode is not None:
             raise ParameterError("render_mode: the vector env does not render; use a single SoilWheel-v0")
         try:
@@ -62,7 +67,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
             known = ", ".join(repr(m.value) for m in AutoresetMode)
             raise ParameterError(f"autoreset_mode = {autoreset_mode!r}: expected one of {known}") from None
         self.num_envs = int(num_envs)
-        self.scenario = build_scenario(scenario, action, changes)
+        self.scenario = build_scenario(scenario, action, changes, _OWN)
         self.observation_names = tuple(e.name for e in layout(observation))
         self.single_observation_space = observation_space(observation)
         self.single_action_space = action_space()
@@ -105,11 +110,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         """One control period of every wheel. Returns (observations, rewards, terminations, truncations, info)."""
         if self._rngs is None:
             raise gymnasium.error.ResetNeeded("step() before reset()")
-        a = np.asarray(actions, dtype=np.float64)
-        if a.shape != (self.num_envs, 1):
-            raise ValueError(f"actions: expected shape ({self.num_envs}, 1), got {a.shape}")
-        if not np.isfinite(a).all():
-            raise ValueError("actions: expected finite numbers in [-1, 1]")
+        a = numbers(actions, self.num_envs)
         commands = np.clip(a[:, 0], -1.0, 1.0)
         worlds = self.simulation.worlds
         if self.autoreset_mode == AutoresetMode.DISABLED and self._done.any():

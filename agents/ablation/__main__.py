@@ -15,22 +15,29 @@ for each scenario an evaluation as of `python -m agents.evaluate`, with its repo
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import sys
 from pathlib import Path
 
 from rich.console import Console
 
-from agents.ablation import page, results, study, workers
+from agents.cli import as_options, check_folder
+from agents.extras import needing_train
 from agents.progress import Bar
 from soil_env.loading import ParameterError, config_dir
-from soil_env.starting import leave
+from soil_env.starting import command, label, leave
 from soil_env.stopping import terminable
+
+_NAME = "agents.ablation"
+
+with needing_train(label(_NAME)):
+    from agents.ablation import page, results, study, workers
 
 
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = argparse.ArgumentParser(
-        "python -m agents.ablation",
+        command(_NAME),
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
@@ -67,14 +74,14 @@ def main(arguments: list[str] | None = None) -> int:
         return _refuse(f"not enough memory ({error}); expected a smaller ppo.num_envs or --courses")
     except KeyboardInterrupt:
         known = folder is not None and (folder / "study.yaml").is_file()
-        again = f"; go on with: python -m agents.ablation --resume {folder}" if known else ""
-        print(f"\nagents.ablation: interrupted{again}", file=sys.stderr)
+        again = f"; go on with: {command(_NAME)} --resume {folder}" if known else ""
+        print(f"\n{label(_NAME)}: interrupted{again}", file=sys.stderr)
         return 130
     return 0
 
 
 def _refuse(message: str) -> int:
-    print(f"agents.ablation: {' '.join(message.split())}", file=sys.stderr)
+    print(f"{label(_NAME)}: {' '.join(message.split())}", file=sys.stderr)
     return 2
 
 
@@ -87,6 +94,7 @@ def _run(options, folder: Path | None, console: Console) -> None:
     if options.workers is not None and options.workers < 1:
         raise ParameterError(f"--workers {options.workers}: expected a whole number >= 1")
     if options.out is not None:
+        check_folder(folder)
         asked = _asked(options)
         study.begin(asked, folder)
     else:
@@ -105,8 +113,11 @@ def _run(options, folder: Path | None, console: Console) -> None:
 def _asked(options) -> study.Ablation:
     path = options.config or config_dir() / "ablation.yaml"
     only = options.scenarios.split(",") if options.scenarios else None
-    asked = study.read_config(path, only, seeds=options.seeds, courses=options.courses)
-    return asked if options.steps is None else study.with_steps(asked, int(options.steps))
+    asked = study.read_config(path, only)
+    given = {name: getattr(options, name) for name in ("seeds", "courses") if getattr(options, name) is not None}
+    with as_options(timesteps="steps"):
+        asked = dataclasses.replace(asked, **given)
+        return asked if options.steps is None else study.with_steps(asked, int(options.steps))
 
 
 def fill(asked: study.Ablation, folder: Path, count: int | None, console: Console) -> None:

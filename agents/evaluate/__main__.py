@@ -33,7 +33,7 @@ from pathlib import Path
 from rich.console import Console
 
 from agents import engines
-from agents.cli import overrides
+from agents.cli import as_options, check_folder, overrides
 from agents.evaluate import contestants as entries
 from agents.evaluate import report, results
 from agents.evaluate import study as studies
@@ -44,7 +44,7 @@ from soil_env.files import is_unused
 from soil_env.loading import ParameterError, unknown_key
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import load_scenario
-from soil_env.starting import leave
+from soil_env.starting import command, label, leave
 from soil_env.stopping import terminable
 
 _EPILOG = """further options:
@@ -56,10 +56,13 @@ exit status:
   0 done; 2 bad input, said in one line; 130 interrupted, --resume goes on"""
 
 
+_TUNING_COURSES = 200  # as train.py
+
+
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = argparse.ArgumentParser(
-        "python -m agents.evaluate",
+        command("agents.evaluate"),
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
@@ -76,9 +79,10 @@ def parser() -> argparse.ArgumentParser:
         help=f"names the set of courses (default: {HELD_OUT_SET}, the held-out set of train.py)",
     )  # fmt: skip
     p.add_argument(
-        "--tuning-courses", metavar="N", type=int, default=0,
-        help="tune the classical controllers on N other courses first, those with --settings excepted (default: 0, "
-        "no tuning)",
+        "--tuning-courses", metavar="N", type=int,
+        help="tune the classical controllers on N other courses first, those with --settings excepted; 0: not at all "
+        f"(default: 0 among classical ones alone, else as many as --courses, at most {_TUNING_COURSES}; fixed_slip "
+        "then drives them 25 times)",
     )  # fmt: skip
     p.add_argument("--block", metavar="N", type=int, default=100, help="courses driven side by side (default: 100)")
     p.add_argument("--resamples", metavar="N", type=int, default=2000, help="redraws of the bootstrap (default: 2000)")
@@ -101,14 +105,14 @@ def main(arguments: list[str] | None = None) -> int:
         return _refuse(f"not enough memory ({error}); expected fewer --courses or a smaller --block")
     except KeyboardInterrupt:
         known = folder is not None and (folder / studies.STUDY).is_file()
-        again = f"; go on with: python -m agents.evaluate --resume {folder}" if known else ""
-        print(f"\nagents.evaluate: interrupted{again}", file=sys.stderr)
+        again = f"; go on with: {command('agents.evaluate')} --resume {folder}" if known else ""
+        print(f"\n{label('agents.evaluate')}: interrupted{again}", file=sys.stderr)
         return 130
     return 0
 
 
 def _refuse(message: str) -> int:
-    print(f"agents.evaluate: {' '.join(message.split())}", file=sys.stderr)
+    print(f"{label('agents.evaluate')}: {' '.join(message.split())}", file=sys.stderr)
     return 2
 
 
@@ -146,13 +150,14 @@ def _engine(options):
 
 def _asked(options, rest: list[str]) -> studies.Study:
     """The study of the command line."""
-    if options.controllers is None or options.out is None:
-        raise ParameterError("expected --controllers and --out, or --resume (see --help)")
     extra = overrides(rest)
     for key in extra:
         if key not in ("changes", "settings"):
             raise unknown_key(key, [*_STUDY_OPTIONS, "resume", "engine", "workers", "address", "changes", "settings"],
                               "command line")  # fmt: skip
+    if options.controllers is None or options.out is None:
+        raise ParameterError("expected --controllers and --out, or --resume (see --help)")
+    check_folder(options.out)
     for key in ("changes", "settings"):
         if not isinstance(extra.get(key, {}), dict):
             raise ParameterError(f"--{key}: expected --{key}.KEY VALUE")
@@ -162,16 +167,33 @@ def _asked(options, rest: list[str]) -> studies.Study:
             raise ParameterError(f"--settings.{name}: expected --settings.{name}.KEY VALUE")
     if options.tuning_courses and options.seed == TUNING_SET:
         raise ParameterError(f"--seed {TUNING_SET}: these courses are those that controllers are tuned on")
-    return studies.Study(
-        scenario=load_scenario(options.scenario, extra.get("changes")),
-        controllers=entries.parse(options.controllers, settings),
-        courses=options.courses,
-        seed=options.seed,
-        block=options.block,
-        resamples=options.resamples,
-        tuning_courses=options.tuning_courses,
-        model=WheelSoilModel.load(options.model).content() if options.model else {},
-    )
+    scenario = load_scenario(options.scenario, extra.get("changes"), "--changes")
+    controllers = entries.parse(options.controllers, settings)
+    with as_options():
+        return studies.Study(
+            scenario=scenario,
+            controllers=controllers,
+            courses=options.courses,
+            seed=options.seed,
+            block=options.block,
+            resamples=options.resamples,
+            tuning_courses=_tuning_courses(options, controllers),
+            model=WheelSoilModel.load(options.model).content() if options.model else {},
+        )
+
+
+def _tuning_courses(options, controllers: dict[str, entries.Contestant]) -> int:
+    """The option, else its default: none where only classical controllers are compared."""
+    if options.tuning_courses is not None:
+        return options.tuning_courses
+    if all(c.kind == "classical" for c in controllers.values()) or not candidates_in_all(_untuned(controllers)):
+        return 0
+    return max(0, min(_TUNING_COURSES, options.courses)) if options.seed != TUNING_SET else 0
+
+
+def _untuned(controllers: dict[str, entries.Contestant]) -> list[str]:
+    """Names of the classical controllers that tuning is for: those without --settings and under their own name."""
+    return [c.name for c in controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings]
 
 
 def _begin(study: studies.Study, folder: Path, console: Console) -> studies.Study:
@@ -187,9 +209,7 @@ def _begin(study: studies.Study, folder: Path, console: Console) -> studies.Stud
     if not is_unused(folder):
         raise ParameterError(f"{folder}: is not empty and holds no evaluation; give another --out")
     folder.mkdir(parents=True, exist_ok=True)
-    untuned = [
-        c.name for c in study.controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings
-    ]
+    untuned = _untuned(study.controllers)
     if study.tuning_courses and candidates_in_all(untuned):
         studies.replace_file(folder / studies.STUDY, b"")  # can this folder be written? before the tuning
         (folder / studies.STUDY).unlink()

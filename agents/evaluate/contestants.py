@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.controllers import CONTROLLERS, make_controller
+from agents.controllers import CONTROLLERS, checked_settings, make_controller
 from soil_env.loading import ParameterError, unknown_key
 from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
@@ -67,6 +67,8 @@ def parse(text: str, settings: dict[str, dict] | None = None) -> dict[str, Conte
     settings, out = dict(settings or {}), {}
     members: dict[str, int] = {}
     unnamed: set[str] = set()
+    kinds: dict[str, str] = {}
+    first: dict[str, str] = {}
     items = [item.strip() for item in text.split(",")]
     if not any(items):
         raise ParameterError("controllers: expected at least one, got none")
@@ -84,6 +86,13 @@ def parse(text: str, settings: dict[str, dict] | None = None) -> dict[str, Conte
             raise ParameterError(f"controllers: {name!r} twice; give one another name: NAME={spec}")
         if not named:
             unnamed.add(name)
+        kinds.setdefault(name, kind)
+        if name in members and (kind != kinds[name] or kind == "classical"):
+            raise ParameterError(
+                f"controllers: {name!r}: {spec} beside {first[name]}: one name is one algorithm of several training "
+                "seeds, models alone or classes alone; give another name"
+            )
+        first.setdefault(name, spec)
         for source in sources:
             found = digest(source) if kind == "model" else ""
             chosen = dict(settings.get(name, {})) if kind == "classical" else {}
@@ -155,12 +164,9 @@ def digest(path: str) -> str:
 def load(contestant: Contestant, scenario: Scenario, files: dict[str, bytes] | None = None):
     """The controller: an object with `predict` and `variant`. `files`: the model, if it does not lie at its source."""
     if contestant.kind == "classical":
-        try:
-            return make_controller(contestant.source, scenario, **contestant.settings)
-        except TypeError:
-            known = list(inspect.signature(CONTROLLERS[contestant.source].__init__).parameters)[2:]
-            key = next(k for k in contestant.settings if k not in known)
-            raise unknown_key(key, known, f"settings.{contestant.name}") from None
+        where = f"--settings.{contestant.name}"
+        settings = checked_settings(contestant.source, scenario, contestant.settings, where)
+        return make_controller(contestant.source, scenario, **settings)
     if contestant.kind == "model":
         from agents.evaluate.models import load_model
 
@@ -227,7 +233,11 @@ def describe(error: BaseException) -> str:
     """An exception in one line: its class, its message, and where it was raised."""
     where, trace = "", error.__traceback__
     while trace is not None:
-        where = f", {Path(trace.tb_frame.f_code.co_filename).name} line {trace.tb_lineno}"
+        file = trace.tb_frame.f_code.co_filename
+        if file not in (__file__, importlib.__file__) and not file.startswith(
+            "<frozen"
+        ):  # theirs, not how it was called
+            where = f", {Path(file).name} line {trace.tb_lineno}"
         trace = trace.tb_next
     message = (str(error).splitlines() or [""])[0][:200]
     return f"{type(error).__name__}: {message}{where}"

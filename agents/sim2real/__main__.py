@@ -18,12 +18,18 @@ import argparse
 import sys
 from pathlib import Path
 
-from agents.sim2real import report, study
-from agents.training import console
+from agents.cli import as_options, check_folder
+from agents.extras import needing_train
 from soil_env.loading import ParameterError
 from soil_env.parameters import load_scenario
-from soil_env.starting import leave
+from soil_env.starting import command, label, leave
 from soil_env.stopping import terminable
+
+_NAME = "agents.sim2real"
+
+with needing_train(label(_NAME)):
+    from agents.sim2real import report, study
+    from agents.training import console
 
 _EPILOG = """files:
   YAML               model.yaml of a hidden world: `effects:` of the catalogue, `wheel:`; configs/worlds has five
@@ -40,7 +46,7 @@ def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     default = {f: study.Study.__dataclass_fields__[f].default for f in _NUMBERS}
     p = argparse.ArgumentParser(
-        "python -m agents.sim2real", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
+        command(_NAME), description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False, epilog=_EPILOG,
     )  # fmt: skip
     p.add_argument("--world", metavar="YAML", nargs="+", required=True, help="model.yaml of each hidden world")
@@ -67,10 +73,10 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     try:
         scenario = load_scenario(options.scenario)
-        asked = study.Study(
-            scenario=scenario, worlds=study.read_worlds(options.world, scenario),
-            **{name: getattr(options, name) for name in _NUMBERS},
-        )  # fmt: skip
+        check_folder(options.out)
+        worlds = study.read_worlds(options.world, scenario)
+        with as_options():
+            asked = study.Study(scenario=scenario, worlds=worlds, **{name: getattr(options, name) for name in _NUMBERS})
         study.begin(asked, options.out)
         study.run(asked, options.out, lambda text: console.print(text, soft_wrap=True, highlight=False))
         result = report.result(asked, options.out)
@@ -84,13 +90,13 @@ def main(arguments: list[str] | None = None) -> int:
     except MemoryError as error:
         return _refuse(f"not enough memory ({error}); expected fewer --courses")
     except KeyboardInterrupt:
-        print("\nagents.sim2real: interrupted; go on with the same command", file=sys.stderr)
+        print(f"\n{label(_NAME)}: interrupted; go on with the same command", file=sys.stderr)
         return 130
     return 0
 
 
 def _refuse(message: str) -> int:
-    print(f"agents.sim2real: {' '.join(message.split())}", file=sys.stderr)
+    print(f"{label(_NAME)}: {' '.join(message.split())}", file=sys.stderr)
     return 2
 
 

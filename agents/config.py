@@ -1,0 +1,112 @@
+"""What is asked of a training: the keys of train.py's YAML file and command line. Needs no torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+from agents.controllers import checked_settings
+from soil_env.loading import Checked, ParameterError, load, quantity
+from soil_env.model import WheelSoilModel
+from soil_env.parameters import Scenario
+
+if TYPE_CHECKING:
+    from agents.guided import Guide
+
+#: Name of the PPO agent of each observation variant in tables and files.
+NAMES = {"blind": "ppo_blind", "identified": "ppo_identified", "true_soil": "ppo_true"}
+
+
+_TRIM = 1.4
+
+
+def _text(default: str, doc: str):
+    """A dataclass field of text."""
+    return field(default=default, metadata={"doc": doc})
+
+
+@dataclass(frozen=True)
+class PPOConfig(Checked):
+    """Hyperparameters of PPO (Schulman et al. 2017), in SB3's terms. The learning rate falls linearly to 5 %.
+
+    docs/training.md says how the layout was chosen.
+    """
+
+    num_envs: int = quantity("", 1, 65536, default=512, doc="wheels stepped together")
+    n_steps: int = quantity("", 8, 65536, default=64, doc="steps of each wheel per update")
+    batch_size: int = quantity("", 8, 1_000_000, default=4096, doc="transitions per gradient step")
+    n_epochs: int = quantity("", 1, 100, default=4, doc="passes over a rollout")
+    learning_rate: float = quantity("", 1e-7, 1.0, default=1e-3, doc="step of Adam at the start")
+    gamma: float = quantity("", 0.5, 1.0, default=0.999, doc="discount a step")
+    gae_lambda: float = quantity("", 0.0, 1.0, default=0.9, doc="bias against variance of the advantages")
+    clip_range: float = quantity("", 0.01, 1.0, default=0.2, doc="how far an update may move a probability ratio")
+    ent_coef: float = quantity("", 0.0, 1.0, default=0.003, doc="weight of the entropy")
+    layer: int = quantity("", 1, 4096, default=64, doc="units in each of two hidden layers")
+    activation: Literal["relu", "tanh"] = _text("relu", "what follows a hidden layer: relu or tanh")
+    log_std_init: float = quantity("", -5.0, 2.0, default=-1.6, doc="log of the initial standard deviation")
+    initial_action: float = quantity("", -1.0, 1.0, default=0.3, doc="mean action of the untrained policy")
+    threads: int = quantity("", 1, 256, default=2, doc="threads of environment and update; the result is the same")
+
+    def __post_init__(self):
+        super().__post_init__()
+        rollout = self.num_envs * self.n_steps
+        if rollout % self.batch_size:
+            raise ParameterError(
+                f"PPOConfig.batch_size = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
+            )
+
+
+@dataclass(frozen=True)
+class TrainConfig(Checked):
+    """A training run: what `train.py` takes from YAML and from its command line."""
+
+    scenario: str = _text("mixed", "name of a scenario in configs/scenarios, or a YAML file")
+    changes: dict = field(default_factory=dict)  # merged over the scenario
+    model: dict = field(default_factory=dict, metadata={"doc": "model.yaml with the effects that are on in this world"})
+    observation: Literal["blind", "identified", "true_soil"] = _text(
+        "identified", "what the agent knows: blind, identified or true_soil"
+    )
+    algorithm: Literal["ppo", "recurrent_ppo"] = _text("ppo", "ppo, or recurrent_ppo: with a memory, of sb3-contrib")
+    guide: Literal["", "fixed_slip", "best_slip_identified", "best_slip_true"] = _text(
+        "", "slip controller whose rim speed the agent trims; empty: it sets the torque itself"
+    )
+    guide_settings: dict = field(default_factory=dict, metadata={"doc": "of the guide: slip, start"})
+    trim: float = quantity("", 0.0, 5.0, default=_TRIM, doc="log of the largest factor on the guide's rim speed")
+    name: str = _text("", "of the run folder; empty: observation, scenario and time")
+    runs: str = _text("runs", "folder of the run folders")
+    seed: int = quantity("", 0, 2**31 - 1, default=0, doc="of the training")
+    timesteps: int = quantity("", 1, 10**12, default=20_000_000, doc="environment steps of the training")
+    checkpoint_every: int = quantity("", 1, 10**12, default=1_000_000, doc="environment steps between checkpoints")
+    courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
+    tuning_courses: int = quantity("", 1, 10**6, default=200, doc="courses to tune the classical controllers on")
+    ppo: PPOConfig = PPOConfig()
+
+    def __post_init__(self):
+        super().__post_init__()
+        for name, unset in (("guide_settings", {}), ("trim", _TRIM)):
+            if not self.guide and getattr(self, name) != unset:
+                raise ParameterError(f"{name} = {getattr(self, name)!r}: expected only with a guide")
+
+    @property
+    def world(self) -> WheelSoilModel | None:
+        """The model of the world's effects."""
+        return WheelSoilModel.from_content(self.model, "model") if self.model else None
+
+    def made_guide(self, scenario: Scenario) -> Guide | None:
+        """The controller whose rim speed the agent trims, if there is one; ParameterError where it cannot be made."""
+        if not self.guide:
+            return None
+        from agents.guided import Guide
+
+        settings = checked_settings(self.guide, scenario, self.guide_settings, "guide_settings")
+        return Guide(scenario, self.guide, settings, self.trim, self.observation)
+
+
+def load_config(mapping: dict, where: str) -> TrainConfig:
+    """A `TrainConfig` from a mapping, strictly; `model` may name a file, whose content it then keeps."""
+    model = mapping.get("model")
+    if isinstance(model, str):
+        mapping = {**mapping, "model": WheelSoilModel.load(model).content()}
+    elif isinstance(model, dict) and model:
+        WheelSoilModel.from_content(model, f"{where}: model")
+    return load(TrainConfig, mapping, where)
