@@ -14,7 +14,7 @@ from pathlib import Path
 import yaml
 
 from agents.extras import needing_train
-from soil_env.loading import ParameterError, merge, parse_yaml, read_yaml
+from soil_env.loading import ParameterError, config_dir, merge, parse_yaml, read_yaml
 from soil_env.starting import command, label
 from soil_env.stopping import terminable
 
@@ -69,7 +69,11 @@ def parser(description: str) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    p.add_argument("--config", metavar="YAML", help="file of config keys; the command line goes over it")
+    p.add_argument(
+        "--config",
+        metavar="YAML",
+        help="file of config keys, or a shipped one as smoke.yaml; the command line goes over it",
+    )
     p.add_argument("--resume", metavar="RUN", help="run folder to go on with; config keys may not be given then")
     return p
 
@@ -116,6 +120,13 @@ def as_options(**names: str) -> Iterator[None]:
         raise ParameterError(f"--{option}{str(error)[own.end() :]}") from None
 
 
+def config_file(name: str | Path) -> Path:
+    """The file of --config; a bare name that is no file here is one of the configs that come with the package."""
+    path = Path(name)
+    shipped = config_dir() / path.name
+    return shipped if not path.exists() and path.name == str(path) and shipped.is_file() else path
+
+
 def check_folder(path: Path) -> None:
     """ParameterError where a folder of results is something else."""
     if path.exists() and not path.is_dir():
@@ -149,7 +160,7 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
             folder = Path(options.resume)
             config, scenario = training.open_run(folder)
         else:
-            mapping = {} if options.config is None else read_yaml(Path(options.config))
+            mapping = {} if options.config is None else read_yaml(config_file(options.config))
             where = " and ".join(filter(None, (options.config, "command line" if changes else "")))
             config = ppo.load_config(merge(mapping, changes), where or "defaults")
             scenario = load_scenario(config.scenario, config.changes)

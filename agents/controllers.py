@@ -34,6 +34,7 @@ class Controller:
 
     name = "controller"
     variant = "blind"  # the observation it reads
+    bounds: dict[str, tuple[float | None, str]] = {}  # settings: largest value and unit; None: the top rim speed
     rolling = 0.12  # feed-forward of the motion resistance, as a share of the load
 
     def __init__(self, scenario: Scenario):
@@ -46,6 +47,7 @@ class Controller:
         self.by_speed = scenario.control.action == "wheel_speed"
         self.gain = wheel.inertia / scenario.control.period  # [N m s]: a free wheel is on speed after one period
         self.integral_gain = 0.68 * self.weight_torque  # [N m] per rad
+        self.settings: dict[str, float] = {}  # what can be set, as it is
         self.column = {entry.name: i for i, entry in enumerate(layout(self.variant))}
 
     def rim_speed(self, observation: np.ndarray, state: dict) -> np.ndarray:
@@ -113,10 +115,12 @@ class ConstantSpeed(Controller):
     """A constant rim speed."""
 
     name = "constant_speed"
+    bounds = {"speed": (None, "m/s, at most the top rim speed")}
 
     def __init__(self, scenario: Scenario, speed: float | None = None):
         super().__init__(scenario)
         self.speed = 0.33 * self.top_speed if speed is None else speed  # [m/s]
+        self.settings = {"speed": self.speed}
 
     def rim_speed(self, observation, state):
         """The speed."""
@@ -127,11 +131,13 @@ class FixedSlip(Controller):
     """A rim speed that holds a slip."""
 
     name = "fixed_slip"
+    bounds = {"slip": (_MOST_SLIP, "of slip"), "start": (1.0, "of the top rim speed")}
 
     def __init__(self, scenario: Scenario, slip: float = 0.3, start: float = 0.1):
         super().__init__(scenario)
         self.slip = slip
         self.start_speed = start * self.top_speed  # [m/s] of the rim, from rest
+        self.settings = {name: value for name, value in (("slip", slip), ("start", start)) if name in self.bounds}
 
     def target_slip(self, observation, state):
         """Slip to hold, [n]."""
@@ -150,6 +156,7 @@ class BestSlipIdentified(FixedSlip):
 
     name = "best_slip_identified"
     variant = "identified"
+    bounds = {"start": FixedSlip.bounds["start"]}
 
     def soils(self, observation) -> np.ndarray:
         """`SoilState` rows [n, 7] read from the observation."""
@@ -206,35 +213,24 @@ def _best_slips(soils, load, r, b, torque, known, slip):
 CONTROLLERS = {c.name: c for c in (FullThrottle, ConstantSpeed, FixedSlip, BestSlipIdentified, BestSlipTrue)}
 
 
-def _known(name: str, scenario: Scenario) -> dict[str, tuple[float, float, str]]:
-    """{setting of a controller: its bounds and the unit}."""
-    top = scenario.wheel.radius * scenario.wheel.no_load_speed
-    cls = CONTROLLERS[name]
-    out = {"speed": (0.0, top, "m/s, at most the top rim speed")} if cls is ConstantSpeed else {}
-    if cls is FixedSlip:
-        out["slip"] = (0.0, _MOST_SLIP, "")
-    if issubclass(cls, FixedSlip):
-        out["start"] = (0.0, 1.0, "of the top rim speed")
-    return out
-
-
 def checked_settings(name: str, scenario: Scenario, settings: dict, where: str) -> dict[str, float]:
     """Settings of the controller `name` as numbers; ParameterError with one line that begins with `where` for an
     unknown one, no number, or one that the controller or the motor cannot hold."""
     if name not in CONTROLLERS:
         raise unknown_key(name, CONTROLLERS, "controller")
-    known, out = _known(name, scenario), {}
+    known, out = CONTROLLERS[name].bounds, {}
     for key, given in settings.items():
         if key not in known:
             if not known:
                 raise ParameterError(f"{where}: unknown key {key!r}: {name} has no settings")
             raise unknown_key(key, known, where)
-        low, high, unit = known[key]
         value = number(float, given, f"{where}.{key}")
-        if not (low <= value <= high) or (key != "slip" and value == low):
-            bracket = "[" if key == "slip" else "("
+        high, unit = known[key]
+        if high is None:
+            high = scenario.wheel.radius * scenario.wheel.no_load_speed
+        if not (0.0 <= value <= high) or (key != "slip" and value == 0.0):
             raise ParameterError(
-                f"{where}.{key} = {given!r}: expected a number in {bracket}{low:g}, {high:.4g}] {unit}".rstrip()
+                f"{where}.{key} = {given!r}: expected a number in {'[' if key == 'slip' else '('}0, {high:.4g}] {unit}"
             )
         out[key] = value
     return out

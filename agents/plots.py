@@ -10,6 +10,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from agents.evaluate import METRICS, RATES, course_rng
 from soil_env.files import save_figure
@@ -19,7 +20,7 @@ from soil_env.simulation import Simulation
 from soil_env.task import Cause
 from soil_env.terrain import ground_at
 
-_PANELS = ("immobilised", "time_limit", "speed", "energy_per_metre", "slip", "return")
+_PANELS = ("immobilised", "time_limit", "finished", "speed", "energy_per_metre", "slip", "return")
 
 
 def comparison_figure(result: dict, path: Path) -> None:
@@ -35,6 +36,7 @@ def comparison_figure(result: dict, path: Path) -> None:
             axis.errorbar(value, y, xerr=[[value - low], [high - value]], fmt="o", color=colour, capsize=3)
         unit = "% of courses" if metric in RATES else METRICS[metric][0]
         axis.set_xlabel(f"{metric.replace('_', ' ')} [{unit}]")
+        axis.xaxis.set_major_locator(MaxNLocator(3))
         axis.grid(alpha=0.3)
     axes[0].set_yticks(range(len(names)), names)
     figure.suptitle(f"{result['courses']} held-out courses, scenario {result['scenario']!r}; bars: 95 % intervals")

@@ -28,7 +28,7 @@ from rich.console import Console
 import agents
 import soil_env
 from agents import engines
-from agents.cli import check_folder, overrides
+from agents.cli import check_folder, config_file, overrides
 from agents.config import TrainConfig
 from agents.extras import needing_train
 from agents.progress import Bar
@@ -147,7 +147,7 @@ def main(arguments: list[str] | None = None) -> int:
         given = [key for key in _SET_HERE if key in changes]
         if given:
             raise ParameterError(f"--{given[0]}: is set for every seed; expected --seeds, --first and --out")
-        mapping = {} if options.config is None else read_yaml(Path(options.config))
+        mapping = {} if options.config is None else read_yaml(config_file(options.config))
         config = ppo.load_config(merge(mapping, changes), options.config or "command line")
         scenario = load_scenario(config.scenario, config.changes)
         training.check(config, scenario)

@@ -245,16 +245,25 @@ def verdict(result: dict, name: str) -> str:
     text = f"{name} is immobilised {_judgement(agent, fixed)} the tuned fixed slip: "
     text += f"{_percent(agent)} against {_percent(fixed)}"
     gap = fixed["value"] - true["value"]
-    if gap > 0.0 and agent["value"] < fixed["value"]:
-        share = (fixed["value"] - agent["value"]) / gap
+    share = (fixed["value"] - agent["value"]) / gap if gap > 0.0 else 0.0
+    if 0.0 < share <= 1.0:
         text += f"; it covers {share:.0%} of the way to best_slip_true ({true['value']:.1%})"
-    difference = result["paired"][name][best]["finished"]
-    value, low, high = (100.0 * difference[key] for key in ("value", "low", "high"))
+    elif share > 1.0:
+        text += f", and {true['value']:.1%} of best_slip_true, which knows the soil"
     return (
         f"{text}. Of the others without the true soil, {best} fails least; on the same courses {name} finishes "
-        f"{value:+.1f} [{low:+.1f}, {high:+.1f}] percentage points more than it. One training seed; the intervals are "
-        "over courses."
+        f"{points(result['paired'][name][best]['finished'])} than it. One training seed; the intervals are over "
+        "courses."
     )
+
+
+def points(difference: dict) -> str:
+    """A difference of two rates in words: "7.5 [5.3, 9.7] percentage points more", or "fewer"."""
+    value, low, high = (100.0 * difference[key] for key in ("value", "low", "high"))
+    word = "more"
+    if value < 0.0:
+        value, low, high, word = -value, -high, -low, "fewer"
+    return f"{value:.1f} [{low:.1f}, {high:.1f}] percentage points {word}"
 
 
 def _judgement(a: dict, b: dict) -> str:

@@ -3,7 +3,7 @@
     python examples/compare_controllers.py
     python examples/compare_controllers.py --scenario field_vehicle --courses 1000 --out compared.png
 
-The picture shows how often each controller gets stuck and how often it finishes. `python -m agents.evaluate` does the
+The slip and speed controllers are tuned first, on courses of their own. The picture shows how often each controller gets stuck and how often it finishes. `python -m agents.evaluate` does the
 same for trained agents and for classes of your own, with resume, many processes and a report.
 """
 
@@ -15,7 +15,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 from agents.controllers import CONTROLLERS, make_controller
-from agents.evaluate import HELD_OUT_SET, run_courses, wilson
+from agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses, wilson
+from agents.tuning import tuned_settings
 from soil_env.parameters import load_scenario
 
 
@@ -25,12 +26,14 @@ def main() -> None:
     p.add_argument("--scenario", default="mixed", help="name or YAML file")
     p.add_argument("--courses", type=int, default=200)
     p.add_argument("--out", default="compared.png", help="the picture")
+    p.add_argument("--tuning-courses", type=int, default=30, help="to tune each controller on (default: 30)")
     options = p.parse_args()
 
     scenario = load_scenario(options.scenario)
+    settings, _ = tuned_settings(scenario, TUNING_SET, options.tuning_courses, lambda count, name: None)
     figure, axes = plt.subplots(1, 2, figsize=(9, 3), sharey=True, layout="constrained")
     for y, name in enumerate(CONTROLLERS):
-        runs = run_courses(make_controller(name, scenario), scenario, HELD_OUT_SET, options.courses)
+        runs = run_courses(make_controller(name, scenario, **settings.get(name, {})), scenario, HELD_OUT_SET, options.courses)
         for axis, metric in zip(axes, ("immobilised", "finished"), strict=True):
             share = runs.metric(metric).mean()
             low, high = wilson(runs.metric(metric).sum(), options.courses)

@@ -7,6 +7,7 @@ stack. `error_model="numpy"`: a division by zero gives inf, as in numpy, not a t
 
 import importlib
 import multiprocessing
+import os
 import sys
 
 from numba import njit, typeof, types
@@ -58,7 +59,12 @@ def _tell(function) -> None:
 
     Not in workers of `multiprocessing`, whose parent says it, and not in tests.
     """
-    if _told[0] or "pytest" in sys.modules or multiprocessing.parent_process() is not None or _kept(function):
+    if (
+        _told[0]
+        or "PYTEST_CURRENT_TEST" in os.environ
+        or multiprocessing.parent_process() is not None
+        or _kept(function)
+    ):
         return
     _told[0] = True
     kept = "once" if CACHE else "in every process, as no cache can be written (NUMBA_CACHE_DIR)"

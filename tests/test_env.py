@@ -273,6 +273,25 @@ def test_yaml_file_as_scenario(tmp_path):
         SoilWheelEnv(path)
 
 
+@pytest.mark.parametrize(("keywords", "message"), [
+    ({"obervation": "blind"}, "keyword: unknown key 'obervation'; did you mean 'observation'?"),
+    ({"rendermode": "human"}, "keyword: unknown key 'rendermode'; did you mean 'render_mode'?"),
+    ({"cours": {}}, "keyword: unknown key 'cours'; did you mean 'course'?"),
+    ({"course": {"lenght": 5}}, "keyword: course: unknown key 'lenght'; did you mean 'length'?"),
+    ({"course": {"length": -5}}, "keyword: course.length = -5: "),
+    ({"observation": None}, "observation = None: expected one of blind, identified, true_soil"),
+])  # fmt: skip
+def test_a_keyword_is_refused_as_one(keywords, message):
+    with pytest.raises(ParameterError) as raised:
+        SoilWheelEnv(**keywords)
+    assert str(raised.value).startswith(message)
+
+
+def test_a_scenario_that_is_a_folder_is_said_to_be_one(tmp_path):
+    with pytest.raises(ParameterError, match="is a folder; expected a name or a YAML file"):
+        SoilWheelEnv(scenario=tmp_path)
+
+
 def test_a_scenario_object():
     scenario = load_scenario("mixed", {"course": {"length": 4.0}})
     assert SoilWheelEnv(scenario).scenario == scenario

@@ -11,9 +11,9 @@ import yaml
 from scipy.stats import binomtest
 
 from agents.evaluate import HELD_OUT_SET, study
-from agents.evaluate.__main__ import main, parser
+from agents.evaluate.__main__ import _asked, main, parser
 from agents.evaluate.records import METRICS, RATES
-from tests.evaluating import FILES, evaluate, make_done, make_models, result_of
+from tests.evaluating import CLASSES, FILES, evaluate, make_done, make_models, result_of
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def test_the_folder_holds_what_is_promised(done):
     result = result_of(done)
     assert list(result["controllers"]) == ["half", "tests.drivers:Counting", "fixed_slip", "ppo"]
     assert result["controllers"]["ppo"]["members"] == 2 and len(result["controllers"]["ppo"]["sources"]) == 2
-    assert result["controllers"]["fixed_slip"]["settings"] == {"slip": 0.2}
+    assert result["controllers"]["fixed_slip"]["settings"] == {"slip": 0.2, "start": 0.1}
     assert (result["courses"], result["seed"], result["scenario"]) == (7, 11, "mixed")
     for name, entry in result["controllers"].items():
         assert set(entry["metrics"]) == set(METRICS)
@@ -165,3 +165,26 @@ def test_help_explains_the_entries(capsys):
 
 def test_the_default_courses_are_the_held_out_set():
     assert parser().get_default("seed") == HELD_OUT_SET
+
+
+# --- what the classical controllers are set to ------------------------------------------------------------------------
+
+
+def test_untuned_settings_are_said(capsys, tmp_path):
+    out = tmp_path / "out"
+    assert evaluate(out, "fixed_slip,full_throttle,constant_speed", "--settings.constant_speed.speed=0.3") == 0
+    said = capsys.readouterr().out
+    assert "\nuntuned: fixed_slip slip 0.3, start 0.1. Tuned they do better: --tuning-courses 200\n" in said
+    assert "\nas given with --settings: constant_speed speed 0.3\n" in said
+    assert "out of" in said and "time [%]" in said
+    assert "untuned: fixed_slip slip 0.3, start 0.1" in (out / "report.html").read_text()
+
+
+def test_classical_controllers_beside_others_are_tuned_unless_asked_not_to(tmp_path):
+    asked = [f"--controllers=best_slip_identified,{CLASSES}", "--out=x", "--courses=3"]
+    for more, expected in (([], 3), (["--tuning-courses=0"], 0), (["--courses=500"], 200)):
+        options, rest = parser().parse_known_args([*asked, *more])
+        assert _asked(options, rest).tuning_courses == expected
+    for alone in ("best_slip_identified,fixed_slip", "full_throttle"):
+        options, rest = parser().parse_known_args([f"--controllers={alone}", "--out=x"])
+        assert _asked(options, rest).tuning_courses == 0

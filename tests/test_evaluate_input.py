@@ -34,7 +34,19 @@ def models(tmp_path_factory):
         (["--controllers=tests.drivers:OtherVariant"], ("'blnd'", "expected one of blind, identified, true_soil")),
         (["--controllers=tests.drivers:Raises"], ("cannot be made", "OSError: no such device", "drivers.py line")),
         (["--controllers=tests.drivers"], ("'tests.drivers'", "unknown controller")),
-        (["--courses=0"], ("courses = 0", "[1, 100000]")),
+        (["--controllers=a=fixed_slip,a=tests.drivers:Half"], ("'a'", "tests.drivers:Half beside fixed_slip")),
+        (["--controllers=a=fixed_slip,a=constant_speed"], ("'a'", "constant_speed beside fixed_slip")),
+        (["--contollers=x"], ("'contollers'", "did you mean 'controllers'?")),
+        (["--changes.course.lenght=5", "--controllers=full_throttle"], ("--changes: course: unknown key 'lenght'",)),
+        (
+            ["--settings.fixed_slip.slip=abc", "--controllers=fixed_slip"],
+            ("--settings.fixed_slip.slip = 'abc': expected",),
+        ),
+        (["--settings.fixed_slip.slip=.nan", "--controllers=fixed_slip"], ("fixed_slip.slip", "[0, 0.95]")),
+        (["--settings.fixed_slip.slip=7", "--controllers=fixed_slip"], ("--settings.fixed_slip.slip = 7", "[0, 0.95]")),
+        (["--settings.constant_speed.speed=-1", "--controllers=constant_speed"], ("speed = -1", "top rim speed")),
+        (["--settings.full_throttle.slip=0.1", "--controllers=full_throttle"], ("full_throttle has no settings",)),
+        (["--courses=0"], ("--courses = 0: expected", "[1, 100000]")),
         (["--courses=-5"], ("courses = -5",)),
         (["--block=0"], ("block = 0",)),
         (["--seed=-1"], ("seed = -1",)),
@@ -114,3 +126,15 @@ def test_a_folder_that_cannot_be_used_is_refused(capsys, tmp_path, out):
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and out.rsplit("/", 1)[0] in error
     assert [p.name for p in (tmp_path / "other").iterdir()] == ["thesis.txt"]
+
+
+def test_a_file_is_no_folder_of_results(capsys, tmp_path):
+    (tmp_path / "mine.py").write_text("")
+    assert main([*SHORT, "--controllers=full_throttle", f"--out={tmp_path / 'mine.py'}"]) == 2
+    assert "mine.py: is a file: expected a folder" in capsys.readouterr().err
+
+
+def test_failures_are_placed_in_code_of_theirs(capsys, tmp_path):
+    assert evaluate(tmp_path / "out", "no.such.module:Thing") == 2
+    error = capsys.readouterr().err
+    assert error.rstrip().endswith("(ModuleNotFoundError: No module named 'no')") and "frozen" not in error

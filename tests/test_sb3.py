@@ -307,3 +307,18 @@ def test_works_inside_vec_normalize():
     late = np.concatenate(observations[60:])
     assert np.abs(late.mean(axis=0)).max() < 1.0 and np.abs(late).max() <= env.clip_obs
     assert env.get_attr("observation_names") == [env.venv.observation_names] * 16
+
+
+@pytest.mark.parametrize("count", [0, -1, "x", 1.5, True])
+def test_the_number_of_wheels_is_checked(count):
+    with pytest.raises(ParameterError, match=f"num_envs = {count!r}: expected a whole number >= 1"):
+        SoilWheelVecEnv(count)
+
+
+def test_a_misspelt_keyword_is_named():
+    with pytest.raises(ParameterError, match="keyword: unknown key 'autoreset_mode'.*num_envs.*threads"):
+        SoilWheelVecEnv(1, autoreset_mode="NextStep")
+    with pytest.raises(ParameterError, match="keyword: unknown key 'thread'; did you mean 'threads'"):
+        SoilWheelVecEnv(1, thread=1)
+    with pytest.raises(ValueError, match="actions = 'x': expected numbers"):
+        SoilWheelVecEnv(1).step_async("x")

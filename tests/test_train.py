@@ -250,6 +250,19 @@ def test_the_verdict_claims_no_share_where_there_is_no_gap():
     assert "of the way" not in training.verdict(rates(ppo_true=less, fixed_slip=same, best_slip_true=same), "ppo_true")
 
 
+def test_the_verdict_claims_no_share_beyond_the_reference():
+    text = training.verdict(
+        rates(ppo_true=(0.02, 0.01, 0.03), fixed_slip=(0.2, 0.15, 0.25), best_slip_true=(0.1, 0.05, 0.2)), "ppo_true"
+    )
+    assert "of the way" not in text and "and 10.0% of best_slip_true" in text
+
+
+def test_differences_are_said_without_signs():
+    assert training.points({"value": 0.075, "low": 0.053, "high": 0.097}) == "7.5 [5.3, 9.7] percentage points more"
+    assert training.points({"value": -0.63, "low": -0.72, "high": -0.53}) == "63.0 [53.0, 72.0] percentage points fewer"
+    assert training.points({"value": 0.007, "low": -0.011, "high": 0.024}) == "0.7 [-1.1, 2.4] percentage points more"
+
+
 # --- progress ---------------------------------------------------------------------------------------------------------
 
 
@@ -378,13 +391,22 @@ def test_overrides_are_read_as_yaml():
         (["--ppo.gamma", "1.5"], ["gamma", "1.5", "[0.5, 1]"]),
         (["--ppo.gamma", ".nan"], ["gamma", "nan"]),
         (["--ppo.learning_rate", "inf"], ["learning_rate", "inf"]),
-        (["--seed", "-1"], ["seed", "-1"]),
+        (["--seed", "-1"], ["seed", "-1", "[0, 2147483647]"]),
+        (["--guide", "fixed_slip", "--guide_settings.slip", "abc"], ["guide_settings.slip = 'abc': expected a number"]),
+        (["--guide", "fixed_slip", "--guide_settings.slip", ".nan"], ["guide_settings.slip", "[0, 0.95]"]),
+        (["--guide", "fixed_slip", "--guide_settings.slip", "-0.1"], ["guide_settings.slip = -0.1"]),
+        (["--guide", "fixed_slip", "--guide_settings.start", "0"], ["guide_settings.start = 0", "(0, 1]"]),
+        (["--guide", "fixed_slip", "--guide_settings.slp", "0.1"], ["guide_settings", "'slp'", "did you mean 'slip'"]),
+        (["--guide", "best_slip_true"], ["best_slip_true", "does not read the observation"]),
+        (["--guide_settings.slip", "0.1"], ["guide_settings", "expected only with a guide"]),
+        (["--trim", "2"], ["trim = 2.0: expected only with a guide"]),
+        (["--scenario", "configs"], ["'configs'", "is a folder"]),
         (["--seed", "null"], ["seed", "None", "number"]),
         (["--ppo", "5"], ["ppo", "5"]),
         (["--changes", "5"], ["changes", "5", "mapping"]),
         (["--changes.wheel.preset", "[1]"], ["wheel", "[1]", "paper_vehicle"]),
         (["--changes.course", "5"], ["course", "5"]),
-        (["--changes.course.length", "-5"], ["length", "-5", "[1, 10000] m"]),
+        (["--changes.course.length", "-5"], ["changes: course.length = -5", "[1, 10000] m"]),
         (["--scenario", "mixd"], ["mixd", "did you mean 'mixed'"]),
         (["--scenario", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
         (["--observation", "seen"], ["observation", "seen", "identified"]),
@@ -769,3 +791,33 @@ def test_a_run_that_was_killed_ends_as_one_that_was_not(capsys, tmp_path, monkey
     assert calm.mean.tolist() == resumed.mean.tolist() and calm.sd.tolist() == resumed.sd.tolist()
     weights = [agent.model.policy.state_dict() for agent in (calm, resumed)]
     assert all((weights[0][key] == weights[1][key]).all() for key in weights[0])
+
+
+# --- what it is called ------------------------------------------------------------------------------------------------
+
+
+def test_an_installed_command_names_itself(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/soil-env-train", "--courses", "0"])
+    assert cli.main() == 2
+    assert capsys.readouterr().err.startswith("soil-env-train: command line: courses = 0")
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(training, "train", interrupted)
+    assert cli.main(["--runs", str(tmp_path), "--name", "a"]) == 130
+    assert f"go on with: soil-env-train --resume {tmp_path / 'a'}" in capsys.readouterr().err
+
+
+def test_recurrent_ppo_without_its_package_leaves_no_run_folder(capsys, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
+    assert cli.main(["--runs", str(tmp_path / "runs"), "--algorithm", "recurrent_ppo"]) == 2
+    assert "needs sb3-contrib" in capsys.readouterr().err and not (tmp_path / "runs").exists()
+
+
+def test_a_shipped_config_is_found_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert load_config(yaml.safe_load(cli.config_file("smoke.yaml").read_text()), "x").timesteps == 8192
+    (tmp_path / "smoke.yaml").write_text("timesteps: 5\n")
+    assert cli.config_file("smoke.yaml") == Path("smoke.yaml")
+    assert cli.config_file("no/smoke.yaml") == Path("no/smoke.yaml")

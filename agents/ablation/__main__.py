@@ -21,7 +21,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from agents.cli import as_options, check_folder
+from agents.cli import as_options, check_folder, config_file
 from agents.extras import needing_train
 from agents.progress import Bar
 from soil_env.loading import ParameterError, config_dir
@@ -111,7 +111,7 @@ def _run(options, folder: Path | None, console: Console) -> None:
 
 
 def _asked(options) -> study.Ablation:
-    path = options.config or config_dir() / "ablation.yaml"
+    path = config_file(options.config) if options.config else config_dir() / "ablation.yaml"
     only = options.scenarios.split(",") if options.scenarios else None
     asked = study.read_config(path, only)
     given = {name: getattr(options, name) for name in ("seeds", "courses") if getattr(options, name) is not None}

@@ -13,7 +13,7 @@ Name only what you trust.
 
 Examples:
   python -m agents.evaluate --controllers full_throttle,fixed_slip,best_slip_identified --out evaluation
-  python -m agents.evaluate --controllers 'fixed_slip,ppo=runs/seed_*' --tuning-courses 200 --workers 8 --out evaluation
+  python -m agents.evaluate --controllers 'fixed_slip,ppo=runs/seed_*' --workers 8 --out evaluation
   python -m agents.evaluate --controllers my.module:Controller --scenario my.yaml --changes.course.length 20 --out e2
   python -m agents.evaluate --controllers fixed_slip --settings.fixed_slip.slip 0.2 --out e3
   python -m agents.evaluate --resume evaluation

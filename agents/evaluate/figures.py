@@ -6,6 +6,7 @@ import io
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from agents.evaluate.records import METRICS, RATES
 
@@ -30,6 +31,7 @@ def metrics(result: dict) -> Figure:
         axis.set_yticks(range(len(names)), names if k == 0 else [""] * len(names))
         axis.set_ylim(-0.6, len(names) - 0.4)
         axis.set_xlabel(f"{metric.replace('_', ' ')} [{'%' if metric in RATES else METRICS[metric][0]}]")
+        axis.xaxis.set_major_locator(MaxNLocator(3))
         axis.grid(alpha=0.3)
     return figure
 

@@ -18,6 +18,7 @@ from soil_env.files import replace_file
 #: Column of the printed table -> (metric, heading, factor, digits, with its interval)
 _COLUMNS = (
     ("immobilised", "immobilised\n[%], 95 %", 100.0, 1, True),
+    ("time_limit", "out of\ntime [%]", 100.0, 1, False),
     ("finished", "finished\n[%]", 100.0, 1, False),
     ("warned", "warned of\n[%]", 100.0, 0, False),
     ("warning_distance", "warning\n[m]", 1.0, 2, False),
@@ -57,6 +58,28 @@ def print_table(result: dict, console: Console) -> None:
     wide = Console(file=console.file, width=1000)
     wide.width = max(console.width, wide.measure(table).maximum)  # rather a wrapped terminal than cut numbers
     wide.print(table)
+    for line in settings(result):
+        console.print(line, soft_wrap=True, highlight=False, markup=False)
+
+
+def settings(result: dict) -> list[str]:
+    """Lines that say what the classical controllers are set to, and whether that was tuned."""
+    lines = []
+    for chosen, title in _CHOSEN.items():
+        of = {n: _values(e) for n, e in result["controllers"].items() if e.get("chosen") == chosen and e["settings"]}
+        if of:
+            title = title.format(courses=result["tuning_courses"])
+            lines.append(f"{title}: " + "; ".join(f"{name} {values}" for name, values in of.items()))
+            if chosen == "untuned":
+                lines[-1] += ". Tuned they do better: --tuning-courses 200"
+    return lines
+
+
+_CHOSEN = {"untuned": "untuned", "tuned": "tuned on {courses} other courses", "given": "as given with --settings"}
+
+
+def _values(entry: dict) -> str:
+    return ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in entry["settings"].items())
 
 
 def _title(result: dict) -> str:
@@ -100,6 +123,7 @@ def page(study: Study, result: dict, pictures: dict[str, bytes]) -> str:
             ["controller", "training seeds", "what"],
             [[n, str(e["members"]), _what(e)] for n, e in result["controllers"].items()],
         ),
+        *(f"<p>{html.escape(line)}.</p>" for line in settings(result)),
         "<h2>Results</h2>",
         _table(["metric", *result["controllers"]], _metric_rows(result)),
         "<p>Rates of one training seed: Wilson intervals. All others: bootstrap over training seeds and courses, both "
@@ -124,8 +148,8 @@ def page(study: Study, result: dict, pictures: dict[str, bytes]) -> str:
 
 
 def _what(entry: dict) -> str:
-    settings = ", ".join(f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in entry["settings"].items())
-    return ", ".join(entry["sources"]) + (f" ({settings})" if settings else "")
+    values, chosen = _values(entry), entry.get("chosen")
+    return ", ".join(entry["sources"]) + (f" ({chosen}: {values})" if values else "")
 
 
 def _metric_rows(result: dict) -> list[list[str]]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from agents.controllers import make_controller
 from agents.evaluate import statistics as st
 from agents.evaluate.comparing import wilson
 from agents.evaluate.records import METRICS, RATES, Records
@@ -26,10 +27,10 @@ _POINTS = 101  # thresholds of a performance profile
 def result(study: Study, records: dict[str, list[Records]]) -> dict:
     """The content of evaluation.json; follows from the study and its records alone.
 
-    {"scenario", "courses", "seed", ..., "controllers": {name: {"members", "sources", "settings", "metrics": {metric:
-    {"value", "low", "high", "runs"}}, "iqm": {score: {...}}, "profile": {score: {"threshold", "share", "low",
+    {"scenario", "courses", "seed", ..., "controllers": {name: {"members", "sources", "settings", "chosen", "metrics":
+    {metric: {"value", "low", "high", "runs"}}, "iqm": {score: {...}}, "profile": {score: {"threshold", "share", "low",
     "high"}}}}, "paired": {a: {b: {metric: {"value", "low", "high"}}}}, "improvement": {a: {b: {...}}}}.
-    Intervals are 95 % (see `agents.evaluate.statistics`); null where a value is not defined.
+    "chosen", of classical controllers: whether their settings are "given", "tuned" or "untuned". Intervals are 95 % (see `agents.evaluate.statistics`); null where a value is not defined.
     """
     draws = st.draws(study.seed, study.courses, study.resamples)
     scores = {n: {m: np.array([r.metric(m) for r in rows]) for m in METRICS} for n, rows in records.items()}
@@ -45,6 +46,7 @@ def result(study: Study, records: dict[str, list[Records]]) -> dict:
         "seed": study.seed,
         "block": study.block,
         "resamples": study.resamples,
+        "tuning_courses": study.tuning_courses,
         "version": study.version,
         **({"model": study.model} if study.model else {}),
         "metrics": {name: {"unit": unit, "meaning": text} for name, (unit, text) in METRICS.items()},
@@ -71,7 +73,12 @@ def result(study: Study, records: dict[str, list[Records]]) -> dict:
 
 def _origin(study: Study, name: str) -> dict:
     own = [c for c in study.contestants().values() if c.name == name]
-    return {"members": len(own), "sources": [c.source for c in own], "settings": own[0].settings}
+    out = {"members": len(own), "sources": [c.source for c in own], "settings": own[0].settings}
+    if own[0].kind == "classical":
+        out["settings"] = make_controller(own[0].source, study.scenario, **own[0].settings).settings
+        given = study.controllers[own[0].key].settings
+        out["chosen"] = "given" if given else "tuned" if name in study.tuned else "untuned"
+    return out
 
 
 def _bounds(value: float, samples: np.ndarray) -> dict:
