@@ -278,7 +278,7 @@ def test_yaml_file_as_scenario(tmp_path):
     ({"rendermode": "human"}, "keyword: unknown key 'rendermode'; did you mean 'render_mode'?"),
     ({"cours": {}}, "keyword: unknown key 'cours'; did you mean 'course'?"),
     ({"course": {"lenght": 5}}, "keyword: course: unknown key 'lenght'; did you mean 'length'?"),
-    ({"course": {"length": -5}}, "keyword: course.length = -5: "),
+    ({"course": {"length": -5}}, "keyword: course.length = -5.0: "),
     ({"observation": None}, "observation = None: expected one of blind, identified, true_soil"),
 ])  # fmt: skip
 def test_a_keyword_is_refused_as_one(keywords, message):

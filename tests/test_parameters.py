@@ -221,7 +221,7 @@ def test_own_soils_stand_beside_the_presets_and_before_them():
     assert parameters.soils()["dry_sand"].cohesion == 1040.0
     with pytest.raises(ParameterError, match="own_soils.beach: unknown key 'phi'") as caught:
         load_scenario("mixed", {"own_soils": {"beach": {"phi": 30}}})
-    assert_one_line(caught.value, ["mixed.yaml"])
+    assert_one_line(caught.value, ["changes"])
 
 
 def test_scenario_from_a_file(tmp_path):
