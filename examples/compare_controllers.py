@@ -3,8 +3,9 @@
     python examples/compare_controllers.py
     python examples/compare_controllers.py --scenario field_vehicle --courses 1000 --out compared.png
 
-The slip and speed controllers are tuned first, on courses of their own. The picture shows how often each controller gets stuck and how often it finishes. `python -m agents.evaluate` does the
-same for trained agents and for classes of your own, with resume, many processes and a report.
+The slip and speed controllers are tuned first, on courses of their own. The picture shows how often each controller
+gets stuck and how often it finishes. `python -m agents.evaluate` does the same for trained agents and for classes of
+your own, with resume, many processes and a report.
 """
 
 import argparse
@@ -33,7 +34,8 @@ def main() -> None:
     settings, _ = tuned_settings(scenario, TUNING_SET, options.tuning_courses, lambda count, name: None)
     figure, axes = plt.subplots(1, 2, figsize=(9, 3), sharey=True, layout="constrained")
     for y, name in enumerate(CONTROLLERS):
-        runs = run_courses(make_controller(name, scenario, **settings.get(name, {})), scenario, HELD_OUT_SET, options.courses)
+        controller = make_controller(name, scenario, **settings.get(name, {}))
+        runs = run_courses(controller, scenario, HELD_OUT_SET, options.courses)
         for axis, metric in zip(axes, ("immobilised", "finished"), strict=True):
             share = runs.metric(metric).mean()
             low, high = wilson(runs.metric(metric).sum(), options.courses)

@@ -15,7 +15,12 @@ RUNS = {  # script -> (arguments, picture, what it has to print, module it needs
     "drive": ("--frame 40 --out wheel.png", "wheel.png", r"best_slip_identified: RUNNING at 0\.\d+ m", "gymnasium"),
     "identify_soil": ("", "identified.png", r"friction_angle_deg +31\.4\d", "scipy"),
     "find_missing_effect": ("", "gap.png", r"verdict: named\n  slip_sinkage: ", "scipy"),
-    "compare_controllers": ("--courses 4 --tuning-courses 2", "compared.png", r"best_slip_true +immobilised +[\d.]+%", "gymnasium"),
+    "compare_controllers": (
+        "--courses 4 --tuning-courses 2",
+        "compared.png",
+        r"best_slip_true +immobilised +[\d.]+%",
+        "gymnasium",
+    ),
     "own_controller": ("", "own_controller.png", "written", "gymnasium"),
     "own_soil": ("--steps 40", "own_soil.png", r"RUNNING at 0\.\d+ m", "pygame"),
     "vector_env": (

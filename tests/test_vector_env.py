@@ -266,7 +266,8 @@ def test_bad_arguments_are_named(arguments, words):
 
 @pytest.mark.parametrize(("bad", "words"), [
     (np.zeros(2), r"shape \(2, 1\), got \(2,\)"), (np.zeros((3, 1)), r"shape \(2, 1\), got \(3, 1\)"),
-    ("x", r"actions = 'x': expected numbers in \[-1, 1\], shape \(2, 1\)"), (np.array([[0.0], [np.nan]]), "finite"), (np.array([[np.inf], [0.0]]), "finite"),
+    ("x", r"actions = 'x': expected numbers in \[-1, 1\], shape \(2, 1\)"),
+    (np.array([[0.0], [np.nan]]), "finite"), (np.array([[np.inf], [0.0]]), "finite"),
 ])  # fmt: skip
 def test_bad_actions_are_named_and_change_nothing(bad, words):
     env, untouched = SoilWheelVectorEnv(2), SoilWheelVectorEnv(2)

@@ -30,7 +30,8 @@ def result(study: Study, records: dict[str, list[Records]]) -> dict:
     {"scenario", "courses", "seed", ..., "controllers": {name: {"members", "sources", "settings", "chosen", "metrics":
     {metric: {"value", "low", "high", "runs"}}, "iqm": {score: {...}}, "profile": {score: {"threshold", "share", "low",
     "high"}}}}, "paired": {a: {b: {metric: {"value", "low", "high"}}}}, "improvement": {a: {b: {...}}}}.
-    "chosen", of classical controllers: whether their settings are "given", "tuned" or "untuned". Intervals are 95 % (see `agents.evaluate.statistics`); null where a value is not defined.
+    "chosen", of classical controllers: whether their settings are "given", "tuned" or "untuned". Intervals are 95 %
+    (see `agents.evaluate.statistics`); null where a value is not defined.
     """
     draws = st.draws(study.seed, study.courses, study.resamples)
     scores = {n: {m: np.array([r.metric(m) for r in rows]) for m in METRICS} for n, rows in records.items()}
