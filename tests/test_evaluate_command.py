@@ -10,9 +10,12 @@ import pytest
 import yaml
 from scipy.stats import binomtest
 
-from agents.evaluate import HELD_OUT_SET, study
+from agents.controllers import make_controller
+from agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses, study, summary
 from agents.evaluate.__main__ import _asked, main, parser
 from agents.evaluate.records import METRICS, RATES
+from agents.tuning import tuned_settings
+from soil_env.parameters import load_scenario
 from tests.evaluating import CLASSES, FILES, evaluate, make_done, make_models, result_of
 
 
@@ -188,3 +191,16 @@ def test_classical_controllers_beside_others_are_tuned_unless_asked_not_to(tmp_p
     for alone in ("best_slip_identified,fixed_slip", "full_throttle"):
         options, rest = parser().parse_known_args([f"--controllers={alone}", "--out=x"])
         assert _asked(options, rest).tuning_courses == 0
+
+
+def test_the_table_of_train_comes_out_again(tmp_path):
+    """For the classical controllers, with the same tuning: the default set of courses is that of train.py."""
+    scenario, names = load_scenario(), ("fixed_slip", "best_slip_identified")
+    chosen, _ = tuned_settings(scenario, TUNING_SET, 2, lambda count, name: None, names)
+    arguments = ["--courses=5", "--block=3", "--resamples=20", "--tuning-courses=2"]
+    assert main([f"--controllers={','.join(names)}", f"--out={tmp_path / 'out'}", *arguments]) == 0
+    for name, row in result_of(tmp_path / "out")["controllers"].items():
+        assert row["settings"] | chosen[name] == row["settings"] and row["chosen"] == "tuned"
+        theirs = summary(run_courses(make_controller(name, scenario, **chosen[name]), scenario, HELD_OUT_SET, 5))
+        for metric, entry in theirs.items():
+            assert row["metrics"][metric]["value"] == pytest.approx(entry["value"], rel=1e-14), (name, metric)
