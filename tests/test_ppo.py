@@ -374,7 +374,7 @@ def test_another_layout_is_refused_and_the_difference_named(saved):
     edit(saved, observation_names=[*names[:4], "wheel_torque", *names[5:]])
     refused(lambda: load_agent(saved), "wheel_torque", "torque", "layout")
     edit(saved, observation_names=names[:-1], mean=[0.0] * (len(names) - 1), var=[1.0] * (len(names) - 1))
-    refused(lambda: load_agent(saved), "estimate_valid", len(names) - 1, len(names))
+    refused(lambda: load_agent(saved), names[-1], len(names) - 1, len(names))
     swapped = [names[1], names[0], *names[2:]]
     edit(saved, observation_names=swapped, mean=[0.0] * len(names), var=[1.0] * len(names))
     refused(lambda: load_agent(saved), "order")
