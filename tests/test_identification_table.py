@@ -7,12 +7,14 @@ import csv
 import math
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from scipy.stats import t
+from scipy.stats import linregress, t
 
+from soil_env.identification.scatter import Scatter
 from soil_env.identification.table import identify_table
 from soil_env.loading import ParameterError
 from soil_env.measurement import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup, read_table
@@ -233,10 +235,11 @@ def test_noise_in_the_slip_is_the_first_thing_to_check(tmp_path):
     rows, rng = clean().copy(), np.random.default_rng(8)
     rows[:, 0] += rng.normal(scale=0.05, size=len(rows))
     known = ("cohesion", "sinkage_exponent")
-    e = identify_table(table_of(tmp_path, rows), setup_of(known))
+    table = table_of(tmp_path, rows, rng)
+    e = identify_table(table, setup_of(known))
     assert e.exact == ("slip", "load")
     assert any("Check first whether slip and load can be taken as exact" in w for w in e.warnings)
-    e = identify_table(table_of(tmp_path, rows), setup_of(known, SD | {"slip": 0.05, "load": 0.5}))
+    e = identify_table(table, setup_of(known, SD | {"slip": 0.05, "load": 0.5}))
     assert e.exact == () and e.warnings == ()
 
 
@@ -290,16 +293,29 @@ def test_a_cohesion_of_nothing_is_zero(tmp_path):
 # --- few points, noise estimated ---------------------------------------------------------------------------------
 
 
-def test_intervals_from_one_channel_are_students(tmp_path):
-    """With one estimated channel, integrating its noise out is Student's t."""
-    noise = {"sinkage": 1e-5}
-    table = table_of(tmp_path, clean()[:6], np.random.default_rng(1), leave_out=("torque",))
-    e = identify_table(table, setup_of(("cohesion", "sinkage_exponent", "sinkage_coefficient"), noise))
-    p, freedom = e.parameters["friction_angle_deg"], 4
-    rows = np.isfinite(e.fits["drawbar_pull"].measured)
-    square = np.sum((e.fits["drawbar_pull"].measured - e.fits["drawbar_pull"].fitted)[rows] ** 2)
-    sd = math.degrees(math.sqrt(e.covariance[0, 0])) * math.sqrt(square / freedom) / e.fits["drawbar_pull"].noise
-    assert 0.5 * (p.high - p.low) == pytest.approx(t.ppf(0.975, freedom) * sd, rel=0.08)
+def line(x, y, sd):
+    """What `Scatter` takes of a problem: a straight line through one channel (the last), its noise not known."""
+    count = len(x)
+    J = np.zeros((count, 3, 2))
+    J[:, 2] = -np.stack([np.ones(count), x], axis=1)
+    e = np.zeros((count, 3))
+    e[:, 2] = y
+    return SimpleNamespace(
+        estimated=np.arange(5) == 4, free=np.ones(2, dtype=bool), rows=count, F=np.zeros((count, 3, 2)),
+        measured=np.tile([False, False, True], (count, 1)), noise=np.full(5, sd), floor=np.full(5, 1e-3 * sd),
+        misfit=lambda x: (e, J, None), prior=lambda x: (np.zeros(2), np.zeros((2, 2))),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("count", [4, 6, 12])
+def test_intervals_from_one_channel_are_students(count):
+    """With one channel and no prior, integrating its noise out gives the interval of linear regression."""
+    x, rng = np.linspace(0.0, 1.0, count), np.random.default_rng(count)
+    y = 1.0 + 2.0 * x + rng.normal(size=count)
+    low, high = Scatter(line(x, y, 1.0), None).interval(np.array([0.0, 1.0]))
+    found = linregress(x, y)
+    half = t.ppf(0.975, count - 2) * found.stderr
+    assert (low, high) == pytest.approx((found.slope - half, found.slope + half), abs=0.05 * half)
 
 
 def test_intervals_from_few_points_at_one_load(tmp_path):
