@@ -164,18 +164,27 @@ def read_setup(path: str | Path) -> Setup:
 def _prior(value, where: str):
     """A number as a known `Prior` mapping; a mapping must have an sd > 0."""
     if isinstance(value, dict):
-        if "sd" in value and isinstance(value["sd"], (int, float)) and not value["sd"] > 0.0:
-            raise ParameterError(f"{where}: sd = {value['sd']!r}: expected > 0 (write a known value as a plain number)")
-        number = value.get("value")
-        for key in ("value", "sd"):
-            if isinstance(value.get(key), float) and not math.isfinite(value[key]):
-                raise ParameterError(f"{where}: {key} = {value[key]!r}: expected a finite number")
-        if all(isinstance(v, (int, float)) for v in (number, value.get("sd"))) and value["sd"] < LEAST_SD * abs(number):
+        numbers = {key: _as_number(value[key]) for key in ("value", "sd") if key in value}
+        for key, number in numbers.items():
+            if number is not None and not math.isfinite(number):
+                raise ParameterError(f"{where}: {key} = {number}: expected a finite number")
+        center, sd = numbers.get("value"), numbers.get("sd")
+        if sd is not None and not sd > 0.0:
+            raise ParameterError(f"{where}: sd = {sd:g}: expected > 0 (write a known value as a plain number)")
+        if sd is not None and center is not None and sd < LEAST_SD * abs(center):
             raise ParameterError(
-                f"{where}: sd = {value['sd']:g}: expected at least {LEAST_SD * abs(number):.2g}, a millionth of the "
-                "value (write a known value as a plain number)"
+                f"{where}: sd = {sd:g}: expected at least {LEAST_SD * abs(center):.2g}, a millionth of the value (write a "
+                "known value as a plain number)"
             )
         return value
     if value is None or isinstance(value, list):
         raise ParameterError(f"{where} = {value!r}: expected a number or {{value: ..., sd: ...}}, or leave it out")
     return {"value": value, "sd": 0.0}
+
+
+def _as_number(value) -> float | None:
+    """The number that a YAML value stands for, also where YAML 1.1 takes it for text (1e-3); None if it is none."""
+    try:
+        return None if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        return None
