@@ -173,8 +173,8 @@ def _prior(value, where: str):
             raise ParameterError(f"{where}: sd = {sd:g}: expected > 0 (write a known value as a plain number)")
         if sd is not None and center is not None and sd < LEAST_SD * abs(center):
             raise ParameterError(
-                f"{where}: sd = {sd:g}: expected at least {LEAST_SD * abs(center):.2g}, a millionth of the value (write a "
-                "known value as a plain number)"
+                f"{where}: sd = {sd:g}: expected at least {LEAST_SD * abs(center):.2g}, a millionth of the value "
+                "(write a known value as a plain number)"
             )
         return value
     if value is None or isinstance(value, list):
