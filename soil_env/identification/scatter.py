@@ -1,13 +1,15 @@
 """Intervals where noise is estimated from a few points: the unknown noise integrated out.
 
-With the noise sigma of every estimated channel flat in its logarithm (Jeffreys) and the model linear about the
+With the noise sigma of every estimated channel flat in its logarithm (Jeffreys), and the model linear about the
 solution, the parameters under a given sigma are normal with mean and covariance of weighted least squares, and sigma
 has the restricted likelihood (Patterson & Thompson 1971, Biometrika 58:545-554)
 
     -2 ln L = ln|V| + ln|H| + e' V^-1 e + d' d - g' H^-1 g,   H = J' V^-1 J + D' D,   g = J' V^-1 e + D' d
 
 with e, J and V of `weighted.Problem` and d, D of its priors. With one channel the mixture over sigma is Student's t;
-with several it allows for weights that are themselves uncertain, which plugging in estimates of sigma does not.
+with several it allows for weights that are themselves uncertain, which plugging in estimates of sigma does not. Where
+drawbar pull and torque are both of unknown noise, that of each is flat in sigma (Gelman 2006, Bayesian Analysis
+1:515-534) instead: by chance either of them can seem free of noise, and draws all weight.
 """
 
 from __future__ import annotations
@@ -57,6 +59,8 @@ class Scatter:
     def _sample(self, problem) -> None:
         """Adaptive importance sampling (Oh & Berger 1992), started all over the box of the noise."""
         rng, k = np.random.default_rng(0), self.channels.size
+        forces = self.channels >= 3  # drawbar pull and torque, as in `weighted.SOURCES`
+        flat = forces if np.sum(forces) > 1 else np.zeros(k, dtype=bool)
         low = np.log(problem.floor[self.channels])
         high = low + np.log(1e4 * _HIGHEST)
         ln_sd, ln_q = rng.uniform(low + 3.0, high, (_ROUNDS[0], k)), np.zeros(_ROUNDS[0])
@@ -64,6 +68,7 @@ class Scatter:
         ln_sd[: len(own)] = np.clip(own, low, high)  # where the likelihood is too narrow for the box
         for count in (*_ROUNDS[1:], 0):
             ln_p, shift, covariance = self._evaluate(ln_sd)
+            ln_p += np.sum(ln_sd[:, flat], axis=1)
             ln_w = np.where(np.all((ln_sd >= low) & (ln_sd <= high), axis=1), ln_p - ln_q, -np.inf)
             weights = np.exp(ln_w - np.max(ln_w))
             self.weights = weights / np.sum(weights)

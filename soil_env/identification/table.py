@@ -22,6 +22,7 @@ LABELS = ("friction angle", "shear modulus", "stiffness S z^n", "sinkage exponen
 UNTOLD = 0.7  # share of the prior sd above which the data do not tell a parameter
 TIED = 0.98  # correlation above which two parameters are tied
 SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows
+SCARCE = 6.5  # degrees of freedom of an estimated noise below which that is said
 LIGHT, SOFT = 1.0, 1e3  # load [N] and S [N/m^(n+2)] below which kilonewtons are suspected
 _PASSES = 80
 
@@ -147,8 +148,8 @@ def _summary(problem: Problem, x, converged: bool, scatter: Scatter | None) -> T
 def _parameters(problem: Problem, x, covariance, scatter: Scatter | None) -> dict[str, Parameter]:
     """Estimates and 95 % intervals; those of K, S and p_ref are computed in the logarithm.
 
-    Where noise is estimated from few points it is integrated out (`scatter`), where from many, Student's t with the
-    degrees of freedom of the channel that has fewest.
+    Where noise is estimated, Student's t with the degrees of freedom of the channel that has fewest; from few points
+    the noise is integrated out too (`scatter`), and the wider of the two taken on either side.
     """
     reach = t.ppf(0.975, max(1.0, float(np.min(problem.freedom))))
     full = np.zeros((5, 5))
@@ -168,8 +169,8 @@ def _parameters(problem: Problem, x, covariance, scatter: Scatter | None) -> dic
         ("reference_pressure", LN_P, y[LN_P], to_p, "Pa"),
     ):
         half = reach * math.sqrt(gradient @ full @ gradient)
-        below, above = (-half, half) if scatter is None else scatter.interval(gradient[problem.free])
-        bounds = [float(value), float(value + min(below, 0.0)), float(value + max(above, 0.0))]
+        below, above = (0.0, 0.0) if scatter is None else scatter.interval(gradient[problem.free])
+        bounds = [float(value), float(value + min(below, -half)), float(value + max(above, half))]
         if k in (LN_K, LN_P):
             bounds = [math.exp(min(b, 700.0)) for b in bounds]
         else:
@@ -275,6 +276,12 @@ def _doubts(problem: Problem, x, fits: dict[str, Fit], converged: bool) -> list[
                 f"The residuals of {name.replace('_', ' ')} follow slip and load instead of scattering: the base model "
                 f"does not fit, and its error counts here as noise. {first} effect may be missing."
             )
+    few = problem.freedom[problem.estimated]
+    if few.size and np.min(few) < SCARCE:
+        words.append(
+            f"The noise is estimated from {np.min(few):.1f} degrees of freedom: the intervals are wide and may still "
+            "be too narrow. Give the noise if it is known."
+        )
     table, used = problem.table, problem.use
     left_out = int(np.sum(~used))
     if left_out:
