@@ -338,3 +338,13 @@ def test_example_is_what_its_setup_says(tmp_path):
     for name, truth in zip(NAMES, SAND, strict=True):
         p = e.parameters[name]
         assert p.low <= truth <= p.high, name
+
+
+def test_intervals_from_four_drawbar_pulls_are_finite(tmp_path):
+    """Four slips, no torque, 40 draws: the sampling of the noise stays within its box, and intervals are finite."""
+    rows, rng = clean(slips=(0.05, 0.267, 0.483, 0.7), loads=(120.0,)), np.random.default_rng(10)
+    for _ in range(40):
+        table = table_of(tmp_path, rows, rng, leave_out=("torque",))
+        e = identify_table(table, setup_of(("cohesion", "sinkage_exponent"), None))
+        assert all(0.0 < p.low <= p.value <= p.high < math.inf for p in e.parameters.values())
+        assert any("degrees of freedom" in w for w in e.warnings)

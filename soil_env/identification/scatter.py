@@ -45,7 +45,7 @@ class Scatter:
         """ln L [M], shift [M, p] of the parameters and their covariance [M, p, p] at ln sigma [M, channels]."""
         V = self.rest + np.einsum("mj,jkcd->mkcd", np.exp(2.0 * ln_sd), self.parts)
         scale = np.sqrt(np.einsum("mkcc->mkc", V))  # whitened first, the channels differ by powers of ten
-        L = np.linalg.cholesky(V / (scale[..., :, None] * scale[..., None, :]))
+        L = np.linalg.cholesky(V / (scale[..., :, None] * scale[..., None, :]) + 1e-12 * np.eye(3))
         WJ = np.linalg.solve(L, self.J / scale[..., None])
         We = np.linalg.solve(L, (self.e / scale)[..., None])[..., 0]
         H = np.einsum("mkcp,mkcq->mpq", WJ, WJ) + self.D.T @ self.D
@@ -67,9 +67,11 @@ class Scatter:
         own = np.log(problem.noise[self.channels]) + 0.5 * rng.standard_normal((_ROUNDS[0] // 5, k))
         ln_sd[: len(own)] = np.clip(own, low, high)  # where the likelihood is too narrow for the box
         for count in (*_ROUNDS[1:], 0):
+            inside = np.all((ln_sd >= low) & (ln_sd <= high), axis=1)
+            ln_sd = np.clip(ln_sd, low, high)
             ln_p, shift, covariance = self._evaluate(ln_sd)
             ln_p += np.sum(ln_sd[:, flat], axis=1)
-            ln_w = np.where(np.all((ln_sd >= low) & (ln_sd <= high), axis=1), ln_p - ln_q, -np.inf)
+            ln_w = np.where(inside, ln_p - ln_q, -np.inf)
             weights = np.exp(ln_w - np.max(ln_w))
             self.weights = weights / np.sum(weights)
             self.ln_sd, self.shift, self.covariance = ln_sd, shift, covariance
