@@ -11,27 +11,40 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import platform
+import signal
 import sys
 import time
 from pathlib import Path
 
-import numpy as np
-from scipy.integrate import quad
-from scipy.optimize import root
+
+def _interrupted(*_) -> None:
+    """End at once: imports take seconds and nothing is begun yet; `terminable` lets Ctrl-C raise again."""
+    os.write(2, b"\nidentification.py: interrupted\n")
+    os._exit(130)
+
+
+_interrupted.while_starting = True  # see soil_env/starting.py
+if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, _interrupted)
+
+import numpy as np  # noqa: E402
+from scipy.integrate import quad  # noqa: E402
+from scipy.optimize import root  # noqa: E402
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import identification_online, identification_page  # noqa: E402
-from soil_env.files import make_folder, replace_file
+from soil_env.files import check_outputs, drop_output, make_folder, replace_file  # noqa: E402
 from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict  # noqa: E402
 from soil_env.identification.point import POINT_SIZE, WEIGHTS, weigh  # noqa: E402
 from soil_env.identification.solver import solve  # noqa: E402
 from soil_env.identification.uniqueness import other_soil  # noqa: E402
 from soil_env.model import steady_state  # noqa: E402
 from soil_env.parameters import Soil, SoilState, soils  # noqa: E402
-from soil_env.starting import leave
-from soil_env.stopping import terminable
+from soil_env.starting import leave  # noqa: E402
+from soil_env.stopping import terminable  # noqa: E402
 
 PAPER = Reading(cohesion=3000.0, exponent=0.47, radius=0.6274, width=0.1524)  # the wheel and sand of the source paper
 ROVER = Reading(cohesion=170.0, exponent=1.0, radius=0.15, width=0.15)
@@ -353,6 +366,18 @@ def study(seed: int, smoke: bool) -> dict:
     return result
 
 
+def _seed(text: str) -> int:
+    if not text.strip().isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 0")
+    return int(text)
+
+
+def _folder(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("is empty: expected a folder")
+    return Path(text)
+
+
 @terminable
 def main(arguments: list[str] | None = None) -> int:
     """Run the study and write its page."""
@@ -365,24 +390,28 @@ def main(arguments: list[str] | None = None) -> int:
         "  python benchmarks/identification.py --smoke --out /tmp/identification",
     )
     p.add_argument(
-        "--out", metavar="OUT", type=Path, default=Path("docs"),
+        "--out", metavar="OUT", type=_folder, default=Path("docs"),
         help="folder of identification.json, .md and plots (default: docs)",
     )  # fmt: skip
-    p.add_argument("--seed", metavar="N", type=int, default=0, help="of everything random (default: 0)")
+    p.add_argument("--seed", metavar="N", type=_seed, default=0, help="of everything random, >= 0 (default: 0)")
     p.add_argument("--smoke", action="store_true", help="seconds instead of minutes, numbers without meaning")
     options = p.parse_args(arguments)
     try:
+        check_outputs(options.out, ("identification.json", "identification.md", "identification/x.png"))
         make_folder(options.out)
         result = study(options.seed, options.smoke)
         identification_page.write(result, options.out)
         replace_file(options.out / "identification.json", json.dumps(result, indent=1, allow_nan=True) + "\n")
+        print(f"Written: {options.out / 'identification.md'}", flush=True)
     except OSError as error:
-        print(f"identification.py: {error.filename or options.out}: {error.strerror or error}", file=sys.stderr)
+        if error.filename is None:
+            drop_output()
+        place = error.filename or "the progress cannot be printed"
+        print(f"identification.py: {place}: {error.strerror or error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("\nidentification.py: interrupted, nothing written", file=sys.stderr)
         return 130
-    print(f"Written: {options.out / 'identification.md'}")
     return 0
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
+import sys
 import tempfile
 from pathlib import Path
 
@@ -35,6 +37,54 @@ def make_folder(folder: str | Path) -> None:
             pass
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(folder)) from None
+
+
+def check_outputs(folder: str | Path, names) -> None:
+    """OSError where files of these names could not be written into `folder`, made if need be; leaves nothing behind.
+
+    A name may have one folder in it, "plots/a.png". `filename` and `strerror` of the error make a sentence.
+    """
+    folder = Path(folder)
+    for place in sorted({folder, *((folder / name).parent for name in names)}):
+        if place.exists() and not place.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "is a file: expected a folder", str(place))
+        there = next(p for p in (place.absolute(), *place.absolute().parents) if p.exists())
+        if not there.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, f"cannot be made ({there} is a file)", str(place))
+        try:
+            with tempfile.TemporaryFile(dir=there):
+                pass
+        except OSError as error:
+            raise OSError(error.errno, f"cannot be written ({error.strerror})", str(place)) from None
+    for name in names:
+        if (folder / name).is_dir():
+            said = "is a folder: expected a file that can be replaced, or nothing"
+            raise IsADirectoryError(errno.EISDIR, said, str(folder / name))
+
+
+def replace_files(folder: str | Path, contents: dict[str, bytes]) -> None:
+    """Write files into `folder`, made if need be: all of them are on the disk before the first replaces another.
+
+    OSError names `folder`.
+    """
+    folder, partial = Path(folder), {}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in contents.items():
+            partial[name] = folder / f".{name}.partial"
+            partial[name].write_bytes(content)
+        for name, path in partial.items():
+            os.replace(path, folder / name)
+    except OSError as error:
+        raise OSError(error.errno, f"cannot be written ({error.strerror})", str(folder)) from None
+    finally:
+        for path in partial.values():
+            _remove(path)
+
+
+def drop_output() -> None:
+    """After a print that failed, as on a full disk: send the rest nowhere, since Python flushes again at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def is_unused(folder: str | Path) -> bool:

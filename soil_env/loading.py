@@ -273,7 +273,8 @@ def read_yaml(path: Path) -> dict:
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterError(f"{path}: not valid YAML ({' '.join(str(error).split())[:200]})") from None
+        said = " ".join(str(error).split()).replace('in "<unicode string>", ', "in ")
+        raise ParameterError(f"{path}: not valid YAML ({said[:200]})") from None
     if content is None:
         return {}
     if not isinstance(content, dict):

@@ -126,6 +126,9 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not lines:
         raise ParameterError(f"{path}: empty file: expected a header line with column names")
     header, rows = lines[0][1], lines[1:]
+    for line, cells in lines:
+        if cells[0].startswith("#"):
+            raise ParameterError(f"{path}: row {line} is a comment (#): expected a header and rows of numbers only")
     for line, cells in rows:
         if len(cells) != len(header):
             hint = " (numbers with decimal points, not commas)" if len(cells) > len(header) else ""
@@ -162,6 +165,8 @@ def _parquet_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
 
 
 def _check_header(path: Path, header: list[str]) -> None:
+    if all(isinstance(_canonical(name), float) for name in header):
+        raise ParameterError(f"{path}: the first line has numbers: expected a header line with column names")
     for name in header:
         if name in COLUMNS:
             continue

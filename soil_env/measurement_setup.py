@@ -7,13 +7,21 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from soil_env.loading import Checked, ParameterError, load, quantity, read_yaml
 from soil_env.parameters import Soil
 
 LARGEST_WHEEL = 3.0  # [m] as in `parameters.Wheel`
+LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the value known
+# Below these soil parameters look like another unit: parameter, limit, its unit, what it looks like, factor
+_ODD = (
+    ("friction_angle_deg", 2.0, "deg", "radians", 57.3),
+    ("cohesion", 50.0, "Pa", "kPa", 1e3),
+    ("sinkage_coefficient", 1e4, "N/m^(n+2)", "kN/m^(n+2)", 1e3),
+    ("k_phi", 1e4, "N/m^(n+2)", "kN/m^(n+2)", 1e3),
+)
 
 
 @dataclass(frozen=True)
@@ -113,6 +121,7 @@ class Setup(Checked):
     wheel: SetupWheel
     soil: SoilPriors = SoilPriors()
     noise: NoiseLevels = NoiseLevels()
+    source: str = field(default="setup", init=False, compare=False)  # the file, for messages
 
     def __post_init__(self):
         sinkage = self.noise.sinkage
@@ -121,6 +130,18 @@ class Setup(Checked):
                 f"noise: sinkage = {sinkage:g}: expected metres, well below the wheel radius {self.wheel.radius:g} m "
                 "(if it is millimetres, divide by 1000)"
             )
+
+    def doubts(self) -> list[str]:
+        """Values of the soil that are admissible but look like another unit, one sentence each."""
+        words = []
+        for name, limit, unit, looks, factor in _ODD:
+            prior = getattr(self.soil, name)
+            if prior is not None and 0.0 < prior.value < limit:
+                words.append(
+                    f"soil.{name} = {prior.value:g} {unit} looks like {looks}; if it is, multiply it (and its sd) by "
+                    f"{factor:g}."
+                )
+        return words
 
 
 def read_setup(path: str | Path) -> Setup:
@@ -133,15 +154,37 @@ def read_setup(path: str | Path) -> Setup:
             del mapping[section]  # a heading with nothing below it
     if isinstance(mapping.get("soil"), dict):
         mapping["soil"] = {key: _prior(v, f"{where}: soil.{key}") for key, v in mapping["soil"].items()}
-    return load(Setup, mapping, where)
+    if "wheel" not in mapping:
+        raise ParameterError(f"{where}: missing wheel: expected wheel: {{radius: ..., width: ...}} in metres")
+    setup = load(Setup, mapping, where)
+    object.__setattr__(setup, "source", where)
+    return setup
 
 
 def _prior(value, where: str):
     """A number as a known `Prior` mapping; a mapping must have an sd > 0."""
     if isinstance(value, dict):
-        if "sd" in value and isinstance(value["sd"], (int, float)) and not value["sd"] > 0.0:
-            raise ParameterError(f"{where}: sd = {value['sd']!r}: expected > 0 (write a known value as a plain number)")
+        numbers = {key: _as_number(value[key]) for key in ("value", "sd") if key in value}
+        for key, number in numbers.items():
+            if number is not None and not math.isfinite(number):
+                raise ParameterError(f"{where}: {key} = {number}: expected a finite number")
+        center, sd = numbers.get("value"), numbers.get("sd")
+        if sd is not None and not sd > 0.0:
+            raise ParameterError(f"{where}: sd = {sd:g}: expected > 0 (write a known value as a plain number)")
+        if sd is not None and center is not None and sd < LEAST_SD * abs(center):
+            raise ParameterError(
+                f"{where}: sd = {sd:g}: expected at least {LEAST_SD * abs(center):.2g}, a millionth of the value "
+                "(write a known value as a plain number)"
+            )
         return value
     if value is None or isinstance(value, list):
         raise ParameterError(f"{where} = {value!r}: expected a number or {{value: ..., sd: ...}}, or leave it out")
     return {"value": value, "sd": 0.0}
+
+
+def _as_number(value) -> float | None:
+    """The number that a YAML value stands for, also where YAML 1.1 takes it for text (1e-3); None if it is none."""
+    try:
+        return None if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        return None

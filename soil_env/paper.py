@@ -8,6 +8,7 @@ and its figures to DIR/paper/*.png.
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from soil_env import paper_page
+from soil_env.contact import entry_angle
+from soil_env.files import drop_output
 from soil_env.identification import Reading
 from soil_env.model import steady_state
 from soil_env.paper_points import (
@@ -66,6 +69,15 @@ def pull_rules() -> dict[str, float]:
     """DP [N] at the checked point by every rule of integration."""
     rules = {f"m = {m}": sand_pull(simpson=m) for m in (1, 2, 5, 10)}
     return rules | {"exact": sand_pull(**EXACT), "exact, (11)": sand_pull(**EXACT, paper_resistance=False)}
+
+
+def point_loads() -> dict[str, float]:
+    """W [N] by Eq. (1) of Table 2's sand at the checked point, exactly and by m = 2."""
+    z, x = sinkage_at(ENTRY_DEG), sand_unknowns()
+    return {
+        "exact": float(channels(x, SLIP, z, READING._replace(**EXACT))[0, 1]),
+        "m = 2": float(channels(x, SLIP, z)[0, 1]),
+    }
 
 
 def single_changes() -> dict[str, tuple[float, float, str]]:
@@ -204,6 +216,8 @@ class Results:
     prediction: Prediction
     ground: dict  # soil -> (without digging, with digging)
     printed_pull: float  # DP [N] of the printed set of Table 3 at the checked point
+    point_load: dict  # rule -> W [N] by Eq. (1) at the checked point
+    balance_deg: float  # entry angle [deg] at which Eq. (1) carries 8923 N at its slip
 
 
 def compute(seed: int = 0, draws: int = DRAWS, counts=(40, 40, 9)) -> Results:
@@ -221,14 +235,16 @@ def compute(seed: int = 0, draws: int = DRAWS, counts=(40, 40, 9)) -> Results:
         prediction=prediction(triple(solutions["A"])),
         ground={name: (traverse(key, False), traverse(key, True)) for name, key in FIELD.items()},
         printed_pull=float(channels(unknowns(*PRINTED_SET), SLIP, sinkage_at(ENTRY_DEG), HELD)[0, 0]),
+        point_load=point_loads(), balance_deg=math.degrees(entry_angle(balance_sinkage(SLIP, LOAD)[0], R)),
     )  # fmt: skip
 
 
-_HELP = """The tables and figures of the source paper, recomputed beside the printed values.
+_HELP = """The tables and figures of the source paper, recomputed, beside those printed values that are known.
 
 Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251. Prints the drawbar pull of the checked
-point by every rule of integration, Tables 1 and 3 to 5 and Figs. 2 to 4 and 6 to 9, each with the printed value as far
-as it is at hand, the difference, and why. Every force comes from the compiled functions that the simulated world uses.
+point by every rule of integration, Tables 1 and 3 to 5 and Figs. 2 to 4 and 6 to 9. Four printed results are known and
+compared, one drawbar pull and the three parameters of Table 3, with the difference and why; of all others the page says
+that the printed digits are not available. Every force comes from the compiled functions that the simulated world uses.
 Takes about a minute."""
 _EPILOG = """files:
   DIR/paper.md       the page, with everything that is printed
@@ -249,16 +265,23 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    p.add_argument("--out", type=Path, metavar="DIR", help="write the page and its figures there (default: print only)")
+    p.add_argument(
+        "--out", type=_folder, metavar="DIR", help="write the page and its figures there (default: print only)"
+    )
     p.add_argument("--seed", type=_seed, metavar="N", default=0, help="of the noise in Table 5, >= 0 (default 0)")
     return p
 
 
+def _folder(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("is empty: expected a folder")
+    return Path(text)
+
+
 def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text}: expected a whole number >= 0")
-    return value
+    if not text.strip().isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 0")
+    return int(text)
 
 
 @terminable
@@ -269,12 +292,23 @@ def main(arguments: list[str] | None = None) -> int:
         if options.out is not None:
             paper_page.prepare(options.out)
         results = compute(options.seed)
-        paper_page.show(results)
         if options.out is not None:
             paper_page.write(results, options.out)
-            print(f"written: {options.out / 'paper.md'}, figures in {options.out / 'paper'}")
     except OSError as error:
-        print(f"error: --out {options.out}: cannot write there ({error.strerror})", file=sys.stderr)
+        print(f"soil_env.paper: --out {options.out}: cannot write there ({error.strerror})", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nsoil_env.paper: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    try:
+        paper_page.show(results)
+        if options.out is not None:
+            print(f"written: {options.out / 'paper.md'}, figures in {options.out / 'paper'}")
+        sys.stdout.flush()
+    except OSError as error:
+        drop_output()
+        where = "" if options.out is None else f"; it is in {options.out}"
+        print(f"soil_env.paper: the page cannot be printed ({error.strerror}){where}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("\nsoil_env.paper: interrupted", file=sys.stderr)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from soil_env.paper_points import MOTOR, PRINTED_PULL, SAND, SLIP
+from soil_env.paper_points import FIXED_COHESION, MOTOR, PRINTED_PULL, SAND, SLIP
 
 
 def _axes(figure: Figure, x: str, y: str, position=111):
@@ -31,7 +31,11 @@ def fig2(figure: Figure, c):
 def fig3(figure: Figure, c):
     """DP (12) against cohesion."""
     axes = _axes(figure, "cohesion [kPa]", "drawbar pull (12) [N]")
-    axes.plot(c.cohesion / 1e3, c.by_cohesion)
+    axes.plot(c.cohesion / 1e3, c.by_cohesion, label="slip 22.11 %, entry angle 37 deg, m = 2")
+    for name, value, mark in (("Table 2", SAND.cohesion, "k^"), ("held in Table 3", FIXED_COHESION, "ks")):
+        label = f"c = {value:.0f} Pa, {name}"
+        axes.plot([value / 1e3], [np.interp(value, c.cohesion, c.by_cohesion)], mark, label=label)
+    axes.legend()
 
 
 def fig4(figure: Figure, c):
@@ -91,3 +95,6 @@ def ground(figure: Figure, soils):
     pull.axhline(0.0, color="k", linewidth=0.8)
     torque.set_ylim(0.0, 3300.0)
     torque.legend(title="dashed: with slip-sinkage", fontsize=8, loc="lower right")
+    for style, label in (("-", "(11)"), ("--", "(11), with slip-sinkage"), (":", "(12)")):
+        pull.plot([], [], f"k{style}", label=label)
+    pull.legend(title="colours as on the left", fontsize=8, loc="lower left")

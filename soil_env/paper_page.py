@@ -20,8 +20,13 @@ from soil_env.paper_sections import UNKNOWN, Table, sections
 COMMAND = "python -m soil_env.paper --out docs"
 INTRO = (
     "Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), Soil parameter identification for wheel-terrain "
-    "interaction dynamics and traversability prediction, IJAC 3:244-251. Equations carry its numbers. The full text "
-    f"was not at hand: where a printed value is not known the page says '{UNKNOWN}'. Units are SI, angles in degrees."
+    "interaction dynamics and traversability prediction, IJAC 3:244-251. Equations carry its numbers. Units are SI, "
+    "angles in degrees. "
+    "The text of the paper is not available to us; what is known of it comes from the project's design notes. Four "
+    "printed results are compared below: the drawbar pull of 1047.22 N, and phi, K and S of Table 3, these with points "
+    "of our own since the paper's are not known. Its working point (22.11 %, 37 deg), the box of Table 4, the 5 % of "
+    f"noise and the 3 kN m are taken over. All other printed digits are {UNKNOWN}: what stands beside such an entry "
+    "is our result alone."
 )
 
 

@@ -12,9 +12,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from soil_env import paper_figures as draw
-from soil_env.paper_points import CONVERGED_SET, MOTOR, PRINTED_PULL, PRINTED_SET
+from soil_env.paper_points import CONVERGED_SET, LOAD, MOTOR, PRINTED_PULL, PRINTED_SET
 
 UNKNOWN = "not available to us"
+PRINT, NOTES = "print", "design notes, by quadrature"  # where a value beside ours comes from
 
 
 @dataclass(frozen=True)
@@ -50,18 +51,26 @@ def _set(x) -> tuple[str, str, str]:
     return f"{x[0]:.2f}", f"{x[1]:.4f}", f"{x[2]:,.0f}"
 
 
-def _beside(name: str, equation: str, printed: float, found: float, digits: int, why: str) -> tuple[str, ...]:
-    difference = f"{found - printed:+.{digits}f} ({100.0 * (found / printed - 1.0):+.2f} %)"
-    return name, equation, f"{printed:.{digits}f}", f"{found:.{digits}f}", difference, why
+def _beside(name: str, equation: str, value: float, origin: str, found: float, why: str) -> tuple[str, ...]:
+    difference = f"{found - value:+.2f} ({100.0 * (found / value - 1.0):+.2f} %)"
+    return (
+        name,
+        equation,
+        f"{value:.2f}" if origin == PRINT else f"{value:.0f}",
+        origin,
+        f"{found:.2f}",
+        difference,
+        why,
+    )
 
 
 def _known(results) -> Section:
     rules = results.rules
     rows = [
-        _beside("DP, printed", "(12), m = 2", PRINTED_PULL, rules["m = 2"], 2, "possibly rounded inputs, next table"),
-        _beside("DP, checked by quadrature", "(12), exact", 1095.0, rules["exact"], 2, "same to the digits given"),
-        _beside("DP, checked by quadrature", "(11), exact", 1318.0, rules["exact, (11)"], 2, "same"),
-        _beside("DP of the set printed in Table 3", "(12), m = 2", PRINTED_PULL, results.printed_pull, 2,
+        _beside("DP", "(12), m = 2", PRINTED_PULL, PRINT, rules["m = 2"], "possibly rounded inputs, next table"),
+        _beside("DP", "(12), exact", 1095.0, NOTES, rules["exact"], "same to the digits given"),
+        _beside("DP", "(11), exact", 1318.0, NOTES, rules["exact, (11)"], "same"),
+        _beside("DP of the set printed in Table 3", "(12), m = 2", PRINTED_PULL, PRINT, results.printed_pull,
                 "that set is not a root: Table 3"),
     ]  # fmt: skip
     changes = [
@@ -71,15 +80,15 @@ def _known(results) -> Section:
     return Section(
         "Drawbar pull at 22.11 % slip, entry angle 37 deg (Table 2's sand)",
         tables=[
-            Table(("quantity", "equation", "published", "ours", "difference", "why"), rows),
+            Table(("quantity", "equation", "reference", "from", "ours", "difference", "why"), rows),
             Table(("changed alone", "ours", "gives 1047.22 N", "change"), changes),
         ],
         notes=[
             "Composite Simpson with m = 2 in each zone (18) leaves 0.29 % to the printed 1047.22 N. Any one of phi, n "
             "or the entry angle, changed within the rounding of the value we have (33.3 deg, 0.47, 37 deg), would "
             "remove it; no integration with more subintervals comes near. (12) is not (11): it is exact only without "
-            "the rear branch (8). Our S was solved back from the 1050.25 N found with the paper at hand (Table 2 "
-            "below), so that the test of the equations is in the other two checked values.",
+            "the rear branch (8). The design notes give 1050.25 N for m = 2; our S was solved back from it (Table 2 "
+            "below), so that the test of the equations is in the two values by quadrature.",
         ],
     )
 
@@ -96,10 +105,18 @@ def _table_2(results) -> Section:
         ("k_c, k_phi", "20/35 and 15/35 of S", "Wong & Reece (1967); only their sum can be checked"),
         ("th2", "0", "Wong & Reece (1967); reproduces the checked DP"),
     ]
+    load = results.point_load["exact"]
     return Section(
         "Table 2: compact sand and wheel",
         [f"The table as printed: {UNKNOWN}. These are the values used here and where each comes from."],
         [Table(("quantity", "value", "provenance"), rows)],
+        notes=[
+            f"The working point is not quite in balance under this W: by (1), integrated exactly, the sand carries "
+            f"{load:.0f} N at 37 deg and 22.11 % slip, {100.0 * (load / LOAD - 1.0):+.1f} % from {LOAD:.0f} N "
+            f"({results.point_load['m = 2']:.0f} N by m = 2); at that slip it carries W at "
+            f"{results.balance_deg:.2f} deg. Tables 3 and 5 take the sinkages of the load of the 37 deg point, Figs. 6 "
+            "to 9 those of W.",
+        ],
     )
 
 
@@ -114,9 +131,11 @@ def _curves(results) -> Section:
         [Table(("rule at 22.11 % slip", "DP (12) [N]", "from exact (12)", "published"), rows)],
         [
             Picture("fig2", "Fig. 2: DP (12) against slip, Simpson (18) and exact", lambda f: draw.fig2(f, c)),
-            Picture("fig3", "Fig. 3: DP (12), m = 2, against cohesion", lambda f: draw.fig3(f, c)),
+            Picture("fig3", "Fig. 3: DP (12), m = 2, against cohesion, at 22.11 % slip and an entry angle of 37 deg",
+                    lambda f: draw.fig3(f, c)),
             Picture("fig4", "Fig. 4: DP (12), m = 2, against phi and K", lambda f: draw.fig4(f, c)),
         ],
+        ["Fig. 5 is not here: what it shows is " + UNKNOWN + "."],
     )  # fmt: skip
 
 
@@ -125,14 +144,14 @@ def _table_1(results) -> Section:
     return Section(
         "Table 1: change of DP (12) for -5 % and +5 % of each parameter",
         tables=[Table(("parameter", "m = 2, -5 %", "m = 2, +5 %", "exact, -5 %", "exact, +5 %", "published"), rows)],
-        notes=["The project's design notes record that m = 2 gives the printed Table 1 to every digit but that of c, "
-               "and that m = 50 does not; the digits themselves are " + UNKNOWN + "."],
+        notes=["The design notes say that m = 2 gives the printed Table 1 to every digit but that of c, and m = 50 "
+               "does not. That cannot be checked here: the digits are " + UNKNOWN + "."],
     )  # fmt: skip
 
 
 def _table_3(results) -> Section:
     solved = [("paper: printed", *_set(PRINTED_SET), "", ""),
-              ("paper: converged solve of its points", *_set(CONVERGED_SET), "", "")]  # fmt: skip
+              ("design notes: converged solve of the paper's points", *_set(CONVERGED_SET), "", "")]  # fmt: skip
     for name, estimate in results.solutions.items():
         s = estimate.soil
         found = np.array([s.friction_angle_deg, s.shear_modulus, s.sinkage_coefficient])
@@ -151,8 +170,8 @@ def _table_3(results) -> Section:
         [
             f"The paper's three measured points are {UNKNOWN}. Two synthetic triples, labelled A and B, stand in for "
             "them, both with the 22.11 %, 37 deg point and the sinkages at which (1) carries the load of that point. "
-            "A: DP (12), m = 2, of Table 2's sand with its own c = 690 Pa. B: DP of the converged set (31.97, 0.0317, "
-            "498358) with c = 3000 Pa, so that B has by construction the root that the paper's own points have.",
+            "A: DP (12), m = 2, of Table 2's sand with its own c = 690 Pa. B: DP of the set (31.97, 0.0317, 498358) "
+            "with c = 3000 Pa, which by the design notes is the root of the paper's own points, so that B has it too.",
             "Solved by Newton-Raphson with n = 0.47, m = 2, (12).",
         ],
         [
@@ -167,7 +186,7 @@ def _table_3(results) -> Section:
             f"At the 37 deg point the converged set gives {results.points['B'].pull[1]:.1f} N, as it should if that "
             f"point (1047.22 N) is among the paper's three, and the printed set {results.printed_pull:.1f} N: it is "
             "not a root of the printed equations. From the points of the sand itself (A) the wrong cohesion costs "
-            "little: phi 2 % low, K and S right. The lower K and S of the paper's root therefore come from its "
+            "little: phi 2 % low, K and S right. The lower K and S of that converged set therefore come from the "
             "measured points, not from c.",
         ],
     )

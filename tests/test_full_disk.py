@@ -21,7 +21,7 @@ COMMANDS = {
     "fuzz": (fuzz, "benchmarks.fuzz", PAGE, "run"),
     "identification": (identification, "identification.py", OUT, "study"),
     "memory": (memory, "benchmarks.memory", PAGE, "vector"),
-    "paper": (paper, "error", OUT, "compute"),
+    "paper": (paper, "soil_env.paper", OUT, "compute"),
     "sim2real": (sim2real, "agents.sim2real", ["--world", str(WORLDS / "bulldozing.yaml"), *OUT], "report"),
     "throughput": (throughput, "throughput.py", OUT, "run"),
     "training": (training, "training.py", OUT, "measure"),

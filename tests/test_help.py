@@ -18,6 +18,7 @@ COMMANDS = (
     "benchmarks.blind_cases",
     "benchmarks.cmu",
     "benchmarks.identification",
+    "benchmarks.identification_coverage",
     "benchmarks.throughput",
     "benchmarks.training",
 )

@@ -376,3 +376,11 @@ def test_impossible_dig_ratio_is_refused(ratio):
 def test_newton_raphson_wants_three_points(count):
     with pytest.raises(ValueError, match=f"expected three points, got {count}"):
         newton_raphson([0.1] * count, [0.1] * count, [1.0] * count, reading=GAUSS, guess=soil_of(SOIL))
+
+
+@pytest.mark.parametrize("field, value", [("radius", -0.6), ("width", 0.0), ("cohesion", math.nan), ("exponent", -1.0)])
+def test_refuses_a_reading_that_cannot_be(field, value):
+    reading = Reading(3000.0, 0.47, 0.6274, 0.1524)._replace(**{field: value})
+    guess = Soil(30.0, 3000.0, 0.03, 0.47, sinkage_coefficient=5e5)
+    with pytest.raises(ValueError, match=f"reading.{field} = {value}: expected"):
+        newton_raphson([0.1, 0.2, 0.5], [0.12, 0.12, 0.12], [500.0, 900.0, 1500.0], reading=reading, guess=guess)

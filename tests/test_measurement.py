@@ -81,6 +81,9 @@ def test_reads_a_full_table(tmp_path):
         ([""], ["empty file"]),
         ([HEADER, "0.1,100,0.02"], ["row 2 has 3 cells: expected 4"]),
         ([HEADER, "0,1,100,0.02,5"], ["row 2 has 5 cells: expected 4"]),
+        (["# rig 3", *GOOD], ["row 1 is a comment"]),
+        ([*GOOD, "# the end"], ["row 5 is a comment"]),
+        ([*GOOD[1:]], ["the first line has numbers", "header line"]),
     ],
 )
 def test_refuses_a_bad_table(tmp_path, lines, words):
@@ -107,6 +110,16 @@ def test_grades_that_are_degrees_stay_degrees(tmp_path):
     for grades in (("0", "0.75"), ("0.5", "-0.31"), ("0.1745", "12"), ("", "0.5"), ("-0.6458", "0.6458")):
         rows = [f"0.{k + 1},100,0.02,5,{g}" for k, g in enumerate(grades)]
         read_table(written(tmp_path, HEADER + ",grade_deg", *rows))
+
+
+def test_values_that_look_like_another_unit_are_doubted(tmp_path):
+    odd = "soil: {friction_angle_deg: 0.52, cohesion: 1.5, sinkage_coefficient: {value: 900, sd: 90}}"
+    words = read_setup(written(tmp_path, SETUP + odd, name="odd.yaml")).doubts()
+    assert len(words) == 3
+    for word, part in zip(words, ("0.52 deg looks like radians", "1.5 Pa looks like kPa", "kN/m^(n+2)"), strict=True):
+        assert part in word
+    usual = "soil: {friction_angle_deg: 6, cohesion: 0, k_c: 770, k_phi: 43120}"
+    assert read_setup(written(tmp_path, SETUP + usual, name="usual.yaml")).doubts() == []
 
 
 def test_reads_a_setup(tmp_path):
@@ -147,7 +160,11 @@ def test_reads_a_setup(tmp_path):
         (SETUP + "soil: {k_c: 1000}", ["both k_c and k_phi"]),
         (SETUP + "soil: {k_c: 1, k_phi: 1e5, sinkage_coefficient: 1e5}", ["either sinkage_coefficient"]),
         ("[1, 2]", ["expected a mapping"]),
-        ("wheel: {radius: 1", ["not valid YAML"]),
+        ("wheel: {radius: 1", ["not valid YAML", "in line 1"]),
+        ("soil: {}", ["missing wheel: expected wheel: {radius: ..., width: ...}"]),
+        (SETUP + "soil: {cohesion: {value: .nan, sd: 1}}", ["soil.cohesion: value = nan", "finite"]),
+        (SETUP + "soil: {cohesion: {value: 10, sd: .inf}}", ["soil.cohesion: sd = inf", "finite"]),
+        (SETUP + "soil: {cohesion: {value: 10, sd: 1e-300}}", ["sd = 1e-300", "at least 1e-05", "plain number"]),
     ],
 )
 def test_refuses_a_bad_setup(tmp_path, text, words):

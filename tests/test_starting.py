@@ -41,6 +41,7 @@ def interrupted(folder, command, at):
         (["-m", "agents.evaluate"], "agents.evaluate"),
         (["-m", "agents.sim2real"], "agents.sim2real"),
         (["train.py"], "train.py"),
+        (["benchmarks/identification.py"], "identification.py"),
     ],
 )
 def test_ctrl_c_during_the_imports_is_one_line(tmp_path, command, name, at):

@@ -60,8 +60,18 @@ class Estimate:
         return self.status in (Status.CONVERGED, Status.AMBIGUOUS)
 
 
+def _check_reading(reading: Reading) -> None:
+    for name, least in (("cohesion", 0.0), ("exponent", 0.0), ("simpson", 0)):
+        if not least <= getattr(reading, name) < math.inf:
+            raise ValueError(f"reading.{name} = {getattr(reading, name)}: expected a number >= 0")
+    for name in ("radius", "width"):
+        if not 0.0 < getattr(reading, name) < math.inf:
+            raise ValueError(f"reading.{name} = {getattr(reading, name)}: expected metres > 0")
+
+
 def _rows(slip, sinkage, channels, dig_ratio, reading) -> np.ndarray:
-    """Checked points [M, POINT_SIZE] without weights; ValueError for arrays that do not match or make no sense."""
+    """Checked points [M, POINT_SIZE] without weights; ValueError for a reading or arrays that make no sense."""
+    _check_reading(reading)
     slip = np.asarray(slip, dtype=float)
     ones = np.ones_like(slip)
     columns = {

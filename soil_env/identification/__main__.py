@@ -15,8 +15,8 @@ DATA.csv (SI units; a cell is left empty where nothing was measured):
   slip          (r w - V)/(r w) when driving, (r w - V)/V when braking, in [-1, 1]; required
   load          [N] normal to the ground; required
   sinkage       [m] of the lowest point of the rim; required by this command
-  drawbar_pull  [N]
-  torque        [N m]; with it, cohesion and exponent can be told too
+  drawbar_pull  [N]    } at least one of the two in a row with sinkage; with torque, cohesion and
+  torque        [N m]  } exponent can be told too
   speed [m/s], pass, grade_deg, run, time [s], wheel_radius, wheel_width, grouser_height [m]: optional
 
 setup.yaml:
@@ -25,10 +25,11 @@ setup.yaml:
     soil:
       cohesion: 1500                               # Pa; a number is known and not fitted
       friction_angle_deg: {value: 30, sd: 3}       # a prior: fitted, and held to this as far as the data allow
+      # dig_gain: 1.5                              # slip-sinkage that is known; 0 where left out
       # left out: shear_modulus [m], sinkage_exponent, sinkage_coefficient [N/m^(n+2)] (or k_c and k_phi): fitted
     noise: {sinkage: 0.0003, drawbar_pull: 0.7, torque: 0.1}   # 1-sigma; left out = estimated from the scatter
 
-noise may name slip and load too; left out, these two count as exact.
+noise may name slip and load too; left out, these two count as exact, and if they are not, the intervals are too narrow.
 """
 
 from __future__ import annotations
@@ -44,13 +45,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as Grid
 
-from soil_env.files import replace_file
+from soil_env.files import check_outputs, drop_output, replace_files
 from soil_env.identification.table import Fit, TableEstimate, identify_table
 from soil_env.loading import ParameterError
 from soil_env.measurement import read_setup, read_table
 from soil_env.starting import INTERRUPTED, leave
 from soil_env.stopping import terminable
 
+FILES = ("identification.json", "identification.png")
 NAMES = {
     "friction_angle_deg": "friction angle",
     "shear_modulus": "shear modulus K",
@@ -74,16 +76,28 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
+    if options.out == "":
+        raise ParameterError("--out is empty: expected a folder")
+    folder = None if options.out is None else Path(options.out)
     setup = read_setup(options.setup)
     table = read_table(options.data, setup.wheel)
-    if options.out is not None and options.out.exists() and not options.out.is_dir():
-        raise ParameterError(f"{options.out}: is a file: expected a folder")
-    estimate = identify_table(table, setup)
-    files = {} if options.out is None else _files(estimate)
-    _write(options.out, files)
-    show(estimate, Console(width=None if sys.stdout.isatty() else 110))
-    for name in files:
-        print(f"written: {options.out / name}")
+    try:
+        if folder is not None:
+            check_outputs(folder, FILES)
+        estimate = identify_table(table, setup)
+        if folder is not None:
+            replace_files(folder, _files(estimate))
+    except OSError as error:
+        raise ParameterError(f"{error.filename}: {error.strerror}") from None
+    try:
+        show(estimate, Console(width=None if sys.stdout.isatty() else 110))
+        for name in FILES if folder is not None else ():
+            print(f"written: {folder / name}")
+        sys.stdout.flush()
+    except OSError as error:
+        drop_output()
+        where = "" if folder is None else f"; it is in {folder}"
+        raise ParameterError(f"the result cannot be printed ({error.strerror}){where}") from None
     return 0
 
 
@@ -117,7 +131,7 @@ def _parser() -> argparse.ArgumentParser:
         help="YAML: wheel, what is known of the soil, noise; required",
     )
     p.add_argument(
-        "--out", metavar="DIR", type=Path,
+        "--out", metavar="DIR",
         help="write identification.json and identification.png there; made if need be (default: print only)",
     )  # fmt: skip
     return p
@@ -156,6 +170,9 @@ def show(estimate: TableEstimate, console: Console) -> None:
             f"{rms / fit.noise:.2f}",
         )
     console.print(grid)
+    if estimate.exact:
+        keys = ", ".join(f"noise.{name}" for name in estimate.exact)
+        console.print(f"{' and '.join(estimate.exact)} taken as exact ({keys} not given)", highlight=False)
 
     if len(estimate.free) > 1:
         grid = Grid(title="Correlation", title_justify="left", title_style="bold")
@@ -181,17 +198,7 @@ def _rms(fit: Fit) -> float:
 def _files(estimate: TableEstimate) -> dict[str, bytes]:
     """Content of the files by name, complete before the first is written."""
     report = json.dumps(report_of(estimate), indent=2, allow_nan=False) + "\n"
-    return {"identification.json": report.encode(), "identification.png": picture(estimate)}
-
-
-def _write(folder: Path | None, files: dict[str, bytes]) -> None:
-    """Write files into `folder`, each whole or not at all."""
-    try:
-        for name, content in files.items():
-            folder.mkdir(parents=True, exist_ok=True)
-            replace_file(folder / name, content)
-    except OSError as error:
-        raise ParameterError(f"{folder}: cannot be written ({error.strerror})") from None
+    return dict(zip(FILES, (report.encode(), picture(estimate)), strict=True))
 
 
 def report_of(estimate: TableEstimate) -> dict:
@@ -229,6 +236,7 @@ def report_of(estimate: TableEstimate) -> dict:
         "slip": plain(estimate.slip),
         "load": plain(estimate.load),
         "values": estimate.values,
+        "exact": list(estimate.exact),
         "converged": estimate.converged,
         "warnings": list(estimate.warnings),
     }

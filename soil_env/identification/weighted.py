@@ -27,6 +27,7 @@ from numba import njit
 from scipy.optimize import least_squares
 
 from soil_env.compiled import CACHE
+from soil_env.effects import slip_sinkage_ratio
 from soil_env.identification import Reading, predict
 from soil_env.loading import ParameterError
 from soil_env.measurement import Setup, Table
@@ -44,17 +45,19 @@ _STARTS, _EXACT = 8, 1e-4  # starting points; error of an exact load as a share 
 
 
 @njit(cache=CACHE)
-def predict_rows(x, ln_ref, slip, sinkage, radius, width, ln_ratio, out, rates):
+def predict_rows(x, ln_ref, digging, slip, sinkage, radius, width, ln_ratio, out, rates):
     """Load, drawbar pull and torque into `out` [N, 3]; derivatives by x and by (slip, sinkage) into `rates` [N, 3, 7].
 
-    `ln_ref` is ln z_ref; `ln_ratio` [N] is ln S of the row's wheel over that of the setup's wheel (width, k_c).
+    `ln_ref` is ln z_ref; `digging` is (gain, recovery) of `effects.slip_sinkage_ratio`; `ln_ratio` [N] is ln S of the
+    row's wheel over that of the setup's wheel (width, k_c).
     """
     value, other, jac, unused = np.empty(3), np.empty(3), np.empty((3, 4)), np.empty((3, 4))
     y, n = np.empty(3), x[3]
     for k in range(slip.size):
         y[0], y[1], y[2] = x[0], x[1], x[2] - n * ln_ref + ln_ratio[k]
         i, z, r, b = slip[k], sinkage[k], radius[k], width[k]
-        predict(y, i, z, 1.0, Reading(x[4], n, r, b, 0, False), value, jac)
+        dug = slip_sinkage_ratio(i, digging[0], digging[1])
+        predict(y, i, z, dug, Reading(x[4], n, r, b, 0, False), value, jac)
         for c in range(3):
             m = (1, 0, 2)[c]  # predict() has the drawbar pull first
             out[k, c] = value[m]
@@ -67,7 +70,8 @@ def predict_rows(x, ln_ref, slip, sinkage, radius, width, ln_ratio, out, rates):
                 di = min(max(i + side * h, -1.0), 1.0) - i if column == 5 else 0.0
                 dz = side * h if column == 6 else 0.0
                 y[2] = x[2] - (n + dn) * ln_ref + ln_ratio[k]
-                predict(y, i + di, z + dz, 1.0, Reading(x[4], n + dn, r, b, 0, False), other, unused)
+                dug = slip_sinkage_ratio(i + di, digging[0], digging[1])
+                predict(y, i + di, z + dz, dug, Reading(x[4], n + dn, r, b, 0, False), other, unused)
                 if side < 0.0:
                     value[:] = other
                     low = di
@@ -84,6 +88,11 @@ class Problem:
         if "sinkage" not in table.given or np.all(np.isnan(table.sinkage)):
             raise ParameterError(f"{table.source}: missing column 'sinkage': identification needs the measured sinkage")
         use = ~np.isnan(table.sinkage)
+        if np.all(np.isnan(table.drawbar_pull[use]) & np.isnan(table.torque[use])):
+            raise ParameterError(
+                f"{table.source}: no row has drawbar_pull or torque beside its sinkage: identification needs one of "
+                "them at least"
+            )
         radius = table.radius(setup.wheel)
         for k in np.flatnonzero(use):
             if not 0.0 < table.sinkage[k] <= radius[k]:
@@ -111,6 +120,8 @@ class Problem:
 
     def _priors(self) -> None:
         soil, width = self.setup.soil, self.setup.wheel.width
+        gain, recovery = soil.dig_gain, soil.dig_recovery
+        self.digging = (0.0 if gain is None else gain.value, 0.5 if recovery is None else recovery.value)
         lumped = soil.lumped(width)
         self.ln_ratio = np.zeros(self.rows)
         if soil.k_c is not None:
@@ -119,7 +130,10 @@ class Problem:
         self.free = np.array([p is None or not p.known for p in given])
         self.given = np.array([p is not None and not p.known for p in given])  # has a prior in the setup
         if not np.any(self.free):
-            raise ParameterError("setup: every soil parameter is known: expected at least one to identify")
+            raise ParameterError(
+                f"{self.setup.source}: soil: every parameter is known: expected at least one to identify, left out or "
+                "as {value: ..., sd: ...}"
+            )
         contact = self.width * np.sqrt(2.0 * self.radius * self.conditions[:, 1])  # [m2] a flat plate, roughly
         self.center, self.scale = BROAD.copy(), BROAD_SD.copy()
         self.center[LN_P] = math.log(float(np.median(self.y[:, 0] / contact)))
@@ -128,11 +142,12 @@ class Problem:
             if p is not None:
                 ratio = k in (LN_K, LN_P)
                 self.center[k] = math.log(p.value) if ratio else (math.radians(p.value) if k == PHI else p.value)
-                self.scale[k] = math.sqrt(math.log1p((p.sd / p.value) ** 2)) if ratio else p.sd
+                self.scale[k] = math.sqrt(math.log1p(min(p.sd / p.value, 1e100) ** 2)) if ratio else p.sd
                 self.scale[k] = math.radians(p.sd) if k == PHI else self.scale[k]
         if lumped is not None:
             self.center[LN_P] += self.by_exponent * self.center[EXPONENT]
         self.low, self.high = np.minimum(LOW, self.center), np.maximum(HIGH, self.center)
+        self.scale = np.minimum(self.scale, self.high - self.low)  # a wider prior tells no less
 
     def _noise(self) -> None:
         level = self.setup.noise
@@ -142,6 +157,12 @@ class Problem:
         self.floor, self.freedom = np.zeros(5), np.full(5, math.inf)  # degrees of freedom behind an estimated noise
         for k, name in enumerate(SOURCES):
             given = getattr(level, name)
+            least = 1e-7 * guess.get(name, 0.03 * size if name == "load" else 0.03)
+            if given is not None and given < least:
+                raise ParameterError(
+                    f"{self.setup.source}: noise.{name} = {given:g}: expected at least {least:.2g}; leave it out where "
+                    + ("it counts as exact" if name in ("slip", "load") else "it is not known")
+                )
             present = name in ("slip", "load", "sinkage") or bool(np.any(self.measured[:, k - 2]))
             self.estimated[k] = given is None and name in guess and present
             self.noise[k] = given if given is not None else guess.get(name, 0.0)
@@ -164,7 +185,8 @@ class Problem:
         """Predicted (load, DP, T) [N, 3] and rates [N, 3, 7] at the corrected conditions."""
         out, rates = np.empty((self.rows, 3)), np.empty((self.rows, 3, 7))
         i, z = np.ascontiguousarray(self.corrected[:, 0]), np.ascontiguousarray(self.corrected[:, 1])
-        predict_rows(self.complete(x), math.log(self.z_ref), i, z, self.radius, self.width, self.ln_ratio, out, rates)
+        y, ln_ref = self.complete(x), math.log(self.z_ref)
+        predict_rows(y, ln_ref, self.digging, i, z, self.radius, self.width, self.ln_ratio, out, rates)
         return out, rates
 
     def complete(self, x):

@@ -1,0 +1,154 @@
+"""How often the 95 % intervals of `python -m soil_env.identification` hold the truth: the table of docs/identify.md.
+
+    python -m benchmarks.identification_coverage               minutes; prints the table as Markdown
+    python -m benchmarks.identification_coverage --draws 20    seconds, for a look
+
+Tables are drawn from one soil (friction angle 31 deg, K 0.018 m, S 9e5, n 0.9, cohesion 1500 Pa) under a wheel of
+0.15 m by 0.12 m: steady points by Eqs. (1)-(3), with Gaussian noise of 0.3 mm, 0.7 N and 0.1 N m. Cohesion and n are
+known.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.identification import Reading, predict
+from soil_env.identification.table import identify_table
+from soil_env.measurement import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, Table
+from soil_env.model import steady_state
+from soil_env.parameters import SoilState
+from soil_env.starting import INTERRUPTED, leave
+from soil_env.stopping import terminable
+
+WHEEL = SetupWheel(0.15, 0.12)
+PHI_DEG, COHESION, K, S, EXPONENT = 31.0, 1500.0, 0.018, 9e5, 0.9
+TRUTH = {"friction_angle_deg": PHI_DEG, "shear_modulus": K, "sinkage_coefficient": S}
+SD = {"sinkage": 3e-4, "drawbar_pull": 0.7, "torque": 0.1}
+
+
+class Case(NamedTuple):
+    """A row of the table: how many slips from 0.05 to 0.7, which loads [N], what is measured and given."""
+
+    slips: int
+    loads: tuple[float, ...]
+    torque: bool
+    noise_given: bool
+    slip_sd: float = 0.0  # true noise of the slip
+    slip_given: bool = False
+
+    @property
+    def label(self) -> tuple[str, ...]:
+        """Cells that say what the case is."""
+        noise = ("given" if self.noise_given else "estimated") if not self.slip_sd else (
+            f"given; slip +- {self.slip_sd:g} " + ("given" if self.slip_given else "not given")
+        )  # fmt: skip
+        return str(self.slips), str(len(self.loads)), "DP, T" if self.torque else "DP", noise
+
+
+ONE, THREE = (120.0,), (60.0, 120.0, 240.0)
+CASES = (
+    Case(8, THREE, True, True),
+    Case(8, THREE, True, False),
+    Case(6, ONE, True, True),
+    Case(8, ONE, True, False),
+    Case(6, ONE, True, False),
+    Case(4, ONE, True, False),
+    Case(6, ONE, False, False),
+    Case(4, ONE, False, False),
+    Case(8, THREE, True, True, 0.02, False),
+    Case(8, THREE, True, True, 0.02, True),
+)
+
+
+def clean(case: Case) -> np.ndarray:
+    """Rows [N, 5] of slip, load, sinkage, drawbar pull and torque without noise."""
+    soil = SoilState(math.tan(math.radians(PHI_DEG)), COHESION, K, S, EXPONENT, 0.0, 0.5)
+    x = np.array([math.radians(PHI_DEG), math.log(K), math.log(S)])
+    reading, rows, out, rates = (
+        Reading(COHESION, EXPONENT, WHEEL.radius, WHEEL.width),
+        [],
+        np.empty(3),
+        np.empty((3, 4)),
+    )
+    for load in case.loads:
+        for slip in np.linspace(0.05, 0.7, case.slips):
+            z = steady_state(slip, load, soil, WHEEL.radius, WHEEL.width).sinkage
+            predict(x, slip, z, 1.0, reading, out, rates)
+            rows.append((slip, load, z, out[0], out[2]))
+    return np.array(rows)
+
+
+def table_of(case: Case, rows: np.ndarray, rng: np.random.Generator) -> Table:
+    """The rows with noise, as a measurement table."""
+    noisy = rows + rng.normal(size=rows.shape) * [case.slip_sd, 0.0, *SD.values()]
+    none = np.full(len(rows), np.nan)
+    absent = ("speed", "grade_deg", "time", "wheel_radius", "wheel_width", "grouser_height")
+    return Table(
+        "drawn", frozenset(("slip", "load", *SD)), np.arange(2, len(rows) + 2),
+        slip=np.clip(noisy[:, 0], -1.0, 1.0), load=noisy[:, 1], sinkage=noisy[:, 2], drawbar_pull=noisy[:, 3],
+        torque=noisy[:, 4] if case.torque else none, passes=np.ones(len(rows), dtype=int),
+        run=np.full(len(rows), ""), **dict.fromkeys(absent, none),
+    )  # fmt: skip
+
+
+def coverage(case: Case, draws: int, rng: np.random.Generator) -> tuple[dict[str, float], float]:
+    """Share of the draws whose interval holds the truth, by parameter, and share that did not settle."""
+    levels = dict(SD) if case.noise_given else {}
+    if case.slip_given:
+        levels["slip"] = case.slip_sd
+    known = {"cohesion": Prior(COHESION, 0.0), "sinkage_exponent": Prior(EXPONENT, 0.0)}
+    setup, rows = Setup(WHEEL, SoilPriors(**known), NoiseLevels(**levels)), clean(case)
+    hits, unsettled = dict.fromkeys(TRUTH, 0), 0
+    for _ in range(draws):
+        estimate = identify_table(table_of(case, rows, rng), setup)
+        unsettled += not estimate.converged
+        for name, truth in TRUTH.items():
+            p = estimate.parameters[name]
+            hits[name] += p.low <= truth <= p.high
+    return {name: count / draws for name, count in hits.items()}, unsettled / draws
+
+
+@terminable
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    p = argparse.ArgumentParser(
+        prog="python -m benchmarks.identification_coverage", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="files:\n  none; the table goes to the terminal\n\nexit status:\n"
+        "  0 done; 2 bad options; 130 interrupted",
+    )  # fmt: skip
+    p.add_argument("--draws", metavar="N", type=_draws, default=400, help="tables drawn for each row (default: 400)")
+    p.add_argument("--seed", metavar="N", type=_count, default=0, help="of the noise, >= 0 (default: 0)")
+    options = p.parse_args(arguments)
+    try:
+        print("| slips | loads | measured | noise | $\\varphi$ | $K$ | $S$ | not settled |")
+        print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+        for k, case in enumerate(CASES):
+            shares, unsettled = coverage(case, options.draws, np.random.default_rng([options.seed, k]))
+            cells = (*case.label, *(f"{100.0 * v:.0f} %" for v in shares.values()), f"{100.0 * unsettled:.0f} %")
+            print("| " + " | ".join(cells) + " |", flush=True)
+    except KeyboardInterrupt:
+        print("\nbenchmarks.identification_coverage: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    return 0
+
+
+def _draws(text: str) -> int:
+    if _count(text) == 0:
+        raise argparse.ArgumentTypeError("0: expected a whole number > 0")
+    return int(text)
+
+
+def _count(text: str) -> int:
+    if not text.strip().isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 0")
+    return int(text)
+
+
+if __name__ == "__main__":
+    leave(main())
