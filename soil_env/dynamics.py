@@ -46,7 +46,7 @@ from soil_env.terrain import cell_at, ground_at, leave_rut, stiffened
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
-SHORT = 1.0  # first step by the last reaction, at most this share of the rim speed
+SHORT = 0.1  # first step by the last reaction, at most this share of the rim speed
 FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
 _MAX_ITERATIONS = 30
 FINEST = 1024  # a substep that fails is halved down to this fraction; softening soil breaks away within 1 ms
