@@ -167,7 +167,7 @@ class Agent:
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions for raw observations [n, D] or [D]; as SB3's predict. ParameterError for another number D."""
-        expected, shape = len(self.meta["observation_names"]), np.shape(observation)
+        expected, shape = len(self.mean) - (0 if self.guide is None else len(ENTRIES)), np.shape(observation)
         if not shape or shape[-1] != expected:
             raise ParameterError(
                 f"observation of shape {shape}: expected {expected} numbers, those of observation {self.variant!r}"
