@@ -46,7 +46,7 @@ from soil_env.terrain import cell_at, ground_at, leave_rut, stiffened
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
-SHORT = 0.1  # first step by the last reaction, at most this share of the rim speed
+SHORT = 0.1  # share of the rim speed up to which the first step goes by the last reaction
 FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
 _MAX_ITERATIONS = 30
 FINEST = 1024  # a substep that fails is halved down to this fraction; softening soil breaks away within 1 ms
@@ -177,8 +177,8 @@ def newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
 def implicit_speeds(w, load, ground, command, by_speed, grade, world, h):
     """Implicit Euler for (V, u = r w) of wheel `w` (a WHEEL_STATE) over h seconds: (V, u, Reaction, converged).
 
-    The first step goes by the reaction of the last substep to first order, as far as that may hold. Newton's
-    residual falls quadratically: once it is foretold to fall far below the tolerance, by the last two residuals or by
+    The first step goes by the reaction of the last substep to first order, where it is short. Newton's residual
+    falls quadratically: once it is foretold to fall far below the tolerance, by the last two residuals or by
     the change of shear that the step makes, the step is taken with the reaction to first order instead of being
     computed once more.
     """
@@ -192,9 +192,9 @@ def implicit_speeds(w, load, ground, command, by_speed, grade, world, h):
         -cv * (w.drawbar_pull - weight_along), -cu * (torque - w.torque), cv, cu,
         w.pull_by_speed, w.pull_by_rim, w.torque_by_speed, w.torque_by_rim - torque_w / r,
     )  # fmt: skip
-    share = min(SHORT * (abs(u) + REST_SPEED) / max(abs(dv), abs(du), 1e-12), 1.0)
-    v, u = v + share * dv, u + share * du
-    torque, torque_w, _ = motor(command, by_speed, u / r, world)
+    if max(abs(dv), abs(du)) < SHORT * (abs(u) + REST_SPEED):
+        v, u = v + dv, u + du
+        torque, torque_w, _ = motor(command, by_speed, u / r, world)
     soil = ground.soil
     nodes = arc_nodes(
         ground.theta1, ground.theta2, ground.thetam, soil.sinkage_exponent, ground.radius, ground.sheared_from

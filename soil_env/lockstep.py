@@ -134,7 +134,7 @@ def _set_up(s, at, g, ground, e, to, world, h):
         from_array(s, at + _PULL_V), from_array(s, at + _PULL_U),
         from_array(s, at + _TORQUE_V), from_array(s, at + _TORQUE_U) - torque_w / r,
     )  # fmt: skip
-    share = smaller(SHORT * (abs(u0) + REST_SPEED) / larger(larger(abs(dv), abs(du)), 1e-12), 1.0)
+    share = _below(larger(abs(dv), abs(du)), SHORT * (abs(u0) + REST_SPEED))  # 1 where the step is short, else 0
     theta1 = entry_angle_of_many(from_array(s, at + _SINKAGE), r)
     arcs = store_arcs(theta1, from_array(g, ground + _N), r, e, to + _NODES)
     to_array(speed0, e, to + _V0)

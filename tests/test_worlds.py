@@ -273,7 +273,7 @@ def actions(wheels, steps, seed=0):
     return np.repeat(held, 8, axis=0)[:steps].astype(np.float32)
 
 
-def trajectories(model, variant="identified", mode="torque", wheels=8, steps=190):
+def trajectories(model, variant="identified", mode="torque", wheels=8, steps=250):
     """(observations, rewards, x and sinkage) of some wheels."""
     env = SoilWheelVectorEnv(wheels, observation=variant, action=mode, model=model, threads=1)
     observation, _ = env.reset(seed=5)
@@ -288,19 +288,18 @@ def trajectories(model, variant="identified", mode="torque", wheels=8, steps=190
 
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
 def test_neutral_models_change_nothing(mode):
-    """But for rounding: each set of effects is a kernel of its own, and worlds without a model are driven in lanes.
-
-    Where Newton's method fails, rounding may decide how far a substep is halved; that happens behind these steps.
-    """
+    """Bit for bit where no effect is on; else but for rounding, since such worlds are driven one wheel at a time."""
 
     def same(a, b):
         tolerance = {"rtol": 3e-7, "atol": 1e-7} if a.dtype == np.float32 else {"rtol": 1e-9, "atol": 1e-12}
         return np.allclose(a, b, **tolerance)
 
     base = trajectories(None, mode=mode)
-    for effects in ({}, NEUTRAL, IDLE):
+    for effects in ({}, NEUTRAL):
         for a, b in zip(base, trajectories(model_of(effects), mode=mode), strict=True):
-            assert same(a, b), effects
+            np.testing.assert_array_equal(a, b)
+    for a, b in zip(base, trajectories(model_of(IDLE), mode=mode), strict=True):
+        assert same(a, b)
     zero = model_of({}, (ResidualTerm("drawbar_pull", 0.0, {"slip": 1}),))
     assert same(base[2], trajectories(zero, mode=mode)[2])
     assert not same(base[2], trajectories(model_of({"rear_contact": {"ratio": 0.001}}), mode=mode)[2])
