@@ -1,6 +1,6 @@
 """PPO in one file, in the manner of CleanRL (Huang et al. 2022): torch and the vector environment, nothing else.
 
-    python examples/cleanrl_ppo.py                          half a minute: mean return of 500 courses from -9.6 to 4.8
+    python examples/cleanrl_ppo.py                          half a minute: mean return from -9.8 to 3.0, docs/clients.md
     python examples/cleanrl_ppo.py --steps 10_000_000 --scenario field_vehicle --out curve.png
 
 The environment resets a wheel within the step that ends its course (SAME_STEP): the observation that step returns is

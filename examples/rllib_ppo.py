@@ -1,7 +1,7 @@
 """Train PPO of Ray RLlib on the vector environment.
 
     pip install "soil_env[rllib]"                          in an environment of its own: RLlib pins gymnasium 1.2.2
-    python examples/rllib_ppo.py                           a minute: mean return of 100 courses from -9.7 to 3.5
+    python examples/rllib_ppo.py                           a minute: mean return from -9.9 to 1.3, docs/clients.md
     python examples/rllib_ppo.py --runners 2 --iterations 400
 
 RLlib makes the environment by its name in every env runner, many wheels in one call. Its connectors then handle wheel

@@ -21,7 +21,7 @@ import numpy as np
 
 from soil_env.compiled import inlined, kernel, pasted
 from soil_env.identification.digging import DIGGING, close_point, note, roll
-from soil_env.identification.joint import COHESION, GAIN, SIZE, solve_joint
+from soil_env.identification.joint import COHESION, GAIN, SIZE, by_gain, solve_joint
 from soil_env.identification.point import (
     DIG_RATIO,
     DIG_RESPONSE,
@@ -231,7 +231,8 @@ def contradicts(row, predicted, gain, exponent, covariance):
     w = row[WEIGHTS:]
     u = whitened(w, row[DRAWBAR_PULL] - predicted.pull, row[LOAD] - predicted.load, row[TORQUE] - predicted.torque)
     s, c = predicted.by_S, predicted.by_c
-    dug = -exponent * gain * row[DIG_RESPONSE] / (row[DIG_RATIO] + gain * row[DIG_RESPONSE])
+    response = gain * row[DIG_RESPONSE]
+    dug = by_gain(exponent, response, row[DIG_RATIO] + response)
     s = whitened(w, s[0], s[1], s[2])
     j = (
         whitened(w, predicted.by_phi[0], predicted.by_phi[1], predicted.by_phi[2]),

@@ -190,8 +190,8 @@ def test_a_standing_wheel_says_nothing():
 
 def test_forget_resets_everything():
     fresh, used = Fed(), Fed()
-    used.excite(5.0, FIRM, np.random.default_rng(0))
-    assert used.status != Status.NO_DATA and np.all(used.sd < fresh.sd)
+    used.excite(5.0, FIRM, np.random.default_rng(1))
+    assert used.status == Status.CONVERGED
     identifier.forget(used.ids, 0, NUMBERS)
     for name in ("count", "running", "estimate", "sd", "status", "trial", "condition"):
         np.testing.assert_array_equal(getattr(used.ids, name), getattr(fresh.ids, name), name)
@@ -306,46 +306,78 @@ def test_only_readings_enter(hide):
 # --- in the simulated world -------------------------------------------------------------------------------------------
 
 
+def excited(step):
+    return 0.4 + 0.35 * math.sin(0.7 * step)
+
+
+def driven(seed, steps, command):
+    """A simulation of one soil after `steps` at command 0.3 and then `steps` of `command`, and its true unknowns."""
+    sim, truth = simulate()
+    sim.seed(0, np.random.default_rng(seed))
+    sim.restart(0)
+    assert sim.worlds.ids.status[0] == Status.NO_DATA
+    sim.step(0, 0.3)
+    assert sim.worlds.ids.status[0] == Status.NO_DATA
+    for _ in range(110):
+        sim.step(0, 0.3)
+    assert sim.worlds.ids.status[0] == Status.NOT_EXCITED
+    for k in range(steps):
+        sim.step(0, command(k))
+    return sim, truth[0]
+
+
+def near(ids, truth):
+    return np.all(np.abs(ids.estimate[0, :3] - truth) < 3.0 * ids.sd[0, :3])
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_driving_with_varied_slip_finds_the_soil(seed):
     """NO_DATA, then NOT_EXCITED at constant low slip, CONVERGED while excited; afterwards the estimate is held.
 
-    Until the window is full, or the estimate lost: now and then noise is taken for a new soil and all starts anew.
+    Driven on until the window is full: now and then noise is taken for a new soil, and all starts anew.
     """
-    sim, truth = simulate()
-    sim.seed(0, np.random.default_rng(seed))
-    sim.restart(0)
+    sim, truth = driven(seed, 100, excited)
     ids = sim.worlds.ids
-    assert ids.status[0] == Status.NO_DATA
-
-    def drive(steps, command):
-        for k in range(steps):
-            sim.step(0, command(k))
-
-    drive(1, lambda k: 0.3)
-    assert ids.status[0] == Status.NO_DATA
-    drive(110, lambda k: 0.3)
-    assert ids.status[0] == Status.NOT_EXCITED
-    drive(60, lambda k: 0.4 + 0.35 * math.sin(0.7 * k))
-    for k in range(60, 260):
+    for k in range(100, 200):
         if ids.status[0] == Status.CONVERGED and ids.count[0] == identifier.WINDOW:
             break
-        sim.step(0, 0.4 + 0.35 * math.sin(0.7 * k))
+        sim.step(0, excited(k))
     assert ids.status[0] == Status.CONVERGED
-    assert np.all(np.abs(ids.estimate[0, :3] - truth[0]) < 3.0 * ids.sd[0, :3])
+    assert near(ids, truth)
     # 8 points of a window pin friction to 2.5 deg, K to a fifth and S to a tenth
     assert np.all(ids.sd[0, :3] < [0.045, 0.2, 0.1])
-    while ids.status[0] == Status.CONVERGED:
-        estimate, sd, count = ids.estimate[0].copy(), ids.sd[0].copy(), ids.count[0]
-        drive(1, lambda k: 0.3)
-    for _ in range(60):
-        if ids.count[0] < count - 1:
-            return
-        np.testing.assert_array_equal(ids.estimate[0], estimate)
-        assert np.all(ids.sd[0] > sd)
-        sd = ids.sd[0] * 0.999
-        drive(1, lambda k: 0.3)
-    assert np.all(np.abs(ids.estimate[0, :3] - truth[0]) < 3.0 * ids.sd[0, :3])
+
+
+def test_how_often_noise_is_taken_for_a_new_soil():
+    """24 drives on one soil: 100 excited periods, then 60 at constant slip. How many are CONVERGED after the first, how
+    many keep their estimate through the second, and how often the truth lies beyond 3 standard deviations.
+
+    The bound on contradiction is low for the sake of borders (docs/physics/estimation.md); this is its price.
+    """
+    converged = kept = 0
+    outside = []
+    for seed in range(24):
+        sim, truth = driven(seed, 0, excited)
+        ids = sim.worlds.ids
+        for k in range(100):
+            sim.step(0, excited(k))
+            outside.append(not near(ids, truth))
+        converged += ids.status[0] == Status.CONVERGED
+        estimate, sd, restarts = ids.estimate[0].copy(), ids.sd[0].copy(), 0
+        held = ids.status[0] == Status.CONVERGED
+        for _ in range(60):
+            before = ids.count[0]
+            sim.step(0, 0.3)
+            restarts += before > 1 and ids.count[0] == 1
+            if ids.status[0] == Status.CONVERGED:
+                estimate, sd = ids.estimate[0].copy(), ids.sd[0].copy()
+        kept += restarts == 0
+        if held and restarts == 0 and ids.status[0] != Status.CONVERGED:
+            np.testing.assert_array_equal(ids.estimate[0], estimate)
+            assert np.all(ids.sd[0, :3] > 1.3 * sd[:3])
+            assert near(ids, truth)
+    assert converged >= 16 and kept >= 13, (converged, kept)
+    assert np.mean(outside) < 0.02
 
 
 def test_a_border_between_soils_is_noticed():

@@ -34,14 +34,19 @@ def _place(i, j):
 
 
 @inlined
+def by_gain(exponent, response, ratio):
+    """d ln S_effective / d ln g, of S_effective = S ratio^-n with ratio = R0 + response, response = g R1."""
+    return -exponent * (response / ratio)
+
+
+@inlined
 def _normal(x, prior, precision, reading, work, system, at):
     """Normal equations at x [SIZE] into system[at] .. system[at + SYSTEM - 1]; the cost."""
     gain = lane(exp(fill(x[GAIN])), 0)
     response = gain * from_array(work, RESPONSE)
     ratio = from_array(work, DIG) + response
-    n = reading.exponent
-    u, a, b, s, c = whitened_block(x, exp_lanes(-n * log_lanes(ratio)), x[COHESION], work, 0, reading)
-    dug = -n * (response / ratio)  # d ln S_effective / d ln g
+    u, a, b, s, c = whitened_block(x, exp_lanes(-reading.exponent * log_lanes(ratio)), x[COHESION], work, 0, reading)
+    dug = by_gain(reading.exponent, response, ratio)
     su, sa, sb, ss, sc = dot(s, u), dot(s, a), dot(s, b), dot(s, s), dot(s, c)
     first = totals(dot(a, u), dot(b, u), su, dot(c, u), dug * su, dot(a, a), dot(b, a), dot(b, b))
     second = totals(sa, sb, ss, dot(c, a), dot(c, b), sc, dot(c, c), dug * sa)
