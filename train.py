@@ -29,12 +29,12 @@ def _interrupted(*_) -> None:
     os._exit(130)
 
 
-_interrupted.while_starting = True  # see soil_env/starting.py
+_interrupted.while_starting = True  # see soil_env/_io/starting.py
 
 if __name__ == "__main__":
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
     status = main()
-    from soil_env.starting import leave
+    from soil_env._io.starting import leave
 
     leave(status)

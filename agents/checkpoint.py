@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 
-from soil_env.loading import ParameterError
+from soil_env._io.loading import ParameterError
 
 
 def content(model: PPO) -> bytes:

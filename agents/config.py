@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 from agents.controllers import checked_settings
-from soil_env.loading import Checked, ParameterError, load, quantity
-from soil_env.model import WheelSoilModel
+from soil_env._io.loading import Checked, ParameterError, load, quantity
 from soil_env.parameters import Scenario
+from soil_env.terramechanics.model import WheelSoilModel
 
 if TYPE_CHECKING:
     from agents.guided import Guide

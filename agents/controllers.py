@@ -19,11 +19,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from soil_env.compiled import CACHE
-from soil_env.loading import ParameterError, number, unknown_key
+from soil_env._io.loading import ParameterError, number, unknown_key
+from soil_env._numba.compiling import CACHE
 from soil_env.parameters import Scenario, SoilState
-from soil_env.task import layout
-from soil_env.traversability import best_working_point
+from soil_env.simulation.task import layout
+from soil_env.terramechanics.traversability import best_working_point
 
 _MOST_SLIP = 0.95  # that a controller can hold: the rim speed for it is V/(1 - i)
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up

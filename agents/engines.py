@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 
 import soil_env
-from soil_env.loading import ParameterError, unknown_key
+from soil_env._io.loading import ParameterError, unknown_key
 
 ATTEMPTS = 4  # at a task whose worker has died
 _AHEAD = 2  # tasks a worker has waiting

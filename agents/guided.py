@@ -15,7 +15,7 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from agents.controllers import CONTROLLERS, FixedSlip, make_controller
-from soil_env.loading import ParameterError
+from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 
 ENTRIES = ("guide_rim_speed", "guide_slip")

@@ -25,12 +25,12 @@ from agents.config import NAMES, PPOConfig, TrainConfig, load_config
 from agents.guided import ENTRIES, Guide, GuidedVecEnv, spaces_of
 from agents.learner import Learner, Tanh
 from agents.sb3 import SoilWheelVecEnv
+from soil_env._io.files import replace_file
+from soil_env._io.loading import ParameterError, load, to_dict
 from soil_env.env import action_space, observation_space
-from soil_env.files import replace_file
-from soil_env.loading import ParameterError, load, to_dict
-from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
-from soil_env.task import layout
+from soil_env.simulation.task import layout
+from soil_env.terramechanics.model import WheelSoilModel
 
 __all__ = [
     "NAMES", "Agent", "PPOConfig", "TrainConfig", "agent_of", "agent_spaces", "build", "check_layout",

@@ -13,9 +13,9 @@ import torch
 
 from agents import ppo, zips
 from agents.guided import Guide
-from soil_env.loading import ParameterError
-from soil_env.model import WheelSoilModel
+from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
+from soil_env.terramechanics.model import WheelSoilModel
 
 
 def algorithm():

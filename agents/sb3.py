@@ -18,9 +18,9 @@ except ModuleNotFoundError as error:
     raise
 
 from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
-from soil_env.model import load_model
-from soil_env.simulation import STEP, Simulation
-from soil_env.task import Cause, layout
+from soil_env.simulation.task import Cause, layout
+from soil_env.simulation.worlds import STEP, Simulation
+from soil_env.terramechanics.model import load_model
 
 _OWN = ("num_envs", "scenario", "observation", "action", "threads", "model")  # keywords that are no part of a scenario
 _RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value

@@ -32,10 +32,10 @@ from agents.cli import check_folder, config_file, overrides
 from agents.config import TrainConfig
 from agents.extras import needing_train
 from agents.progress import Bar
-from soil_env.loading import ParameterError, merge, read_yaml
+from soil_env._io.loading import ParameterError, merge, read_yaml
+from soil_env._io.starting import leave
+from soil_env._io.stopping import terminable
 from soil_env.parameters import Scenario, load_scenario
-from soil_env.starting import leave
-from soil_env.stopping import terminable
 
 NAME = "agents.seeds"
 with needing_train(NAME):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from stable_baselines3.common.callbacks import BaseCallback
 
-from soil_env.files import replace_file
+from soil_env._io.files import replace_file
 
 FILE = "time.json"
 #: Part -> what it is, in the order they come. "policy" is all of a rollout but the environment.

@@ -19,10 +19,10 @@ from agents.evaluate import HELD_OUT_SET, TUNING_SET
 from agents.evaluate.models import load_model
 from agents.ppo import TrainConfig
 from agents.timing import Times, Timing
-from soil_env.files import replace_file
-from soil_env.loading import ParameterError, read_yaml, to_dict
-from soil_env.model import WheelSoilModel
+from soil_env._io.files import replace_file
+from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.parameters import Scenario, load_scenario
+from soil_env.terramechanics.model import WheelSoilModel
 
 console = Console()
 

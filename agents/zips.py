@@ -15,7 +15,7 @@ import zipfile
 from functools import cache
 from pathlib import Path
 
-from soil_env.loading import ParameterError
+from soil_env._io.loading import ParameterError
 
 MOST_BYTES = 2_000_000_000  # of a model, unpacked
 _MOST_TEXT = 50_000_000  # of a JSON member of it

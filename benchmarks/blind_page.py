@@ -13,7 +13,7 @@ from pathlib import Path
 from benchmarks import blind_plots
 from benchmarks.blind_judge import LARGEST_GAP, LEAST_CASES, OPTIONS, TARGETS
 from benchmarks.blind_study import GROUPS
-from soil_env.files import replace_file
+from soil_env._io.files import replace_file
 
 KEPT = ("remarks", "cmu")
 LEAST_TOLD = 1.0

@@ -12,7 +12,7 @@ import numpy as np  # noqa: E402
 
 from benchmarks.blind_forms import EFFECTS  # noqa: E402
 from benchmarks.blind_judge import gap_of  # noqa: E402
-from soil_env.files import save_figure
+from soil_env._io.files import save_figure
 
 CURVES = (
     ("right", "right name first", "#1b7837", "o"),

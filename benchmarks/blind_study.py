@@ -22,8 +22,8 @@ from benchmarks.blind_forms import EFFECTS, forms_of
 from benchmarks.blind_limits import noncentrality
 from benchmarks.blind_plan import MULTIPLES
 from benchmarks.blind_unlisted import UNLISTED
+from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import Report, run
-from soil_env.loading import ParameterError
 
 PAIRS = tuple(combinations(EFFECTS, 2))
 HIDDEN_UNLISTED = tuple(dict.fromkeys(form.effect for form in UNLISTED))

@@ -23,10 +23,10 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from soil_env.files import make_folder, replace_file
-from soil_env.loading import ParameterError, unknown_key
-from soil_env.starting import leave
-from soil_env.stopping import terminable
+from soil_env._io.files import make_folder, replace_file
+from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._io.starting import leave
+from soil_env._io.stopping import terminable
 
 NAME = "benchmarks.clients"
 ROOT = Path(__file__).resolve().parent.parent
@@ -74,7 +74,7 @@ CLIENTS = {
             f"{_SEARCH} --n-trials 2 --seed 2",
             f"{_TRAIN} agents.zoo_space {_FILE}/trial -n 500000 --eval-freq 250000 --eval-episodes 100 "
             f"--n-eval-envs 20 --seed 1 {_STUDY} --trial-id 1",
-            "python -m pytest -q tests/test_zoo.py",
+            "python -m pytest -q tests/agents/test_zoo.py",
         ),
         notes="""
 The hyperparameters are those of `train.py`, and so are the 20 million steps without `-n`. The study of the search is

@@ -21,12 +21,12 @@ from pathlib import Path
 
 import yaml
 
+from soil_env._io.files import make_folder, replace_file
+from soil_env._io.loading import ParameterError
+from soil_env._io.starting import leave
+from soil_env._io.stopping import terminable
 from soil_env.discrepancy import cmu, run
-from soil_env.files import make_folder, replace_file
-from soil_env.loading import ParameterError
-from soil_env.measurement import Prior, Setup, SetupWheel, SoilPriors, read_setup
-from soil_env.starting import leave
-from soil_env.stopping import terminable
+from soil_env.measurement.table import Prior, Setup, SetupWheel, SoilPriors, read_setup
 
 OTHER_SIZE = (0.0625, 0.060)  # [m] radius, width in qishuny/3D-RFT-wheel
 SOIL = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")

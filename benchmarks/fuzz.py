@@ -27,12 +27,12 @@ from gymnasium.vector import AutoresetMode
 
 from benchmarks.fuzz_cases import Case, Random, draw_case
 from benchmarks.fuzz_checks import faults, ledger
+from soil_env._io.files import make_folder, replace_file
+from soil_env._io.loading import ParameterError
+from soil_env._io.starting import leave
+from soil_env._io.stopping import terminable
 from soil_env.env import SoilWheelEnv
-from soil_env.files import make_folder, replace_file
-from soil_env.loading import ParameterError
-from soil_env.starting import leave
-from soil_env.stopping import terminable
-from soil_env.task import Cause
+from soil_env.simulation.task import Cause
 from soil_env.vector_env import SoilWheelVectorEnv
 
 WHEELS, STEPS = 64, 50  # of a case

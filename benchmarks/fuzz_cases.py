@@ -13,12 +13,12 @@ from typing import Protocol
 
 import numpy as np
 
-from soil_env.catalogue import CATALOGUE
-from soil_env.loading import ParameterError
-from soil_env.model import ModelWheel, WheelSoilModel
+from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario, load_scenario, scenario_names, soils, wheels
-from soil_env.residual import GROUPS, ResidualTerm
-from soil_env.task import VARIANTS
+from soil_env.simulation.task import VARIANTS
+from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.residual import GROUPS, ResidualTerm
 
 
 class Choices(Protocol):

@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.compiled import kernel
-from soil_env.dynamics import REST_SPEED
-from soil_env.terrain import ground_at
+from soil_env._numba.compiling import kernel
+from soil_env.simulation.dynamics import REST_SPEED
+from soil_env.simulation.terrain import ground_at
 
 _x, _w = np.polynomial.legendre.leggauss(8)
 _NODES, _WEIGHTS = tuple(0.5 * (_x + 1.0)), tuple(0.5 * _w)

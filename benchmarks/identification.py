@@ -25,7 +25,7 @@ def _interrupted(*_) -> None:
     os._exit(130)
 
 
-_interrupted.while_starting = True  # see soil_env/starting.py
+_interrupted.while_starting = True  # see soil_env/_io/starting.py
 if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, _interrupted)
 
@@ -36,15 +36,15 @@ from scipy.optimize import root  # noqa: E402
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import identification_online, identification_page  # noqa: E402
-from soil_env.files import check_outputs, drop_output, make_folder, replace_file  # noqa: E402
+from soil_env._io.files import check_outputs, drop_output, make_folder, replace_file  # noqa: E402
+from soil_env._io.starting import leave  # noqa: E402
+from soil_env._io.stopping import terminable  # noqa: E402
 from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict  # noqa: E402
 from soil_env.identification.point import POINT_SIZE, WEIGHTS, weigh  # noqa: E402
 from soil_env.identification.solver import solve  # noqa: E402
 from soil_env.identification.uniqueness import other_soil  # noqa: E402
-from soil_env.model import steady_state  # noqa: E402
 from soil_env.parameters import Soil, SoilState, soils  # noqa: E402
-from soil_env.starting import leave  # noqa: E402
-from soil_env.stopping import terminable  # noqa: E402
+from soil_env.terramechanics.model import steady_state  # noqa: E402
 
 PAPER = Reading(cohesion=3000.0, exponent=0.47, radius=0.6274, width=0.1524)  # the wheel and sand of the source paper
 ROVER = Reading(cohesion=170.0, exponent=1.0, radius=0.15, width=0.15)

@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from scipy.optimize import least_squares
 
-from soil_env.compiled import CACHE, kernel
-from soil_env.effects import excavation_rate
+from soil_env._numba.compiling import CACHE, kernel
+from soil_env.identification.online import SensorReading, forget, identifier_numbers, new_identifiers, observe
 from soil_env.identification.point import (
     DIG_RATIO,
     DIG_RESPONSE,
@@ -22,8 +22,8 @@ from soil_env.identification.point import (
     predict,
 )
 from soil_env.identification.solver import LOWER, UPPER, Status
-from soil_env.identifier import SensorReading, forget, identifier_numbers, new_identifiers, observe
 from soil_env.parameters import Scenario
+from soil_env.terramechanics.effects import excavation_rate
 
 PARAMETERS = ("phi_deg", "ln_K", "ln_S")
 CONTENDERS = ("ours", "newton_raphson", "linear", "ukf", "ukf_joint", "batch", "batch_joint")

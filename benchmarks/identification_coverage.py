@@ -17,13 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soil_env._io.starting import INTERRUPTED, leave
+from soil_env._io.stopping import terminable
 from soil_env.identification import Reading, predict
 from soil_env.identification.table import identify_table
-from soil_env.measurement import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, Table
-from soil_env.model import steady_state
+from soil_env.measurement.table import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, Table
 from soil_env.parameters import SoilState
-from soil_env.starting import INTERRUPTED, leave
-from soil_env.stopping import terminable
+from soil_env.terramechanics.model import steady_state
 
 WHEEL = SetupWheel(0.15, 0.12)
 PHI_DEG, COHESION, K, S, EXPONENT = 31.0, 1500.0, 0.018, 9e5, 0.9

@@ -8,9 +8,9 @@ import numpy as np
 
 from benchmarks.identification_contenders import Contender, Digging, says_something
 from soil_env.identification.digging import DIGGING, close_point, note, roll
+from soil_env.identification.online import RATIO_ERROR
 from soil_env.identification.point import DIG_RESPONSE, POINT_SIZE, WEIGHTS, Reading, predict, weigh
 from soil_env.identification.solver import LOWER, UPPER
-from soil_env.identifier import RATIO_ERROR
 
 
 class UnscentedKalman(Contender):

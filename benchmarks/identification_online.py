@@ -6,7 +6,7 @@ has one, and whether it holds its estimate for valid. An estimate that is not va
 
 | name | method | per |
 |------|--------|-----|
-| ours | `soil_env.identifier.observe` | point |
+| ours | `soil_env.identification.online.observe` | point |
 | newton_raphson | the source paper's: three points, drawbar pull, Newton's iteration as it stands | point |
 | linear | linear least squares for (c, phi) on linearised stresses, K known (Iagnemma et al. 2004) | reading |
 | ukf | unscented Kalman filter on drawbar pull, load and torque, random walk of the soil over the distance | reading |
@@ -44,13 +44,13 @@ from benchmarks.identification_contenders import (
 )
 from benchmarks.identification_kalman import UnscentedKalman
 from benchmarks.identification_online_figure import figure
-from soil_env.compiled import CACHE
-from soil_env.files import replace_file
-from soil_env.identifier import SensorReading, identifier_numbers, new_identifiers
+from soil_env._io.files import replace_file
+from soil_env._numba.compiling import CACHE
+from soil_env.identification.online import SensorReading, identifier_numbers, new_identifiers
 from soil_env.parameters import Scenario, load_scenario
-from soil_env.simulation import IDLE, STEP, Simulation
-from soil_env.task import Cause
-from soil_env.terrain import ground_at
+from soil_env.simulation.task import Cause
+from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.worlds import IDLE, STEP, Simulation
 
 #: Distance since the last border [m]: edges of the bins of the error curves.
 BINS = (0.0, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.identification_contenders import PARAMETERS
-from soil_env.files import save_figure
+from soil_env._io.files import save_figure
 
 _COLOURS = {"ours": "#0072b2", "newton_raphson": "#d55e00", "linear": "#999999", "ukf": "#009e73",
             "ukf_joint": "#56b4e9", "batch": "#cc79a7", "batch_joint": "#000000"}  # fmt: skip

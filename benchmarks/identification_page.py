@@ -11,7 +11,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
 from benchmarks import identification_online  # noqa: E402
-from soil_env.files import replace_file, save_figure
+from soil_env._io.files import replace_file, save_figure
 
 _NAMES = ("phi", "K", "S")
 

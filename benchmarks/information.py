@@ -22,8 +22,8 @@ import torch
 from agents.controllers import _best_slips, make_controller
 from agents.evaluate import course_rng
 from soil_env.parameters import Scenario, load_scenario
-from soil_env.simulation import IDLE, STEP, Simulation
-from soil_env.task import Cause, layout
+from soil_env.simulation.task import Cause, layout
+from soil_env.simulation.worlds import IDLE, STEP, Simulation
 
 COURSE_SET = 3_000_017  # neither of training, tuning nor comparison
 EVERY = 8  # control periods between two readings

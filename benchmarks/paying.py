@@ -16,9 +16,9 @@ import numpy as np
 
 from agents.evaluate import contestants as entries
 from agents.evaluate.driving import HELD_OUT_SET, drive
-from soil_env.identifier import identifier_numbers
+from soil_env.identification.online import identifier_numbers
 from soil_env.parameters import Scenario, load_scenario
-from soil_env.task import knowledge
+from soil_env.simulation.task import knowledge
 
 
 class Rocking:

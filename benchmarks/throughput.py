@@ -30,11 +30,11 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks import throughput_parts, throughput_page  # noqa: E402, I001
 from soil_env.env import SoilWheelEnv  # noqa: E402
-from soil_env.files import make_folder, replace_file  # noqa: E402
-from soil_env.simulation import IDLE, STEP  # noqa: E402
-from soil_env.starting import leave  # noqa: E402
-from soil_env.stopping import terminable  # noqa: E402
-from soil_env.task import Cause  # noqa: E402
+from soil_env._io.files import make_folder, replace_file  # noqa: E402
+from soil_env.simulation.worlds import IDLE, STEP  # noqa: E402
+from soil_env._io.starting import leave  # noqa: E402
+from soil_env._io.stopping import terminable  # noqa: E402
+from soil_env.simulation.task import Cause  # noqa: E402
 from soil_env.vector_env import SoilWheelVectorEnv  # noqa: E402
 
 HELD = 8  # steps that a random command is held

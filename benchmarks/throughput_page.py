@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from soil_env.files import replace_file
+from soil_env._io.files import replace_file
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:

@@ -7,11 +7,15 @@ import time
 
 import numpy as np
 
-from soil_env import contact, drawing, elementary, identifier, lanes, lockstep, task
-from soil_env.compiled import Entry, kernel
-from soil_env.identifier import SensorReading
+from soil_env._numba import elementary, lanes
+from soil_env._numba.compiling import Entry, kernel
+from soil_env.identification import online as identifier
+from soil_env.identification.online import SensorReading
 from soil_env.parameters import load_scenario
-from soil_env.simulation import Simulation, restart
+from soil_env.simulation import courses as drawing
+from soil_env.simulation import lockstep, task
+from soil_env.simulation.worlds import Simulation, restart
+from soil_env.terramechanics import contact
 from soil_env.vector_env import SoilWheelVectorEnv
 
 _many = lanes.scratch(lockstep.MANY)

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.throughput_page import table
-from soil_env.files import replace_file, save_figure
+from soil_env._io.files import replace_file, save_figure
 
 PARTS = ("env", "policy", "update")
 

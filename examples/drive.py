@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 
 from agents.controllers import CONTROLLERS, make_controller
-from soil_env.loading import ParameterError
+from soil_env._io.loading import ParameterError
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 from soil_env.identification.table import identify_table
-from soil_env.measurement import read_setup, read_table
+from soil_env.measurement.table import read_setup, read_table
 
 DATA = Path(__file__).parent / "data"
 

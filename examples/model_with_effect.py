@@ -17,8 +17,8 @@ import numpy as np
 
 from agents.controllers import make_controller
 from agents.evaluate import HELD_OUT_SET, run_courses
-from soil_env.model import ModelWheel, WheelSoilModel
 from soil_env.parameters import load_scenario, soils
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 
 def main() -> None:

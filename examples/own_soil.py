@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 from agents.controllers import make_controller
-from soil_env.loading import ParameterError, to_dict
+from soil_env._io.loading import ParameterError, to_dict
 from soil_env.parameters import Soil
 
 

@@ -18,7 +18,7 @@ import numpy as np
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from soil_env.task import Cause
+from soil_env.simulation.task import Cause
 
 
 def main() -> None:

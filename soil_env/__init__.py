@@ -5,13 +5,13 @@ without an import. The physics is in `contact`, `model` and `dynamics`, the iden
 `identifier`, the environment in `env` and `vector_env`.
 """
 
-from soil_env import starting
+from soil_env._io import starting
 
 starting.arm()  # before the imports that take time
 
 from gymnasium.envs.registration import register, registry  # noqa: E402
 
-from soil_env.loading import ParameterError  # noqa: E402
+from soil_env._io.loading import ParameterError  # noqa: E402
 
 __version__ = "0.1.0"
 __all__ = ["ParameterError", "__version__"]

@@ -10,16 +10,16 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from soil_env.compiled import Entry
-from soil_env.dynamics import WHEEL_STATE
+from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._numba.compiling import Entry
 from soil_env.identification import Status
-from soil_env.loading import ParameterError, unknown_key
-from soil_env.model import WheelSoilModel, load_model
 from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
-from soil_env.simulation import Simulation
-from soil_env.task import REWARD_TERMS, Cause, layout
-from soil_env.terrain import ground_at
-from soil_env.traversability import best_working_point
+from soil_env.simulation.dynamics import WHEEL_STATE
+from soil_env.simulation.task import REWARD_TERMS, Cause, layout
+from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.worlds import Simulation
+from soil_env.terramechanics.model import WheelSoilModel, load_model
+from soil_env.terramechanics.traversability import best_working_point
 
 IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
 
@@ -289,7 +289,7 @@ class SoilWheelEnv(gymnasium.Env):
 
     def _view(self):
         if self._renderer is None:
-            from soil_env.rendering import Renderer
+            from soil_env.rendering.side_view import Renderer
 
             self._renderer = Renderer(self.scenario, self.render_mode)
         return self._renderer

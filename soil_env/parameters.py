@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from soil_env.loading import (
+from soil_env._io.loading import (
     Checked,
     ParameterError,
     config_dir,

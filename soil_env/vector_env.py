@@ -11,12 +11,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from soil_env._io.loading import ParameterError
 from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
-from soil_env.loading import ParameterError
-from soil_env.model import WheelSoilModel, load_model
 from soil_env.parameters import Scenario
-from soil_env.simulation import Simulation
-from soil_env.task import REWARD_TERMS, Cause, layout
+from soil_env.simulation.task import REWARD_TERMS, Cause, layout
+from soil_env.simulation.worlds import Simulation
+from soil_env.terramechanics.model import WheelSoilModel, load_model
 
 _OWN = (  # keywords that are no part of a scenario
     "num_envs", "scenario", "observation", "action", "autoreset_mode", "max_episode_steps", "threads", "render_mode",

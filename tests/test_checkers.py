@@ -8,11 +8,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
+from soil_env._io.loading import config_dir
 from soil_env.env import SoilWheelEnv
-from soil_env.loading import config_dir
-from soil_env.model import ModelWheel, WheelSoilModel
 from soil_env.parameters import load_scenario, scenario_names
-from soil_env.task import VARIANTS
+from soil_env.simulation.task import VARIANTS
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vector_env import SoilWheelVectorEnv
 
 MODES = ("torque", "wheel_speed")

@@ -14,8 +14,8 @@ from gymnasium.utils.env_checker import check_env
 import soil_env
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import ParameterError, load_scenario, scenario_names, soils
-from soil_env.task import VARIANTS, Cause
-from soil_env.traversability import best_working_point
+from soil_env.simulation.task import VARIANTS, Cause
+from soil_env.terramechanics.traversability import best_working_point
 
 MODES = ("torque", "wheel_speed")
 

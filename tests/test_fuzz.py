@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from benchmarks import fuzz
 from benchmarks.fuzz_cases import Case, Random, draw_case
 from benchmarks.fuzz_checks import faults, ledger
-from soil_env.loading import ParameterError
+from soil_env._io.loading import ParameterError
 from soil_env.vector_env import SoilWheelVectorEnv
 
 

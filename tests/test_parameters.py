@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from soil_env import parameters
-from soil_env.loading import check, config_dir, load, merge, read_yaml, to_dict
+from soil_env._io.loading import check, config_dir, load, merge, read_yaml, to_dict
 from soil_env.parameters import ParameterError, Scenario, Soil, SoilSpread, Wheel, load_scenario
 
 SOIL = {"friction_angle_deg": 30, "cohesion": 500, "shear_modulus": 0.02, "sinkage_exponent": 1.0}
@@ -207,7 +207,7 @@ def test_soil_round_trip(name):
 
 
 def test_own_soils_stand_beside_the_presets_and_before_them():
-    from soil_env.drawing import course_numbers
+    from soil_env.simulation.courses import course_numbers
 
     beach, sand = Soil(**SOIL_S), Soil(**SOIL_S | {"cohesion": 900})
     scenario = load_scenario(

@@ -225,7 +225,7 @@ def test_one_processor_and_no_home(tmp_path):
 
 def test_without_a_folder_for_compiled_code_nothing_is_cached(monkeypatch):
     """Where neither the package nor the home can be written, numba refuses to cache; then it is not asked to."""
-    from soil_env import compiled
+    from soil_env._numba import compiling as compiled
 
     def refuses(**options):
         assert options == {"cache": True}

@@ -7,7 +7,7 @@ from gymnasium.vector import AutoresetMode
 
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import ParameterError
-from soil_env.task import VARIANTS, Cause
+from soil_env.simulation.task import VARIANTS, Cause
 from soil_env.vector_env import SoilWheelVectorEnv
 
 WHEELS, STEPS = 5, 260

@@ -16,7 +16,7 @@ from agents.ablation.study import Ablation
 from agents.evaluate import report
 from agents.evaluate.results import save_json
 from agents.evaluate.study import replace_file
-from soil_env.loading import ParameterError
+from soil_env._io.loading import ParameterError
 
 BEGIN, END = "<!-- ablation -->", "<!-- end -->"
 #: Column of a table -> (metric, heading, factor, digits)

@@ -32,10 +32,10 @@ from agents.evaluate.records import Records
 from agents.guided import check_guide
 from agents.ppo import PPOConfig, TrainConfig
 from agents.tuning import tuned_settings
-from soil_env.files import is_unused
-from soil_env.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict, unknown_key
-from soil_env.model import WheelSoilModel
+from soil_env._io.files import is_unused
+from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict, unknown_key
 from soil_env.parameters import Scenario, load_scenario
+from soil_env.terramechanics.model import WheelSoilModel
 
 _NOT_COMPARED = ("seeds", "courses")  # may differ when a study goes on: more seeds, other courses
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from agents import training
 from agents.ablation.study import Ablation, Step, perform
-from soil_env.loading import ParameterError
+from soil_env._io.loading import ParameterError
 
 ATTEMPTS = 3  # at a step whose process has died
 _PATIENCE = 60.0  # [s] for processes to write their checkpoints after an interrupt

@@ -40,12 +40,12 @@ from agents.evaluate import study as studies
 from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET
 from agents.progress import Bar
 from agents.tuning import candidates_in_all, tuned_settings
-from soil_env.files import is_unused
-from soil_env.loading import ParameterError, unknown_key
-from soil_env.model import WheelSoilModel
+from soil_env._io.files import is_unused
+from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._io.starting import command, label, leave
+from soil_env._io.stopping import terminable
 from soil_env.parameters import load_scenario
-from soil_env.starting import command, label, leave
-from soil_env.stopping import terminable
+from soil_env.terramechanics.model import WheelSoilModel
 
 _EPILOG = """further options:
   --changes.KEY VALUE        any key of the scenario, in SI units, as --changes.course.length 20 [m]

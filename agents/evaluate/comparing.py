@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from agents.evaluate.driving import METRICS, RATES, Runs
-from soil_env.files import replace_file
+from soil_env._io.files import replace_file
 from soil_env.parameters import Scenario
 
 

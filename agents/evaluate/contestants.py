@@ -25,11 +25,11 @@ from pathlib import Path
 import numpy as np
 
 from agents.controllers import CONTROLLERS, checked_settings, make_controller
-from soil_env.loading import ParameterError, unknown_key
-from soil_env.model import WheelSoilModel
+from soil_env._io.loading import ParameterError, unknown_key
 from soil_env.parameters import Scenario
-from soil_env.simulation import Simulation
-from soil_env.task import VARIANTS
+from soil_env.simulation.task import VARIANTS
+from soil_env.simulation.worlds import Simulation
+from soil_env.terramechanics.model import WheelSoilModel
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from soil_env._io.loading import ParameterError
 from soil_env.env import IMMOBILISED
-from soil_env.loading import ParameterError
-from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
-from soil_env.simulation import IDLE, STEP, Simulation, Worlds
-from soil_env.task import Cause
+from soil_env.simulation.task import Cause
+from soil_env.simulation.worlds import IDLE, STEP, Simulation, Worlds
+from soil_env.terramechanics.model import WheelSoilModel
 
 #: Course sets (`course_rng`), disjoint from each other and from all courses of training.
 TUNING_SET, HELD_OUT_SET = 1_000_001, 3_000_011

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agents.evaluate.contestants import VECNORMALIZE
+from soil_env._io.loading import ParameterError
 from soil_env.env import observation_space
-from soil_env.loading import ParameterError
 from soil_env.parameters import Scenario
-from soil_env.task import VARIANTS
+from soil_env.simulation.task import VARIANTS
 
 try:
     import torch

@@ -11,9 +11,9 @@ from agents.evaluate import driving
 from agents.evaluate.driving import Runs, drive
 from agents.evaluate.warning import Warnings
 from soil_env.env import IMMOBILISED
-from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
-from soil_env.task import Cause
+from soil_env.simulation.task import Cause
+from soil_env.terramechanics.model import WheelSoilModel
 
 #: Metric -> (unit, what it is). A course on which a metric is not defined is left out of it.
 METRICS = {

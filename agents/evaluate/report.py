@@ -13,7 +13,7 @@ from rich.table import Table
 from agents.evaluate import figures, results
 from agents.evaluate.records import METRICS, RATES, Records
 from agents.evaluate.study import Study
-from soil_env.files import replace_file
+from soil_env._io.files import replace_file
 
 #: Column of the printed table -> (metric, heading, factor, digits, with its interval)
 _COLUMNS = (

@@ -15,8 +15,8 @@ from agents.evaluate import statistics as st
 from agents.evaluate.comparing import wilson
 from agents.evaluate.records import METRICS, RATES, Records
 from agents.evaluate.study import Study
-from soil_env.files import replace_file
-from soil_env.task import Cause
+from soil_env._io.files import replace_file
+from soil_env.simulation.task import Cause
 
 #: Differences on the same courses, and higher = better scores whose distribution over runs is looked at.
 PAIRED = ("immobilised", "finished", "return")

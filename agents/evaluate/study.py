@@ -25,10 +25,10 @@ from agents.evaluate import contestants as entries
 from agents.evaluate.contestants import Contestant
 from agents.evaluate.driving import HELD_OUT_SET
 from agents.evaluate.records import Records, record
-from soil_env.files import replace_file
-from soil_env.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict
-from soil_env.model import WheelSoilModel
+from soil_env._io.files import replace_file
+from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict
 from soil_env.parameters import Scenario
+from soil_env.terramechanics.model import WheelSoilModel
 
 try:
     import fcntl

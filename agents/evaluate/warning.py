@@ -30,11 +30,11 @@ import math
 import numpy as np
 from numba import njit
 
-from soil_env.compiled import CACHE
+from soil_env._numba.compiling import CACHE
 from soil_env.parameters import Scenario, SoilState
-from soil_env.simulation import Worlds
-from soil_env.task import layout
-from soil_env.traversability import best_working_point
+from soil_env.simulation.task import layout
+from soil_env.simulation.worlds import Worlds
+from soil_env.terramechanics.traversability import best_working_point
 
 SLIP_MARGIN = 0.5  # [-]
 HOLD = 0.5  # [s]

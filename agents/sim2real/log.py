@@ -25,12 +25,12 @@ from scipy.stats import chi2
 
 from agents.controllers import ConstantSpeed
 from agents.evaluate.study import replace_file
-from soil_env.loading import Checked, ParameterError, quantity
-from soil_env.measurement import Prior
-from soil_env.model import ModelWheel, WheelSoilModel
+from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env.measurement.table import Prior
 from soil_env.parameters import Scenario, Soil, load_scenario, soils
-from soil_env.simulation import IDLE, STEP, Simulation
-from soil_env.task import Cause
+from soil_env.simulation.task import Cause
+from soil_env.simulation.worlds import IDLE, STEP, Simulation
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 _RUNNING = Cause.RUNNING.value
 CHANNELS = ("sinkage", "drawbar_pull", "torque")

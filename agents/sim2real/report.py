@@ -18,9 +18,9 @@ from agents.evaluate import statistics as st
 from agents.evaluate.comparing import wilson
 from agents.evaluate.figures import png
 from agents.sim2real.study import ARMS, CONTROLLERS, CORRECTED, PPO, UNCORRECTED, Study, scores
-from soil_env.files import replace_file
-from soil_env.loading import config_dir
-from soil_env.model import WheelSoilModel
+from soil_env._io.files import replace_file
+from soil_env._io.loading import config_dir
+from soil_env.terramechanics.model import WheelSoilModel
 
 FILES = ("sim2real.json", "sim2real.md", "sim2real.png")
 

@@ -31,11 +31,11 @@ from agents.sim2real import log
 from agents.sim2real.log import Commissioning
 from agents.training import Bar
 from agents.tuning import candidates_in_all, tuned_settings
+from soil_env._io.files import is_unused, replace_file
+from soil_env._io.loading import Checked, ParameterError, quantity, read_yaml, to_dict
 from soil_env.discrepancy import run as find_discrepancy
-from soil_env.files import is_unused, replace_file
-from soil_env.loading import Checked, ParameterError, quantity, read_yaml, to_dict
-from soil_env.model import WheelSoilModel
 from soil_env.parameters import Scenario
+from soil_env.terramechanics.model import WheelSoilModel
 
 CLASSICAL = ("constant_speed", "fixed_slip", "best_slip_identified")
 PPO = "ppo_identified"

@@ -21,11 +21,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.data import CHANNELS, Data, Noise, find_noise
-from soil_env.effects import NO_EFFECTS, Effects, sliding_speed
-from soil_env.model import Rows, predict_rows
 from soil_env.parameters import SoilState
+from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import NO_EFFECTS, Effects, sliding_speed
+from soil_env.terramechanics.model import Rows, predict_rows
 
 PRIOR_WIDTH = 1.5
 SLACK = 0.01

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soil_env.loading import ParameterError
-from soil_env.measurement import MEASURED, Setup, Table
-from soil_env.model import ModelWheel, Rows, rows_of
+from soil_env._io.loading import ParameterError
+from soil_env.measurement.table import MEASURED, Setup, Table
+from soil_env.terramechanics.model import ModelWheel, Rows, rows_of
 
 CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none

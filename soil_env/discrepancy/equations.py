@@ -1,7 +1,7 @@
 """The effects of the catalogue as equations, one for each published form, to be printed with the fitted numbers in.
 
 A template holds {parameter} where the catalogue has its parameter; everything else is a symbol of `MEANING`. The laws
-are those that `soil_env.effects` computes; `catalogue.py` has the source of each form.
+are those that `soil_env.terramechanics.effects` computes; `catalogue.py` has the source of each form.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from soil_env.catalogue import CATALOGUE
+from soil_env.terramechanics.catalogue import CATALOGUE
 
 _POWERS = "K_N = K N^(-{stiffening}); "
 _HUMP = "tau = tau_max 4 {sharpness} (1 - x) (1 + {sharpness} x)/(1 + {sharpness})^2; "

@@ -19,12 +19,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.locate import TITLES
 from soil_env.discrepancy.search import TOLD, Candidate, Finding
-from soil_env.model import Rows
+from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.model import Rows
 
 MOST = 4  # tests proposed
 LEAST = 1.0  # [sd] below which a test separates nothing

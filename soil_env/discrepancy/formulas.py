@@ -6,11 +6,11 @@ import html
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy import unlisted
 from soil_env.discrepancy.equations import SYMBOLS, fitted, legend, plain, published, used
 from soil_env.discrepancy.locate import TITLES, UNITS
-from soil_env.validity import in_words
+from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.validity import in_words
 
 if TYPE_CHECKING:
     from soil_env.discrepancy.workflow import EffectFound, Report

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import Data
-from soil_env.loading import ParameterError
-from soil_env.measurement import in_radians
-from soil_env.model import Rows
+from soil_env.measurement.table import in_radians
+from soil_env.terramechanics.model import Rows
 
 LARGE = 3.0  # [noise] rms of what the base model leaves, below which no mistake is looked for
 BETTER = 10.0  # times smaller that its mean square above the noise has to get where the table is read otherwise

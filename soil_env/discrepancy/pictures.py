@@ -11,10 +11,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.locate import TITLES, UNITS
 from soil_env.discrepancy.words import corrected, fixed, title
+from soil_env.terramechanics.catalogue import CATALOGUE
 
 if TYPE_CHECKING:
     from soil_env.discrepancy.workflow import Report

@@ -15,6 +15,7 @@ from rich.panel import Panel
 from rich.table import Table as Grid
 from rich.text import Text
 
+from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.formulas import as_lines, blocks, validity_line
 from soil_env.discrepancy.page import page
 from soil_env.discrepancy.words import (
@@ -32,7 +33,6 @@ from soil_env.discrepancy.words import (
     summary,
     title,
 )
-from soil_env.loading import ParameterError
 
 if TYPE_CHECKING:
     from soil_env.discrepancy.workflow import Report

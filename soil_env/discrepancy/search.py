@@ -19,10 +19,10 @@ from itertools import combinations
 
 import numpy as np
 
-from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy.calibrate import Choice, Fit, Problem
 from soil_env.discrepancy.data import folds
 from soil_env.discrepancy.misfit import lack_of_fit, log_bound, probability
+from soil_env.terramechanics.catalogue import CATALOGUE
 
 CHANCE = 0.004  # probability of a false alarm over everything that is tried
 LEAST_FIT = (3e-3, 0.02)  # p value of the lack of fit below which one effect, two effects, are not enough: where

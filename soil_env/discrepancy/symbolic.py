@@ -20,8 +20,8 @@ import numpy as np
 from soil_env.discrepancy.calibrate import GRAVITY, Fit, Problem
 from soil_env.discrepancy.data import CHANNELS, folds
 from soil_env.discrepancy.locate import TITLES
-from soil_env.model import add_residual
-from soil_env.residual import GROUPS, ResidualTerm, dimensionless_groups, residual_law
+from soil_env.terramechanics.model import add_residual
+from soil_env.terramechanics.residual import GROUPS, ResidualTerm, dimensionless_groups, residual_law
 
 TERMS = 3
 POWERS = (1.0, 2.0, 0.5, -1.0, -0.5, 3.0)

@@ -21,8 +21,8 @@ from soil_env.discrepancy.equations import Term, plain
 from soil_env.discrepancy.experiment import DEEPEST, LEAST, MOST, NextTest
 from soil_env.discrepancy.locate import TITLES, UNITS, figure
 from soil_env.discrepancy.symbolic import ResidualFit
-from soil_env.model import WheelSoilModel
-from soil_env.residual import ResidualTerm
+from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.residual import ResidualTerm
 
 LEFT = MappingProxyType({"sinkage": "(z - z_0)/r", "drawbar_pull": "(DP - DP_0)/W", "torque": "(T - T_0)/(W r)"})
 SYMBOL = MappingProxyType({

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from soil_env.catalogue import CATALOGUE
 from soil_env.discrepancy import unlisted
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.judgement import LISTED, chance_of
 from soil_env.discrepancy.locate import TITLES, UNITS, figure
 from soil_env.discrepancy.search import TOLD
-from soil_env.model import DEEPEST
+from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.model import DEEPEST
 
 if TYPE_CHECKING:
     from soil_env.discrepancy.workflow import Report

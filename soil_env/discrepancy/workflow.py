@@ -15,7 +15,7 @@ import scipy
 from threadpoolctl import threadpool_limits
 
 from soil_env import __version__
-from soil_env.catalogue import CATALOGUE
+from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import judgement, mistakes
 from soil_env.discrepancy.calibrate import GRAVITY, Choice, Fit, Problem, calibrate
 from soil_env.discrepancy.closing import closed_interval
@@ -29,11 +29,11 @@ from soil_env.discrepancy.search import Finding, search
 from soil_env.discrepancy.symbolic import ResidualFit, symbolic
 from soil_env.discrepancy.unlisted import coefficients, law_tests
 from soil_env.discrepancy.words import cautions, check_first, summary
-from soil_env.loading import ParameterError
-from soil_env.measurement import Setup, Table, read_setup, read_table
-from soil_env.model import WheelSoilModel
+from soil_env.measurement.table import Setup, Table, read_setup, read_table
 from soil_env.parameters import Soil
-from soil_env.validity import seen
+from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.validity import seen
 
 MOST_DRAWS = 100_000  # of the noise
 

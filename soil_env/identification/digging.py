@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import math
 
-from soil_env.compiled import inlined
-from soil_env.effects import excavation_rate
+from soil_env._numba.compiling import inlined
+from soil_env.terramechanics.effects import excavation_rate
 
 #: Points kept as places of reference.
 KEPT = 8

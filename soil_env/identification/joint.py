@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from soil_env.compiled import inlined
-from soil_env.elementary import exp, exp_lanes, log_lanes
+from soil_env._numba.compiling import inlined
+from soil_env._numba.elementary import exp, exp_lanes, log_lanes
+from soil_env._numba.lanes import fill, from_array, lane, scratch, totals
 from soil_env.identification.solver import DIG, LONGEST, LOWER, RESPONSE, UPPER, Status, dot, whitened_block
-from soil_env.lanes import fill, from_array, lane, scratch, totals
 
 #: Unknowns.
 SIZE = 5

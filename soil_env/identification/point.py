@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.compiled import inlined, kernel
-from soil_env.contact import (
+from soil_env._numba.compiling import inlined, kernel
+from soil_env.terramechanics.contact import (
     JANOSI,
     arc_nodes,
     compaction_resistance,

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from soil_env.arcs import STORED_NODES, entry_angle_of_many, store_nodes, stored_integrals
-from soil_env.compiled import CACHE, inlined, kernel
-from soil_env.elementary import exp, exp_lanes, half_sin_cos, log_lanes, where_below
+from soil_env._numba.compiling import CACHE, inlined, kernel
+from soil_env._numba.elementary import exp, exp_lanes, half_sin_cos, log_lanes, where_below
+from soil_env._numba.lanes import COUNT, fill, first, from_array, lane, made_of, to_array, total, totals, transposed
 from soil_env.identification.point import (
     DIG_RATIO,
     DIG_RESPONSE,
@@ -29,7 +29,7 @@ from soil_env.identification.point import (
     channels,
     channels_at,
 )
-from soil_env.lanes import COUNT, fill, first, from_array, lane, made_of, to_array, total, totals, transposed
+from soil_env.terramechanics.arcs import STORED_NODES, entry_angle_of_many, store_nodes, stored_integrals
 
 
 class Status(enum.IntEnum):

@@ -16,7 +16,7 @@ from scipy.stats import f as f_distribution
 
 from soil_env.identification.scatter import FEW, Scatter
 from soil_env.identification.weighted import COHESION, EXPONENT, LN_K, LN_P, PHI, SOURCES, Problem
-from soil_env.measurement import UNITS, Setup, Table
+from soil_env.measurement.table import UNITS, Setup, Table
 
 LABELS = ("friction angle", "shear modulus", "stiffness S z^n", "sinkage exponent", "cohesion")  # in messages
 UNTOLD = 0.7  # share of the prior sd above which the data do not tell a parameter

@@ -13,11 +13,11 @@ import math
 import numpy as np
 from numba import njit
 
-from soil_env.arcs import stored_integrals
-from soil_env.compiled import CACHE, inlined, kernel
+from soil_env._numba.compiling import CACHE, inlined, kernel
+from soil_env._numba.lanes import fill, from_array, to_array
 from soil_env.identification.point import DIG_RATIO, DRAWBAR_PULL, SINKAGE, SLIP, WEIGHTS, channels, channels_at
 from soil_env.identification.solver import _FACTOR, BLOCK, LOWER, UPPER, blocks, prepare
-from soil_env.lanes import fill, from_array, to_array
+from soil_env.terramechanics.arcs import stored_integrals
 
 _CELLS = 64  # of ln K within its bounds, each searched for one root
 _QUARTER = np.array([math.pi / 4.0, 0.0, 0.0])  # tan(phi) = 1, S = 1

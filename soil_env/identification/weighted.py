@@ -26,11 +26,11 @@ import numpy as np
 from numba import njit
 from scipy.optimize import least_squares
 
-from soil_env.compiled import CACHE
-from soil_env.effects import slip_sinkage_ratio
+from soil_env._io.loading import ParameterError
+from soil_env._numba.compiling import CACHE
 from soil_env.identification import Reading, predict
-from soil_env.loading import ParameterError
-from soil_env.measurement import Setup, Table
+from soil_env.measurement.table import Setup, Table
+from soil_env.terramechanics.effects import slip_sinkage_ratio
 
 PHI, LN_K, LN_P, EXPONENT, COHESION = range(5)
 LOW = np.array([math.radians(1.0), math.log(2e-4), math.log(10.0), 0.02, 0.0])

@@ -1,0 +1,1 @@
+"""Strict loading of parameters, atomic file writes, signals."""

@@ -1,0 +1,288 @@
+"""Strict loading: dataclass fields with units and bounds, and YAML into dataclasses.
+
+Every physical number of the package is a field made by `quantity`, which carries its unit and its admissible range; a
+value outside the range, an unknown key or a wrong type is refused with one line that names the key, the value and what
+was expected (`ParameterError`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import re
+import types
+import typing
+from dataclasses import field
+from pathlib import Path
+
+import yaml
+
+
+class ParameterError(ValueError):
+    """A parameter is unknown, of the wrong type or outside its physical range.
+
+    The middle of a message that quotes something very long is left out.
+    """
+
+    def __init__(self, message: str = ""):
+        text = str(message)
+        super().__init__(text if len(text) <= 1000 else f"{text[:700]} ... {text[-200:]}")
+
+
+# --- fields with units ------------------------------------------------------------------------------------------------
+
+
+def quantity(unit: str, low: float = -math.inf, high: float = math.inf, *, default=dataclasses.MISSING, doc: str = ""):
+    """A dataclass field holding a number in [low, high] of the given unit, or a (low, high) pair of such numbers."""
+    return field(default=default, metadata={"unit": unit, "low": low, "high": high, "doc": doc})
+
+
+def check(instance) -> None:
+    """Raise `ParameterError` if a `quantity` field of `instance` is not finite or out of range."""
+    for f in dataclasses.fields(instance):
+        if "unit" not in f.metadata:
+            continue
+        value = getattr(instance, f.name)
+        low, high = f.metadata["low"], f.metadata["high"]
+        numbers = value if isinstance(value, tuple) else (value,)
+        for x in numbers:
+            if x is None:
+                continue
+            if not (isinstance(x, (int, float)) and math.isfinite(x) and low <= x <= high):
+                raise ParameterError(
+                    f"{type(instance).__name__}.{f.name} = {value!r}: expected a number "
+                    f"in [{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
+                )
+        if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
+            raise ParameterError(f"{type(instance).__name__}.{f.name} = {value!r}: expected low <= high")
+
+
+def _bound(x: float) -> str:
+    """A bound for people; a whole number in full where the short form would be another one."""
+    short = f"{x:g}"
+    return str(x) if isinstance(x, int) and float(short) != x else short
+
+
+class Checked:
+    """Base of the parameter classes: checks every `quantity` on construction."""
+
+    def __post_init__(self):
+        check(self)
+
+
+# --- strict loading ---------------------------------------------------------------------------------------------------
+
+
+def unknown_key(key, known, where: str) -> ParameterError:
+    """The error for a key that does not exist, with the nearest known name."""
+    near = difflib.get_close_matches(str(key), [str(k) for k in known], n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    return ParameterError(f"{where}: unknown key {key!r}{hint} (known: {', '.join(sorted(map(str, known)))})")
+
+
+def load(cls, mapping, where: str = ""):
+    """Build dataclass `cls` from a mapping; nested dataclasses from nested mappings.
+
+    Raises `ParameterError` for unknown or missing keys, wrong types and values out of range. The message begins with
+    `where` the mapping came from, a file as a rule, and the path of keys in it: "setup.yaml: wheel.radius = 150: ...".
+    """
+    where = where or cls.__name__
+    if not isinstance(mapping, dict):
+        raise ParameterError(f"{where}: expected a mapping of {_keys(cls)}, got {mapping!r}")
+    hints = typing.get_type_hints(cls)
+    names = {f.name: f for f in dataclasses.fields(cls) if f.init}
+    for key in mapping:
+        if key not in names:
+            raise unknown_key(key, names, where)
+    values = {key: _convert(hints[key], value, _below(where, key)) for key, value in mapping.items()}
+    missing = [
+        n
+        for n, f in names.items()
+        if n not in values and f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
+    ]
+    if missing:
+        raise ParameterError(f"{where}: missing {', '.join(missing)}")
+    try:
+        return cls(**values)
+    except ParameterError as error:
+        text, own = str(error), f"{cls.__name__}."
+        if where == cls.__name__:
+            raise
+        text = text.removeprefix(own).removeprefix(f"{cls.__name__}: ")
+        of_key = re.match(r"\w+( = |: expected)", text)
+        raise ParameterError(_below(where, text) if of_key else f"{where}: {text}") from None
+
+
+def _below(where: str, key: str) -> str:
+    """The place of a key: "file: key", and "file: section.key" further down."""
+    return f"{where}{'.' if ': ' in where else ': '}{key}"
+
+
+def _keys(cls) -> str:
+    return ", ".join(f.name for f in dataclasses.fields(cls) if f.init)
+
+
+def _convert(hint, value, where):
+    origin = typing.get_origin(hint)
+    if origin in (typing.Union, types.UnionType):
+        options = typing.get_args(hint)
+        if value is None and type(None) in options:
+            return None
+        return _convert(next(o for o in options if o is not type(None)), value, where)
+    if dataclasses.is_dataclass(hint):
+        return value if isinstance(value, hint) else load(hint, value, where)
+    if origin is tuple:
+        items = typing.get_args(hint)
+        if not isinstance(value, (list, tuple)) or len(value) != len(items):
+            raise ParameterError(f"{where} = {value!r}: expected a list of {len(items)} values")
+        return tuple(_convert(item, v, where) for item, v in zip(items, value, strict=True))
+    if hint is dict:
+        if not isinstance(value, dict):
+            raise ParameterError(f"{where} = {value!r}: expected a mapping")
+        return value
+    if origin is dict:
+        if not isinstance(value, dict):
+            raise ParameterError(f"{where} = {value!r}: expected a mapping")
+        _, item = typing.get_args(hint)
+        return {str(k): _convert(item, v, f"{where}.{k}") for k, v in value.items()}
+    if origin is typing.Literal:
+        if value not in typing.get_args(hint):
+            raise ParameterError(f"{where} = {value!r}: expected one of {', '.join(map(repr, typing.get_args(hint)))}")
+        return value
+    if hint is bool:
+        if not isinstance(value, bool):
+            raise ParameterError(f"{where} = {value!r}: expected true or false")
+        return value
+    if hint in (float, int):
+        return number(hint, value, where)
+    if hint is str:
+        if not isinstance(value, str):
+            raise ParameterError(f"{where} = {value!r}: expected text")
+        return value
+    raise TypeError(f"{where}: no rule to load a {hint!r}")  # a programming error, not the user's
+
+
+def number(kind: type, value, where: str):
+    """`value` as float or int (`kind`); ParameterError with `where` where it is no number nor text of one."""
+    if isinstance(value, str):  # YAML 1.1 reads 1e6 as text
+        try:
+            value = float(value)
+        except ValueError:
+            pass
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ParameterError(f"{where} = {value!r}: expected a number")
+    if kind is int:
+        if not math.isfinite(value) or value != int(value):
+            raise ParameterError(f"{where} = {value!r}: expected a whole number")
+        return int(value)
+    return float(value)
+
+
+def merge(base: dict, changes: dict) -> dict:
+    """`base` with the values of `changes`, nested mappings merged key by key; neither argument is modified."""
+    out = dict(base)
+    for key, value in changes.items():
+        out[key] = merge(out[key], value) if isinstance(value, dict) and isinstance(out.get(key), dict) else value
+    return out
+
+
+def to_dict(instance) -> dict:
+    """A dataclass as nested plain values, ready for YAML."""
+
+    def plain(x):
+        if dataclasses.is_dataclass(x):
+            return {f.name: plain(getattr(x, f.name)) for f in dataclasses.fields(x)}
+        if isinstance(x, dict):
+            return {k: plain(v) for k, v in x.items()}
+        return [plain(v) for v in x] if isinstance(x, (tuple, list)) else x
+
+    return plain(instance)
+
+
+MOST_BYTES, MOST_VALUES, DEEPEST = 1_000_000, 20_000, 40  # of a YAML file; shipped ones are far below
+_TOO_MUCH = f"more than {MOST_VALUES} values, or nested deeper than {DEEPEST} levels"
+
+
+class _Strict(yaml.SafeLoader):
+    """SafeLoader that refuses a key given twice, of which YAML would keep the last, and files made to be a burden.
+
+    Aliases are counted as often as they are used: ten lines of them can stand for more values than memory holds.
+    """
+
+    def get_single_node(self):
+        """The root of the document."""
+        root = super().get_single_node()
+        if root is not None:
+            self._count(root, 1, set())
+        return root
+
+    def compose_node(self, parent, index):
+        """A node, no deeper than `DEEPEST`, one of at most `MOST_VALUES`."""
+        self.depth, self.nodes = getattr(self, "depth", 0) + 1, getattr(self, "nodes", 0) + 1
+        if self.depth > DEEPEST or self.nodes > MOST_VALUES:
+            raise yaml.constructor.ConstructorError(None, None, _TOO_MUCH)
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self.depth -= 1
+
+    def _count(self, node, depth: int, above: set, seen: list | None = None) -> None:
+        seen = [0] if seen is None else seen
+        seen[0] += 1
+        if seen[0] > MOST_VALUES or depth > DEEPEST or id(node) in above:
+            reason = "a value that contains itself" if id(node) in above else _TOO_MUCH
+            raise yaml.constructor.ConstructorError(None, None, reason)
+        if isinstance(node, yaml.ScalarNode):
+            return
+        above.add(id(node))
+        for item in node.value:
+            for part in item if isinstance(item, tuple) else (item,):
+                self._count(part, depth + 1, above, seen)
+        above.discard(id(node))
+
+    def construct_mapping(self, node, deep=False):
+        """The mapping of a node."""
+        known: set = set()
+        for key, _ in node.value:
+            if isinstance(key.value, str):
+                if key.value in known:
+                    raise yaml.constructor.ConstructorError(
+                        None, None, f"key {key.value!r} appears twice", node.start_mark
+                    )
+                known.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+def parse_yaml(text: str):
+    """The value that a YAML text stands for; `yaml.YAMLError` for whatever is wrong with it."""
+    try:
+        return yaml.load(text, _Strict)  # a SafeLoader
+    except (ValueError, OverflowError, RecursionError) as error:  # a day 2001-99-99, a number of 5000 digits
+        raise yaml.YAMLError(f"{type(error).__name__}: {error}") from None
+
+
+def read_yaml(path: Path) -> dict:
+    """The mapping in a YAML file; `ParameterError` if it cannot be read as one."""
+    try:
+        with open(path, "rb") as stream:
+            raw = stream.read(MOST_BYTES + 1)
+        if len(raw) > MOST_BYTES:
+            raise ParameterError(f"{path}: larger than {MOST_BYTES // 1000} kB: expected a file of parameters")
+        content = parse_yaml(raw.decode("utf-8"))
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        said = " ".join(str(error).split()).replace('in "<unicode string>", ', "in ")
+        raise ParameterError(f"{path}: not valid YAML ({said[:200]})") from None
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise ParameterError(f"{path}: expected a mapping at the top, got {type(content).__name__}")
+    return content
+
+
+def config_dir() -> Path:
+    """Folder of the shipped YAML files: inside an installed package, else beside it in the clone."""
+    here = Path(__file__).resolve().parents[1]  # soil_env/
+    return next((p for p in (here / "configs", here.parent / "configs") if p.is_dir()), here.parent / "configs")

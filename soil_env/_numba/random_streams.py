@@ -1,0 +1,73 @@
+"""Random numbers inside compiled code: one independent 64-bit stream per wheel.
+
+SplitMix64 (Steele, Lea & Flood 2014, OOPSLA): a Weyl counter and a mixing function, state of one word. Each stream is
+seeded from a `numpy.random.Generator` (`seed_streams`), so that everything random follows from `reset(seed=...)`;
+numpy's own generators cannot be handed to a parallel compiled loop.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from soil_env._numba.compiling import inlined, kernel
+from soil_env._numba.elementary import half_sin_cos, log_lanes, sqrt_lanes
+from soil_env._numba.lanes import lane, made_of
+
+_GAMMA = np.uint64(0x9E3779B97F4A7C15)
+_MIX1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX2 = np.uint64(0x94D049BB133111EB)
+_S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+_TO_UNIT = 2.0**-53
+
+
+def seed_stream(rng: np.random.Generator) -> np.uint64:
+    """A starting word for one stream, drawn from a Generator."""
+    return rng.integers(0, 2**64, dtype=np.uint64)
+
+
+@inlined
+def word(streams, k):
+    """Next 64 bits of stream k; `streams` is uint64 [wheels]. Another stream may start from them."""
+    streams[k] += _GAMMA
+    z = streams[k]
+    z = (z ^ (z >> _S30)) * _MIX1
+    z = (z ^ (z >> _S27)) * _MIX2
+    return z ^ (z >> _S31)
+
+
+@inlined
+def uniform(streams, k):
+    """Next number in [0, 1) of stream k."""
+    return float(word(streams, k) >> _S11) * _TO_UNIT
+
+
+@inlined
+def between(streams, k, low, high):
+    """Next number of stream k, uniform in [low, high)."""
+    return low + (high - low) * uniform(streams, k)
+
+
+@kernel
+def normal_pair(streams, k):
+    """Two independent standard normal numbers of stream k (Box & Muller 1958)."""
+    radius = math.sqrt(-2.0 * math.log(1.0 - uniform(streams, k)))
+    angle = 2.0 * math.pi * uniform(streams, k)
+    return radius * math.cos(angle), radius * math.sin(angle)
+
+
+@inlined
+def eight_normals(streams, k):
+    """Eight independent standard normal numbers of stream k: four `normal_pair` at once."""
+    first, second = uniform(streams, k), uniform(streams, k)
+    third, fourth = uniform(streams, k), uniform(streams, k)
+    fifth, sixth = uniform(streams, k), uniform(streams, k)
+    seventh, eighth = uniform(streams, k), uniform(streams, k)
+    u = made_of(first, third, fifth, seventh, first, third, fifth, seventh)
+    v = made_of(second, fourth, sixth, eighth, second, fourth, sixth, eighth)
+    radius = sqrt_lanes(-2.0 * log_lanes(1.0 - u))
+    sin_half, cos_half = half_sin_cos(math.pi * (2.0 * v - 1.0))  # half a turn back, so both functions change sign
+    x = radius * (2.0 * sin_half * sin_half - 1.0)
+    y = radius * (-2.0 * sin_half * cos_half)
+    return lane(x, 0), lane(y, 0), lane(x, 1), lane(y, 1), lane(x, 2), lane(y, 2), lane(x, 3), lane(y, 3)

@@ -1,0 +1,190 @@
+"""The setup beside a measurement table: which wheel it was, what is known of the soil, how noisy the sensors are.
+
+Everything is in SI units. `read_setup` refuses what cannot be right with one line (`ParameterError`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml
+from soil_env.parameters import Soil
+
+LARGEST_WHEEL = 3.0  # [m] as in `parameters.Wheel`
+LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the value known
+# Below these soil parameters look like another unit: parameter, limit, its unit, what it looks like, factor
+_ODD = (
+    ("friction_angle_deg", 2.0, "deg", "radians", 57.3),
+    ("cohesion", 50.0, "Pa", "kPa", 1e3),
+    ("sinkage_coefficient", 1e4, "N/m^(n+2)", "kN/m^(n+2)", 1e3),
+    ("k_phi", 1e4, "N/m^(n+2)", "kN/m^(n+2)", 1e3),
+)
+
+
+@dataclass(frozen=True)
+class SetupWheel(Checked):
+    """The wheel that was measured; `grouser_height` 0 is a smooth rim, None one of which nothing is said."""
+
+    radius: float = quantity("m", 0.01, LARGEST_WHEEL)
+    width: float = quantity("m", 0.005, LARGEST_WHEEL)
+    grouser_height: float | None = quantity("m", 0.0, 1.0, default=None)
+
+
+@dataclass(frozen=True)
+class Prior(Checked):
+    """What is known of a parameter before the table: its value and standard deviation, 0 if it is known exactly."""
+
+    value: float = quantity("")
+    sd: float = quantity("", 0.0)
+
+    @property
+    def known(self) -> bool:
+        """Whether the value is not to be fitted."""
+        return self.sd == 0.0
+
+
+@dataclass(frozen=True)
+class SoilPriors(Checked):
+    """Priors of the soil, `parameters.Soil` for their meaning; None is to be fitted with a broad prior.
+
+    `dig_gain` and `dig_recovery` are known or nothing: digging that the model is to have before any effect is sought,
+    none where they are left out.
+    """
+
+    friction_angle_deg: Prior | None = None
+    cohesion: Prior | None = None
+    shear_modulus: Prior | None = None
+    sinkage_coefficient: Prior | None = None
+    sinkage_exponent: Prior | None = None
+    k_c: Prior | None = None
+    k_phi: Prior | None = None
+    density: Prior | None = None
+    dig_gain: Prior | None = None
+    dig_recovery: Prior | None = None
+
+    def __post_init__(self):
+        limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
+        for f in dataclasses.fields(self):
+            prior, limit = getattr(self, f.name), limits[f.name]
+            if prior is not None and not limit["low"] <= prior.value <= limit["high"]:
+                expected = f"a number in [{limit['low']:g}, {limit['high']:g}] {limit['unit']}".rstrip()
+                raise ParameterError(f"{f.name} = {prior.value:g}: expected {expected}")
+        for name in ("dig_gain", "dig_recovery"):
+            if getattr(self, name) is not None and not getattr(self, name).known:
+                raise ParameterError(f"{name}: expected a plain number; digging that is not known is an effect to find")
+        if self.dig_recovery is not None and self.dig_gain is None:
+            raise ParameterError("dig_recovery: expected only with dig_gain")
+        pair = (self.k_c is not None) + (self.k_phi is not None)
+        if pair == 1 or (pair == 2 and self.sinkage_coefficient is not None):
+            raise ParameterError("expected either sinkage_coefficient, or both k_c and k_phi, or none of them")
+        if pair == 2 and self.k_phi.value <= 0.0:
+            raise ParameterError(f"k_phi = {self.k_phi.value:g}: expected a number > 0 N/m^(n+2)")
+
+    def lumped(self, width: float) -> Prior | None:
+        """Prior of S [N/m^(n+2)] under a wheel of width b [m]: k_c/b + k_phi where these are given."""
+        if self.k_c is None:
+            return self.sinkage_coefficient
+        value = self.k_c.value / width + self.k_phi.value
+        if value <= 0.0:
+            raise ParameterError(f"soil: k_c/b + k_phi = {value:g} for a wheel of width {width:g} m: expected > 0")
+        return Prior(value, math.hypot(self.k_c.sd / width, self.k_phi.sd))
+
+
+@dataclass(frozen=True)
+class NoiseLevels(Checked):
+    """Standard deviations of the measured values; None is to be estimated from the table.
+
+    `slip` and `load` are conditions: left out, they count as exact.
+    """
+
+    sinkage: float | None = quantity("m", default=None)
+    drawbar_pull: float | None = quantity("N", default=None)
+    torque: float | None = quantity("N m", default=None)
+    slip: float | None = quantity("", default=None)
+    load: float | None = quantity("N", default=None)
+
+    def __post_init__(self):
+        for f in dataclasses.fields(self):
+            value = getattr(self, f.name)
+            if value is not None and not 0.0 < value < math.inf:
+                unit = f" {f.metadata['unit']}".rstrip()
+                raise ParameterError(f"{f.name} = {value:g}: expected a standard deviation > 0{unit}, or leave it out")
+
+
+@dataclass(frozen=True)
+class Setup(Checked):
+    """What is known about a measurement table."""
+
+    wheel: SetupWheel
+    soil: SoilPriors = SoilPriors()
+    noise: NoiseLevels = NoiseLevels()
+    source: str = field(default="setup", init=False, compare=False)  # the file, for messages
+
+    def __post_init__(self):
+        sinkage = self.noise.sinkage
+        if sinkage is not None and sinkage > 0.5 * self.wheel.radius:
+            raise ParameterError(
+                f"noise: sinkage = {sinkage:g}: expected metres, well below the wheel radius {self.wheel.radius:g} m "
+                "(if it is millimetres, divide by 1000)"
+            )
+
+    def doubts(self) -> list[str]:
+        """Values of the soil that are admissible but look like another unit, one sentence each."""
+        words = []
+        for name, limit, unit, looks, factor in _ODD:
+            prior = getattr(self.soil, name)
+            if prior is not None and 0.0 < prior.value < limit:
+                words.append(
+                    f"soil.{name} = {prior.value:g} {unit} looks like {looks}; if it is, multiply it (and its sd) by "
+                    f"{factor:g}."
+                )
+        return words
+
+
+def read_setup(path: str | Path) -> Setup:
+    """The setup in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
+    path = Path(path)
+    mapping = read_yaml(path)
+    where = str(path)
+    for section in ("soil", "noise"):
+        if section in mapping and mapping[section] is None:
+            del mapping[section]  # a heading with nothing below it
+    if isinstance(mapping.get("soil"), dict):
+        mapping["soil"] = {key: _prior(v, f"{where}: soil.{key}") for key, v in mapping["soil"].items()}
+    if "wheel" not in mapping:
+        raise ParameterError(f"{where}: missing wheel: expected wheel: {{radius: ..., width: ...}} in metres")
+    setup = load(Setup, mapping, where)
+    object.__setattr__(setup, "source", where)
+    return setup
+
+
+def _prior(value, where: str):
+    """A number as a known `Prior` mapping; a mapping must have an sd > 0."""
+    if isinstance(value, dict):
+        numbers = {key: _as_number(value[key]) for key in ("value", "sd") if key in value}
+        for key, number in numbers.items():
+            if number is not None and not math.isfinite(number):
+                raise ParameterError(f"{where}: {key} = {number}: expected a finite number")
+        center, sd = numbers.get("value"), numbers.get("sd")
+        if sd is not None and not sd > 0.0:
+            raise ParameterError(f"{where}: sd = {sd:g}: expected > 0 (write a known value as a plain number)")
+        if sd is not None and center is not None and sd < LEAST_SD * abs(center):
+            raise ParameterError(
+                f"{where}: sd = {sd:g}: expected at least {LEAST_SD * abs(center):.2g}, a millionth of the value "
+                "(write a known value as a plain number)"
+            )
+        return value
+    if value is None or isinstance(value, list):
+        raise ParameterError(f"{where} = {value!r}: expected a number or {{value: ..., sd: ...}}, or leave it out")
+    return {"value": value, "sd": 0.0}
+
+
+def _as_number(value) -> float | None:
+    """The number that a YAML value stands for, also where YAML 1.1 takes it for text (1e-3); None if it is none."""
+    try:
+        return None if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        return None

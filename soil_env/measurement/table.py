@@ -1,0 +1,284 @@
+"""Measurement tables: one row is one steady point of a wheel in a test rig or on a rover.
+
+`read_table` reads the table: CSV, or Parquet where pyarrow is installed. The YAML file beside it is the business of
+`soil_env.measurement.setup`, whose names can be had from here, too. Everything is in SI units. What cannot be right is
+refused with one line that names the file, the row, the column, the value and what was expected (`ParameterError`); rows
+are counted as lines of the file, the header being row 1.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import difflib
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError
+from soil_env.measurement.setup import (  # noqa: F401
+    LARGEST_WHEEL,
+    NoiseLevels,
+    Prior,
+    Setup,
+    SetupWheel,
+    SoilPriors,
+    read_setup,
+)
+
+REQUIRED = ("slip", "load")
+MEASURED = ("sinkage", "drawbar_pull", "torque")
+OPTIONAL = ("speed", "pass", "grade_deg", "run", "time", "wheel_radius", "wheel_width", "grouser_height")
+COLUMNS = REQUIRED + OPTIONAL + MEASURED
+UNITS = {
+    "slip": "", "load": "N", "speed": "m/s", "pass": "", "grade_deg": "deg", "time": "s", "wheel_radius": "m",
+    "wheel_width": "m", "grouser_height": "m", "sinkage": "m", "drawbar_pull": "N", "torque": "N m",
+}  # fmt: skip
+
+DEEPEST = 1.0  # [m] a larger sinkage is taken for millimetres
+STEEPEST = 60.0  # [deg]
+FASTEST = 40.0  # [m/s] a larger speed is taken for mm/s
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns [N] of a measurement table, read-only; NaN where a cell is empty or the column absent.
+
+    Only `passes` and `run` have other values for "not given": 1 and "".
+    """
+
+    source: str  # the file, for messages
+    given: frozenset[str]  # columns of the file
+    row: np.ndarray  # line of the file, int
+    slip: np.ndarray  # [-] in [-1, 1]
+    load: np.ndarray  # [N]
+    sinkage: np.ndarray  # [m]
+    drawbar_pull: np.ndarray  # [N]
+    torque: np.ndarray  # [N m]
+    speed: np.ndarray  # [m/s] travel
+    passes: np.ndarray  # column `pass`: 1 = fresh soil, int
+    grade_deg: np.ndarray  # [deg] uphill positive
+    run: np.ndarray  # group, text
+    time: np.ndarray  # [s]
+    wheel_radius: np.ndarray  # [m] overrides of the setup's wheel
+    wheel_width: np.ndarray  # [m]
+    grouser_height: np.ndarray  # [m]
+
+    def __len__(self) -> int:
+        return self.slip.size
+
+    def radius(self, wheel: SetupWheel) -> np.ndarray:
+        """Wheel radius [m] of each row: the override where there is one."""
+        return np.where(np.isnan(self.wheel_radius), wheel.radius, self.wheel_radius)
+
+    def width(self, wheel: SetupWheel) -> np.ndarray:
+        """Wheel width [m] of each row: the override where there is one."""
+        return np.where(np.isnan(self.wheel_width), wheel.width, self.wheel_width)
+
+
+def read_table(path: str | Path, wheel: SetupWheel | None = None) -> Table:
+    """The measurement table in a CSV or Parquet file; with `wheel`, no sinkage may exceed its radius.
+
+    Raises `ParameterError` with one line for everything that cannot be right.
+    """
+    path = Path(path)
+    header, rows = _parquet_cells(path) if path.suffix.lower() in (".parquet", ".pq") else _csv_cells(path)
+    _check_header(path, header)
+    if not rows:
+        raise ParameterError(f"{path}: no rows below the header: expected one row for each steady point")
+    columns = {name: _column(path, name, header, rows) for name in COLUMNS if name not in ("run", "pass")}
+    absent = [(line, "") for line, _ in rows]
+    runs = [(line, cells[header.index("run")]) for line, cells in rows] if "run" in header else absent
+    passes = _column(path, "pass", header, rows)
+    table = Table(
+        source=str(path),
+        given=frozenset(header),
+        row=np.array([line for line, _ in rows]),
+        passes=np.where(np.isnan(passes), 1.0, passes).astype(int),
+        run=np.array([text for _, text in runs]),
+        **columns,
+    )
+    _check_rows(table, header, rows, wheel)
+    for f in dataclasses.fields(table):
+        if isinstance(getattr(table, f.name), np.ndarray):
+            getattr(table, f.name).flags.writeable = False
+    return table
+
+
+def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Header and (line, cells) of the rows that are not blank, every cell stripped."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:  # with or without a byte order mark
+            _check_separator(path, stream.readline(), stream.readline())
+            stream.seek(0)
+            reader = csv.reader(stream, strict=True)
+            lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError as error:
+        raise ParameterError(f"{path}: not UTF-8 text (byte {error.start}): expected a CSV file in UTF-8") from None
+    except csv.Error as error:
+        raise ParameterError(f"{path}: not a CSV file ({error})") from None
+    lines = [(line, cells) for line, cells in lines if any(cells)]
+    if not lines:
+        raise ParameterError(f"{path}: empty file: expected a header line with column names")
+    header, rows = lines[0][1], lines[1:]
+    for line, cells in lines:
+        if cells[0].startswith("#"):
+            raise ParameterError(f"{path}: row {line} is a comment (#): expected a header and rows of numbers only")
+    for line, cells in rows:
+        if len(cells) != len(header):
+            hint = " (numbers with decimal points, not commas)" if len(cells) > len(header) else ""
+            raise ParameterError(
+                f"{path}: row {line} has {len(cells)} cells: expected {len(header)}, as the header{hint}"
+            )
+    return header, rows
+
+
+def _check_separator(path: Path, header: str, row: str) -> None:
+    """Refuse a header without commas that has semicolons or tabs; `row` tells of decimal commas."""
+    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+        if mark in header and "," not in header:
+            also = " and decimal commas" if re.search(r"\d,\d", row) else ""
+            raise ParameterError(
+                f"{path}: {name} between the columns{also}: expected commas between the columns and decimal points "
+                "(export it as comma-separated values with English number format)"
+            )
+
+
+def _parquet_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """As `_csv_cells`, from Parquet; the first row counts as row 2, as it would in a CSV file."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise ParameterError(f"{path}: Parquet needs pyarrow (pip install pyarrow), or save it as CSV") from None
+    try:
+        content = pyarrow.parquet.read_table(path)
+    except (OSError, pyarrow.ArrowException) as error:
+        raise ParameterError(f"{path}: cannot be read as Parquet ({str(error).splitlines()[0]})") from None
+    columns = [["" if v is None or v != v else str(v) for v in column.to_pylist()] for column in content.columns]
+    return list(content.column_names), list(enumerate(map(list, zip(*columns, strict=True)), start=2))
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    if all(isinstance(_canonical(name), float) for name in header):
+        raise ParameterError(f"{path}: the first line has numbers: expected a header line with column names")
+    for name in header:
+        if name in COLUMNS:
+            continue
+        near = difflib.get_close_matches(name.lower(), COLUMNS, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ParameterError(f"{path}: unknown column {name!r}{hint} (known: {', '.join(COLUMNS)})")
+    for name in header:
+        if header.count(name) > 1:
+            raise ParameterError(f"{path}: column {name!r} appears {header.count(name)} times: expected once")
+    for name in REQUIRED:
+        if name not in header:
+            raise ParameterError(f"{path}: missing column {name!r}: expected {' and '.join(REQUIRED)} in every table")
+    if not set(MEASURED) & set(header):
+        raise ParameterError(f"{path}: missing column: expected at least one of {', '.join(MEASURED)}")
+
+
+def _column(path: Path, name: str, header: list[str], rows: list) -> np.ndarray:
+    """The numbers [N] of one column, NaN for an empty cell or an absent column."""
+    out = np.full(len(rows), math.nan)
+    if name not in header:
+        return out
+    position = header.index(name)
+    for k, (line, cells) in enumerate(rows):
+        text = cells[position]
+        if not text:
+            continue
+        try:
+            out[k] = float(text)
+        except ValueError:
+            out[k] = math.nan
+        if not math.isfinite(out[k]):
+            unit = f" of {UNITS[name]}" if UNITS[name] else ""
+            hint = "with a decimal point" if re.fullmatch(r"[-+]?\d+,\d+", text) else "(empty = not measured)"
+            raise ParameterError(f"{path}: row {line}, {name} = {text!r}: expected a finite number{unit} {hint}")
+    return out
+
+
+def _check_rows(table: Table, header: list[str], rows: list, wheel: SetupWheel | None) -> None:
+    """Refuse values that cannot be right, the first by column and row."""
+
+    def refuse(name: str, wrong: np.ndarray, expected: str) -> None:
+        if np.any(wrong):
+            k = int(np.flatnonzero(wrong)[0])
+            text = rows[k][1][header.index(name)]
+            value = f"= {text}" if text else "is empty"
+            raise ParameterError(f"{table.source}: row {rows[k][0]}, {name} {value}: expected {expected}")
+
+    for name in REQUIRED:
+        refuse(name, np.isnan(getattr(table, name)), "a number in every row")
+    outside = np.abs(table.slip) > 1.0
+    percent = np.any(outside) and np.max(np.abs(table.slip)) <= 100.0
+    refuse("slip", outside, "slip in [-1, 1]" + (" (these look like percent: divide by 100)" if percent else ""))
+    refuse("load", table.load <= 0.0, "a load > 0 N, upward on the wheel")
+    refuse("speed", table.speed < 0.0, "a travel speed >= 0 m/s")
+    refuse("speed", table.speed > FASTEST, f"metres per second, at most {FASTEST:g} (if it is mm/s, divide by 1000)")
+    if "pass" in header:
+        numbers = _column(Path(table.source), "pass", header, rows)
+        refuse("pass", (numbers != np.floor(numbers)) & ~np.isnan(numbers), "a whole number, 1 = fresh soil")
+        refuse("pass", numbers < 1, "a whole number from 1, 1 = fresh soil")
+    refuse("grade_deg", np.abs(table.grade_deg) > STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]")
+    grades = [cells[header.index("grade_deg")] for _, cells in rows] if "grade_deg" in header else []
+    if in_radians(grades) and np.unique(np.abs(table.grade_deg[table.grade_deg != 0.0])).size > 1:
+        refuse("grade_deg", np.abs(table.grade_deg) > 0.0, "degrees (these look like radians: multiply by 57.3)")
+    for name in ("wheel_radius", "wheel_width"):
+        size = getattr(table, name)
+        refuse(name, (size <= 0.0) | (size > LARGEST_WHEEL), f"metres in (0, {LARGEST_WHEEL:g}]")
+    refuse("grouser_height", (table.grouser_height < 0.0) | (table.grouser_height > 1.0), "metres in [0, 1]")
+    refuse(
+        "sinkage",
+        np.abs(table.sinkage) > DEEPEST,
+        "metres (this can only be millimetres, divide by 1000, or centimetres)",
+    )
+    radius = table.wheel_radius if wheel is None else table.radius(wheel)
+    deep = np.abs(table.sinkage) > radius
+    if np.any(deep):
+        r = radius[deep][0]
+        refuse("sinkage", deep, f"metres, at most the wheel radius {r:g} m (if it is millimetres, divide by 1000)")
+
+    nothing = np.isnan(table.sinkage) & np.isnan(table.drawbar_pull) & np.isnan(table.torque)
+    if np.any(nothing):
+        line = table.row[nothing][0]
+        raise ParameterError(f"{table.source}: row {line}: nothing measured: expected one of {', '.join(MEASURED)}")
+    seen: dict[tuple, int] = {}
+    for line, cells in rows:
+        key = tuple(_canonical(c) for c in cells)
+        if key in seen:
+            raise ParameterError(
+                f"{table.source}: row {line} repeats row {seen[key]} in every column: expected each point once "
+                f"(a true repeat differs in run or time)"
+            )
+        seen[key] = line
+    if np.all(table.slip == table.slip[0]):
+        raise ParameterError(
+            f"{table.source}: slip = {table.slip[0]:g} in every row: expected at least two different slips"
+        )
+
+
+def _canonical(cell: str):
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
+
+
+def in_radians(cells: list[str]) -> bool:
+    """Whether grades look like radians: none above 40 deg so, and all whole degrees rounded to three digits or more.
+
+    One grade alone looks so by chance: in six of a thousand cases with four digits.
+    """
+    numbers = [(float(c), len(c.rpartition(".")[2])) for c in cells if c and float(c) != 0.0]
+
+    def whole_degrees(x, digits):
+        return digits >= 3 and abs(round(math.radians(round(math.degrees(x))), digits) - x) < 10.0**-digits * 1e-3
+
+    return bool(numbers) and all(abs(x) < math.radians(40.0) and whole_degrees(x, d) for x, d in numbers)

@@ -1,0 +1,7 @@
+"""`python -m soil_env.paper`."""
+
+from soil_env._io.starting import leave
+from soil_env.paper.recompute import main
+
+if __name__ == "__main__":
+    leave(main())

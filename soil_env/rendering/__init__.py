@@ -1,0 +1,1 @@
+"""Pictures of a wheel on its course: side view with stresses, charts over time."""

@@ -1,0 +1,106 @@
+"""The strip charts of `rendering.py`: slip and sinkage, and the soil as estimated and as it is, over time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from soil_env.rendering.canvas import (
+    BLUE,
+    GREEN,
+    GREY,
+    GRID,
+    INK,
+    LIGHT_BLUE,
+    ORANGE,
+    WHITE,
+    Canvas,
+)
+
+SPAN = 30.0  # [s] shown by the charts
+CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
+
+
+def draw_charts(c: Canvas, history: np.ndarray) -> None:
+    """Slip and sinkage, then phi, K and S, estimated and true, from the history [12, samples]."""
+    end = max(SPAN, history[0].max(initial=0.0))
+    history = history[:, history[0] >= end - SPAN - 1e-9]
+    time, slip, sinkage = history[:3]
+    low = -1.0 if slip.min(initial=0.0) < -0.25 else -0.25
+    x, y, _, h = CHARTS[0]
+    _draw_chart(c, CHARTS[0], end, time, (low, 1.0), False, [(sinkage, GREEN), (slip, INK)])
+    c.text(x, y - 11, "slip [-]", 16)
+    c.text(x + 62, y - 11, "sinkage / radius [-]", 16, GREEN)
+    names = "friction angle φ [deg]", "shear modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
+    for i, name in enumerate(names):
+        estimate, sd, true = history[3 + i], history[6 + i], history[9 + i]
+        low, high, estimate, true = (_readable(v, i) for v in (estimate - sd, estimate + sd, estimate, true))
+        limits = _limits(np.concatenate([low, high, true]), i > 0)
+        _draw_chart(c, CHARTS[i + 1], end, time, limits, i > 0, [(true, ORANGE), (estimate, BLUE)], (low, high))
+        c.text(x, CHARTS[i + 1][1] - 11, name, 16)
+    right, y = x + CHARTS[1][2], CHARTS[1][1] - 11
+    c.box((right - 146, y - 5, 16, 10), LIGHT_BLUE)
+    for place, words, colour in ((right - 146, "estimate ± sd", BLUE), (right - 44, "true", ORANGE)):
+        c.lines([(place, y), (place + 16, y)], colour, 2)
+        c.text(place + 20, y, words, 15, colour)
+    for t in ticks(end - SPAN, end, 5.0):
+        c.text(x + CHARTS[3][2] * (t - end + SPAN) / SPAN, CHARTS[3][1] + h + 10, f"{t:g}", 14, GREY, 0.5)
+    c.text(x + 0.5 * CHARTS[3][2], CHARTS[3][1] + h + 24, "time [s]", 15, GREY, 0.5)
+
+
+def _draw_chart(c: Canvas, box, end, time, limits, log, lines, band=None) -> None:
+    """A strip chart of `SPAN` seconds up to `end` [s]: (values, colour) of each line, (lower, upper) of a band."""
+    left, top, width, height = box
+    of = np.log if log else np.asarray
+    low, high = of(limits)
+
+    def at(t, values):
+        share = (of(values) - low) / (high - low)
+        return np.stack([left + width * (1.0 + (t - end) / SPAN), top + height * (1.0 - share.clip(0.0, 1.0))], axis=-1)
+
+    c.box(box, WHITE)
+    for t in ticks(end - SPAN, end, 5.0):
+        c.lines(at(np.array([t, t]), limits), GRID, 1)
+    for v in _log_ticks(*limits) if log else ticks(*limits, nice((limits[1] - limits[0]) / 2.4)):
+        ends = at(np.array([end - SPAN, end]), [v, v])
+        c.lines(ends, GRID, 1)
+        c.text(left - 6, ends[0, 1], f"{v:g}", 14, GREY, 1.0)
+    c.lines([(left, top), (left, top + height), (left + width, top + height)], GREY, 1)
+    if band is not None and time.size > 1:
+        c.polygon([*at(time, band[0]), *at(time, band[1])[::-1]], LIGHT_BLUE)
+    for values, colour in lines:
+        c.lines(at(time, values), colour, 1.8)
+
+
+def _readable(values: np.ndarray, i: int) -> np.ndarray:
+    """phi [deg], K [mm] or S [MN/m^(n+2)], for i = 0, 1, 2, from phi [rad] or the logarithm of K or S in SI units."""
+    return np.degrees(values) if i == 0 else (1e3, 1e-6)[i - 1] * np.exp(np.clip(values, -50.0, 50.0))
+
+
+def nice(value: float) -> float:
+    """The largest of 1, 2, 5, 10, ... not above `value`."""
+    decade = 10.0 ** math.floor(math.log10(value))
+    return decade * max(m for m in (1.0, 2.0, 5.0) if m * decade <= value * (1.0 + 1e-9))
+
+
+def ticks(low: float, high: float, step: float) -> list[float]:
+    """Multiples of `step` in [low, high]."""
+    return [i * step for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+
+
+def _log_ticks(low: float, high: float) -> list[float]:
+    """Decades in [low, high], with 2 and 5 between them where there are at most two decades."""
+    parts = (1.0, 2.0, 5.0) if high <= 101.0 * low else (1.0,)
+    decades = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
+    return [m * 10.0**d for d in decades for m in parts if 0.999 * low <= m * 10.0**d <= 1.001 * high]
+
+
+def _limits(values: np.ndarray, log: bool) -> tuple[float, float]:
+    """Limits of a value axis: 1, 2, 5, 10, ... and a decade at least when log, else multiples of 5 and at least 10."""
+    low, high = (values.min(), values.max()) if values.size else (1.0, 1.0)
+    if log:
+        low = nice(low)
+        return low, 1.0 / nice(1.0 / max(high, 10.0 * low))
+    low = 5.0 * math.floor(low / 5.0)
+    return low, max(5.0 * math.ceil(high / 5.0), low + 10.0)

@@ -1,0 +1,277 @@
+"""The task as pure functions: what the wheel's sensors read, what the agent sees, what it earns, when the episode ends.
+
+One layout serves all observation variants; forces, speeds and sinkage are relative to the wheel's weight, top rim
+speed and radius, so that they are of order one for any wheel.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._numba.compiling import inlined
+from soil_env._numba.random_streams import eight_normals
+from soil_env.identification import Status
+from soil_env.identification.online import SensorReading
+from soil_env.parameters import Scenario
+from soil_env.simulation.terrain import ground_at
+from soil_env.terramechanics.effects import NO_EFFECTS, Effects, measured_slip, slip_sinkage_ratio
+from soil_env.terramechanics.model import WheelSoilModel
+
+
+class Cause(enum.IntEnum):
+    """Why an episode ended. `ENTRAPPED`, `STALLED` and `BOGGED` are the three ways to be immobilised."""
+
+    RUNNING = 0
+    FINISHED = 1  # reached the end of the course
+    ENTRAPPED = 2  # slip stays high and the wheel makes no progress
+    STALLED = 3  # the wheel does not turn outside a halt: the ground takes more torque than the drive gives
+    BOGGED = 4  # sinkage over the limit
+    TIME_LIMIT = 5  # neither finished nor immobilised in time
+
+
+_FINISHED, _ENTRAPPED, _STALLED, _BOGGED = (
+    c.value for c in (Cause.FINISHED, Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
+)
+_TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
+_CONVERGED = Status.CONVERGED.value
+
+REWARD_TERMS = ("progress", "energy", "immobilisation", "information")
+VARIANTS = ("blind", "identified", "true_soil")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One number of the observation."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+
+
+_BLIND = (
+    Entry("slip", "-", -1.0, 1.0),
+    Entry("sinkage", "of radius", -1.0, 3.0),
+    Entry("drawbar_pull", "of weight", -10.0, 10.0),
+    Entry("load", "of weight", -10.0, 10.0),
+    Entry("torque", "of weight x radius", -10.0, 10.0),
+    Entry("speed", "of top rim speed", -5.0, 5.0),
+    Entry("rim_speed", "of top rim speed", -5.0, 5.0),
+    Entry("pitch", "rad, uphill positive", -1.6, 1.6),
+    Entry("last_action", "-", -1.0, 1.0),
+    Entry("progress", "of course length", -5.0, 5.0),
+    Entry("halted", "0 or 1", 0.0, 1.0),
+)
+_IDENTIFIED = (
+    Entry("friction_angle", "rad", 0.0, 1.6),
+    Entry("log10_shear_modulus", "log10 m", -5.0, 1.0),
+    Entry("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0),
+    Entry("friction_angle_sd", "rad", 0.0, 2.0),
+    Entry("shear_modulus_sd", "relative", 0.0, 20.0),
+    Entry("sinkage_coefficient_sd", "relative", 0.0, 20.0),
+    Entry("estimate_valid", "0 or 1", 0.0, 1.0),
+    Entry("cohesion", "kPa", 0.0, 1000.0),
+    Entry("dig_gain", "-", 0.0, 100.0),
+    Entry("cohesion_sd", "kPa", 0.0, 1000.0),
+    Entry("dig_gain_sd", "relative", 0.0, 20.0),
+)
+_TRUE = (
+    Entry("friction_angle", "rad", 0.0, 1.6),
+    Entry("log10_shear_modulus", "log10 m", -5.0, 1.0),
+    Entry("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0),
+    Entry("cohesion", "kPa", 0.0, 1000.0),
+    Entry("sinkage_exponent", "-", 0.0, 4.0),
+    Entry("dig_gain", "-", 0.0, 100.0),
+    Entry("dig_recovery", "-", 0.0, 10.0),
+)
+
+
+def layout(variant: str) -> tuple[Entry, ...]:
+    """The observation of a variant, number by number; the first entries are those of `blind` in every variant."""
+    if not isinstance(variant, str):
+        raise ParameterError(f"observation = {variant!r}: expected one of {', '.join(VARIANTS)}")
+    if variant not in VARIANTS:
+        raise unknown_key(variant, VARIANTS, "observation")
+    return _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": _TRUE}[variant]
+
+
+class TaskNumbers(NamedTuple):
+    """What the task takes from a `Scenario`."""
+
+    variant: int  # index in VARIANTS
+    weight: float  # [N] without payload
+    gravity: float
+    radius: float
+    top_speed: float  # rim speed without load [m/s]
+    length: float
+    border: float
+    period: float
+    steps: int
+    sensor_effects: Effects  # what the sensors read wrongly
+    noise: np.ndarray  # [8] slip, sinkage, drawbar pull, load, torque, speed, rim speed, pitch, in their own units
+    low: np.ndarray  # [D] float32 bounds of the observation
+    high: np.ndarray
+    entrapped_slip: float
+    entrapped_speed: float
+    entrapped_time: float
+    stalled_rim_speed: float
+    stalled_time: float
+    bogged_sinkage: float  # [m]
+    reward_progress: float
+    reward_energy: float
+    reward_immobilisation: float
+    reward_information: float
+    information_discount: float
+    dig_gain: float  # of the belief
+
+
+def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None = None) -> TaskNumbers:
+    """Pack what the functions below need; `model` brings the effects that are on in this world."""
+    entries = layout(variant)
+    n, lim, w = scenario.noise, scenario.limits, scenario.wheel
+    weight = scenario.weight
+    noise = [
+        n.slip, n.sinkage, n.drawbar_pull * weight, n.load * weight, n.torque * weight * w.radius, n.speed,
+        n.wheel_speed * w.radius, n.pitch,
+    ]  # fmt: skip
+    return TaskNumbers(
+        VARIANTS.index(variant),
+        weight,
+        scenario.gravity,
+        w.radius,
+        w.radius * w.no_load_speed,
+        scenario.course.length,
+        scenario.course.border,
+        scenario.control.period,
+        scenario.steps,
+        NO_EFFECTS if model is None else model.numbers,
+        np.array(noise),
+        np.array([e.low for e in entries], dtype=np.float32),
+        np.array([e.high for e in entries], dtype=np.float32),
+        lim.entrapped_slip,
+        lim.entrapped_speed,
+        lim.entrapped_time,
+        lim.stalled_rim_speed,
+        lim.stalled_time,
+        lim.bogged_sinkage * w.radius,
+        scenario.reward.progress,
+        scenario.reward.energy,
+        scenario.reward.immobilisation,
+        scenario.reward.information,
+        scenario.reward.information_discount,
+        scenario.belief.dig_gain,
+    )
+
+
+@inlined
+def sense(state, k, streams, task):
+    """Noisy readings of wheel k and its pitch [rad]: (SensorReading, pitch)."""
+    w, sd = state[k], task.noise
+    a, b, c, d, e, f, g, h = eight_normals(streams, k)
+    fx = task.sensor_effects
+    sinkage = w.sinkage + fx.sinkage_offset_offset
+    if fx.slip_sinkage_apparent > 0.0:
+        sinkage += w.sinkage * (slip_sinkage_ratio(w.slip, fx.slip_sinkage_gain, fx.slip_sinkage_recovery) - 1.0)
+    reading = SensorReading(
+        min(max(measured_slip(w.slip, fx) + sd[0] * a, -1.0), 1.0),
+        sinkage + sd[1] * b,
+        w.drawbar_pull + sd[2] * c,
+        w.load + sd[3] * d,
+        w.torque + sd[4] * e,
+        w.speed + sd[5] * f,
+        w.wheel_speed * task.radius + sd[6] * g,
+    )
+    return reading, w.grade + sd[7] * h
+
+
+@inlined
+def write_observation(out, state, k, reading, pitch, courses, ids, task):
+    """Fill the observation `out` [D] of wheel k, cut to the bounds of the layout."""
+    w = state[k]
+    out[0] = reading.slip
+    out[1] = reading.sinkage / task.radius
+    out[2] = reading.drawbar_pull / task.weight
+    out[3] = reading.load / task.weight
+    out[4] = reading.torque / (task.weight * task.radius)
+    out[5] = reading.speed / task.top_speed
+    out[6] = reading.rim_speed / task.top_speed
+    out[7] = pitch
+    out[8] = w.last_action
+    out[9] = w.x / task.length
+    out[10] = 1.0 if w.halt_left > 0.0 else 0.0
+    if task.variant == 1:
+        x, sd = ids.estimate[k], ids.sd[k]
+        out[11], out[12], out[13] = x[0], x[1] / math.log(10.0), x[2] / math.log(10.0)
+        out[14], out[15], out[16] = sd[0], sd[1], sd[2]
+        out[17] = 1.0 if ids.status[k] == _CONVERGED else 0.0
+        out[18], out[19] = x[3] / 1000.0, task.dig_gain * math.exp(x[4])
+        out[20], out[21] = sd[3] / 1000.0, sd[4]
+    elif task.variant == 2:
+        soil, _, _ = ground_at(courses, k, w.x, w.patch, task.border)
+        out[11] = math.atan(soil.tan_phi)
+        out[12], out[13] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
+        out[14], out[15] = soil.cohesion / 1000.0, soil.sinkage_exponent
+        out[16], out[17] = soil.dig_gain, soil.dig_recovery
+    for i in range(out.size):
+        out[i] = min(max(out[i], task.low[i]), task.high[i])
+
+
+@inlined
+def judge(state, k, task):
+    """`Cause` of wheel k after a step; advances its two clocks, which run back while their condition does not hold."""
+    w = state[k]
+    if w.halt_left > 0.0:
+        return _TIME_LIMIT if w.steps >= task.steps else _RUNNING
+    trapped = w.slip > task.entrapped_slip and abs(w.speed) < task.entrapped_speed
+    w.entrapped_time = max(0.0, w.entrapped_time + (task.period if trapped else -task.period))
+    stalled = abs(w.wheel_speed) * task.radius < task.stalled_rim_speed
+    w.stalled_time = max(0.0, w.stalled_time + (task.period if stalled else -task.period))
+    if w.x >= task.length:
+        return _FINISHED
+    if w.sinkage > task.bogged_sinkage:
+        return _BOGGED
+    if w.entrapped_time >= task.entrapped_time - 1e-9:
+        return _ENTRAPPED
+    if w.stalled_time >= task.stalled_time - 1e-9:
+        return _STALLED
+    if w.steps >= task.steps:
+        return _TIME_LIMIT
+    return _RUNNING
+
+
+@inlined
+def knowledge(ids, k, precision):
+    """How far identifier k has come from its prior of that `precision` [nat]: the fall of entropy, summed over its
+    unknowns, each taken as Gaussian by itself.
+
+    None counts less than nothing, or more than with a millionth of its prior standard deviation.
+    """
+    left = 1.0
+    for i in range(precision.size):
+        left *= min(max(ids.sd[k, i] * math.sqrt(precision[i]), 1e-6), 1.0)
+    return -math.log(left)
+
+
+@inlined
+def reward_terms(state, k, cause, before, after, task, terms):
+    """Fill `terms` [4] (see REWARD_TERMS) for the last step of wheel k; the reward is their sum.
+
+    progress: weight x distance travelled / course length; energy: -weight x motor work (no recuperation) / (weight of
+    the loaded wheel x course length); immobilisation: -weight once, when the wheel is immobilised; information: weight
+    x (discount x `knowledge` `after` the step - knowledge `before` it), where nothing counts as known after a
+    terminated course: shaping by a potential, which leaves the best policy as it is (Ng, Harada & Russell 1999, ICML;
+    its end: Grzes 2017, AAMAS).
+    """
+    w = state[k]
+    terms[0] = task.reward_progress * w.travel / task.length
+    terms[1] = -task.reward_energy * max(w.motor_work, 0.0) / (w.mass * task.gravity * task.length)
+    stuck = cause == _ENTRAPPED or cause == _STALLED or cause == _BOGGED
+    terms[2] = -task.reward_immobilisation if stuck else 0.0
+    kept = 0.0 if stuck or cause == _FINISHED else task.information_discount * after
+    terms[3] = task.reward_information * (kept - before)

@@ -1,0 +1,120 @@
+"""The ground of a course: patches of soil with a grade each, smooth borders between them, and the rut of the wheel."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._numba.compiling import inlined
+from soil_env.parameters import Scenario, SoilState
+
+CELL = 0.05  # [m] length of one cell of the rut
+
+# How a pass changes the ground, as a factor on the sinkage coefficient S of the cell. A rolling wheel compacts, a
+# digging one loosens. The direction is that of multi-pass tests (Holm 1969, Proc. 3rd ISTVS Conf. II:1-12); the law
+# is ours: factor = COMPACTION * (z / z_w)^-LOOSENING, bounded.
+COMPACTION = 1.6
+LOOSENING = 1.5
+MODULUS_BOUNDS = (0.3, 3.0)
+
+
+class Courses(NamedTuple):
+    """The ground of many wheels: arrays with one row a wheel. x [m] is the distance along the course.
+
+    Only the first `patches` patches of a course are drawn, and the cells below them cleared.
+    """
+
+    edges: np.ndarray  # [wheels, patches + 1] patch borders [m]; those not drawn are +inf
+    soils: np.ndarray  # [wheels, patches, 7] `SoilState` of each patch
+    grades: np.ndarray  # [wheels, patches] grade angle [rad], uphill positive
+    margins: np.ndarray  # [wheels, patches] drawbar pull in reserve at best slip [of weight]
+    patches: np.ndarray  # [wheels] patches drawn
+    ready: np.ndarray  # [wheels] x [m] up to which the ground is final; +inf once the whole course is drawn
+    streams: np.ndarray  # [wheels] uint64, from which the patches to come are drawn
+    modulus: np.ndarray  # [wheels, cells] factor on S left by earlier passes [-]
+    rut: np.ndarray  # [wheels, cells] depth of the rut [m]
+
+
+def new_courses(wheels: int, scenario: Scenario) -> Courses:
+    """Empty courses for `wheels` wheels."""
+    spec = scenario.course
+    patches = math.ceil(spec.length / spec.patch_length[0]) + 2
+    cells = math.ceil(spec.length / CELL) + 2
+    return Courses(
+        np.full((wheels, patches + 1), np.inf),
+        np.zeros((wheels, patches, 7)),
+        np.zeros((wheels, patches)),
+        np.zeros((wheels, patches)),
+        np.zeros(wheels, dtype=np.int64),
+        np.full(wheels, np.inf),
+        np.zeros(wheels, dtype=np.uint64),
+        np.ones((wheels, cells), dtype=np.float32),
+        np.zeros((wheels, cells), dtype=np.float32),
+    )
+
+
+@inlined
+def row_soil(s):
+    """`SoilState` of a row of `Courses.soils`."""
+    return SoilState(s[0], s[1], s[2], s[3], s[4], s[5], s[6])
+
+
+@inlined
+def blend(a, b, w):
+    """Soil between two soils, share w of the second: moduli geometrically, everything else linearly."""
+    v = 1.0 - w
+    return SoilState(
+        v * a.tan_phi + w * b.tan_phi,
+        v * a.cohesion + w * b.cohesion,
+        a.shear_modulus**v * b.shear_modulus**w,
+        a.sinkage_coefficient**v * b.sinkage_coefficient**w,
+        v * a.sinkage_exponent + w * b.sinkage_exponent,
+        v * a.dig_gain + w * b.dig_gain,
+        v * a.dig_recovery + w * b.dig_recovery,
+    )
+
+
+@inlined
+def ground_at(courses, k, x, patch, border):
+    """(soil, grade [rad], patch) of course k at x [m], undisturbed; `patch` is a first guess of the patch index.
+
+    Within `border` [m] around a patch border soil and grade pass smoothly (cubic) from one patch to the next.
+    """
+    edges, last = courses.edges[k], courses.patches[k] - 1
+    while patch < last and x >= edges[patch + 1]:
+        patch += 1
+    while patch > 0 and x < edges[patch]:
+        patch -= 1
+    near = patch + 1 if x - edges[patch] > edges[patch + 1] - x else patch  # index of the nearer border
+    t = (x - edges[near]) / border + 0.5
+    if near < 1 or near > last or t <= 0.0 or t >= 1.0:
+        return row_soil(courses.soils[k, patch]), courses.grades[k, patch], patch
+    w = t * t * (3.0 - 2.0 * t)
+    soil = blend(row_soil(courses.soils[k, near - 1]), row_soil(courses.soils[k, near]), w)
+    return soil, (1.0 - w) * courses.grades[k, near - 1] + w * courses.grades[k, near], patch
+
+
+@inlined
+def stiffened(s, factor):
+    """The same soil with its sinkage coefficient multiplied by `factor`."""
+    return SoilState(
+        s.tan_phi, s.cohesion, s.shear_modulus, s.sinkage_coefficient * factor, s.sinkage_exponent, s.dig_gain,
+        s.dig_recovery,
+    )  # fmt: skip
+
+
+@inlined
+def cell_at(courses, x):
+    """Index of the rut cell at x [m]."""
+    return min(max(int(x / CELL), 0), courses.modulus.shape[1] - 1)
+
+
+@inlined
+def leave_rut(courses, k, cell, sinkage, bearing_sinkage):
+    """Mark a cell as driven over: its rut, and soil compacted by rolling or loosened by digging."""
+    dug = max(sinkage / max(bearing_sinkage, 1e-4), 0.5)
+    factor = courses.modulus[k, cell] * COMPACTION * dug**-LOOSENING
+    courses.modulus[k, cell] = min(max(factor, MODULUS_BOUNDS[0]), MODULUS_BOUNDS[1])
+    courses.rut[k, cell] = max(courses.rut[k, cell], sinkage)

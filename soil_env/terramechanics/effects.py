@@ -1,0 +1,327 @@
+"""Laws of the named effects that the base model of Eqs. (1)-(10) lacks, as the one compiled model applies them.
+
+`catalogue.py` lists the effects with their parameters, bounds and sources. Their values reach the kernels as one
+`Effects` tuple, in which every parameter has a neutral value that switches its law off. An effect acts at one of four
+places: on the soil under the wheel (`soil_in_contact`), on the contact arc and the shear law (`arc_ends`,
+`shear_law`), as an added force (`added_forces`), or on what is measured (`true_slip`, `drive_torque`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import namedtuple
+from collections.abc import Mapping
+
+from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._numba.compiling import inlined, kernel
+from soil_env.parameters import SoilState
+from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.contact import ShearLaw
+
+#: All parameters of all effects, `<effect>_<parameter>`, as the kernels take them.
+Effects = namedtuple("Effects", [f"{effect.name}_{p.name}" for effect in CATALOGUE.values() for p in effect.parameters])
+#: Every effect switched off: the base model.
+NO_EFFECTS = Effects(*(p.neutral for effect in CATALOGUE.values() for p in effect.parameters))
+
+
+def pack_effects(effects: Mapping[str, Mapping[str, float]]) -> Effects:
+    """`Effects` of parameters by effect name; `ParameterError` for unknown names and values out of range."""
+    if not isinstance(effects, Mapping):
+        raise ParameterError(f"effects: expected a mapping of effect names, got {effects!r}")
+    values = {}
+    for name, parameters in effects.items():
+        if name not in CATALOGUE:
+            raise unknown_key(name, CATALOGUE, "effects")
+        if not isinstance(parameters, Mapping) or not parameters:
+            raise ParameterError(f"effects: {name}: expected a mapping of its parameters, got {parameters!r}")
+        known = {p.name: p for p in CATALOGUE[name].parameters}
+        for key, value in parameters.items():
+            if key not in known:
+                raise unknown_key(key, known, f"effects: {name}")
+            p = known[key]
+            if isinstance(value, str):  # YAML 1.1 reads 1e-3 as text
+                try:
+                    value = float(value)
+                except ValueError:
+                    pass
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not p.low <= value <= p.high:
+                unit = f" {p.unit}" if p.unit else ""
+                raise ParameterError(
+                    f"effects: {name}: {key} = {value!r}: expected a number in [{p.low:g}, {p.high:g}]{unit}"
+                )
+            values[f"{name}_{key}"] = float(value)
+    return NO_EFFECTS._replace(**values)
+
+
+#: What a sensor reads wrongly, and the pull of gravity, which a simulated course has anyway.
+_NOT_ACTING = ("slip_bias_offset", "slip_bias_radius_error", "sinkage_offset_offset", "grade_share")
+
+
+def acting(fx: Effects) -> Effects:
+    """The effects that act on a wheel in a simulated world: without those of its sensors and the weight on a slope."""
+    fx = fx._replace(**{name: getattr(NO_EFFECTS, name) for name in _NOT_ACTING})
+    if fx.slip_sinkage_apparent > 0.0:  # a sinkage that is seen, not felt
+        fx = fx._replace(slip_sinkage_gain=0.0, slip_sinkage_apparent=0.0)
+    return fx
+
+
+# --- slip-sinkage -----------------------------------------------------------------------------------------------------
+
+
+@kernel
+def slip_sinkage_ratio(slip, gain, recovery):
+    """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i| + recovery |i|).
+
+    gain = 1.5 and recovery = 0.5 give (1 + i)/(1 - 0.5 i) of Lyasko (2010), J. Terramechanics 47(1):21-31;
+    recovery = 0 gives the i/(1 - i) law of Reece for the soil a wheel excavates. For a braked wheel the digging is
+    driven by the share |i| of its travel that it slides: 1 + gain |i| / (1 + recovery |i|).
+
+    Both are the steady states of `excavation_rate`.
+    """
+    if slip >= 0.0:
+        return 1.0 + gain * slip / max(1.0 - slip + recovery * slip, 1e-6)
+    return 1.0 - gain * slip / (1.0 - recovery * slip)
+
+
+@inlined
+def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
+    """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z.
+
+    z_w [m] is the depth of undisturbed soil that carries the load. With travel |V| the wheel moves onto fresh soil
+    and z relaxes to z_w over the distance `length` [m]; the sliding speed |r w - V| carries soil away from under the
+    rim (`gain`), more slowly the deeper the hole, since its walls flow back (`recovery`):
+
+        dz/dt = { |V| (z_w - z) + |r w - V| [gain z_w - recovery (z - z_w)] } / length
+    """
+    a = (travel_speed + recovery * slip_speed) / length
+    b = (travel_speed + (gain + recovery) * slip_speed) / length
+    return a, b
+
+
+@kernel
+def digging(soil, fx):
+    """(gain, recovery) of `slip_sinkage_ratio`: the effect's where it is on, else those of the soil."""
+    if fx.slip_sinkage_gain != 0.0:
+        return fx.slip_sinkage_gain, fx.slip_sinkage_recovery
+    return soil.dig_gain, soil.dig_recovery
+
+
+@kernel
+def excavated_depth(slip, fx):
+    """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), Reece's law with its length l."""
+    i = min(abs(slip), 0.95)
+    return fx.slip_sinkage_length * i / (1.0 - i)
+
+
+# --- soil under the wheel ---------------------------------------------------------------------------------------------
+
+
+@kernel
+def sliding_speed(slip, travel_speed):
+    """|r w - V| [m/s] of a wheel that travels at V with the given slip."""
+    if slip >= 0.0:
+        return travel_speed * slip / max(1.0 - slip, 0.02)
+    return -travel_speed * slip
+
+
+@kernel
+def rate_factor(speed, reference, exponent, slope):
+    """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m, or 1 + a ln(v/v0) where the power m is 0.
+
+    Below v0/50 soil counts as loaded at rest. Never less than 0.1.
+    """
+    if exponent == 0.0 and slope == 0.0:
+        return 1.0
+    x = math.log(max(speed / reference, 0.02))
+    return max(math.exp(exponent * x) + slope * x, 0.1)
+
+
+@kernel
+def depends_on_speed(fx):
+    """Whether a rate law is on."""
+    penetration = fx.penetration_rate_exponent != 0.0 or fx.penetration_rate_slope != 0.0
+    shear = fx.shear_rate_exponent != 0.0 or fx.shear_rate_slope != 0.0 or fx.shear_rate_cohesion != 0.0
+    return penetration or shear
+
+
+@kernel
+def pass_factor(passes, slip, fx):
+    """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at the same slip.
+
+    N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)]; the terms in slip and pass number are those
+    of Senatore & Sandu (2011).
+    """
+    if passes <= 1.0:
+        return 1.0
+    more = passes - 1.0
+    gain = fx.multipass_gain * (1.0 - math.exp(-more / fx.multipass_passes)) + fx.multipass_per_pass * more
+    gain += fx.multipass_slip_gain * (1.0 - math.exp(-abs(slip) / fx.multipass_slip_scale))
+    return passes**fx.multipass_hardening * max(1.0 + gain, 0.05)
+
+
+@kernel
+def slope_factor(soil, sin_grade, fx):
+    """Bearing on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 to the power w."""
+    if fx.grade_weakening == 0.0 or sin_grade == 0.0:
+        return 1.0
+    left = 1.0 - math.asin(abs(sin_grade)) / max(math.atan(soil.tan_phi), 1e-3)
+    return max(left, 0.02) ** (2.0 * fx.grade_weakening)
+
+
+@kernel
+def soil_in_contact(soil, fx, slip, speed, slide, passes, sin_grade):
+    """`SoilState` that the wheel meets at this slip, travel speed, sliding speed [m/s], pass and grade."""
+    s = soil.sinkage_coefficient * pass_factor(passes, slip, fx)
+    s *= rate_factor(
+        speed, fx.penetration_rate_reference_speed, fx.penetration_rate_exponent, fx.penetration_rate_slope
+    )
+    s *= slope_factor(soil, sin_grade, fx)
+    c = soil.cohesion
+    if fx.shear_rate_cohesion != 0.0:
+        c = c * max(1.0 + fx.shear_rate_cohesion * math.log1p(slide / fx.shear_rate_onset_speed), 0.1)
+    strength = rate_factor(slide, fx.shear_rate_reference_speed, fx.shear_rate_exponent, fx.shear_rate_slope)
+    tan_phi, K = soil.tan_phi * strength, soil.shear_modulus
+    if passes > 1.0:
+        K = K * passes**-fx.multipass_stiffening
+        tan_phi = tan_phi * passes**fx.multipass_strength
+        c = c * passes**fx.multipass_cohesion
+    n = max(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(slip), 0.0)
+    gain, recovery = digging(soil, fx)
+    return SoilState(tan_phi, c * strength, K, s, n, gain, recovery)
+
+
+# --- contact arc and shear law ----------------------------------------------------------------------------------------
+
+
+@kernel
+def arc_ends(theta1, slip, fx):
+    """(theta2, thetam) [rad]: exit angle -l theta1, and the peak (9) moved by (a + c |i|) theta1.
+
+    `rear_contact_peak_follows` = 1 keeps the peak midway between entry and exit, 0 midway between entry and the lowest
+    point.
+    """
+    theta2 = -fx.rear_contact_ratio * theta1
+    span = theta1 - theta2
+    peak = 0.5 * (theta1 + fx.rear_contact_peak_follows * theta2)
+    peak += (fx.stress_peak_shift_offset + fx.stress_peak_shift_slope * abs(slip)) * theta1
+    return theta2, min(max(peak, theta2 + 0.05 * span), theta1 - 0.05 * span)
+
+
+@kernel
+def shear_law(fx):
+    """`ShearLaw` with a peak and a residual strength.
+
+    (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for s > 1; it is divided
+    by its peak, so that phi and c stay those of the peak. Wong's (1983) law is of this family. `shear_softening_drop`
+    lets the strength decay to the residual 1 - d over the length L beyond
+    an onset (Oida 1979).
+    """
+    s, drop = fx.shear_softening_sharpness, fx.shear_softening_drop
+    if s < 1.0:
+        s = 0.0  # no peak: off
+    peak = (1.0 + s) * (1.0 + s) / (4.0 * s) if s > 1.0 else 1.0
+    return ShearLaw((1.0 - drop) / peak, s / peak, drop, fx.shear_softening_length, fx.shear_softening_onset)
+
+
+@kernel
+def shear_length_ratio(fx):
+    """Length of the shear law over K: 4 s/(1 + s) where K is that of the first slope, else 1."""
+    s = fx.shear_softening_sharpness
+    if s >= 1.0 and fx.shear_softening_slope_kept > 0.0:
+        return 4.0 * s / (1.0 + s)
+    return 1.0
+
+
+@kernel
+def shear_radius_ratio(r, height, fx):
+    """Radius at which the soil between lugs of `height` [m] is sheared, over the rim radius."""
+    return 1.0 + fx.grousers_shear_share * height / r
+
+
+# --- added forces -----------------------------------------------------------------------------------------------------
+
+
+@kernel
+def passive_coefficient(tan_phi):
+    """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2)."""
+    return math.tan(0.25 * math.pi + 0.5 * math.atan(tan_phi)) ** 2
+
+
+@kernel
+def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
+    """Resistance [N] of the soil pushed ahead of the wheel to the depth of its sinkage.
+
+    Rankine: b (1/2 gamma z^2 Kp + 2 c z sqrt Kp). Hegedus (1960), as in Ishigami et al. (2007): b D1 (c z + D2 gamma
+    z^2/2), D1 = cot X + tan(X + phi), D2 = cot X + cot^2 X tan phi, X = 45 deg - phi/2.
+    """
+    if fx.bulldozing_rankine == 0.0 and fx.bulldozing_hegedus == 0.0:
+        return 0.0
+    kp, z = passive_coefficient(soil.tan_phi), max(sinkage, 0.0)
+    rankine = b * (0.5 * unit_weight * z * z * kp + 2.0 * soil.cohesion * z * math.sqrt(kp))
+    phi = math.atan(soil.tan_phi)
+    x = 0.25 * math.pi - 0.5 * phi
+    cot = 1.0 / math.tan(x)
+    hegedus = (cot + math.tan(x + phi)) * (
+        soil.cohesion * z + 0.5 * unit_weight * z * z * (cot + cot * cot * soil.tan_phi)
+    )
+    return fx.bulldozing_rankine * rankine + fx.bulldozing_hegedus * b * hegedus
+
+
+@kernel
+def blade_share(slip):
+    """Share of the thrust of the lugs that this slip brings out: none where the wheel rolls freely."""
+    return math.tanh(slip / 0.015)
+
+
+@kernel
+def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
+    """Thrust [N] of the lugs in the ground along the rim: lugs a radian, times theta1, times the force of one blade.
+
+    One blade of width b and height h pushes soil out with b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt Kp) (Rankine;
+    Bekker 1969), q = gamma z/2 the soil above it on average; none where the wheel rolls freely.
+    """
+    if fx.grousers_blades == 0.0 or height <= 0.0:
+        return 0.0
+    kp = passive_coefficient(soil.tan_phi)
+    weight = 0.5 * unit_weight * height * (height + max(sinkage, 0.0)) * kp
+    one = b * (weight + 2.0 * soil.cohesion * height * math.sqrt(kp))
+    return fx.grousers_blades * theta1 * one * blade_share(slip)
+
+
+# --- what is measured -------------------------------------------------------------------------------------------------
+
+
+@kernel
+def _slip_of_radius(slip, scale):
+    """Slip after V/(r w) is multiplied by `scale`, driving or braking."""
+    if slip <= -1.0 or scale == 1.0:
+        return slip
+    ratio = scale * (1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip))
+    return 1.0 - ratio if ratio <= 1.0 else 1.0 / ratio - 1.0
+
+
+@kernel
+def true_slip(measured, fx):
+    """Slip of the wheel where the measured one has an offset d, or comes from a rolling radius r (1 - e).
+
+    Driving, the latter is i = m + e (1 - m).
+    """
+    i = _slip_of_radius(measured, 1.0 - fx.slip_bias_radius_error) + fx.slip_bias_offset
+    return min(max(i, -1.0), 1.0)
+
+
+@kernel
+def measured_slip(slip, fx):
+    """Inverse of `true_slip`."""
+    return _slip_of_radius(slip - fx.slip_bias_offset, 1.0 / (1.0 - fx.slip_bias_radius_error))
+
+
+@kernel
+def drive_torque(torque, wheel_speed, floor, fx):
+    """Torque [N m] at the motor for a torque at the axle: Coulomb and viscous friction and a share of the load.
+
+    `floor` [rad/s] is the wheel speed below which Coulomb friction fades out.
+    """
+    turning = wheel_speed / math.sqrt(wheel_speed * wheel_speed + floor * floor)
+    friction = turning * (fx.drivetrain_friction_constant + fx.drivetrain_friction_share * abs(torque))
+    return torque + friction + fx.drivetrain_friction_viscous * wheel_speed

@@ -1,0 +1,284 @@
+"""A wheel on one soil as an object and as a file: base model, named effects and residual law; tables of predictions.
+
+The steady state itself is in `soil_env.terramechanics.steady`, whose names can be had from here, too.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike
+
+from soil_env._io.files import replace_file
+from soil_env._io.loading import Checked, ParameterError, check, load, quantity, read_yaml, to_dict, unknown_key
+from soil_env._numba.compiling import kernel
+from soil_env.measurement.table import LARGEST_WHEEL, STEEPEST, Table
+from soil_env.parameters import Soil
+from soil_env.terramechanics.effects import Effects, pack_effects
+from soil_env.terramechanics.residual import ResidualTerm, dimensionless_groups, residual_at, residual_law
+from soil_env.terramechanics.steady import (  # noqa: F401
+    DEEPEST,
+    LEVEL,
+    Conditions,
+    Contact,
+    Rim,
+    Steady,
+    contact_arc,
+    contact_at,
+    forces_at,
+    predict_rows,
+    sheared,
+    sheared_from,
+    sinkage_coefficient_at,
+    steady_state,
+    steady_with,
+)
+from soil_env.terramechanics.validity import OutsideValidity, checked, outside
+
+FORMAT = "soil_env model 1"
+
+
+@dataclass(frozen=True)
+class ModelWheel(Checked):
+    """Wheel of a model; `grouser_height` 0 is a smooth rim."""
+
+    radius: float = quantity("m", 0.01, 3.0)
+    width: float = quantity("m", 0.005, 3.0)
+    grouser_height: float = quantity("m", 0.0, 1.0, default=0.0)
+
+
+_EXPECTED = {"wheel": "a ModelWheel", "soil": "a Soil or None", "residual": "a sequence of ResidualTerm"}
+
+
+class Prediction(NamedTuple):
+    """Steady values [N] at the conditions that were asked for."""
+
+    sinkage: np.ndarray  # [m]
+    drawbar_pull: np.ndarray  # [N]
+    torque: np.ndarray  # [N m]
+    floating: bool  # False where the soil carries the load in no row or not in all rows
+
+
+@dataclass(frozen=True)
+class WheelSoilModel:
+    """A wheel on one soil: the base model of Eqs. (1)-(10), the named effects that are on, and a residual law.
+
+    `effects` maps a name of the catalogue to its parameters; those left out are neutral. `soil.dig_gain` is the
+    digging that the simulated world gives its soils; a model that was fitted to measurements has it at 0 and says
+    slip-sinkage by name. Without a soil a model is a set of effects for worlds that bring their own soils; it cannot
+    predict. `validity` says what conditions a fitted model has seen, {"slip": (low, high), "load": ..., "speed": ...,
+    "pass": ..., "grade_deg": ...} in the units of a measurement table; empty where nothing is said. The first
+    prediction beyond them gives the warning `OutsideValidity`.
+    """
+
+    wheel: ModelWheel
+    soil: Soil | None = None
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    residual: tuple[ResidualTerm, ...] = ()
+    gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81, doc="for the weight of the soil")
+    validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self):
+        for name, kind in (("wheel", ModelWheel), ("soil", (Soil, type(None))), ("residual", (tuple, list))):
+            if not isinstance(getattr(self, name), kind):
+                raise ParameterError(f"WheelSoilModel: {name} = {getattr(self, name)!r}: expected {_EXPECTED[name]}")
+        check(self)
+        pack_effects(self.effects)  # refuses what is unknown or out of range
+        object.__setattr__(self, "validity", checked(self.validity))
+
+    @property
+    def density(self) -> float:
+        """Density of the soil [kg/m3]; 1500 where the model has no soil."""
+        return 1500.0 if self.soil is None else self.soil.density
+
+    @property
+    def numbers(self) -> Effects:
+        """The effects as the kernels take them."""
+        return pack_effects(self.effects)
+
+    def predict(self, conditions: Table | Mapping[str, ArrayLike]) -> Prediction:
+        """Steady sinkage, drawbar pull and torque [N] for a whole table.
+
+        `conditions`: a measurement `Table`, or a mapping of arrays [N] (scalars count for every row) with `slip` [-]
+        and `load` [N] and, as far as they matter, `speed` [m/s], `pass`, `grade_deg`, `wheel_radius`, `wheel_width`,
+        `grouser_height` [m]. Raises `ParameterError` for unknown or missing names and for values that are not finite;
+        warns once (`OutsideValidity`) of conditions outside `validity`.
+        """
+        if self.soil is None:
+            raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")
+        c = rows_of(conditions, self.wheel)
+        beyond = outside(self.validity, c.slip, c.load, c.conditions)
+        if beyond and not getattr(self, "_warned", False):
+            object.__setattr__(self, "_warned", True)
+            warnings.warn(f"predicting outside what the model was fitted to: {beyond}", OutsideValidity, stacklevel=2)
+        out, carried = np.empty((c.slip.size, 3)), 0
+        for width in np.unique(c.wheels[:, 1]):  # S = k_c/b + k_phi
+            here = c.wheels[:, 1] == width
+            rows, values = Rows(*(column[here] for column in c)), np.empty((np.count_nonzero(here), 3))
+            soil = self.soil.state(float(width))
+            weight = self.soil.density * self.gravity
+            carried += predict_rows(*rows, soil, weight, self.numbers, np.zeros(len(values)), values)
+            if self.residual:
+                add_residual(residual_law(self.residual), *rows, soil, self.gravity, values)
+            out[here] = values
+        return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size)
+
+    def content(self) -> dict:
+        """The mapping of model.yaml."""
+        content = {
+            "format": FORMAT,
+            "wheel": to_dict(self.wheel),
+            "effects": {name: {k: float(v) for k, v in values.items()} for name, values in self.effects.items()},
+            "gravity": float(self.gravity),
+        }
+        if self.soil is not None:
+            content["soil"] = {k: v for k, v in to_dict(self.soil).items() if v is not None and v != ""}
+        if self.residual:
+            content["residual"] = [to_dict(term) for term in self.residual]
+        if self.validity:
+            content["validity"] = {name: list(pair) for name, pair in self.validity.items()}
+        return content
+
+    def save(self, path: str | Path) -> None:
+        """Write model.yaml, in one piece."""
+        replace_file(path, yaml.safe_dump(self.content(), sort_keys=False))
+
+    @classmethod
+    def load(cls, path: str | Path) -> WheelSoilModel:
+        """Read model.yaml; `ParameterError` with one line for anything unknown, missing or out of range."""
+        if not isinstance(path, (str, Path)) or not str(path):
+            raise ParameterError(f"model = {path!r}: expected the path of a model.yaml")
+        return cls.from_content(read_yaml(Path(path)), str(path))
+
+    @classmethod
+    def from_content(cls, content: Mapping, where: str = "model") -> WheelSoilModel:
+        """The model of the mapping of a model.yaml; errors name `where` it comes from."""
+        known = ("format", "wheel", "soil", "effects", "residual", "gravity", "validity")
+        if not isinstance(content, Mapping):
+            raise ParameterError(f"{where}: expected the mapping of a model.yaml, got {content!r}")
+        for key in content:
+            if key not in known:
+                raise unknown_key(key, known, where)
+        content = {key: value for key, value in content.items() if value is not None}
+        if content.get("format", FORMAT) != FORMAT:
+            raise ParameterError(f"{where}: format = {content['format']!r}: expected {FORMAT!r}")
+        if "wheel" not in content:
+            raise ParameterError(f"{where}: missing wheel")
+        terms = content.get("residual", [])
+        if not isinstance(terms, list):
+            raise ParameterError(f"{where}: residual: expected a list of terms")
+        try:
+            return cls(
+                load(ModelWheel, content["wheel"], f"{where}: wheel"),
+                load(Soil, content["soil"], f"{where}: soil") if "soil" in content else None,
+                content.get("effects", {}),
+                tuple(load(ResidualTerm, t, f"{where}: residual") for t in terms),
+                content.get("gravity", 9.81),
+                content.get("validity", {}),
+            )
+        except ParameterError as error:
+            text = str(error)
+            raise ParameterError(text if text.startswith(where) else f"{where}: {text}") from None
+
+
+def load_model(model: str | Path | WheelSoilModel | None) -> WheelSoilModel | None:
+    """The model that the keyword `model` of an environment describes: a model.yaml, a model, or none."""
+    if model is None or isinstance(model, WheelSoilModel):
+        return model
+    if not isinstance(model, (str, Path)) or not str(model):
+        raise ParameterError(f"model = {model!r}: expected the path of a model.yaml, a WheelSoilModel or None")
+    return WheelSoilModel.load(model)
+
+
+class Rows(NamedTuple):
+    """Conditions [N] as `predict_rows` takes them."""
+
+    slip: np.ndarray
+    load: np.ndarray
+    wheels: np.ndarray  # [N, 3] as `Rim`
+    conditions: np.ndarray  # [N, 3] as `Conditions`
+
+
+_OPTIONAL = {"speed": 0.0, "pass": 1.0, "grade_deg": 0.0}
+_SIZES = ("wheel_radius", "wheel_width", "grouser_height")
+_RANGES = (
+    ("speed", 0.0, math.inf, "a travel speed >= 0 m/s"),
+    ("pass", 1.0, math.inf, "numbers from 1, 1 = fresh soil"),
+    ("grade_deg", -STEEPEST, STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]"),
+    ("wheel_radius", 0.01, LARGEST_WHEEL, f"metres in [0.01, {LARGEST_WHEEL:g}]"),
+    ("wheel_width", 0.005, LARGEST_WHEEL, f"metres in [0.005, {LARGEST_WHEEL:g}]"),
+    ("grouser_height", 0.0, 1.0, "metres in [0, 1]"),
+)
+
+
+def _numbers(name: str, value) -> np.ndarray:
+    """A condition as an array [N] or of one number; NaN only where it may be left out."""
+    try:
+        a = np.atleast_1d(np.asarray(value, dtype=float))
+    except (TypeError, ValueError):
+        raise ParameterError(f"conditions: {name}: expected numbers") from None
+    if a.ndim > 1:
+        raise ParameterError(f"conditions: {name}: expected one number a row, got an array of shape {a.shape}")
+    if np.any(np.isinf(a)) or (name in ("slip", "load") and np.any(np.isnan(a))):
+        raise ParameterError(f"conditions: {name}: expected finite numbers")
+    return a
+
+
+def rows_of(conditions, wheel: ModelWheel) -> Rows:
+    """`Rows` of a table or a mapping; what is not given (or NaN) is level, fresh soil and the wheel of the model."""
+    if isinstance(conditions, Table):
+        given = {name: getattr(conditions, "passes" if name == "pass" else name) for name in
+                 ("slip", "load", *_OPTIONAL, *_SIZES)}  # fmt: skip
+    else:
+        if not isinstance(conditions, Mapping):
+            raise ParameterError(f"conditions = {conditions!r}: expected a Table or a mapping of arrays")
+        given = dict(conditions)
+        known = ("slip", "load", *_OPTIONAL, *_SIZES)
+        for name in given:
+            if name not in known:
+                raise unknown_key(name, known, "conditions")
+        for name in ("slip", "load"):
+            if name not in given:
+                raise ParameterError(f"conditions: missing {name}")
+        given = {name: _numbers(name, value) for name, value in given.items()}
+        sizes = {name: a.size for name, a in given.items() if a.size != 1}
+        if len(set(sizes.values())) > 1:
+            text = ", ".join(f"{name} has {size}" for name, size in sizes.items())
+            raise ParameterError(f"conditions: expected columns of the same length, or scalars: {text}")
+    usual = {**_OPTIONAL, "wheel_radius": wheel.radius, "wheel_width": wheel.width,
+             "grouser_height": wheel.grouser_height}  # fmt: skip
+    names = ("slip", "load", *usual)
+    arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(given.get(n, usual.get(n)), dtype=float)) for n in names))
+    column = {n: np.where(np.isnan(a), usual.get(n, math.nan), a) for n, a in zip(names, arrays, strict=True)}
+    if np.any(np.abs(column["slip"]) > 1.0) or np.any(column["load"] <= 0.0):
+        raise ParameterError("conditions: expected slip in [-1, 1] and load > 0 N")
+    for name, low, high, expected in _RANGES:
+        if np.any((column[name] < low) | (column[name] > high)):
+            raise ParameterError(f"conditions: {name}: expected {expected}")
+    return Rows(
+        column["slip"].copy(),
+        column["load"].copy(),
+        np.stack([column[n] for n in _SIZES], axis=1),
+        np.stack([column["speed"], column["pass"], np.sin(np.radians(column["grade_deg"]))], axis=1),
+    )
+
+
+@kernel
+def add_residual(law, slip, load, wheels, conditions, soil, gravity, out):
+    """Add a `ResidualLaw` to predictions `out` [N, 3]."""
+    for k in range(slip.size):
+        r, b, w = wheels[k, 0], wheels[k, 1], load[k]
+        groups = dimensionless_groups(
+            slip[k], out[k, 0], w, conditions[k, 0], conditions[k, 1], conditions[k, 2], soil, r, b, gravity
+        )
+        z, pull, torque = residual_at(law, groups)
+        out[k, 0] += z * r
+        out[k, 1] += pull * w
+        out[k, 2] += torque * w * r

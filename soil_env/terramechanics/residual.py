@@ -1,0 +1,113 @@
+"""Residual law: what an unlisted effect adds to a channel, as a sum of products of powers of dimensionless groups.
+
+    sinkage / r,  drawbar pull / W,  torque / (W r)   +=   sum over terms of  a  prod_g  group_g ^ p_g
+
+`discrepancy.symbolic` finds such laws; they have no name and no claim to hold outside the conditions they were found
+in, so every group is held inside the range it had there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
+from soil_env._numba.compiling import kernel
+
+CHANNELS = ("sinkage", "drawbar_pull", "torque")
+#: Dimensionless groups: |slip|, 1 - |slip|, z/r, W/(S b r^(n+1)), V/sqrt(g r), pass number, sin(grade).
+GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")
+
+
+@dataclass(frozen=True)
+class ResidualTerm(Checked):
+    """One term: coefficient [-] and the power of each group in it."""
+
+    channel: Literal["sinkage", "drawbar_pull", "torque"]
+    coefficient: float = quantity("")
+    powers: dict = None
+    ranges: dict = None  # group -> [low, high] of the data; outside, the group keeps the value of the nearer end
+
+    def __post_init__(self):
+        super().__post_init__()
+        for name in ("powers", "ranges"):
+            given = getattr(self, name) or {}
+            for group in given:
+                if group not in GROUPS:
+                    raise unknown_key(group, GROUPS, f"residual: {name}")
+            object.__setattr__(self, name, dict(given))
+        for group, p in self.powers.items():
+            if isinstance(p, bool) or not isinstance(p, (int, float)) or not abs(p) <= 6.0:
+                raise ParameterError(f"residual: powers: {group} = {p!r}: expected a number in [-6, 6]")
+        for group, pair in self.ranges.items():
+            if not (
+                isinstance(pair, (list, tuple))
+                and len(pair) == 2
+                and all(isinstance(x, (int, float)) for x in pair)
+                and pair[0] <= pair[1]
+            ):
+                raise ParameterError(f"residual: ranges: {group} = {pair!r}: expected [low, high]")
+
+    def __str__(self) -> str:
+        product = "".join(f" {g}" if p == 1 else f" {g}^{p:g}" for g, p in self.powers.items())
+        return f"{self.coefficient:+.3g}{product}"
+
+
+class ResidualLaw(NamedTuple):
+    """Terms as the kernels take them."""
+
+    channel: np.ndarray  # [T] index into CHANNELS
+    coefficient: np.ndarray  # [T]
+    powers: np.ndarray  # [T, 7]
+    low: np.ndarray  # [T, 7] range of the groups
+    high: np.ndarray  # [T, 7]
+
+
+def residual_law(terms: Sequence[ResidualTerm]) -> ResidualLaw:
+    """Pack terms for the kernels."""
+    count = len(terms)
+    law = ResidualLaw(
+        np.array([CHANNELS.index(t.channel) for t in terms], dtype=np.int64),
+        np.array([t.coefficient for t in terms], dtype=float),
+        np.zeros((count, len(GROUPS))),
+        np.full((count, len(GROUPS)), -np.inf),
+        np.full((count, len(GROUPS)), np.inf),
+    )
+    for k, term in enumerate(terms):
+        for group, p in term.powers.items():
+            law.powers[k, GROUPS.index(group)] = p
+        for group, (low, high) in term.ranges.items():
+            law.low[k, GROUPS.index(group)], law.high[k, GROUPS.index(group)] = low, high
+    return law
+
+
+@kernel
+def dimensionless_groups(slip, sinkage, load, speed, passes, sin_grade, soil, r, b, gravity):
+    """The seven `GROUPS` at one working point."""
+    i = min(abs(slip), 1.0)
+    bearing = soil.sinkage_coefficient * b * r ** (soil.sinkage_exponent + 1.0)
+    return i, 1.0 - i, sinkage / r, load / bearing, abs(speed) / math.sqrt(gravity * r), passes, sin_grade
+
+
+@kernel
+def residual_at(law, groups):
+    """Sum of the terms for (sinkage / r, drawbar pull / W, torque / (W r)) at `groups`."""
+    z = pull = torque = 0.0
+    for k in range(law.coefficient.size):
+        value = law.coefficient[k]
+        for g in range(len(groups)):
+            p = law.powers[k, g]
+            if p != 0.0:
+                x = min(max(groups[g], law.low[k, g]), law.high[k, g])
+                value *= x**p if x > 0.0 or (x < 0.0 and p == math.floor(p)) else 0.0
+        if law.channel[k] == 0:
+            z += value
+        elif law.channel[k] == 1:
+            pull += value
+        else:
+            torque += value
+    return z, pull, torque

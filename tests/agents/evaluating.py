@@ -1,0 +1,58 @@
+"""What the tests of `python -m agents.evaluate` share."""
+
+import json
+
+from agents import ppo
+from agents.evaluate.__main__ import main
+from soil_env.parameters import load_scenario
+
+CLASSES = "half=tests.agents.drivers:Half,tests.agents.drivers:Counting"
+SHORT = (
+    "--changes.control.time_limit=6 --changes.course.length=2 --courses=7 --block=3 --resamples=50 --seed=11"
+).split()
+FILES = {"report.html", "evaluation.json", "evaluation.csv", "courses.csv", "study.yaml", "courses.jsonl",
+         "metrics.png", "causes.png", "profiles.png", "improvement.png"}  # fmt: skip
+TINY = ppo.PPOConfig(num_envs=4, n_steps=8, batch_size=32, n_epochs=1, layer=4)
+
+
+def make_models(folder):
+    """Two training seeds of an agent in `folder`, as train.py leaves them, with hardly any training."""
+    for seed in (0, 1):
+        model = ppo.build(load_scenario(), "blind", TINY, seed)
+        model.learn(64)
+        (folder / f"seed_{seed}").mkdir()
+        ppo.save(model, folder / f"seed_{seed}" / "model.zip")
+    return folder
+
+
+def evaluate(out, controllers, *more):
+    """Status of a short evaluation."""
+    return main(["--controllers", controllers, "--out", str(out), *SHORT, *more])
+
+
+def result_of(folder):
+    """evaluation.json, read strictly."""
+
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    return json.loads((folder / "evaluation.json").read_text(), parse_constant=refuse)
+
+
+def same(a, b):
+    """Two folders hold the same results, to the byte; figures and report included."""
+    for name in FILES - {"courses.jsonl", "study.yaml"}:
+        assert (a / name).read_bytes() == (b / name).read_bytes(), name
+    lines = [sorted((f / "courses.jsonl").read_text().splitlines()) for f in (a, b)]
+    assert lines[0] == lines[1]
+
+
+def make_done(models, out):
+    """A finished evaluation of a classical controller, two classes and two training seeds."""
+    assert evaluate(out, everything(models), "--settings.fixed_slip.slip=0.2") == 0
+    return out
+
+
+def everything(models):
+    """The controllers of `make_done`."""
+    return f"{CLASSES},fixed_slip,ppo={models}/seed_*"

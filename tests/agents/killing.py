@@ -1,0 +1,113 @@
+"""Work killed with SIGKILL over and over and begun again, until it ends: `python -m tests.agents.killing NAME FOLDER`.
+
+Each process is a fork of this one, which has done the work undisturbed, so that everything is loaded. It is killed
+where it puts a file in its place (`os.replace`, as `soil_env._io.files.replace_file` does), before or after that.
+"""
+
+import functools
+import os
+import signal
+import sys
+import types
+from pathlib import Path
+
+MOST = 120  # processes
+MOMENTS = ((1, "after"), (2, "before"), (2, "after"), (6, "before"), (5, "after"))  # of a process, in files; in turn
+QUICK = ("weak", "none", "none_poor", "outliers_none")  # cases of `benchmarks.blind`
+
+
+def killed_until_done(work) -> int:
+    """How many processes it took to do `work`; RuntimeError where one failed otherwise, or they come to no end."""
+    for count in range(MOST):
+        child = os.fork()
+        if child == 0:
+            status = 1
+            try:
+                kill_at_a_file(*MOMENTS[count % len(MOMENTS)])
+                work()
+                status = 0
+            finally:
+                sys.stderr.flush()
+                os._exit(status)
+        _, status = os.waitpid(child, 0)
+        if os.WIFEXITED(status) and os.WEXITSTATUS(status) == 0:
+            return count
+        if not (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL):
+            raise RuntimeError(f"process {count} ended with status {status}")
+    raise RuntimeError(f"{MOST} processes, and no end")
+
+
+def kill_at_a_file(number: int, when: str) -> None:
+    """Let this process be killed before or after it puts its file of that number (from 1) in its place.
+
+    A line added to the records of `benchmarks.blind` counts as a file; "before" is then in the middle of it.
+    """
+    from benchmarks import blind
+
+    replace, append, seen = os.replace, blind.append_line, []
+
+    def die() -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def replaced(source, target):
+        seen.append(target)
+        if (len(seen), when) == (number, "before"):
+            die()
+        replace(source, target)
+        if len(seen) == number:
+            die()
+
+    def appended(path, text):
+        seen.append(path)
+        if (len(seen), when) == (number, "before"):
+            with open(path, "a", encoding="utf-8") as stream:
+                stream.write(text[: len(text) // 2])
+            die()
+        append(path, text)
+        if len(seen) == number:
+            die()
+
+    os.replace, blind.append_line = replaced, appended
+
+
+def sim2real(folder: Path) -> None:
+    """A tiny study of `agents.sim2real`, with checkpoints in the trainings."""
+    from agents.ppo import TrainConfig
+    from agents.sim2real import report, study
+    from tests.agents.test_sim2real import WORLDS, tiny
+
+    study.TrainConfig = functools.partial(TrainConfig, checkpoint_every=128)
+    asked = tiny([WORLDS / "bulldozing.yaml"], timesteps=384, training_seeds=1, courses=3)
+    study.begin(asked, folder)
+    study.run(asked, folder, lambda text: None)
+    report.write(asked, report.result(asked, folder), folder)
+
+
+def blind_cases(folder: Path) -> None:
+    """Four cases of `benchmarks.blind`, with clocks that stand still."""
+    from benchmarks import blind, blind_study
+
+    wanted = [t for t in blind_study.tasks(blind_study.IN_ALL, True) if t.group in QUICK]
+    blind.tasks = lambda cases, smoke: wanted
+    blind_study.time = types.SimpleNamespace(perf_counter=float, process_time=float)
+    if blind.main(["--smoke", "--workers", "1", "--seed", "7", "--resume", "--out", str(folder)]) != 0:
+        raise RuntimeError("benchmarks.blind failed")
+
+
+def main(name: str, folder: Path) -> None:
+    """Do the work of that name in folder/calm, and killed and begun again in folder/killed.
+
+    Both are done in folder/work, whose name some results have in them.
+    """
+    import torch
+
+    torch.set_num_threads(1)
+    work = {"sim2real": sim2real, "blind": blind_cases}[name]
+    work(folder / "work")
+    (folder / "work").rename(folder / "calm")
+    print(killed_until_done(lambda: work(folder / "work")))
+    (folder / "work").rename(folder / "killed")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]))

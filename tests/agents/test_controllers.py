@@ -1,0 +1,391 @@
+"""The classical controllers: SB3's `predict`, the layouts they read, and what they do to a wheel."""
+
+import math
+
+import numpy as np
+import pytest
+
+from agents.controllers import CONTROLLERS, Controller, FixedSlip, make_controller
+from agents.evaluate import run_courses
+from agents.sb3 import SoilWheelVecEnv
+from soil_env._io.loading import ParameterError
+from soil_env.parameters import load_scenario, soils
+from soil_env.simulation.task import VARIANTS, Cause, layout
+from soil_env.simulation.worlds import Simulation
+from soil_env.terramechanics.model import steady_state
+from soil_env.terramechanics.traversability import SLIPS, best_working_point
+
+NAMES = ("full_throttle", "constant_speed", "fixed_slip", "best_slip_identified", "best_slip_true")
+VARIANT = dict(zip(NAMES, ("blind", "blind", "blind", "identified", "true_soil"), strict=True))
+ACTIONS = ("torque", "wheel_speed")
+QUIET = {
+    name: 0.0
+    for name in ("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "wheel_speed", "pitch")
+}  # fmt: skip
+EVEN = {
+    name: 0.0 for name in ("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain")
+}  # fmt: skip
+
+
+def uniform(soil="lete_sand", grade=0.0, action="torque", noise=QUIET, length=12.0, payload=0.0):
+    """One soil everywhere, one grade [deg], no halts."""
+    return load_scenario(
+        "mixed",
+        {
+            "soils": {soil: 1.0},
+            "spread": EVEN,
+            "noise": noise,
+            "control": {"action": action},
+            "course": {
+                "length": length,
+                "halt_time": 0.0,
+                "grade_deg": [grade, grade],
+                "margin": [0.0, 0.0],
+                "payload": [payload, payload],
+            },
+        },
+    )
+
+
+def drive(controller, scenario, steps, seed=0):
+    """True speed, rim speed [m/s], slip, action and observation over time, [steps, ...]."""
+    sim = Simulation(1, scenario, controller.variant, threads=1)
+    sim.seed(0, np.random.default_rng(seed))
+    sim.restart(0)
+    rows, state, fresh = {"speed": [], "rim": [], "slip": [], "x": [], "action": [], "observation": []}, None, [True]
+    for _ in range(steps):
+        action, state = controller.predict(sim.worlds.observation, state, np.array(fresh))
+        fresh = [False]
+        sim.step(0, float(action[0, 0]))
+        w = sim.worlds.state[0]
+        values = (w["speed"], w["wheel_speed"] * scenario.wheel.radius, w["slip"], w["x"], action[0, 0])
+        for key, value in zip(rows, (*values, sim.worlds.observation[0].copy()), strict=True):
+            rows[key].append(float(value) if np.ndim(value) == 0 else value)
+        if sim.worlds.cause[0] != Cause.RUNNING.value:
+            break
+    return {key: np.array(value) for key, value in rows.items()}, Cause(sim.worlds.cause[0]), state
+
+
+def observations(variant, n=6, seed=0, scenario="mixed"):
+    """Observations as they come: `n` wheels some steps into their courses."""
+    env = SoilWheelVecEnv(n, scenario, variant)
+    env.seed(seed)
+    env.reset()
+    for _ in range(15):
+        out = env.step(np.full((n, 1), 0.3, dtype=np.float32))[0]
+    return out
+
+
+# --- the registry -----------------------------------------------------------------------------------------------------
+
+
+def test_the_names_and_variants_are_those_promised():
+    assert tuple(CONTROLLERS) == NAMES
+    assert {name: c.variant for name, c in CONTROLLERS.items()} == VARIANT
+    scenario = load_scenario()
+    for name in NAMES:
+        controller = make_controller(name, scenario)
+        assert controller.name == name and isinstance(controller, Controller)
+
+
+@pytest.mark.parametrize("given, near", [("fixd_slip", "fixed_slip"), ("fullthrottle", "full_throttle")])
+def test_an_unknown_name_gives_the_nearest(given, near):
+    with pytest.raises(ParameterError, match=f"did you mean '{near}'") as error:
+        make_controller(given, load_scenario())
+    assert given in str(error.value) and "\n" not in str(error.value)
+
+
+def test_settings_reach_the_controller():
+    scenario = load_scenario()
+    assert make_controller("fixed_slip", scenario, slip=0.17).slip == 0.17
+    assert make_controller("constant_speed", scenario, speed=0.2).speed == 0.2
+    default = make_controller("constant_speed", scenario).speed
+    assert default == pytest.approx(0.33 * scenario.wheel.radius * scenario.wheel.no_load_speed)
+
+
+# --- SB3's predict ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+@pytest.mark.parametrize("name", NAMES)
+def test_predict_shapes_types_and_range(name, action):
+    scenario = load_scenario("mixed", {"control": {"action": action}})
+    controller = make_controller(name, scenario)
+    batch = observations(controller.variant)
+    actions, state = controller.predict(batch)
+    assert actions.shape == (6, 1) and actions.dtype == np.float32
+    assert np.isfinite(actions).all() and np.abs(actions).max() <= 1.0
+    single, _ = controller.predict(batch[2])
+    assert single.shape == (1,) and single.dtype == np.float32
+    assert single[0] == pytest.approx(actions[2, 0], abs=1e-6)
+    again, _ = controller.predict(batch, state, np.zeros(6, dtype=bool), deterministic=False)
+    assert again.shape == (6, 1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_predict_leaves_the_observation_alone(name):
+    controller = make_controller(name, load_scenario())
+    batch = observations(controller.variant)
+    copy = batch.copy()
+    controller.predict(batch)
+    np.testing.assert_array_equal(batch, copy)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_extreme_observations_give_finite_actions_in_range(name):
+    controller = make_controller(name, load_scenario())
+    entries = layout(controller.variant)
+    low, high = (np.array([getattr(e, side) for e in entries]) for side in ("low", "high"))
+    corners = np.random.default_rng(0).uniform(0.0, 1.0, (200, len(entries))).round() * (high - low) + low
+    state = None
+    for _ in range(3):
+        actions, state = controller.predict(corners.astype(np.float32), state, np.zeros(200, dtype=bool))
+        assert np.isfinite(actions).all() and np.abs(actions).max() <= 1.0
+
+
+@pytest.mark.parametrize("name", NAMES[1:])
+def test_episode_start_resets_only_its_row(name):
+    """After the restart of row 1 that row acts as a controller that has seen nothing; the others go on."""
+    controller = make_controller(name, load_scenario())
+    early, late = observations(controller.variant, 3, seed=0), observations(controller.variant, 3, seed=50)
+
+    def after(starts):
+        state = None
+        for t in range(6):
+            _, state = controller.predict(early, state, np.full(3, t == 0))
+        return controller.predict(late, state, np.array(starts))[0]
+
+    kept, reset = after([False, False, False]), after([False, True, False])
+    fresh, _ = controller.predict(late, None, np.ones(3, dtype=bool))
+    np.testing.assert_array_equal(reset[[0, 2]], kept[[0, 2]])
+    assert reset[1, 0] == fresh[1, 0]
+    assert reset[1, 0] != kept[1, 0]
+
+
+@pytest.mark.parametrize("name", ["best_slip_identified", "best_slip_true"])
+def test_a_restarted_row_forgets_the_best_slip_of_the_last_episode(name):
+    """Same soil, other load: the restarted row must work out its slip as a fresh controller does."""
+    scenario = load_scenario()
+    controller = make_controller(name, scenario)
+    load = [e.name for e in layout(controller.variant)].index("load")
+    light = observations(controller.variant, 12, seed=3)
+    heavy = light.copy()
+    light[:, load], heavy[:, load] = 0.5, 2.5
+    _, fresh = controller.predict(heavy, None, np.ones(12, dtype=bool))
+    fresh_slip = fresh["slip"].copy()
+    _, state = controller.predict(light, None, np.ones(12, dtype=bool))
+    light_slip = state["slip"].copy()
+    _, state = controller.predict(heavy, state, np.ones(12, dtype=bool))
+    assert (fresh_slip != light_slip).any()  # the load matters to these soils
+    np.testing.assert_array_equal(state["slip"], fresh_slip)
+
+
+@pytest.mark.parametrize("name", NAMES[1:])
+def test_state_is_carried_along(name):
+    """The integral part grows: the same observation twice gives two actions, unless the state is dropped."""
+    controller = make_controller(name, load_scenario())
+    batch = observations(controller.variant)
+    first, state = controller.predict(batch, None, np.ones(6, dtype=bool))
+    second, _ = controller.predict(batch, state, np.zeros(6, dtype=bool))
+    without, _ = controller.predict(batch, None, np.ones(6, dtype=bool))
+    np.testing.assert_array_equal(first, without)
+    assert (second != first).any()
+
+
+@pytest.mark.parametrize("name", NAMES[1:])
+def test_state_without_episode_start_goes_on(name):
+    """SB3's recurrent policies: episode_start=None with a state means that no episode has begun."""
+    controller = make_controller(name, load_scenario())
+    batch = observations(controller.variant)
+    _, state = controller.predict(batch, None, np.ones(6, dtype=bool))
+    implicit, _ = controller.predict(batch, state)
+    _, state = controller.predict(batch, None, np.ones(6, dtype=bool))
+    explicit, _ = controller.predict(batch, state, np.zeros(6, dtype=bool))
+    np.testing.assert_array_equal(implicit, explicit)
+
+
+@pytest.mark.parametrize("name", NAMES[1:])
+def test_batches_are_rows_of_their_own(name):
+    """A row's action does not depend on the rows beside it, over several calls."""
+    controller = make_controller(name, load_scenario())
+    series = [observations(controller.variant, 5, seed=s) for s in (0, 20, 40)]
+    state, alone = None, None
+    for t, batch in enumerate(series):
+        together, state = controller.predict(batch, state, np.full(5, t == 0))
+        single, alone = controller.predict(batch[3], alone, np.array([t == 0]))
+        assert single[0] == together[3, 0]
+
+
+# --- what each reads --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_reads_exactly_its_own_layout(name):
+    """It works on a layout of just this width, and columns beyond it make no difference."""
+    controller = make_controller(name, load_scenario())
+    batch = observations(controller.variant)
+    assert batch.shape[1] == len(layout(controller.variant))
+    assert np.isfinite(controller.predict(batch)[0]).all()
+    if VARIANT[name] == "blind":
+        for other in ("identified", "true_soil"):
+            extra = observations(other)
+            shifted = extra.copy()
+            shifted[:, 11:] += 1.0
+            np.testing.assert_array_equal(controller.predict(extra)[0], controller.predict(shifted)[0])
+
+
+@pytest.mark.parametrize("name", ["best_slip_identified", "best_slip_true"])
+def test_best_slip_depends_on_the_soil_it_sees(name):
+    controller = make_controller(name, load_scenario())
+    names = [e.name for e in layout(controller.variant)]
+    batch = np.repeat(observations(controller.variant, 1), 2, axis=0)
+    batch[:, names.index("log10_shear_modulus")] = [-2.5, -1.3]
+    _, state = controller.predict(batch)
+    assert state["slip"][1] > state["slip"][0]  # a longer shear displacement needs more slip
+
+
+def test_best_slip_identified_does_not_see_the_true_soil():
+    """Its belief fills what the identifier does not estimate."""
+    scenario = load_scenario("mixed", {"belief": {"sinkage_exponent": 0.9, "dig_recovery": 0.4}})
+    controller = make_controller("best_slip_identified", scenario)
+    seen = observations("identified").astype(float)
+    soil = controller.soils(seen)
+    assert (soil[:, 4] == 0.9).all() and (soil[:, 6] == 0.4).all()
+    names = [e.name for e in layout("identified")]
+    np.testing.assert_allclose(soil[:, 1], 1000.0 * seen[:, names.index("cohesion")])
+    np.testing.assert_allclose(soil[:, 5], seen[:, names.index("dig_gain")])
+
+
+def test_full_throttle_is_all_ones():
+    controller = make_controller("full_throttle", load_scenario())
+    for variant in VARIANTS:
+        batch = observations(variant)
+        actions, state = controller.predict(batch)
+        np.testing.assert_array_equal(actions, np.ones((6, 1), dtype=np.float32))
+        assert actions.dtype == np.float32
+        np.testing.assert_array_equal(controller.predict(batch[0], state)[0], [1.0])
+
+
+# --- what they do to a wheel ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+@pytest.mark.parametrize("speed", [0.12, 0.3])
+def test_constant_speed_holds_its_rim_speed(action, speed):
+    scenario = uniform(action=action, grade=4.0)
+    out, _, _ = drive(make_controller("constant_speed", scenario, speed=speed), scenario, 150)
+    held = out["rim"][50:]
+    assert len(held) > 30 and out["x"][-1] > 1.0
+    assert np.abs(held / speed - 1.0).max() < (0.03 if action == "torque" else 0.12)
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+@pytest.mark.parametrize("slip", [0.1, 0.25, 0.45])
+def test_fixed_slip_holds_its_slip_where_the_slope_needs_that_slip(action, slip):
+    """On the grade that a wheel at this slip just holds, slip stays at its target.
+
+    Elsewhere the ground decides: on an easier grade the wheel gains speed up to the controller's limit.
+    """
+    easy = uniform(action=action)
+    wheel = easy.wheel
+    soil = soils()["lete_sand"].state(wheel.width)
+    pull = steady_state(slip, easy.weight, soil, wheel.radius, wheel.width).drawbar_pull / easy.weight
+    scenario = uniform(action=action, grade=math.degrees(math.atan(pull)), length=20.0)
+    controller = make_controller("fixed_slip", scenario, slip=slip)
+    out, cause, _ = drive(controller, scenario, scenario.steps)
+    assert out["x"][-1] > (10.0 if action == "torque" else 1.0), cause
+    late = out["slip"][len(out["slip"]) // 2 :]
+    assert np.abs(late - slip).max() < 0.02
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_fixed_slip_on_easy_ground_runs_at_its_speed_limit(action):
+    scenario = uniform(action=action)
+    controller = make_controller("fixed_slip", scenario, slip=0.3)
+    out, _, _ = drive(controller, scenario, 200)
+    late = out["x"] > 2.0
+    assert late.sum() > 30
+    limit = 0.4 * scenario.wheel.radius * scenario.wheel.no_load_speed
+    assert np.abs(out["rim"][late] / limit - 1.0).max() < (0.03 if action == "torque" else 0.12)
+    assert out["slip"][late].max() < 0.3
+
+
+@pytest.mark.parametrize("slip", [0.05, 0.2, 0.5])
+def test_fixed_slip_asks_for_the_rim_speed_of_its_slip(slip):
+    """(u - V)/u of the rim speed u that it asks for is its slip, but for the lead that lets it start."""
+    scenario = load_scenario()
+    controller = FixedSlip(scenario, slip)
+    names = [e.name for e in layout("blind")]
+    batch = np.zeros((40, len(names)))
+    speeds = np.linspace(0.08, 0.13, 40)
+    batch[:, names.index("speed")] = speeds / controller.top_speed
+    rim = controller.rim_speed(batch, {})
+    np.testing.assert_allclose(1.0 - speeds / (rim - 0.2 * controller.start_speed), slip, atol=1e-9)
+    batch[:, names.index("speed")] = 0.0
+    assert (controller.rim_speed(batch, {}) > 0.02).all()  # starts from rest
+    batch[:, names.index("speed")] = -0.5
+    assert (controller.rim_speed(batch, {}) > 0.02).all()  # and out of a backward slide
+    batch[:, names.index("speed")] = 2.0
+    np.testing.assert_allclose(controller.rim_speed(batch, {}), 0.4 * controller.top_speed)
+
+
+@pytest.mark.parametrize(
+    "name", ["dry_sand", "dry_sand_loose", "lunar_nominal", "lunar_simulant_hit_lss1", "lete_sand"]
+)
+@pytest.mark.parametrize("payload", [0.0, 4.0])
+def test_best_slip_true_picks_the_slip_of_the_best_working_point(name, payload):
+    scenario = uniform(name, grade=-2.0, payload=payload)
+    wheel = scenario.wheel
+    _, _, state = drive(make_controller("best_slip_true", scenario), scenario, 30)
+    load = (wheel.body_mass + payload) * scenario.gravity
+    soil = soils()[name].state(wheel.width)
+    best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque).slip
+    assert state["slip"][0] in SLIPS
+    assert state["slip"][0] == best
+
+
+def test_true_soil_is_read_in_the_units_of_the_soil():
+    """The row `SoilState` that the controller reads is the soil under the wheel."""
+    scenario = uniform("dry_sand")
+    sim = Simulation(1, scenario, "true_soil", threads=1)
+    sim.seed(0, np.random.default_rng(0))
+    sim.restart(0)
+    read = make_controller("best_slip_true", scenario).soils(sim.worlds.observation.astype(float))[0]
+    np.testing.assert_allclose(read, soils()["dry_sand"].state(scenario.wheel.width), rtol=2e-5)
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+@pytest.mark.parametrize("name", NAMES)
+def test_every_controller_crosses_easy_ground(name, action):
+    scenario = uniform("lete_sand", grade=2.0, action=action, noise={}, length=4.0)
+    runs = run_courses(make_controller(name, scenario), scenario, 5, 8)
+    assert (runs.cause == Cause.FINISHED.value).all()
+
+
+def test_a_halt_does_not_wind_up_the_integral():
+    """During a halt the wheel stands and the error stays: without care the wheel would jump afterwards."""
+    controller = make_controller("constant_speed", load_scenario())
+    names = [e.name for e in layout("blind")]
+    batch = np.zeros((1, len(names)))
+    first, state = controller.predict(batch, None, np.array([True]))
+    halted = batch.copy()
+    halted[0, names.index("halted")] = 1.0
+    for _ in range(50):
+        _, state = controller.predict(halted, state, np.array([False]))
+    after, _ = controller.predict(batch, state, np.array([False]))
+    assert after[0, 0] == pytest.approx(first[0, 0], abs=1e-6)
+
+
+def test_the_integral_stays_bounded_on_a_wheel_that_does_not_turn():
+    scenario = load_scenario()
+    controller = make_controller("constant_speed", scenario)
+    batch = np.zeros((1, len(layout("blind"))))
+    state = None
+    for t in range(3000):
+        action, state = controller.predict(batch, state, np.array([t == 0]))
+    assert action[0, 0] == 1.0
+    spinning = batch.copy()
+    spinning[0, [e.name for e in layout("blind")].index("rim_speed")] = 1.0
+    for _ in range(20):  # 2 s later it has let go
+        action, state = controller.predict(spinning, state, np.array([False]))
+    assert action[0, 0] < 0.0

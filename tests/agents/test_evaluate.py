@@ -1,0 +1,364 @@
+"""Paired runs, intervals and the files of a comparison."""
+
+import csv
+import json
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from agents import evaluate, plots
+from agents.controllers import CONTROLLERS, make_controller
+from agents.evaluate import METRICS, RATES, Runs, course_rng, run_courses, summary, tune, wilson
+from soil_env.parameters import load_scenario
+from soil_env.simulation.task import Cause, layout
+from soil_env.simulation.worlds import Simulation
+
+SEED = 12345
+SHORT = {"control": {"time_limit": 25.0}}
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("mixed", SHORT)
+
+
+@pytest.fixture(scope="module")
+def runs(scenario):
+    """Every controller on the same 12 courses."""
+    return {name: run_courses(make_controller(name, scenario), scenario, SEED, 12) for name in CONTROLLERS}
+
+
+class Recorder:
+    """A controller that keeps the first observations it is given."""
+
+    variant = "true_soil"
+
+    def __init__(self):
+        self.first = []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        if state is None:
+            self.first.append(np.array(observation))
+        return np.zeros((len(observation), 1), dtype=np.float32), True
+
+
+def synthetic(values, cause=None):
+    """`Runs` whose returns are `values`."""
+    n = len(values)
+    ones = np.ones(n)
+    cause = np.full(n, Cause.FINISHED.value) if cause is None else np.asarray(cause)
+    return Runs(cause, ones, ones, ones, ones, ones, np.asarray(values, dtype=float))
+
+
+# --- intervals --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [1, 5, 20, 1000])
+def test_wilson_agrees_with_scipy(n):
+    for k in sorted({0, 1, n // 3, n - 1, n}):
+        expected = binomtest(k, n).proportion_ci(0.95, method="wilson")
+        assert wilson(k, n) == pytest.approx((expected.low, expected.high), abs=1e-9)
+
+
+def test_wilson_at_other_levels_agrees_with_scipy():
+    expected = binomtest(7, 40).proportion_ci(0.90, method="wilson")
+    assert wilson(7, 40, z=1.6448536269514722) == pytest.approx((expected.low, expected.high), abs=1e-9)
+
+
+def test_bootstrap_interval_contains_the_mean_and_narrows_with_courses():
+    rng = np.random.default_rng(0)
+    widths = []
+    for n in (25, 400):
+        m = summary(synthetic(rng.normal(3.0, 2.0, n)))["return"]
+        assert m["low"] < m["value"] < m["high"]
+        widths.append(m["high"] - m["low"])
+    assert widths[0] / widths[1] == pytest.approx(4.0, rel=0.35)
+
+
+def test_bootstrap_interval_covers_the_true_mean_in_95_percent():
+    rng = np.random.default_rng(1)
+    trials, covered = 250, 0
+    for t in range(trials):
+        m = summary(synthetic(rng.normal(3.0, 2.0, 60)), seed=t, resamples=300)["return"]
+        covered += m["low"] <= 3.0 <= m["high"]
+    assert 0.90 <= covered / trials <= 0.985  # nominal 0.95, standard error 0.014
+
+
+def test_summary_is_reproducible_and_uses_both_kinds_of_interval():
+    runs = synthetic(np.arange(20.0), [Cause.FINISHED.value] * 15 + [Cause.BOGGED.value] * 5)
+    out = summary(runs)
+    assert out == summary(runs)
+    expected = binomtest(5, 20).proportion_ci(0.95, method="wilson")
+    assert out["immobilised"] == pytest.approx({"value": 0.25, "low": expected.low, "high": expected.high})
+    assert out["return"]["value"] == pytest.approx(9.5)
+
+
+# --- pairing ----------------------------------------------------------------------------------------------------------
+
+
+def courses_of(first, count, batch, scenario):
+    """Edges, grades, soils and masses of courses as `run_courses` draws them."""
+    seen = []
+    original = Simulation.restart_where
+
+    def spy(self, which):
+        original(self, which)
+        w = self.worlds
+        arrays = (w.courses.edges, w.courses.grades, w.courses.soils, w.courses.margins)
+        seen.append([a.copy() for a in arrays] + [w.state["mass"].copy()])
+
+    patch = pytest.MonkeyPatch()
+    patch.setattr(Simulation, "restart_where", spy)
+    try:
+        run_courses(make_controller("full_throttle", scenario), scenario, SEED, count, first=first, batch=batch)
+    finally:
+        patch.undo()
+    return [np.concatenate(parts) for parts in zip(*seen, strict=True)]
+
+
+def test_courses_depend_neither_on_batch_nor_on_the_first(scenario):
+    whole = courses_of(0, 9, 500, scenario)
+    for first, count, batch in ((0, 9, 4), (3, 3, 500), (5, 1, 1)):
+        for a, b in zip(whole, courses_of(first, count, batch, scenario), strict=True):
+            used = np.isfinite(b)
+            np.testing.assert_array_equal(a[first : first + count][used], b[used])
+    assert len({row.tobytes() for row in whole[1]}) == 9  # nine different courses
+
+
+def test_results_depend_neither_on_batch_nor_on_the_first(scenario):
+    for name in ("fixed_slip", "best_slip_identified"):
+        controller = make_controller(name, scenario)
+        whole = run_courses(controller, scenario, SEED, 8)
+        for other, part in (
+            (run_courses(controller, scenario, SEED, 8, batch=3), slice(0, 8)),
+            (run_courses(controller, scenario, SEED, 3, first=3), slice(3, 6)),
+        ):
+            for field in Runs.__dataclass_fields__:
+                np.testing.assert_array_equal(getattr(whole, field)[part], getattr(other, field), err_msg=field)
+
+
+def test_all_controllers_meet_the_same_courses(scenario):
+    """The true-soil observation at the start does not depend on who drives."""
+    a, b = Recorder(), Recorder()
+    b.predict_zero = b.predict
+    b.predict = lambda *args, **kw: (np.ones((len(args[0]), 1)), b.predict_zero(*args, **kw)[1])
+    run_courses(a, scenario, SEED, 5)
+    run_courses(b, scenario, SEED, 5)
+    np.testing.assert_array_equal(a.first[0], b.first[0])
+    blind, true = (run_courses(make_controller("full_throttle", scenario), scenario, SEED, 5) for _ in range(2))
+    np.testing.assert_array_equal(blind.returns, true.returns)
+
+
+def test_the_variant_that_is_observed_does_not_change_the_world(scenario):
+    class Push:
+        def __init__(self, variant):
+            self.variant = variant
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            assert observation.shape[1] == len(layout(self.variant))
+            return np.full((len(observation), 1), 0.6, dtype=np.float32), state
+
+    results = [run_courses(Push(v), scenario, SEED, 6) for v in ("blind", "identified", "true_soil")]
+    for other in results[1:]:
+        for field in Runs.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(results[0], field), getattr(other, field), err_msg=field)
+
+
+def test_other_sets_have_other_courses(scenario):
+    controller = make_controller("fixed_slip", scenario)
+    a, b = (run_courses(controller, scenario, seed, 4) for seed in (SEED, SEED + 1))
+    assert (a.returns != b.returns).all()
+
+
+def test_progress_adds_up(scenario):
+    done = []
+    run_courses(make_controller("full_throttle", scenario), scenario, SEED, 7, progress=done.append, batch=3)
+    assert done == [3, 3, 1]
+
+
+# --- metrics against a plain loop -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["full_throttle", "constant_speed", "best_slip_identified", "best_slip_true"])
+def test_runs_equal_a_loop_over_one_wheel(scenario, runs, name):
+    controller = make_controller(name, scenario)
+    for course in (0, 4, 11):
+        sim = Simulation(1, scenario, controller.variant, threads=1)
+        sim.seed(0, course_rng(SEED, course))
+        sim.restart(0)
+        w = sim.worlds
+        energy = returns = sinkage = slip = 0.0
+        steps = driving = 0
+        furthest, state, fresh = 0.0, None, np.array([True])
+        while w.cause[0] == Cause.RUNNING.value:
+            action, state = controller.predict(w.observation.copy(), state, fresh)
+            fresh = np.array([False])
+            sim.step(0, float(action[0, 0]))
+            s = w.state[0]
+            steps += 1
+            energy += max(float(s["motor_work"]), 0.0)
+            returns += float(w.terms[0].sum())
+            sinkage += float(s["sinkage"])
+            furthest = max(furthest, float(s["x"]))
+            if s["halt_left"] == 0.0:
+                driving += 1
+                slip += float(s["slip"])
+        got = runs[name]
+        assert got.cause[course] == w.cause[0]
+        assert got.time[course] == pytest.approx(0.1 * steps)
+        assert got.distance[course] == pytest.approx(furthest, rel=1e-12)
+        assert got.energy[course] == pytest.approx(energy, rel=1e-9)
+        assert got.returns[course] == pytest.approx(returns, rel=1e-9)
+        assert got.sinkage[course] == pytest.approx(sinkage / steps, rel=1e-9)
+        assert got.slip[course] == pytest.approx(slip / max(driving, 1), rel=1e-9)
+
+
+def test_return_is_that_of_the_reward_terms(scenario, runs):
+    """progress 10 x/L - energy/(weight x L) - 10 if immobilised, from the other metrics alone."""
+    got = runs["full_throttle"]  # never rolls back far, so that the furthest point is the last
+    stuck = got.metric("immobilised")
+    upper = 10.0 * got.distance / scenario.course.length
+    low, high = (mass * scenario.gravity * scenario.course.length for mass in (15.0, 19.0))
+    assert (got.returns <= upper - 10.0 * stuck - got.energy / high + 1e-6).all()
+    assert (got.returns >= upper - 10.0 * stuck - got.energy / low - 1.0).all()
+    assert 0.0 < stuck.mean() <= 1.0
+
+
+def test_return_is_compared_without_the_information_that_an_agent_was_paid_for(scenario, runs):
+    paid = load_scenario(scenario, {"reward": {"information": 50.0}})
+    controller = make_controller("fixed_slip", paid)
+    got = run_courses(controller, paid, SEED, 4)
+    np.testing.assert_array_equal(got.returns, runs["fixed_slip"].returns[:4])
+
+
+def test_rates_of_the_causes_add_up_to_one(runs):
+    for got in runs.values():
+        total = sum(got.metric(name) for name in ("entrapped", "stalled", "bogged", "time_limit", "finished"))
+        np.testing.assert_array_equal(total, 1.0)
+        np.testing.assert_array_equal(
+            got.metric("immobilised"), got.metric("entrapped") + got.metric("stalled") + got.metric("bogged")
+        )
+    everything = np.concatenate([got.cause for got in runs.values()])
+    assert len(set(everything.tolist())) >= 2  # the sample has different ends
+
+
+def test_units_of_the_derived_metrics():
+    got = Runs(
+        cause=np.array([1, 5]), distance=np.array([10.0, 0.02]), time=np.array([20.0, 90.0]),
+        energy=np.array([500.0, 3.0]), slip=np.array([0.2, 0.1]), sinkage=np.array([0.03, 0.01]),
+        returns=np.array([9.0, 0.0]),
+    )  # fmt: skip
+    assert got.metric("speed").tolist() == pytest.approx([0.5, 0.02 / 90.0])
+    assert got.metric("energy_per_metre").tolist() == pytest.approx([50.0, 30.0])  # at least 0.1 m
+    assert got.metric("sinkage").tolist() == pytest.approx([30.0, 10.0])
+    assert got.metric("finished").tolist() == [1.0, 0.0] and got.metric("time_limit").tolist() == [0.0, 1.0]
+    with pytest.raises(KeyError):
+        got.metric("speeed")
+
+
+def test_metrics_are_within_their_physical_range(scenario, runs):
+    for name, got in runs.items():
+        assert (got.time <= scenario.control.time_limit + 1e-9).all()
+        assert (got.distance >= 0.0).all() and (got.energy >= 0.0).all()
+        assert (np.abs(got.slip) <= 1.0).all() and (got.sinkage > 0.0).all()
+        assert (got.distance[got.cause == Cause.FINISHED.value] >= scenario.course.length).all(), name
+
+
+# --- the result and its files -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def result(scenario, runs):
+    return evaluate.comparison(scenario, SEED, runs, {"fixed_slip": {"slip": 0.3, "tuning_returns": {0.3: 1.0}}})
+
+
+def test_comparison_has_the_promised_keys(result, runs, scenario):
+    assert result["scenario"] == "mixed" and result["courses"] == 12
+    assert list(result["controllers"]) == list(runs)
+    for name, row in result["controllers"].items():
+        assert set(row) == set(METRICS) and "immobilised" in row
+        for metric, m in row.items():
+            assert set(m) == {"value", "low", "high"}
+            assert m["low"] <= m["value"] <= m["high"]
+            assert m["value"] == pytest.approx(runs[name].metric(metric).mean())
+            if metric in RATES:
+                assert 0.0 <= m["low"] and m["high"] <= 1.0
+
+
+@pytest.mark.parametrize("n", [1, 9, 12, 20, 200, 1000])
+@pytest.mark.parametrize("cause", [Cause.FINISHED, Cause.BOGGED, Cause.TIME_LIMIT])
+def test_one_outcome_for_all_courses_gives_intervals_that_contain_it(n, cause):
+    """At 0 % and 100 %, and with equal courses, rounding may not put the value outside its interval."""
+    for name, m in summary(synthetic(np.full(n, 0.1), np.full(n, cause.value)), resamples=20).items():
+        assert m["low"] <= m["value"] <= m["high"], name
+
+
+def test_the_figure_is_drawn_when_all_courses_end_alike(tmp_path):
+    runs = {
+        name: synthetic(np.full(12, 0.1 + i), np.full(12, cause.value))
+        for i, (name, cause) in enumerate({"fixed_slip": Cause.BOGGED, "ppo_blind": Cause.FINISHED}.items())
+    }
+    path = tmp_path / "comparison.png"
+    plots.comparison_figure(evaluate.comparison(load_scenario(), 0, runs), path)
+    height, width, _ = plt.imread(path).shape
+    assert width > 1000 and height > 200
+
+
+def test_the_trace_of_a_course_is_that_of_the_comparison(scenario, runs, tmp_path):
+    """course.png shows the course that was judged: same end, same distance, same length."""
+    controllers = {name: make_controller(name, scenario) for name in ("full_throttle", "best_slip_identified")}
+    for name, controller in controllers.items():
+        columns, cause = plots.trace(controller, scenario, SEED, 4)
+        assert Cause[cause].value == runs[name].cause[4]
+        assert columns["t"][-1] == pytest.approx(runs[name].time[4])
+        assert columns["x"].max() == pytest.approx(runs[name].distance[4])
+    plots.course_figure(scenario, SEED, 4, controllers, tmp_path / "course.png")
+    assert plt.imread(tmp_path / "course.png").std() > 0.01
+
+
+def test_files_hold_the_same_numbers(result, tmp_path):
+    evaluate.save(result, tmp_path)
+    read = json.loads((tmp_path / "comparison.json").read_text())
+    assert {"scenario", "courses", "controllers"} <= set(read)
+    assert read["controllers"] == result["controllers"]
+    with open(tmp_path / "comparison.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["controller"] for row in rows] == list(result["controllers"])
+    for row in rows:
+        assert set(row) == {"controller"} | {m + part for m in METRICS for part in ("", "_low", "_high")}
+        for metric in METRICS:
+            m = result["controllers"][row["controller"]][metric]
+            for part, key in (("", "value"), ("_low", "low"), ("_high", "high")):
+                assert float(row[metric + part]) == pytest.approx(m[key], rel=1e-5, abs=1e-9)
+
+
+def test_json_is_strict(result, tmp_path):
+    """No NaN or Infinity, which other readers refuse."""
+    evaluate.save(result, tmp_path)
+
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    json.loads((tmp_path / "comparison.json").read_text(), parse_constant=refuse)
+
+
+# --- tuning -----------------------------------------------------------------------------------------------------------
+
+
+def test_tune_picks_what_finishes_most_then_the_highest_return(scenario):
+    values = (0.05, 0.25, 0.6)
+
+    def make(slip):
+        return make_controller("fixed_slip", scenario, slip=slip)
+
+    done = []
+    best, tried = tune(make, [{"slip": v} for v in values], scenario, SEED, 6, done.append)
+    returns = {t["slip"]: t["return"] for t in tried}
+    expected = {v: run_courses(make(v), scenario, SEED, 6).returns.mean() for v in values}
+    assert returns == pytest.approx(expected)
+    assert len(set(returns.values())) == 3
+    finished = {t["slip"]: t["finished"] for t in tried}
+    assert best == {"slip": max(expected, key=lambda v: (finished[v], expected[v]))}
+    assert sum(done) == 18

@@ -1,0 +1,206 @@
+"""`python -m agents.evaluate`: what it writes and prints."""
+
+import csv
+import re
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import yaml
+from scipy.stats import binomtest
+
+from agents.controllers import make_controller
+from agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses, study, summary
+from agents.evaluate.__main__ import _asked, main, parser
+from agents.evaluate.records import METRICS, RATES
+from agents.tuning import tuned_settings
+from soil_env.parameters import load_scenario
+from tests.agents.evaluating import CLASSES, FILES, evaluate, make_done, make_models, result_of
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    return make_models(tmp_path_factory.mktemp("models"))
+
+
+@pytest.fixture(scope="module")
+def done(models, tmp_path_factory):
+    return make_done(models, tmp_path_factory.mktemp("done") / "made" / "here")
+
+
+def test_the_folder_holds_what_is_promised(done):
+    assert {p.name for p in done.iterdir()} == FILES
+    result = result_of(done)
+    assert list(result["controllers"]) == ["half", "tests.agents.drivers:Counting", "fixed_slip", "ppo"]
+    assert result["controllers"]["ppo"]["members"] == 2 and len(result["controllers"]["ppo"]["sources"]) == 2
+    assert result["controllers"]["fixed_slip"]["settings"] == {"slip": 0.2, "start": 0.1}
+    assert (result["courses"], result["seed"], result["scenario"]) == (7, 11, "mixed")
+    for name, entry in result["controllers"].items():
+        assert set(entry["metrics"]) == set(METRICS)
+        for metric, m in entry["metrics"].items():
+            if m["value"] is None:
+                assert m["runs"] == 0
+            else:
+                assert m["low"] <= m["value"] <= m["high"], (name, metric)
+        assert "stratified" in entry["iqm"]["return"] or entry["members"] == 1
+        assert entry["profile"]["distance"]["share"] == sorted(entry["profile"]["distance"]["share"], reverse=True)
+
+
+def test_values_are_means_over_the_courses_that_are_listed(done):
+    result = result_of(done)
+    with open(done / "courses.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 7 * 5
+    for name, entry in result["controllers"].items():
+        own = [row for row in rows if row["controller"] == name]
+        assert len(own) == 7 * entry["members"]
+        for metric in set(METRICS) - set(RATES):
+            values = [float(row[metric]) for row in own if row[metric]]
+            m = entry["metrics"][metric]
+            assert len(values) == m["runs"]
+            if values:
+                assert m["value"] == pytest.approx(np.mean(values), rel=1e-4, abs=1e-9)
+        stuck = [row for row in own if row["cause"] in ("ENTRAPPED", "STALLED", "BOGGED")]
+        assert entry["metrics"]["immobilised"]["value"] == pytest.approx(len(stuck) / len(own))
+        assert entry["metrics"]["warned"]["runs"] == len(stuck)
+        for cause in ("ENTRAPPED", "STALLED", "BOGGED", "TIME_LIMIT", "FINISHED"):
+            share = sum(row["cause"] == cause for row in own) / len(own)
+            assert entry["metrics"][cause.lower()]["value"] == pytest.approx(share)
+        if entry["members"] == 1:
+            expected = binomtest(len(stuck), 7).proportion_ci(0.95, method="wilson")
+            m = entry["metrics"]["immobilised"]
+            assert (m["low"], m["high"]) == pytest.approx((expected.low, expected.high), abs=1e-9)
+
+
+def test_the_table_is_the_json(done):
+    result = result_of(done)
+    with open(done / "evaluation.csv", newline="") as file:
+        rows = {row["controller"]: row for row in csv.DictReader(file)}
+    assert list(rows) == list(result["controllers"])
+    for name, row in rows.items():
+        for metric, m in result["controllers"][name]["metrics"].items():
+            for part, key in (("", "value"), ("_low", "low"), ("_high", "high")):
+                if m[key] is None:
+                    assert row[metric + part] == ""
+                else:
+                    assert float(row[metric + part]) == pytest.approx(m[key], rel=1e-5, abs=1e-9)
+
+
+def test_paired_differences_and_probabilities_are_consistent(done):
+    result = result_of(done)
+    for a, others in result["paired"].items():
+        for b, row in others.items():
+            values = [result["controllers"][n]["metrics"] for n in (a, b)]
+            for metric, m in row.items():
+                assert m["value"] == pytest.approx(values[0][metric]["value"] - values[1][metric]["value"])
+                back = result["paired"][b][a][metric]
+                assert (m["low"], m["high"]) == pytest.approx((-back["high"], -back["low"]))
+            p, q = result["improvement"][a][b], result["improvement"][b][a]
+            assert p["value"] + q["value"] == pytest.approx(1.0)
+            assert p["low"] == pytest.approx(1.0 - q["high"])
+
+
+def test_the_report_loads_nothing_from_elsewhere(done):
+    text = (done / "report.html").read_text()
+    sources = re.findall(r"(?:src|href|url)\s*[=(]\s*['\"]?([^'\">)]{0,30})", text)
+    assert len(sources) == 4 and all(s.startswith("data:image/png;base64,") for s in sources)
+    assert not re.search(r"<(script|link|iframe|object)|@import|https?://", text)
+    for name in ("half", "tests.agents.drivers:Counting", "fixed_slip", "ppo", "Other conditions", "1.8 m"):
+        assert name in text
+    assert text.count("<table>") == text.count("</table>") == 4
+
+
+def test_the_figures_are_drawn(done):
+    for name in (n for n in FILES if n.endswith(".png")):
+        picture = plt.imread(done / name)
+        assert picture.shape[1] > 400 and picture[..., :3].std() > 0.01, name
+
+
+def test_names_are_escaped_in_the_report(tmp_path):
+    file = tmp_path / "a<b>&c.yaml"
+    file.write_text((Path(study.__file__).parents[2] / "configs/scenarios/mixed.yaml").read_text())
+    out = tmp_path / "out"
+    assert evaluate(out, "full_throttle", f"--scenario={file}") == 0
+    text = (out / "report.html").read_text()
+    assert "a&lt;b&gt;&amp;c" in text and "a<b>" not in text
+
+
+def test_the_printed_table_names_all_and_the_reference(capsys, tmp_path, models):
+    assert evaluate(tmp_path / "out", f"half=tests.agents.drivers:Half,ppo={models}/seed_*") == 0
+    out = capsys.readouterr().out
+    assert "7 courses of scenario 'mixed'" in out and "half" in out and "ppo (2 seeds)" in out
+    assert "1.8 m and 2.9 s" in out and "Other conditions" in out and "report.html" in out
+    assert "Driving: 21 of 21 courses" in out
+
+
+def test_all_forms_of_a_class_path(tmp_path):
+    forms = ("make", "half", "Half", "WithScenario")
+    assert evaluate(tmp_path / "out", ",".join(f"{f}=tests.agents.drivers:{f}" for f in forms)) == 0
+    rows = result_of(tmp_path / "out")["controllers"]
+    assert rows["make"]["metrics"] == rows["half"]["metrics"] == rows["Half"]["metrics"]
+    assert rows["Half"]["metrics"] != rows["WithScenario"]["metrics"]
+
+
+def test_tuning_is_kept_and_not_done_again(tmp_path, capsys):
+    more = ("--tuning-courses=2", "--settings.constant_speed.speed=0.3")
+    names = "fixed_slip,constant_speed,full_throttle"
+    assert evaluate(tmp_path / "out", names, *more) == 0
+    assert "Tuning: 50 of 50 courses" in capsys.readouterr().out  # 25 settings of fixed_slip on 2 courses
+    kept = yaml.safe_load((tmp_path / "out" / "study.yaml").read_text())
+    assert set(kept["tuned"]) == {"fixed_slip"} and set(kept["tuned"]["fixed_slip"]) == {"slip", "start"}
+    rows = result_of(tmp_path / "out")["controllers"]
+    assert rows["fixed_slip"]["settings"] == kept["tuned"]["fixed_slip"]
+    assert rows["constant_speed"]["settings"] == {"speed": 0.3}
+    assert evaluate(tmp_path / "out", names, *more) == 0
+    assert "Tuning" not in capsys.readouterr().out
+
+
+def test_help_explains_the_entries(capsys):
+    with pytest.raises(SystemExit) as status:
+        main(["--help"])
+    assert status.value.code == 0
+    text = capsys.readouterr().out
+    for part in ("path/to/model.zip", "my.module:Thing", "NAME=...", "--resume", "--engine", "Only what you trust"):
+        assert part.lower() in text.lower()
+    assert max(map(len, parser().format_help().splitlines())) <= 121
+
+
+def test_the_default_courses_are_the_held_out_set():
+    assert parser().get_default("seed") == HELD_OUT_SET
+
+
+# --- what the classical controllers are set to ------------------------------------------------------------------------
+
+
+def test_untuned_settings_are_said(capsys, tmp_path):
+    out = tmp_path / "out"
+    assert evaluate(out, "fixed_slip,full_throttle,constant_speed", "--settings.constant_speed.speed=0.3") == 0
+    said = capsys.readouterr().out
+    assert "\nuntuned: fixed_slip slip 0.3, start 0.1. Tuned they do better: --tuning-courses 200\n" in said
+    assert "\nas given with --settings: constant_speed speed 0.3\n" in said
+    assert "out of" in said and "time [%]" in said
+    assert "untuned: fixed_slip slip 0.3, start 0.1" in (out / "report.html").read_text()
+
+
+def test_classical_controllers_beside_others_are_tuned_unless_asked_not_to(tmp_path):
+    asked = [f"--controllers=best_slip_identified,{CLASSES}", "--out=x", "--courses=3"]
+    for more, expected in (([], 3), (["--tuning-courses=0"], 0), (["--courses=500"], 200)):
+        options, rest = parser().parse_known_args([*asked, *more])
+        assert _asked(options, rest).tuning_courses == expected
+    for alone in ("best_slip_identified,fixed_slip", "full_throttle"):
+        options, rest = parser().parse_known_args([f"--controllers={alone}", "--out=x"])
+        assert _asked(options, rest).tuning_courses == 0
+
+
+def test_the_table_of_train_comes_out_again(tmp_path):
+    """For the classical controllers, with the same tuning: the default set of courses is that of train.py."""
+    scenario, names = load_scenario(), ("fixed_slip", "best_slip_identified")
+    chosen, _ = tuned_settings(scenario, TUNING_SET, 2, lambda count, name: None, names)
+    arguments = ["--courses=5", "--block=3", "--resamples=20", "--tuning-courses=2"]
+    assert main([f"--controllers={','.join(names)}", f"--out={tmp_path / 'out'}", *arguments]) == 0
+    for name, row in result_of(tmp_path / "out")["controllers"].items():
+        assert row["settings"] | chosen[name] == row["settings"] and row["chosen"] == "tuned"
+        theirs = summary(run_courses(make_controller(name, scenario, **chosen[name]), scenario, HELD_OUT_SET, 5))
+        for metric, entry in theirs.items():
+            assert row["metrics"][metric]["value"] == pytest.approx(entry["value"], rel=1e-14), (name, metric)

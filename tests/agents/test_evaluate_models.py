@@ -1,0 +1,106 @@
+"""Models of other origin: every algorithm of Stable-Baselines3 with a continuous action, told from its zip alone."""
+
+import pickle
+
+import numpy as np
+import pytest
+from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
+from stable_baselines3.common.vec_env import VecNormalize
+
+from agents import ppo
+from agents.evaluate.__main__ import main
+from agents.evaluate.contestants import digest
+from agents.evaluate.models import load_model
+from agents.sb3 import SoilWheelVecEnv
+from soil_env._io.loading import ParameterError
+from soil_env.parameters import load_scenario
+from tests.agents.saved import META, rewrite
+
+SMALL = {"net_arch": [4]}
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario()
+
+
+def observations(variant):
+    env = SoilWheelVecEnv(6, observation=variant)
+    env.seed(5)
+    env.reset()
+    for _ in range(5):
+        out = env.step(np.full((6, 1), 0.4, dtype=np.float32))[0]
+    return out
+
+
+@pytest.mark.parametrize("algorithm", [PPO, A2C, SAC, TD3, DDPG])
+@pytest.mark.parametrize("variant", ["blind", "identified", "true_soil"])
+def test_a_plain_model_acts_as_before(tmp_path, scenario, algorithm, variant):
+    model = algorithm(
+        "MlpPolicy", SoilWheelVecEnv(2, observation=variant), policy_kwargs=dict(SMALL), seed=1, device="cpu"
+    )
+    model.save(tmp_path / "any.zip")
+    loaded = load_model(tmp_path / "any.zip", scenario)
+    assert loaded.variant == variant
+    x = observations(variant)
+    np.testing.assert_array_equal(loaded.predict(x)[0], model.predict(x, deterministic=True)[0])
+
+
+def test_normalisation_that_lies_beside_is_used(tmp_path, scenario):
+    env = VecNormalize(SoilWheelVecEnv(4, observation="blind"))
+    model = PPO(
+        "MlpPolicy", env, n_steps=16, batch_size=32, n_epochs=1, policy_kwargs=dict(SMALL), seed=1, device="cpu"
+    )
+    model.learn(128)
+    model.save(tmp_path / "any.zip")
+    bare = digest(str(tmp_path / "any.zip"))
+    x = observations("blind")
+    raw = load_model(tmp_path / "any.zip", scenario).predict(x)[0]
+    env.save(tmp_path / "vecnormalize.pkl")
+    assert digest(str(tmp_path / "any.zip")) != bare  # another agent
+    got = load_model(tmp_path / "any.zip", scenario).predict(x)[0]
+    np.testing.assert_array_equal(got, model.predict(env.normalize_obs(x), deterministic=True)[0])
+    assert (got != raw).any()
+    (tmp_path / "vecnormalize.pkl").write_bytes(pickle.dumps([1]))
+    with pytest.raises(ParameterError, match="vecnormalize.pkl: cannot be loaded"):
+        load_model(tmp_path / "any.zip", scenario)
+
+
+def test_our_models_are_loaded_as_load_agent_does(tmp_path, scenario):
+    config = ppo.PPOConfig(num_envs=4, n_steps=8, batch_size=32, n_epochs=1, layer=4)
+    model = ppo.build(scenario, "identified", config, 0)
+    model.learn(96)
+    ppo.save(model, tmp_path / "model.zip")
+    loaded, expected = load_model(tmp_path / "model.zip", scenario), ppo.load_agent(tmp_path)
+    x = observations("identified")
+    np.testing.assert_array_equal(loaded.predict(x)[0], expected.predict(x)[0])
+    rewrite(tmp_path / "model.zip", None)  # without its normalisation it is a plain model
+    plain = load_model(tmp_path / "model.zip", scenario)
+    assert META and plain.variant == "identified" and (plain.predict(x)[0] != expected.predict(x)[0]).any()
+
+
+def test_a_model_of_another_task_is_refused(capsys, tmp_path):
+    PPO("MlpPolicy", "Pendulum-v1", n_steps=8, batch_size=8, policy_kwargs=dict(SMALL), device="cpu").save(
+        tmp_path / "p.zip"
+    )
+    command = [f"--controllers={tmp_path}/p.zip", f"--out={tmp_path}/out"]
+    assert main(command) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 2 and "another observation layout: shape (3,)" in error
+    assert "p.zip: not written by train.py, so parts of it are unpickled" in error.splitlines()[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_recurrent_models_keep_their_memory(tmp_path, scenario):
+    contrib = pytest.importorskip("sb3_contrib")
+    env = SoilWheelVecEnv(2, observation="blind")
+    kwargs = {"net_arch": [4], "lstm_hidden_size": 4}
+    model = contrib.RecurrentPPO("MlpLstmPolicy", env, n_steps=8, batch_size=8, policy_kwargs=kwargs, device="cpu")
+    model.save(tmp_path / "r.zip")
+    loaded, x = load_model(tmp_path / "r.zip", scenario), observations("blind")
+    first, memory = loaded.predict(x, None, np.ones(6, dtype=bool))
+    second, _ = loaded.predict(x, memory, np.zeros(6, dtype=bool))
+    expected, state = model.predict(x, None, np.ones(6, dtype=bool), deterministic=True)
+    np.testing.assert_array_equal(first, expected)
+    np.testing.assert_array_equal(second, model.predict(x, state, np.zeros(6, dtype=bool), deterministic=True)[0])
+    assert (first != second).any()

@@ -1,0 +1,47 @@
+"""Commands that are killed with SIGKILL and begun again, many times, give what they give undisturbed, to the byte."""
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="fork and SIGKILL")]
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def killed(name, folder, least):
+    """{file: content} of the undisturbed work and of the one that was killed, at least `least` times."""
+    command = [sys.executable, "-m", "tests.agents.killing", name, str(folder)]
+    env = {**os.environ, "MPLBACKEND": "Agg"}
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=900)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert int(done.stdout.split()[-1]) >= least
+    return [
+        {f.relative_to(part).as_posix(): f.read_bytes() for f in sorted(part.rglob("*")) if f.is_file()}
+        for part in (folder / "calm", folder / "killed")
+    ]
+
+
+def test_sim2real(tmp_path):
+    """Wall times and TensorBoard's logs apart; of a model the weights and the state of the optimiser."""
+    calm, again = killed("sim2real", tmp_path, 12)
+    calm, again = ({f: c for f, c in files.items() if "/tensorboard/" not in f} for files in (calm, again))
+    assert sorted(calm) == sorted(again)
+    assert {"sim2real.json", "sim2real.md", "sim2real.png", "worlds/bulldozing/table.csv"} <= set(calm)
+    for file in calm:
+        if file.endswith("model.zip"):
+            first, second = (zipfile.ZipFile(tmp_path / part / file) for part in ("calm", "killed"))
+            for part in ("policy.pth", "policy.optimizer.pth", "soil_env.json"):
+                assert first.read(part) == second.read(part), (file, part)
+        elif not file.endswith("time.json"):
+            assert calm[file] == again[file], file
+
+
+def test_blind(tmp_path):
+    """The clocks stand still in both."""
+    calm, again = killed("blind", tmp_path, 4)
+    assert {"cases.jsonl", "discrepancy.json", "discrepancy.md"} <= set(calm)
+    assert calm == again

@@ -1,0 +1,531 @@
+"""PPO agents: what is saved is what is loaded, training goes on where it stopped, bad files are refused in one line."""
+
+import os
+import shutil
+import struct
+import zipfile
+
+import numpy as np
+import pytest
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
+
+from agents import ppo
+from agents.ppo import NAMES, PPOConfig, TrainConfig, build, load_agent, load_config, read_meta, resume, save
+from agents.sb3 import SoilWheelVecEnv
+from soil_env._io.loading import ParameterError
+from soil_env.parameters import load_scenario
+from soil_env.simulation.task import VARIANTS, layout
+from tests.agents.saved import META, edit, rewrite
+
+TINY = PPOConfig(num_envs=8, n_steps=16, batch_size=32, n_epochs=2, layer=8, learning_rate=1e-3)
+ROLLOUT = TINY.num_envs * TINY.n_steps
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("mixed", {"control": {"time_limit": 3.0}})
+
+
+def trained(scenario, variant="identified", rollouts=3, seed=0):
+    model = build(scenario, variant, TINY, seed)
+    model.learn(rollouts * ROLLOUT)
+    return model
+
+
+@pytest.fixture(scope="module")
+def model(scenario):
+    return trained(scenario)
+
+
+@pytest.fixture()
+def saved(model, tmp_path):
+    save(model, tmp_path / "model.zip")
+    return tmp_path / "model.zip"
+
+
+def raw_observations(scenario, variant, n=20):
+    env = SoilWheelVecEnv(n, scenario, variant)
+    env.seed(77)
+    env.reset()
+    for _ in range(8):
+        out = env.step(np.full((n, 1), 0.4, dtype=np.float32))[0]
+    return out
+
+
+def refused(action, *parts):
+    """The message of the ParameterError that `action` raises: one line that holds all `parts`."""
+    with pytest.raises(ParameterError) as error:
+        action()
+    message = str(error.value)
+    assert "\n" not in message, message
+    assert len(message) < 600, message
+    for part in parts:
+        assert str(part) in message, f"{part!r} not in {message!r}"
+    return message
+
+
+# --- building ---------------------------------------------------------------------------------------------------------
+
+
+def test_names_of_the_variants():
+    assert NAMES == {"blind": "ppo_blind", "identified": "ppo_identified", "true_soil": "ppo_true"}
+    assert tuple(NAMES) == VARIANTS
+
+
+def test_build_takes_the_config(scenario):
+    config = PPOConfig(num_envs=4, n_steps=24, batch_size=12, n_epochs=3, learning_rate=2e-3, gamma=0.9, gae_lambda=0.8,
+                       clip_range=0.13, ent_coef=0.01, layer=5, log_std_init=-1.1)  # fmt: skip
+    model = build(scenario, "blind", config, seed=5)
+    assert (model.n_envs, model.n_steps, model.batch_size, model.n_epochs) == (4, 24, 12, 3)
+    assert (model.gamma, model.gae_lambda, model.ent_coef, model.seed) == (0.9, 0.8, 0.01, 5)
+    assert model.clip_range(0.5) == 0.13
+    assert model.policy.log_std.detach().numpy() == pytest.approx(-1.1)
+    widths = {p.shape[0] for name, p in model.policy.named_parameters() if "mlp_extractor" in name}
+    assert widths == {5}
+    assert isinstance(model.get_env(), VecNormalize) and model.get_env().gamma == 0.9
+
+
+def test_learning_rate_falls_linearly_to_five_percent(scenario):
+    model = build(scenario, "blind", TINY, seed=0)
+    for left, share in ((1.0, 1.0), (0.5, 0.5), (0.2, 0.2), (0.05, 0.05), (0.01, 0.05), (0.0, 0.05)):
+        assert model.lr_schedule(left) == pytest.approx(share * TINY.learning_rate)
+
+
+def test_learning_rate_is_used_by_the_optimizer(scenario):
+    """Four rollouts: the last update starts with nothing left to learn from, at 5 %."""
+    rates = []
+    model = build(scenario, "blind", TINY, seed=0)
+    update = model.train
+
+    def train():
+        update()
+        rates.append(model.policy.optimizer.param_groups[0]["lr"])
+
+    model.train = train
+    model.learn(4 * ROLLOUT)
+    assert rates == pytest.approx([TINY.learning_rate * share for share in (0.75, 0.5, 0.25, 0.05)])
+
+
+def test_training_is_reproducible(scenario):
+    a, b, other = (trained(scenario, "blind", rollouts=2, seed=s) for s in (3, 3, 4))
+    x = raw_observations(scenario, "blind")
+    np.testing.assert_array_equal(a.predict(x, deterministic=True)[0], b.predict(x, deterministic=True)[0])
+    assert (a.predict(x, deterministic=True)[0] != other.predict(x, deterministic=True)[0]).any()
+
+
+# --- save and load ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_loaded_agent_acts_on_raw_observations_as_the_trained_model(scenario, variant, tmp_path):
+    model = trained(scenario, variant)
+    save(model, tmp_path / "model.zip")
+    agent = load_agent(tmp_path / "model.zip")
+    raw = raw_observations(scenario, variant)
+    env = model.get_vec_normalize_env()
+    expected, _ = model.predict(env.normalize_obs(raw), deterministic=True)
+    actions, _ = agent.predict(raw, deterministic=True)
+    np.testing.assert_allclose(actions, expected, atol=1e-6)
+    assert (actions != model.predict(raw, deterministic=True)[0]).any()  # the normalisation matters
+    np.testing.assert_allclose(agent.predict(raw[3])[0], expected[3], atol=1e-6)
+    assert agent.variant == variant and agent.name == NAMES[variant]
+    assert agent.timesteps == model.num_timesteps == 3 * ROLLOUT
+
+
+def test_predict_has_the_interface_of_a_controller(saved, scenario):
+    agent = load_agent(saved)
+    raw = raw_observations(scenario, "identified", 5)
+    actions, state = agent.predict(raw, state=None, episode_start=np.ones(5, dtype=bool), deterministic=True)
+    assert actions.shape == (5, 1) and actions.dtype == np.float32 and np.abs(actions).max() <= 1.0
+    assert state is None
+    assert agent.predict(raw[0])[0].shape == (1,)
+
+
+def test_zip_and_run_folder_name_the_same_agent(saved, scenario):
+    raw = raw_observations(scenario, "identified")
+    expected = load_agent(saved).predict(raw)[0]
+    for where in (str(saved), saved.parent, str(saved.parent)):
+        np.testing.assert_array_equal(load_agent(where).predict(raw)[0], expected)
+
+
+def test_a_zip_of_any_name_is_loaded(saved, scenario):
+    raw = raw_observations(scenario, "identified")
+    expected = load_agent(saved).predict(raw)[0]
+    other = saved.rename(saved.with_name("best.of.all.zip"))
+    np.testing.assert_array_equal(load_agent(other).predict(raw)[0], expected)
+    refused(lambda: load_agent(saved.parent), "model.zip")
+
+
+def test_the_zip_describes_the_agent(saved, model, scenario):
+    meta = read_meta(saved)
+    env = model.get_vec_normalize_env()
+    assert meta == read_meta(str(saved)) == load_agent(saved).meta
+    assert meta["observation"] == "identified" and meta["timesteps"] == 3 * ROLLOUT
+    assert meta["observation_names"] == [e.name for e in layout("identified")]
+    assert len(meta["mean"]) == len(meta["var"]) == len(meta["observation_names"])
+    assert meta["mean"] == env.obs_rms.mean.tolist() and meta["var"] == env.obs_rms.var.tolist()
+    assert meta["clip"] == env.clip_obs
+    assert meta["scenario"]["control"]["time_limit"] == 3.0
+    assert load_scenario(scenario).name == meta["scenario"]["name"]
+
+
+def test_the_zip_is_still_one_of_sb3(saved, model, scenario):
+    raw = raw_observations(scenario, "identified").astype(np.float32)
+    plain = PPO.load(saved, device="cpu")
+    assert plain.num_timesteps == model.num_timesteps
+    np.testing.assert_array_equal(plain.predict(raw, deterministic=True)[0], model.predict(raw, deterministic=True)[0])
+    with zipfile.ZipFile(saved) as archive:
+        assert archive.testzip() is None
+        assert sorted(archive.namelist()).count(META) == 1
+
+
+def test_loading_does_not_need_the_training_environment(saved, scenario, monkeypatch):
+    """The agent is judged on other scenarios: loading builds no environment."""
+
+    def no_env(*args, **kwargs):
+        raise AssertionError("an environment was built")
+
+    monkeypatch.setattr(ppo, "SoilWheelVecEnv", no_env)
+    assert load_agent(saved).timesteps == 3 * ROLLOUT
+
+
+# --- whole files or none ----------------------------------------------------------------------------------------------
+
+
+def test_saving_leaves_just_the_one_file(saved, model):
+    assert [p.name for p in saved.parent.iterdir()] == ["model.zip"]
+    save(model, saved)
+    assert [p.name for p in saved.parent.iterdir()] == ["model.zip"]
+
+
+def test_leftovers_of_a_killed_save_are_ignored_and_replaced(saved, scenario, model):
+    raw = raw_observations(scenario, "identified")
+    expected = load_agent(saved).predict(raw)[0]
+    saved.with_name(".model.zip.partial").write_bytes(b"half a fil")
+    np.testing.assert_array_equal(load_agent(saved).predict(raw)[0], expected)
+    np.testing.assert_array_equal(load_agent(saved.parent).predict(raw)[0], expected)
+    save(model, saved)
+    np.testing.assert_array_equal(load_agent(saved).predict(raw)[0], expected)
+    assert [p.name for p in saved.parent.iterdir()] == ["model.zip"]
+
+
+@pytest.mark.parametrize("moment", ["model", "meta", "replace"])
+def test_a_save_that_fails_half_way_leaves_the_old_agent(saved, scenario, monkeypatch, moment):
+    """As a full disk or a kill would: the agent that was there is untouched, and the next save goes through."""
+    raw = raw_observations(scenario, "identified")
+    newer = trained(scenario, rollouts=1, seed=9)
+    old, content = load_agent(saved).predict(raw)[0], saved.read_bytes()
+    new = newer.predict(newer.get_vec_normalize_env().normalize_obs(raw), deterministic=True)[0]
+    assert np.abs(new - old).max() > 1e-3
+
+    class Killed(BaseException):
+        pass
+
+    def killed(*args, **kwargs):
+        raise Killed
+
+    if moment == "model":
+
+        def half(stream, *args, **kwargs):
+            stream.write(b"PK half")
+            raise Killed
+
+        monkeypatch.setattr(newer, "save", half)
+    elif moment == "meta":
+        write = zipfile.ZipFile.writestr
+
+        def no_meta(self, name, data, *args, **kwargs):
+            if name == META:
+                write(self, name, data[: len(data) // 2], *args, **kwargs)
+                raise Killed
+            return write(self, name, data, *args, **kwargs)
+
+        monkeypatch.setattr(zipfile.ZipFile, "writestr", no_meta)
+    else:
+        monkeypatch.setattr(os, "replace", killed)
+    with pytest.raises(Killed):
+        save(newer, saved)
+    monkeypatch.undo()
+    assert saved.read_bytes() == content
+    np.testing.assert_array_equal(load_agent(saved).predict(raw)[0], old)
+    resume(saved, scenario, "identified", TINY, 0, None)  # and a checkpoint can still be resumed
+    save(newer, saved)
+    np.testing.assert_allclose(load_agent(saved).predict(raw)[0], new, atol=1e-6)
+    assert [p.name for p in saved.parent.iterdir()] == ["model.zip"]
+
+
+# --- resume -----------------------------------------------------------------------------------------------------------
+
+
+def test_resume_goes_on_with_everything(saved, model, scenario):
+    again = resume(saved, scenario, "identified", TINY, 0, None)
+    env, old = again.get_vec_normalize_env(), model.get_vec_normalize_env()
+    assert again.num_timesteps == 3 * ROLLOUT
+    np.testing.assert_allclose(env.obs_rms.mean, old.obs_rms.mean)
+    np.testing.assert_allclose(env.obs_rms.var, old.obs_rms.var)
+    assert env.obs_rms.count == old.obs_rms.count
+    for name in ("mean", "var", "count"):
+        assert getattr(env.ret_rms, name) == getattr(old.ret_rms, name), name
+    for (name, p), (_, q) in zip(again.policy.named_parameters(), model.policy.named_parameters(), strict=True):
+        np.testing.assert_array_equal(p.detach().numpy(), q.detach().numpy(), err_msg=name)
+    mine, theirs = (m.policy.optimizer.state_dict()["state"] for m in (again, model))
+    assert mine.keys() == theirs.keys() and len(mine) > 0
+    for key in mine:
+        np.testing.assert_array_equal(mine[key]["exp_avg_sq"].numpy(), theirs[key]["exp_avg_sq"].numpy())
+    count = env.obs_rms.count
+    again.learn(2 * ROLLOUT, reset_num_timesteps=False)
+    assert again.num_timesteps == 5 * ROLLOUT
+    assert env.obs_rms.count == pytest.approx(count + 2 * ROLLOUT + TINY.num_envs, abs=TINY.num_envs + 1e-3)
+
+
+def test_resume_goes_on_with_the_learning_rate(saved, scenario):
+    """After 3 of 6 rollouts the rate is halved already; the schedule does not start over."""
+    again = resume(saved, scenario, "identified", TINY, 0, None)
+    again.learn(3 * ROLLOUT, reset_num_timesteps=False)
+    rate = again.policy.optimizer.param_groups[0]["lr"]
+    assert rate == pytest.approx(0.05 * TINY.learning_rate)
+    again = resume(saved, scenario, "identified", TINY, 0, None)
+    rates = []
+    update = again.train
+
+    def train():
+        update()
+        rates.append(again.policy.optimizer.param_groups[0]["lr"])
+
+    again.train = train
+    again.learn(3 * ROLLOUT, reset_num_timesteps=False)
+    assert rates == pytest.approx([TINY.learning_rate * share for share in (2 / 6, 1 / 6, 0.05)])
+
+
+def first_observations(model):
+    """What the wheels see at their start, not normalised."""
+    model.learn(0, reset_num_timesteps=False)
+    return model.get_vec_normalize_env().get_original_obs()
+
+
+def apart(a, b):
+    """Smallest difference between any observation of `a` and any of `b`."""
+    return np.abs(a[:, None, :] - b[None, :, :]).max(axis=2).min()
+
+
+def test_resume_starts_new_courses_not_those_of_the_beginning(saved, scenario):
+    start = first_observations(build(scenario, "identified", TINY, 0))
+    again = first_observations(resume(saved, scenario, "identified", TINY, 0, None))
+    repeat = first_observations(resume(saved, scenario, "identified", TINY, 0, None))
+    np.testing.assert_array_equal(again, repeat)  # still reproducible
+    assert np.abs(start).max(axis=1).min() > 0.1  # these are observations
+    assert apart(start, again) > 1e-3
+
+
+def test_resume_starts_other_courses_at_each_checkpoint(saved, scenario):
+    at_three = first_observations(resume(saved, scenario, "identified", TINY, 0, None))
+    edit(saved, timesteps=4 * ROLLOUT)
+    at_four = first_observations(resume(saved, scenario, "identified", TINY, 0, None))
+    assert apart(at_three, at_four) > 1e-3
+
+
+def test_resume_draws_other_actions_than_at_the_beginning(saved, scenario):
+    """The noise of exploration is seeded anew too; loading alone would repeat that of the first rollout."""
+
+    def noise(model):
+        """Actions relative to the policy's own, for the same observations."""
+        raw = raw_observations(scenario, "identified", 8).astype(np.float32)
+        return model.predict(raw, deterministic=False)[0] - model.predict(raw, deterministic=True)[0]
+
+    again = noise(resume(saved, scenario, "identified", TINY, 0, None))
+    repeat = noise(resume(saved, scenario, "identified", TINY, 0, None))
+    np.testing.assert_array_equal(again, repeat)
+    loaded = PPO.load(saved, env=ppo.normalised(scenario, "identified", TINY, 0), device="cpu")
+    assert np.abs(again - noise(loaded)).max() > 1e-3
+
+
+def test_resume_after_very_many_steps(saved, scenario):
+    """`timesteps` goes to 10^12: the seed of the new courses must not run out."""
+    edit(saved, timesteps=5_000_000_000)
+    assert resume(saved, scenario, "identified", TINY, 0, None) is not None
+
+
+def test_resume_writes_its_curve_into_the_same_log(scenario, tmp_path):
+    model = build(scenario, "blind", TINY, 0, tmp_path / "log")
+    model.learn(ROLLOUT, reset_num_timesteps=False, tb_log_name="PPO")
+    save(model, tmp_path / "checkpoint.zip")
+    again = resume(tmp_path / "checkpoint.zip", scenario, "blind", TINY, 0, tmp_path / "log")
+    again.learn(ROLLOUT, reset_num_timesteps=False, tb_log_name="PPO")
+    assert [p.name for p in (tmp_path / "log").iterdir()] == ["PPO_0"]
+    assert len(list((tmp_path / "log" / "PPO_0").iterdir())) == 2
+
+
+def test_resume_refuses_another_observation(saved, scenario):
+    refused(lambda: resume(saved, scenario, "blind", TINY, 0, None), "identified", "blind")
+
+
+@pytest.mark.parametrize("key", ["timesteps", "count", "return_mean", "return_var", "return_count"])
+def test_resume_names_a_missing_key(saved, scenario, key):
+    edit(saved, **{key: None})
+    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), key)
+
+
+# --- files that cannot be used ----------------------------------------------------------------------------------------
+
+
+def test_another_layout_is_refused_and_the_difference_named(saved):
+    names = [e.name for e in layout("identified")]
+    edit(saved, observation_names=[*names[:4], "wheel_torque", *names[5:]])
+    refused(lambda: load_agent(saved), "wheel_torque", "torque", "layout")
+    edit(saved, observation_names=names[:-1], mean=[0.0] * (len(names) - 1), var=[1.0] * (len(names) - 1))
+    refused(lambda: load_agent(saved), names[-1], len(names) - 1, len(names))
+    swapped = [names[1], names[0], *names[2:]]
+    edit(saved, observation_names=swapped, mean=[0.0] * len(names), var=[1.0] * len(names))
+    refused(lambda: load_agent(saved), "order")
+
+
+def test_resume_refuses_another_layout_too(saved, scenario):
+    edit(saved, observation_names=["slip"], mean=[0.0], var=[1.0])
+    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "layout", "sinkage")
+
+
+def test_an_unknown_variant_is_refused(saved):
+    edit(saved, observation="identifed")
+    refused(lambda: load_agent(saved), "identifed", "identified")
+
+
+def test_missing_zip(saved, scenario):
+    saved.unlink()
+    refused(lambda: load_agent(saved), "model.zip")
+    refused(lambda: load_agent(saved.parent), "model.zip")
+    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip")
+
+
+def test_a_model_without_its_normalisation(saved, model, scenario):
+    """A zip as SB3's own save leaves it."""
+    model.save(saved)
+    refused(lambda: load_agent(saved), "model.zip", "soil_env.json")
+    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip", "soil_env.json")
+
+
+def test_a_normalisation_without_its_model(saved, scenario):
+    with zipfile.ZipFile(saved) as archive:
+        meta = archive.read(META)
+    with zipfile.ZipFile(saved, "w") as archive:
+        archive.writestr(META, meta)
+    refused(lambda: load_agent(saved), "model.zip")
+    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip")
+
+
+def test_missing_folder(tmp_path):
+    refused(lambda: load_agent(tmp_path / "nowhere" / "model.zip"), "nowhere")
+    refused(lambda: load_agent(tmp_path / "nowhere"), "nowhere")
+
+
+@pytest.mark.parametrize("content", [b"", b"no zip at all", b"PK\x03\x04 cut off"])
+def test_a_zip_that_is_none(saved, content):
+    saved.write_bytes(content)
+    refused(lambda: load_agent(saved), "model.zip")
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.9, 0.999])
+def test_a_zip_that_is_cut_off(saved, share):
+    saved.write_bytes(saved.read_bytes()[: int(share * saved.stat().st_size)])
+    refused(lambda: load_agent(saved), "model.zip")
+
+
+@pytest.mark.parametrize("member", [META, "data", "policy.pth"])
+@pytest.mark.parametrize("where", [0.0, 0.5, 0.9])
+def test_a_zip_with_damaged_bytes(saved, member, where):
+    """A disk error within one member; its place in the file is still listed."""
+    with zipfile.ZipFile(saved) as archive:
+        info = archive.getinfo(member)
+    content = bytearray(saved.read_bytes())
+    lengths = struct.unpack_from("<HH", content, info.header_offset + 26)  # of the member's name and its extra field
+    begin = info.header_offset + 30 + sum(lengths)
+    at = begin + int(where * info.compress_size)
+    for k in range(at, min(at + 12, begin + info.compress_size)):
+        content[k] ^= 0xFF
+    saved.write_bytes(content)
+    refused(lambda: load_agent(saved), "model.zip")
+
+
+def test_a_zip_of_something_else(saved, tmp_path):
+    (tmp_path / "stuff").mkdir()
+    (tmp_path / "stuff" / "a.txt").write_text("hello")
+    shutil.make_archive(str(saved.with_suffix("")), "zip", tmp_path / "stuff")
+    refused(lambda: load_agent(saved), "model.zip")
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"not json", b"[]", b"3", b"null", b'"text"', b"\xff\xfe\x00binary"])
+def test_a_json_that_is_none(saved, content):
+    rewrite(saved, content)
+    refused(lambda: load_agent(saved), "model.zip")
+
+
+@pytest.mark.parametrize("key", ["observation", "observation_names", "mean", "var", "clip"])
+def test_a_json_with_a_missing_key(saved, key):
+    edit(saved, **{key: None})
+    refused(lambda: load_agent(saved), "model.zip", "soil_env.json", key)
+
+
+@pytest.mark.parametrize(
+    "key, value",
+    [("mean", 3.0), ("mean", "abc"), ("mean", [0.0] * 5), ("mean", ["a"] * 22), ("var", [1.0] * 5), ("var", "abc"),
+     ("var", [[1.0]] * 22), ("clip", "ten"), ("observation_names", 5), ("observation", 5), ("timesteps", "many"),
+     ("timesteps", 1.5), ("count", "1"), ("return_var", [1.0])],
+)  # fmt: skip
+def test_a_json_with_a_value_of_the_wrong_kind(saved, scenario, key, value):
+    edit(saved, **{key: value})
+    refused(lambda: load_agent(saved), "model.zip", "soil_env.json", key)
+    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip", "soil_env.json", key)
+
+
+def test_rewriting_alone_does_no_harm(saved, scenario):
+    """What the tests above use to break a file leaves it usable when it changes nothing."""
+    raw = raw_observations(scenario, "identified")
+    expected = load_agent(saved).predict(raw)[0]
+    edit(saved)
+    np.testing.assert_array_equal(load_agent(saved).predict(raw)[0], expected)
+    resume(saved, scenario, "identified", TINY, 0, None)
+
+
+# --- config -----------------------------------------------------------------------------------------------------------
+
+
+def test_config_is_strict():
+    refused(lambda: load_config({"timestep": 5}, "x.yaml"), "x.yaml", "timestep", "did you mean 'timesteps'")
+    refused(lambda: load_config({"ppo": {"gama": 0.9}}, "x.yaml"), "gama", "did you mean 'gamma'")
+    refused(lambda: load_config({"ppo": {"gamma": 1.5}}, "x.yaml"), "gamma", "1.5", "[0.5, 1]")
+    refused(lambda: load_config({"ppo": {"gamma": "high"}}, "x.yaml"), "gamma", "high", "number")
+    refused(lambda: load_config({"seed": 1.5}, "x.yaml"), "seed", "1.5", "whole number")
+    refused(lambda: load_config({"seed": True}, "x.yaml"), "seed", "True", "number")
+    refused(lambda: load_config({"observation": "seen"}, "x.yaml"), "observation", "seen", "true_soil")
+    refused(lambda: load_config({"ppo": 5}, "x.yaml"), "ppo", "5")
+    refused(lambda: load_config({"courses": 0}, "x.yaml"), "courses", "0")
+    refused(lambda: load_config({"scenario": 5}, "x.yaml"), "scenario", "5", "text")
+
+
+def test_config_defaults_and_conversions():
+    assert load_config({}, "x") == TrainConfig()
+    config = load_config({"timesteps": "5e6", "ppo": {"num_envs": 1024.0}}, "x")
+    assert config.timesteps == 5_000_000 and isinstance(config.timesteps, int)
+    assert config.ppo.num_envs == 1024 and isinstance(config.ppo.num_envs, int)
+    assert config.ppo.gamma == PPOConfig().gamma
+
+
+@pytest.mark.parametrize("num_envs, n_steps, batch_size", [(4, 10, 16), (4, 10, 39), (4, 10, 80), (1, 8, 9)])
+def test_a_batch_that_does_not_divide_the_rollout_is_refused(num_envs, n_steps, batch_size):
+    ppo_keys = {"num_envs": num_envs, "n_steps": n_steps, "batch_size": batch_size}
+    refused(lambda: PPOConfig(**ppo_keys), "batch_size", batch_size, num_envs * n_steps)
+    refused(lambda: load_config({"ppo": ppo_keys}, "x.yaml"), "x.yaml", "batch_size", batch_size, num_envs * n_steps)
+
+
+@pytest.mark.parametrize("batch_size", [8, 10, 20, 40])
+def test_a_batch_that_divides_the_rollout_is_taken(batch_size):
+    assert PPOConfig(num_envs=4, n_steps=10, batch_size=batch_size).batch_size == batch_size
+
+
+def test_an_observation_of_another_layout_is_refused(tmp_path):
+    save(build(load_scenario(), "blind", TINY, 0), tmp_path / "model.zip")
+    agent = load_agent(tmp_path / "model.zip")
+    for shape in ((22,), (3, 22), ()):
+        with pytest.raises(ParameterError, match=r"expected 11 numbers, those of observation 'blind'"):
+            agent.predict(np.zeros(shape))
+    assert agent.predict(np.zeros((3, 11)))[0].shape == (3, 1)

@@ -1,0 +1,60 @@
+"""Agents with a memory: made as the others are, loaded by the same hands, refused in one line without sb3-contrib."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from agents import ppo, recurrent
+from agents.evaluate import run_courses
+from agents.evaluate.models import load_model
+from agents.guided import Guide
+from agents.ppo import PPOConfig, TrainConfig
+from agents.training import make_run_folder, open_run, train
+from soil_env._io.loading import ParameterError
+from soil_env.parameters import load_scenario
+
+TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=4)
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 5.0}})
+
+
+def test_without_sb3_contrib_one_line_says_what_is_missing(scenario, monkeypatch):
+    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
+    with pytest.raises(ParameterError, match=r"soil_env\[recurrent\]"):
+        recurrent.build(scenario, "blind", TINY, 0)
+
+
+@pytest.mark.parametrize("guided", [False, True])
+def test_a_saved_agent_drives_with_its_memory_and_goes_on(tmp_path, scenario, guided):
+    pytest.importorskip("sb3_contrib")
+    guide = Guide(scenario, "fixed_slip", {}, 1.4, "blind") if guided else None
+    model = recurrent.build(scenario, "blind", TINY, 0, guide=guide)
+    model.learn(64)
+    ppo.save(model, tmp_path / "model.zip")
+    agent = load_model(tmp_path / "model.zip", scenario)
+    x = np.linspace(-0.1, 0.1, 33).reshape(3, 11)
+    first, state = agent.predict(x, episode_start=np.ones(3, dtype=bool))
+    second, _ = agent.predict(x, state, np.zeros(3, dtype=bool))
+    afresh, _ = agent.predict(x, state, np.ones(3, dtype=bool))
+    assert not np.array_equal(first, second)  # the same readings, but not the first
+    np.testing.assert_allclose(afresh, first, atol=1e-6)  # a new course: nothing is remembered
+    runs = run_courses(agent, scenario, 3, 4)
+    assert np.isfinite(runs.returns).all()
+    again = recurrent.resume(tmp_path / "model.zip", scenario, "blind", TINY, 0, None, guide=guide)
+    again.learn(64, reset_num_timesteps=False)
+    assert again.num_timesteps == 128
+
+
+def test_a_training_run_ends_and_is_not_repeated(tmp_path, scenario):
+    pytest.importorskip("sb3_contrib")
+    config = TrainConfig(
+        observation="blind", algorithm="recurrent_ppo", name="r", runs=str(tmp_path), timesteps=128, ppo=TINY
+    )
+    folder = make_run_folder(config, scenario)
+    assert open_run(folder)[0] == config
+    assert train(folder, config, scenario).timesteps == 128
+    assert train(folder, config, scenario).timesteps == 128

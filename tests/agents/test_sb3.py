@@ -1,0 +1,324 @@
+"""`agents.sb3.SoilWheelVecEnv` against what Stable-Baselines3 expects of a `VecEnv`; the scalar env is the judge."""
+
+import numpy as np
+import pytest
+from gymnasium.wrappers import TimeLimit
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
+
+from agents.sb3 import SoilWheelVecEnv
+from soil_env._io.loading import ParameterError
+from soil_env.env import SoilWheelEnv
+from soil_env.simulation.task import VARIANTS, layout
+
+SHORT = {"control": {"time_limit": 3.0}}  # 30 steps
+QUICK_END = {"limits": {"entrapped_time": 0.5, "stalled_time": 0.5}}
+FINISH = {"course": {"length": 1.0, "patch_length": [0.5, 0.9], "grade_deg": [-5.0, 0.0]}}
+
+
+def drive(env, steps, actions):
+    """Reset, then `steps` steps with `actions` [steps, wheels, 1]: first observations and a list of step results."""
+    first = env.reset()
+    return first, [env.step(actions[t]) for t in range(steps)]
+
+
+def random_actions(steps, wheels, low=-0.2, high=1.0, seed=3):
+    return np.random.default_rng(seed).uniform(low, high, (steps, wheels, 1)).astype(np.float32)
+
+
+def test_is_a_vec_env_with_the_spaces_of_the_scalar_env():
+    for variant in VARIANTS:
+        env, one = SoilWheelVecEnv(2, observation=variant), SoilWheelEnv(observation=variant)
+        assert isinstance(env, VecEnv)
+        assert env.observation_space == one.observation_space
+        assert env.action_space == one.action_space
+        assert env.observation_names == tuple(e.name for e in layout(variant))
+        assert env.reset().shape == (2, len(layout(variant)))
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_number_equals_the_scalar_env(variant):
+    """Observation, reward, end and terminal observation of wheel k are those of SoilWheelEnv with seed + k."""
+    steps, wheels, seed = 80, 3, 11
+    changes = {**QUICK_END, "control": {"time_limit": 6.0}}
+    actions = random_actions(steps, wheels)
+    vec = SoilWheelVecEnv(wheels, observation=variant, **changes)
+    vec.seed(seed)
+    first, results = drive(vec, steps, actions)
+    ends = 0
+    for k in range(wheels):
+        one = SoilWheelEnv(observation=variant, **changes)
+        observation, _ = one.reset(seed=seed + k)
+        np.testing.assert_array_equal(first[k], observation)
+        for t in range(steps):
+            observation, reward, terminated, truncated, info = one.step(actions[t, k])
+            observations, rewards, dones, infos = results[t]
+            assert rewards[k] == pytest.approx(reward, rel=1e-6, abs=1e-7)
+            assert dones[k] == (terminated or truncated)
+            if dones[k]:
+                ends += 1
+                np.testing.assert_array_equal(infos[k]["terminal_observation"], observation)
+                assert infos[k]["TimeLimit.truncated"] is (truncated and not terminated)
+                assert infos[k]["cause"] == info["cause"]
+                observation, _ = one.reset()  # goes on with the stream, as the vector env does
+            np.testing.assert_array_equal(observations[k], observation)
+    assert ends >= wheels
+
+
+def test_time_limit_is_truncation_at_the_scenario_s_last_step():
+    env = SoilWheelVecEnv(4, **SHORT)
+    env.seed(0)
+    env.reset()
+    for t in range(1, 31):
+        _, _, dones, infos = env.step(np.zeros((4, 1), dtype=np.float32))
+        assert dones.all() == dones.any() == (t == 30)
+    assert [i["TimeLimit.truncated"] for i in infos] == [True] * 4
+    assert [i["cause"] for i in infos] == ["TIME_LIMIT"] * 4
+
+
+def test_agrees_with_gymnasium_s_time_limit_wrapper():
+    """The scenario's own limit truncates in the same step as gymnasium's TimeLimit(30) over an unlimited env would."""
+    env = TimeLimit(SoilWheelEnv(), 30)
+    env.reset(seed=0)
+    truncations = [env.step(np.zeros(1, dtype=np.float32))[3] for _ in range(30)]
+    assert truncations == [False] * 29 + [True]
+
+
+def test_finished_and_stuck_wheels_are_not_truncated():
+    stuck = {"ENTRAPPED", "STALLED", "BOGGED"}
+    for changes, action, expected in ((FINISH, 0.5, {"FINISHED"}), (QUICK_END, 1.0, stuck)):
+        env = SoilWheelVecEnv(8, **changes)
+        env.seed(1)
+        env.reset()
+        seen = {}
+        for _ in range(600):
+            _, _, dones, infos = env.step(np.full((8, 1), action, dtype=np.float32))
+            for k in np.flatnonzero(dones):
+                seen.setdefault(infos[k]["cause"], []).append(infos[k]["TimeLimit.truncated"])
+        stated = {cause for cause in seen if cause in expected}
+        assert stated, seen
+        assert not any(truncated for cause in stated for truncated in seen[cause])
+
+
+def test_episode_info_equals_the_sums_of_rewards_and_steps():
+    wheels, steps = 6, 150
+    env = SoilWheelVecEnv(wheels, **QUICK_END, **SHORT)
+    env.seed(2)
+    _, results = drive(env, steps, random_actions(steps, wheels, seed=8))
+    returns, lengths, ends = np.zeros(wheels), np.zeros(wheels, dtype=int), 0
+    for _, rewards, dones, infos in results:
+        returns += rewards
+        lengths += 1
+        for k in np.flatnonzero(dones):
+            episode = infos[k]["episode"]
+            assert episode["r"] == pytest.approx(returns[k], rel=1e-5, abs=1e-5)
+            assert episode["l"] == lengths[k]
+            assert episode["t"] >= 0.0
+            returns[k], lengths[k] = 0.0, 0
+            ends += 1
+    assert ends >= wheels * (steps // 30)
+
+
+def test_episode_info_agrees_with_vec_monitor():
+    env = VecMonitor(SoilWheelVecEnv(3, **SHORT))
+    env.seed(4)
+    env.reset()
+    inner = SoilWheelVecEnv(3, **SHORT)
+    inner.seed(4)
+    inner.reset()
+    for action in random_actions(30, 3):
+        _, _, _, infos = env.step(action)
+        _, _, _, own = inner.step(action)
+    for monitor, mine in zip(infos, own, strict=True):
+        assert monitor["episode"]["l"] == mine["episode"]["l"] == 30
+        assert monitor["episode"]["r"] == pytest.approx(mine["episode"]["r"], rel=1e-5, abs=1e-5)
+
+
+def test_a_finished_wheel_starts_a_new_course_at_rest():
+    env = SoilWheelVecEnv(4, course={"halt_time": 0.0}, **SHORT)
+    names = env.observation_names
+    env.seed(0)
+    start = env.reset()
+    for _ in range(30):
+        observations, _, dones, infos = env.step(np.full((4, 1), 0.4, dtype=np.float32))
+    assert dones.all()
+    progress, last = names.index("progress"), names.index("last_action")
+    assert (observations[:, progress] == 0.0).all() and (observations[:, last] == 0.0).all()
+    terminal = np.array([i["terminal_observation"] for i in infos])
+    assert np.abs(terminal[:, last] - 0.4).max() < 1e-6
+    assert (np.abs(observations - start).max(axis=1) > 1e-3).all()  # another course, not the first again
+    _, _, dones, infos = env.step(np.zeros((4, 1), dtype=np.float32))
+    assert not dones.any()
+
+
+def test_infos_of_running_wheels_are_empty():
+    env = SoilWheelVecEnv(5, **QUICK_END, **SHORT)
+    env.seed(5)
+    _, results = drive(env, 60, random_actions(60, 5))
+    assert any(dones.any() for *_, dones, _ in results)
+    for *_, dones, infos in results:
+        assert len(infos) == 5
+        assert [bool(info) for info in infos] == dones.tolist()
+
+
+def test_results_are_not_overwritten_by_later_steps():
+    env = SoilWheelVecEnv(2)
+    env.seed(0)
+    first, results = drive(env, 5, random_actions(5, 2))
+    kept = [first, *(r[0] for r in results)]
+    copies = [x.copy() for x in kept]
+    env.step(np.ones((2, 1), dtype=np.float32))
+    for now, then in zip(kept, copies, strict=True):
+        np.testing.assert_array_equal(now, then)
+    assert len({x.tobytes() for x in copies}) == len(copies)  # the observation is not constant
+
+
+def test_terminal_observation_survives_the_reset_and_later_episodes():
+    env = SoilWheelVecEnv(2, **SHORT)
+    env.seed(0)
+    _, results = drive(env, 30, np.full((30, 2, 1), 0.4, dtype=np.float32))
+    terminal = results[-1][3][0]["terminal_observation"]
+    copy = terminal.copy()
+    for _ in range(35):
+        env.step(np.ones((2, 1), dtype=np.float32))
+    np.testing.assert_array_equal(terminal, copy)
+    assert np.abs(terminal - results[-1][0][0]).max() > 1e-3
+
+
+def test_seed_fixes_the_run_and_other_seeds_differ():
+    actions = random_actions(40, 4)
+
+    def run(seed):
+        env = SoilWheelVecEnv(4, **SHORT)
+        env.seed(seed)
+        first, results = drive(env, 40, actions)
+        return np.array([first, *(r[0] for r in results)]), np.array([r[1] for r in results])
+
+    (a, ra), (b, rb), (c, _) = run(7), run(7), run(8)
+    np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(ra, rb)
+    assert np.abs(a - c).max() > 1e-3
+    np.testing.assert_array_equal(a[0, 1:], c[0, :-1])  # wheel k has seed + k
+
+
+def test_unseeded_runs_differ():
+    firsts = {SoilWheelVecEnv(1).reset().tobytes() for _ in range(3)}
+    assert len(firsts) == 3
+
+
+def test_a_second_reset_goes_on_and_the_same_seed_starts_over():
+    env = SoilWheelVecEnv(2)
+    env.seed(3)
+    first = env.reset()
+    second = env.reset()
+    env.seed(3)
+    again = env.reset()
+    assert np.abs(first - second).max() > 1e-3
+    np.testing.assert_array_equal(first, again)
+
+
+def test_threads_do_not_change_the_numbers():
+    actions = random_actions(20, 64)
+    outcomes = []
+    for threads in (1, 3):
+        env = SoilWheelVecEnv(64, threads=threads)
+        env.seed(0)
+        _, results = drive(env, 20, actions)
+        outcomes.append(results[-1][0])
+    np.testing.assert_array_equal(*outcomes)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_an_action_that_is_not_finite_is_refused(bad):
+    env = SoilWheelVecEnv(3)
+    env.reset()
+    actions = np.zeros((3, 1), dtype=np.float32)
+    actions[1] = bad
+    with pytest.raises(ValueError, match="finite"):
+        env.step(actions)
+
+
+@pytest.mark.parametrize("shape", [(3,), (3, 2), (2, 1), (1, 1), (4, 1), ()])
+def test_an_action_of_the_wrong_shape_is_refused(shape):
+    env = SoilWheelVecEnv(3)
+    env.reset()
+    with pytest.raises(ValueError, match="shape"):
+        env.step(np.zeros(shape, dtype=np.float32))
+
+
+def test_actions_are_cut_to_the_bounds():
+    results = []
+    for value in (1.0, 50.0):
+        env = SoilWheelVecEnv(2)
+        env.seed(0)
+        env.reset()
+        results.append(env.step(np.full((2, 1), value, dtype=np.float32))[0])
+    np.testing.assert_array_equal(*results)
+
+
+def test_the_caller_s_actions_are_left_alone():
+    env = SoilWheelVecEnv(2)
+    env.reset()
+    actions = np.array([[3.0], [-2.0]], dtype=np.float32)
+    env.step(actions)
+    assert actions.ravel().tolist() == [3.0, -2.0]
+
+
+def test_attributes_and_methods_come_once_a_wheel():
+    env = SoilWheelVecEnv(4)
+    assert env.get_attr("observation_names") == [env.observation_names] * 4
+    assert len(env.get_attr("scenario", indices=[0, 2])) == 2
+    assert len(env.get_attr("scenario", indices=1)) == 1
+    assert env.env_is_wrapped(VecNormalize) == [False] * 4
+    assert env.env_is_wrapped(VecNormalize, indices=[3]) == [False]
+    env.set_attr("note", "x")
+    assert env.get_attr("note") == ["x"] * 4
+    assert env.env_method("get_attr", "note", indices=[1, 2]) == [["x"] * 4] * 2
+    assert len(env.env_method("get_attr", "note")) == 4
+    with pytest.raises(AttributeError):
+        env.get_attr("no_such_thing")
+    assert env.has_attr("scenario") and not env.has_attr("no_such_thing")
+
+
+def test_bad_settings_are_refused():
+    with pytest.raises(ParameterError, match="course"):
+        SoilWheelVecEnv(2, cource={"length": 5})
+    with pytest.raises(ParameterError, match="identified"):
+        SoilWheelVecEnv(2, observation="identifed")
+    with pytest.raises(ParameterError, match="mixed"):
+        SoilWheelVecEnv(2, scenario="mixd")
+
+
+def test_works_inside_vec_normalize():
+    env = VecNormalize(SoilWheelVecEnv(16, **SHORT), gamma=0.99)
+    env.seed(0)
+    observations = [env.reset()]
+    raw = [env.get_original_obs()]
+    for action in random_actions(90, 16):
+        observation, reward, dones, infos = env.step(action)
+        observations.append(observation)
+        raw.append(env.get_original_obs())
+        for k in np.flatnonzero(dones):  # VecNormalize normalises the terminal observation in place
+            assert np.abs(infos[k]["terminal_observation"]).max() <= env.clip_obs
+    assert np.isfinite(reward).all()
+    raw = np.concatenate(raw)
+    count = env.obs_rms.count
+    assert count == pytest.approx(len(raw), rel=1e-3)
+    np.testing.assert_allclose(env.obs_rms.mean, raw.mean(axis=0), rtol=1e-3, atol=1e-3)
+    late = np.concatenate(observations[60:])
+    assert np.abs(late.mean(axis=0)).max() < 1.0 and np.abs(late).max() <= env.clip_obs
+    assert env.get_attr("observation_names") == [env.venv.observation_names] * 16
+
+
+@pytest.mark.parametrize("count", [0, -1, "x", 1.5, True])
+def test_the_number_of_wheels_is_checked(count):
+    with pytest.raises(ParameterError, match=f"num_envs = {count!r}: expected a whole number >= 1"):
+        SoilWheelVecEnv(count)
+
+
+def test_a_misspelt_keyword_is_named():
+    with pytest.raises(ParameterError, match="keyword: unknown key 'autoreset_mode'.*num_envs.*threads"):
+        SoilWheelVecEnv(1, autoreset_mode="NextStep")
+    with pytest.raises(ParameterError, match="keyword: unknown key 'thread'; did you mean 'threads'"):
+        SoilWheelVecEnv(1, thread=1)
+    with pytest.raises(ValueError, match="actions = 'x': expected numbers"):
+        SoilWheelVecEnv(1).step_async("x")

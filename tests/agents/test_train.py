@@ -1,0 +1,823 @@
+"""train.py as its user meets it: run folders, refusals in one line, interrupt, kill and resume."""
+
+import csv
+import dataclasses
+import io
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+import yaml
+from rich.console import Console
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+import train
+from agents import cli, ppo, training
+from agents.controllers import CONTROLLERS
+from agents.evaluate import METRICS
+from agents.ppo import PPOConfig, TrainConfig, load_agent, load_config, read_meta
+from soil_env._io.loading import to_dict
+from soil_env.parameters import load_scenario
+from tests.agents.saved import edit
+
+ROOT = Path(__file__).resolve().parents[2]
+FILES = {
+    "config.yaml", "scenario.yaml", "model.zip", "tensorboard",
+    "comparison.json", "comparison.csv", "comparison.png", "course.png", "time.json",
+}  # fmt: skip
+TINY = (
+    "--ppo.num_envs=8 --ppo.n_steps=16 --ppo.batch_size=64 --ppo.n_epochs=1 --ppo.layer=8 --timesteps=256 --courses=4 "
+    "--tuning_courses=1 --changes.control.time_limit=5 --changes.course.length=2"
+).split()
+ROLLOUT = 128
+
+
+def run(capsys, *arguments):
+    """Exit status, stdout and stderr of a run in this process."""
+    capsys.readouterr()
+    try:
+        code = train.main(list(map(str, arguments)))
+    except SystemExit as exit:  # argparse
+        code = exit.code
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def refused(capsys, *arguments):
+    """stderr of a run that has to be refused: one line, status 2."""
+    code, _, err = run(capsys, *arguments)
+    assert code == 2, (code, err)
+    assert err.startswith("train.py: ") and err.count("\n") == 1, err
+    assert "Traceback" not in err
+    return err
+
+
+def start(*arguments):
+    """train.py as a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "train.py", *map(str, arguments)],
+        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def wait_for(path, process, seconds=90.0):
+    """Until `path` exists; fails if the process ends before."""
+    end = time.monotonic() + seconds
+    while not path.exists():
+        assert process.poll() is None, f"ended early: {process.communicate()}"
+        assert time.monotonic() < end, f"{path} did not appear in {seconds} s"
+        time.sleep(0.01)
+
+
+def steps_logged(folder):
+    """Timesteps of the points on the TensorBoard curve, in order of their files."""
+    steps = []
+    for file in sorted(folder.glob("tensorboard/*/events*"), key=lambda p: p.stat().st_mtime_ns):
+        events = EventAccumulator(str(file))
+        events.Reload()
+        if "train/value_loss" in events.Tags()["scalars"]:
+            steps.append([event.step for event in events.Scalars("train/value_loss")])
+    return steps
+
+
+# --- a run ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The run folder of the smoke configuration, made as the README says, and what was printed."""
+    runs = tmp_path_factory.mktemp("runs")
+    process = start("--config", "configs/smoke.yaml", "--runs", runs, "--name", "x")
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
+    return runs / "x", out, err
+
+
+def test_run_folder_has_everything(finished):
+    folder, _, _ = finished
+    assert {p.name for p in folder.iterdir()} == FILES
+    assert [p.name for p in folder.parent.iterdir()] == ["x"]
+
+
+def test_nothing_is_complained_about(finished):
+    _, _, err = finished
+    assert "Traceback" not in err and "Warning" not in err, err
+
+
+def test_output_names_the_folder_and_has_the_table(finished):
+    folder, out, _ = finished
+    flat = out.replace("\n", "")
+    assert str(folder) in flat
+    for name in (*CONTROLLERS, "ppo_identified", "comparison.json"):
+        assert name in flat
+    assert "of the way to best_slip_true" in flat or "is immobilised" in flat
+
+
+def test_wall_time_is_said_and_kept(finished):
+    folder, out, _ = finished
+    seconds = json.loads((folder / "time.json").read_text())["seconds"]
+    assert list(seconds) == ["env", "policy", "update", "tuning", "comparison", "figures"]
+    assert all(value > 0.0 for value in seconds.values())
+    said = out[out.index("Wall time ") :]
+    for words in ("training, of which", "environment", "updates", "tuning", "comparison on held-out", "figures"):
+        assert words in said
+
+
+def test_config_is_resolved_and_loads_again(finished):
+    folder, _, _ = finished
+    mapping = yaml.safe_load((folder / "config.yaml").read_text())
+    config = load_config(mapping, "config.yaml")
+    assert set(mapping) == {f.name for f in dataclasses.fields(TrainConfig)}
+    assert set(mapping["ppo"]) == {f.name for f in dataclasses.fields(PPOConfig)}
+    assert (config.timesteps, config.courses, config.name) == (8192, 20, "x")
+    assert config.ppo.num_envs == 16 and config.ppo.gamma == PPOConfig().gamma
+    assert load_scenario(folder / "scenario.yaml") == load_scenario("mixed")
+
+
+def test_model_is_usable(finished):
+    folder, _, _ = finished
+    agent = load_agent(folder)
+    assert agent.timesteps >= 8192 and agent.name == "ppo_identified"
+    assert agent.meta["scenario"] == json.loads(json.dumps(to_dict(load_scenario("mixed"))))
+
+
+def test_comparison_has_all_controllers(finished):
+    folder, _, _ = finished
+    result = json.loads((folder / "comparison.json").read_text())
+    assert result["scenario"] == "mixed" and result["courses"] == 20
+    assert set(result["controllers"]) == {*CONTROLLERS, "ppo_identified"}
+    for row in result["controllers"].values():
+        assert set(row) == set(METRICS)
+        assert all(set(m) == {"value", "low", "high"} for m in row.values())
+        assert 0.0 <= row["immobilised"]["low"] <= row["immobilised"]["value"] <= row["immobilised"]["high"] <= 1.0
+    with open(folder / "comparison.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["controller"] for row in rows] == list(result["controllers"])
+    distance = result["controllers"]["full_throttle"]["distance"]["value"]
+    assert float(rows[0]["distance"]) == pytest.approx(distance, rel=1e-5)
+
+
+def test_figures_show_something(finished):
+    folder, _, _ = finished
+    for name in ("comparison.png", "course.png"):
+        picture = plt.imread(folder / name)
+        assert min(picture.shape[:2]) > 200 and picture[..., :3].std() > 0.02
+
+
+def test_tensorboard_has_the_curve(finished):
+    folder, _, _ = finished
+    file = next(folder.glob("tensorboard/*/events*"))
+    events = EventAccumulator(str(file))
+    events.Reload()
+    assert {"courses/immobilised", "courses/return", "rollout/ep_rew_mean"} <= set(events.Tags()["scalars"])
+    assert [e.step for e in events.Scalars("courses/return")][-1] == 8192
+
+
+@pytest.mark.parametrize("variant, name", [("blind", "ppo_blind"), ("true_soil", "ppo_true")])
+def test_other_observations_are_trained_under_their_names(capsys, tmp_path, variant, name):
+    code, out, err = run(capsys, *TINY, "--runs", tmp_path, "--observation", variant)
+    assert code == 0, err
+    (folder,) = tmp_path.iterdir()
+    assert folder.name.startswith(f"{variant}-mixed-")
+    assert set(json.loads((folder / "comparison.json").read_text())["controllers"]) == {*CONTROLLERS, name}
+
+
+def test_command_line_goes_over_the_file(capsys, tmp_path):
+    file = tmp_path / "my.yaml"
+    file.write_text("courses: 9\nseed: 4\nppo: {gamma: 0.9, layer: 6}\nchanges: {course: {length: 3}}\n")
+    code, _, err = run(
+        capsys, "--config", file, *TINY, "--ppo.gamma", "0.95", "--runs", tmp_path / "r", "--name", "n",
+        "--changes.course.margin", "[0.02, 0.04]",
+    )  # fmt: skip
+    assert code == 0, err
+    config = load_config(yaml.safe_load((tmp_path / "r/n/config.yaml").read_text()), "")
+    assert (config.courses, config.seed, config.ppo.gamma, config.ppo.layer) == (4, 4, 0.95, 8)
+    scenario = load_scenario(tmp_path / "r/n/scenario.yaml")
+    assert scenario.course.length == 2.0 and scenario.course.margin == (0.02, 0.04)
+    assert scenario.control.time_limit == 5.0
+
+
+def test_the_same_seed_gives_the_same_comparison(capsys, tmp_path):
+    for name in "ab":
+        assert run(capsys, *TINY, "--runs", tmp_path, "--name", name)[0] == 0
+    a, b = ((tmp_path / name / "comparison.json").read_text() for name in "ab")
+    assert a == b
+
+
+def rates(**values):
+    """A result that holds just (value, low, high) of `immobilised`."""
+    rows = {
+        name: {"immobilised": dict(zip(("value", "low", "high"), m, strict=True)), "time_limit": {"value": 0.0}}
+        for name, m in values.items()
+    }
+    even = {"finished": {"value": 0.05, "low": 0.02, "high": 0.08}}
+    return {"controllers": rows, "paired": {a: dict.fromkeys(rows, even) for a in rows}}
+
+
+@pytest.mark.parametrize(
+    "agent, words, share",
+    [((0.10, 0.08, 0.12), "less often than", "86%"), ((0.29, 0.25, 0.33), "as often", "5%"),
+     ((0.30, 0.25, 0.33), "as often", None), ((0.31, 0.25, 0.35), "as often", None),
+     ((0.50, 0.45, 0.55), "more often than", None)],
+)  # fmt: skip
+def test_the_verdict_follows_from_the_intervals(agent, words, share):
+    reference = {"fixed_slip": (0.30, 0.27, 0.33), "best_slip_true": (0.1 - 1 / 30, 0.05, 0.08)}
+    if words != "less often than":
+        reference["best_slip_true"] = (0.10, 0.08, 0.12)
+    text = training.verdict(rates(ppo_blind=agent, **reference), "ppo_blind")
+    assert text.startswith("ppo_blind") and words in text and "30.0% [27.0%, 33.0%]" in text
+    others = {"less often than", "as often", "more often than"} - {words}
+    assert not any(other in text for other in others)
+    if share is None:  # it is not stuck less: there is no way covered
+        assert "covers" not in text and "of the way" not in text and text.endswith(".")
+        return
+    expected = (0.30 - agent[0]) / (0.30 - reference["best_slip_true"][0])
+    assert f"{expected:.0%}" == share
+    assert f"it covers {share} of the way to best_slip_true" in text
+
+
+def test_the_verdict_claims_no_share_where_there_is_no_gap():
+    same = (0.1, 0.05, 0.2)
+    assert "of the way" not in training.verdict(rates(ppo_true=same, fixed_slip=same, best_slip_true=same), "ppo_true")
+    less = (0.05, 0.02, 0.1)
+    assert "of the way" not in training.verdict(rates(ppo_true=less, fixed_slip=same, best_slip_true=same), "ppo_true")
+
+
+def test_the_verdict_claims_no_share_beyond_the_reference():
+    text = training.verdict(
+        rates(ppo_true=(0.02, 0.01, 0.03), fixed_slip=(0.2, 0.15, 0.25), best_slip_true=(0.1, 0.05, 0.2)), "ppo_true"
+    )
+    assert "of the way" not in text and "and 10.0% of best_slip_true" in text
+
+
+def test_differences_are_said_without_signs():
+    assert training.points({"value": 0.075, "low": 0.053, "high": 0.097}) == "7.5 [5.3, 9.7] percentage points more"
+    assert training.points({"value": -0.63, "low": -0.72, "high": -0.53}) == "63.0 [53.0, 72.0] percentage points fewer"
+    assert training.points({"value": 0.007, "low": -0.011, "high": 0.024}) == "0.7 [-1.1, 2.4] percentage points more"
+
+
+# --- progress ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture()
+def printed(monkeypatch):
+    """What is printed to a console that is no terminal."""
+    out = io.StringIO()
+    monkeypatch.setattr(training, "console", Console(file=out, force_terminal=False, width=60))
+    return lambda: out.getvalue().splitlines()
+
+
+def test_progress_without_a_terminal_is_a_line_every_tenth(printed):
+    with training.Bar("Driving", 1000, "courses") as bar:
+        for done in range(0, 1001, 8):
+            bar.update(done, note=f"at {done}")
+    lines = printed()
+    assert lines[0] == "Driving: 104 of 1,000 courses at 104"
+    assert lines[-1] == "Driving: 1,000 of 1,000 courses at 1000"
+    assert len(lines) == 10
+
+
+def test_progress_may_be_advanced_and_go_on_from_the_middle(printed):
+    with training.Bar("Training", 1000, "steps", 700) as bar:
+        for _ in range(30):
+            bar.update(advance=10)
+    assert printed() == [f"Training: {done} of 1,000 steps " for done in ("800", "900", "1,000")]
+
+
+def test_progress_says_the_end_once_even_if_it_is_near_the_last_line_or_beyond(printed):
+    with training.Bar("A", 1000, "steps") as bar:
+        for done in (950, 1000, 1000, 1024):
+            bar.update(done)
+    with training.Bar("B", 1000, "steps") as bar:
+        for done in (512, 1024, 1024):
+            bar.update(done)
+    assert [line.split(" of")[0] for line in printed()] == ["A: 950", "A: 1,000", "B: 512", "B: 1,024"]
+
+
+def test_progress_lines_are_not_broken_by_the_width_of_the_console(printed):
+    with training.Bar("Training", 10, "steps") as bar:
+        bar.update(10, note="x" * 100)
+    assert len(printed()) == 1
+
+
+def test_progress_on_a_terminal_is_a_bar(monkeypatch):
+    out = io.StringIO()
+    monkeypatch.setattr(training, "console", Console(file=out, force_terminal=True, width=120))
+    with training.Bar("Training", 1000, "steps", 300) as bar:
+        assert bar.live.live.is_started
+        bar.update(600, note="so far")
+        bar.update(advance=50, note="further")
+        assert bar.done == 650
+    assert not bar.live.live.is_started
+    assert "Training" in out.getvalue() and "650/1000" in out.getvalue() and "further" in out.getvalue()
+    assert "Training: " not in out.getvalue()
+
+
+def test_the_bar_on_a_terminal_names_its_unit(monkeypatch):
+    out = io.StringIO()
+    monkeypatch.setattr(training, "console", Console(file=out, force_terminal=True, width=120))
+    with training.Bar("Training", 1000, "steps") as bar:
+        bar.update(600)
+    assert "steps" in out.getvalue(), out.getvalue()
+
+
+def test_a_run_without_a_terminal_reports_its_progress(finished):
+    _, out, _ = finished
+    done = {}
+    for title, count, total in re.findall(r"^(\w+): ([\d,]+) of ([\d,]+) (?:steps|courses)", out, re.MULTILINE):
+        done.setdefault(title, []).append((int(count.replace(",", "")), int(total.replace(",", ""))))
+    assert done["Training"] == [(2048 * k, 8192) for k in (1, 2, 3, 4)]
+    assert done["Tuning"][-1] == (210, 210) and 5 <= len(done["Tuning"]) <= 10  # 42 settings on 5 courses
+    total = 20 * (len(CONTROLLERS) + 1)
+    assert done["Comparing"][-1] == (total, total) and len(done["Comparing"]) <= 10
+    assert "\x1b" not in out
+
+
+# --- the command line -------------------------------------------------------------------------------------------------
+
+
+def test_help_names_every_key(capsys):
+    code, out, err = run(capsys, "--help")
+    assert code == 0 and err == ""
+    assert train.__doc__.strip() in out and "--config" in out and "--resume" in out
+    for f in dataclasses.fields(TrainConfig):
+        if f.name not in ("ppo", "changes"):
+            assert re.search(rf"^ *--{f.name}( |$)", out, re.MULTILINE), f.name
+    for f in dataclasses.fields(PPOConfig):
+        assert f"--ppo.{f.name} " in out, f.name
+        assert str(f.default) in out
+    assert "--changes." in out
+
+
+def test_help_of_the_script_itself():
+    process = start("--help")
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 0 and err == ""
+    assert "--resume RUN" in out and "--timesteps" in out
+
+
+def test_main_reads_the_command_line_by_default(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["train.py", "--curses", "5"])
+    assert train.main() == 2
+    assert "did you mean 'courses'" in capsys.readouterr().err
+
+
+def test_overrides_are_read_as_yaml():
+    arguments = ["--a", "1", "--b.c=x=y", "--b.d", "[1, 2]", "--e-f", "1e6", "--g", "-3", "--b.c", "z", "--h", "{"]
+    read = cli.overrides(arguments)
+    assert read == {"a": 1, "b": {"c": "z", "d": [1, 2]}, "e_f": "1e6", "g": -3, "h": "{"}
+
+
+@pytest.mark.parametrize(
+    "arguments, parts",
+    [
+        (["--timestep", "5"], ["timestep", "did you mean 'timesteps'"]),
+        (["--ppo.gama", "0.9"], ["gama", "did you mean 'gamma'"]),
+        (["--ppo.gamma.x", "0.9"], ["ppo", "gamma"]),
+        (["--changes.cource.length", "5"], ["cource", "did you mean 'course'"]),
+        (["--changes.course.lenght", "5"], ["lenght", "did you mean 'length'"]),
+        (["--changes.soils.dry_snad", "1"], ["dry_snad", "did you mean 'dry_sand'"]),
+        (["--changes.wheel", "paper_vehicel"], ["paper_vehicel", "did you mean 'paper_vehicle'"]),
+        (["--courses", "many"], ["courses", "many", "number"]),
+        (["--courses", "0"], ["courses", "0", "[1, 1e+07]"]),
+        (["--courses", "2.5"], ["courses", "2.5", "whole number"]),
+        (["--ppo.gamma", "1.5"], ["gamma", "1.5", "[0.5, 1]"]),
+        (["--ppo.gamma", ".nan"], ["gamma", "nan"]),
+        (["--ppo.learning_rate", "inf"], ["learning_rate", "inf"]),
+        (["--seed", "-1"], ["seed", "-1", "[0, 2147483647]"]),
+        (["--guide", "fixed_slip", "--guide_settings.slip", "abc"], ["guide_settings.slip = 'abc': expected a number"]),
+        (["--guide", "fixed_slip", "--guide_settings.slip", ".nan"], ["guide_settings.slip", "[0, 0.95]"]),
+        (["--guide", "fixed_slip", "--guide_settings.slip", "-0.1"], ["guide_settings.slip = -0.1"]),
+        (["--guide", "fixed_slip", "--guide_settings.start", "0"], ["guide_settings.start = 0", "(0, 1]"]),
+        (["--guide", "fixed_slip", "--guide_settings.slp", "0.1"], ["guide_settings", "'slp'", "did you mean 'slip'"]),
+        (["--guide", "best_slip_true"], ["best_slip_true", "does not read the observation"]),
+        (["--guide_settings.slip", "0.1"], ["guide_settings", "expected only with a guide"]),
+        (["--trim", "2"], ["trim = 2.0: expected only with a guide"]),
+        (["--scenario", "configs"], ["'configs'", "is a folder"]),
+        (["--seed", "null"], ["seed", "None", "number"]),
+        (["--ppo", "5"], ["ppo", "5"]),
+        (["--changes", "5"], ["changes", "5", "mapping"]),
+        (["--changes.wheel.preset", "[1]"], ["wheel", "[1]", "paper_vehicle"]),
+        (["--changes.course", "5"], ["course", "5"]),
+        (["--changes.course.length", "-5"], ["changes: course.length = -5", "[1, 10000] m"]),
+        (["--scenario", "mixd"], ["mixd", "did you mean 'mixed'"]),
+        (["--scenario", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
+        (["--observation", "seen"], ["observation", "seen", "identified"]),
+        (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
+        (["--config", "configs"], ["configs"]),
+        (["--courses"], ["courses", "value"]),
+        (["--courses", "5", "--seed"], ["seed", "value"]),
+        (["5"], ["'5'", "--key value"]),
+        (["-x", "5"], ["-x", "--key value"]),
+        (["--", "5"], []),
+        (["--name", "a/b"], ["a/b", "name"]),
+        (["--name", "/tmp/x"], ["/tmp/x", "name"]),
+        (["--name", "."], ["name", "'.'"]),
+        (["--name", ".."], [".."]),
+        (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
+        (["--resume", ""], ["--resume", "expected a path"]),
+        (["--resume="], ["--resume", "expected a path"]),
+        (["--resume", "", "--courses", "5"], ["--resume", "expected a path"]),
+        (["--resume", "", "--config", ""], ["--config", "expected a path"]),
+        (["--config", ""], ["--config", "expected a path"]),
+        (["--config="], ["--config", "expected a path"]),
+        (["--config", "", "--courses", "5"], ["--config", "expected a path"]),
+        (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "32768"]),
+        (["--resume"], ["resume"]),
+        (["--config"], ["config"]),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(capsys, tmp_path, monkeypatch, arguments, parts):
+    def no_training(*args):
+        raise AssertionError("training was started")
+
+    monkeypatch.setattr(training, "train", no_training)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "configs").mkdir()
+    runs = [] if arguments[0].startswith("--resume") else [f"--runs={tmp_path / 'runs'}"]
+    if runs and arguments[-1] in ("--courses", "--seed", "--config"):
+        arguments, runs = [*runs, *arguments], []
+    if arguments[-1] in ("--resume", "--config"):  # argparse prints its usage first
+        code, _, err = run(capsys, *arguments, *runs)
+        assert code == 2 and "Traceback" not in err and parts[0] in err
+    else:
+        err = refused(capsys, *arguments, *runs)
+        for part in parts:
+            assert part in err, err
+    assert not list(tmp_path.glob("runs/*")), "a refused run left a folder behind"
+
+
+@pytest.mark.parametrize("value", ["7", "2026-11-20", "on", "1e3", "null", "0x1f", "~", "[a", "a: b", ""])
+def test_any_text_is_a_name(tmp_path, value):
+    """What looks like a number, a date or a switch to YAML is still a name where text is expected."""
+    for arguments in (["--name", value], [f"--name={value}"]):
+        assert load_config(cli.overrides(arguments), "command line").name == value
+    config = load_config(cli.overrides([f"--name={value}", "--runs", str(tmp_path)]), "command line")
+    if value:
+        folder = training.make_run_folder(config, load_scenario())
+        assert folder == tmp_path / value and training.open_run(folder)[0] == config
+
+
+@pytest.mark.parametrize("key", ["scenario", "name", "runs", "observation"])
+def test_keys_of_text_are_not_read_as_yaml(key):
+    assert cli.overrides([f"--{key}", "7"]) == {key: "7"}
+    assert cli.overrides(["--courses", "7"]) == {"courses": 7}
+
+
+def test_a_scenario_named_like_a_number_is_refused_as_a_scenario(capsys, tmp_path):
+    err = refused(capsys, "--scenario", "5", "--runs", tmp_path / "runs")
+    assert "unknown key '5'" in err and "mixed" in err
+    err = refused(capsys, "--observation", "5", "--runs", tmp_path / "runs")
+    assert "'5'" in err and "identified" in err
+
+
+def test_options_are_not_abbreviated(capsys, tmp_path, monkeypatch):
+    """--conf could be a misspelt key: it is not silently taken for --config."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x.yaml").write_text("courses: 0\n")
+    assert "'conf'" in refused(capsys, "--conf", "x.yaml", "--runs", tmp_path / "runs")
+    assert "'conf'" in refused(capsys, "--conf=x.yaml", "--runs", tmp_path / "runs")
+    assert "'resum'" in refused(capsys, "--resum", "x.yaml", "--runs", tmp_path / "runs")
+
+
+@pytest.mark.parametrize("content", ["a: [", "- 1\n- 2\n", "text", "a: b: c"])
+def test_a_config_that_is_no_mapping_is_refused(capsys, tmp_path, content):
+    file = tmp_path / "bad.yaml"
+    file.write_text(content)
+    assert "bad.yaml" in refused(capsys, "--config", file, "--runs", tmp_path / "runs")
+
+
+def test_a_config_that_is_binary_is_refused(capsys, tmp_path):
+    file = tmp_path / "bad.yaml"
+    file.write_bytes(b"\xff\xfe\x00\x01")
+    assert "bad.yaml" in refused(capsys, "--config", file, "--runs", tmp_path / "runs")
+
+
+def test_a_key_of_the_file_is_refused_with_the_file_s_name(capsys, tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("cources: 5\n")
+    err = refused(capsys, "--config", file)
+    assert err.startswith(f"train.py: {file}: ") and "cources" in err and "did you mean 'courses'" in err
+    err = refused(capsys, "--config", file, "--runs", tmp_path / "runs")
+    assert err.startswith(f"train.py: {file} and command line: ") and "did you mean 'courses'" in err
+
+
+def test_a_key_of_the_command_line_is_refused_with_its_name(capsys, tmp_path):
+    assert refused(capsys, "--cources", "5").startswith("train.py: command line: ")
+    file = tmp_path / "mine.yaml"
+    file.write_text("courses: 5\n")
+    err = refused(capsys, "--config", file, "--cources", "5")
+    assert err.startswith(f"train.py: {file} and command line: ")
+
+
+def test_too_little_memory_gives_one_line(capsys, tmp_path, monkeypatch):
+    def fill(*args, **kwargs):
+        raise MemoryError("Unable to allocate 288. GiB")
+
+    monkeypatch.setattr(ppo, "build", fill)
+    err = refused(capsys, *TINY, "--runs", tmp_path, "--name", "n")
+    assert "memory" in err and "288. GiB" in err and "num_envs" in err and "n_steps" in err
+
+
+def test_an_existing_run_is_not_overwritten(capsys, tmp_path):
+    folder = tmp_path / "n"
+    folder.mkdir()
+    (folder / "precious").write_text("x")
+    err = refused(capsys, *TINY, "--runs", tmp_path, "--name", "n")
+    assert str(folder) in err and "exists" in err and "--resume" in err
+    assert [p.name for p in folder.iterdir()] == ["precious"]
+
+
+def test_a_runs_folder_that_is_a_file_is_refused(capsys, tmp_path):
+    (tmp_path / "runs").write_text("x")
+    err = refused(capsys, *TINY, "--runs", tmp_path / "runs", "--name", "n")
+    assert str(tmp_path / "runs") in err
+
+
+def test_a_runs_folder_that_cannot_be_written_is_refused(capsys, tmp_path):
+    locked = tmp_path / "locked"
+    locked.mkdir()
+    locked.chmod(0o500)
+    if os.access(locked, os.W_OK):
+        pytest.skip("this user may write anywhere")
+    err = refused(capsys, *TINY, "--runs", locked, "--name", "n")
+    assert "locked" in err and "Permission" in err
+
+
+def test_resume_takes_no_other_option(capsys, finished):
+    folder, _, _ = finished
+    for extra in (["--courses", "5"], ["--config", "configs/smoke.yaml"]):
+        assert "--resume" in refused(capsys, "--resume", folder, *extra)
+
+
+def test_an_empty_resume_is_refused_within_a_run_folder_too(capsys, tmp_path, monkeypatch):
+    """As `--resume "$RUN"` with RUN unset gives it: it does not mean the working directory."""
+    folder = training.make_run_folder(load_config({"runs": str(tmp_path), "name": "n"}, ""), load_scenario())
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(training, "train", lambda *args: pytest.fail("training was started"))
+    refused(capsys, "--resume", "")
+
+
+def test_resume_of_a_missing_run_names_those_that_exist(capsys, finished):
+    folder, _, _ = finished
+    assert "x" in refused(capsys, "--resume", folder.parent / "y").split("found:")[1]
+
+
+def test_resume_of_a_folder_that_is_no_run_is_refused(capsys, tmp_path):
+    assert "config.yaml" in refused(capsys, "--resume", tmp_path)
+    (tmp_path / "config.yaml").write_text("seed: 1\n")
+    assert "scenario.yaml" in refused(capsys, "--resume", tmp_path)
+
+
+def test_resume_of_a_run_with_a_broken_model_is_refused(capsys, tmp_path):
+    assert run(capsys, *TINY, "--runs", tmp_path, "--name", "n")[0] == 0
+    (tmp_path / "n/model.zip").write_bytes(b"PK")
+    assert "model.zip" in refused(capsys, "--resume", tmp_path / "n")
+
+
+def test_resume_refuses_a_checkpoint_of_another_layout(capsys, tmp_path):
+    assert run(capsys, *TINY, "--runs", tmp_path, "--name", "n")[0] == 0
+    folder = tmp_path / "n"
+    checkpoint = (folder / "model.zip").rename(folder / "checkpoint.zip")
+    edit(checkpoint, observation_names=["skid", *read_meta(checkpoint)["observation_names"][1:]])
+    err = refused(capsys, "--resume", folder)
+    assert "skid" in err and "slip" in err
+
+
+# --- resume -----------------------------------------------------------------------------------------------------------
+
+
+def test_resume_of_a_finished_run_compares_again(capsys, tmp_path):
+    assert run(capsys, *TINY, "--runs", tmp_path, "--name", "n")[0] == 0
+    folder = tmp_path / "n"
+    before, model = (folder / "comparison.json").read_text(), (folder / "model.zip").read_bytes()
+    (folder / "comparison.json").unlink()
+    code, out, err = run(capsys, "--resume", folder)
+    assert code == 0, err
+    assert (folder / "comparison.json").read_text() == before
+    assert (folder / "model.zip").read_bytes() == model
+
+
+def test_a_failure_while_comparing_does_not_lose_the_model(capsys, tmp_path, monkeypatch):
+    def fail(*args, **kwargs):
+        raise OSError(28, "No space left on device", "comparison.json")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "compare", fail)
+        err = refused(capsys, *TINY, "--runs", tmp_path, "--name", "n")
+    assert "No space left" in err and "comparison.json" in err
+    assert load_agent(tmp_path / "n").timesteps == 256
+    code, _, err = run(capsys, "--resume", tmp_path / "n")
+    assert code == 0, err
+
+
+def test_interrupt_saves_a_checkpoint_and_resume_completes(capsys, tmp_path, monkeypatch):
+    """Ctrl-C in the middle of the third of four rollouts."""
+    from agents.sb3 import SoilWheelVecEnv
+
+    step, calls = SoilWheelVecEnv.step_wait, []
+
+    def interrupted(self):
+        calls.append(1)
+        if len(calls) == 40:
+            raise KeyboardInterrupt
+        return step(self)
+
+    folder = tmp_path / "n"
+    with monkeypatch.context() as patch:
+        patch.setattr(SoilWheelVecEnv, "step_wait", interrupted)
+        code, _, err = run(capsys, *TINY, "--timesteps=512", "--runs", tmp_path, "--name", "n")
+    assert code == 130 and f"--resume {folder}" in err and "Traceback" not in err
+    reached = read_meta(folder / "checkpoint.zip")["timesteps"]
+    assert 2 * ROLLOUT < reached < 3 * ROLLOUT
+    seen = []
+    original = ppo.resume
+
+    def spy(*args, **kwargs):
+        model = original(*args, **kwargs)
+        seen.append(model.num_timesteps)
+        return model
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ppo, "resume", spy)
+        code, _, err = run(capsys, "--resume", folder)
+    assert code == 0, err
+    assert seen == [reached]
+    assert {p.name for p in folder.iterdir()} == FILES  # no checkpoint left
+    assert load_agent(folder).timesteps >= 512
+    steps = sum(steps_logged(folder), [])
+    assert steps == sorted(set(steps)) and steps[-1] > reached
+
+
+def test_interrupt_before_any_training_can_be_resumed(capsys, tmp_path, monkeypatch):
+    def interrupt(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "train", interrupt)
+        code, _, err = run(capsys, *TINY, "--runs", tmp_path, "--name", "n")
+    assert code == 130 and "--resume" in err
+    code, _, err = run(capsys, "--resume", tmp_path / "n")
+    assert code == 0, err
+    assert load_agent(tmp_path / "n").timesteps == 256
+
+
+def test_checkpoints_come_as_often_as_asked(capsys, tmp_path, monkeypatch):
+    saved = []
+    original = ppo.save
+
+    def spy(model, path, **more):
+        saved.append((Path(path).name, model.num_timesteps))
+        original(model, path, **more)
+
+    monkeypatch.setattr(ppo, "save", spy)
+    code, _, err = run(capsys, *TINY, "--timesteps=640", "--checkpoint_every=256", "--runs", tmp_path, "--name", "n")
+    assert code == 0, err
+    assert saved == [("checkpoint.zip", 256), ("checkpoint.zip", 512), ("model.zip", 640)]
+
+
+LONG = [*TINY, "--timesteps=100000000", f"--checkpoint_every={ROLLOUT}"]
+
+
+def shorten(folder, extra=2 * ROLLOUT):
+    """Let the run end soon after its checkpoint."""
+    reached = read_meta(folder / "checkpoint.zip")["timesteps"]
+    mapping = yaml.safe_load((folder / "config.yaml").read_text())
+    mapping["timesteps"] = reached + extra
+    (folder / "config.yaml").write_text(yaml.safe_dump(mapping))
+    return reached
+
+
+def test_ctrl_c_on_the_process(capsys, tmp_path):
+    folder = tmp_path / "n"
+    process = start(*LONG, "--checkpoint_every=100000000", "--runs", tmp_path, "--name", "n")
+    wait_for(folder / "tensorboard" / "PPO_0", process)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err and "--resume" in err
+    assert (folder / "checkpoint.zip").is_file() and not (folder / "model.zip").exists()
+    reached = shorten(folder)
+    assert reached > 0
+    code, out, err = run(capsys, "--resume", folder)
+    assert code == 0, err
+    assert reached + 2 * ROLLOUT <= load_agent(folder).timesteps <= reached + 3 * ROLLOUT
+    assert {p.name for p in folder.iterdir()} == FILES
+
+
+def test_kill_after_a_checkpoint(capsys, tmp_path):
+    """kill -9 in a run that writes checkpoints all the time: it can always be resumed."""
+    folder = tmp_path / "n"
+    process = start(*LONG, "--runs", tmp_path, "--name", "n")
+    wait_for(folder / "checkpoint.zip", process)
+    time.sleep(0.3)
+    process.kill()
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    assert not (folder / "model.zip").exists()
+    reached = shorten(folder)
+    assert reached % ROLLOUT == 0 and reached > 0
+    code, out, err = run(capsys, "--resume", folder)
+    assert code == 0, err
+    assert f"{reached:,}" in out
+    assert load_agent(folder).timesteps == reached + 2 * ROLLOUT
+    assert not list(folder.glob("checkpoint*"))
+    first, *rest = steps_logged(folder)
+    assert [p.name for p in (folder / "tensorboard").iterdir()] == ["PPO_0"]
+    assert len(rest) == 1 and rest[0] and all(step > reached for step in rest[0])
+
+
+@pytest.mark.parametrize("moment", ["written", "half written"])
+def test_kill_while_a_checkpoint_is_replaced(capsys, tmp_path, monkeypatch, moment):
+    """Killed while it replaces its second checkpoint: the run can still be resumed, from the first."""
+    replace, count = os.replace, []
+
+    class Killed(BaseException):
+        pass
+
+    def killed(source, target):
+        if Path(target).name.startswith("checkpoint"):
+            count.append(target)
+            if len(count) == 2:
+                if moment == "half written":
+                    os.truncate(source, os.stat(source).st_size // 2)
+                raise Killed
+        replace(source, target)
+
+    folder = tmp_path / "n"
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", killed)
+        with pytest.raises(Killed):
+            run(capsys, *TINY, "--timesteps=512", f"--checkpoint_every={ROLLOUT}", "--runs", tmp_path, "--name", "n")
+    assert read_meta(folder / "checkpoint.zip")["timesteps"] == ROLLOUT
+    code, out, err = run(capsys, "--resume", folder)
+    assert code == 0, err
+    assert f"Resuming at {ROLLOUT} of 512 steps" in out
+    assert load_agent(folder).timesteps == 512
+    assert {p.name for p in folder.iterdir()} == FILES
+
+
+def test_a_run_that_was_killed_ends_as_one_that_was_not(capsys, tmp_path, monkeypatch):
+    """Killed after a checkpoint, in the middle of the next rollout: the same weights, the same table."""
+    arguments = [*TINY, "--timesteps=640", f"--checkpoint_every={2 * ROLLOUT}", "--runs", tmp_path]
+    assert run(capsys, *arguments, "--name", "calm")[0] == 0
+
+    class Killed(BaseException):
+        pass
+
+    def killed(self):
+        if self.num_timesteps >= 3 * ROLLOUT + 40:
+            raise Killed
+        return True
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training._Watch, "_on_step", killed)
+        with pytest.raises(Killed):
+            run(capsys, *arguments, "--name", "killed")
+    code, out, err = run(capsys, "--resume", tmp_path / "killed")
+    assert code == 0, err
+    assert f"Resuming at {2 * ROLLOUT} of 640 steps" in out
+    for name in ("comparison.json", "comparison.csv"):
+        assert (tmp_path / "calm" / name).read_bytes() == (tmp_path / "killed" / name).read_bytes()
+    calm, resumed = (load_agent(tmp_path / name) for name in ("calm", "killed"))
+    assert calm.mean.tolist() == resumed.mean.tolist() and calm.sd.tolist() == resumed.sd.tolist()
+    weights = [agent.model.policy.state_dict() for agent in (calm, resumed)]
+    assert all((weights[0][key] == weights[1][key]).all() for key in weights[0])
+
+
+# --- what it is called ------------------------------------------------------------------------------------------------
+
+
+def test_an_installed_command_names_itself(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/soil-env-train", "--courses", "0"])
+    assert cli.main() == 2
+    assert capsys.readouterr().err.startswith("soil-env-train: command line: courses = 0")
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(training, "train", interrupted)
+    assert cli.main(["--runs", str(tmp_path), "--name", "a"]) == 130
+    assert f"go on with: soil-env-train --resume {tmp_path / 'a'}" in capsys.readouterr().err
+
+
+def test_recurrent_ppo_without_its_package_leaves_no_run_folder(capsys, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
+    assert cli.main(["--runs", str(tmp_path / "runs"), "--algorithm", "recurrent_ppo"]) == 2
+    assert "needs sb3-contrib" in capsys.readouterr().err and not (tmp_path / "runs").exists()
+
+
+def test_a_shipped_config_is_found_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert load_config(yaml.safe_load(cli.config_file("smoke.yaml").read_text()), "x").timesteps == 8192
+    (tmp_path / "smoke.yaml").write_text("timesteps: 5\n")
+    assert cli.config_file("smoke.yaml") == Path("smoke.yaml")
+    assert cli.config_file("no/smoke.yaml") == Path("no/smoke.yaml")

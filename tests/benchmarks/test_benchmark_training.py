@@ -1,0 +1,57 @@
+"""The benchmark of training runs, goes on where it stopped, and its committed page is what its figures say."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from agents.ppo import PPOConfig
+from benchmarks import training, training_page
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+@pytest.fixture()
+def committed():
+    return json.loads((DOCS / "training.json").read_text(encoding="utf-8"))
+
+
+def no_learning(*arguments):
+    raise AssertionError("a training was started")
+
+
+def test_smoke_run_and_again(tmp_path, monkeypatch):
+    assert training.main(["--smoke", "--out", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "training.json").read_text(encoding="utf-8"))
+    assert [run["part"] for run in result["runs"]] == ["layouts", "finalists"]
+    for run in result["runs"]:
+        wall = [point["wall"] for point in run["points"]]
+        assert wall == sorted(wall) and run["points"][-1]["steps"] == run["timesteps"] > 0
+        assert sum(run["seconds"].values()) == pytest.approx(wall[-1])
+        shares = [run["points"][-1][m] for m in ("finished", "immobilised", "time_limit")]
+        assert sum(shares) == pytest.approx(1.0)
+    assert len(result["update"]) == 5
+    assert all(0.0 < c["update"]["low"] < c["step"]["high"] for c in result["update"].values())
+    assert (tmp_path / "training.png").stat().st_size > 10_000
+    monkeypatch.setattr(training, "learn", no_learning)
+    monkeypatch.setattr(training, "costs", no_learning)
+    (tmp_path / "time.json").write_text('{"seconds": {"env": 12.0, "update": 36.0}}', encoding="utf-8")
+    assert training.main(["--smoke", "--out", str(tmp_path), "--run", str(tmp_path)]) == 0
+    assert "| env | 12 | 25% |" in (tmp_path / "training.md").read_text(encoding="utf-8")
+
+
+def test_the_committed_study_is_whole(committed, tmp_path, monkeypatch):
+    monkeypatch.setattr(training, "learn", no_learning)
+    training.study(training.jobs(smoke=False), committed, tmp_path / "x.json", print)
+
+
+def test_the_committed_page_has_the_committed_figures(committed, tmp_path):
+    training_page.write(committed, DOCS / "training.md", tmp_path / "training.md")
+    assert (tmp_path / "training.md").read_text(encoding="utf-8") == (DOCS / "training.md").read_text(encoding="utf-8")
+
+
+def test_the_default_layout_is_a_finalist():
+    """But for its weight on the entropy, which was chosen afterwards (docs/training.md)."""
+    default = training.name(PPOConfig(ent_coef=0.0))
+    found = [config for config, _, _ in training.LONG if training.name(config) == default]
+    assert len(found) == 1

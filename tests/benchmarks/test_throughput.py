@@ -1,0 +1,99 @@
+"""The benchmark of speed runs and writes its page; the work of a step does not depend on the course or its age."""
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks import throughput, throughput_page
+from soil_env.parameters import load_scenario
+from soil_env.simulation.worlds import Simulation
+
+
+def test_smoke_run_measures_every_part(tmp_path):
+    assert throughput.main(["--smoke", "--out", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "performance.json").read_text(encoding="utf-8"))
+    for who in ("vector", "single"):
+        assert result["targets"][who]["ours"]["median"] > 0.0
+        assert "ratio" in result["targets"][who] or result["notes"]
+    parts = result["parts"]
+    assert all(v["low"] >= 0.0 for v in parts["us"].values())
+    assert 0.0 < parts["solves_a_step"] < 1.0 and 0.0 <= parts["resets_a_step"] < 0.2
+    assert {"dynamics", "identification", "sensors", "ground"} == set(result["limit"]["us"])
+    assert max(v["high"] for v in result["accuracy"].values()) < 1e-4
+    page = (tmp_path / "performance.md").read_text(encoding="utf-8")
+    assert all(f"<!-- {name} -->" in page for name in throughput_page.SECTIONS)
+
+
+def test_page_without_a_section_is_refused(tmp_path):
+    template = tmp_path / "page.md"
+    template.write_text("<!-- machine -->\n<!-- end -->\n", encoding="utf-8")
+    with pytest.raises(ValueError, match="1 figures, expected"):
+        throughput_page.write({"machine": throughput.machine()}, template, tmp_path / "out.md")
+
+
+def step_spoilt(sim, k, command):
+    """`sim.step` while all of course k but the patches and cells beside the wheel is NaN, and unused points too.
+
+    The last patch drawn stays as well: the next may be drawn in this step, and joins it.
+    """
+    courses, w = sim.worlds.courses, sim.worlds.state[k]
+    last = courses.patches[k] - 1
+    patches, edges, cells = (np.arange(a.shape[1]) for a in (courses.soils, courses.edges, courses.modulus))
+    far = {
+        "soils": (np.abs(patches - w["patch"]) > 1) & (patches < last),
+        "grades": (np.abs(patches - w["patch"]) > 1) & (patches < last),
+        "margins": patches < last,
+        "edges": (edges < w["patch"] - 1) | ((edges > w["patch"] + 2) & (edges < last)),
+        "modulus": np.abs(cells - w["cell"]) > 3,
+        "rut": np.abs(cells - w["cell"]) > 3,
+    }
+    kept = {name: getattr(courses, name)[k, where].copy() for name, where in far.items()}
+    for name, where in far.items():
+        getattr(courses, name)[k, where] = np.nan
+    sim.worlds.ids.points[k, sim.worlds.ids.count[k] :] = np.nan
+    sim.step(k, command)
+    for name, where in far.items():
+        getattr(courses, name)[k, where] = kept[name]
+
+
+@pytest.mark.parametrize("length", [10.0, 200.0])
+def test_a_step_reads_nothing_but_what_is_beside_the_wheel(length):
+    """So its cost can depend neither on the length of the course nor on how far the wheel has come."""
+    changes = {
+        "course": {"length": length, "margin": [0.2, 0.25], "grade_deg": [-6.0, 2.0]},
+        "control": {"time_limit": 900.0},
+    }
+    sims = [Simulation(4, load_scenario("mixed", changes), "true_soil", threads=1) for _ in range(2)]
+    rng, far = np.random.default_rng(0), 0.0
+    for sim in sims:
+        for k in range(4):
+            sim.seed(k, np.random.default_rng(k))
+            sim.restart(k)
+    for _ in range(150):
+        commands = rng.uniform(0.2, 0.6, 4)
+        for k in range(4):
+            sims[0].step(k, commands[k])
+            step_spoilt(sims[1], k, commands[k])
+            if sims[0].worlds.cause[k]:
+                for sim in sims:
+                    sim.restart(k)
+        for name in ("state", "observation", "reward"):
+            np.testing.assert_array_equal(getattr(sims[0].worlds, name), getattr(sims[1].worlds, name), name)
+        np.testing.assert_array_equal(sims[0].worlds.ids.estimate, sims[1].worlds.ids.estimate)
+        far = max(far, sims[0].worlds.state["x"].max())
+    assert far > 4.0
+
+
+def test_work_of_a_wheel_is_bounded_by_its_arrays():
+    """A longer course adds only patches and cells; nothing else of a wheel grows with the course or the time limit."""
+
+    def size(length, limit):
+        w = Simulation(
+            1, load_scenario("mixed", {"course": {"length": length}, "control": {"time_limit": limit}}), "blind"
+        ).worlds
+        return {"courses": sum(a.nbytes for a in w.courses), "rest": w.state.nbytes + sum(a.nbytes for a in w.ids)}
+
+    short, long, late = size(10.0, 90.0), size(100.0, 90.0), size(10.0, 900.0)
+    assert long["courses"] > 5 * short["courses"] and long["rest"] == short["rest"]
+    assert late == short

@@ -1,0 +1,262 @@
+"""The converter of the CMU single-wheel data: a file made here, the data themselves where they are, bad input."""
+
+import csv
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from soil_env.discrepancy.cmu import FITS, PUBLISHED, convert, main, plate_prior
+from soil_env.measurement.table import read_setup, read_table
+
+DATA = Path(os.environ.get("SOIL_ENV_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+CMU = DATA / "cmu_single_wheel"
+measured = pytest.mark.skipif(not CMU.is_dir(), reason=f"no measured data in {CMU}")
+WHEELS = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}
+NAMES = tuple(WHEELS.values())
+
+# slip angle, commanded and measured rim speed [mm/s], forces along, across and up in the sensor's frame, Z [mm]
+TRIALS = (
+    (0, 20, 20.0, 0.5, -0.8, -25.0, -22.5),
+    (30, 20, 20.0, 9.0, 3.0, -25.0, -30.0),
+    (0, 5, 5.0, 0.0, 17.0, -23.0, -24.0),
+    (0, 10, 9.99, 0.1, 1.4, -24.0, -14.0),
+    (0, 20, 20.02, 0.4, -1.3, -24.5, -22.0),
+)
+
+
+def saved(folder, trials=TRIALS, names=NAMES, **changes):
+    """`folder` with .mat files of the repository's structure: a column of structs of 1 x 1 cells of mixed types."""
+    folder.mkdir(parents=True, exist_ok=True)
+    fields = ("avg_Fx", "avg_Fy", "avg_Fz", "avg_Vx", "avg_Vry", "avg_Z", "polyx", "Vry", "beta", "trial_num", "slip")
+    results = np.empty((len(trials), 1), dtype=[(f, "O") for f in fields])
+    for k, (beta, command, rim, fx, fy, fz, z) in enumerate(trials):
+        slip = (rim - 10) / max(10, rim)
+        cells = (fx, fy, fz, 9.99, rim, np.float32(z), np.ones((1, 2), np.float32), np.uint8(command), np.uint8(beta))
+        results[k, 0] = (*cells, np.uint8(1), slip)
+        for field, value in changes.items():
+            results[k, 0][field] = value
+    for name in names:
+        savemat(folder / name, {"all_results": results})
+    return folder
+
+
+def refusal(arguments, capsys, out):
+    """The one line with which the command refuses; nothing is written."""
+    before = sorted(out.rglob("*")) if out.is_dir() else None
+    assert main([*map(str, arguments), "--out", str(out)]) == 2
+    captured = capsys.readouterr()
+    assert (
+        captured.out == "" and captured.err.count("\n") == 1 and captured.err.startswith("soil_env.discrepancy.cmu: ")
+    )
+    assert (sorted(out.rglob("*")) if out.is_dir() else None) == before
+    return captured.err
+
+
+@pytest.mark.parametrize("inside", [".", "raw-data-processing"])
+def test_tables_and_setups_of_a_made_file(tmp_path, capsys, inside):
+    saved(tmp_path / "clone" / inside)
+    assert main([str(tmp_path / "clone"), "--out", str(tmp_path / "out" / "deep")]) == 0
+    assert capsys.readouterr().out.count("3 runs, 2 rim speeds") == 2
+    out = tmp_path / "out" / "deep"
+    assert sorted(p.name for p in out.iterdir()) == [
+        "grouser.csv", "grouser.setup.yaml", "smooth.csv", "smooth.setup.yaml",
+    ]  # fmt: skip
+    setup = read_setup(out / "smooth.setup.yaml")
+    table = read_table(out / "smooth.csv", setup.wheel)
+    assert list(table.run) == ["smooth rim 10 mm/s #1", "smooth rim 20 mm/s #1", "smooth rim 20 mm/s #2"]
+    np.testing.assert_allclose(table.slip, [-0.001, 0.5, 10.02 / 20.02], atol=1e-7)
+    np.testing.assert_allclose(table.load, [24.0, 25.0, 24.5])
+    np.testing.assert_allclose(table.sinkage, [0.014, 0.0225, 0.022])
+    np.testing.assert_allclose(table.drawbar_pull, [-1.4, 0.8, 1.3])
+    assert set(table.speed) == {0.01} and set(table.time) == {72.5} and "torque" not in table.given
+    assert (setup.wheel.radius, setup.wheel.width, setup.wheel.grouser_height) == (0.058, 0.05, 0.0)
+    assert read_setup(out / "grouser.setup.yaml").wheel.grouser_height == 0.005
+    assert (setup.soil.sinkage_coefficient.value, setup.soil.sinkage_exponent.value) == (8e6, 1.46)
+    assert setup.soil.cohesion is None and setup.soil.shear_modulus is None and setup.noise.sinkage is None
+    assert setup.soil.friction_angle_deg.value == 29 and setup.soil.density.known
+
+
+def test_braking_rows_on_demand(tmp_path):
+    out = tmp_path / "out"
+    convert(saved(tmp_path / "in"), out)
+    assert len(read_table(out / "smooth.csv")) == 3
+    assert main([str(tmp_path / "in"), "--out", str(out), "--braking"]) == 0
+    table = read_table(out / "smooth.csv")
+    assert len(table) == 4 and table.slip[0] == -0.5 and table.drawbar_pull[0] == -17.0
+
+
+def test_the_priors_keep_the_scatter_of_the_pressure(tmp_path):
+    """Plates drawn with ln k and n correlated: the priors keep the scatter of ln p at 20 mm, of ln k at one n."""
+    rng = np.random.default_rng(3)
+    n = 1.5 + 0.1 * rng.standard_normal(4000)
+    log_k = math.log(6e6) + 2.0 * (n - 1.5) + 0.2 * rng.standard_normal(n.size)
+    rows = [f"plate,{math.exp(x) / 1e3:.8g},{y:.8g}" for x, y in zip(log_k, n, strict=True)]
+    path = tmp_path / FITS
+    path.write_text("\n".join(["kind,k_kN_m_n2,n", "grouser_wheel,9e9,3", *rows]) + "\n")
+    prior = plate_prior(path)
+    assert prior.exponent == pytest.approx(1.5, abs=0.01)
+    pressure = prior.coefficient * 0.02**prior.exponent
+    assert pressure == pytest.approx(6e6 * 0.02**1.5, rel=0.02)
+    assert prior.coefficient_sd / prior.coefficient == pytest.approx(0.2, rel=0.05)
+    scatter = math.hypot(0.2, 0.1 * (2.0 + math.log(0.02)))  # of ln p(20 mm) = ln k + n ln z
+    implied = math.hypot(prior.coefficient_sd / prior.coefficient, math.log(0.02) * prior.exponent_sd)
+    assert implied == pytest.approx(scatter, rel=0.05)
+
+
+def missing_file(folder):
+    saved(folder, names=[WHEELS["smooth"]])
+    return ["all_grouser_data.mat not found"]
+
+
+def no_files(folder):
+    folder.mkdir()
+    return ["expected all_smooth_data.mat and all_grouser_data.mat"]
+
+
+def a_file(folder):
+    folder.write_text("")
+    return ["is a file: expected a folder"]
+
+
+def absent(folder):
+    return ["not found: expected a folder"]
+
+
+def other_variable(folder):
+    savemat(saved(folder) / WHEELS["grouser"], {"trench": np.ones(3)})
+    return ["all_grouser_data.mat", "no variable all_results"]
+
+
+def other_type(folder):
+    savemat(saved(folder) / WHEELS["grouser"], {"all_results": np.ones((3, 1))})
+    return ["no field beta, Vry"]
+
+
+def no_matlab_file(folder):
+    (saved(folder) / WHEELS["grouser"]).write_text("version https://git-lfs.github.com/spec/v1\noid sha256:1\n")
+    return ["not a whole MATLAB 5 file"]
+
+
+def empty_file(folder):
+    (saved(folder) / WHEELS["grouser"]).write_bytes(b"")
+    return ["all_grouser_data.mat", "not a whole MATLAB 5 file"]
+
+
+def truncated_file(folder):
+    path = saved(folder) / WHEELS["grouser"]
+    path.write_bytes(path.read_bytes()[:700])
+    return ["all_grouser_data.mat", "not a whole MATLAB 5 file"]
+
+
+def no_number(folder):
+    saved(folder, avg_Fz=np.nan)
+    return ["all_results(1), avg_Fz is no finite number"]
+
+
+def no_cell(folder):
+    saved(folder, avg_Fy=np.ones(2))
+    return ["all_results(1), avg_Fy is no finite number"]
+
+
+def other_sign(folder):
+    saved(folder, avg_Fz=24.0)
+    return ["avg_Fz = 24: expected < 0 N"]
+
+
+def other_unit(folder):
+    saved(folder, avg_Z=-240.0)
+    return ["avg_Z = -240: expected mm"]
+
+
+def other_slip(folder):
+    saved(folder, slip=0.7)
+    return ["all_results(1), slip = 0.7: expected", "= 0.5 for avg_Vry = 20 mm/s"]
+
+
+def only_oblique(folder):
+    saved(folder, beta=np.uint8(15))
+    return ["none of its 5 runs is left", "beta = 0 at a rim speed >= 10 mm/s"]
+
+
+def broken_fits(folder):
+    (saved(folder) / FITS).write_text("kind,k,n\nplate,1,2\n")
+    return [FITS, "expected columns kind, k_kN_m_n2, n"]
+
+
+def few_fits(folder):
+    (saved(folder) / FITS).write_text("kind,k_kN_m_n2,n\nplate,8e3,1.4\n")
+    return ["1 plate tests: expected 4 or more"]
+
+
+BAD = (missing_file, no_files, a_file, absent, other_variable, other_type, no_matlab_file, empty_file, truncated_file,
+       no_number, no_cell, other_sign, other_unit, other_slip, only_oblique, broken_fits, few_fits)  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD, ids=lambda case: case.__name__)
+def test_bad_input_is_one_line_and_nothing_written(tmp_path, capsys, case):
+    words = case(tmp_path / "in")
+    message = refusal([tmp_path / "in"], capsys, tmp_path / "out")
+    assert all(word in message for word in words), message
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_place_that_cannot_be_written_keeps_what_was_there(tmp_path, capsys):
+    saved(tmp_path / "in")
+    (tmp_path / "file").write_text("kept")
+    assert "is a file: expected a folder" in refusal([tmp_path / "in"], capsys, tmp_path / "file")
+    (tmp_path / "out" / "smooth.setup.yaml").mkdir(parents=True)
+    assert "is a folder" in refusal([tmp_path / "in"], capsys, tmp_path / "out")
+
+
+# --- the measured data ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def converted(tmp_path_factory):
+    """Folder with what the converter makes of the measured data, braking rows too."""
+    out = tmp_path_factory.mktemp("cmu")
+    convert(CMU, out, braking=True)
+    return out
+
+
+@measured
+@pytest.mark.parametrize("wheel", WHEELS)
+def test_the_measured_rows_are_those_of_the_derived_table(converted, wheel):
+    """Against cmu_wheel_steady.csv, derived from the same files by another program (five digits)."""
+    table = read_table(converted / f"{wheel}.csv", read_setup(converted / f"{wheel}.setup.yaml").wheel)
+    with (CMU / "cmu_wheel_steady.csv").open(newline="") as stream:
+        rows = [row for row in csv.DictReader(stream) if row["wheel"] == wheel and float(row["slip_angle_deg"]) == 0]
+    assert len(table) == len(rows) == 27 and len(set(table.run)) == 27
+    keys = {"slip": 1.0, "Fz_load_N": 1.0, "sinkage_mm": 1e-3, "Fx_drawbar_N": 1.0}
+    expected = np.array([[factor * float(row[key]) for key, factor in keys.items()] for row in rows])
+    got = np.column_stack([table.slip, table.load, table.sinkage, table.drawbar_pull])
+    order = [values[np.lexsort(values[:, :2].round(3).T)] for values in (expected, got)]
+    np.testing.assert_allclose(order[1], order[0], rtol=1e-4, atol=1e-6)
+
+
+@measured
+def test_the_measured_runs_by_default(tmp_path):
+    runs = convert(CMU, tmp_path)
+    for wheel, of_wheel in runs.items():
+        commands = [run.rim_command for run in of_wheel]
+        assert commands == [speed for speed in (10, 12, 20, 40, 100) for _ in range(3)]
+        assert min(run.slip for run in of_wheel) > -0.006 and max(run.slip for run in of_wheel) < 0.9
+        assert all(21.0 < run.load < 28.0 for run in of_wheel)
+        assert len(read_table(tmp_path / f"{wheel}.csv")) == 15
+
+
+@measured
+def test_the_prior_of_the_measured_plates():
+    """Beside what the repository rounds its own fits to; the pressure at 20 mm is compared, not k and n apart."""
+    prior = plate_prior(CMU / FITS)
+    pressure, published = (p.coefficient * 0.02**p.exponent for p in (prior, PUBLISHED))
+    assert pressure == pytest.approx(published, rel=0.05)
+    assert prior.exponent == pytest.approx(PUBLISHED.exponent, abs=0.03)
+    assert prior.coefficient_sd / prior.coefficient == pytest.approx(
+        PUBLISHED.coefficient_sd / PUBLISHED.coefficient, rel=0.1
+    )
+    assert prior.exponent_sd == pytest.approx(PUBLISHED.exponent_sd, rel=0.1)

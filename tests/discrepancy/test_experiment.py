@@ -1,0 +1,214 @@
+"""The next test: it separates what the table did not, can be run, and says so."""
+
+import copy
+import dataclasses
+
+import numpy as np
+import pytest
+
+from soil_env.discrepancy.calibrate import Choice
+from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.experiment import (
+    DEEPEST,
+    LEAST,
+    SLIPS,
+    conditions,
+    in_words,
+    next_tests,
+    separating,
+    undecided,
+)
+from soil_env.discrepancy.search import Finding, Named, judge
+from soil_env.parameters import Soil
+from soil_env.terramechanics.model import WheelSoilModel
+from tests.discrepancy.tables import NOISE, WHEEL, problem, table
+
+ONE_LOAD = {"loads": (150.0,)}
+
+
+def rivals(effects, names, seed=1, **plan):
+    """(problem, candidates) of a table with hidden effects."""
+    p = problem(table(effects, **plan), np.random.default_rng(seed))
+    return p, [judge(p, p.fit((Choice(name, 0),), slack=False)) for name in names]
+
+
+def model(candidate):
+    """`WheelSoilModel` of a candidate."""
+    values = {k: float(v) for k, v in candidate.fit.parameters().items()}
+    effects = {}
+    for c in candidate.fit.choices:
+        effects[c.effect] = {k[len(c.effect) + 1 :]: values.pop(k) for k in c.free} | {
+            k[len(c.effect) + 1 :]: v for k, v in c.fixed.items()
+        }
+    return WheelSoilModel(WHEEL, Soil(**values, density=1600.0, dig_gain=0.0), effects)
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Bulldozing hidden in a table of one load, where an offset of the sinkage does as well."""
+    return rivals({"bulldozing": {"rankine": 0.5}}, ("bulldozing", "sinkage_offset"), **ONE_LOAD)
+
+
+def test_expected_difference_is_that_of_the_models(case):
+    p, candidates = case
+    tests = separating(p, candidates)
+    assert tests
+    for t in tests:
+        assert t.separates == ("bulldozing", "sinkage_offset")
+        a, b = (getattr(model(c).predict(t.conditions), t.channel)[0] for c in candidates)
+        difference = abs(a - b) / NOISE[CHANNELS.index(t.channel)]
+        assert LEAST <= t.expected_sigma < difference  # the uncertainty of the predictions takes its share
+
+
+def test_uncertainty_of_the_predictions_is_the_spread_of_refits(case):
+    """The sd of a prediction against refits to 60 tables, priors drawn anew."""
+    p, candidates = case
+    t = separating(p, candidates[:2])[0]
+    rng = np.random.default_rng(2)
+    truth = model(candidates[0])
+    at, j = t.conditions, CHANNELS.index(t.channel)
+    base = np.stack(truth.predict(p.data.table)[:3], axis=1)
+    centre = {k.name: k.at(v) for k, v in zip(p.soil, candidates[0].fit.parameters().values(), strict=False)}
+    errors = {c.names[0]: [] for c in candidates}
+    for _ in range(60):
+        q = copy.copy(p)
+        q.data = dataclasses.replace(p.data, y=base + NOISE * rng.normal(size=base.shape))
+        q.soil = tuple(k._replace(mean=k.mean + k.sd * (centre[k.name] + rng.normal())) for k in p.soil)
+        for c in candidates:
+            fitted = dataclasses.replace(c, fit=q.fit(c.fit.choices, start=c.fit.parameters(), slack=False))
+            errors[c.names[0]].append(getattr(model(fitted).predict(at), t.channel)[0] / NOISE[j])
+    mean = [np.mean(e) for e in errors.values()]
+    spread = np.sqrt(1.0 + sum(np.var(e) for e in errors.values()))
+    assert abs(mean[0] - mean[1]) / spread == pytest.approx(t.expected_sigma, rel=0.35)
+
+
+def test_running_it_decides(case):
+    """The proposed run, made in the true world, tells the candidates apart; a run amid the table does not."""
+    p, candidates = case
+    t = separating(p, candidates)[0]
+    truth = model(candidates[0])
+
+    def told(at, repeats=6):
+        """Gain of the true candidate's lead in log evidence by runs at a condition."""
+        lead = []
+        for extra in (0, repeats):
+            y = np.concatenate([p.data.y, np.tile(np.stack(truth.predict(at)[:3], axis=1), (extra, 1))])
+            rows = type(p.data.rows)(*(
+                np.concatenate([old, np.tile(new, (extra,) + (1,) * (old.ndim - 1))])
+                for old, new in zip(p.data.rows, rows_at(p, at), strict=True)
+            ))  # fmt: skip
+            q = copy.copy(p)
+            q.data, q.used = dataclasses.replace(p.data, y=y, rows=rows), np.ones_like(y, dtype=bool)
+            a, b = (q.fit(c.fit.choices, start=c.fit.parameters(), slack=False).evidence for c in candidates)
+            lead.append(a - b)
+        return lead[1] - lead[0]
+
+    middle = {"slip": 0.2, "load": 150.0, "speed": 0.06}
+    assert told(t.conditions) > 3.0
+    assert told(t.conditions) > 5.0 * abs(told(middle))
+
+
+def rows_at(p, at):
+    """One row of the conditions, as the arrays of `Rows` with a leading axis of 1."""
+    rows = p.data.rows
+    return (np.array([at["slip"]]), np.array([at["load"]]), rows.wheels[:1], np.array([[at["speed"], 1.0, 0.0]]))
+
+
+def test_every_test_can_be_run(case):
+    p, candidates = case
+    for t in separating(p, candidates):
+        assert t.conditions["slip"] in SLIPS
+        assert 75.0 <= t.conditions["load"] <= 300.0
+        assert t.conditions["speed"] == pytest.approx(0.06)  # no candidate knows it
+        assert t.conditions.keys() == {"slip", "load", "speed"}
+        assert t.expected_sigma >= LEAST
+        for c in candidates:
+            found = model(c).predict(t.conditions)
+            assert found.floating
+            assert found.sinkage[0] < DEEPEST * WHEEL.radius + 0.02
+
+
+def test_a_buried_wheel_is_no_test(case):
+    """On a soil fifteen times softer the telling loads would bury the wheel."""
+    p, candidates = case
+    soft = []
+    for c in candidates:
+        k = [x.name for x in c.fit.unknowns].index("sinkage_coefficient")
+        u = c.fit.u.copy()
+        u[k] = c.fit.unknowns[k].at(5e4)
+        soft.append(dataclasses.replace(c, fit=dataclasses.replace(c.fit, u=u)))
+    tests = separating(p, soft)
+    assert tests
+    for t in tests:
+        for c in soft:
+            plain = WheelSoilModel(WHEEL, model(c).soil).predict(t.conditions)
+            assert plain.floating
+            assert plain.sinkage[0] < DEEPEST * WHEEL.radius
+    heavy = WheelSoilModel(WHEEL, model(soft[0]).soil).predict({"slip": 0.1, "load": 300.0})
+    assert heavy.sinkage[0] > DEEPEST * WHEEL.radius
+
+
+def test_tests_differ(case):
+    p, candidates = case
+    tests = separating(p, candidates)
+    assert len({(t.channel, *t.conditions.values()) for t in tests}) == len(tests) > 1
+
+
+def test_grid_has_what_a_candidate_knows():
+    p, candidates = rivals({}, ("penetration_rate", "multipass", "grade", "bulldozing"))
+    known = {c.names[0]: conditions(p, [c]).value for c in candidates}
+    assert np.unique(known["penetration_rate"]["speed"]) == pytest.approx([0.018, 0.06, 0.18])
+    assert set(known["multipass"]["pass"]) == {1.0, 2.0, 3.0}
+    assert set(known["grade"]["grade_deg"]) == {-10.0, 0.0, 10.0}
+    assert set(np.unique(known["bulldozing"]["load"])) == {50.0, 100.0, 150.0, 220.0, 440.0}
+    for name in ("speed", "pass", "grade_deg"):
+        assert len(set(known["bulldozing"][name])) == 1
+
+
+def test_speed_that_is_not_known_is_not_asked_for(case):
+    p, candidates = case
+    p = copy.copy(p)
+    rows = p.data.rows
+    p.data = dataclasses.replace(p.data, rows=rows._replace(conditions=rows.conditions * [0.0, 1.0, 1.0]))
+    assert all("speed" not in t.conditions and "m/s" not in t.words for t in separating(p, candidates))
+
+
+def test_channel_that_was_not_measured_is_not_asked_for(case):
+    p, candidates = case
+    first = separating(p, candidates)[0].channel
+    p = copy.copy(p)
+    p.used = p.used.copy()
+    p.used[:, CHANNELS.index(first)] = False
+    tests = separating(p, [judge(p, p.fit(c.fit.choices, slack=False)) for c in candidates])
+    assert all(t.channel != first for t in tests)
+
+
+def test_who_is_left():
+    p, found = rivals({"bulldozing": {"rankine": 0.5}}, ("bulldozing", "sinkage_offset", "grousers"), **ONE_LOAD)
+    a, b, c = (dataclasses.replace(x, score=s) for x, s in zip(found, (20.0, 18.0, -90.0), strict=True))
+    base = judge(p, p.fit())
+
+    def finding(verdict, *named):
+        return Finding(verdict, named, base, a if named else base, (a, b, c), (), {}, 0.0)
+
+    assert undecided(finding("none")) == ()
+    assert next_tests(p, finding("none")) == ()
+    ambiguous = finding("ambiguous", Named("bulldozing", ("sinkage_offset",)))
+    assert undecided(ambiguous) == (a, b)
+    assert next_tests(p, ambiguous) == separating(p, (a, b))
+    assert undecided(finding("named", Named("bulldozing", ()))) == (a, b)  # the third is beaten for good
+    assert undecided(finding("unlisted")) == (a, b)
+    assert separating(p, (a,)) == ()
+
+
+def test_words():
+    words = in_words(
+        {"slip": 0.6, "load": 220.0, "speed": 0.2, "pass": 2.0, "grade_deg": 0.0},
+        "drawbar_pull",
+        ("grousers", "bulldozing"),
+        4.14,
+    )
+    assert words == (
+        "slip 0.6 at load 220 N, 0.2 m/s and pass 2: grousers against bulldozing, expected to differ by 4.1 sd in "
+        "drawbar pull"
+    )

@@ -1,0 +1,166 @@
+"""Where a table and a model disagree: planted boxes are found, chance is not, and the words say what the numbers do."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from soil_env.discrepancy.locate import SIGNIFICANT, boxes, describe, locate
+from tests.discrepancy.tables import NOISE, problem, table
+
+SPEEDS = (0.02, 0.06, 0.2)
+
+
+def test_chance_is_told_as_often_as_it_claims():
+    """100 tables without any misfit: at a rate of 1 in 100, 6 or more alarms have p = 0.0005."""
+    rng = np.random.default_rng(3)
+    data = table()
+    false = 0
+    for _ in range(100):
+        p = problem(data, rng)
+        false += bool(locate(p, p.fit()))
+    assert false <= 5
+
+
+def test_chance_with_estimated_noise():
+    """The noise known to 5 degrees of freedom only, and off by as much as that."""
+    rng = np.random.default_rng(4)
+    data = table()
+    false = {5.0: 0, np.inf: 0}
+    for _ in range(60):
+        p = problem(data, rng)
+        p.noise = NOISE * np.sqrt(rng.chisquare(5, 3) / 5)
+        fit = p.fit()
+        for p.freedom in false:
+            false[p.freedom] += bool(locate(p, fit))
+    assert false[5.0] <= 4
+    assert false[np.inf] > false[5.0] + 4  # and it matters
+
+
+@pytest.mark.parametrize(
+    ("channel", "size", "box", "word"),
+    [
+        (0, 6e-3, {"slip": (0.42, 0.55)}, "6 mm deeper than"),
+        (0, -6e-3, {"slip": (0.42, 0.55)}, "6 mm shallower than"),
+        (1, -9.0, {"load": (220.0, 220.0), "speed": (0.06, 0.2)}, "N lower than"),
+        (2, 1.5, {"speed": (0.02, 0.02)}, "N m higher than"),
+    ],
+)
+def test_planted_box_is_found(channel, size, box, word):
+    data = table(speeds=SPEEDS)
+    inside = np.ones(data.rows.slip.size, dtype=bool)
+    for name, (low, high) in box.items():
+        inside &= (data.varied[name].value > low - 1e-9) & (data.varied[name].value < high + 1e-9)
+    added = np.zeros_like(data.y)
+    added[inside, channel] = size
+    p = problem(data, np.random.default_rng(5), added)
+    fit = p.fit()
+    first = locate(p, fit)[0]
+    assert first.channel == ("sinkage", "drawbar_pull", "torque")[channel]
+    assert set(first.region) == set(box)
+    for name, limits in box.items():
+        assert first.region[name] == pytest.approx(limits)
+    residual = (p.data.y - fit.output)[inside, channel]
+    assert first.size == pytest.approx(residual.mean())
+    assert first.size_sd == pytest.approx(first.size / NOISE[channel])
+    assert first.size * size > 0.0
+    assert first.p_value < 1e-6
+    assert word.split(" ", 1)[-1] in first.words
+    assert "every" in first.words
+
+
+def test_words_of_the_issue():
+    data = table(speeds=SPEEDS)
+    added = np.where((data.rows.slip > 0.35)[:, None] & (np.arange(3) == 0), 6e-3, 0.0)
+    p = problem(data, np.random.default_rng(6), added)
+    p.known = dict(friction_angle_deg=31.0, cohesion=3500.0, sinkage_coefficient=7.4e5, sinkage_exponent=0.64)
+    p.soil = tuple(k for k in p.soil if k.name not in p.known)  # K alone absorbs hardly anything
+    found = locate(p, p.fit())
+    assert len(found) == 1
+    assert found[0].words == (
+        "measured sinkage is on average 5.7 mm deeper than the model's (6.3 times the noise) at slip 0.42 and above, "
+        "every load and speed"
+    )
+
+
+def test_boxes_of_one_channel_do_not_overlap():
+    data = table({"penetration_rate": {"exponent": 0.3}}, speeds=SPEEDS)
+    p = problem(data, np.random.default_rng(7))
+    found = locate(p, p.fit())
+    assert len(found) > 2
+    assert found[0].region.keys() == {"speed"}
+    for k, one in enumerate(found):
+        assert one.p_value < SIGNIFICANT
+        for other in found[:k]:
+            if one.channel == other.channel:
+                assert any(
+                    one.region[name][0] > other.region[name][1] or one.region[name][1] < other.region[name][0]
+                    for name in one.region.keys() & other.region.keys()
+                )
+
+
+def test_what_the_soil_absorbs_is_no_disagreement():
+    """Another soil, far from the prior's mean in no parameter, fits its own table."""
+    data = table()
+    p = problem(data, np.random.default_rng(8))
+    a, e = p.fit().linearised()
+    assert a.shape == (18 * 3 + 5, 5)
+    assert np.all(np.abs(a.T @ e) < 0.02 * np.linalg.norm(a, axis=0))  # the gradient of the fit vanishes
+    assert not locate(p, p.fit())
+
+
+@pytest.mark.parametrize("limit", [0.0, 0.35])
+def test_p_value_is_that_of_a_refit_with_the_box(limit):
+    """Between the chance of one look and of as many as there are boxes, of the fall that a free shift brings."""
+    data = table(speeds=SPEEDS)
+    shift = np.where((data.rows.slip > limit)[:, None] & (np.arange(3) == 1), -3.0, 0.0)
+    p = problem(data, np.random.default_rng(13), shift)
+    fit = p.fit()
+    first = locate(p, fit)[0]
+    inside = np.ones(data.rows.slip.size, dtype=bool)
+    for name, (low, high) in first.region.items():
+        inside &= (data.varied[name].value >= low) & (data.varied[name].value <= high)
+    a, e = fit.linearised()
+    column = p.whiten(np.outer(inside, np.array(["sinkage", "drawbar_pull", "torque"]) == first.channel) * NOISE)
+    wider = np.column_stack([a, np.concatenate([column, np.zeros(len(e) - column.size)])])
+    left = [np.sum((e - m @ np.linalg.lstsq(m, e, rcond=None)[0]) ** 2) for m in (a, wider)]
+    alone = chi2.sf(left[0] - left[1], 1)
+    assert alone < first.p_value < 3 * len(boxes(p).limits) * alone
+
+
+def test_every_box_is_looked_at_once():
+    data = table(speeds=SPEEDS)
+    found = boxes(problem(data, np.random.default_rng(9)))
+    assert len({m.tobytes() for m in found.member}) == len(found.limits) == found.member.shape[0]
+    assert {} in found.limits
+    # 6 slips, 3 loads, 3 speeds: 20 + 5 + 5 intervals; 10 x 4 + 10 x 4 + 4 x 4 products of half-lines
+    assert len(found.limits) == 1 + 20 + 5 + 5 + 40 + 40 + 16
+
+
+def test_channel_that_was_not_measured():
+    data = table()
+    data.y[:, 2] = np.nan
+    p = problem(
+        data, np.random.default_rng(10), np.where(np.arange(3) == 0, 4e-3, 0.0) * (data.rows.slip > 0.4)[:, None]
+    )
+    fit = p.fit()
+    assert [g.channel for g in describe(p, fit)] == ["sinkage", "drawbar_pull"]
+    assert {d.channel for d in locate(p, fit)} <= {"sinkage", "drawbar_pull"}
+
+
+def test_overall_line():
+    data = table()
+    p = problem(data, np.random.default_rng(11))
+    fit = p.fit()
+    gap = describe(p, fit)[1]
+    assert gap.rms == pytest.approx(np.sqrt(np.mean((p.data.y - fit.output)[:, 1] ** 2)))
+    assert gap.words == (
+        f"drawbar pull: measured and model differ by {gap.rms:.3g} N rms, {gap.rms / 1.5:.2f} times the noise of "
+        "1.5 N (18 values)"
+    )
+
+
+def test_same_seed_same_answer():
+    data = table({"bulldozing": {"rankine": 1.0}})
+    p = problem(data, np.random.default_rng(12))
+    fit = p.fit()
+    assert locate(p, fit, seed=1) == locate(p, fit, seed=1)

@@ -1,0 +1,119 @@
+"""Signs and units: a table that is read wrongly is refused or said to be so before anything else."""
+
+import csv
+import re
+
+import numpy as np
+import pytest
+
+from soil_env._io.loading import ParameterError
+from soil_env.discrepancy import calibrate, mistakes
+from soil_env.discrepancy.data import prepare
+from soil_env.measurement.table import read_setup, read_table
+from tests.discrepancy.files import SETUP, table_text, write_files
+
+WEAK = SETUP.replace("{value: 3700, sd: 700}", "{value: 3500, sd: 100}")
+
+
+def changed(text: str, name: str, factor: float) -> str:
+    """The table with one column times a factor."""
+    lines = list(csv.reader(text.splitlines()))
+    k = lines[0].index(name)
+    for line in lines[1:]:
+        line[k] = repr(float(line[k]) * factor)
+    return "\n".join(",".join(line) for line in lines) + "\n"
+
+
+def examined(folder, text, setup=SETUP):
+    data, setup = write_files(folder, text, setup)
+    setup = read_setup(setup)
+    return mistakes.examine(calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))[0])
+
+
+@pytest.mark.parametrize("effects", [{}, {"slip_sinkage": {"gain": 1.5}}, {"grousers": {"shear_share": 1.0}}])
+def test_a_sound_table_raises_no_doubt(tmp_path, effects):
+    assert examined(tmp_path, table_text(effects)) == ()
+
+
+def test_a_turned_drawbar_pull_is_refused(tmp_path):
+    expected = (
+        r"data\.csv: drawbar_pull falls with slip in every group of rows .* with the sign of drawbar_pull turned, the "
+        r"base model misses the table by [\d.]+ times the noise instead of [\d.]+: expected drawbar_pull positive"
+    )
+    with pytest.raises(ParameterError, match=expected) as error:
+        examined(tmp_path, changed(table_text({}), "drawbar_pull", -1.0))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "column, factor, words",
+    [
+        ("load", 1 / 9.81, "With load as kilograms (times 9.81)"),
+        ("drawbar_pull", 1 / 9.81, "With drawbar_pull as kilograms (times 9.81)"),
+        ("torque", 1 / 9.81, "With torque as kilogram metres (times 9.81)"),
+        ("slip", -1.0, "With the sign of slip turned"),
+    ],
+)
+def test_a_wrong_unit_or_sign_is_told_or_refused(tmp_path, column, factor, words):
+    text = changed(table_text({}), column, factor)
+    try:
+        doubts = examined(tmp_path, text)
+    except ParameterError as error:
+        doubts = (str(error),)
+    assert words.lower() in " ".join(doubts).lower()
+
+
+def test_one_grade_that_could_be_radians_is_doubted(tmp_path):
+    lines = table_text({}).splitlines()
+    for grade, doubts in ((0.6458, ("grade_deg = 0.6458 is 37 degrees in radians: expected degrees.",)), (0.65, ())):
+        rows = [f"{row},{grade if k % 2 else 0}" for k, row in enumerate(lines[1:])]
+        assert examined(tmp_path, "\n".join([lines[0] + ",grade_deg", *rows]) + "\n") == doubts
+
+
+def test_a_diameter_for_the_radius_is_told(tmp_path):
+    setup = SETUP.replace("radius: 0.15", "radius: 0.3")
+    assert "With wheel.radius of the setup halved to 0.15 m" in " ".join(examined(tmp_path, table_text({}), setup))
+
+
+def test_a_load_in_kilograms_is_refused_where_the_soil_could_not_bear_the_thrust(tmp_path):
+    text = changed(table_text({}, loads=(400, 600, 800)), "load", 1 / 9.81)
+    with pytest.raises(ParameterError, match=r"torque/radius is [\d.]+ times the strength .* with load as kilograms"):
+        examined(tmp_path, text, WEAK)
+
+
+def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
+    """Only tables that begin at low slip and end below zero say anything about the sign."""
+    data, setup = write_files(tmp_path, table_text({}), SETUP)
+    setup = read_setup(setup)
+    problem = calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))[0]
+    assert mistakes._pull_falls(problem) == "" and mistakes._beyond_strength(problem) == ""
+    pull, slip = problem.data.y[:, 1], problem.data.rows.slip
+    pull[:] = 40.0 - 200.0 * (slip - 0.2) ** 2  # rises, then falls, above 0
+    assert mistakes._pull_falls(problem) == ""
+    pull[:] = 20.0 - 100.0 * slip
+    assert re.match("drawbar_pull falls with slip in every group of rows that differ", mistakes._pull_falls(problem))
+    problem.data.rows.slip[:] = slip * 0.5 + 0.3  # nothing is known of low slip
+    assert mistakes._pull_falls(problem) == ""
+
+
+def test_doubts_come_first_everywhere(tmp_path, capsys):
+    from soil_env.discrepancy.__main__ import main
+
+    data, setup = write_files(tmp_path, changed(table_text({}, loads=(100, 200)), "torque", 1 / 9.81))
+    out = tmp_path / "out"
+    assert main([str(data), "--setup", str(setup), "--out", str(out), "--bootstrap", "0"]) == 0
+    shown = " ".join(re.sub("[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
+    page = (out / "report.html").read_text()
+    for text, verdict in ((shown, r"\b(unlisted|named|ambiguous|none)\b"), (page, '<p class="summary (?!check)')):
+        assert text.index("With torque as kilogram metres") < re.search(verdict, text).start()
+    import json
+
+    report = json.loads((out / "report.json").read_text())
+    assert report["cautions"][: len(report["check_first"])] == report["check_first"] != []
+    assert "kilogram metres" in report["check_first"][0]
+
+
+def test_the_largest_disagreement_is_looked_at_only_beyond_the_noise(tmp_path, monkeypatch):
+    monkeypatch.setattr(mistakes, "_readings", lambda problem: pytest.fail("looked"))
+    assert examined(tmp_path, table_text({"slip_sinkage": {"gain": 0.3}})) == ()
+    assert np.isfinite(mistakes.LARGE)

@@ -1,0 +1,220 @@
+"""The simplest law of what is left: planted laws come back, chance adds nothing, the saved model says the same."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+
+from soil_env.discrepancy import symbolic
+from soil_env.discrepancy.calibrate import GRAVITY, Choice
+from soil_env.discrepancy.data import folds
+from soil_env.parameters import Soil
+from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.residual import GROUPS, ResidualTerm
+from tests.discrepancy.tables import NOISE, SLIPS, WHEEL, problem, table
+
+SPEEDS, PASSES = (0.02, 0.06, 0.2), (1, 2, 3)
+
+
+@pytest.fixture(scope="module")
+def rich():
+    return table(speeds=SPEEDS, passes=PASSES)
+
+
+def planted(data, channel, coefficient, **powers):
+    """What a law of the conditions adds to a table [N, 3]."""
+    rows = data.rows
+    known = {"slip": rows.slip, "speed": rows.conditions[:, 0] / math.sqrt(GRAVITY * WHEEL.radius),
+             "pass": rows.conditions[:, 1]}  # fmt: skip
+    value = coefficient * np.prod([known[g] ** p for g, p in powers.items()], axis=0)
+    scale = (WHEEL.radius, rows.load, rows.load * WHEEL.radius)[channel]
+    return np.outer(value * scale, np.arange(3) == channel)
+
+
+def saved(found):
+    """`WheelSoilModel` of a law and its soil."""
+    return WheelSoilModel(
+        WHEEL,
+        Soil(**{k: float(v) for k, v in found.fit.parameters().items()}, density=1600.0, dig_gain=0.0),
+        {},
+        found.terms,
+    )
+
+
+@pytest.mark.parametrize(
+    ("channel", "coefficient", "powers"),
+    [
+        (0, 0.1, {"slip": 1.0, "pass": 1.0}),
+        (1, -0.3, {"slip": 2.0}),
+        (1, -0.4, {"slip": 2.0, "speed": 0.5}),
+        (2, 1.0, {"speed": 1.0}),
+    ],
+)
+def test_planted_law_comes_back(rich, channel, coefficient, powers):
+    p = problem(rich, np.random.default_rng(1), planted(rich, channel, coefficient, **powers))
+    base = p.fit()
+    found = symbolic.symbolic(p, base)
+    assert len(found.terms) == 1
+    term = found.terms[0]
+    assert term.channel == ("sinkage", "drawbar_pull", "torque")[channel]
+    assert term.powers == powers
+    assert term.coefficient == pytest.approx(coefficient, rel=0.2)
+    count = int(p.used.sum())
+    assert base.misfit > count + 3.0 * math.sqrt(2.0 * count)
+    assert found.fit.misfit < count + 2.0 * math.sqrt(2.0 * count)
+    assert 0.0 < found.gain < base.objective - found.fit.objective
+
+
+def test_two_channels_at_once(rich):
+    added = planted(rich, 0, 0.03, **{"pass": 0.5}) + planted(rich, 1, -2.0, speed=2.0)
+    p = problem(rich, np.random.default_rng(1), added)
+    found = symbolic.symbolic(p, p.fit())
+    assert [(t.channel, t.powers) for t in found.terms] == [
+        ("sinkage", {"pass": 0.5}),
+        ("drawbar_pull", {"speed": 2.0}),
+    ]
+
+
+def test_chance_adds_nothing():
+    data = table(speeds=SPEEDS)
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        p = problem(data, rng)
+        base = p.fit()
+        found = symbolic.symbolic(p, base)
+        assert found.terms == ()
+        assert found.fit is base
+        assert not found.offset.any()
+
+
+def test_noise_that_is_hardly_known_adds_nothing():
+    """A fall of the objective that counts where the noise is known, and does not where 2 degrees of freedom told it."""
+    data = table(speeds=SPEEDS)
+    p = problem(data, np.random.default_rng(3), planted(data, 1, -0.05, slip=1.0))
+    base = p.fit()
+    assert symbolic.symbolic(p, base).terms
+    p.freedom = 2.0
+    assert not symbolic.symbolic(p, base).terms
+
+
+def test_saved_model_is_the_fit(rich, tmp_path):
+    """model.yaml, in which soil and sinkage drive the groups, agrees with the fit to a small part of the noise."""
+    p = problem(rich, np.random.default_rng(4), planted(rich, 1, -0.5, slip=1.0, speed=0.5))
+    found = symbolic.symbolic(p, p.fit())
+    saved(found).save(tmp_path / "model.yaml")
+    got = WheelSoilModel.load(tmp_path / "model.yaml").predict(rich.table)
+    assert np.stack(got[:3], axis=1) == pytest.approx(found.fit.output, abs=1e-9 + 0.05 * NOISE.min())
+    plain = WheelSoilModel(WHEEL, saved(found).soil).predict(rich.table)
+    assert np.max(np.abs((got.drawbar_pull - plain.drawbar_pull) - found.offset[:, 1])) < 0.05 * NOISE[1]
+
+
+def test_gradient_vanishes_with_the_coefficients(rich):
+    """Coefficients are unknowns of the final fit, so that held-out predictions and intervals count them."""
+    p = problem(rich, np.random.default_rng(5), planted(rich, 2, 1.0, speed=1.0))
+    base = p.fit()
+    found = symbolic.symbolic(p, base)
+    assert found.fit.slack.size == len(found.terms) == 1
+    assert found.fit.jacobian.shape[1] == base.jacobian.shape[1] + 1
+    a, e = found.fit.linearised()
+    assert np.all(np.abs(a.T @ e) < 0.05 * np.linalg.norm(a, axis=0))
+
+
+def test_law_beside_a_named_effect():
+    data = table({"bulldozing": {"rankine": 1.0}}, speeds=SPEEDS)
+    p = problem(data, np.random.default_rng(6), planted(data, 2, 1.0, speed=1.0))
+    found = symbolic.symbolic(p, p.fit((Choice("bulldozing", 0),), slack=False))
+    assert [(t.channel, t.powers) for t in found.terms] == [("torque", {"speed": 1.0})]
+    assert found.fit.choices == (Choice("bulldozing", 0),)
+    assert found.fit.parameters()["bulldozing_rankine"] == pytest.approx(1.0, abs=0.3)
+
+
+def test_ranges_are_those_of_the_data(rich):
+    p = problem(rich, np.random.default_rng(7), planted(rich, 1, -0.4, slip=2.0, speed=0.5))
+    found = symbolic.symbolic(p, p.fit())
+    term = found.terms[0]
+    assert term.ranges["slip"] == pytest.approx([min(SLIPS), max(SLIPS)])
+    froude = np.array([min(SPEEDS), max(SPEEDS)]) / math.sqrt(GRAVITY * WHEEL.radius)
+    assert term.ranges["speed"] == pytest.approx(froude)
+    assert term.ranges.keys() == term.powers.keys()
+    # beyond them the law stays what it is at the nearer end
+    model = saved(found)
+    plain = WheelSoilModel(WHEEL, model.soil)
+
+    def law(speed):
+        at = {"slip": 0.3, "load": 150.0, "speed": speed}
+        return float(model.predict(at).drawbar_pull[0] - plain.predict(at).drawbar_pull[0])
+
+    assert law(2.0) == pytest.approx(law(0.2))
+    assert law(0.1) != pytest.approx(law(0.2), rel=0.1)
+
+
+def test_what_does_not_vary_is_not_used():
+    data = table()
+    p = problem(data, np.random.default_rng(8))
+    groups = symbolic.groups_of(p, p.fit(), np.zeros((18, 3)))
+    used = {GROUPS[g] for g in np.flatnonzero(symbolic.products(groups).any(axis=0))}
+    assert used == {"slip", "grip", "sinkage", "load"}
+
+
+def test_powers_that_some_values_do_not_have_are_not_used():
+    data = table(slips=(0.0, 0.2, 0.4), grades=(-8.0, 0.0, 8.0))
+    p = problem(data, np.random.default_rng(9))
+    powers = symbolic.products(symbolic.groups_of(p, p.fit(), np.zeros_like(p.data.y)))
+    assert set(powers[:, GROUPS.index("slip")]) == {0.0, 0.5, 1.0, 2.0, 3.0}
+    assert set(powers[:, GROUPS.index("grade")]) == {0.0, 1.0, 2.0, 3.0}
+    assert set(powers[:, GROUPS.index("grip")]) == {0.0, *symbolic.POWERS}
+    assert len(np.unique(powers, axis=0)) == len(powers)
+    found = symbolic.library(p, p.fit(), np.zeros_like(p.data.y))
+    assert np.all(np.isfinite(found.column))
+
+
+def test_channel_that_was_not_measured_gets_no_law(rich):
+    data = copy.copy(rich)
+    object.__setattr__(data, "y", rich.y.copy())
+    data.y[:, 0] = np.nan
+    p = problem(data, np.random.default_rng(10), planted(data, 1, -0.3, slip=2.0))
+    found = symbolic.symbolic(p, p.fit())
+    assert [t.channel for t in found.terms] == ["drawbar_pull"]
+    assert not found.offset[:, [0, 2]].any()
+
+
+def test_held_out_against_refits():
+    """The closed form against a refit without each group, in a linear model."""
+    rng = np.random.default_rng(11)
+    data = table(speeds=SPEEDS)
+    p = problem(data, rng)
+    a, e = p.fit().linearised()
+    e = e + rng.normal(size=e.size)
+    rows = np.nonzero(p.used)[0]
+    member = np.stack([group[rows] for group in folds(data)[1]])
+    expected = 0.0
+    for out in member:
+        keep = np.concatenate([~out, np.ones(a.shape[0] - out.size, dtype=bool)])
+        x = np.linalg.lstsq(a[keep], e[keep], rcond=None)[0]
+        top = a[: out.size][out]
+        s = np.eye(out.sum()) + top @ np.linalg.inv(a[keep].T @ a[keep]) @ top.T
+        left = e[: out.size][out] - top @ x
+        expected += -0.5 * left @ np.linalg.inv(s) @ left - 0.5 * np.linalg.slogdet(s)[1]
+    assert symbolic.held_out(member, a, e) == pytest.approx(expected)
+
+
+def test_offset_is_added_to_the_model(rich):
+    p = problem(rich, np.random.default_rng(12))
+    q = copy.copy(p)
+    q.offset = np.full_like(p.data.y, 0.25)
+    values = {k.name: k.value(0.0) for k in p.soil}
+    before, after = (x.predict(values, (), np.zeros(len(rich.table))) for x in (p, q))
+    assert after == pytest.approx(before + 0.25)
+
+
+def test_words():
+    terms = (
+        ResidualTerm("drawbar_pull", -0.21, {"slip": 2.0, "speed": 0.5}),
+        ResidualTerm("sinkage", 0.1, {"pass": 1.0}),
+        ResidualTerm("torque", 0.02, {}),
+    )
+    assert symbolic.in_words(terms) == (
+        "drawbar pull over load falls by 0.21 slip^2 speed^0.5; sinkage over radius rises by 0.1 pass; "
+        "torque over load times radius is higher by 0.02, where speed = V/sqrt(g r)"
+    )

@@ -1,0 +1,197 @@
+"""Files from elsewhere: YAML made to be a burden, zips broken, foreign or hostile: one line, and no code is run."""
+
+import io
+import json
+import time
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from soil_env._io.loading import MOST_VALUES, ParameterError, parse_yaml, read_yaml
+from soil_env.measurement.table import read_setup
+from soil_env.parameters import load_scenario
+from soil_env.terramechanics.model import WheelSoilModel
+
+ROOT = Path(__file__).resolve().parents[2]
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{b}: &{b} [{', '.join(['*' + a] * 10)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+)
+YAMLS = {
+    "aliases": (BOMB, "more than"),
+    "many values": ("wheel: [" + ",".join("1" for _ in range(MOST_VALUES)) + "]", "more than"),
+    "deep": ("wheel: " + "[" * 10_000 + "]" * 10_000, "nested deeper"),
+    "deep mappings": ("wheel: " + "{a: " * 300 + "1" + "}" * 300, "nested deeper"),
+    "itself": ("wheel: &w {preset: *w}", "contains itself"),
+    "merged with itself": ("wheel: &w {<<: *w}", "contains itself"),
+    "a call": ("wheel: !!python/object/apply:os.system ['touch pwned']", "could not determine a constructor"),
+    "a name": ("!!python/name:os.system", "could not determine a constructor"),
+    "no date": ("wheel: 2001-99-99", "month must be in"),
+    "a long number": ("gravity: " + "9" * 5000, "not valid YAML"),
+    "no number": ("gravity: !!int abc", "invalid literal"),
+    "NUL": ("a: \0", "special characters"),
+    "no text": (b"\xff\xfe\x00", "not valid YAML"),
+    "large": (b"#" * 2_000_000, "larger than"),
+    "a list": ("[1, 2]", "expected a mapping"),
+    "twice": ("wheel: 1\nwheel: 2", "appears twice"),
+    "no key": ("? [a]\n: 1", "not valid YAML"),
+    "long text": ("wheel: " + "x" * 900_000, "wheel"),
+}
+
+
+SLOW = ("many values", "large", "long text")  # seconds to read
+
+
+@pytest.mark.parametrize(("name", "load"), [
+    (name, load) for name in YAMLS for load in (load_scenario, WheelSoilModel.load, read_setup)
+    if load is load_scenario or name not in SLOW
+])  # fmt: skip
+def test_yaml(tmp_path, monkeypatch, name, load):
+    monkeypatch.chdir(tmp_path)
+    content, words = YAMLS[name]
+    path = tmp_path / "x.yaml"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ParameterError) as raised:
+        load(path)
+    message = str(raised.value)
+    assert "x.yaml" in message and words in message
+    assert "\n" not in message and len(message) < 1200
+    assert [p.name for p in tmp_path.iterdir()] == ["x.yaml"]
+
+
+def test_shipped_files_are_far_below_the_limits():
+    for path in (ROOT / "configs").rglob("*.yaml"):
+        assert path.stat().st_size < 100_000 and read_yaml(path)
+
+
+def test_plain_aliases_and_merges_still_work():
+    assert parse_yaml("a: &a {x: 1}\nb: {<<: *a, y: 2}\nc: [*a, *a]")["b"] == {"x": 1, "y": 2}
+
+
+def test_no_unsafe_loading_in_the_sources():
+    """No yaml.load but the one with our SafeLoader, and pickles only where a warning goes before."""
+    found = []
+    for folder in ("soil_env", "agents", "benchmarks", "examples"):
+        for path in (ROOT / folder).rglob("*.py"):
+            for line in path.read_text(encoding="utf-8").splitlines():
+                words = ("yaml.load(", "yaml.unsafe", "yaml.full", "pickle.load", "allow_pickle=True", "eval(", "exec(")
+                if any(word in line for word in words) and "retrieval(" not in line:
+                    found.append((path.name, line.strip()))
+    assert found == [
+        ("loading.py", "return yaml.load(text, _Strict)  # a SafeLoader"),
+        ("models.py", "normalisation = pickle.load(stream)"),
+    ]
+
+
+# --- zips -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    pytest.importorskip("stable_baselines3")
+    from agents import ppo
+
+    path = tmp_path_factory.mktemp("saved") / "model.zip"
+    config = ppo.PPOConfig(num_envs=8, n_steps=8, batch_size=64, layer=8)
+    model = ppo.build(load_scenario(), "identified", config, 0)
+    model.learn(64)
+    ppo.save(model, path)
+    return path
+
+
+def changed(source, target, **members):
+    """`target`: the zip `source` with members replaced."""
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as new:
+        for name in old.namelist():
+            new.writestr(name, members.pop(name.replace(".", "_"), None) or old.read(name))
+        for name, content in members.items():
+            new.writestr(name.replace("_", "."), content)
+    return target
+
+
+def data_of(path):
+    return json.loads(zipfile.ZipFile(path).read("data"))
+
+
+def test_our_models_are_loaded_without_unpickling(saved, tmp_path, monkeypatch):
+    """Every pickle in the zip is a bomb: none goes off, and the model is the same."""
+    import pickle
+
+    from agents.evaluate.models import load_model
+    from agents.ppo import load_agent
+
+    class Bomb:
+        def __reduce__(self):
+            return exec, ("raise SystemExit('unpickled')",)
+
+    import base64
+
+    data = data_of(saved)
+    pickled = [key for key, value in data.items() if isinstance(value, dict) and ":serialized:" in value]
+    assert len(pickled) > 5
+    for key in pickled:
+        data[key][":serialized:"] = base64.b64encode(pickle.dumps(Bomb())).decode()
+    hostile = changed(saved, tmp_path / "m.zip", data=json.dumps(data))
+    for load in (load_agent, lambda p: load_model(p, load_scenario())):
+        a, b = load(saved), load(hostile)
+        weights = [agent.model.policy.state_dict() for agent in (a, b)]
+        assert all((weights[0][key] == weights[1][key]).all() for key in weights[0])
+
+
+def test_a_foreign_model_is_loaded_with_a_warning(saved, tmp_path, capsys):
+    from agents.evaluate.models import load_model
+
+    with zipfile.ZipFile(saved) as old, zipfile.ZipFile(tmp_path / "m.zip", "w") as new:
+        for name in old.namelist():
+            if name != "soil_env.json":
+                new.writestr(name, old.read(name))
+    for _ in range(2):
+        load_model(tmp_path / "m.zip", load_scenario())
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "unpickled" in error and "trust" in error
+
+
+def stored_large(path):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("data", b" " * 60_000_000)
+    return path
+
+
+def with_data(source, path, **entries):
+    return changed(source, path, data=json.dumps(data_of(source) | entries))
+
+
+def bytes_of_zip(**members):
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(("make", "words"), [
+    (lambda s, p: p.write_bytes(b""), "not a model"),
+    (lambda s, p: p.write_bytes(b"hello"), "not a model"),
+    (lambda s, p: p.write_bytes(s.read_bytes()[:5000]), "not a model"),
+    (lambda s, p: p.write_bytes(bytes_of_zip(other="x")), "not a model"),
+    (lambda s, p: p.write_bytes(bytes_of_zip(data="{")), "not a model"),
+    (lambda s, p: p.write_bytes(bytes_of_zip(data="[" * 100_000)), "not a model"),
+    (lambda s, p: p.write_bytes(bytes_of_zip(data="[1]")), "expected a mapping"),
+    (lambda s, p: stored_large(p), "too large"),
+    (lambda s, p: with_data(s, p, policy_class={":serialized:": "", "__module__": "os"}), "policy of 'os'"),
+    (lambda s, p: with_data(s, p, policy_kwargs={":serialized:": "", "activation_fn": "<class 'os.system'>"}),
+     "activation_fn"),
+    (lambda s, p: changed(s, p, policy_pth=b"no"), "cannot be loaded"),
+    (lambda s, p: p.mkdir(), "cannot be read"),
+])  # fmt: skip
+def test_a_zip_that_is_none(saved, tmp_path, make, words):
+    from agents.evaluate.models import load_model
+
+    path = tmp_path / "m.zip"
+    make(saved, path)
+    began = time.process_time()
+    with pytest.raises(ParameterError) as raised:
+        load_model(path, load_scenario())
+    message = str(raised.value)
+    assert words in message and "m.zip" in message and "\n" not in message, message
+    assert time.process_time() - began < 30.0

@@ -1,0 +1,174 @@
+"""Measurement tables and setups: what is read, and the message for each thing that cannot be right."""
+
+import math
+
+import numpy as np
+import pytest
+
+from soil_env._io.loading import ParameterError
+from soil_env.measurement.table import Prior, SetupWheel, read_setup, read_table
+
+HEADER = "slip,load,sinkage,drawbar_pull"
+GOOD = (HEADER, "0.1,100,0.02,5", "0.2,100,0.021,9", "0.3,120,0.022,12.5")
+SETUP = "wheel: {radius: 0.15, width: 0.12}\n"
+
+
+def written(tmp_path, *lines, name="data.csv", encoding="utf-8"):
+    """Path of a file with the given lines."""
+    path = tmp_path / name
+    path.write_bytes("\n".join(lines).encode(encoding))
+    return path
+
+
+def refusal(read, *arguments):
+    """The one-line message with which a reader refuses."""
+    with pytest.raises(ParameterError) as caught:
+        read(*arguments)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def test_reads_a_full_table(tmp_path):
+    path = written(
+        tmp_path,
+        "\ufeffrun, slip ,load,speed,pass,grade_deg,time,wheel_radius,wheel_width,grouser_height,sinkage,torque",
+        "a b,-1,100,0.1,2,-8.5,0,0.2,,0.01,0.02,1e1",
+        "",
+        '"x, y",1,1e2,,,,,,,,,-4',
+    )
+    t = read_table(path)
+    assert len(t) == 2 and list(t.row) == [2, 4] and "torque" in t.given and "drawbar_pull" not in t.given
+    assert list(t.run) == ["a b", "x, y"] and list(t.passes) == [2, 1] and list(t.slip) == [-1.0, 1.0]
+    assert t.grade_deg[0] == -8.5 and t.torque[1] == -4.0 and math.isnan(t.sinkage[1]) and t.sinkage[0] == 0.02
+    assert np.all(np.isnan(t.drawbar_pull)) and np.isnan(t.speed[1])
+    assert list(t.radius(SetupWheel(0.15, 0.12))) == [0.2, 0.15] and list(t.width(SetupWheel(0.15, 0.12))) == [0.12] * 2
+    with pytest.raises(ValueError, match="read-only"):
+        t.slip[0] = 0.0
+
+
+@pytest.mark.parametrize(
+    "lines, words",
+    [
+        (["slip,sinkage", "0.1,0.02"], ["missing column 'load'"]),
+        (["slip,load", "0.1,100"], ["at least one of sinkage, drawbar_pull, torque"]),
+        (["slip,load,sinkagge", "0.1,100,0.02"], ["unknown column 'sinkagge'", "'sinkage'"]),
+        (["Slip,load,sinkage", "0.1,100,0.02"], ["unknown column 'Slip'", "'slip'"]),
+        (["slip,load,load,sinkage", "0.1,100,1,0.02"], ["column 'load' appears 2 times"]),
+        (["slip;load;sinkage", "0.1;100;0.02"], ["semicolons between the columns"]),
+        ([HEADER, "0.1,100,deep,5"], ["row 2", "sinkage = 'deep'", "number of m"]),
+        ([HEADER, GOOD[1], "0.1,nan,0.02,5"], ["row 3", "load = 'nan'", "finite number of N"]),
+        ([HEADER, "0.1,100,0.02,-inf"], ["row 2", "drawbar_pull = '-inf'", "finite"]),
+        ([HEADER, ",100,0.02,5"], ["row 2", "slip is empty"]),
+        ([HEADER, "0.1,,0.02,5"], ["row 2", "load is empty"]),
+        ([HEADER, "10,100,0.02,5", "20,100,0.02,6"], ["row 2", "slip = 10", "[-1, 1]", "percent"]),
+        ([HEADER, "0.1,100,0.02,5", "200,100,0.02,6"], ["row 3", "slip = 200: expected slip in [-1, 1]"]),
+        ([HEADER, "0.1,100,20,5"], ["row 2", "sinkage = 20", "can only be millimetres"]),
+        ([HEADER, "0.1,-100,0.02,5"], ["row 2", "load = -100", "load > 0 N"]),
+        ([HEADER + ",pass", "0.1,100,0.02,5,1.5"], ["row 2", "pass = 1.5", "whole number"]),
+        ([HEADER + ",pass", "0.1,100,0.02,5,0"], ["row 2", "pass = 0", "from 1"]),
+        ([HEADER + ",grade_deg", "0.1,100,0.02,5,75"], ["row 2", "grade_deg = 75", "[-60, 60]"]),
+        ([HEADER + ",grade_deg", "0.1,100,0.02,5,-0.0873", "0.2,100,0.02,5,0.1745"], ["row 2", "radians", "57.3"]),
+        ([HEADER + ",wheel_radius", "0.1,100,0.02,5,0"], ["row 2", "wheel_radius = 0", "metres in (0, 3]"]),
+        ([HEADER + ",wheel_width", "0.1,100,0.02,5,-0.1"], ["row 2", "wheel_width = -0.1"]),
+        ([HEADER + ",wheel_radius", "0.1,100,0.2,5,0.15"], ["row 2", "sinkage = 0.2", "wheel radius 0.15 m"]),
+        ([HEADER + ",grouser_height", "0.1,100,0.02,5,-0.01"], ["grouser_height = -0.01"]),
+        ([HEADER + ",speed", "0.1,100,0.02,5,-1"], ["row 2", "speed = -1"]),
+        ([*GOOD, "0.10,100,0.02,5"], ["row 5 repeats row 2"]),
+        ([HEADER, "0.1,100,0.02,5", "0.1,120,0.02,6"], ["slip = 0.1 in every row"]),
+        ([HEADER, "0.1,100,,"], ["row 2: nothing measured"]),
+        ([HEADER], ["no rows"]),
+        ([""], ["empty file"]),
+        ([HEADER, "0.1,100,0.02"], ["row 2 has 3 cells: expected 4"]),
+        ([HEADER, "0,1,100,0.02,5"], ["row 2 has 5 cells: expected 4"]),
+        (["# rig 3", *GOOD], ["row 1 is a comment"]),
+        ([*GOOD, "# the end"], ["row 5 is a comment"]),
+        ([*GOOD[1:]], ["the first line has numbers", "header line"]),
+    ],
+)
+def test_refuses_a_bad_table(tmp_path, lines, words):
+    message = refusal(read_table, written(tmp_path, *lines))
+    assert "data.csv" in message
+    for word in words:
+        assert word in message
+
+
+def test_refuses_what_is_no_table(tmp_path):
+    assert "cannot be read" in refusal(read_table, tmp_path / "absent.csv")
+    assert "cannot be read" in refusal(read_table, tmp_path)
+    assert "not UTF-8" in refusal(read_table, written(tmp_path, "slip,load,sinkage,\u00e9", encoding="latin-1"))
+    assert "Parquet" in refusal(read_table, written(tmp_path, *GOOD, name="data.parquet"))
+
+
+def test_sinkage_is_held_against_the_wheel_of_the_setup(tmp_path):
+    path = written(tmp_path, HEADER, "0.1,100,0.2,5", "0.2,100,0.1,5")
+    assert len(read_table(path)) == 2
+    assert "sinkage = 0.2" in refusal(read_table, path, SetupWheel(0.15, 0.12))
+
+
+def test_grades_that_are_degrees_stay_degrees(tmp_path):
+    for grades in (("0", "0.75"), ("0.5", "-0.31"), ("0.1745", "12"), ("", "0.5"), ("-0.6458", "0.6458")):
+        rows = [f"0.{k + 1},100,0.02,5,{g}" for k, g in enumerate(grades)]
+        read_table(written(tmp_path, HEADER + ",grade_deg", *rows))
+
+
+def test_values_that_look_like_another_unit_are_doubted(tmp_path):
+    odd = "soil: {friction_angle_deg: 0.52, cohesion: 1.5, sinkage_coefficient: {value: 900, sd: 90}}"
+    words = read_setup(written(tmp_path, SETUP + odd, name="odd.yaml")).doubts()
+    assert len(words) == 3
+    for word, part in zip(words, ("0.52 deg looks like radians", "1.5 Pa looks like kPa", "kN/m^(n+2)"), strict=True):
+        assert part in word
+    usual = "soil: {friction_angle_deg: 6, cohesion: 0, k_c: 770, k_phi: 43120}"
+    assert read_setup(written(tmp_path, SETUP + usual, name="usual.yaml")).doubts() == []
+
+
+def test_reads_a_setup(tmp_path):
+    text = SETUP + (
+        "soil: {friction_angle_deg: {value: 30, sd: 1.5}, cohesion: 3700, k_c: 1000, k_phi: {value: 7e5, sd: 8e4}}\n"
+        "noise: {sinkage: 0.001}\n"
+    )
+    s = read_setup(written(tmp_path, text, name="setup.yaml"))
+    assert s.wheel == SetupWheel(0.15, 0.12) and s.wheel.grouser_height is None
+    assert s.soil.friction_angle_deg == Prior(30.0, 1.5) and not s.soil.friction_angle_deg.known
+    assert s.soil.cohesion == Prior(3700.0, 0.0) and s.soil.cohesion.known and s.soil.sinkage_exponent is None
+    assert s.soil.lumped(0.1) == Prior(1e4 + 7e5, 8e4)
+    assert s.noise.sinkage == 0.001 and s.noise.torque is None
+    bare = read_setup(written(tmp_path, SETUP + "soil:\nnoise:\n", name="bare.yaml"))
+    assert bare.soil.lumped(0.1) is None
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("soil: {}", ["missing wheel"]),
+        (SETUP + "nois: {}", ["unknown key 'nois'", "'noise'"]),
+        (SETUP + "soil: {cohesoin: 1}", ["unknown key 'cohesoin'", "'cohesion'"]),
+        (SETUP + "noise: {sinkagge: 1}", ["unknown key 'sinkagge'", "'sinkage'"]),
+        ("wheel: {radius: 0.15, widht: 0.1}", ["unknown key 'widht'", "'width'"]),
+        ("wheel: {radius: 150, width: 0.12}", ["radius = 150", "[0.01, 3] m"]),
+        ("wheel: {radius: big, width: 0.12}", ["radius = 'big'", "number"]),
+        (SETUP + "noise: {sinkage: 0}", ["sinkage = 0", "> 0 m"]),
+        (SETUP + "noise: {torque: -0.1}", ["torque = -0.1", "> 0"]),
+        (SETUP + "noise: {torque: .nan}", ["torque = nan", "> 0"]),
+        (SETUP + "soil: {cohesion: {value: 10, sd: 0}}", ["cohesion: sd = 0", "plain number"]),
+        (SETUP + "soil: {cohesion: {value: 10}}", ["cohesion: missing sd"]),
+        (SETUP + "soil: {cohesion: {value: 10, std: 1}}", ["cohesion: unknown key 'std'"]),
+        (SETUP + "soil: {cohesion: sticky}", ["cohesion", "'sticky'", "number"]),
+        (SETUP + "soil: {cohesion: }", ["cohesion = None", "leave it out"]),
+        (SETUP + "soil: {friction_angle_deg: 95}", ["friction_angle_deg = 95", "deg"]),
+        (SETUP + "soil: {shear_modulus: 30}", ["shear_modulus = 30", "[0.0001, 0.3] m"]),
+        (SETUP + "soil: {k_c: 1000}", ["both k_c and k_phi"]),
+        (SETUP + "soil: {k_c: 1, k_phi: 1e5, sinkage_coefficient: 1e5}", ["either sinkage_coefficient"]),
+        ("[1, 2]", ["expected a mapping"]),
+        ("wheel: {radius: 1", ["not valid YAML", "in line 1"]),
+        ("soil: {}", ["missing wheel: expected wheel: {radius: ..., width: ...}"]),
+        (SETUP + "soil: {cohesion: {value: .nan, sd: 1}}", ["soil.cohesion: value = nan", "finite"]),
+        (SETUP + "soil: {cohesion: {value: 10, sd: .inf}}", ["soil.cohesion: sd = inf", "finite"]),
+        (SETUP + "soil: {cohesion: {value: 10, sd: 1e-300}}", ["sd = 1e-300", "at least 1e-05", "plain number"]),
+    ],
+)
+def test_refuses_a_bad_setup(tmp_path, text, words):
+    message = refusal(read_setup, written(tmp_path, text, name="setup.yaml"))
+    assert "setup.yaml" in message
+    for word in words:
+        assert word in message

@@ -1,0 +1,107 @@
+"""The functions on eight lanes against numpy, and their edges."""
+
+import math
+
+import numpy as np
+import pytest
+from numba.core.errors import NumbaError
+
+from soil_env._numba import elementary, lanes
+from soil_env._numba.compiling import kernel
+
+
+@kernel
+def over(which, x, out):
+    """Function `which` on x [8 m] into `out` [2, 8 m]."""
+    for i in range(0, x.size, 8):
+        a = lanes.from_array(x, i)
+        b = a
+        if which == 0:
+            a = elementary.exp(a)
+        elif which == 1:
+            a = elementary.log_lanes(a)
+        elif which == 2:
+            a, b = elementary.half_sin_cos(a)
+        elif which == 3:
+            a = elementary.asin_root(a)
+        elif which == 4:
+            a = elementary.copysign(lanes.fill(2.0), a)
+        lanes.to_array(a, out[0], i)
+        lanes.to_array(b, out[1], i)
+
+
+def of(which, x):
+    x = np.asarray(x, dtype=float)
+    padded = np.resize(x, -(-x.size // 8) * 8)
+    out = np.empty((2, padded.size))
+    over(which, padded, out)
+    return out[:, : x.size]
+
+
+RNG = np.random.default_rng(0)
+
+
+def test_exp():
+    x = np.concatenate([-(10.0 ** RNG.uniform(-12, 2.8, 20_000)), RNG.uniform(0.0, 30.0, 20_000)])
+    np.testing.assert_allclose(of(0, x)[0], np.exp(x), rtol=4e-15)
+    at = of(0, [0.0, -0.0, -700.0, -1e6, -np.inf, 700.0, 1e6, np.inf])[0]
+    np.testing.assert_allclose(at, np.exp([0.0, 0.0, -700.0, -700.0, -700.0, 700.0, 700.0, 700.0]), rtol=2e-13)
+    assert at[0] == at[1] == 1.0  # a wheel at rest has no shear at all
+
+
+def test_log():
+    x = 10.0 ** RNG.uniform(-300, 300, 40_000)
+    np.testing.assert_allclose(of(1, x)[0], np.log(x), rtol=1e-15)
+    near = 1.0 + RNG.uniform(-1e-3, 1e-3, 10_000)
+    np.testing.assert_allclose(of(1, near)[0], np.log(near), rtol=1e-15)
+    assert of(1, [1.0])[0] == 0.0
+
+
+def test_half_angles():
+    x = np.concatenate([RNG.uniform(-math.pi, math.pi, 40_000), 10.0 ** RNG.uniform(-12, 0, 1000)])
+    s, c = of(2, x)
+    np.testing.assert_allclose(s, np.sin(0.5 * x), rtol=2e-15)
+    np.testing.assert_allclose(c, np.cos(0.5 * x), atol=3e-16)
+
+
+def test_asin_of_a_root():
+    t = np.concatenate([RNG.uniform(0.0, 1.0, 40_000), 10.0 ** RNG.uniform(-12, 0, 1000), [0.0, 0.25, 1.0]])
+    np.testing.assert_allclose(of(3, t)[0], np.arcsin(np.sqrt(t)), rtol=2e-15)
+    np.testing.assert_allclose(of(3, [-0.1, 1.2])[0], [0.0, 0.5 * math.pi])
+
+
+def test_copysign():
+    np.testing.assert_array_equal(of(4, [3.0, -1e-300, 0.0, -0.0])[0], [2.0, -2.0, 2.0, -2.0])
+
+
+@kernel
+def rearranged(x, out):
+    """Transpose, sums, single lanes, first lanes, smallest of x [64] into out [10, 8]."""
+    rows = (
+        lanes.from_array(x, 0), lanes.from_array(x, 8), lanes.from_array(x, 16), lanes.from_array(x, 24),
+        lanes.from_array(x, 32), lanes.from_array(x, 40), lanes.from_array(x, 48), lanes.from_array(x, 56),
+    )  # fmt: skip
+    columns = lanes.transposed(rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7])
+    for i in range(8):
+        lanes.to_array(columns[i], out[i], 0)
+    sums = lanes.totals(rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7])
+    for i in range(8):
+        out[8, i] = sums[i]
+    lanes.to_array(lanes.first(3, rows[0], rows[1]), out[9], 0)
+    return lanes.total(rows[2]), lanes.lane(rows[3], 5), lanes.smallest(rows[4])
+
+
+def test_moving_lanes():
+    x, out = RNG.normal(size=64), np.empty((10, 8))
+    rows = x.reshape(8, 8)
+    total, single, smallest = rearranged(x, out)
+    np.testing.assert_array_equal(out[:8], rows.T)
+    np.testing.assert_allclose(out[8], rows.sum(axis=1), atol=1e-14)
+    np.testing.assert_array_equal(out[9], [*rows[0, :3], *rows[1, 3:]])
+    assert total == pytest.approx(rows[2].sum()) and single == rows[3, 5] and smallest == rows[4].min()
+
+
+@pytest.mark.parametrize("make", [lambda n: np.empty(n)[0], lambda n: np.zeros(n).sum(), lambda n: [1.0] * n])
+def test_a_kernel_that_allocates_does_not_compile(make):
+    with pytest.raises(NumbaError):
+        kernel(make)(3)

@@ -1,0 +1,64 @@
+"""What is shipped for other people's code, as far as that can be tested without it; `benchmarks.clients` runs it."""
+
+import json
+import sys
+from pathlib import Path
+
+import gymnasium
+import pytest
+
+from benchmarks import clients
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_the_page_is_that_of_the_committed_runs(tmp_path):
+    result = json.loads((ROOT / "docs" / "clients.json").read_text())
+    assert result and set(result) <= set(clients.CLIENTS)
+    assert all(run["ok"] for found in result.values() for run in found["runs"])
+    assert (ROOT / "docs" / "clients.md").read_text() == clients.page(result)
+
+
+def test_a_failing_command_is_told_and_ends_the_client(capsys):
+    client = clients.Client("", "", (), ("python -c 'print(1)'", "python -c 'print(2/0)'", "python -c 'print(3)'"))
+    runs = clients.smoke("mine", client, Path(sys.executable))
+    assert [(r["ok"], r["seen"]) for r in runs] == [(True, "1"), (False, "ZeroDivisionError: division by zero")]
+    assert "Traceback" in capsys.readouterr().err
+    text = clients.page({"zoo": {"versions": {"zoo": "1"}, "runs": runs}})
+    assert "| `python -c 'print(2/0)'` | **failed**: ZeroDivisionError" in text and text.count("Not run yet") == 3
+
+
+def test_an_unknown_client_is_refused_in_one_line(capsys, tmp_path):
+    assert clients.main(["zo", f"--out={tmp_path}"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "did you mean 'zoo'" in error and not list(tmp_path.iterdir())
+
+
+def test_what_a_command_printed_is_told_in_short():
+    series = "".join(f"  {k}: {1000 * k:,} steps, 5 courses, return {k}.00\n" for k in (1, 2, 3))
+    assert (
+        clients.told(f"noise\n{series}")
+        == "1: 1,000 steps, 5 courses, return 1.00; ...; 3: 3,000 steps, 5 courses, return 3.00"
+    )
+    assert clients.told("=== 3 passed, 2 deselected in 4.12s ===\n") == "3 passed, 2 deselected"
+    best = (
+        "Number of finished trials:  6\nBest trial:\nValue:  -3.9169\nParams: \n    n_epochs: 4\n    rate: 1.2345e-05\n"
+    )
+    assert (
+        clients.told(f"noise\n{best}User Attributes: \n")
+        == "6 trials; best return -3.92 with n_epochs 4, rate 1.23e-05"
+    )
+
+
+def test_wrappers_for_vector_environments_take_the_native_one():
+    """RLlib wraps it in DictInfoToList; CleanRL's scripts record statistics."""
+    env = gymnasium.make_vec("soil_env:SoilWheel-v0", num_envs=2, vectorization_mode="vector_entry_point")
+    env = gymnasium.wrappers.vector.DictInfoToList(gymnasium.wrappers.vector.RecordEpisodeStatistics(env))
+    _, infos = env.reset(seed=1)
+    assert [set(i) for i in infos] == [{"cause", "reward_terms", "x"}] * 2
+    for _ in range(80):  # full throttle digs in, or stands at the first halt
+        _, reward, terminated, _, infos = env.step([[1.0], [0.0]])
+        for k in range(2):
+            assert sum(infos[k]["reward_terms"].values()) == pytest.approx(reward[k])
+            assert ("episode" in infos[k]) == bool(terminated[k])
+    assert len(env.env.return_queue) >= 1

@@ -1,0 +1,118 @@
+"""The examples run, say what they promise and draw their picture; those whose client is missing are left out."""
+
+import ast
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[2] / "examples"
+RUNS = {  # script -> (arguments, picture, what it has to print, module it needs)
+    "drive": ("--frame 40 --out wheel.png", "wheel.png", r"best_slip_identified: RUNNING at 0\.\d+ m", "gymnasium"),
+    "identify_soil": ("", "identified.png", r"friction_angle_deg +31\.4\d", "scipy"),
+    "find_missing_effect": ("", "gap.png", r"verdict: named\n  slip_sinkage: ", "scipy"),
+    "compare_controllers": (
+        "--courses 4 --tuning-courses 2",
+        "compared.png",
+        r"best_slip_true +immobilised +[\d.]+%",
+        "gymnasium",
+    ),
+    "own_controller": ("", "own_controller.png", "written", "gymnasium"),
+    "own_soil": ("--steps 40", "own_soil.png", r"RUNNING at 0\.\d+ m", "pygame"),
+    "vector_env": (
+        "--wheels 16 --steps 200",
+        "vector_env.png",
+        r"second; courses that ended: \{'",
+        "gymnasium",
+    ),
+    "model_with_effect": ("--courses 4", "bulldozing.png", r"with bulldozing +immobilised", "gymnasium"),
+    "train_ppo": ("--steps 16384 --courses 4", "training.png", r"full throttle +return", "stable_baselines3"),
+    "cleanrl_ppo": ("--steps 4096 --length 16 --courses 4", "cleanrl_ppo.png", r"same 4 courses: ppo -?\d", "torch"),
+    "rllib_ppo": ("--iterations 1 --batch 512 --wheels 16", "", r"1: \d+ steps", "ray.rllib"),
+    "minari_dataset": ("--episodes 1", "", "replayed: 0 steps differ", "minari"),
+}
+
+
+def run(name, arguments, folder, monkeypatch):
+    """Run a script as the command line does, in an empty folder."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder))
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", *arguments.split()])
+    return runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_example_runs(name, tmp_path, monkeypatch, capsys):
+    arguments, picture, said, needs = RUNS[name]
+    pytest.importorskip(needs)
+    run(name, arguments, tmp_path, monkeypatch)
+    assert re.search(said, capsys.readouterr().out)
+    if picture:
+        pixels = matplotlib.image.imread(tmp_path / picture)
+        assert min(pixels.shape[:2]) > 200 and np.std(pixels[..., :3]) > 0.02  # something is drawn
+
+
+def test_every_example_is_run_and_told():
+    """Each script is tested, says its command and what one sees, and is in the index."""
+    scripts = {p.stem for p in FOLDER.glob("*.py")}
+    index = (FOLDER / "README.md").read_text()
+    assert scripts == set(RUNS)
+    for name in scripts:
+        doc = ast.get_docstring(ast.parse((FOLDER / f"{name}.py").read_text()))
+        assert f"python examples/{name}.py" in doc
+        assert f"]({name}.py)" in index
+    assert set(re.findall(r"\]\((\w+)\.py\)", index)) == scripts
+
+
+# --- the single-file PPO ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cleanrl():
+    pytest.importorskip("torch")
+    return runpy.run_path(str(FOLDER / "cleanrl_ppo.py"))
+
+
+def test_advantages_are_those_of_the_sum(cleanrl):
+    """Schulman et al. (2016), Eq. 16, summed term by term; a course that ended hands nothing on."""
+    import torch
+
+    rng = np.random.default_rng(0)
+    rewards, values = rng.normal(size=(2, 6, 3))
+    dones, last = (rng.random((6, 3)) < 0.3).astype(float), rng.normal(size=3)
+    found = cleanrl["advantages"](*(torch.tensor(x) for x in (rewards, values, dones, last))).numpy()
+    gamma, lam = cleanrl["GAMMA"], cleanrl["LAMBDA"]
+    following = np.vstack([values[1:], last])
+    for k in range(3):
+        for t in range(6):
+            total, factor = 0.0, 1.0
+            for s in range(t, 6):
+                total += factor * (rewards[s, k] + gamma * following[s, k] * (1 - dones[s, k]) - values[s, k])
+                if dones[s, k]:
+                    break
+                factor *= gamma * lam
+            assert found[t, k] == pytest.approx(total)
+
+
+def test_only_truncated_courses_are_bootstrapped(cleanrl):
+    """On the real environment: with the value of the last observation, not of the first one of the next course."""
+    import gymnasium
+
+    envs = gymnasium.make_vec(
+        "soil_env:SoilWheel-v0", num_envs=3, vectorization_mode="vector_entry_point", max_episode_steps=5,
+        autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP, observation="blind",
+    )  # fmt: skip
+    envs.reset(seed=0)
+    for _ in range(5):
+        observation, reward, _, truncated, info = envs.step(np.full((3, 1), 0.5, np.float32))
+    assert truncated.all() and not np.array_equal(np.stack(info["final_obs"]), observation)
+    some = np.array([True, False, True])
+    seen = []
+    found = cleanrl["bootstrapped"](reward, some, info, lambda last: seen.append(last) or last[:, 4])
+    assert np.array_equal(seen[0], np.stack(info["final_obs"])[some])
+    expected = reward + cleanrl["GAMMA"] * np.where(some, np.stack(info["final_obs"])[:, 4], 0.0)
+    assert found == pytest.approx(expected) and found is not reward

@@ -1,0 +1,339 @@
+"""The picture: size, what is seen of wheel, rut, stress and end, history, windows, and the physics of the arrows."""
+
+import math
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from soil_env.parameters import load_scenario
+from soil_env.rendering import charts
+from soil_env.rendering import side_view as rendering
+from soil_env.rendering.side_view import Renderer, contact_stresses
+from soil_env.simulation.task import Cause
+from soil_env.simulation.worlds import Simulation
+
+SCALE = rendering.SCENE[2] / rendering._VIEW  # units of the design per wheel radius
+
+
+def start(seed=1, changes=None, mode="rgb_array", **options):
+    """(simulation, renderer) after a reset."""
+    scenario = load_scenario("mixed", changes or {})
+    simulation = Simulation(1, scenario, "identified")
+    simulation.seed(0, np.random.default_rng(seed))
+    simulation.restart(0)
+    renderer = Renderer(scenario, mode, **options)
+    renderer.record(simulation, 0)
+    return simulation, renderer
+
+
+def drive(simulation, renderer, steps, command=0.4):
+    """Drive on, recording every step."""
+    for _ in range(steps):
+        simulation.step(0, command)
+        renderer.record(simulation, 0)
+
+
+def near(picture, colour, tolerance=12):
+    """Mask [height, width] of the pixels that have a colour."""
+    return (np.abs(picture.astype(int) - colour) <= tolerance).all(axis=-1)
+
+
+def scene(picture):
+    """The side view within a picture of the design's size."""
+    x, y, w, h = rendering.SCENE
+    return picture[y : y + h, x : x + w]
+
+
+def hub(simulation):
+    """Place (column, row) of the hub in `scene`."""
+    w, r = simulation.worlds.state[0], simulation.numbers.world.radius
+    up = SCALE * (1.0 - w["sinkage"] / r)
+    x = rendering._WHEEL_AT[0] * rendering.SCENE[2] - up * math.sin(w["grade"])
+    return x, rendering._WHEEL_AT[1] * rendering.SCENE[3] - up * math.cos(w["grade"])
+
+
+def integral(values, x):
+    """Trapezoidal rule."""
+    return float(np.sum(0.5 * (values[1:] + values[:-1]) * np.diff(x)))
+
+
+def ring(picture, simulation):
+    """Share of the wheel's rim, by angle, that is drawn in the colour of the rim."""
+    x, y = hub(simulation)
+    a = np.linspace(0.0, 2.0 * math.pi, 180, endpoint=False)
+    radius = 0.97 * SCALE
+    rows, columns = np.rint(y + radius * np.sin(a)).astype(int), np.rint(x + radius * np.cos(a)).astype(int)
+    return near(scene(picture)[rows, columns], rendering.RIM, 40).mean()
+
+
+@pytest.mark.parametrize("size", [(960, 540), (640, 360), (801, 500), (1280, 960)])
+def test_frame_has_the_size_asked_for(size):
+    simulation, renderer = start(size=size)
+    drive(simulation, renderer, 30)
+    picture = renderer.draw(simulation, 0)
+    assert picture.shape == (size[1], size[0], 3)
+    assert picture.dtype == np.uint8
+    assert picture.flags.writeable and picture.flags.c_contiguous
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100
+
+
+def test_unknown_mode_is_refused():
+    with pytest.raises(ValueError, match="rgb_array, human"):
+        Renderer(load_scenario("mixed"), "ansi")
+
+
+def test_drawing_neither_changes_the_world_nor_an_earlier_picture():
+    simulation, renderer = start()
+    drive(simulation, renderer, 40)
+    worlds = simulation.worlds
+    before = worlds.state.tobytes(), worlds.streams.tobytes(), worlds.ids.estimate.tobytes()
+    first = renderer.draw(simulation, 0)
+    kept = first.copy()
+    assert np.array_equal(renderer.draw(simulation, 0), first)
+    assert before == (worlds.state.tobytes(), worlds.streams.tobytes(), worlds.ids.estimate.tobytes())
+    drive(simulation, renderer, 5)
+    second = renderer.draw(simulation, 0)
+    assert np.array_equal(first, kept)
+    assert not np.array_equal(scene(first), scene(second))
+
+
+def test_wheel_is_drawn_where_it_is_and_nowhere_else():
+    simulation, renderer = start()
+    for _ in range(4):
+        picture = renderer.draw(simulation, 0)
+        assert ring(picture, simulation) > 0.8  # arrow heads lie on the rest
+        simulation.worlds.state["sinkage"][0] += 0.03  # m: the ring must have moved with it
+        assert ring(picture, simulation) < 0.4
+        simulation.worlds.state["sinkage"][0] -= 0.03
+        drive(simulation, renderer, 25)
+
+
+def test_spokes_turn_with_the_wheel_only():
+    simulation, renderer = start()
+    drive(simulation, renderer, 20)
+    first = renderer.draw(simulation, 0)
+    renderer._angle += 0.3  # rad
+    turned = renderer.draw(simulation, 0)
+    changed = (first != turned).any(axis=-1)
+    rows, columns = np.nonzero(scene(changed))
+    x, y = hub(simulation)
+    assert 100 < changed.sum() == rows.size
+    assert np.hypot(columns - x, rows - y).max() < 1.02 * SCALE
+    dot = [np.argwhere(near(scene(p), rendering.ORANGE, 4)).mean(axis=0)[1] for p in (first, turned)]
+    assert dot[0] != dot[1]
+
+
+def test_recorded_angle_follows_the_wheel_speed():
+    simulation, renderer = start()
+    angle = 0.0
+    for _ in range(30):
+        drive(simulation, renderer, 1)
+        angle += simulation.worlds.state[0]["wheel_speed"] * simulation.scenario.control.period
+    assert renderer._angle == pytest.approx(angle) and angle > 1.0
+
+
+def test_rut_lowers_the_ground_behind_the_wheel():
+    simulation, renderer = start()
+    drive(simulation, renderer, 60)
+    with_rut = scene(renderer.draw(simulation, 0))
+    rut = simulation.worlds.courses.rut
+    depth = rut[0, int(simulation.worlds.state[0]["x"] / rendering.CELL) - 4]
+    rut[:] = 0.0
+    without = scene(renderer.draw(simulation, 0))
+    column = int(hub(simulation)[0] - 1.5 * SCALE)
+    sky = [near(p[:, column], rendering.SKY, 6).sum() for p in (with_rut, without)]
+    expected = float(depth) / simulation.numbers.world.radius * SCALE
+    assert expected > 8.0
+    assert sky[0] - sky[1] == pytest.approx(expected, abs=0.25 * expected + 3.0)
+    ahead = int(hub(simulation)[0] + 1.5 * SCALE)
+    assert np.array_equal(with_rut[:, ahead:], without[:, ahead:])
+
+
+def test_stress_is_drawn_below_the_wheel_and_grows_with_the_load():
+    simulation, renderer = start()
+    drive(simulation, renderer, 15)
+    blue = np.argwhere(near(scene(renderer.draw(simulation, 0)), rendering.LIGHT_BLUE, 10))
+    assert len(blue) > 80
+    x, y = hub(simulation)
+    assert (np.hypot(blue[:, 1] - x, blue[:, 0] - y) > 0.9 * SCALE).mean() > 0.95
+    simulation.worlds.state["mass"][0] *= 0.5
+    fewer = near(scene(renderer.draw(simulation, 0)), rendering.LIGHT_BLUE, 10).sum()
+    assert fewer < 0.75 * len(blue)
+
+
+@pytest.mark.parametrize("command", [0.4, -0.3, 0.9])
+def test_stresses_sum_to_the_forces_of_the_simulation(command):
+    simulation, renderer = start()
+    drive(simulation, renderer, 12, command)
+    w, world = simulation.worlds.state[0], simulation.numbers.world
+    angle, normal, shear = contact_stresses(simulation, 0)
+    r, area = world.radius, world.radius * world.width
+    side = math.copysign(1.0, w["speed"])
+    load = area * integral(normal * np.cos(angle) + side * shear * np.sin(angle), angle)
+    pull = area * integral(shear * np.cos(angle) - side * normal * np.sin(angle), angle)
+    torque = r * area * integral(shear, angle)
+    weight = w["mass"] * world.gravity * math.cos(w["grade"])
+    assert load == pytest.approx(weight, rel=0.02)
+    assert torque == pytest.approx(w["torque"], abs=0.03 * weight * r)
+    assert pull == pytest.approx(w["drawbar_pull"], abs=0.03 * weight)
+
+
+def test_shear_arrow_points_where_the_soil_pushes_the_wheel(monkeypatch):
+    simulation, renderer = start()
+    drive(simulation, renderer, 15)
+    stresses = contact_stresses(simulation, 0)
+    assert stresses.shear.max() > 2000.0  # Pa, driving
+    heads = []
+    for sign in (1.0, -1.0):
+        pushed = stresses._replace(shear=sign * stresses.shear)
+        monkeypatch.setattr(rendering, "contact_stresses", lambda *_, s=pushed: s)
+        heads.append(np.argwhere(near(scene(renderer.draw(simulation, 0))[60:], rendering.ORANGE, 20))[:, 1].mean())
+    assert heads[0] > heads[1] + 1.0
+
+
+def test_end_of_the_course_comes_into_view():
+    simulation, renderer = start()
+    dark = []
+    for x in (4.0, 9.6):  # m, of 10
+        simulation.worlds.state["x"][0] = x
+        dark.append(near(scene(renderer.draw(simulation, 0))[:, 330:], rendering.INK, 20).sum())
+    assert dark[1] > dark[0] + 400
+
+
+@pytest.mark.parametrize("cause", list(Cause))
+def test_badge_tells_how_the_episode_stands(cause):
+    simulation, renderer = start()
+    simulation.worlds.cause[0] = cause.value
+    badge = renderer.draw(simulation, 0)[10, 480]
+    colour = {Cause.RUNNING: rendering.GREY, Cause.FINISHED: rendering.GREEN}.get(cause, rendering.ORANGE)
+    assert tuple(badge) == colour
+
+
+def test_history_starts_anew_with_the_episode():
+    simulation, renderer = start()
+    drive(simulation, renderer, 50)
+    assert len(renderer._history) == 51
+    renderer.draw(simulation, 0)
+    simulation.restart(0)
+    renderer.record(simulation, 0)
+    assert len(renderer._history) == 1 and renderer._angle == 0.0
+    fresh = Renderer(simulation.scenario, "rgb_array")
+    fresh.record(simulation, 0)
+    assert np.array_equal(renderer.draw(simulation, 0), fresh.draw(simulation, 0))
+    renderer.clear()
+    assert not renderer._history
+    renderer.draw(simulation, 0)
+
+
+@pytest.mark.parametrize("period", [0.1, 0.002])
+def test_charts_cover_thirty_seconds_whatever_the_period(period):
+    simulation, renderer = start(changes={"control": {"period": period, "substep": min(period, 0.05)}})
+    w = simulation.worlds.state[0]
+    for step in range(0, round(40.0 / period), 1 if period > 0.01 else 5):
+        w["steps"] = step
+        renderer.record(simulation, 0)
+    times = np.array(renderer._history)[:, 0]
+    assert len(times) <= 602
+    assert times[-1] - times[0] >= charts.SPAN - 0.2
+    renderer.draw(simulation, 0)
+
+
+def test_estimate_and_truth_are_drawn_apart():
+    simulation, renderer = start()
+    drive(simulation, renderer, 150)
+    picture = renderer.draw(simulation, 0)
+    for x, y, w, h in charts.CHARTS[1:]:
+        chart = picture[y : y + h, x + 2 : x + w]
+        assert near(chart, rendering.BLUE, 30).sum() > 60
+        assert near(chart, rendering.ORANGE, 40).sum() > 60
+
+
+def test_extreme_states_are_drawn():
+    for sinkage, speed, wheel_speed in ((1e-5, 0.0, 0.0), (0.225, -0.3, -3.0), (0.1, 0.5, -6.0), (0.05, 0.0, 6.0)):
+        simulation, renderer = start()
+        w = simulation.worlds.state[0]
+        w["sinkage"], w["speed"], w["wheel_speed"] = sinkage, speed, wheel_speed
+        w["x"] = -0.7
+        simulation.worlds.ids.sd[0] = 30.0
+        renderer.record(simulation, 0)
+        assert renderer.draw(simulation, 0).any()
+
+
+def test_off_screen_pictures_need_no_display():
+    code = (
+        "import sys, numpy as np\n"
+        "import soil_env.rendering.side_view\n"
+        "assert 'pygame' not in sys.modules\n"
+        "from tests.rendering.test_side_view import start\n"
+        "simulation, renderer = start()\n"
+        "assert renderer.draw(simulation, 0).any()\n"
+        "import pygame\n"
+        "assert not pygame.display.get_init()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=_without_display())
+    assert done.returncode == 0, done.stderr
+
+
+def _without_display():
+    env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+    return env | {"SDL_VIDEODRIVER": "nonexistent", "PYTHONPATH": root}
+
+
+@pytest.fixture
+def dummy_display(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    import pygame
+
+    pygame.display.quit()
+    yield pygame
+    pygame.display.quit()
+
+
+FAST = {"control": {"period": 0.01, "substep": 0.01}}
+
+
+def test_windows_live_and_close_one_by_one(dummy_display):
+    pygame = dummy_display
+    (sim_a, a), (sim_b, b) = start(mode="human", changes=FAST), start(mode="human", changes=FAST)
+    off_screen = Renderer(sim_a.scenario, "rgb_array")
+    for _ in range(3):
+        drive(sim_a, a, 1)
+        drive(sim_b, b, 1)
+        assert a.draw(sim_a, 0) is None and b.draw(sim_b, 0) is None
+    shown = pygame.surfarray.array3d(a._window.get_surface()).transpose(1, 0, 2)
+    off_screen._history, off_screen._angle = a._history, a._angle
+    assert np.array_equal(shown, off_screen.draw(sim_a, 0))
+
+    pygame.event.post(pygame.event.Event(pygame.WINDOWCLOSE, window=a._window))
+    assert b.draw(sim_b, 0) is None  # b takes the event meant for a
+    assert a._id not in Renderer._windows and b._id in Renderer._windows
+    for _ in range(2):
+        drive(sim_a, a, 1)
+        assert a.draw(sim_a, 0) is None and b.draw(sim_b, 0) is None
+    for renderer in (a, a, b, b, off_screen, off_screen):
+        renderer.close()
+    assert not Renderer._windows
+
+
+def test_human_mode_keeps_the_pace_of_the_control_period(dummy_display):
+    simulation, renderer = start(mode="human", changes={"control": {"period": 0.05}})
+    renderer.draw(simulation, 0)
+    begin = time.perf_counter()
+    for _ in range(6):
+        renderer.draw(simulation, 0)
+    assert time.perf_counter() - begin > 0.25
+    renderer.close()
+
+
+def test_closed_renderer_can_draw_again():
+    simulation, renderer = start()
+    first = renderer.draw(simulation, 0)
+    renderer.close()
+    renderer.close()
+    assert np.array_equal(renderer.draw(simulation, 0), first)
+    renderer.close()

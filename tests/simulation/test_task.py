@@ -1,0 +1,402 @@
+"""The task: the documented layout, the reward, the ways an episode ends, and what the agent may see."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from soil_env.env import SoilWheelEnv
+from soil_env.identification import Status
+from soil_env.parameters import ParameterError, load_scenario, soils
+from soil_env.simulation import task
+from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
+from soil_env.simulation.worlds import Simulation
+
+ROW = re.compile(r"^\s*\| (\d+) \| (\w+) \| (.+?) \| (\S+) \| (\S+) \|$", re.MULTILINE)
+
+
+def simulation(variant="identified", seed=0, changes=None):
+    """A `Simulation` of one wheel after a reset."""
+    sim = Simulation(1, load_scenario("mixed", changes or {}), variant)
+    sim.seed(0, np.random.default_rng(seed))
+    sim.restart(0)
+    return sim
+
+
+def rollout(variant, seeds=range(6), steps=250, changes=None):
+    """Observations [n, D] under random actions that are held for a while."""
+    rows = []
+    for seed in seeds:
+        sim, rng = simulation(variant, seed, changes), np.random.default_rng(seed)
+        for k in range(steps):
+            if k % 7 == 0:
+                command = rng.uniform(-0.3, 1.0)
+            sim.step(0, command)
+            rows.append(sim.worlds.observation[0].copy())
+            if sim.worlds.cause[0] != Cause.RUNNING:
+                break
+    return np.array(rows)
+
+
+# --- layout -----------------------------------------------------------------------------------------------------------
+
+
+def documented(variant):
+    """Rows (name, unit, min, max) of the tables in the docstring of the environment that apply to a variant."""
+    tables, previous = [], None
+    for match in ROW.finditer(SoilWheelEnv.__doc__):
+        number, row = int(match[1]), (match[2], match[3], float(match[4]), float(match[5]))
+        if previous is None or number != previous + 1:  # a new table
+            tables.append({})
+        tables[-1][number] = row
+        previous = number
+    (blind_and_identified, true_soil) = tables  # 0-10 and 11-17 count on, the last table starts at 11 again
+    rows = {k: v for k, v in blind_and_identified.items() if variant == "identified" or k <= 10}
+    if variant == "true_soil":
+        rows |= true_soil
+    assert sorted(rows) == list(range(len(rows)))
+    return [rows[k] for k in range(len(rows))]
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_layout_is_the_documented_one(variant):
+    rows, entries = documented(variant), task.layout(variant)
+    assert [(e.name, e.low, e.high) for e in entries] == [(name, low, high) for name, _, low, high in rows]
+    for e, (_, unit, _, _) in zip(entries, rows, strict=True):
+        assert unit == e.unit or unit.startswith((e.unit + ",", e.unit + ":", "1 while")), (e, unit)
+    env = SoilWheelEnv(observation=variant)
+    assert env.observation_names == tuple(e.name for e in entries)
+    np.testing.assert_array_equal(env.observation_space.low, np.float32([e.low for e in entries]))
+    np.testing.assert_array_equal(env.observation_space.high, np.float32([e.high for e in entries]))
+    assert env.observation_space.dtype == np.float32
+
+
+def test_unknown_variant_is_named():
+    with pytest.raises(ParameterError, match="'identfied'.*did you mean 'identified'"):
+        task.layout("identfied")
+
+
+# --- observation ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_observation_is_neither_constant_nor_aliased(variant):
+    rows = rollout(variant)
+    entries = task.layout(variant)
+    assert np.all(np.isfinite(rows)) and len(rows) > 300
+    for i, a in enumerate(entries):
+        if a.name == "dig_recovery" and len({s.dig_recovery for s in soils().values()}) == 1:
+            continue  # every shipped soil has the same
+        assert np.ptp(rows[:, i]) > 1e-3, a.name
+        assert a.low <= rows[:, i].min() and rows[:, i].max() <= a.high
+        # cut to the bounds now and then at most, or information is lost
+        if a.unit != "0 or 1" and a.name not in ("slip", "last_action"):
+            assert np.mean((rows[:, i] == np.float32(a.low)) | (rows[:, i] == np.float32(a.high))) < 0.05, a.name
+        for j in range(i):
+            assert not np.array_equal(rows[:, i], rows[:, j]), (a.name, entries[j].name)
+
+
+@pytest.mark.parametrize("variant", VARIANTS[1:])
+def test_all_variants_share_the_first_entries(variant):
+    """Bit for bit, for the same seed and actions: the variant changes nothing but what is added."""
+    blind, other = rollout("blind", seeds=[3]), rollout(variant, seeds=[3])
+    np.testing.assert_array_equal(blind, other[:, : blind.shape[1]])
+
+
+def observed_again(sim, ground=None, estimate=None):
+    """The observation written anew from the present state, the random stream untouched."""
+    worlds, numbers = sim.worlds, sim.numbers.task
+    courses, streams, out = worlds.courses, worlds.streams.copy(), np.zeros_like(worlds.observation[0])
+    if ground is not None:
+        courses = courses._replace(soils=courses.soils * ground)
+    ids = worlds.ids if estimate is None else worlds.ids._replace(estimate=worlds.ids.estimate + estimate)
+    reading, pitch = task.sense(worlds.state, 0, streams, numbers)
+    task.write_observation(out, worlds.state, 0, reading, pitch, courses, ids, numbers)
+    return out
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_only_true_soil_shows_the_soil(variant):
+    sim = simulation(variant)
+    for _ in range(20):
+        sim.step(0, 0.3)
+    before, after = observed_again(sim), observed_again(sim, ground=np.full(7, 1.3))
+    changed = before != after
+    expected = np.zeros(len(before), dtype=bool)
+    if variant == "true_soil":
+        expected[11:] = True
+    np.testing.assert_array_equal(changed, expected)
+
+
+def test_true_soil_is_the_undisturbed_soil_under_the_wheel():
+    sim = simulation("true_soil", changes={"course": {"border": 0.01}})
+    sim.worlds.state["x"] = 0.5 * sim.worlds.courses.edges[0, 1:3].sum()  # amid the second patch
+    sim.worlds.courses.modulus[:] = 0.5
+    tan_phi, c, k, s, n, gain, recovery = sim.worlds.courses.soils[0, 1]
+    expected = [math.atan(tan_phi), math.log10(k), math.log10(s), c / 1000.0, n, gain, recovery]
+    np.testing.assert_allclose(observed_again(sim)[11:], expected, rtol=1e-6)
+
+
+def test_estimate_in_the_observation():
+    sim = simulation()
+    rows = []
+    for k in range(200):
+        sim.step(0, 0.3 + 0.2 * math.sin(0.5 * k))
+        ids, seen = sim.worlds.ids, sim.worlds.observation[0]
+        x = ids.estimate[0]
+        np.testing.assert_allclose(seen[11:14], [x[0], x[1] / math.log(10), x[2] / math.log(10)], rtol=1e-6)
+        np.testing.assert_allclose(seen[14:17], ids.sd[0, :3], rtol=1e-6)
+        belief = load_scenario("mixed").belief
+        np.testing.assert_allclose(seen[18:20], [x[3] / 1000.0, belief.dig_gain * math.exp(x[4])], rtol=1e-6)
+        np.testing.assert_allclose(seen[20:], [ids.sd[0, 3] / 1000.0, ids.sd[0, 4]], rtol=1e-6)
+        assert seen[17] == (ids.status[0] == Status.CONVERGED)
+        rows.append(seen[17])
+    assert {0.0, 1.0} == set(rows)
+    changed = observed_again(sim) != observed_again(sim, estimate=0.01)
+    np.testing.assert_array_equal(np.flatnonzero(changed), [11, 12, 13, 18, 19])
+
+
+def test_readings_scatter_as_stated():
+    """Mean and standard deviation of 20 000 readings of one state, in the units of the observation."""
+    sim = simulation("blind")
+    for name, value in {"slip": 0.4, "speed": 0.3, "wheel_speed": 3.3, "drawbar_pull": 20.0, "torque": 8.0}.items():
+        sim.worlds.state[name] = value
+    w, n, radius = sim.worlds.state[0], sim.scenario.noise, sim.scenario.wheel.radius
+    weight, top = sim.scenario.weight, sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
+    out, rows, streams = np.zeros(11, np.float32), [], sim.worlds.streams.copy()
+    for _ in range(20_000):
+        reading, pitch = task.sense(sim.worlds.state, 0, streams, sim.numbers.task)
+        task.write_observation(
+            out, sim.worlds.state, 0, reading, pitch, sim.worlds.courses, sim.worlds.ids, sim.numbers.task
+        )  # fmt: skip
+        rows.append(out[:8].copy())
+    rows = np.array(rows, dtype=float)
+    truth = [w["slip"], w["sinkage"] / radius, w["drawbar_pull"] / weight, w["load"] / weight,
+             w["torque"] / weight / radius, w["speed"] / top, w["wheel_speed"] * radius / top, w["grade"]]  # fmt: skip
+    sd = [n.slip, n.sinkage / radius, n.drawbar_pull, n.load, n.torque, n.speed / top,
+          n.wheel_speed * radius / top, n.pitch]  # fmt: skip
+    assert np.all(np.abs(rows.mean(axis=0) - truth) < 4.5 * np.array(sd) / math.sqrt(20_000))
+    np.testing.assert_allclose(rows.std(axis=0), sd, rtol=0.03)
+    correlation = np.corrcoef(rows.T) - np.eye(8)
+    assert np.abs(correlation).max() < 0.04
+
+
+# --- reward -----------------------------------------------------------------------------------------------------------
+
+
+def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
+    weights = {"progress": 7.0, "energy": 3.0, "immobilisation": 5.0}
+    causes, backwards, braking = set(), 0, 0
+    for seed in range(8):
+        sim = simulation("blind", seed, {"reward": weights, "course": {"length": 3.0}})
+        rng = np.random.default_rng(seed)
+        for _ in range(900):
+            x, w = float(sim.worlds.state[0]["x"]), sim.worlds.state[0]
+            sim.step(0, 0.9 if seed % 2 else 0.1 + 0.3 * rng.random() - (0.5 if rng.random() < 0.1 else 0.0))
+            cause, terms = Cause(sim.worlds.cause[0]), sim.worlds.terms[0]
+            assert terms[0] == pytest.approx(7.0 * (w["x"] - x) / 3.0, abs=1e-12)
+            work = max(float(w["motor_work"]), 0.0)
+            assert terms[1] == pytest.approx(-3.0 * work / (w["mass"] * sim.scenario.gravity * 3.0), abs=1e-12)
+            stuck = cause in (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
+            assert terms[2] == (-5.0 if stuck else 0.0)
+            assert terms[3] == 0.0
+            assert sim.worlds.reward[0] == terms[0] + terms[1] + terms[2]
+            backwards += terms[0] < 0.0
+            braking += w["motor_work"] < 0.0
+            causes.add(cause)
+            if cause != Cause.RUNNING:
+                break
+    assert backwards and braking and {Cause.FINISHED} < causes
+    assert causes & {Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED}
+    assert REWARD_TERMS == ("progress", "energy", "immobilisation", "information")
+
+
+def drives(reward, time_limit=90.0):
+    """(terms [4], reward, Phi before, Phi after, status, cause, observation) of each step of some courses."""
+    out = []
+    for seed in range(6):
+        changes = {"reward": reward, "course": {"length": 3.0}, "control": {"time_limit": time_limit}}
+        sim, rng = simulation("identified", seed, changes), np.random.default_rng(seed)
+        b, rows = sim.scenario.belief, []
+        prior = [math.radians(b.friction_sd_deg), b.shear_modulus_sd, b.sinkage_coefficient_sd, b.cohesion_sd,
+                 b.dig_gain_sd]  # fmt: skip
+        cause, after = Cause.RUNNING, 0.0
+        for step in range(900):
+            if step % 7 == 0:
+                command = 0.9 if seed == 5 else rng.uniform(0.1, 0.6)
+            sim.step(0, command)
+            w, before = sim.worlds, after
+            after = float(np.log(np.maximum(prior / w.ids.sd[0], 1.0)).sum())
+            cause = Cause(w.cause[0])
+            rows.append(
+                (w.terms[0].copy(), w.reward[0], before, after, w.ids.status[0], cause, w.observation[0].copy())
+            )
+            if cause != Cause.RUNNING:
+                break
+        out.append(rows)
+    return out
+
+
+def test_information_is_shaping_by_the_knowledge_of_the_identifier():
+    weight, discount = 2.5, 0.98
+    endings, won = set(), 0
+    for limit in (90.0, 4.0):
+        for rows in drives({"information": weight, "information_discount": discount}, limit):
+            paid, first = 0.0, None
+            for k, (terms, reward, before, after, status, cause, _) in enumerate(rows):
+                kept = after if cause in (Cause.RUNNING, Cause.TIME_LIMIT) else 0.0
+                assert terms[3] == pytest.approx(weight * (discount * kept - before), abs=1e-9)
+                assert reward == pytest.approx(terms.sum(), abs=1e-12)
+                paid += discount**k * terms[3]
+                if status == Status.CONVERGED.value and first is None:
+                    first = terms[3]
+            # it telescopes: over a terminated course it is worth nothing, whatever was learnt on the way
+            assert paid == pytest.approx(weight * discount ** len(rows) * kept, abs=1e-9)
+            endings.add(rows[-1][5])
+            won += first is not None and first > 0.0
+    assert won >= 6 and {Cause.FINISHED, Cause.TIME_LIMIT} < endings and len(endings) > 2
+
+
+def test_information_changes_nothing_but_its_own_term():
+    paid, free = drives({"information": 3.0}), drives({})
+    for a, b in zip(sum(paid, []), sum(free, []), strict=True):
+        np.testing.assert_array_equal(a[0][:3], b[0][:3])
+        np.testing.assert_array_equal(a[6], b[6])
+        assert b[0][3] == 0.0 and b[1] == b[0][0] + b[0][1] + b[0][2] and a[5] == b[5]
+    assert any(a[0][3] != 0.0 for a in sum(paid, []))
+
+
+@pytest.mark.parametrize(("shares", "nats"), [
+    ([1.0, 1.0, 1.0], 0.0), ([0.5, 1.0, 1.0], math.log(2.0)), ([0.1, 0.2, 0.5], math.log(100.0)),
+    ([7.0, 0.5, 1.0], math.log(2.0)), ([0.0, 1.0, 1.0], math.log(1e6)), ([math.inf, 1.0, 0.1], math.log(10.0)),
+])  # fmt: skip
+def test_knowledge_is_the_fall_of_the_entropy_and_bounded(shares, nats):
+    ids, precision = simulation().worlds.ids, np.array([4.0, 1.0, 0.01])
+    ids.sd[0, :3] = np.array(shares) / np.sqrt(precision)
+    assert task.knowledge(ids, 0, precision) == pytest.approx(nats, abs=1e-12)
+
+
+@pytest.mark.parametrize("reward", [
+    {"information": -1.0}, {"information": math.nan}, {"information_discount": 1.01}, {"information_discount": -0.1},
+])  # fmt: skip
+def test_weights_of_the_information_are_checked(reward):
+    with pytest.raises(ParameterError, match=f"{next(iter(reward))} = .*expected a number in"):
+        load_scenario("mixed", {"reward": reward})
+
+
+# --- ends -------------------------------------------------------------------------------------------------------------
+
+TRAPPED = {"slip": 0.7, "speed": 0.01, "wheel_speed": 2.0}
+STALLED = {"slip": 0.0, "speed": 0.0, "wheel_speed": 0.0, "last_action": 0.4}
+
+
+def judged(state=None, steps=1, changes=None):
+    """(simulation, causes of `steps` judgements) with some state held."""
+    sim = simulation("blind", changes=changes)
+    w = sim.worlds.state
+    w["speed"], w["wheel_speed"], w["last_action"] = 0.3, 3.0, 0.3
+    for name, value in (state or {}).items():
+        w[name] = value
+    causes = []
+    for _ in range(steps):
+        w["steps"] += 1
+        causes.append(Cause(task.judge(w, 0, sim.numbers.task)))
+    return sim, causes
+
+
+def test_a_driving_wheel_runs_on():
+    assert judged(steps=300)[1] == [Cause.RUNNING] * 300
+
+
+@pytest.mark.parametrize(("state", "cause"), [(TRAPPED, Cause.ENTRAPPED), (STALLED, Cause.STALLED)])
+def test_a_condition_that_lasts_ends_the_episode(state, cause):
+    """After 4 s, that is 40 control periods, and not one earlier."""
+    assert judged(state, 40)[1] == [Cause.RUNNING] * 39 + [cause]
+
+
+@pytest.mark.parametrize("nearly", [
+    TRAPPED | {"slip": 0.59}, TRAPPED | {"speed": 0.021}, STALLED | {"wheel_speed": 0.0101 / 0.15},
+    STALLED | {"wheel_speed": -0.0101 / 0.15},
+])  # fmt: skip
+def test_short_of_a_condition_nothing_ends(nearly):
+    assert set(judged(nearly, 200)[1]) == {Cause.RUNNING}
+
+
+def test_limits_are_parameters():
+    limits = {"limits": {"entrapped_time": 1.0, "stalled_time": 2.0, "bogged_sinkage": 0.3}}
+    assert judged(TRAPPED | {"sinkage": 0.02}, 10, limits)[1][-1] == Cause.ENTRAPPED
+    assert judged(STALLED | {"sinkage": 0.02}, 20, limits)[1][-2:] == [Cause.RUNNING, Cause.STALLED]
+    assert judged({"sinkage": 0.31 * 0.15}, 1, limits)[1] == [Cause.BOGGED]
+
+
+def test_bogged():
+    assert judged({"sinkage": 0.801 * 0.15})[1] == [Cause.BOGGED]
+    assert judged({"sinkage": 0.799 * 0.15})[1] == [Cause.RUNNING]
+
+
+def test_finished_at_the_end_of_the_course():
+    assert judged({"x": 10.0})[1] == [Cause.FINISHED]
+    assert judged({"x": 9.999})[1] == [Cause.RUNNING]
+    assert judged({"x": 10.1, "sinkage": 0.14})[1] == [Cause.FINISHED]  # arriving counts first
+
+
+def test_time_limit():
+    assert judged({"steps": 898}, 2)[1] == [Cause.RUNNING, Cause.TIME_LIMIT]
+    halted = {"steps": 898, "halt_left": 5.0}
+    assert judged(halted, 2)[1] == [Cause.RUNNING, Cause.TIME_LIMIT]
+    assert judged({"steps": 899, "sinkage": 0.14})[1] == [Cause.BOGGED]  # immobilised in the last step
+
+
+@pytest.mark.parametrize(("state", "clock"), [(TRAPPED, "entrapped_time"), (STALLED, "stalled_time")])
+def test_clocks_run_back_and_stand_still_in_halts(state, clock):
+    sim, _ = judged(state, 30)
+    w = sim.worlds.state
+    assert w[clock][0] == pytest.approx(3.0)
+    w["halt_left"] = 0.5
+    for _ in range(20):
+        assert task.judge(w, 0, sim.numbers.task) == Cause.RUNNING
+    assert w[clock][0] == pytest.approx(3.0)
+    w["halt_left"] = 0.0
+    for name, value in {"slip": 0.1, "speed": 0.3, "wheel_speed": 3.0}.items():
+        w[name] = value
+    for _ in range(10):
+        task.judge(w, 0, sim.numbers.task)
+    assert w[clock][0] == pytest.approx(2.0)
+    for _ in range(50):
+        task.judge(w, 0, sim.numbers.task)
+    assert w[clock][0] == 0.0
+    for name, value in state.items():
+        w[name] = value
+    assert [task.judge(w, 0, sim.numbers.task) != Cause.RUNNING for _ in range(40)].index(True) == 39
+
+
+def test_clocks_start_at_nothing_in_a_new_episode():
+    sim, _ = judged(TRAPPED, 39)
+    sim.restart(0)
+    assert sim.worlds.state["entrapped_time"][0] == 0.0 and sim.worlds.state["stalled_time"][0] == 0.0
+
+
+# --- ends that are driven to ------------------------------------------------------------------------------------------
+
+
+def driven(command, seed=0, changes=None):
+    """Cause in which a constant command ends, and the steps it took."""
+    sim = simulation("blind", seed, changes)
+    for _ in range(sim.scenario.steps + 5):
+        sim.step(0, command)
+        if sim.worlds.cause[0] != Cause.RUNNING:
+            break
+    return Cause(sim.worlds.cause[0]), int(sim.worlds.state[0]["steps"])
+
+
+def test_each_cause_can_be_driven_to():
+    flat = {"course": {"grade_deg": [0.0, 0.0], "length": 3.0}, "soils": {"grenville_loam": 1}}
+    assert driven(0.3, changes=flat)[0] == Cause.FINISHED
+    hill = {"course": {"grade_deg": [10.0, 35.0], "margin": [0.0, 0.01], "halt_interval": [1e5, 1e5]}}
+    assert driven(0.05, changes=flat) == (Cause.STALLED, 40)
+    assert driven(1.0, 8, hill)[0] in (Cause.ENTRAPPED, Cause.BOGGED)
+    soft = hill | {"limits": {"bogged_sinkage": 0.3}}
+    assert driven(1.0, 8, soft)[0] == Cause.BOGGED
+    assert driven(1.0, 8, hill | {"limits": {"bogged_sinkage": 1.4}})[0] == Cause.ENTRAPPED
+    assert driven(0.3, changes=flat | {"control": {"time_limit": 2.0}}) == (Cause.TIME_LIMIT, 20)

@@ -1,0 +1,567 @@
+"""Worlds with effects: `model=` of the environments, judged by `model.steady_with`, differences and random driving."""
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+from numba import njit
+
+from soil_env._io.loading import ParameterError
+from soil_env._numba.random_streams import seed_stream
+from soil_env.env import SoilWheelEnv
+from soil_env.parameters import Soil, SoilState, load_scenario, soils
+from soil_env.simulation import courses as drawing
+from soil_env.simulation import dynamics, terrain
+from soil_env.simulation.task import VARIANTS, sense, task_numbers
+from soil_env.simulation.worlds import Simulation
+from soil_env.terramechanics import reaction
+from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.contact import arc_nodes
+from soil_env.terramechanics.effects import NO_EFFECTS, acting, pack_effects
+from soil_env.terramechanics.model import Conditions, ModelWheel, Rim, WheelSoilModel, steady_with
+from soil_env.terramechanics.residual import ResidualTerm
+from soil_env.terramechanics.traversability import best_working_point_with
+from soil_env.vector_env import SoilWheelVectorEnv
+
+LUG = 0.012  # [m]
+WHEEL = ModelWheel(0.15, 0.15, LUG)
+#: One value of each form of each effect.
+VALUES = {
+    "slip_sinkage": {
+        "ratio": {"gain": 2.5, "recovery": 0.7}, "exponent": {"exponent_slope": 0.3},
+        "excavation": {"length": 0.008}, "apparent": {"gain": 2.0},
+    },
+    "rear_contact": {"midway": {"ratio": 0.4}, "peak_kept": {"ratio": 0.4}},
+    "stress_peak_shift": {"linear": {"offset": -0.1, "slope": 0.3}},
+    "grousers": {
+        "shear_radius": {"shear_share": 0.8}, "shear_radius_rim": {"shear_share": 0.8},
+        "radius": {"radius_share": 0.8}, "radius_rim": {"radius_share": 0.8}, "blades": {"blades": 3.0},
+    },
+    "bulldozing": {"rankine": {"rankine": 1.0}, "hegedus": {"hegedus": 0.7}},
+    "multipass": {
+        "power": {"hardening": 0.3, "stiffening": 0.1, "strength": 0.05},
+        "slip_history": {"slip_gain": 0.4, "per_pass": 0.1, "stiffening": 0.1, "cohesion": 0.1},
+        "saturating": {"gain": 0.8, "stiffening": 0.1, "strength": 0.03},
+    },
+    "penetration_rate": {"power": {"exponent": 0.2}, "logarithmic": {"slope": 0.15}},
+    "shear_rate": {
+        "power": {"exponent": 0.08}, "logarithmic": {"slope": 0.08}, "cohesion": {"cohesion": 0.2, "onset_speed": 0.01},
+    },
+    "shear_softening": {
+        "hump": {"sharpness": 4.0}, "hump_of_first_slope": {"sharpness": 4.0},
+        "decaying": {"drop": 0.4, "length": 0.03, "onset": 0.001},
+    },
+    "grade": {"weight": {"share": 1.0}, "weight_and_bearing": {"share": 1.0, "weakening": 0.7}},
+    "drivetrain_friction": {
+        "coulomb": {"constant": 1.0}, "coulomb_and_load": {"constant": 1.0, "share": 0.1},
+        "coulomb_and_viscous": {"constant": 1.0, "viscous": 0.3},
+    },
+    "slip_bias": {"offset": {"offset": 0.05}, "rolling_radius": {"radius_error": 0.05}},
+    "sinkage_offset": {"offset": {"offset": 0.01}},
+}  # fmt: skip
+CASES = {
+    f"{name}-{form.name}": {name: VALUES[name][form.name] | dict(form.fixed)}
+    for name, effect in CATALOGUE.items()
+    for form in effect.forms
+}
+TOGETHER = {
+    "slip_sinkage": {"gain": 2.0, "length": 0.003}, "rear_contact": {"ratio": 0.2}, "bulldozing": {"rankine": 0.5},
+    "grousers": {"shear_share": 0.5, "blades": 2.0}, "multipass": {"hardening": 0.3},
+    "drivetrain_friction": {"constant": 1.0, "share": 0.3, "viscous": 0.2}, "slip_bias": {"offset": 0.03},
+}  # fmt: skip
+SOFT = SoilState(math.tan(math.radians(34.0)), 1500.0, 0.012, 4e5, 0.8, 1.0, 0.5)
+ACTING = [case for case, effects in CASES.items() if acting(pack_effects(effects)) != NO_EFFECTS]
+RESIDUAL = (ResidualTerm("drawbar_pull", -0.1, {"slip": 1}), ResidualTerm("torque", 0.05, {"speed": 1}))
+
+
+def model_of(effects, residual=(), soil=None):
+    return WheelSoilModel(WHEEL, soil, effects, residual)
+
+
+def on_uniform_ground(effects, soil, grade, mode="wheel_speed", residual=(), noise=False):
+    """(courses, state, world, task) of a wheel at rest on one soil and grade, without halts and sensor noise."""
+    still = dict.fromkeys(("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "wheel_speed", "pitch"), 0.0)
+    course = {"length": 40.0, "halt_interval": [1e5, 1e5]}
+    scenario = load_scenario("mixed", {"control": {"action": mode}, "course": course, "noise": still})
+    model = None if effects is None else model_of(effects, residual)
+    courses, world = terrain.new_courses(1, scenario), dynamics.world_numbers(scenario, model)
+    courses.edges[0, :2], courses.patches[0] = (0.0, 1e3), 1
+    courses.soils[0, :], courses.grades[0, :] = soil, grade
+    state = np.zeros(1, dynamics.WHEEL_STATE)
+    dynamics.settle(state, 0, scenario.wheel.body_mass + 2.0, courses, np.zeros(1, dtype=np.uint64), world)
+    state[0]["next_halt"] = 1e9
+    return courses, state, world, task_numbers(scenario, "blind", model)
+
+
+def drive(courses, state, world, command, periods):
+    for _ in range(periods):
+        dynamics.advance(state, 0, command, courses, np.zeros(1, dtype=np.uint64), world)
+
+
+@njit
+def ground_of(state, soil, grade, passes, world):
+    return reaction.ground_with_effects(state[0], soil, grade, passes, world)
+
+
+@njit
+def react(ground, v, u, load, world):
+    nodes = arc_nodes(
+        ground.theta1, ground.theta2, ground.thetam, ground.soil.sinkage_exponent, ground.radius, ground.sheared_from
+    )
+    return reaction.react(nodes, ground, v, u, load, world)
+
+
+@njit
+def readings(state, task):
+    return sense(state, 0, np.ones(1, dtype=np.uint64), task)
+
+
+# --- steady states ----------------------------------------------------------------------------------------------------
+
+
+def settled(case, grade_deg):
+    """(what instruments read, what `steady_with` says, the same without the effect, weight) of a wheel driven far."""
+    effects = {name: dict(values) for name, values in CASES[case].items()}
+    soil = SOFT._replace(dig_gain=0.0) if "apparent" in case else SOFT  # the form takes the place of the soil's digging
+    courses, state, world, task = on_uniform_ground(effects, soil, math.radians(grade_deg))
+    passes = 1.0
+    if "multipass" in effects:
+        courses.rut[0, :], passes = 1e-3, 2.0
+    drive(courses, state, world, 0.35, 250)
+    w, before = state[0], float(state[0]["sinkage"])
+    drive(courses, state, world, 0.35, 5)
+    assert w["x"] > 2.0 and w["speed"] > 0.05
+    assert w["sinkage"] == pytest.approx(before, rel=1e-6)
+    read, _ = readings(state, task)
+    weight = w["mass"] * world.gravity
+    if "grousers" in effects:
+        effects["grousers"]["slip_at_rim"] = 1.0  # the slip of the world is that of the rim
+    at = Conditions(w["speed"], passes, math.sin(w["grade"]))
+    wheel, gravity = Rim(world.radius, world.width, LUG), {"grade": {"share": 1.0}}
+    stated = [
+        steady_with(read.slip, weight, soil, wheel, at, 1500.0 * world.gravity, pack_effects(fx), 0.0)
+        for fx in ({**effects, "grade": {**gravity["grade"], **effects.get("grade", {})}}, gravity)
+    ]
+    # gravity along the slope pulls at the drawbar in the table, at the wheel in the world
+    found = np.array([read.sinkage / 0.15, read.drawbar_pull / weight - at.sin_grade, read.torque / weight / 0.15])
+    with_effect, without = (np.array([s.sinkage / 0.15, s.drawbar_pull / weight, s.torque / weight / 0.15])
+                            for s in stated)  # fmt: skip
+    return found, with_effect, without
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_driven_wheel_settles_at_the_steady_state(case):
+    """Downhill and uphill at a constant wheel speed: sinkage, drawbar pull and torque as instruments read them."""
+    change = 0.0
+    for grade_deg in (-4.0, -1.0, 2.0):
+        found, stated, without = settled(case, grade_deg)
+        np.testing.assert_allclose(found, stated, rtol=0.0, atol=1e-5)
+        change = max(change, np.abs(stated - without).max())
+    assert change > 1e-3 or case == "grade-weight"  # there was something to settle at
+
+
+def test_a_residual_law_acts_as_it_predicts():
+    """Its groups are those of the undisturbed soil and of the weight, whatever effects are on beside it."""
+    soil = Soil(friction_angle_deg=34.0, cohesion=1500.0, shear_modulus=0.012, sinkage_coefficient=4e5,
+                sinkage_exponent=0.8, dig_gain=1.0, dig_recovery=0.5)  # fmt: skip
+    residual = (ResidualTerm("drawbar_pull", -0.05, {"load": 1}), ResidualTerm("torque", 0.2, {"load": 1, "speed": 1}))
+    effects = {"penetration_rate": {"exponent": 0.4}, "grade": {"share": 1.0}}
+    courses, state, world, _ = on_uniform_ground(effects, soil.state(0.15), math.radians(-3.0), residual=residual)
+    drive(courses, state, world, 0.35, 250)
+    w, weight = state[0], float(state[0]["mass"]) * world.gravity
+    conditions = {"slip": w["slip"], "load": weight, "speed": w["speed"], "grade_deg": -3.0}
+    stated, without = (model_of(effects, law, soil).predict(conditions) for law in (residual, ()))
+    assert w["drawbar_pull"] + weight * math.sin(math.radians(3.0)) == pytest.approx(
+        stated.drawbar_pull[0], abs=1e-5 * weight
+    )
+    assert w["torque"] == pytest.approx(stated.torque[0], abs=1e-5 * weight * 0.15)
+    assert abs(stated.drawbar_pull[0] - without.drawbar_pull[0]) > 1e-3 * weight
+    assert abs(stated.torque[0] - without.torque[0]) > 1e-3 * weight * 0.15
+
+
+def test_a_wheel_at_rest_has_settled():
+    """On ground that slopes weaken it starts as deep as it stays: 40 % deeper than on the level."""
+    soil, starts = soils()["lete_sand"].state(0.15), []
+    for grade_deg in (0.0, 6.0):
+        courses, state, world, _ = on_uniform_ground({"grade": {"weakening": 1.0}}, soil, math.radians(grade_deg))
+        starts.append(float(state[0]["sinkage"]))
+        drive(courses, state, world, 0.0, 3)
+        assert state[0]["sinkage"] == pytest.approx(starts[-1], rel=0.01)
+    assert starts[1] > 1.3 * starts[0]
+
+
+# --- reaction ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", [*ACTING, "together"])
+def test_rates_of_the_reaction_against_central_differences(case):
+    """From rest to driving, forward and backward; what depends on slip at the start of a substep is held."""
+    effects, d = TOGETHER if case == "together" else CASES[case], 1e-7
+    soil = soils()["lete_sand"].state(0.15)
+    _, state, world, _ = on_uniform_ground(effects, soil, 0.0, residual=RESIDUAL if case == "together" else ())
+    rng, w = np.random.default_rng(0), state[0]
+    for _ in range(60):
+        v, u = rng.uniform(-1.0, 1.0, 2) * 10.0 ** rng.uniform(-3.0, 0.0)
+        if rng.random() < 0.5:
+            v = u * rng.uniform(0.2, 1.1)
+        w["speed"], w["wheel_speed"], w["sinkage"] = v, u / world.radius, rng.uniform(0.005, 0.12)
+        load, ground = rng.uniform(50.0, 250.0), ground_of(state, soil, 0.1, 2.0, world)
+
+        def forces(v, u, load=load, ground=ground):
+            return np.array(react(ground, v, u, load, world)[1:4])
+
+        by_v = (forces(v + d, u) - forces(v - d, u)) / (2.0 * d)
+        by_u = (forces(v, u + d) - forces(v, u - d)) / (2.0 * d)
+        f = react(ground, v, u, load, world)
+        size = 1e-3 * np.maximum(np.abs(by_v), np.abs(by_u)) + 1e-6
+        assert np.all(np.abs([f.dp_v, f.torque_v, f.modulus_v] - by_v) <= size)
+        assert np.all(np.abs([f.dp_u, f.torque_u, f.modulus_u] - by_u) <= size)
+
+
+@pytest.mark.parametrize("case", [*ACTING, "together"])
+def test_recorded_forces_are_those_of_the_motion(case):
+    """The last iteration is taken to first order: its forces are still those of `react`, as far as speeds are known."""
+    effects = TOGETHER if case == "together" else CASES[case]
+    soil, h, met = soils()["lete_sand"].state(0.15), 0.05, dynamics.TOLERANCE
+    courses, state, world, _ = on_uniform_ground(effects, soil, 0.05, "torque")
+    world, w, rng = world._replace(substeps=1, period=h), state[0], np.random.default_rng(1)
+    judged = 0
+    for k in range(200):
+        if k % 8 == 0:
+            command = rng.uniform(-0.5, 1.0)
+        here = terrain.stiffened(soil, courses.modulus[0, w["cell"]])
+        passes = 2.0 if courses.rut[0, w["cell"]] > 0.0 else 1.0
+        ground, v0 = ground_of(state, here, float(w["grade"]), passes, world), float(w["speed"])
+        drive(courses, state, world, command, 1)
+        load = w["mass"] * world.gravity * math.cos(w["grade"])
+        push = w["drawbar_pull"] - w["mass"] * world.gravity * math.sin(w["grade"])
+        if abs(w["speed"] - v0 - h * push / w["mass"]) > met:
+            continue  # went in several substeps
+        f = react(ground, w["speed"], w["wheel_speed"] * world.radius, load, world)
+        assert w["drawbar_pull"] - f.drawbar_pull == pytest.approx(0.0, abs=5.0 * met * w["mass"] / h)
+        assert w["torque"] - f.torque == pytest.approx(0.0, abs=5.0 * met * world.inertia / world.radius / h)
+        judged += 1
+    assert judged > 150
+
+
+def test_blades_push_the_soil_between_them_whatever_the_shear_radius():
+    """Thrust of the lugs is that of the soil, not of the soil as sheared at the larger radius."""
+    soil = soils()["lete_sand"].state(0.15)
+    thrust = []
+    for share in (0.0, 0.8):
+        _, state, world, _ = on_uniform_ground({"grousers": {"blades": 3.0, "shear_share": share}}, soil, 0.0)
+        state[0]["sinkage"] = 0.02
+        thrust.append(ground_of(state, soil, 0.0, 1.0, world).blades)
+    assert thrust[0] > 1.0 and thrust[1] == thrust[0]
+
+
+# --- neutral models, and both environments ----------------------------------------------------------------------------
+
+#: Parameters that do nothing while the one that switches their law on is neutral.
+IDLE = {
+    "slip_sinkage": {"recovery": 0.9}, "rear_contact": {"peak_follows": 0.0}, "multipass": {"passes": 3.0},
+    "grousers": {"slip_at_rim": 1.0}, "penetration_rate": {"reference_speed": 0.5},
+    "shear_rate": {"reference_speed": 0.5, "onset_speed": 0.1},
+    "shear_softening": {"length": 0.2, "onset": 0.1, "slope_kept": 1.0},
+}  # fmt: skip
+NEUTRAL = {name: {p.name: p.neutral for p in effect.parameters} for name, effect in CATALOGUE.items()}
+
+
+def actions(wheels, steps, seed=0):
+    """Held random actions [steps, wheels, 1], full throttle and reverse among them."""
+    held = np.random.default_rng(seed).uniform(-0.2, 1.2, (steps // 8 + 1, wheels, 1))
+    held[np.random.default_rng(seed + 1).random(held.shape) < 0.1] = -1.0
+    return np.repeat(held, 8, axis=0)[:steps].astype(np.float32)
+
+
+def trajectories(model, variant="identified", mode="torque", wheels=8, steps=250):
+    """(observations, rewards, x and sinkage) of some wheels."""
+    env = SoilWheelVectorEnv(wheels, observation=variant, action=mode, model=model, threads=1)
+    observation, _ = env.reset(seed=5)
+    rows, rewards, states = [observation], [], []
+    for a in actions(wheels, steps):
+        observation, reward, *_ = env.step(a)
+        rows.append(observation)
+        rewards.append(reward)
+        states.append([env.simulation.worlds.state[name].copy() for name in ("x", "sinkage", "slip", "torque")])
+    return np.array(rows), np.array(rewards), np.array(states)
+
+
+@pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
+def test_neutral_models_change_nothing(mode):
+    """Bit for bit where no effect is on; else but for rounding, since such worlds are driven one wheel at a time."""
+
+    def same(a, b):
+        tolerance = {"rtol": 3e-7, "atol": 1e-7} if a.dtype == np.float32 else {"rtol": 1e-9, "atol": 1e-12}
+        return np.allclose(a, b, **tolerance)
+
+    base = trajectories(None, mode=mode)
+    for effects in ({}, NEUTRAL):
+        for a, b in zip(base, trajectories(model_of(effects), mode=mode), strict=True):
+            np.testing.assert_array_equal(a, b)
+    for a, b in zip(base, trajectories(model_of(IDLE), mode=mode), strict=True):
+        assert same(a, b)
+    zero = model_of({}, (ResidualTerm("drawbar_pull", 0.0, {"slip": 1}),))
+    assert same(base[2], trajectories(zero, mode=mode)[2])
+    assert not same(base[2], trajectories(model_of({"rear_contact": {"ratio": 0.001}}), mode=mode)[2])
+
+
+@pytest.mark.parametrize("case", [case for case in CASES if case not in ACTING])
+def test_sensor_effects_change_readings_only(case):
+    base, found = trajectories(None, "blind"), trajectories(model_of(CASES[case]), "blind")
+    np.testing.assert_array_equal(base[1], found[1])
+    np.testing.assert_array_equal(base[2], found[2])
+    changed = np.flatnonzero((base[0] != found[0]).any(axis=(0, 1)))
+    assert changed.tolist() == {"slip_bias": [0], "grade": []}.get(case.split("-")[0], [1])
+
+
+def test_multipass_acts_in_the_track_only():
+    """Forward over fresh ground there is no track; on the way back there is."""
+    soil, runs = soils()["lete_sand"].state(0.15), []
+    for effects in (None, {"multipass": {"hardening": 1.0}}):
+        courses, state, world, _ = on_uniform_ground(effects, soil, 0.0)
+        rows = []
+        for k in range(110):
+            drive(courses, state, world, 0.4 if k < 60 else -0.4, 1)
+            rows.append([float(state[0][name]) for name in ("x", "sinkage", "speed")])
+        runs.append(np.array(rows))
+    base, found = runs
+    assert base[59, 0] > 0.5
+    turned = int(np.argmax(base[:, 0]))
+    np.testing.assert_array_equal(base[:turned], found[:turned])
+    assert np.all(found[90:, 1] < 0.95 * base[90:, 1])
+
+
+@pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_vector_and_single_environment_agree_bit_for_bit(variant, mode, tmp_path):
+    path, wheels = tmp_path / "model.yaml", 3
+    model_of(TOGETHER, RESIDUAL).save(path)
+    settings = {"observation": variant, "action": mode, "model": path, "course": {"length": 2.0}}
+    many = SoilWheelVectorEnv(wheels, **settings)
+    one = [SoilWheelEnv(**settings) for _ in range(wheels)]
+    observations, _ = many.reset(seed=11)
+    np.testing.assert_array_equal(observations, [env.reset(seed=11 + k)[0] for k, env in enumerate(one)])
+    done, ends = [False] * wheels, 0
+    for a in actions(wheels, 200):
+        observations, rewards, *_, info = many.step(a)
+        for k, env in enumerate(one):
+            if done[k]:
+                np.testing.assert_array_equal(observations[k], env.reset()[0])
+                done[k] = False
+                continue
+            observation, reward, terminated, truncated, _ = env.step(a[k])
+            np.testing.assert_array_equal(observations[k], observation)
+            assert rewards[k] == reward and info["x"][k] == env.simulation.worlds.state[0]["x"]
+            done[k] = terminated or truncated
+            ends += done[k]
+    assert ends >= 1
+
+
+# --- random driving ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", [*CASES, "together", "residual"])
+def test_random_driving_stays_finite_and_converges(case):
+    """32 wheels under bang-bang commands in each mode of action; soil that softens breaks away under a dug wheel."""
+    wheels, periods, failures = 32, 200 if "softening" in case else 60, 0
+    effects = {"together": TOGETHER, "residual": {}}.get(case) or CASES.get(case, {})
+    for seed, mode in enumerate(("torque", "wheel_speed")):
+        scenario = load_scenario("mixed", {"control": {"action": mode}})
+        model = model_of(effects, RESIDUAL if case == "residual" else ())
+        simulation = Simulation(wheels, scenario, "identified", threads=1, model=model)
+        for k in range(wheels):
+            simulation.seed(k, np.random.default_rng([seed, k]))
+        simulation.restart_where(np.ones(wheels, dtype=np.bool_))
+        rng, state, radius = np.random.default_rng(seed), simulation.worlds.state, scenario.wheel.radius
+        command = np.zeros(wheels)
+        for _ in range(periods):
+            new = rng.random(wheels) < 0.1
+            command[new] = rng.choice([-1.0, -0.3, 0.0, 0.3, 1.0, rng.uniform(-1.0, 1.0)], new.sum())
+            simulation.step_all(command, np.zeros(wheels, dtype=np.int8))
+            failures += np.sum(state["converged"] == 0)
+            for name in dynamics.WHEEL_STATE.names:
+                assert np.all(np.isfinite(state[name])), name
+            assert np.all(np.isfinite(simulation.worlds.observation))
+            assert np.all((1e-4 * radius <= state["sinkage"]) & (state["sinkage"] <= 1.5 * radius))
+            assert np.all(np.abs(state["slip"]) <= 1.0)
+        assert np.ptp(state["x"]) > 0.1
+    assert failures <= 0.001 * 2 * wheels * periods
+
+
+@pytest.mark.parametrize("case", [*ACTING, "together"])
+def test_soil_and_drive_never_give_energy(case):
+    """Motor work less the gain in kinetic energy and height is what soil and gears took: never less than nothing."""
+    effects, taken = TOGETHER if case == "together" else CASES[case], 0.0
+    soil = soils()["lete_sand"].state(0.15)
+    for mode in ("torque", "wheel_speed"):
+        courses, state, world, _ = on_uniform_ground(effects, soil, 0.05, mode)
+        world, w, rng = world._replace(substeps=16), state[0], np.random.default_rng(2)
+        scale, kinetic = w["mass"] * world.gravity * world.radius, 0.0  # [J]
+        for k in range(150):
+            if k % 10 == 0:
+                command = rng.uniform(-1.0, 1.0)
+            drive(courses, state, world, command, 1)
+            now = 0.5 * w["mass"] * w["speed"] ** 2 + 0.5 * world.inertia * w["wheel_speed"] ** 2
+            loss = w["motor_work"] - (now - kinetic) - w["mass"] * world.gravity * math.sin(w["grade"]) * w["travel"]
+            assert loss > -2e-3 * scale
+            taken, kinetic = taken + loss / scale, now
+    assert taken > 0.1
+
+
+def smooth_drive(effects, refine):
+    """(x, sinkage, speed) [300, 3] over 30 s of a smooth torque, with the substep divided by `refine`."""
+    courses, state, world, _ = on_uniform_ground(effects, soils()["lete_sand"].state(0.15), 0.0, "torque")
+    world, rows = world._replace(substeps=world.substeps * refine), []
+    for k in range(300):
+        drive(courses, state, world, 0.3 + 0.06 * math.sin(0.1 * k), 1)
+        rows.append([float(state[0][name]) for name in ("x", "sinkage", "speed")])
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("case", [*ACTING, "together"])
+def test_halving_the_substep_changes_little(case):
+    effects = TOGETHER if case == "together" else CASES[case]
+    coarse, fine = smooth_drive(effects, 1), smooth_drive(effects, 2)
+    assert fine[-1, 0] > 1.0
+    assert np.all(np.sqrt(np.mean((coarse - fine) ** 2, axis=0)) < 0.01 * np.abs(fine).max(axis=0))
+
+
+# --- courses ----------------------------------------------------------------------------------------------------------
+
+
+def margins(model, speeds, seeds=range(25)):
+    """Drawbar pull in reserve of W at each patch and speed, with all that the world has there; also the grades."""
+    scenario = load_scenario("mixed")
+    numbers, wheel = drawing.course_numbers(scenario, model), scenario.wheel
+    rows, grades = [], []
+    for seed in seeds:
+        courses = terrain.new_courses(1, scenario)
+        mass = drawing.draw_course(0, courses, np.array([seed_stream(np.random.default_rng(seed))]), numbers)
+        assert mass > 0.0
+        load = mass * scenario.gravity
+        for soil, grade in zip(courses.soils[0, : courses.patches[0]], courses.grades[0], strict=False):
+            soil = SoilState(*soil)
+            grades.append(grade)
+            for speed in speeds:
+                best = best_working_point_with(
+                    load * math.cos(grade), soil, Rim(wheel.radius, wheel.width, LUG),
+                    Conditions(speed, 1.0, math.sin(grade)), 1500.0 * scenario.gravity, acting(model.numbers),
+                    wheel.stall_torque,
+                )  # fmt: skip
+                rows.append(best.drawbar_pull / load - math.sin(grade))
+    return np.array(rows), np.degrees(grades)
+
+
+@pytest.mark.parametrize("case", ACTING)
+def test_courses_are_passable_in_the_world_they_are_drawn_for(case):
+    """Starting and at half speed; steepness is used up, so that the effect is seen in the grades and not as slack."""
+    low, high = load_scenario("mixed").course.margin
+    speed = 0.5 * load_scenario("mixed").wheel.no_load_speed * 0.15
+    rate = "rate" in case.split("-")[0]
+    found, grades = margins(model_of(CASES[case]), (0.0, speed) if rate else (speed,))
+    assert found.min() > 0.5 * low  # judged by W and tan(grade), here by W cos(grade) and sin(grade)
+    assert rate or np.quantile(found, 0.2) < high
+    assert np.ptp(grades) > 5.0
+
+
+def test_slopes_that_weaken_the_ground_are_gentler():
+    speed = 0.4
+    plain, weak = (margins(model_of({"grade": {"weakening": w}}), (speed,)) for w in (0.0, 2.0))
+    assert weak[0].min() > 0.0
+    assert weak[1].max() < plain[1].max() - 3.0
+
+
+def test_a_residual_law_counts_on_the_grades():
+    """A pull that lacks everywhere lowers every grade by as much."""
+    scenario, tangents = load_scenario("mixed"), []
+    for residual in ((), (ResidualTerm("drawbar_pull", -0.05, {}),)):
+        courses, numbers = terrain.new_courses(1, scenario), drawing.course_numbers(scenario, model_of({}, residual))
+        for seed in range(20):
+            drawing.draw_course(0, courses, np.array([seed_stream(np.random.default_rng(seed))]), numbers)
+            tangents.append(np.tan(courses.grades[0, 0]))
+    before, after = np.array(tangents).reshape(2, 20)
+    lower = (before < math.tan(math.radians(scenario.course.grade_deg[1])) - 1e-9) & (
+        after > math.tan(math.radians(scenario.course.grade_deg[0])) + 1e-9
+    )
+    shift = (before - after)[lower]
+    assert shift.size > 5 and np.median(shift) == pytest.approx(0.05, abs=1e-6)
+
+
+# --- the model as an argument -----------------------------------------------------------------------------------------
+
+GOOD = {"wheel": {"radius": 0.15, "width": 0.15}, "effects": {"rear_contact": {"ratio": 0.3}}}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"effects": {"rear_contct": {"ratio": 0.3}}}, ["rear_contct", "rear_contact"]),
+        ({"effects": {"rear_contact": {"ration": 0.3}}}, ["ration", "ratio"]),
+        ({"effects": {"rear_contact": {"ratio": 1.3}}}, ["ratio = 1.3", "[0, 0.95]"]),
+        ({"effects": {"rear_contact": {"ratio": math.nan}}}, ["ratio = nan", "[0, 0.95]"]),
+        ({"effects": {"rear_contact": {"ratio": "large"}}}, ["'large'", "number"]),
+        ({"effects": {"rear_contact": 0.3}}, ["rear_contact", "mapping"]),
+        ({"effects": ["rear_contact"]}, ["effects", "mapping"]),
+        ({"wheel": {"radius": -0.15, "width": 0.15}}, ["radius", "-0.15"]),
+        ({"wheel": None}, ["wheel"]),
+        ({"wheels": {}}, ["wheels", "wheel"]),
+        ({"gravity": "moon"}, ["gravity", "moon"]),
+        ({"format": "soil_env model 9"}, ["format", "soil_env model 1"]),
+        ({"residual": {"channel": "torque"}}, ["residual", "list"]),
+        ({"soil": {"friction_angle_deg": 200.0}}, ["soil"]),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("make", [SoilWheelEnv, SoilWheelVectorEnv])
+def test_a_bad_model_is_refused_in_one_line(make, change, words, tmp_path):
+    path = tmp_path / "model.yaml"
+    path.write_text(yaml.safe_dump(GOOD | change), encoding="utf-8")
+    with pytest.raises(ParameterError) as raised:
+        make(model=path)
+    assert "\n" not in str(raised.value) and "model.yaml" in str(raised.value)
+    assert all(word in str(raised.value) for word in words)
+
+
+@pytest.mark.parametrize("make", [SoilWheelEnv, SoilWheelVectorEnv])
+def test_what_is_no_model_is_refused_in_one_line(make, tmp_path):
+    text = tmp_path / "notes.yaml"
+    text.write_text("a wheel on sand", encoding="utf-8")
+    for bad in (tmp_path / "none.yaml", str(tmp_path), text, {"effects": {}}, 3, {"rear_contact": {"ratio": 0.3}}):
+        with pytest.raises(ParameterError) as raised:
+            make(model=bad)
+        assert "\n" not in str(raised.value) and ("expected" in str(raised.value) or str(tmp_path) in str(raised.value))
+
+
+def test_a_model_is_a_path_or_an_object(tmp_path):
+    path = tmp_path / "model.yaml"
+    model_of(CASES["rear_contact-midway"]).save(path)
+    runs = [SoilWheelEnv(model=model) for model in (path, str(path), WheelSoilModel.load(path))]
+    firsts = [env.reset(seed=0)[0] for env in runs]
+    np.testing.assert_array_equal(firsts[0], firsts[1])
+    np.testing.assert_array_equal(firsts[0], firsts[2])
+    assert not np.array_equal(firsts[0], SoilWheelEnv().reset(seed=0)[0])
+
+
+def test_patches_are_drawn_from_the_soil_of_the_model():
+    soil = Soil(friction_angle_deg=31.0, cohesion=900.0, shear_modulus=0.02, sinkage_coefficient=8e5,
+                sinkage_exponent=0.9, dig_gain=1.5, dig_recovery=0.5)  # fmt: skip
+    exact = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "dig_gain", "exponent"), 0.0)
+    env = SoilWheelEnv(model=model_of({}, soil=soil), spread=exact)
+    env.reset(seed=0)
+    env.simulation.complete(0)
+    courses = env.simulation.worlds.courses
+    patches = courses.soils[0, : courses.patches[0]]
+    np.testing.assert_allclose(patches, np.broadcast_to(soil.state(0.15), patches.shape), rtol=1e-9)
+    scattered = SoilWheelEnv(model=model_of({}, soil=soil))
+    scattered.reset(seed=0)
+    scattered.simulation.complete(0)
+    friction = scattered.simulation.worlds.courses.soils[0, :3, 0]
+    assert np.ptp(friction) > 0.0 and np.all(np.abs(np.degrees(np.arctan(friction)) - 31.0) < 10.0)
+
+
+def test_a_model_without_a_soil_is_a_world_but_no_prediction():
+    model = model_of(CASES["rear_contact-midway"])
+    SoilWheelEnv(model=model).reset(seed=0)
+    with pytest.raises(ParameterError, match="no soil: expected one"):
+        model.predict({"slip": 0.2, "load": 100.0})

@@ -1,0 +1,269 @@
+"""The contact against quadrature, limits, symmetry, finite differences and the numbers of the source paper."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from soil_env.terramechanics import contact
+from tests import reference
+
+# The wheel and soil of Wong & Reece (1967), J. Terramechanics 4(1):81-98, as used by Hutangkabodee et al. (2006).
+PAPER_WHEEL = {"r": 0.6274, "b": 0.1524}
+PAPER_SOIL = reference.Ground(33.3, 690.0, 0.0381, 583792.0, 0.47)
+PAPER_SLIP, PAPER_ENTRY = 0.2211, math.radians(37.0)
+
+
+def tan_phi(soil):
+    return math.tan(math.radians(soil.friction_angle_deg))
+
+
+def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
+    """`contact.Forces` of a wheel travelling forward at the given slip."""
+    thetam = 0.5 * (theta1 + theta2) if thetam is None else thetam
+    motion = contact.motion_from_slip(slip)
+    q = contact.arc_integrals(theta1, theta2, thetam, *motion, soil.shear_modulus, soil.sinkage_exponent, r)[0]
+    return contact.forces(q, soil.sinkage_coefficient, tan_phi(soil), soil.cohesion, r, b, 1.0)
+
+
+def relative_error(found, judge, r):
+    """Largest difference of the three forces, relative to the sum of the sizes of all stresses under the rim."""
+    differences = (found.load - judge.load, found.drawbar_pull - judge.drawbar_pull, (found.torque - judge.torque) / r)
+    return max(map(abs, differences)) / judge.scale
+
+
+def random_case(rng, softest_k):
+    """(soil, theta1, r, b) of a random wheel on random soil; K/r is drawn from [softest_k, 1]."""
+    r = 10.0 ** rng.uniform(-1.5, 0.3)
+    k = r * 10.0 ** rng.uniform(math.log10(softest_k), 0.0)
+    soil = reference.Ground(
+        rng.uniform(5.0, 45.0), 10.0 ** rng.uniform(1, 4.5), k, 10.0 ** rng.uniform(4.5, 7), rng.uniform(0.1, 1.6)
+    )
+    return soil, rng.uniform(0.1, 1.5), r, r * rng.uniform(0.2, 1.5)
+
+
+# --- against quadrature -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_driving_agrees_with_quadrature(seed):
+    rng = np.random.default_rng(seed)
+    soil, theta1, r, b = random_case(rng, 0.01)
+    theta2 = rng.uniform(-0.4, 0.5) * theta1
+    thetam = theta2 + (theta1 - theta2) * rng.uniform(0.3, 0.7)
+    slip = rng.uniform(0.0, 1.0)
+    judge = reference.forces(soil, slip, theta1, r, b, theta2, thetam)
+    assert relative_error(forces(soil, slip, theta1, r, b, theta2, thetam), judge, r) < 1e-4
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_braking_agrees_with_quadrature(seed):
+    """Where the shear reverses within the arc, de/dj has a kink that the nodes do not see: the bound is wider.
+
+    At K/r below 0.05 and deep entry the error grows further, to 1 % of the stresses at K/r = 0.01.
+    """
+    rng = np.random.default_rng(1000 + seed)
+    soil, theta1, r, b = random_case(rng, 0.05)
+    theta2 = rng.uniform(-0.4, 0.5) * theta1
+    slip = rng.uniform(-1.0, 0.0)
+    judge = reference.forces(soil, slip, theta1, r, b, theta2)
+    assert relative_error(forces(soil, slip, theta1, r, b, theta2), judge, r) < 1e-3
+
+
+def test_simpson_converges_to_the_quadrature():
+    """For n = 1 the integrand is smooth enough for order 4: doubling m must divide the error by more than 8."""
+    soil, r, b, theta1 = PAPER_SOIL._replace(sinkage_exponent=1.0), 0.15, 0.15, 0.9
+    judge = reference.forces(soil, 0.3, theta1, r, b)
+    errors = []
+    for m in (2, 4, 8, 16):
+        motion = contact.motion_from_slip(0.3)
+        q = contact.simpson_integrals(theta1, 0.0, 0.45, *motion, soil.shear_modulus, 1.0, r, m)[0]
+        w = contact.forces(q, soil.sinkage_coefficient, tan_phi(soil), soil.cohesion, r, b, 1.0)
+        errors.append(relative_error(w, judge, r))
+    assert all(fine < coarse / 8.0 for coarse, fine in zip(errors[:-1], errors[1:], strict=True)), errors
+
+
+def test_simpson_shrinks_slowly_on_the_papers_soil():
+    """n = 0.47 makes the stress singular at both ends, which is why the default rule is another one."""
+    judge = reference.forces(PAPER_SOIL, PAPER_SLIP, PAPER_ENTRY, **PAPER_WHEEL)
+    errors = [abs(simpson_forces(m).load - judge.load) / judge.load for m in (2, 8, 32, 128)]
+    assert errors == sorted(errors, reverse=True)
+    default = forces(PAPER_SOIL, PAPER_SLIP, PAPER_ENTRY, **PAPER_WHEEL)
+    assert abs(default.load - judge.load) / judge.load < errors[-1]
+
+
+# --- the source paper -------------------------------------------------------------------------------------------------
+
+
+def simpson_integrals(m):
+    r, k, n = PAPER_WHEEL["r"], PAPER_SOIL.shear_modulus, PAPER_SOIL.sinkage_exponent
+    motion = contact.motion_from_slip(PAPER_SLIP)
+    return contact.simpson_integrals(PAPER_ENTRY, 0.0, 0.5 * PAPER_ENTRY, *motion, k, n, r, m)[0]
+
+
+def simpson_forces(m):
+    s, c = PAPER_SOIL.sinkage_coefficient, PAPER_SOIL.cohesion
+    return contact.forces(simpson_integrals(m), s, tan_phi(PAPER_SOIL), c, *PAPER_WHEEL.values(), 1.0)
+
+
+def with_compaction_resistance(w, integrals):
+    """Drawbar pull with the resistance of Eq. (12) in place of that of Eq. (11)."""
+    r, b = PAPER_WHEEL.values()
+    s, n = PAPER_SOIL.sinkage_coefficient, PAPER_SOIL.sinkage_exponent
+    sinkage = r * (1.0 - math.cos(PAPER_ENTRY))
+    return w.drawbar_pull + r * b * s * integrals.p_sin - contact.compaction_resistance(sinkage, s, n, b)
+
+
+def test_golden_drawbar_pull_exact():
+    """1318 N by Eq. (11), 1095 N by Eq. (12), both integrated exactly."""
+    w = forces(PAPER_SOIL, PAPER_SLIP, PAPER_ENTRY, **PAPER_WHEEL)
+    k, n, r = PAPER_SOIL.shear_modulus, PAPER_SOIL.sinkage_exponent, PAPER_WHEEL["r"]
+    motion = contact.motion_from_slip(PAPER_SLIP)
+    q = contact.arc_integrals(PAPER_ENTRY, 0.0, 0.5 * PAPER_ENTRY, *motion, k, n, r)[0]
+    assert w.drawbar_pull == pytest.approx(1318.17, abs=0.1)
+    assert with_compaction_resistance(w, q) == pytest.approx(1095.15, abs=0.1)
+    judge = reference.forces(PAPER_SOIL, PAPER_SLIP, PAPER_ENTRY, **PAPER_WHEEL)
+    assert judge.drawbar_pull == pytest.approx(1318.17, abs=0.01)
+    assert judge.drawbar_pull_paper == pytest.approx(1095.15, abs=0.01)
+
+
+def test_golden_drawbar_pull_by_the_papers_rule():
+    """Simpson with m = 2 and Eq. (12): 1050.25 N, where the paper prints 1047.22 N (0.3 % less)."""
+    found = with_compaction_resistance(simpson_forces(2), simpson_integrals(2))
+    assert found == pytest.approx(1050.25, abs=0.01)
+    assert found == pytest.approx(1047.22, rel=0.003)
+    assert abs(with_compaction_resistance(simpson_forces(50), simpson_integrals(50)) - 1047.22) > 40.0
+
+
+# --- limits -----------------------------------------------------------------------------------------------------------
+
+
+def test_resting_wheel_has_no_shear():
+    """Neither rim nor travel: no displacement, so no torque, and the normal stress alone carries the load."""
+    q = contact.arc_integrals(0.8, 0.0, 0.4, 0.0, 0.0, 0.01, 1.0, 0.15)[0]
+    assert q.p_cos > 0.0
+    assert (q.pe_cos, q.pe_sin, q.pe, q.e_cos, q.e_sin, q.e) == (0.0,) * 6
+
+
+@pytest.mark.parametrize(("slip", "sign"), [(1.0, 1.0), (0.5, 1.0), (-1.0, -1.0)])
+def test_small_shear_modulus_mobilises_everything(slip, sign):
+    q = contact.arc_integrals(0.8, 0.0, 0.4, *contact.motion_from_slip(slip), 1e-9, 1.0, 0.15)[0]
+    assert q.e == pytest.approx(sign * 0.8, rel=1e-6)
+    assert q.pe_cos == pytest.approx(sign * q.p_cos, rel=1e-6)
+    assert q.pe_sin == pytest.approx(sign * q.p_sin, rel=1e-6)
+
+
+def test_locked_wheel_drags():
+    """At slip -1 all strength points backward, whatever K is: (c arc + tan(phi) Int sigma) r^2 b."""
+    soil = PAPER_SOIL._replace(shear_modulus=0.3)
+    w = forces(soil, -1.0, 0.6, 0.3, 0.2)
+    judge = reference.forces(soil, -1.0, 0.6, 0.3, 0.2)
+    assert w.torque < 0.0 and w.drawbar_pull < 0.0
+    assert w.torque == pytest.approx(judge.torque, rel=1e-4)
+
+
+def test_spinning_wheel_shears_over_the_whole_arc():
+    """At slip 1 the shear displacement is r (theta1 - theta): Int e has a closed form."""
+    k, r, theta1 = 0.03, 0.15, 0.8
+    q = contact.arc_integrals(theta1, 0.0, 0.4, *contact.motion_from_slip(1.0), k, 1.0, r)[0]
+    assert q.e == pytest.approx(theta1 - k / r * (1.0 - math.exp(-r * theta1 / k)), rel=1e-6)
+
+
+def test_exponent_zero_is_constant_stress():
+    q = contact.arc_integrals(0.8, 0.0, 0.4, 1.0, 0.8, 0.01, 0.0, 0.15)[0]
+    assert q.p_cos == pytest.approx(math.sin(0.8), rel=1e-9)
+    assert q.p_sin == pytest.approx(1.0 - math.cos(0.8), rel=1e-9)
+    assert contact.relative_stress(0.0, 0.0) == 1.0 and contact.relative_stress(0.0, 0.5) == 0.0
+
+
+def test_mirror_angle_ends():
+    """Eq. (8) gives the exit the stress of the entry, and the peak its own."""
+    assert contact.mirror_angle(-0.1, 0.9, -0.1, 0.5) == pytest.approx(0.9)
+    assert contact.mirror_angle(0.5 - 1e-12, 0.9, -0.1, 0.5) == pytest.approx(0.5)
+    assert contact.mirror_angle(0.7, 0.9, -0.1, 0.5) == 0.7
+
+
+@pytest.mark.parametrize("sinkage", [1e-4, 0.02, 0.1, 0.29])
+def test_entry_angle_inverts_the_geometry(sinkage):
+    assert 0.15 * (1.0 - math.cos(contact.entry_angle(sinkage, 0.15))) == pytest.approx(sinkage, rel=1e-9)
+
+
+def test_slip_ratio():
+    assert contact.slip_ratio(1.0, 0.6, 1e-3) == pytest.approx(0.4)
+    assert contact.slip_ratio(0.6, 1.0, 1e-3) == pytest.approx(-0.4)
+    assert contact.slip_ratio(-1.0, -0.6, 1e-3) == pytest.approx(0.4)
+    assert contact.slip_ratio(1.0, 0.0, 1e-3) == 1.0
+    assert contact.slip_ratio(0.0, 1.0, 1e-3) == -1.0
+    assert contact.slip_ratio(0.0, 0.0, 1e-3) == 0.0
+
+
+# --- symmetry, range, derivatives -------------------------------------------------------------------------------------
+
+speeds = st.floats(-5.0, 5.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(rim_speed=speeds, speed=speeds, theta1=st.floats(0.05, 1.5), k=st.floats(1e-3, 0.3))
+def test_reversal_mirrors_the_forces(rim_speed, speed, theta1, k):
+    def at(sign):
+        rim, travel, direction = contact.motion_from_speeds(sign * rim_speed, sign * speed, 0.005)
+        q = contact.arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, k, 0.9, 0.15)[0]
+        return np.array(contact.forces(q, 1e6, 0.6, 500.0, 0.15, 0.15, direction))
+
+    np.testing.assert_allclose(at(-1.0), at(1.0) * [1.0, -1.0, -1.0], rtol=1e-12, atol=1e-9)
+
+
+@settings(max_examples=300, deadline=None)
+@example(theta1=1e-4, back=0.0, rim=0.0, travel=0.0, k=1e-4, n=0.0, r=0.01)
+@example(theta1=math.pi, back=-1.0, rim=1.0, travel=1e9, k=1e-4, n=3.0, r=3.0)
+@given(
+    theta1=st.floats(1e-6, math.pi),
+    back=st.floats(-1.0, 0.999),
+    rim=st.floats(-1.0, 1.0),
+    travel=st.floats(-1e9, 1e9),
+    k=st.floats(1e-4, 0.3),
+    n=st.floats(0.0, 3.0),
+    r=st.floats(0.01, 3.0),
+)
+def test_everything_is_finite(theta1, back, rim, travel, k, n, r):
+    theta2 = back * theta1
+    out = contact.arc_integrals(theta1, theta2, 0.5 * (theta1 + theta2), rim, travel, k, n, r)
+    for values in (*out, contact.shear_modulus_rates(out[1], out[2], rim, travel, k)):
+        assert np.all(np.isfinite(values)), values
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_rates_against_central_differences(seed):
+    rng = np.random.default_rng(seed)
+    theta1, k, n, r = rng.uniform(0.2, 1.3), rng.uniform(0.02, 0.2), rng.uniform(0.2, 1.5), 0.3
+    rim, travel = rng.uniform(-1.0, 1.0), rng.uniform(-1.5, 1.5)
+    for rule, extra in ((contact.arc_integrals, ()), (contact.simpson_integrals, (3,))):
+
+        def shear(rim, travel, k, rule=rule, extra=extra):
+            return np.array(rule(theta1, -0.1, 0.4 * theta1, rim, travel, k, n, r, *extra)[0])[2:]
+
+        _, by_rim, by_travel = rule(theta1, -0.1, 0.4 * theta1, rim, travel, k, n, r, *extra)
+        by_k = contact.shear_modulus_rates(by_rim, by_travel, rim, travel, k)
+        d = 1e-6
+        for rates, up, down in (
+            (by_rim, shear(rim + d, travel, k), shear(rim - d, travel, k)),
+            (by_travel, shear(rim, travel + d, k), shear(rim, travel - d, k)),
+            (by_k, shear(rim, travel, k + d), shear(rim, travel, k - d)),
+        ):
+            np.testing.assert_allclose(rates, (up - down) / (2 * d), rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("slip", [-0.9, -0.2, 0.0, 0.3, 1.0])
+@pytest.mark.parametrize("cohesion", [0.0, 2000.0])
+def test_mobilised_modulus_inverts_the_balance(slip, cohesion):
+    q = contact.arc_integrals(0.8, 0.0, 0.4, *contact.motion_from_slip(slip), 0.02, 0.8, 0.15)[0]
+    load = contact.forces(q, 7e5, 0.5, cohesion, 0.15, 0.15, 1.0).load
+    assert contact.mobilised_modulus(q, load, 0.5, cohesion, 0.15, 0.15, 1.0) == pytest.approx(7e5, rel=1e-9)
+
+
+def test_mobilised_modulus_is_never_negative():
+    """A load that cohesion alone would carry needs no normal stress."""
+    q = contact.arc_integrals(0.8, 0.0, 0.4, 1.0, 0.0, 0.01, 0.8, 0.15)[0]
+    assert contact.mobilised_modulus(q, 1.0, 0.5, 1e5, 0.15, 0.15, 1.0) == 0.0

@@ -1,0 +1,303 @@
+"""`WheelSoilModel`: predictions of tables and mappings, its file, and what it refuses."""
+
+import dataclasses
+import math
+import sys
+
+import numpy as np
+import pytest
+import yaml
+
+from soil_env._io.loading import ParameterError
+from soil_env.measurement.table import read_table
+from soil_env.parameters import Soil
+from soil_env.terramechanics.model import LEVEL, Conditions, ModelWheel, Rim, WheelSoilModel, steady_with
+from soil_env.terramechanics.residual import ResidualTerm
+
+SOIL = Soil(32.0, 800.0, 0.015, 0.9, sinkage_coefficient=9e5, density=1600.0, dig_gain=0.0)
+BEKKER = dataclasses.replace(SOIL, sinkage_coefficient=None, k_c=3e4, k_phi=6e5)
+WHEEL = ModelWheel(0.15, 0.12, 0.01)
+EFFECTS = {
+    "slip_sinkage": {"gain": 1.2, "recovery": 0.4},
+    "bulldozing": {"rankine": 1},
+    "drivetrain_friction": {"constant": 0.5, "viscous": 0.2},
+    "multipass": {"hardening": 0.2},
+}
+TERMS = (
+    ResidualTerm("sinkage", 0.01, {"slip": 2.0}, {"slip": [0.0, 0.5]}),
+    ResidualTerm("drawbar_pull", -0.05, {"load": 1.0, "pass": 1.0}),
+    ResidualTerm("torque", 0.02),
+)
+MODEL = WheelSoilModel(WHEEL, SOIL, EFFECTS)
+UNIT_WEIGHT = 1600.0 * 9.81
+
+
+def conditions(count=5, **more):
+    return {"slip": np.linspace(0.0, 0.6, count), "load": 90.0, "speed": 0.1} | more
+
+
+def single(model, slip, load, wheel=WHEEL, conditions=LEVEL):
+    """`steady_with` of one point."""
+    rim = Rim(wheel.radius, wheel.width, wheel.grouser_height)
+    return steady_with(slip, load, model.soil.state(wheel.width), rim, conditions, UNIT_WEIGHT, model.numbers, 0.0)
+
+
+def stacked(prediction):
+    return np.stack(prediction[:3], axis=1)
+
+
+# --- predict ----------------------------------------------------------------------------------------------------------
+
+
+def test_prediction_is_row_by_row():
+    given = {
+        "slip": [0.1, 0.3, -0.2], "load": [80.0, 100.0, 90.0], "speed": [0.05, 0.1, 0.2], "pass": [1, 2, 3],
+        "grade_deg": [0.0, 6.0, -6.0],
+    }  # fmt: skip
+    found = MODEL.predict(given)
+    assert found.floating
+    for k in range(3):
+        at = Conditions(given["speed"][k], given["pass"][k], math.sin(math.radians(given["grade_deg"][k])))
+        expected = single(MODEL, given["slip"][k], given["load"][k], conditions=at)
+        assert tuple(stacked(found)[k]) == pytest.approx(expected[:3], rel=1e-12)
+
+
+def test_scalars_count_for_every_row():
+    found = MODEL.predict(conditions(4, **{"pass": 2}))
+    assert found.sinkage.shape == found.drawbar_pull.shape == found.torque.shape == (4,)
+    full = MODEL.predict(conditions(4, load=np.full(4, 90.0), speed=[0.1] * 4, **{"pass": [2] * 4}))
+    np.testing.assert_array_equal(stacked(found), stacked(full))
+    one = MODEL.predict({"slip": 0.2, "load": 90.0, "speed": 0.1, "pass": 2})
+    assert one.sinkage == pytest.approx(found.sinkage[1]) and one.sinkage.shape == (1,)
+
+
+def test_what_is_not_given_is_level_fresh_soil_and_the_wheel_of_the_model():
+    plain = WheelSoilModel(WHEEL, SOIL)
+    found = plain.predict({"slip": 0.3, "load": 90.0})
+    assert tuple(stacked(found)[0]) == pytest.approx(single(plain, 0.3, 90.0)[:3], rel=1e-12)
+    for same in (
+        {"speed": math.nan},
+        {"pass": 1},
+        {"grade_deg": 0.0},
+        {"wheel_radius": 0.15},
+        {"wheel_width": math.nan},
+    ):
+        np.testing.assert_array_equal(stacked(plain.predict({"slip": 0.3, "load": 90.0} | same)), stacked(found))
+
+
+@pytest.mark.parametrize("soil", [SOIL, BEKKER], ids=["S", "k_c and k_phi"])
+def test_a_row_may_have_another_wheel(soil):
+    """With k_c and k_phi, its width changes S = k_c/b + k_phi too."""
+    model = WheelSoilModel(WHEEL, soil)
+    found = model.predict({"slip": 0.3, "load": 90.0, "wheel_radius": [0.15, 0.2], "wheel_width": [0.12, 0.06]})
+    for k, wheel in enumerate((WHEEL, ModelWheel(0.2, 0.06, 0.01))):
+        assert tuple(stacked(found)[k]) == pytest.approx(single(model, 0.3, 90.0, wheel)[:3], rel=1e-12)
+    assert found.sinkage[1] > found.sinkage[0]
+
+
+def test_lugs_of_the_row():
+    model = WheelSoilModel(WHEEL, SOIL, {"grousers": {"blades": 4.0}})
+    pull = model.predict({"slip": 0.3, "load": 90.0, "grouser_height": [0.0, 0.01, 0.02]}).drawbar_pull
+    assert pull[0] == pytest.approx(WheelSoilModel(WHEEL, SOIL).predict({"slip": 0.3, "load": 90.0}).drawbar_pull[0])
+    assert pull[2] > pull[1] > pull[0]
+
+
+def test_a_table_and_a_mapping_predict_the_same(tmp_path):
+    rows = ["slip,load,speed,pass,grade_deg,wheel_width,sinkage", "0.1,80,0.05,1,,,0.01", "0.4,95,0.1,3,5,0.1,0.02"]
+    (tmp_path / "data.csv").write_text("\n".join(rows))
+    found = MODEL.predict(read_table(tmp_path / "data.csv"))
+    same = MODEL.predict({
+        "slip": [0.1, 0.4], "load": [80, 95], "speed": [0.05, 0.1], "pass": [1, 3], "grade_deg": [0, 5],
+        "wheel_width": [0.12, 0.1],
+    })  # fmt: skip
+    np.testing.assert_array_equal(stacked(found), stacked(same))
+
+
+def test_floating_says_whether_every_row_is_carried():
+    assert MODEL.predict(conditions()).floating
+    assert not MODEL.predict(conditions(load=[90.0, 90.0, 1e6, 90.0, 90.0])).floating
+
+
+def test_friction_shows_where_no_speed_is_given():
+    """A steady point is a turning wheel, however slow; only a locked one has no friction of its own."""
+    with_friction = WheelSoilModel(WHEEL, SOIL, {"drivetrain_friction": {"constant": 0.5}})
+    given = {"slip": [0.0, 0.3, -0.3], "load": 90.0}
+    more = with_friction.predict(given).torque - WheelSoilModel(WHEEL, SOIL).predict(given).torque
+    assert more == pytest.approx(0.5)
+
+
+def calls_of(function):
+    """Number of Python and C calls that Python makes while `function` runs."""
+    count = 0
+
+    def note(frame, event, argument):
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    sys.setprofile(note)
+    try:
+        function()
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+@pytest.mark.parametrize("terms", [(), TERMS], ids=["no residual", "residual"])
+def test_no_python_runs_for_each_row(terms):
+    model = WheelSoilModel(WHEEL, SOIL, EFFECTS, terms)
+    few, many = conditions(2), conditions(162)
+    model.predict(few)  # compile
+    model.predict(many)
+    assert calls_of(lambda: model.predict(many)) == calls_of(lambda: model.predict(few)) < 2000
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"velocity": 1.0}, "conditions: unknown key 'velocity'"),
+        ({"sped": 1.0}, "did you mean 'speed'"),
+        ({"slip": None}, "conditions: missing slip"),
+        ({"load": None}, "conditions: missing load"),
+        ({"slip": [0.1, math.nan]}, "conditions: slip: expected finite numbers"),
+        ({"load": math.inf}, "conditions: load: expected finite numbers"),
+        ({"speed": math.inf}, "conditions: speed: expected finite numbers"),
+        ({"grade_deg": -math.inf}, "conditions: grade_deg: expected finite numbers"),
+        ({"grade_deg": 100.0}, "conditions: grade_deg: expected degrees"),
+        ({"slip": 1.1}, r"expected slip in \[-1, 1\]"),
+        ({"load": 0.0}, "load > 0 N"),
+        ({"load": "heavy"}, "conditions: load: expected numbers"),
+        ({"speed": -0.1}, "conditions: speed"),
+        ({"pass": 0}, "conditions: pass"),
+        ({"wheel_radius": 0.0}, "conditions: wheel_radius"),
+        ({"wheel_width": -0.1}, "conditions: wheel_width"),
+        ({"grouser_height": -0.01}, "conditions: grouser_height"),
+        ({"load": [90.0, 90.0, 90.0]}, "conditions: .*same length"),
+        ({"load": np.ones((5, 5))}, "conditions: load: expected"),
+    ],
+    ids=str,
+)
+def test_wrong_conditions_are_refused_in_one_line(change, message):
+    given = {k: v for k, v in (conditions() | change).items() if v is not None}
+    with pytest.raises(ParameterError, match=message) as error:
+        MODEL.predict(given)
+    assert "\n" not in str(error.value)
+
+
+# --- residual terms ---------------------------------------------------------------------------------------------------
+
+
+def test_residual_terms_are_added():
+    """z + r 0.01 i^2 (i at most 0.5), DP - W 0.05 N W/(S b r^(n+1)), T + W r 0.02."""
+    plain, found = MODEL.predict(conditions(**{"pass": 2})), None
+    found = WheelSoilModel(WHEEL, SOIL, EFFECTS, TERMS).predict(conditions(**{"pass": 2}))
+    i = np.minimum(conditions()["slip"], 0.5)
+    assert found.sinkage == pytest.approx(plain.sinkage + 0.15 * 0.01 * i**2)
+    bearing = 9e5 * 0.12 * 0.15**1.9
+    assert found.drawbar_pull == pytest.approx(plain.drawbar_pull - 90.0 * 0.05 * 2.0 * 90.0 / bearing)
+    assert found.torque == pytest.approx(plain.torque + 90.0 * 0.15 * 0.02)
+
+
+def test_the_sinkage_of_a_term_is_that_of_the_model():
+    term = ResidualTerm("drawbar_pull", 0.1, {"sinkage": 1.0})
+    plain = MODEL.predict(conditions())
+    found = WheelSoilModel(WHEEL, SOIL, EFFECTS, (term,)).predict(conditions())
+    assert found.drawbar_pull == pytest.approx(plain.drawbar_pull + 90.0 * 0.1 * plain.sinkage / 0.15)
+
+
+# --- model.yaml -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        WheelSoilModel(ModelWheel(0.15, 0.12), SOIL),
+        WheelSoilModel(WHEEL, BEKKER, EFFECTS),
+        WheelSoilModel(WHEEL, SOIL, EFFECTS, TERMS),
+        WheelSoilModel(WHEEL, SOIL, {"slip_bias": {"offset": 1e-7}}),
+        WheelSoilModel(WHEEL, SOIL, {"bulldozing": {"rankine": 1.0}}, gravity=1.62),
+    ],
+    ids=["plain", "bekker", "residual", "small number", "moon"],
+)
+def test_save_and_load(tmp_path, model):
+    path = tmp_path / "model.yaml"
+    model.save(path)
+    again = WheelSoilModel.load(path)
+    assert again == model
+    np.testing.assert_array_equal(stacked(again.predict(conditions())), stacked(model.predict(conditions())))
+    assert yaml.safe_load(path.read_text())["format"] == "soil_env model 1"
+
+
+def content(**change):
+    full = {
+        "format": "soil_env model 1",
+        "wheel": {"radius": 0.15, "width": 0.12},
+        "soil": {
+            "friction_angle_deg": 30, "cohesion": 1000, "shear_modulus": 0.02, "sinkage_exponent": 0.8,
+            "sinkage_coefficient": 8e5,
+        },
+        "effects": {"bulldozing": {"rankine": 1.0}},
+    }  # fmt: skip
+    return {k: v for k, v in (full | change).items() if v is not None}
+
+
+def test_a_file_needs_wheel_and_soil_only(tmp_path):
+    path = tmp_path / "model.yaml"
+    path.write_text(yaml.safe_dump(content(format=None, effects=None)))
+    assert WheelSoilModel.load(path).effects == {}
+    path.write_text(yaml.safe_dump(content()) + "residual:\n")
+    assert WheelSoilModel.load(path).residual == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"wheels": {}}, "unknown key 'wheels'; did you mean 'wheel'"),
+        ({"format": "soil_env model 2"}, "format = 'soil_env model 2': expected 'soil_env model 1'"),
+        ({"wheel": None}, "missing wheel"),
+        ({"wheel": {"radius": 0.15}}, "wheel: missing width"),
+        ({"wheel": {"radius": 15, "width": 0.12}}, r"wheel.radius = 15.0: expected a number in \[0.01, 3\] m"),
+        ({"wheel": {"radius": 0.15, "breadth": 0.1}}, "wheel: unknown key 'breadth'"),
+        ({"wheel": 0.15}, "wheel: expected a mapping"),
+        ({"soil": {"cohesion": 1.0}}, "soil: missing friction_angle_deg"),
+        ({"soil": {}}, "soil: missing friction_angle_deg"),
+        ({"soil": 0}, "soil: expected a mapping"),
+        ({"effects": {"buldozing": {"rankine": 1.0}}}, "effects: unknown key 'buldozing'; did you mean 'bulldozing'"),
+        ({"effects": {"bulldozing": {"rankine": 99.0}}}, r"effects: bulldozing: rankine = 99.0: expected a number in"),
+        ({"effects": {"bulldozing": None}}, "effects: bulldozing: expected a mapping"),
+        ({"effects": ["bulldozing"]}, "effects: expected a mapping"),
+        ({"effects": []}, "effects: expected a mapping"),
+        ({"residual": {"channel": "torque"}}, "residual: expected a list of terms"),
+        ({"residual": [{"channel": "torque"}]}, "residual: missing coefficient"),
+        ({"residual": [{"channel": "power", "coefficient": 1.0}]}, "residual.channel = 'power': expected one of"),
+        ({"residual": [{"channel": "torque", "coefficient": 1.0, "powers": {"slp": 1}}]}, "did you mean 'slip'"),
+        ({"gravity": -1.0}, "gravity = -1.0: expected a number in"),
+    ],
+    ids=str,
+)
+def test_wrong_files_are_refused_in_one_line(tmp_path, change, message):
+    path = tmp_path / "model.yaml"
+    path.write_text(yaml.safe_dump(content(**change)))
+    with pytest.raises(ParameterError, match=message) as error:
+        WheelSoilModel.load(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert str(error.value).count(str(path)) == 1 and "\n" not in str(error.value)
+
+
+def test_without_a_soil_nothing_is_predicted(tmp_path):
+    path = tmp_path / "model.yaml"
+    path.write_text(yaml.safe_dump(content(soil=None)))
+    with pytest.raises(ParameterError, match="soil"):
+        WheelSoilModel.load(path).predict(conditions())
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    with pytest.raises(ParameterError, match="cannot be read"):
+        WheelSoilModel.load(tmp_path / "none.yaml")
+    (tmp_path / "list.yaml").write_text("[1, 2]")
+    with pytest.raises(ParameterError, match="expected a mapping at the top"):
+        WheelSoilModel.load(tmp_path / "list.yaml")
+
+
+def test_wrong_effects_are_refused_at_once():
+    with pytest.raises(ParameterError, match="did you mean 'bulldozing'"):
+        WheelSoilModel(WHEEL, SOIL, {"buldozing": {"rankine": 1.0}})

@@ -1,0 +1,329 @@
+"""`model.steady_with` with named effects: against quadrature, in equivalent cases, under scaling, and row by row."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from soil_env.parameters import SoilState
+from soil_env.terramechanics import model
+from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import NO_EFFECTS, pack_effects, true_slip
+from soil_env.terramechanics.model import Conditions, Rim, predict_rows, steady_with
+from tests import reference
+
+#: Sizes from which parameters are drawn, by effect.
+SIZES = {
+    "slip_sinkage": {
+        "gain": (0, 4), "recovery": (0.1, 1.5), "exponent_slope": (-0.3, 0.6), "length": (0, 0.02),
+    },
+    "rear_contact": {"ratio": (0, 0.8)},
+    "stress_peak_shift": {"offset": (-0.15, 0.15), "slope": (-0.3, 0.5)},
+    "grousers": {"shear_share": (0, 1.2), "radius_share": (0, 1.2), "blades": (0, 8)},
+    "bulldozing": {"rankine": (0, 2), "hegedus": (0, 2)},
+    "multipass": {
+        "hardening": (-0.3, 0.8), "slip_gain": (-0.3, 0.5), "slip_scale": (0.05, 0.5), "per_pass": (-0.05, 0.3),
+        "cohesion": (-0.3, 0.5), "gain": (-0.3, 2), "passes": (0.5, 3),
+        "stiffening": (-0.3, 0.5), "strength": (-0.1, 0.1),
+    },
+    "penetration_rate": {"exponent": (-0.2, 0.3), "slope": (-0.1, 0.3), "reference_speed": (0.01, 0.3)},
+    "shear_rate": {
+        "exponent": (-0.1, 0.2), "slope": (-0.1, 0.2), "cohesion": (-0.1, 0.4), "onset_speed": (0.005, 0.1),
+        "reference_speed": (0.005, 0.1),
+    },
+    "shear_softening": {"sharpness": (1, 8), "drop": (0, 0.6), "length": (0.02, 0.2), "onset": (0, 0.02)},
+    "grade": {"share": (0, 1.2), "weakening": (-0.3, 1.2)},
+    "drivetrain_friction": {"constant": (0, 5), "share": (0, 0.3), "viscous": (0, 3)},
+    "slip_bias": {"offset": (-0.05, 0.05), "radius_error": (-0.05, 0.05)},
+    "sinkage_offset": {"offset": (-0.01, 0.01)},
+}  # fmt: skip
+FORMS = [(name, form) for name, effect in CATALOGUE.items() for form in effect.forms]
+
+
+def values(name, form, rng):
+    """Random parameters of one form of an effect."""
+    sizes = SIZES[name]
+    drawn = {p: float(rng.uniform(*sizes[p])) for p in (*form.free, "reference_speed", "onset") if p in sizes}
+    return {name: drawn | dict(form.fixed)}
+
+
+def random_place(rng):
+    """(soil, site, load) of a random wheel, half of the soils with digging of their own."""
+    soil = SoilState(
+        math.tan(math.radians(rng.uniform(22.0, 42.0))),
+        10.0 ** rng.uniform(1.5, 3.5),
+        rng.uniform(0.008, 0.04),
+        10.0 ** rng.uniform(5.0, 6.3),
+        rng.uniform(0.4, 1.2),
+        rng.choice([0.0, rng.uniform(0.0, 3.0)]),
+        rng.uniform(0.2, 1.0),
+    )
+    r = rng.uniform(0.08, 0.3)
+    site = reference.Site(
+        r,
+        r * rng.uniform(0.5, 1.2),
+        r * rng.uniform(0.03, 0.12),
+        10.0 ** rng.uniform(-2.0, 0.0),
+        float(rng.integers(1, 5)),
+        math.radians(rng.uniform(-12.0, 12.0)),
+        rng.uniform(1e4, 2e4),
+    )
+    return soil, site, 2e4 * site.r * site.b * 10.0 ** rng.uniform(-0.7, 0.4)
+
+
+def steady(soil, slip, load, site, effects, guess=0.0):
+    """`steady_with` of a `reference.Site` with effects by name."""
+    wheel = Rim(site.r, site.b, site.lug)
+    conditions = Conditions(site.speed, site.passes, math.sin(site.grade))
+    return steady_with(slip, load, soil, wheel, conditions, site.unit_weight, pack_effects(effects), guess)
+
+
+def compare(soil, slip, load, site, effects):
+    """The model agrees with quadrature: to 3e-4 driving, to 2e-3 where shear may reverse within the arc."""
+    found = steady(soil, slip, load, site, effects)
+    ground = reference.Ground(math.degrees(math.atan(soil.tan_phi)), *soil[1:5])
+    judge = reference.steady(ground, slip, load, site, effects, (soil.dig_gain, soil.dig_recovery))
+    if judge is None:
+        assert not found.floating
+        return False
+    assert found.floating
+    tolerance = 3e-4 if slip >= 0.06 else 2.5e-3
+    assert judge.balance == pytest.approx(1.0, abs=1e-6)
+    assert found.sinkage == pytest.approx(judge.sinkage, abs=tolerance * (abs(judge.sinkage) + 0.01 * site.r))
+    assert found.drawbar_pull == pytest.approx(judge.drawbar_pull, abs=tolerance * load)
+    assert found.torque == pytest.approx(judge.torque, abs=tolerance * load * site.r)
+    return True
+
+
+def random_slip(rng):
+    """Driven in three cases of four, and not rolling freely, where the sign of a lug's thrust is smoothed."""
+    return rng.uniform(0.03, 0.85) if rng.random() < 0.75 else rng.uniform(-0.3, -0.06)
+
+
+# --- against quadrature -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", range(3))
+@pytest.mark.parametrize(("name", "form"), FORMS, ids=[f"{name}-{form.name}" for name, form in FORMS])
+def test_one_effect_against_quadrature(name, form, case):
+    rng = np.random.default_rng([case, *map(ord, name + form.name)])
+    soil, site, load = random_place(rng)
+    compare(soil, random_slip(rng), load, site, values(name, form, rng))
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_effects_together_against_quadrature(seed):
+    rng = np.random.default_rng(seed)
+    soil, site, load = random_place(rng)
+    effects = {}
+    for name in rng.choice(list(CATALOGUE), rng.integers(2, 6), replace=False):
+        forms = CATALOGUE[str(name)].forms
+        effects |= values(str(name), forms[rng.integers(len(forms))], rng)
+    compare(soil, random_slip(rng), load, site, effects)
+
+
+def test_most_of_these_cases_are_carried():
+    """Guards the comparisons against judging nothing."""
+    rng = np.random.default_rng(7)
+    carried = 0
+    for _ in range(60):
+        soil, site, load = random_place(rng)
+        carried += steady(soil, random_slip(rng), load, site, {}).floating
+    assert carried > 50
+
+
+# --- equivalent cases -------------------------------------------------------------------------------------------------
+
+SOIL = SoilState(math.tan(math.radians(32.0)), 800.0, 0.015, 9e5, 0.9, 0.0, 0.5)
+SITE = reference.Site(0.15, 0.12, 0.012, 0.1, 1.0, 0.0, 15000.0)
+
+
+@pytest.mark.parametrize("slip", [-0.4, 0.1, 0.6])
+def test_a_larger_radius_is_a_larger_wheel(slip):
+    lugs = steady(SOIL, slip, 90.0, SITE, {"grousers": {"radius_share": 1.0}})
+    assert lugs == pytest.approx(steady(SOIL, slip, 90.0, SITE._replace(r=0.162, lug=0.0), {}), rel=1e-5)
+
+
+@pytest.mark.parametrize("share", ["shear_share", "radius_share"])
+@pytest.mark.parametrize("slip", [0.0, 0.1, 0.6])
+def test_slip_at_the_rim_is_more_slip_at_the_tips(share, slip):
+    """V/(r w) = 1 - i at the rim is (1 - i) r/R at tips of radius R."""
+    tips = 1.0 - (1.0 - slip) * 0.15 / (0.15 + 0.5 * 0.012)
+    at_rim = steady(SOIL, slip, 90.0, SITE, {"grousers": {share: 0.5, "slip_at_rim": 1.0}})
+    assert at_rim == pytest.approx(steady(SOIL, tips, 90.0, SITE, {"grousers": {share: 0.5}}), rel=1e-5)
+
+
+def test_digging_of_the_effect_is_digging_of_the_soil():
+    digging = SOIL._replace(dig_gain=2.0, dig_recovery=0.7)
+    effect = {"slip_sinkage": {"gain": 2.0, "recovery": 0.7}}
+    for slip in (-0.5, 0.2, 0.7):
+        assert steady(SOIL, slip, 90.0, SITE, effect) == steady(digging, slip, 90.0, SITE, {})
+
+
+def test_biased_slip_is_another_slip():
+    for effect, slip in (({"offset": 0.04}, 0.34), ({"radius_error": 0.04}, 0.3 + 0.04 * 0.7)):
+        found = steady(SOIL, 0.3, 90.0, SITE, {"slip_bias": effect})
+        assert found == pytest.approx(steady(SOIL, slip, 90.0, SITE, {}), rel=1e-12)
+
+
+def test_apparent_slip_sinkage_multiplies_the_sinkage_alone():
+    plain = steady(SOIL, 0.4, 90.0, SITE, {})
+    deeper = steady(SOIL, 0.4, 90.0, SITE, {"slip_sinkage": {"gain": 1.5, "recovery": 0.5, "apparent": 1.0}})
+    assert deeper.sinkage == pytest.approx(1.75 * plain.sinkage)  # (1 + i)/(1 - 0.5 i)
+    assert deeper[1:] == plain[1:]
+
+
+@pytest.mark.parametrize(("gain", "slip"), [(0.5, 0.9), (0.5, 1.0), (10.0, 1.0)])
+def test_apparent_sinkage_stays_between_the_surface_and_a_buried_wheel(gain, slip):
+    """Without recovery the ratio 1 + g i/(1 - i) has no bounds of its own."""
+    fx = {"slip_sinkage": {"gain": gain, "recovery": 0.0, "apparent": 1.0}}
+    assert 0.0 < steady(SOIL, slip, 90.0, SITE, fx).sinkage <= model.DEEPEST * 0.15
+
+
+def test_the_weight_on_a_slope():
+    """Normal load W cos b, and W sin b less pull; uphill and downhill alike otherwise."""
+    effect, b = {"grade": {"share": 1.0}}, math.radians(10.0)
+    up, down = (steady(SOIL, 0.3, 90.0, SITE._replace(grade=sign * b), effect) for sign in (1.0, -1.0))
+    level = steady(SOIL, 0.3, 90.0 * math.cos(b), SITE, {})
+    assert up.drawbar_pull == pytest.approx(level.drawbar_pull - 90.0 * math.sin(b), abs=1e-4)
+    assert down.drawbar_pull - up.drawbar_pull == pytest.approx(180.0 * math.sin(b))
+    assert (up.sinkage, up.torque) == pytest.approx((level.sinkage, level.torque), rel=1e-6)
+    assert (down.sinkage, down.torque) == (up.sinkage, up.torque)
+
+
+def test_wheel_speed_of_viscous_friction():
+    """w = V/(r (1 - i)) driven, V (1 + i)/r braked."""
+    for slip, turning in ((0.5, 0.1 / (0.15 * 0.5)), (-0.4, 0.1 * 0.6 / 0.15), (0.0, 0.1 / 0.15), (-1.0, 0.0)):
+        torque = [steady(SOIL, slip, 90.0, SITE, {"drivetrain_friction": {"viscous": v}}).torque for v in (0.0, 2.0)]
+        assert torque[1] - torque[0] == pytest.approx(2.0 * turning, abs=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    length=st.floats(0.3, 3.0),
+    force=st.floats(0.1, 10.0),
+    speed=st.floats(0.2, 5.0),
+)
+def test_units_do_not_matter(seed, length, force, speed):
+    """Metres, newtons and seconds can be changed together: every law is right in its dimensions."""
+    rng = np.random.default_rng(seed)
+    soil, site, load = random_place(rng)
+    slip, effects = random_slip(rng), {}
+    for name in CATALOGUE:
+        effects |= values(name, CATALOGUE[name].forms[rng.integers(len(CATALOGUE[name].forms))], rng)
+    pressure = force / length**2
+    units = {
+        ("slip_sinkage", "length"): length,
+        ("sinkage_offset", "offset"): length,
+        ("shear_softening", "length"): length,
+        ("shear_softening", "onset"): length,
+        ("penetration_rate", "reference_speed"): speed,
+        ("shear_rate", "reference_speed"): speed,
+        ("shear_rate", "onset_speed"): speed,
+        ("drivetrain_friction", "constant"): force * length,
+        ("drivetrain_friction", "viscous"): force * length * length / speed,
+    }
+    other = {name: {p: v * units.get((name, p), 1.0) for p, v in effects[name].items()} for name in effects}
+    true = true_slip(slip, pack_effects({"slip_bias": effects["slip_bias"]}))
+    n = soil.sinkage_exponent + effects["slip_sinkage"].get("exponent_slope", 0.0) * abs(true)
+    scaled = soil._replace(
+        cohesion=soil.cohesion * pressure,
+        shear_modulus=soil.shear_modulus * length,
+        sinkage_coefficient=soil.sinkage_coefficient * pressure * length**-n,
+    )
+    place = reference.Site(
+        site.r * length, site.b * length, site.lug * length, site.speed * speed, site.passes, site.grade,
+        site.unit_weight * force / length**3,
+    )  # fmt: skip
+    found = steady(soil, slip, load, site, effects)
+    same = steady(scaled, slip, load * force, place, other)
+    assert same.floating == found.floating
+    if found.floating:
+        expected = np.array(found[:3]) * [length, force, force * length]
+        size = np.array([site.r * length, load * force, load * force * site.r * length])
+        np.testing.assert_array_less(np.abs(np.array(same[:3]) - expected), 1e-5 * size)
+
+
+# --- rows -------------------------------------------------------------------------------------------------------------
+
+
+def table(seed, count=162):
+    """(slip, load, wheels, conditions, soil, unit weight, effects) of a random table."""
+    rng = np.random.default_rng(seed)
+    soil, site, load = random_place(rng)
+    effects = {}
+    for name in rng.choice(list(CATALOGUE), 3, replace=False):
+        forms = CATALOGUE[str(name)].forms
+        effects |= values(str(name), forms[rng.integers(len(forms))], rng)
+    wheels = np.stack([site.r * rng.uniform(0.9, 1.1, count), np.full(count, site.b), np.full(count, site.lug)], axis=1)
+    grade = np.sin(np.radians(rng.uniform(-8.0, 8.0, count)))
+    conditions = np.stack([10.0 ** rng.uniform(-2.0, 0.0, count), rng.integers(1, 4, count), grade], axis=1)
+    loads = load * rng.choice([0.5, 1.0, 1.5], count)
+    return rng.uniform(-0.5, 0.95, count), loads, wheels, conditions, soil, site.unit_weight, pack_effects(effects)
+
+
+def rows(case, guess):
+    out = np.full((case[0].size, 3), np.nan)
+    return predict_rows(*case, guess, out), out
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_rows_are_single_points(seed):
+    case = table(seed)
+    slip, load, wheels, conditions, soil, weight, fx = case
+    carried, out = rows(case, np.zeros(slip.size))
+    single = [
+        steady_with(slip[k], load[k], soil, Rim(*wheels[k]), Conditions(*conditions[k]), weight, fx, 0.0)
+        for k in range(slip.size)
+    ]
+    np.testing.assert_array_equal(out, np.array([s[:3] for s in single]))
+    assert carried == sum(s.floating for s in single)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_rows_do_not_depend_on_the_guess(seed):
+    case = table(seed)
+    r, load = case[2][:, 0], case[1]
+    carried, cold = rows(case, np.zeros(r.size))
+    rng = np.random.default_rng(seed)
+    size = np.stack([r, load, load * r], axis=1)
+    for guess in (10.0 ** rng.uniform(-6.0, 1.0, r.size) * r, np.full(r.size, 1e-300), np.full(r.size, 1e3)):
+        again, out = rows(case, guess)
+        assert again == carried
+        np.testing.assert_array_less(np.abs(out - cold) / size, 2e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_guesses_are_renewed(seed):
+    """By the depth of the hole, which the next call starts from; 0 where nothing carries."""
+    case = table(seed)
+    fx = case[-1]
+    guess = np.zeros(case[0].size)
+    _, out = rows(case, guess)
+    known = guess > 0.0
+    np.testing.assert_allclose(guess[known], out[known, 0] - fx.sinkage_offset_offset, rtol=1e-12)
+    again = guess.copy()
+    _, warm = rows(case, again)
+    size = np.stack([case[2][:, 0], case[1], case[1] * case[2][:, 0]], axis=1)
+    np.testing.assert_array_less(np.abs(warm - out) / size, 2e-6)
+
+
+@settings(max_examples=150, deadline=None)
+@given(seed=st.integers(0, 10**6), slip=st.floats(-1.0, 1.0), load=st.floats(-1.0, 5.0), guess=st.floats(0.0, 10.0))
+def test_admissible_effects_give_finite_numbers(seed, slip, load, guess):
+    rng = np.random.default_rng(seed)
+    soil, site, _ = random_place(rng)
+    effects = {}
+    for name, effect in CATALOGUE.items():
+        effects[name] = {p.name: float(rng.choice([p.low, p.high, p.neutral])) for p in effect.parameters}
+    found = steady(soil, slip, 10.0**load, site, effects, guess)
+    assert all(map(math.isfinite, found)), found
+
+
+def test_no_effect_is_the_plain_wheel():
+    for slip in (-0.3, 0.3, 0.999):
+        assert steady(SOIL, slip, 90.0, SITE, {}) == model.steady_state(slip, 90.0, SOIL, 0.15, 0.12)
+    assert pack_effects({}) == NO_EFFECTS
