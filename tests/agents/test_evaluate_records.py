@@ -16,7 +16,7 @@ from soil_env.parameters import load_scenario
 from soil_env.simulation.dynamics import WHEEL_STATE
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import Simulation
-from tests import drivers
+from tests.agents import drivers
 
 SEED = 4242
 

@@ -13,8 +13,8 @@ from benchmarks.blind_effect import Hidden
 from benchmarks.blind_forms import EFFECTS
 from benchmarks.blind_unlisted import UNLISTED
 from benchmarks.blind_world import Contact, Ground, predict
-from tests import reference
 from tests.benchmarks.blind_bench import ALL_FORMS, BENCH, GROUND, NAMES, WHEEL, grid, hidden, table
+from tests.terramechanics import reference
 
 
 def quadrature(entry, sigma, tau, r, exit_=0.0, kinks=(), arm=None):

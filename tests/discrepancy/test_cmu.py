@@ -12,7 +12,7 @@ from scipy.io import savemat
 from soil_env.discrepancy.cmu import FITS, PUBLISHED, convert, main, plate_prior
 from soil_env.measurement.table import read_setup, read_table
 
-DATA = Path(os.environ.get("SOIL_ENV_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+DATA = Path(os.environ.get("SOIL_ENV_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
 CMU = DATA / "cmu_single_wheel"
 measured = pytest.mark.skipif(not CMU.is_dir(), reason=f"no measured data in {CMU}")
 WHEELS = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}

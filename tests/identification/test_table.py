@@ -18,7 +18,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.identification.scatter import Scatter
 from soil_env.identification.table import identify_table
 from soil_env.measurement.table import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup, read_table
-from tests import reference
+from tests.terramechanics import reference
 
 WHEEL = SetupWheel(0.15, 0.12)
 SAND = reference.Ground(31.0, 1500.0, 0.018, 9e5, 0.9)

@@ -16,7 +16,7 @@ from soil_env.paper import points as paper_points
 from soil_env.paper import recompute as paper
 from soil_env.paper import sections as paper_sections
 from soil_env.terramechanics.contact import entry_angle
-from tests import reference
+from tests.terramechanics import reference
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "paper.md"

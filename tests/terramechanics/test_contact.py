@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from soil_env.terramechanics import contact
-from tests import reference
+from tests.terramechanics import reference
 
 # The wheel and soil of Wong & Reece (1967), J. Terramechanics 4(1):81-98, as used by Hutangkabodee et al. (2006).
 PAPER_WHEEL = {"r": 0.6274, "b": 0.1524}

@@ -12,7 +12,7 @@ from soil_env.simulation import dynamics
 from soil_env.terramechanics import model, reaction
 from soil_env.terramechanics.contact import motion_from_slip
 from soil_env.terramechanics.effects import slip_sinkage_ratio
-from tests import reference
+from tests.terramechanics import reference
 
 R = B = 0.15
 CARRYING = sorted(set(soils()) - {"snow", "snow_harrison", "snow_sweden"})  # soils a rover wheel does not sink away in

@@ -12,7 +12,7 @@ from soil_env.terramechanics import model
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.effects import NO_EFFECTS, pack_effects, true_slip
 from soil_env.terramechanics.model import Conditions, Rim, predict_rows, steady_with
-from tests import reference
+from tests.terramechanics import reference
 
 #: Sizes from which parameters are drawn, by effect.
 SIZES = {
