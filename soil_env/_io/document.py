@@ -1,0 +1,102 @@
+"""Reports: one table type for Markdown, HTML and the terminal, and self-contained HTML pages from templates."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from html import escape
+from importlib import resources
+
+import jinja2
+
+_NUMBER = re.compile(r"[-+]?\.?\d|[-+]?(inf|nan)\b|-?$")  # how a cell of a column of numbers begins
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table whose cells are text or numbers as they are to be shown. Columns of numbers are set to the right."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    caption: str = ""
+
+    def __post_init__(self):
+        if any(len(row) != len(self.header) for row in self.rows):
+            raise ValueError(f"expected rows of {len(self.header)} cells: {', '.join(map(str, self.header))}")
+
+    def markdown(self) -> str:
+        """Pipe table of Markdown, the caption in italics below; cells may hold Markdown."""
+        lines = [_markdown_row(self.header), "|" + "---|" * len(self.header), *map(_markdown_row, self.rows)]
+        return "\n".join(lines) + (f"\n\n*{self.caption}*" if self.caption else "")
+
+    def html(self) -> str:
+        """Element `table`, all text escaped; cells in columns of numbers have class "n"."""
+        numbers = self._numbers()
+        lines = [list(zip(map(str, line), numbers, strict=True)) for line in (self.header, *self.rows)]
+        return render("table.html", header=lines[0], rows=lines[1:], caption=self.caption)
+
+    __html__ = html  # a template takes {{ table }} as HTML
+
+    def text(self, indent: int = 0) -> str:
+        """Aligned columns for the terminal, the caption above; every line begins with `indent` spaces."""
+        lines = [[str(cell) for cell in line] for line in (self.header, *self.rows)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        numbers = self._numbers()
+        aligned = [
+            "  ".join(
+                cell.rjust(width) if number else cell.ljust(width)
+                for cell, width, number in zip(line, widths, numbers, strict=True)
+            )
+            for line in lines
+        ]
+        lines = [*([self.caption] if self.caption else []), *aligned]
+        return "\n".join((" " * indent + line).rstrip() for line in lines)
+
+    def _numbers(self) -> list[bool]:
+        """Whether each column holds numbers: every cell begins with one, or is empty or a dash."""
+        if not self.rows:
+            return [False] * len(self.header)
+        return [all(_NUMBER.match(str(cell)) for cell in column) for column in zip(*self.rows, strict=True)]
+
+
+def _markdown_row(cells: Sequence[object]) -> str:
+    return "| " + " | ".join(" ".join(str(c).split()).replace("|", r"\|") or " " for c in cells) + " |"
+
+
+def html_page(title: str, body: str | Sequence[str], style: str = "") -> str:
+    """A self-contained HTML page: `body` is HTML, in one or several parts, and `style` CSS after that of all pages."""
+    return render("page.html", title=title, body=[body] if isinstance(body, str) else body, style=style)
+
+
+def html_image(content: bytes, caption: str = "", kind: str = "png") -> str:
+    """Element `figure` with the image in it; `kind` is its media subtype, "png" or "svg+xml"."""
+    text, data = escape(caption), base64.b64encode(content).decode("ascii")
+    below = f"<figcaption>{text}</figcaption>" if caption else ""
+    return f'<figure><img alt="{text}" src="data:image/{kind};base64,{data}">{below}</figure>'
+
+
+def render(template: str, **values: object) -> str:
+    """Fill in a template: "page.html" of soil_env/_io/templates, or "package:page.html" of that package's own folder.
+
+    Values are escaped in templates whose name ends in .html; a name that is not given is an error.
+    """
+    return _environment().get_template(template).render(**values)
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.FunctionLoader(_source),
+        autoescape=jinja2.select_autoescape(("html",)),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _source(name: str) -> str:
+    package, _, file = name.rpartition(":")
+    return resources.files(package or "soil_env._io").joinpath("templates", file).read_text(encoding="utf-8")
