@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -64,6 +65,15 @@ class Table:
 
 def _markdown_row(cells: Sequence[object]) -> str:
     return "| " + " | ".join(" ".join(str(c).split()).replace("|", r"\|") or " " for c in cells) + " |"
+
+
+def wrapped(markdown: str, width: int = 120) -> str:
+    """Markdown with its paragraphs broken into lines of `width`; headings, tables, figures, lists and code as is."""
+    blocks = [block.strip("\n") for block in re.split(r"\n\s*\n", markdown.strip())]
+    fixed = ("|", "!", "#", "- ", "* ", "```", "<", "    ")
+    lines = [b if b.startswith(fixed) else textwrap.fill(" ".join(b.split()), width, break_long_words=False,
+                                                         break_on_hyphens=False) for b in blocks]  # fmt: skip
+    return "\n\n".join(lines) + "\n"
 
 
 def html_page(title: str, body: str | Sequence[str], style: str = "") -> str:

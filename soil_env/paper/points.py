@@ -1,7 +1,7 @@
 """Tables 3, 4 and 5 of the source paper: three-point identification, its initial guesses, its noise.
 
-Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251. The command is `paper`. Every force comes
-from the compiled functions that the simulated world uses.
+Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251. Every force comes from the compiled
+functions that the simulated world uses.
 """
 
 from __future__ import annotations
@@ -113,10 +113,9 @@ def identified(points: Points, reading=HELD, guess=(30.0, 0.03, 5e5)) -> Estimat
     return method(points.slip, points.sinkage, points.pull, reading=reading, guess=start)
 
 
-def triple(estimate: Estimate) -> np.ndarray:
-    """(phi [deg], K [m], S) of an estimate."""
-    s = estimate.soil
-    return np.array([s.friction_angle_deg, s.shear_modulus, s.sinkage_coefficient])
+def triple(soil: Soil) -> np.ndarray:
+    """(phi [deg], K [m], S) of a soil that has an S."""
+    return np.array([soil.friction_angle_deg, soil.shear_modulus, soil.sinkage_coefficient])
 
 
 def miss(found) -> np.ndarray:
@@ -165,8 +164,8 @@ def nearest_by_assumption(points: Points) -> dict[str, Nearest]:
         best = Nearest("none converges", np.full(3, np.nan), math.inf)
         for value, reading, changed in cases:
             estimate = identified(changed, reading)
-            if estimate.converged and miss(triple(estimate)) < best.miss:
-                best = Nearest(value, triple(estimate), float(miss(triple(estimate))))
+            if estimate.converged and miss(triple(estimate.soil)) < best.miss:
+                best = Nearest(value, triple(estimate.soil), float(miss(triple(estimate.soil))))
         out[name] = best
     return out
 
@@ -254,7 +253,7 @@ def newton_path(points: Points, guess, iterations=100, reading=HELD, tolerance=1
     return path * (180.0 / np.pi, 1.0, 1.0), count
 
 
-class Map(NamedTuple):
+class GuessMap(NamedTuple):
     """Which guesses of the box lead to the root, [phi, K, S] each."""
 
     phi_deg: np.ndarray
@@ -281,21 +280,21 @@ def _plain_outcome(points: Points, guess, root) -> str:
 def _our_outcome(points: Points, guess, root) -> tuple[str, np.ndarray]:
     estimate = identified(points, guess=guess)
     if not estimate.converged:
-        return estimate.status.name.lower(), triple(estimate)
-    if _same(triple(estimate), root):
-        return "root", triple(estimate)
-    return "another root" if estimate.residual < 1e-6 else "no root", triple(estimate)  # residual in N
+        return estimate.status.name.lower(), triple(estimate.soil)
+    if _same(triple(estimate.soil), root):
+        return "root", triple(estimate.soil)
+    return "another root" if estimate.residual < 1e-6 else "no root", triple(estimate.soil)  # residual in N
 
 
-def table_4(points: Points, counts=(40, 40, 9)) -> Map:
+def table_4(points: Points, counts=(40, 40, 9)) -> GuessMap:
     """Outcome from every guess of the grid, for the paper's iteration and for ours."""
-    guesses, root = box(counts), triple(identified(points))
+    guesses, root = box(counts), triple(identified(points).soil)
     flat = guesses.reshape(-1, 3)
     plain = np.array([_plain_outcome(points, g, root) for g in flat]).reshape(counts)
     outcomes = [_our_outcome(points, g, root) for g in flat]
     ours = np.array([name for name, _ in outcomes]).reshape(counts)
     other = np.array([found for name, found in outcomes if name in ("another root", "no root")]).reshape(-1, 3)
-    return Map(guesses[:, 0, 0, 0], guesses[0, :, 0, 1], guesses[0, 0, :, 2], root, plain, ours, other)
+    return GuessMap(guesses[:, 0, 0, 0], guesses[0, :, 0, 1], guesses[0, 0, :, 2], root, plain, ours, other)
 
 
 class Stop(NamedTuple):
@@ -347,7 +346,7 @@ def noisy(clean: Points, noise: tuple[float, float, float], rng, draws: int) -> 
         factors = 1.0 + np.array(noise)[:, None] * rng.standard_normal((3, clean.slip.size))
         estimate = identified(Points(*(v * f for v, f in zip(clean, factors, strict=True))), READING)
         if estimate.converged:
-            found.append(100.0 * (triple(estimate) / truth - 1.0))
+            found.append(100.0 * (triple(estimate.soil) / truth - 1.0))
     errors = np.array(found)
     size = np.median(np.abs(errors), axis=0)
     return Noisy(errors.mean(axis=0), errors.std(axis=0, ddof=1), size, 100.0 * len(errors) / draws)

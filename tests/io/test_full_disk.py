@@ -2,7 +2,6 @@
 
 import os
 import sys
-import types
 
 import pytest
 
@@ -89,8 +88,8 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(command, capsys, monkeypatch
         monkeypatch.setattr(module, "study" if module is blind else work, lambda *args: result)
         monkeypatch.setattr(cmu, "page", lambda *args: LARGE)
         monkeypatch.setattr(blind.blind_page, "write", large)
-        monkeypatch.setattr(paper, "paper_page", types.SimpleNamespace(
-            prepare=lambda folder: None, show=lambda results: None, write=large))  # fmt: skip
+        monkeypatch.setattr(paper.page, "write", large)
+        monkeypatch.setattr(paper.page, "markdown", lambda results: LARGE)
         monkeypatch.setattr(identification.identification_page, "write", large)
     with full():
         refused(capsys, command, folder)
