@@ -11,7 +11,6 @@ of every client did, 1 if one did not, 2 for bad input.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import platform
@@ -23,13 +22,13 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from soil_env._io.commands import leave
+from benchmarks.common import ROOT, write_json
+from soil_env._io.commands import command_line, command_parser, folder, leave
+from soil_env._io.document import Table, render
 from soil_env._io.files import make_folder, replace_file
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._io.signals import terminable
 
 NAME = "benchmarks.clients"
-ROOT = Path(__file__).resolve().parent.parent
 SHOWN = ("gymnasium", "numpy", "torch")  # versions in the page, besides those pinned for the client
 LIMIT = 3600  # [s] for one command
 
@@ -196,73 +195,50 @@ def _rounded(text: str) -> str:
     return re.sub(r"-?\d+\.\d+(e-?\d+)?", lambda found: f"{float(found.group()):.3g}", text)
 
 
-# --- the page ---------------------------------------------------------------------------------------------------------
+# --- the command ------------------------------------------------------------------------------------------------------
 
 
 def page(result: dict) -> str:
     """docs/clients.md."""
-    lines = [
-        "# soil_env in the code of others",
-        "",
-        f"Smoke runs with the real clients: `python -m {NAME}` makes an environment for each and runs the commands",
-        "below from the root of the repository. They are short: they show that the pieces fit and that agents",
-        "learn, not how much can be learnt. Figures are in [clients.json](clients.json).",
-    ]
-    for name, client in CLIENTS.items():
-        found = result.get(name)
-        lines += ["", f"## {name}", "", f'{client.words}. `pip install "soil_env[{client.extras}]"`.', ""]
-        lines += [client.notes.strip(), ""] if client.notes else []
-        if found is None:
-            lines += ["Not run yet."]
-            continue
-        lines += ["Versions: " + ", ".join(f"{k} {v}" for k, v in found["versions"].items()) + ".", ""]
-        lines += ["| command | seen |", "|---|---|"]
-        for run in found["runs"]:
-            seen = ("" if run["ok"] else "**failed**: ") + run["seen"].replace("|", "/")
-            lines += [f"| `{run['command']}` | {seen} |"]
-    return "\n".join(lines) + "\n"
+    tables = {
+        name: Table(("command", "seen"), [
+            (f"`{run['command']}`", ("" if run["ok"] else "**failed**: ") + run["seen"].replace("|", "/"))
+            for run in found["runs"]
+        ]).markdown()
+        for name, found in result.items()
+    }  # fmt: skip
+    return render("benchmarks:clients.md", clients=CLIENTS, result=result, tables=tables)
 
 
-@terminable
+@command_line(NAME)
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    p = argparse.ArgumentParser(
-        f"python -m {NAME}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    p = command_parser(f"python -m {NAME}", __doc__)
     p.add_argument("clients", nargs="*", metavar="CLIENT", help=f"of {', '.join(CLIENTS)} (default: all)")
     p.add_argument("--envs", type=Path, default=ROOT / ".venv-clients", help="folder of the environments")
-    p.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of clients.json and clients.md")
+    p.add_argument("--out", type=folder, default=ROOT / "docs", help="folder of clients.json and clients.md")
     p.add_argument("--page", action="store_true", help="no runs: the page from clients.json in --out")
     options = p.parse_args(arguments)
+    for name in options.clients:
+        if name not in CLIENTS:
+            raise unknown_key(name, CLIENTS, "CLIENT")
+    make_folder(options.out)
     file = options.out / "clients.json"
-    try:
-        for name in options.clients:
-            if name not in CLIENTS:
-                raise unknown_key(name, CLIENTS, "CLIENT")
-        make_folder(options.out)
-        result = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-        for name in [] if options.page else options.clients or CLIENTS:
+    result = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    if options.page:
+        replace_file(options.out / "clients.md", page(result))
+        return 0
+    asked = options.clients or CLIENTS
+    for name in asked:
+        try:
             python = environment(name, CLIENTS[name], options.envs.resolve())
             found = versions(python, CLIENTS[name])
-            result[name] = {"versions": found, "runs": smoke(name, CLIENTS[name], python)}
-            replace_file(file, json.dumps(result, indent=1) + "\n")
-            replace_file(options.out / "clients.md", page(result))
-        if options.page:
-            replace_file(options.out / "clients.md", page(result))
-    except ParameterError as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"{NAME}: {error.filename or options.out}: {error.strerror}", file=sys.stderr)
-        return 2
-    except subprocess.CalledProcessError as error:
-        print(f"{NAME}: {error.cmd[0]} ended with {error.returncode}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"\n{NAME}: interrupted", file=sys.stderr)
-        return 130
-    asked = options.clients or CLIENTS
-    return 0 if options.page or all(run["ok"] for name in asked for run in result[name]["runs"]) else 1
+        except subprocess.CalledProcessError as error:
+            raise ParameterError(f"{error.cmd[0]} ended with {error.returncode}") from None
+        result[name] = {"versions": found, "runs": smoke(name, CLIENTS[name], python)}
+        write_json(file, result)
+        replace_file(options.out / "clients.md", page(result))
+    return 0 if all(run["ok"] for name in asked for run in result[name]["runs"]) else 1
 
 
 if __name__ == "__main__":

@@ -8,8 +8,6 @@ Every number of docs/identification.md comes from this command with its default 
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import platform
 import sys
@@ -18,21 +16,23 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import soil_env  # noqa: E402, F401, I001  first: Ctrl-C ends the imports
-import numpy as np  # noqa: E402
-from scipy.integrate import quad  # noqa: E402
-from scipy.optimize import root  # noqa: E402
+import soil_env  # noqa: F401  first: from here on Ctrl-C ends the imports in one line
 
-from benchmarks import identification_online, identification_page  # noqa: E402
-from soil_env._io.files import check_outputs, make_folder, replace_file  # noqa: E402
-from soil_env._io.commands import drop_output, leave  # noqa: E402
-from soil_env._io.signals import terminable  # noqa: E402
-from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict  # noqa: E402
-from soil_env.identification.point import POINT_SIZE, WEIGHTS, weigh  # noqa: E402
-from soil_env.identification.solver import solve  # noqa: E402
-from soil_env.identification.uniqueness import other_soil  # noqa: E402
-from soil_env.parameters import Soil, SoilState, soils  # noqa: E402
-from soil_env.terramechanics.model import steady_state  # noqa: E402
+# isort: split
+import numpy as np
+from scipy.integrate import quad
+from scipy.optimize import root
+
+from benchmarks import identification_online, identification_page
+from benchmarks.common import write_json
+from soil_env._io.commands import command_line, command_parser, folder, leave, whole_number
+from soil_env._io.files import check_outputs, make_folder
+from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict
+from soil_env.identification.point import POINT_SIZE, WEIGHTS, weigh
+from soil_env.identification.solver import solve
+from soil_env.identification.uniqueness import other_soil
+from soil_env.parameters import Soil, SoilState, soils
+from soil_env.terramechanics.model import steady_state
 
 PAPER = Reading(cohesion=3000.0, exponent=0.47, radius=0.6274, width=0.1524)  # the wheel and sand of the source paper
 ROVER = Reading(cohesion=170.0, exponent=1.0, radius=0.15, width=0.15)
@@ -354,52 +354,35 @@ def study(seed: int, smoke: bool) -> dict:
     return result
 
 
-def _seed(text: str) -> int:
-    if not text.strip().isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 0")
-    return int(text)
+_EPILOG = """files:
+  OUT/identification.md, identification.json, identification/*.png
+
+exit status:
+  0 done; 2 a folder that cannot be written; 130 interrupted
+
+examples:
+  python benchmarks/identification.py --smoke --out /tmp/identification"""
 
 
-def _folder(text: str) -> Path:
-    if not text:
-        raise argparse.ArgumentTypeError("is empty: expected a folder")
-    return Path(text)
-
-
-@terminable
+@command_line("benchmarks.identification", interrupted="nothing written")
 def main(arguments: list[str] | None = None) -> int:
     """Run the study and write its page."""
-    p = argparse.ArgumentParser(
-        prog="python benchmarks/identification.py",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  OUT/identification.md, identification.json, identification/*.png\n\nexit status:\n"
-        "  0 done; 2 a folder that cannot be written; 130 interrupted\n\nexamples:\n"
-        "  python benchmarks/identification.py --smoke --out /tmp/identification",
-    )
+    p = command_parser("python benchmarks/identification.py", __doc__, _EPILOG)
     p.add_argument(
-        "--out", metavar="OUT", type=_folder, default=Path("docs"),
+        "--out", metavar="OUT", type=folder, default=Path("docs"),
         help="folder of identification.json, .md and plots (default: docs)",
     )  # fmt: skip
-    p.add_argument("--seed", metavar="N", type=_seed, default=0, help="of everything random, >= 0 (default: 0)")
+    p.add_argument(
+        "--seed", metavar="N", type=whole_number(), default=0, help="of everything random, >= 0 (default: 0)"
+    )
     p.add_argument("--smoke", action="store_true", help="seconds instead of minutes, numbers without meaning")
     options = p.parse_args(arguments)
-    try:
-        check_outputs(options.out, ("identification.json", "identification.md", "identification/x.png"))
-        make_folder(options.out)
-        result = study(options.seed, options.smoke)
-        identification_page.write(result, options.out)
-        replace_file(options.out / "identification.json", json.dumps(result, indent=1, allow_nan=True) + "\n")
-        print(f"Written: {options.out / 'identification.md'}", flush=True)
-    except OSError as error:
-        if error.filename is None:
-            drop_output()
-        place = error.filename or "the progress cannot be printed"
-        print(f"identification.py: {place}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nidentification.py: interrupted, nothing written", file=sys.stderr)
-        return 130
+    check_outputs(options.out, ("identification.json", "identification.md", "identification/x.png"))
+    make_folder(options.out)
+    result = study(options.seed, options.smoke)
+    identification_page.write(result, options.out)
+    write_json(options.out / "identification.json", result)
+    print(f"Written: {options.out / 'identification.md'}", flush=True)
     return 0
 
 

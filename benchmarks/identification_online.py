@@ -24,8 +24,6 @@ Sources: Hutangkabodee et al. (2006), IJAC 3:244-251; Iagnemma, Kang, Shibly & D
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 from pathlib import Path
 from time import perf_counter
@@ -34,6 +32,7 @@ import numpy as np
 from numba import njit
 
 from agents.controllers import ConstantSpeed
+from benchmarks.common import write_json
 from benchmarks.identification_contenders import (
     CONTENDERS,
     PARAMETERS,
@@ -44,7 +43,8 @@ from benchmarks.identification_contenders import (
 )
 from benchmarks.identification_kalman import UnscentedKalman
 from benchmarks.identification_online_figure import figure
-from soil_env._io.files import replace_file
+from soil_env._io.commands import command_line, command_parser, folder, leave, whole_number
+from soil_env._io.files import make_folder
 from soil_env._numba.compiling import CACHE
 from soil_env.identification.online import SensorReading, identifier_numbers, new_identifiers
 from soil_env.parameters import Scenario, load_scenario
@@ -377,28 +377,37 @@ def tune_ukf(courses: int = 30, seed: int = 0, progress=print, base=UnscentedKal
     return scores
 
 
-def main() -> None:
-    """Run it alone: the result as JSON and its figure."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.identification_online",
-        description="Compare online identifiers on the same courses and readings: soil_env's window and others.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  OUT/online.json, OUT/online.png\n\nexit status:\n  0 done\n\nexamples:\n"
-        "  python -m benchmarks.identification_online --smoke --out /tmp/online",
-    )
-    parser.add_argument("--courses", metavar="N", type=int, default=200, help="courses (default 200)")
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the courses (default 0)")
-    parser.add_argument(
-        "--out", metavar="OUT", type=Path, default=Path("runs/identification_online"),
+_EPILOG = """files:
+  OUT/online.json, OUT/online.png
+
+exit status:
+  0 done; 2 a folder that cannot be written; 130 interrupted
+
+examples:
+  python -m benchmarks.identification_online --smoke --out /tmp/online"""
+
+
+@command_line("benchmarks.identification_online")
+def main(arguments: list[str] | None = None) -> int:
+    """Run it alone: the result as JSON and its figure; returns the exit status."""
+    p = command_parser(
+        "python -m benchmarks.identification_online",
+        "Compare online identifiers on the same courses and readings: soil_env's window and others.", _EPILOG,
+    )  # fmt: skip
+    p.add_argument("--courses", metavar="N", type=whole_number(1), default=200, help="courses (default 200)")
+    p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the courses (default 0)")
+    p.add_argument(
+        "--out", metavar="OUT", type=folder, default=Path("runs/identification_online"),
         help="folder of the results (default runs/identification_online)",
     )  # fmt: skip
-    parser.add_argument("--smoke", action="store_true", help="two courses, numbers without meaning")
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    result = smoke(args.seed) if args.smoke else run(args.courses, args.seed, print)
-    replace_file(args.out / "online.json", json.dumps(result, indent=1, allow_nan=False))
-    figure(result, args.out / "online.png")
+    p.add_argument("--smoke", action="store_true", help="two courses, numbers without meaning")
+    options = p.parse_args(arguments)
+    make_folder(options.out)
+    result = smoke(options.seed) if options.smoke else run(options.courses, options.seed, print)
+    write_json(options.out / "online.json", result)
+    figure(result, options.out / "online.png")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    leave(main())

@@ -12,15 +12,20 @@ readings may tell more than one moment does.
 
 from __future__ import annotations
 
-import argparse
-import json
+import sys
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 import torch
 
 from agents.controllers import _best_slips, make_controller
 from agents.evaluate import course_rng
+from benchmarks.common import write_json
+from soil_env._io.commands import command_line, command_parser, folder, leave
+from soil_env._io.document import Table
+from soil_env._io.files import make_folder
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import IDLE, STEP, Simulation
@@ -132,23 +137,24 @@ def study(name: str, courses: int, epochs: int) -> dict:
     }
 
 
-def main() -> None:
-    """Run the study and write information.json."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of information.json")
+@command_line("benchmarks.information")
+def main(arguments: list[str] | None = None) -> int:
+    """Run the study and write information.json; returns the exit status."""
+    p = command_parser("python benchmarks/information.py", __doc__)
+    p.add_argument("--out", type=folder, required=True, metavar="DIR", help="folder of information.json")
     p.add_argument("--scenarios", default="mixed,loose_slopes,sticky", metavar="A,B")
     p.add_argument("--smoke", action="store_true", help="a few courses only")
-    options = p.parse_args()
+    options = p.parse_args(arguments)
+    make_folder(options.out)
     torch.set_num_threads(1)
     courses, epochs = (12, 2) if options.smoke else (400, 25)
     result = {name: study(name, courses, epochs) for name in options.scenarios.split(",")}
-    options.out.mkdir(parents=True, exist_ok=True)
     content = {"courses": courses, "smoke": options.smoke, "scenarios": result}
-    (options.out / "information.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    print("| best slip foretold from (R^2) | " + " | ".join(result) + " |\n|---|" + "---|" * len(result))
-    for label in READINGS:
-        print(f"| {label} | " + " | ".join(f"{entry['r_squared'][label]:.2f}" for entry in result.values()) + " |")
+    write_json(options.out / "information.json", content)
+    rows = [(label, *(f"{entry['r_squared'][label]:.2f}" for entry in result.values())) for label in READINGS]
+    print(Table(("best slip foretold from (R^2)", *result), rows).markdown())
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    leave(main())

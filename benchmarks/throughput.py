@@ -10,58 +10,28 @@ rounds with the lowest and the highest; what is compared is measured in turns. R
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
 import gymnasium
-import llvmlite
-import numba
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from benchmarks import throughput_parts, throughput_page  # noqa: E402, I001
-from soil_env.env import SoilWheelEnv  # noqa: E402
-from soil_env._io.files import make_folder, replace_file  # noqa: E402
-from soil_env.simulation.worlds import IDLE, STEP  # noqa: E402
-from soil_env._io.commands import leave  # noqa: E402
-from soil_env._io.signals import terminable  # noqa: E402
-from soil_env.simulation.task import Cause  # noqa: E402
-from soil_env.vector_env import SoilWheelVectorEnv  # noqa: E402
+from benchmarks import throughput_page, throughput_parts
+from benchmarks.common import ROOT, machine, renew_page, spread, write_json
+from soil_env._io.commands import command_line, command_parser, folder, leave
+from soil_env._io.files import make_folder
+from soil_env.env import SoilWheelEnv
+from soil_env.simulation.task import Cause
+from soil_env.simulation.worlds import IDLE, STEP
+from soil_env.vector_env import SoilWheelVectorEnv
 
 HELD = 8  # steps that a random command is held
-
-
-def spread(values) -> dict:
-    """Median, lowest and highest of rounds."""
-    return {"median": float(np.median(values)), "low": float(np.min(values)), "high": float(np.max(values))}
-
-
-def machine() -> dict:
-    """What the figures were measured on."""
-    name = platform.processor() or platform.machine()
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        name = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        pass
-    return {
-        "processor": name,
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "numba": numba.__version__,
-        "llvmlite": llvmlite.__version__,
-    }
 
 
 # --- steps a second ---------------------------------------------------------------------------------------------------
@@ -296,42 +266,36 @@ def run(smoke: bool, say=lambda text: None) -> dict:
     return result
 
 
-@terminable
+_EPILOG = """files:
+  OUT/performance.json
+  OUT/performance.md, docs/performance.md with its tables renewed
+
+exit status:
+  0 done; 2 a folder that cannot be written; 130 interrupted
+
+examples:
+  python benchmarks/throughput.py --smoke --out /tmp/throughput"""
+
+
+@command_line("benchmarks.throughput", interrupted="nothing written")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python benchmarks/throughput.py",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  OUT/performance.json\n  OUT/performance.md, docs/performance.md with its tables renewed\n\n"
-        "exit status:\n  0 done; 2 a folder that cannot be written; 130 interrupted\n\nexamples:\n"
-        "  python benchmarks/throughput.py --smoke --out /tmp/throughput",
-    )
+    parser = command_parser("python benchmarks/throughput.py", __doc__, _EPILOG)
     parser.add_argument("--smoke", action="store_true", help="seconds instead of minutes, numbers without meaning")
     parser.add_argument(
-        "--out", metavar="OUT", type=Path, default=ROOT / "docs",
+        "--out", metavar="OUT", type=folder, default=ROOT / "docs",
         help="folder of performance.json and performance.md (default: docs of the clone)",
     )  # fmt: skip
     options = parser.parse_args(arguments)
-    try:
-        make_folder(options.out)
-        result = run(options.smoke, print)
-        for note in result["notes"]:
-            print(note)
-        _write(result, options.out)
-    except OSError as error:
-        print(f"throughput.py: {error.filename or options.out}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nthroughput.py: interrupted, nothing written", file=sys.stderr)
-        return 130
+    make_folder(options.out)
+    result = run(options.smoke, print)
+    for note in result["notes"]:
+        print(note)
+    write_json(options.out / "performance.json", result)
+    page = ROOT / "docs" / "performance.md"
+    renew_page(page, throughput_page.sections(result), options.out / "performance.md")
     print(throughput_page.summary(result))
     return 0
-
-
-def _write(result: dict, folder: Path) -> None:
-    replace_file(folder / "performance.json", json.dumps(result, indent=1) + "\n")
-    throughput_page.write(result, ROOT / "docs" / "performance.md", folder / "performance.md")
 
 
 if __name__ == "__main__":

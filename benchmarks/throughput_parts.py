@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 
+from benchmarks.common import spread
 from soil_env._numba import elementary, lanes
 from soil_env._numba.compiling import Entry, kernel
 from soil_env.identification import online as identifier
@@ -117,7 +118,7 @@ def parts(wheels: int, steps: int, rounds: int) -> dict:
     made = steps * wheels * rounds
     return {
         "wheels": wheels,
-        "us": {name: _spread(values) for name, values in found.items()} | {"Python": _spread(_python(wheels, rounds))},
+        "us": {name: spread(values) for name, values in found.items()} | {"Python": spread(_python(wheels, rounds))},
         "solves_a_step": solves / made,
         "resets_a_step": resets / made,
         "patches_a_step": patches / made,
@@ -139,10 +140,6 @@ def _python(wheels: int, rounds: int) -> list[float]:
             env.step(actions)
         found.append(1e6 * (time.process_time() - start) / (200 * wheels))
     return found
-
-
-def _spread(values) -> dict:
-    return {"median": float(np.median(values)), "low": float(np.min(values)), "high": float(np.max(values))}
 
 
 # --- the limit --------------------------------------------------------------------------------------------------------
@@ -232,7 +229,7 @@ def limit(rounds: int, repeats: int, solves: float = 0.28, patches: float = 0.00
             start = time.process_time()
             f(repeats)
             found.append(1e9 * (time.process_time() - start) / (repeats * each))
-        ns[name] = _spread(found)
+        ns[name] = spread(found)
     cost = {piece: sum(ns[op]["low"] * count for op, count in ops.items()) for piece, ops in WORK.items()}
     evaluation = cost["arc_nodes"] + cost["shear_integrals"]
     pieces = {

@@ -25,13 +25,6 @@ def test_smoke_run_measures_every_part(tmp_path):
     assert all(f"<!-- {name} -->" in page for name in throughput_page.SECTIONS)
 
 
-def test_page_without_a_section_is_refused(tmp_path):
-    template = tmp_path / "page.md"
-    template.write_text("<!-- machine -->\n<!-- end -->\n", encoding="utf-8")
-    with pytest.raises(ValueError, match="1 figures, expected"):
-        throughput_page.write({"machine": throughput.machine()}, template, tmp_path / "out.md")
-
-
 def step_spoilt(sim, k, command):
     """`sim.step` while all of course k but the patches and cells beside the wheel is NaN, and unused points too.
 

@@ -18,12 +18,12 @@ COMMANDS = {
     "clients": (clients, "benchmarks.clients", ["zoo", *OUT], "environment"),
     "cmu": (cmu, "benchmarks.cmu", OUT, "study"),
     "fuzz": (fuzz, "benchmarks.fuzz", PAGE, "run"),
-    "identification": (identification, "identification.py", OUT, "study"),
+    "identification": (identification, "benchmarks.identification", OUT, "study"),
     "memory": (memory, "benchmarks.memory", PAGE, "vector"),
     "paper": (paper, "soil_env.paper", OUT, "compute"),
     "sim2real": (sim2real, "agents.sim2real", ["--world", str(WORLDS / "bulldozing.yaml"), *OUT], "report"),
-    "throughput": (throughput, "throughput.py", OUT, "run"),
-    "training": (training, "training.py", OUT, "measure"),
+    "throughput": (throughput, "benchmarks.throughput", OUT, "run"),
+    "training": (training, "benchmarks.training", OUT, "measure"),
 }
 
 

@@ -44,7 +44,7 @@ def interrupted(folder, command, at):
         (["-m", "agents.evaluate"], "agents.evaluate"),
         (["-m", "agents.sim2real"], "agents.sim2real"),
         (["train.py"], "train.py"),
-        (["benchmarks/identification.py"], "identification.py"),
+        (["benchmarks/identification.py"], "benchmarks.identification"),
         (["-m", "benchmarks.fuzz"], "benchmarks.fuzz"),
     ],
 )
