@@ -22,10 +22,10 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.common import ROOT, write_json
+from benchmarks.common import ROOT
 from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.document import Table, render
-from soil_env._io.files import make_folder, replace_file
+from soil_env._io.files import make_folder, replace_file, write_json
 from soil_env._io.loading import ParameterError, unknown_key
 
 NAME = "benchmarks.clients"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 from collections.abc import Mapping
@@ -42,11 +41,6 @@ def machine() -> dict:
         "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "python": platform.python_version(),
     } | {name: version(name) for name in ("numpy", "numba", "llvmlite")}
-
-
-def write_json(path: Path, content) -> None:
-    """Write a result."""
-    replace_file(path, json.dumps(content, indent=1) + "\n")
 
 
 def check_page(page: Path, *names: str) -> None:

@@ -24,9 +24,8 @@ from scipy.integrate import quad
 from scipy.optimize import root
 
 from benchmarks import identification_online, identification_page
-from benchmarks.common import write_json
 from soil_env._io.commands import command_line, command_parser, folder, leave, whole_number
-from soil_env._io.files import check_outputs, make_folder
+from soil_env._io.files import check_outputs, make_folder, write_json
 from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict
 from soil_env.identification.point import POINT_SIZE, WEIGHTS, weigh
 from soil_env.identification.solver import solve

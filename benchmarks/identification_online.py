@@ -32,7 +32,6 @@ import numpy as np
 from numba import njit
 
 from agents.controllers import ConstantSpeed
-from benchmarks.common import write_json
 from benchmarks.identification_contenders import (
     CONTENDERS,
     PARAMETERS,
@@ -44,7 +43,7 @@ from benchmarks.identification_contenders import (
 from benchmarks.identification_kalman import UnscentedKalman
 from benchmarks.identification_online_figure import figure
 from soil_env._io.commands import command_line, command_parser, folder, leave, whole_number
-from soil_env._io.files import make_folder
+from soil_env._io.files import make_folder, plain, write_json
 from soil_env._numba.compiling import CACHE
 from soil_env.identification.online import SensorReading, identifier_numbers, new_identifiers
 from soil_env.parameters import Scenario, load_scenario
@@ -293,7 +292,7 @@ def run(courses: int = 200, seed: int = 0, progress=None, contenders=CONTENDERS,
         result["contenders"][name] = entry
         say(f"{name}: rms {entry['rms']['phi_deg']['value']:.2f} deg, {entry['time']['mean_us']:.1f} us a reading")
     result["time"] = compare_times(scenario, logs, contenders)
-    return _finite(result)
+    return plain(result)
 
 
 def _timed(contender: Contender, readings: np.ndarray):
@@ -340,17 +339,6 @@ def compare_times(scenario: Scenario, logs: list[dict], contenders=CONTENDERS, r
         for key in ("us_per_reading", "us_per_solve"):
             out["ratio_" + key[3:]] = {n: v / out[key]["ours"] for n, v in out[key].items()}
     return out
-
-
-def _finite(value):
-    """The same with NaN and infinity as None, which JSON has."""
-    if isinstance(value, dict):
-        return {str(k): _finite(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(v) for v in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value
 
 
 def smoke(seed: int = 0) -> dict:

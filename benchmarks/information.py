@@ -22,10 +22,9 @@ import torch
 
 from agents.controllers import _best_slips, make_controller
 from agents.evaluate import course_rng
-from benchmarks.common import write_json
 from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.document import Table
-from soil_env._io.files import make_folder
+from soil_env._io.files import make_folder, write_json
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import IDLE, STEP, Simulation

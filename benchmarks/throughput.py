@@ -23,9 +23,9 @@ import gymnasium
 import numpy as np
 
 from benchmarks import throughput_page, throughput_parts
-from benchmarks.common import ROOT, machine, renew_page, spread, write_json
+from benchmarks.common import ROOT, machine, renew_page, spread
 from soil_env._io.commands import command_line, command_parser, folder, leave
-from soil_env._io.files import make_folder
+from soil_env._io.files import make_folder, write_json
 from soil_env.env import SoilWheelEnv
 from soil_env.simulation.task import Cause
 from soil_env.simulation.worlds import IDLE, STEP

@@ -33,9 +33,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from agents import evaluate, ppo
 from agents.timing import TRAINING, Times, Timing
 from benchmarks import training_page
-from benchmarks.common import ROOT, machine, renew_page, spread, write_json
+from benchmarks.common import ROOT, machine, renew_page, spread
 from soil_env._io.commands import command_line, command_parser, folder, leave
-from soil_env._io.files import make_folder
+from soil_env._io.files import make_folder, write_json
 from soil_env.parameters import load_scenario
 
 VALIDATION_SET = 3_000_017  # courses, see `evaluate.course_rng`
