@@ -1,4 +1,4 @@
-"""Smoke runs of soil_env in the code of others: each client in an environment of its own, with pinned versions.
+"""Smoke runs of soil_env with other packages: each client in an environment of its own, with pinned versions.
 
     python -m benchmarks.clients                        all clients; gigabytes and minutes; writes docs/clients.md
     python -m benchmarks.clients zoo minari             only these; the others keep what docs/clients.json has of them
@@ -35,7 +35,7 @@ LIMIT = 3600  # [s] for one command
 
 @dataclass(frozen=True)
 class Client:
-    """Somebody else's code, and what is run of it. In commands {out} is a fresh folder."""
+    """A package that uses the environment, and the commands that are run with it. In them {out} is a fresh folder."""
 
     words: str
     extras: str  # of soil_env
@@ -134,7 +134,7 @@ def environment(name: str, client: Client, envs: Path) -> Path:
 
 
 def versions(python: Path, client: Client) -> dict[str, str]:
-    """{package: version} of what counts in an environment."""
+    """{package: version} of the pinned packages and of `SHOWN` in an environment."""
     packages = [re.split(r"[\[=]", pin)[0] for pin in client.pins]
     code = (
         "import json, sys; from importlib import metadata as m\n"
@@ -147,7 +147,7 @@ def versions(python: Path, client: Client) -> dict[str, str]:
 
 
 def smoke(name: str, client: Client, python: Path) -> list[dict]:
-    """Run the commands of a client from the root of the clone; what each ended with. The first failure ends it."""
+    """Run the commands of a client from the root of the clone up to the first failure; the outcome of each."""
     runs = []
     with tempfile.TemporaryDirectory() as out:
         given = {"SDL_VIDEODRIVER": "dummy", "MPLBACKEND": "Agg", "MINARI_DATASETS_PATH": out, "PYTHONPATH": str(ROOT)}

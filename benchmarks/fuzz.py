@@ -40,7 +40,7 @@ REFUSED = (math.nan, math.inf, -math.inf)
 
 @dataclass
 class Tally:
-    """What was covered and what was broken."""
+    """Coverage and violations."""
 
     steps: int = 0
     cases: int = 0
@@ -71,7 +71,7 @@ def commands(rng: np.random.Generator, wheels: int, step: int) -> np.ndarray:
 
 
 def run_case(case: Case, rng: np.random.Generator, tally: Tally, wheels: int = WHEELS, steps: int = STEPS) -> list[str]:
-    """Drive one case; what it broke, in words. ParameterError where its courses cannot be passed."""
+    """Drive one case; its violations, in words. ParameterError where its courses cannot be passed."""
     modes = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]
     mode = modes[int(rng.integers(2))]
     env = SoilWheelVectorEnv(
@@ -143,7 +143,7 @@ def _energy(env, before, stepped, case: Case, tally: Tally, shares: list, step: 
 
 
 def run_single(case: Case, rng: np.random.Generator, steps: int = SINGLE) -> list[str]:
-    """Drive the single environment; what it broke."""
+    """Drive the single environment; its violations."""
     env, broken = SoilWheelEnv(case.scenario, case.observation, model=case.model), []
     observation, info = env.reset(seed=int(rng.integers(1 << 30)))
     for step in range(steps):
@@ -211,7 +211,7 @@ def _note(case: Case, tally: Tally) -> None:
 
 
 def summary(tally: Tally, seed: int) -> str:
-    """What was covered and what was broken, as Markdown."""
+    """Coverage and violations, as Markdown."""
     k, share = tally.kinds, np.array(tally.gaps or [(0.0, 0.0)])
 
     def many(prefix: str) -> str:

@@ -32,7 +32,7 @@ from soil_env.terramechanics.residual import GROUPS, ResidualTerm
 
 
 class Choices(Protocol):
-    """Where the numbers of a case come from."""
+    """Source of the numbers of a case."""
 
     def number(self, low: float, high: float) -> float:
         """A number in [low, high], the bounds included."""
@@ -42,7 +42,7 @@ class Choices(Protocol):
 
 
 class Random:
-    """`Choices` of a random generator; one number in twenty is a bound."""
+    """`Choices` drawn by a random generator; one number in twenty is a bound."""
 
     def __init__(self, rng: np.random.Generator):
         self.rng = rng

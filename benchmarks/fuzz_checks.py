@@ -1,4 +1,4 @@
-"""What must hold in every step of every configuration, and the energy balance of a step.
+"""Invariants of every step of every configuration, and the energy balance of a step.
 
 Implicit Euler, multiplied by the new speeds, is an energy balance of each substep h:
 

@@ -1,4 +1,4 @@
-"""How good the identification is: convergence, efficiency, what can be told at all, online, and speed.
+"""Accuracy of the identification: convergence, efficiency, identifiability, online estimation, speed.
 
     python benchmarks/identification.py                  the full study, minutes; writes docs/identification.*
     python benchmarks/identification.py --smoke --out X every part in seconds, numbers without meaning
@@ -187,7 +187,7 @@ def efficiency(rng: np.random.Generator, draws: int) -> list[dict]:
     return out
 
 
-# --- 3: what can be told ----------------------------------------------------------------------------------------------
+# --- 3: identifiability -----------------------------------------------------------------------------------------------
 
 SETS = {"phi, K, S": (), "phi, K, S, n": ("n",), "phi, K, S, c": ("c",), "phi, K, S, n, c": ("n", "c")}
 DATA = {"drawbar pull": (True, False, False), "and load": (True, True, False), "and torque": (True, True, True)}

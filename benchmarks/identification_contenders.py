@@ -1,4 +1,4 @@
-"""The online identifiers that `identification_online.py` compares, and their replay of a logged drive."""
+"""Online identifiers to compare, and the replay of a logged drive by each."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Contender:
 
 
 class Ours(Contender):
-    """`identifier.observe`, called from Python."""
+    """`soil_env.identification.online.observe`, called from Python."""
 
     name = "ours"
 
@@ -85,13 +85,13 @@ class Digging:
         return self.ratio
 
 
-def says_something(reading, numbers):
-    """The wheel turns and touches the ground: the condition of `identifier.observe`."""
+def is_informative(reading, numbers):
+    """Whether the wheel turns and touches the ground: the condition of `observe`."""
     return abs(reading.rim_speed) >= 0.02 and reading.sinkage >= 1e-3 * numbers.reading.radius
 
 
 class NewtonRaphson(Contender):
-    """The paper's: phi, K and S from the drawbar pulls of the last three distinct points, plain Newton.
+    """The paper's method: phi, K and S from the drawbar pulls of the last three distinct points, plain Newton.
 
     Points are means of five readings; they are distinct if their slips differ by `distinct`. It starts from its last
     solution, else from the prior. A solution outside the bounds, or none within 30 iterations, is not valid.
@@ -112,7 +112,7 @@ class NewtonRaphson(Contender):
         self.odometer += reading.speed * n.period
         self.solved = False
         ratio = self.digging.update(reading)
-        if not says_something(reading, n):
+        if not is_informative(reading, n):
             return self.x, self.sd, self.valid
         self.open.append((reading.slip, reading.sinkage, ratio, reading.drawbar_pull, self.odometer))
         if len(self.open) == 5:
@@ -182,7 +182,7 @@ class LinearLeastSquares(Contender):
         n = self.numbers
         r, b = n.reading.radius, n.reading.width
         self.solved = False
-        if not says_something(reading, n) or reading.slip < 0.01:
+        if not is_informative(reading, n) or reading.slip < 0.01:
             return self.x, self.sd, self.valid
         th1 = math.acos(max(-1.0, 1.0 - reading.sinkage / r))
         thm = 0.5 * th1

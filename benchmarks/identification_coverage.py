@@ -1,4 +1,4 @@
-"""How often the 95 % intervals of `python -m soil_env.identification` hold the truth: the table of docs/identify.md.
+"""Coverage of the 95 % intervals of `python -m soil_env.identification`: the table of docs/identify.md.
 
     python -m benchmarks.identification_coverage               minutes; prints the table as Markdown
     python -m benchmarks.identification_coverage --draws 20    seconds, for a look

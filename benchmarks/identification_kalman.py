@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from benchmarks.identification_contenders import Contender, Digging, says_something
+from benchmarks.identification_contenders import Contender, Digging, is_informative
 from soil_env.identification.digging import DIGGING, close_point, note, roll
 from soil_env.identification.online import RATIO_ERROR
 from soil_env.identification.point import DIG_RESPONSE, POINT_SIZE, WEIGHTS, Reading, predict, weigh
@@ -50,7 +50,7 @@ class UnscentedKalman(Contender):
         ratio = self.dug(reading)
         q = self.walk**2 * abs(reading.speed) * n.period * self.variances
         self.P = self.P + np.diag(np.minimum(q, np.maximum(self.variances - np.diag(self.P), 0.0)))
-        self.solved = says_something(reading, n)
+        self.solved = is_informative(reading, n)
         if self.solved:
             self._measure(reading, *ratio)
         self.x, self.sd = self.mean[:3].copy(), np.sqrt(np.diag(self.P)[:3])
@@ -112,7 +112,7 @@ class UnscentedKalmanJoint(UnscentedKalman):
         n = self.numbers
         roll(self.memory, reading.speed, reading.rim_speed - reading.speed, n.period, n.dig_gain, n.dig_recovery,
              n.relaxation)  # fmt: skip
-        if not says_something(reading, n):
+        if not is_informative(reading, n):
             return 1.0, 0.0, 0.0
         note(self.memory)
         r0, r1, sd = close_point(self.memory, 1.0, reading.sinkage, n.sinkage_sd)

@@ -181,93 +181,88 @@ def _settling(error: np.ndarray, distance: np.ndarray, time: np.ndarray):
     return distance[t] - distance[0], time[t] - time[0]
 
 
-def measure(logs: list[dict], replays: list[tuple], scenario: Scenario, seed: int, draws: int = 1000) -> dict:
-    """All numbers of one contender over all courses."""
-    prior_sd = 1.0 / np.sqrt(identifier_numbers(scenario).precision[:3])
-    period, courses, bins = scenario.control.period, len(logs), np.array(BINS)
-    shape = (courses, len(bins) - 1, 3)
-    square, valid_square = np.zeros(shape), np.zeros(shape)
-    count, valid_count = np.zeros((courses, len(bins) - 1, 1)), np.zeros((courses, len(bins) - 1, 1))
-    inside = {68: np.zeros((courses, 3)), 95: np.zeros((courses, 3))}
-    judged = np.zeros((courses, 1))
-    settled: list[list] = [[], [], []]
-    passages = 0
-    for k, (log, (estimate, sd, valid, _)) in enumerate(zip(logs, replays, strict=True)):
-        driven = ~log["halted"]
-        error = estimate - log["truth"]
-        which = np.digitize(log["since"], bins) - 1
-        for i in range(len(bins) - 1):
+class _Sums:
+    """Sums over the driven steps of each course, from which the measures follow."""
+
+    def __init__(self, courses: int):
+        bins = len(BINS) - 1
+        self.square, self.valid_square = np.zeros((2, courses, bins, 3))  # of the errors, in `PARAMETERS`
+        self.count, self.valid_count = np.zeros((2, courses, bins, 1))
+        self.inside = {"68": np.zeros((courses, 3)), "95": np.zeros((courses, 3))}
+        self.judged = np.zeros((courses, 1))  # steps with a valid estimate
+        self.settled: list[list] = [[], [], []]  # of each parameter: (course, distance, time) of a patch
+        self.passages = 0  # patches long enough for it
+
+    def add(self, k: int, log: dict, replayed: tuple, period: float) -> None:
+        """The replay (estimate, sd, valid, ...) of the log of course k."""
+        estimate, sd, valid, _ = replayed
+        driven, error = ~log["halted"], estimate - log["truth"]
+        which = np.digitize(log["since"], BINS) - 1
+        for i in range(len(BINS) - 1):
             here = driven & (which == i)
-            square[k, i], count[k, i] = np.sum(error[here] ** 2, axis=0), here.sum()
-            square_ok = here & valid
-            valid_square[k, i], valid_count[k, i] = np.sum(error[square_ok] ** 2, axis=0), square_ok.sum()
+            self.square[k, i], self.count[k, i] = np.sum((error[here] * _UNIT) ** 2, axis=0), here.sum()
+            here &= valid
+            self.valid_square[k, i], self.valid_count[k, i] = np.sum((error[here] * _UNIT) ** 2, axis=0), here.sum()
         good = driven & valid
-        judged[k] = good.sum()
+        self.judged[k] = good.sum()
         z = np.abs(error[good]) / sd[good]
-        inside[68][k], inside[95][k] = np.sum(z <= 1.0, axis=0), np.sum(z <= 1.959964, axis=0)
+        self.inside["68"][k], self.inside["95"][k] = np.sum(z <= 1.0, axis=0), np.sum(z <= 1.959964, axis=0)
         for patch in np.unique(log["patch"]):
             on = driven & (log["patch"] == patch)
             if log["since"][on].max(initial=0.0) < 1.0:
                 continue
-            passages += 1
-            for j in range(3):
-                e = np.abs(error[on, j])
-                found = None
-                if np.all(np.isfinite(e)):
-                    found = _settling(e, log["since"][on], period * np.arange(on.sum()))
+            self.passages += 1
+            for j, e in enumerate(np.abs(error[on]).T):
+                found = _settling(e, log["since"][on], period * np.arange(on.sum())) if np.all(np.isfinite(e)) else None
                 if found is not None:
-                    settled[j].append((k, *found))
-    square, valid_square = square * _UNIT**2, valid_square * _UNIT**2
-    picks = np.random.default_rng([seed, 99]).integers(courses, size=(draws, courses))
-    steps = count.sum((1, 2))[:, None]
-    shown = [name for name, x in zip(PARAMETERS, square.sum((0, 1)), strict=True) if np.isfinite(x)]
-    final = bins[:-1] >= 0.75
+                    self.settled[j].append((k, *found))
 
-    def by_name(record):
-        return {
-            name: {key: record[key][i] for key in record} if name in shown else None
-            for i, name in enumerate(PARAMETERS)
-        }
-
-    def curve(top, bottom):
-        r = _ratio(top, np.broadcast_to(bottom, top.shape), picks, root=True)
-        return {
-            name: {key: [row[i] for row in r[key]] for key in r} if name in shown else None
-            for i, name in enumerate(PARAMETERS)
-        }
-
-    def total(top, bottom):
-        return by_name(_ratio(top, np.broadcast_to(bottom, top.shape), picks, root=True))
-
-    settling = {}
-    for j, name in enumerate(PARAMETERS):
-        if name not in shown or not settled[j]:
-            settling[name] = None
-            continue
-        rows = np.array(settled[j])
-        by_course = [rows[rows[:, 0] == k, 1:] for k in range(courses)]
+    def settling(self, j: int, picks: np.ndarray) -> dict | None:
+        """Median distance and time until parameter j has settled, with intervals over courses."""
+        if not self.settled[j]:
+            return None
+        rows = np.array(self.settled[j])
+        by_course = [rows[rows[:, 0] == k, 1:] for k in range(len(self.judged))]
         medians = np.array([np.median(np.concatenate([by_course[k] for k in p]), axis=0) for p in picks[:300]
                             if sum(len(by_course[k]) for k in p)])  # fmt: skip
-        settling[name] = {
-            "share_of_patches": len(rows) / passages,
+        return {
+            "share_of_patches": len(rows) / self.passages,
             "distance_m": float(np.median(rows[:, 1])), "distance_interval": _interval(medians[:, 0]),
             "time_s": float(np.median(rows[:, 2])), "time_interval": _interval(medians[:, 1]),
         }  # fmt: skip
+
+
+def measure(logs: list[dict], replays: list[tuple], scenario: Scenario, seed: int, draws: int = 1000) -> dict:
+    """All numbers of one contender over all courses."""
+    sums = _Sums(len(logs))
+    for k, (log, replayed) in enumerate(zip(logs, replays, strict=True)):
+        sums.add(k, log, replayed, scenario.control.period)
+    prior_sd = _UNIT / np.sqrt(identifier_numbers(scenario).precision[:3])
+    picks = np.random.default_rng([seed, 99]).integers(len(logs), size=(draws, len(logs)))
+    shown = np.isfinite(sums.square.sum((0, 1)))
+    final = np.array(BINS[:-1]) >= 0.75
+
+    def ratios(top: np.ndarray, bottom: np.ndarray, root: bool = True) -> dict:
+        """{parameter: {"value", "low", "high"}}; None for a parameter that is not estimated."""
+        found = _ratio(top, np.broadcast_to(bottom, top.shape), picks, root)
+        return {
+            name: {key: np.asarray(v)[..., i].tolist() for key, v in found.items()} if shown[i] else None
+            for i, name in enumerate(PARAMETERS)
+        }
+
+    rms = np.sqrt(sums.square.sum((0, 1)) / sums.count.sum()) / prior_sd
+    valid_share = _ratio(sums.judged, sums.count.sum((1, 2))[:, None], picks)
     return {
-        "rms": total(square.sum(1), count.sum(1)),
-        "rms_valid": total(valid_square.sum(1), valid_count.sum(1)),
-        "rms_final": total(square[:, final].sum(1), count[:, final].sum(1)),
-        "rms_over_prior_sd": {
-            n: float(np.sqrt(square[:, :, i].sum() / count.sum()) / (prior_sd * _UNIT)[i])
-            for i, n in enumerate(PARAMETERS) if n in shown
-        },
-        "curve": curve(square, count),
-        "curve_valid": curve(valid_square, valid_count),
-        "settling": settling,
-        "valid_share": {k: float(np.ravel(v)[0]) for k, v in _ratio(judged, steps, picks).items()},
-        "coverage": {str(level): by_name(_ratio(hits, np.broadcast_to(judged, hits.shape), picks))
-                     for level, hits in inside.items()},
-    }  # fmt: skip
+        "rms": ratios(sums.square.sum(1), sums.count.sum(1)),
+        "rms_valid": ratios(sums.valid_square.sum(1), sums.valid_count.sum(1)),
+        "rms_final": ratios(sums.square[:, final].sum(1), sums.count[:, final].sum(1)),
+        "rms_over_prior_sd": {name: float(v) for name, v, s in zip(PARAMETERS, rms, shown, strict=True) if s},
+        "curve": ratios(sums.square, sums.count),
+        "curve_valid": ratios(sums.valid_square, sums.valid_count),
+        "settling": {name: sums.settling(j, picks) if shown[j] else None for j, name in enumerate(PARAMETERS)},
+        "valid_share": {key: float(np.ravel(v)[0]) for key, v in valid_share.items()},
+        "coverage": {level: ratios(hits, sums.judged, root=False) for level, hits in sums.inside.items()},
+    }
 
 
 def run(courses: int = 200, seed: int = 0, progress=None, contenders=CONTENDERS, draws: int = 1000) -> dict:

@@ -1,9 +1,8 @@
-"""What can a controller know of the slip that the soil under it needs: from its sensors at one moment, with the
-estimate of the identifier, with the true soil?
+"""Predictability of the best slip from one moment's sensors, from the identifier's estimate, from the true soil.
 
-The best slip of the true soil (`traversability.best_working_point`, at the nominal load) is foretold by a small network
-from what can be read on courses driven by `fixed_slip`; the share of its variance that is foretold on other courses
-(R^2) says what a reading is worth. It is no bound: a network may find more with more data, and a memory of sensor
+The best slip of the true soil (`traversability.best_working_point`, at the nominal load) is predicted by a small
+network from what can be read on courses driven by `fixed_slip`. The share of its variance that is predicted on other
+courses (R^2) is the worth of a reading. It is no bound: a network may find more with more data, and a memory of sensor
 readings may tell more than one moment does.
 
     python benchmarks/information.py --out docs/comparison          writes information.json, prints a table
@@ -79,7 +78,7 @@ def best_slip(scenario: Scenario, name: str, observation: np.ndarray) -> np.ndar
     return out
 
 
-def foretold(x: np.ndarray, y: np.ndarray, learn: np.ndarray, epochs: int) -> float:
+def predicted_share(x: np.ndarray, y: np.ndarray, learn: np.ndarray, epochs: int) -> float:
     """R^2, on the rows not in `learn`, of a network that has learnt y [n] from x [n, D] on the rows in `learn`."""
     torch.manual_seed(0)
     mean, sd = x[learn].mean(axis=0), x[learn].std(axis=0) + 1e-6
@@ -122,7 +121,7 @@ def study(name: str, courses: int, epochs: int) -> dict:
     best, held = best_slip(scenario, "best_slip_true", true), best_slip(scenario, "best_slip_identified", seen)
     learn = who < HALF * courses
     r_squared = {
-        label: foretold(np.hstack([seen[:, :sensors], *(column[c] for c in names)]), best, learn, epochs)
+        label: predicted_share(np.hstack([seen[:, :sensors], *(column[c] for c in names)]), best, learn, epochs)
         for label, names in READINGS.items()
     }
     return {
@@ -151,7 +150,7 @@ def main(arguments: list[str] | None = None) -> int:
     content = {"courses": courses, "smoke": options.smoke, "scenarios": result}
     write_json(options.out / "information.json", content)
     rows = [(label, *(f"{entry['r_squared'][label]:.2f}" for entry in result.values())) for label in READINGS]
-    print(Table(("best slip foretold from (R^2)", *result), rows).markdown())
+    print(Table(("best slip predicted from (R^2)", *result), rows).markdown())
     return 0
 
 

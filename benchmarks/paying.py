@@ -1,4 +1,4 @@
-"""How much does the identifier know while a controller drives, and what would a plain bonus for information pay?
+"""Knowledge of the identifier along a drive, and what a plain bonus for every gain of it would pay.
 
 Knowledge is that of the reward term `information` (`task.knowledge`, nat). A bonus for every gain of it could be earned
 again and again: `Rocking` hardly leaves its place and makes the identifier start anew each time.

@@ -1,4 +1,4 @@
-"""How fast the environment is: against others, over N and threads, by part, and against what the machine could do.
+"""Speed of the environment: against others, over N and threads, by part, and against the limit of the machine.
 
     python benchmarks/throughput.py                  minutes; writes docs/performance.json and the tables of
                                                      docs/performance.md

@@ -43,7 +43,7 @@ def scaling(result: dict) -> str:
 
 
 def parts(result: dict) -> str:
-    """Share of the parts, and of the limit."""
+    """Cost of each part beside its limit."""
     p, possible = result["parts"], result["limit"]["us"]
     total = sum(v["median"] for v in p["us"].values())
     rows = []
@@ -62,7 +62,7 @@ def parts(result: dict) -> str:
 
 
 def rates(result: dict) -> str:
-    """What the machine does at best."""
+    """Throughput of the machine for single operations."""
     names = {"exp": "exp", "log": "log", "sin_cos": "sin and cos", "fma": "multiply and add", "scalar": "exp of libm"}
     rows = [[names[k], "1" if k == "scalar" else "8", range_text(v)] for k, v in result["limit"]["ns"].items()]
     b = result["limit"]["bytes"]
@@ -93,7 +93,7 @@ def accuracy(result: dict) -> str:
 
 
 def startup(result: dict) -> str:
-    """Seconds until something happens."""
+    """Seconds to import, to the first `reset` and to the first `step`."""
     s = result["startup"]
     if not s:
         return "Not measured."
@@ -116,7 +116,7 @@ SECTIONS = {
 
 
 def sections(result: dict) -> dict[str, str]:
-    """What stands between the markers of docs/performance.md."""
+    """Text between the markers of docs/performance.md, by marker."""
     return {name: section(result) for name, section in SECTIONS.items()}
 
 

@@ -1,4 +1,4 @@
-"""Where the time of a step goes, what the machine could do at best, and how accurate the contact rule is."""
+"""Cost of the parts of a step, the least that the machine could need for them, and the error of the contact rule."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How fast PPO learns the default task, over batch layouts, against wall time; and where the time of a step goes.
+"""Learning speed of PPO on the default task by batch layout, against wall time; cost of a step.
 
     python benchmarks/training.py                  under an hour; writes docs/training.json, docs/training.png and the
                                                    tables of docs/training.md; goes on where it was interrupted

@@ -69,13 +69,13 @@ def finalists(result: dict) -> str:
 
 
 def update(result: dict) -> str:
-    """What a step costs with SB3's update and with ours."""
+    """Cost of a step with SB3's update and with ours."""
     rows = [[name, *(range_text(c[key], 1) for key in ("step", "update"))] for name, c in result["update"].items()]
     return Table(["", "us a step in all", "of that the update"], rows).markdown()
 
 
 def default_run(result: dict) -> str:
-    """Where the wall time of one run of train.py went."""
+    """Wall time of one run of train.py, by part."""
     seconds = result.get("run")
     if not seconds:
         return "Not measured."
@@ -110,5 +110,5 @@ SECTIONS = {
 
 
 def sections(result: dict) -> dict[str, str]:
-    """What stands between the markers of docs/training.md."""
+    """Text between the markers of docs/training.md, by marker."""
     return {name: section(result) for name, section in SECTIONS.items()}

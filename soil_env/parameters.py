@@ -186,8 +186,9 @@ class Belief(Checked):
 
     Neither the soil nor the parameters of the world's slip-sinkage are known to it: cohesion, exponent and digging have
     nominal values, the first and the last with a standard deviation that widens the reported ones, and (phi, K, S) a
-    prior distribution: friction normal, K and S log-normal (`..._sd` are relative there). The defaults are the mean and the scatter
-    of the soils that scenario "mixed" draws; S is compared at the exponent of the belief, at a sinkage of 3 cm.
+    prior distribution: friction normal, K and S log-normal (`..._sd` are relative there). The defaults are the mean and
+    the scatter of the soils that scenario "mixed" draws; S is compared at the exponent of the belief, at a sinkage of 3
+    cm.
     """
 
     friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=30.0)
@@ -348,8 +349,9 @@ def load_scenario(
 ) -> Scenario:
     """A scenario by name, by path of a YAML file, or as it is, with `changes` (nested mapping) merged over it.
 
-    Errors in `changes` name `place` as their origin. `wheel` may be the name of a preset, or a mapping whose key `preset` names one. `soils`, where given in `changes`,
-    replaces the whole mixture. Raises `ParameterError` with one line for anything unknown or out of range.
+    Errors in `changes` name `place` as their origin. `wheel` may be the name of a preset, or a mapping whose key
+    `preset` names one. `soils`, where given in `changes`, replaces the whole mixture. Raises `ParameterError` with one
+    line for anything unknown or out of range.
     """
     if isinstance(which, Scenario):
         mapping, where = to_dict(which), f"scenario {which.name!r}"

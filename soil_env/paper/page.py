@@ -205,7 +205,7 @@ def _forces(r: Results) -> Table:
 
 
 def _traverses(r: Results) -> Table:
-    """Figs. 8 and 9: what each soil asks of the wheel and gives it."""
+    """Figs. 8 and 9: torque required and drawbar pull by soil."""
     rows = []
     for name, pair in r.traverses.items():
         for t, digging in zip(pair, ("no", "yes"), strict=True):
@@ -219,7 +219,7 @@ def _traverses(r: Results) -> Table:
 
 
 def verdict(t: Traverse) -> str:
-    """Whether the wheel passes this soil, and what stops it."""
+    """Whether the wheel passes this soil, and if not, why."""
     if not np.isfinite(t.torque).any():
         return "no: buried at every slip"
     if not (t.torque <= MOTOR).any():

@@ -254,7 +254,7 @@ def newton_path(points: Points, guess, iterations=100, reading=HELD, tolerance=1
 
 
 class GuessMap(NamedTuple):
-    """Which guesses of the box lead to the root, [phi, K, S] each."""
+    """Outcome of every guess in the box, [phi, K, S] each."""
 
     phi_deg: np.ndarray
     K: np.ndarray
