@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import kernel
+from soil_env._numba.compiling import root
 from soil_env.simulation.dynamics import REST_SPEED
 from soil_env.simulation.terrain import ground_at
 
@@ -30,7 +30,7 @@ _PIECES = 4
 NEWTON = 1e-4  # [m/s] largest residual of a substep that counts as converged
 
 
-@kernel
+@root
 def _climbs(courses, before, after, border, rise, low, high):
     """Height gained [m] by each wheel between two x, and the range of sin(grade) on the way."""
     for k in range(before.size):

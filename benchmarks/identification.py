@@ -27,7 +27,7 @@ from benchmarks import identification_online, identification_page
 from soil_env._io.commands import command_line, command_parser, folder, leave, whole_number
 from soil_env._io.files import check_outputs, make_folder, write_json
 from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict
-from soil_env.identification.point import POINT_SIZE, WEIGHTS, weigh
+from soil_env.identification.point import Points, weigh
 from soil_env.identification.solver import solve
 from soil_env.identification.uniqueness import other_soil
 from soil_env.parameters import Soil, SoilState, soils
@@ -131,16 +131,20 @@ def _both_exact(e, slip, sinkage, pull) -> bool:
 
 
 def whitened(x, slip, sinkage, reading, sd, slip_sd, sinkage_sd, channels=(True, True, True)):
-    """Jacobian by (phi, ln K, ln S) of all measured values, whitened [3M, 3]."""
-    variances = np.where(channels, np.square(sd), np.inf)
-    _, jacobians = predictions(x, slip, sinkage, reading)
-    rows, row = [], np.zeros(POINT_SIZE)
-    for i, z, j in zip(slip, sinkage, jacobians, strict=True):
-        row[:3] = i, z, 1.0
-        weigh(row, x, variances, slip_sd, sinkage_sd, reading)
-        w = row[WEIGHTS : WEIGHTS + 6]
-        rows.append(np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]]) @ j)
-    return np.concatenate(rows)
+    """Jacobian by (phi, ln K, ln S, c) of all measured values, whitened [3M, 4]."""
+    jacobians = predictions(x, slip, sinkage, reading)[1]
+    return (whitening(x, slip, sinkage, reading, sd, slip_sd, sinkage_sd, channels) @ jacobians).reshape(-1, 4)
+
+
+def whitening(x, slip, sinkage, reading, sd, slip_sd, sinkage_sd, channels):
+    """Matrices [M, 3, 3] that whiten the errors of the three channels of each point."""
+    points, variances = Points(len(slip)), np.where(channels, np.square(sd), np.inf)
+    points["slip"], points["sinkage"], points["dig_ratio"] = slip, sinkage, 1.0
+    matrices = np.zeros((len(slip), 3, 3))
+    for p in range(len(slip)):
+        weigh(points, p, x, variances, slip_sd, sinkage_sd, reading)
+        matrices[p][np.tril_indices(3)] = [points[name][p] for name in ("w00", "w10", "w11", "w20", "w21", "w22")]
+    return matrices
 
 
 def efficiency(rng: np.random.Generator, draws: int) -> list[dict]:
@@ -222,15 +226,9 @@ def identifiability(points: int = 24) -> list[dict]:
                 moved = reading._replace(exponent=reading.exponent + sign * h)
                 y, _ = predictions(x - [0.0, 0.0, sign * h * math.log(depth)], slip, sinkage, moved)
                 by_n.append(y)
-            column = ((by_n[0] - by_n[1]) / (2.0 * h))[:, :, None]
-            row = np.zeros(POINT_SIZE)
-            white_n = []
-            for i, z, c in zip(slip, sinkage, column, strict=True):
-                row[:3] = i, z, 1.0
-                weigh(row, x, np.where(channels, np.square(ROVER_SD), np.inf), SLIP_SD, sinkage_sd, reading)
-                w = row[WEIGHTS : WEIGHTS + 6]
-                white_n.append(np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]]) @ c)
-            full = np.column_stack([j[:, :3], np.concatenate(white_n), j[:, 3] * 1000.0])  # c in kPa
+            white = whitening(x, slip, sinkage, reading, ROVER_SD, SLIP_SD, sinkage_sd, channels)
+            white_n = (white @ ((by_n[0] - by_n[1]) / (2.0 * h))[:, :, None]).ravel()
+            full = np.column_stack([j[:, :3], white_n, j[:, 3] * 1000.0])  # c in kPa
             for name, extra in SETS.items():
                 used = [0, 1, 2, *([3] if "n" in extra else []), *([4] if "c" in extra else [])]
                 a = full[:, used]
@@ -292,11 +290,12 @@ def speed(rng: np.random.Generator, repeats: int) -> dict:
         e = newton_raphson(slip, sinkage, y[:, 0], reading=PAPER, guess=guess, sd=(1.0, 1.0, 1.0))
         ours.append(time.perf_counter() - start)
 
-        points = np.zeros((3, POINT_SIZE))
-        points[:, 0], points[:, 1], points[:, 2], points[:, 3], points[:, WEIGHTS] = slip, sinkage, 1.0, y[:, 0], 1.0
+        points = Points(3)
+        points["slip"], points["sinkage"], points["drawbar_pull"] = slip, sinkage, y[:, 0]
+        points["dig_ratio"] = points["w00"] = 1.0
         z, zero, covariance = unknowns(guess), np.zeros(3), np.zeros((3, 3))
         start = time.perf_counter()
-        solve(z, points, 3, zero, zero, PAPER, 100, 1e-8, covariance)
+        solve(z, points, zero, zero, PAPER, 100, 1e-8, covariance)
         compiled.append(time.perf_counter() - start)
         other_soil(z, points, PAPER, np.empty(3))
         checked.append(time.perf_counter() - start)

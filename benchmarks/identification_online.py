@@ -29,7 +29,6 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from numba import njit
 
 from agents.controllers import ConstantSpeed
 from benchmarks.identification_contenders import (
@@ -44,7 +43,7 @@ from benchmarks.identification_kalman import UnscentedKalman
 from benchmarks.identification_online_figure import figure
 from soil_env._io.commands import command_line, command_parser, folder, leave, whole_number
 from soil_env._io.files import make_folder, plain, write_json
-from soil_env._numba.compiling import CACHE
+from soil_env._numba.compiling import root
 from soil_env.identification.online import SensorReading, identifier_numbers, new_identifiers
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause
@@ -73,20 +72,19 @@ class SwingingSpeed(ConstantSpeed):
         return self.speed * (1.0 + SWING * np.sin(2.0 * math.pi * t / SWING_PERIOD))
 
 
-@njit(cache=CACHE)
-def _log_truth(state, courses, border, exponent, out):
+@root
+def _log_truth(state, counts, courses, border, exponent, out):
     """Per wheel into `out` [n, 6]: phi, ln K, ln S at `exponent` and the true bearing sinkage, distance since the last
     border [m], patch, halted."""
-    for k in range(len(state)):
-        w = state[k]
-        soil, _, patch = ground_at(courses, k, w.x, w.patch, border)
-        depth = max(w.bearing_sinkage, 1e-4)
+    for k in range(len(out)):
+        soil, _, patch = ground_at(courses, k, state.x[k], counts.patch[k], border)
+        depth = max(state.bearing_sinkage[k], 1e-4)
         out[k, 0] = math.atan(soil.tan_phi)
         out[k, 1] = math.log(soil.shear_modulus)
         out[k, 2] = math.log(soil.sinkage_coefficient) + (soil.sinkage_exponent - exponent) * math.log(depth)
-        out[k, 3] = w.x - courses.edges[k, patch]
+        out[k, 3] = state.x[k] - courses.edges[k, patch]
         out[k, 4] = patch
-        out[k, 5] = 1.0 if w.halt_left > 0.0 else 0.0
+        out[k, 5] = 1.0 if state.halt_left[k] > 0.0 else 0.0
 
 
 def record(scenario: Scenario, courses: int, seed: int, stream: int = _DRIVE_STREAM) -> tuple[list[dict], dict]:
@@ -113,7 +111,7 @@ def record(scenario: Scenario, courses: int, seed: int, stream: int = _DRIVE_STR
         fresh = np.zeros(courses, dtype=bool)
         sim.step_all(action[:, 0].astype(np.float64), np.where(alive, STEP, IDLE).astype(np.int8))
         row = np.empty((courses, 6))
-        _log_truth(w.state, w.courses, scenario.course.border, scenario.belief.sinkage_exponent, row)
+        _log_truth(w.state, w.counts, w.courses, scenario.course.border, scenario.belief.sinkage_exponent, row)
         readings.append(w.observation[:, :7] * scale)
         truth.append(row)
         running.append(alive)
