@@ -91,8 +91,8 @@ def run_case(case: Case, rng: np.random.Generator, tally: Tally, wheels: int = W
         tally.causes.update(Cause(c).name for c in out[4]["cause"][ended])
         tally.steps += wheels - int(done.sum())
         if mode == AutoresetMode.SAME_STEP:  # the state is that of the new course already
-            stepped, before = ~ended, np.where(ended, env.simulation.worlds.state, before)
-            done = np.zeros(wheels, dtype=bool)
+            stepped, done = ~ended, np.zeros(wheels, dtype=bool)
+            before.data[:, :wheels][:, ended] = env.simulation.worlds.state.data[:, :wheels][:, ended]
         else:
             stepped, done = ~done, ended
         found = faults(env, actions, before, stepped, out)
@@ -127,7 +127,7 @@ def _energy(env, before, stepped, case: Case, tally: Tally, shares: list, step: 
     """The energy balance of the wheels that were driven."""
     worlds = env.simulation.worlds
     balance = ledger(before, worlds, case.scenario)
-    sure = stepped & (worlds.state["converged"] == 1)
+    sure = stepped & (worlds.counts["converged"] == 1)
     tally.not_converged += int(np.sum(stepped & ~sure))
     slack = balance.tolerance + 1e-9 * balance.turnover
     gap, turnover = balance.gap, balance.turnover + 1e-9

@@ -10,11 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.optimize import brentq
 
-from soil_env._numba.compiling import CACHE
-from soil_env.identification import Estimate, Reading, generalized_newton_raphson, newton_raphson, predict
+from soil_env._numba.compiling import part, root
+from soil_env.identification import Estimate, Reading, generalized_newton_raphson, newton_raphson
+from soil_env.identification.point import channels_at
 from soil_env.parameters import Soil, soils, wheels
 from soil_env.terramechanics.contact import entry_angle
 from soil_env.terramechanics.model import steady_state
@@ -40,11 +40,11 @@ DRAWS = 1000
 # --- forces from the compiled functions -------------------------------------------------------------------------------
 
 
-@njit(cache=CACHE)
+@root
 def _channels(x, slip, sinkage, reading, out):
-    jacobian = np.empty((3, 4))
     for p in range(x.shape[0]):
-        predict(x[p], slip[p], sinkage[p], 1.0, reading, out[p], jacobian)
+        y, _ = channels_at(x[p], slip[p], sinkage[p], 1.0, reading)
+        out[p, 0], out[p, 1], out[p, 2] = y.pull, y.load, y.torque
 
 
 def unknowns(phi_deg, K, S) -> np.ndarray:
@@ -196,27 +196,23 @@ def needed_noise(points: Points) -> NeededNoise:
 _UNIT = 1e6
 
 
-@njit(cache=CACHE)
+@part
 def equations(x, slip, sinkage, pull, reading, residual, jacobian):
     """Measured minus predicted DP [3] and d(DP)/d(phi, K, S) [3, 3], for any sign of S and any phi.
 
-    Eqs. (2) and (12) are affine in S, so that two calls of the compiled prediction give them for every S.
+    Eqs. (2) and (12) are affine in S, so that the prediction at two values of S gives them for every S.
     """
-    low, high = np.empty(3), np.empty(3)
-    d_low, d_high = np.empty((3, 4)), np.empty((3, 4))
     share = (x[2] - 1.0) / (_UNIT - 1.0)
-    u = np.array([x[0], math.log(x[1]), 0.0])
-    v = np.array([x[0], math.log(x[1]), math.log(_UNIT)])
     for p in range(3):
-        predict(u, slip[p], sinkage[p], 1.0, reading, low, d_low)
-        predict(v, slip[p], sinkage[p], 1.0, reading, high, d_high)
-        residual[p] = pull[p] - low[0] - share * (high[0] - low[0])
-        jacobian[p, 0] = d_low[0, 0] + share * (d_high[0, 0] - d_low[0, 0])
-        jacobian[p, 1] = (d_low[0, 1] + share * (d_high[0, 1] - d_low[0, 1])) / x[1]
-        jacobian[p, 2] = (high[0] - low[0]) / (_UNIT - 1.0)
+        low, _ = channels_at((x[0], math.log(x[1]), 0.0), slip[p], sinkage[p], 1.0, reading)
+        high, _ = channels_at((x[0], math.log(x[1]), math.log(_UNIT)), slip[p], sinkage[p], 1.0, reading)
+        residual[p] = pull[p] - low.pull - share * (high.pull - low.pull)
+        jacobian[p, 0] = low.by_phi[0] + share * (high.by_phi[0] - low.by_phi[0])
+        jacobian[p, 1] = (low.by_K[0] + share * (high.by_K[0] - low.by_K[0])) / x[1]
+        jacobian[p, 2] = (high.pull - low.pull) / (_UNIT - 1.0)
 
 
-@njit(cache=CACHE)
+@root(allocates=True)
 def plain_newton(path, slip, sinkage, pull, reading, tolerance):
     """Newton-Raphson without safeguard in (phi [rad], K, S) from path[0]: iterates into `path`, their number.
 
