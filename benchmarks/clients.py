@@ -19,6 +19,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from benchmarks.common import ROOT
 from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.document import Table, render
 from soil_env._io.files import make_folder, replace_file, write_json
-from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._io.loading import ParameterError, read_yaml, unknown_key
 
 NAME = "benchmarks.clients"
 SHOWN = ("gymnasium", "numpy", "torch")  # versions in the page, besides those pinned for the client
@@ -39,76 +40,13 @@ class Client:
 
     words: str
     extras: str  # of soil_env
-    pins: tuple[str, ...]
-    commands: tuple[str, ...]
+    pins: Sequence[str]
+    commands: Sequence[str]
     torch: bool = True
     notes: str = ""
 
 
-_TASK = "--algo ppo --env SoilWheel-v0 --gym-packages soil_env"
-_TRAIN = f"python -m rl_zoo3.train {_TASK}"
-_FILE = "-conf configs/rl_zoo3/ppo.yml --num-threads 1 -f {out}"
-_STUDY = "--storage sqlite:///{out}/study.db --study-name soil_wheel"
-_SEARCH = (
-    f"{_TRAIN} agents.zoo_space {_FILE} -n 300000 -optimize --n-startup-trials 3 --n-evaluations 1 "
-    f"--eval-episodes 40 --n-eval-envs 40 --no-optim-plots {_STUDY}"
-)
-CLIENTS = {
-    "zoo": Client(
-        "rl-baselines3-zoo: training, evaluation, hyperparameter search with Optuna",
-        "zoo",
-        (
-            "rl_zoo3==2.9.2",
-            "sb3_contrib==2.9.2",
-            "stable-baselines3==2.9.2",
-            "gymnasium==1.4.0",
-            "optuna==5.0.0",
-            "pandas==2.3.3",
-            "pytest==9.2.0",
-        ),
-        (
-            f"{_TRAIN} {_FILE} -n 2000000 --eval-freq 500000 --eval-episodes 100 --n-eval-envs 20 --seed 1",
-            f"python -m rl_zoo3.enjoy {_TASK} --no-render -n 20000 -f {{out}}",
-            f"{_SEARCH} --n-trials 4 --seed 1",
-            f"{_SEARCH} --n-trials 2 --seed 2",
-            f"{_TRAIN} agents.zoo_space {_FILE}/trial -n 500000 --eval-freq 250000 --eval-episodes 100 "
-            f"--n-eval-envs 20 --seed 1 {_STUDY} --trial-id 1",
-            "python -m pytest -q tests/agents/test_zoo.py",
-        ),
-        notes="""
-The hyperparameters are those of `train.py`, and so are the 20 million steps without `-n`. The study of the search is
-kept in the SQLite file: the same command goes on with it (with another `--seed`; with the same one the first trials are
-drawn once more), several processes can share it, and `--trial-id` trains with what a trial had. Trials are drawn from
-the space of `agents/zoo_space.py`; rl_zoo3's own does not fit this many wheels. Six trials are a search in form only;
-in earnest it is the same command with, say, `-n 5000000 --n-trials 100 --n-evaluations 5`.
-""",
-    ),
-    "rllib": Client(
-        "Ray RLlib on the vector entry point; the CleanRL-style file with the gymnasium that RLlib pins",
-        "rllib",
-        ("ray[rllib]==2.60.0", "gymnasium==1.2.2"),
-        (
-            "python examples/rllib_ppo.py",
-            "python examples/cleanrl_ppo.py --out {out}/curve.png",
-        ),
-    ),
-    "minari": Client(
-        "Minari: a data set recorded and replayed",
-        "minari",
-        ("minari[create,hdf5]==0.5.4", "gymnasium==1.4.0"),
-        ("python examples/minari_dataset.py --episodes 3",),
-        torch=False,
-    ),
-    "ray": Client(
-        "Ray Core: evaluation, blind cases and training seeds on a cluster of two nodes, a worker killed in each",
-        "ray,train,test",
-        ("ray==2.60.0", "stable-baselines3==2.9.2", "gymnasium==1.4.0"),
-        tuple(
-            f"python -m pytest -q tests/test_{name}.py -k 'ray or node'"
-            for name in ("engines", "seeds", "benchmark_blind")
-        ),
-    ),
-}
+CLIENTS = {name: Client(**entry) for name, entry in read_yaml(ROOT / "benchmarks" / "clients.yaml").items()}
 
 
 def torch_pin() -> str:
