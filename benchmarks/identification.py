@@ -40,16 +40,9 @@ SLIP_SD, SINKAGE_SD = 0.01, 0.001
 IDENTIFIABLE = 100.0  # condition number of the whitened Jacobian by (phi, ln K, ln S) up to which a problem counts
 
 
-def unknowns(soil: Soil) -> np.ndarray:
-    """(phi [rad], ln K, ln S) of a soil with a lumped S."""
-    return np.array([math.radians(soil.friction_angle_deg), math.log(soil.shear_modulus), math.log(soil.lumped(1.0))])
-
-
-def lumped(x, reading: Reading) -> Soil:
-    """The soil of unknowns x under a reading."""
-    return Soil(
-        math.degrees(x[0]), reading.cohesion, math.exp(x[1]), reading.exponent, sinkage_coefficient=math.exp(x[2])
-    )
+def unknowns(soil: Soil, width: float = 1.0) -> np.ndarray:
+    """(phi [rad], ln K, ln S) of a soil under a wheel of this width [m]."""
+    return np.array([math.radians(soil.friction_angle_deg), *np.log([soil.shear_modulus, soil.lumped(width)])])
 
 
 def predictions(x, slip, sinkage, reading):
@@ -81,17 +74,12 @@ def convergence(rng: np.random.Generator, draws: int) -> dict:
         tally = {"identifiable": 0, "drawn": 0, "ambiguous": 0, "recovered": 0, "flagged": 0, "silently_wrong": 0}
         while tally["identifiable"] < draws:
             tally["drawn"] += 1
-            x = np.array(
-                [
-                    math.radians(rng.uniform(10.0, 50.0)),
-                    rng.uniform(math.log(low[1]), math.log(high[1])),
-                    rng.uniform(math.log(low[2]), math.log(1e7)),  # stiffer soil than this does not let the wheel sink
-                ]
+            # stiffer soil than S = 1e7 does not let the wheel sink
+            x = rng.uniform(
+                [math.radians(10.0), *np.log(low[1:])], [math.radians(50.0), math.log(high[1]), math.log(1e7)]
             )
-            slip = rng.uniform(0.03, 0.8, points)
-            sinkage = np.minimum(
-                steady_sinkage(x, slip, 8923.0 * rng.uniform(0.6, 1.4, points), PAPER), 0.9 * PAPER.radius
-            )
+            slip, load = rng.uniform(0.03, 0.8, points), 8923.0 * rng.uniform(0.6, 1.4, points)
+            sinkage = np.minimum(steady_sinkage(x, slip, load, PAPER), 0.9 * PAPER.radius)
             y, jacobian = predictions(x, slip, sinkage, PAPER)
             sd = (90.0, 90.0, 56.0)  # 1 % of the load, for the weights and the condition number
             white = (jacobian[:, :, :3] / np.array(sd)[None, :, None])[:, : 3 if all_channels else 1].reshape(-1, 3)
@@ -99,12 +87,9 @@ def convergence(rng: np.random.Generator, draws: int) -> dict:
             if singular[0] > IDENTIFIABLE * singular[-1]:
                 continue
             g = rng.uniform(0.0, 1.0, 3)
+            phi, K = low[:2] + g[:2] * (high - low)[:2]
             guess = Soil(
-                low[0] + g[0] * (high[0] - low[0]),
-                PAPER.cohesion,
-                low[1] + g[1] * (high[1] - low[1]),
-                PAPER.exponent,
-                sinkage_coefficient=low[2] * (high[2] / low[2]) ** g[2],
+                phi, PAPER.cohesion, K, PAPER.exponent, sinkage_coefficient=low[2] * (high[2] / low[2]) ** g[2]
             )
             channels = y.T if all_channels else (y[:, 0], None, None)
             e = generalized_newton_raphson(slip, sinkage, *channels, reading=PAPER, guess=guess, sd=sd)
@@ -177,17 +162,12 @@ def efficiency(rng: np.random.Generator, draws: int) -> list[dict]:
                     )
                     errors[d] = unknowns(e.soil) - x
                     covered[d] = np.abs(errors[d]) < 1.959964 * np.sqrt(np.diag(e.covariance))
-                out.append(
-                    {
-                        "noise_in_slip_and_sinkage": noisy,
-                        "points": points,
-                        "method": method,
-                        "bound": [math.degrees(bound[0]), *bound[1:].tolist()],
-                        "rmse_over_bound": (np.sqrt(np.mean(errors**2, axis=0)) / bound).tolist(),
-                        "bias_over_bound": (np.mean(errors, axis=0) / bound).tolist(),
-                        "coverage_95": np.mean(covered, axis=0).tolist(),
-                    }
-                )
+                out.append({
+                    "noise_in_slip_and_sinkage": noisy, "points": points, "method": method,
+                    "bound": [math.degrees(bound[0]), *bound[1:]],
+                    "rmse_over_bound": np.sqrt(np.mean(errors**2, axis=0)) / bound,
+                    "bias_over_bound": np.mean(errors, axis=0) / bound, "coverage_95": np.mean(covered, axis=0),
+                })  # fmt: skip
     return out
 
 
@@ -207,13 +187,7 @@ def identifiability(points: int = 24) -> list[dict]:
     for soil_name in ("dry_sand", "lunar_nominal", "rubicon_sandy_loam", "clayey_soil_38", "heavy_clay_25"):
         preset = presets[soil_name]
         reading = Reading(preset.cohesion, preset.sinkage_exponent, ROVER.radius, ROVER.width)
-        x = np.array(
-            [
-                math.radians(preset.friction_angle_deg),
-                math.log(preset.shear_modulus),
-                math.log(preset.lumped(ROVER.width)),
-            ]
-        )
+        x = unknowns(preset, ROVER.width)
         slip = np.tile(np.linspace(0.03, 0.7, points // 3), 3)
         load = np.repeat([75.0, 150.0, 300.0], points // 3)
         sinkage = steady_sinkage(x, slip, load, reading)
@@ -239,16 +213,10 @@ def identifiability(points: int = 24) -> list[dict]:
                 condition = float(singular[0] / max(singular[-1], 1e-300))
                 told = sd["phi_deg"] < 5.0 and sd["ln_K"] < 0.5 and sd["ln_S"] < 0.5 and sd.get("n", 0.0) < 0.2
                 told = told and sd.get("c_kPa", 0.0) < max(0.5, 0.3 * preset.cohesion / 1000.0)
-                out.append(
-                    {
-                        "soil": soil_name,
-                        "data": data,
-                        "unknowns": name,
-                        "condition": condition,
-                        "bound": {k: float(v) for k, v in sd.items()},
-                        "identifiable": bool(told),
-                    }
-                )
+                out.append({
+                    "soil": soil_name, "data": data, "unknowns": name, "condition": condition, "bound": sd,
+                    "identifiable": bool(told),
+                })  # fmt: skip
     return out
 
 
@@ -279,9 +247,8 @@ def speed(rng: np.random.Generator, repeats: int) -> dict:
     """Time of one three-point solve on drawbar pull: ours and scipy.optimize.root on quad integrals, same problems."""
     ours, compiled, checked, theirs, agreement = [], [], [], [], []
     for _ in range(repeats):
-        x = np.array(
-            [math.radians(rng.uniform(28.0, 38.0)), math.log(rng.uniform(0.03, 0.045)), math.log(rng.uniform(4e5, 7e5))]
-        )
+        phi, K, S = rng.uniform([28.0, 0.03, 4e5], [38.0, 0.045, 7e5])
+        x = np.array([math.radians(phi), math.log(K), math.log(S)])
         slip = np.array([0.08, 0.22, 0.45])
         sinkage = steady_sinkage(x, slip, np.array([7000.0, 8900.0, 10500.0]), PAPER)
         y, _ = predictions(x, slip, sinkage, PAPER)
