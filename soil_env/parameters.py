@@ -94,10 +94,10 @@ class SoilSpread(Checked):
     """Scatter of a soil in the field about its preset: coefficients of variation and correlations.
 
     Friction scatters normally, the others log-normally. The stiffness that scatters is the pressure at
-    `reference_sinkage`, not S itself, whose unit depends on n. Sources: COV of friction 5-15 % in sand (Phoon &
-    Kulhawy 1999, Can. Geotech. J. 36:612), cohesion 20-40 % with correlation -0.24 to -0.7 to friction (Cherubini
-    2000, Can. Geotech. J. 37:705); denser soil has higher friction (Bolton 1986, Geotechnique 36:65) and stiffness and
-    a lower shear modulus. For K, stiffness and digging no published statistics were found: those are our choice.
+    `reference_sinkage`, not S itself, whose unit depends on n. Sources: COV of friction 5-15 % in sand (Phoon & Kulhawy
+    1999, Can. Geotech. J. 36:612), cohesion 20-40 % with correlation -0.24 to -0.7 to friction (Cherubini 2000, Can.
+    Geotech. J. 37:705); denser soil has higher friction (Bolton 1986, Geotechnique 36:65) and stiffness and a lower
+    shear deformation modulus. For K, stiffness and digging no published statistics were found: those are our choice.
     """
 
     friction: float = quantity("", 0.0, 0.35, default=0.08)
