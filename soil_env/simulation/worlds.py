@@ -11,7 +11,7 @@ from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, inlined, part, root, take
 from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import seed_stream
-from soil_env._numba.threads import crew
+from soil_env._numba.threads import threads
 from soil_env.identification.online import (
     IdentifierNumbers,
     Identifiers,
@@ -31,6 +31,7 @@ from soil_env.simulation.courses import (
     start_course,
 )
 from soil_env.simulation.dynamics import MANY, advance
+from soil_env.simulation.sensors import sense
 from soil_env.simulation.task import (
     REWARD_TERMS,
     Cause,
@@ -38,7 +39,6 @@ from soil_env.simulation.task import (
     judge,
     knowledge,
     reward_terms,
-    sense,
     task_numbers,
     write_observation,
 )
@@ -116,7 +116,7 @@ def restart(worlds, numbers, k):
     for i in range(worlds.terms.shape[1]):
         worlds.terms[k, i] = 0.0
     worlds.solved[k] = False
-    reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
+    reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
     _observation(worlds, numbers, k, reading, pitch)
 
 
@@ -131,7 +131,7 @@ def _observation(worlds, numbers, k, reading, pitch):
 def after_period(worlds, numbers, k):
     """After a control period of wheel k: draw the course ahead, sense, identify, judge, reward, observe."""
     draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], _course(numbers))
-    reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
+    reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
     paid, prior = numbers.task.reward_information > 0.0, numbers.identifier.precision
     before = knowledge(worlds.ids, k, prior) if paid else 0.0
     worlds.solved[k] = observe(worlds.ids, k, reading, numbers.identifier)
@@ -270,10 +270,10 @@ class Simulation:
 
     def _in_parallel(self, commands: np.ndarray, what: np.ndarray) -> None:
         """`step_chunks` over all wheels in several threads (it holds no lock, and they share no row)."""
-        threads = min(self._threads, -(-self.worlds.reward.size // _LEAST))
-        self._counter[:] = 0, threads
+        at_work = min(self._threads, -(-self.worlds.reward.size // _LEAST))
+        self._counter[:] = 0, at_work
         arguments = (self.worlds, self.numbers, commands, what, self._counter)
-        if threads == 1:
+        if at_work == 1:
             self._run(*arguments)
         else:
-            crew(self._threads).run(self._run, arguments, threads - 1)
+            threads(self._threads).run(self._run, arguments, at_work - 1)
