@@ -64,13 +64,23 @@ def _cacheable() -> bool:
 CACHE = _cacheable()
 
 
+class _Index(IndexDataCacheFile):
+    """Index of the cached code of one function; one of earlier sources, whose types may be gone, counts as empty."""
+
+    def _load_index(self):
+        try:
+            return super()._load_index()
+        except (AttributeError, ImportError, TypeError):
+            return {}
+
+
 def _keep(dispatcher):
     """Turn on the cache of a dispatcher, valid for the present sources of all compiled rooms and of its own file."""
     if CACHE:
         dispatcher.enable_caching()
         store = dispatcher._cache
         own = hashlib.sha256(Path(dispatcher.py_func.__code__.co_filename).read_bytes()).hexdigest()
-        store._cache_file = IndexDataCacheFile(
+        store._cache_file = _Index(
             cache_path=store._cache_path,
             filename_base=store._impl.filename_base,
             source_stamp=(_sources(), own),
