@@ -96,12 +96,19 @@ class _WithoutEnvironment:
 class _Part(JITCodeLibrary):
     """Code that is only ever linked into that of a caller: neither optimised nor turned into machine code by itself."""
 
+    linkable = False  # while a root is linked; any other caller would miss what this part calls
+
     @property
     def codegen(self):
         return _WithoutEnvironment(self._codegen)
 
     def get_pointer_to_function(self, name):
         return 0
+
+    def _get_module_for_linking(self):
+        if not _Part.linkable:
+            raise TypeError(f"{self.name}: a `part` called by a function of numba's own `njit`: make that one a `root`")
+        return super()._get_module_for_linking()
 
     def finalize(self):
         for library in self._linking_libraries:
@@ -118,6 +125,13 @@ class _Root(JITCodeLibrary):
         for below in library._linking_libraries:
             if below not in self._linking_libraries:
                 self.add_linking_library(below)
+
+    def finalize(self):
+        _Part.linkable = True
+        try:
+            super().finalize()
+        finally:
+            _Part.linkable = False
 
 
 def _compiler(library_class):
