@@ -261,7 +261,7 @@ def trajectories(model, variant="identified", mode="torque", wheels=8, steps=250
 
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
 def test_neutral_models_change_nothing(mode):
-    """Bit for bit where no effect is on; else but for rounding, since such worlds are driven one wheel at a time."""
+    """Bit for bit where no effect is on; else but for rounding, as laws that do nothing are then computed."""
 
     def same(a, b):
         tolerance = {"rtol": 3e-7, "atol": 1e-7} if a.dtype == np.float32 else {"rtol": 1e-9, "atol": 1e-12}

@@ -69,7 +69,13 @@ def react_in_lanes(x, speeds, wheel, out):
         from_array(x, 0), from_array(x, 8), from_array(x, 16), from_array(x, 24), soil, from_array(x, 32),
         from_array(x, 40), wheel,
     )  # fmt: skip
-    v, u, load, nodes, soil = from_array(speeds, 0), from_array(speeds, 8), from_array(speeds, 16), _nodes(), ground.soil
+    v, u, load, nodes, soil = (
+        from_array(speeds, 0),
+        from_array(speeds, 8),
+        from_array(speeds, 16),
+        _nodes(),
+        ground.soil,
+    )
     rim = wheel.rim_ratio * u
     motion = motion_from_speeds(rim, v, REST_SPEED)
     frame = store_nodes(ground.arc, soil.sinkage_exponent, nodes, 0)
