@@ -10,9 +10,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from scipy.optimize import brentq
 
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import CACHE
 from soil_env.identification import Estimate, Reading, generalized_newton_raphson, newton_raphson, predict
 from soil_env.parameters import Soil, soils, wheels
 from soil_env.terramechanics.contact import entry_angle
@@ -39,7 +40,7 @@ DRAWS = 1000
 # --- forces from the compiled functions -------------------------------------------------------------------------------
 
 
-@root(allocates=True)
+@njit(cache=CACHE)
 def _channels(x, slip, sinkage, reading, out):
     jacobian = np.empty((3, 4))
     for p in range(x.shape[0]):
@@ -196,7 +197,7 @@ def needed_noise(points: Points) -> NeededNoise:
 _UNIT = 1e6
 
 
-@root(allocates=True)
+@njit(cache=CACHE)
 def equations(x, slip, sinkage, pull, reading, residual, jacobian):
     """Measured minus predicted DP [3] and d(DP)/d(phi, K, S) [3, 3], for any sign of S and any phi.
 
@@ -216,7 +217,7 @@ def equations(x, slip, sinkage, pull, reading, residual, jacobian):
         jacobian[p, 2] = (high[0] - low[0]) / (_UNIT - 1.0)
 
 
-@root(allocates=True)
+@njit(cache=CACHE)
 def plain_newton(path, slip, sinkage, pull, reading, tolerance):
     """Newton-Raphson without safeguard in (phi [rad], K, S) from path[0]: iterates into `path`, their number.
 

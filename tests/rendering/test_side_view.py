@@ -132,7 +132,7 @@ def test_recorded_angle_follows_the_wheel_speed():
     angle = 0.0
     for _ in range(30):
         drive(simulation, renderer, 1)
-        angle += simulation.wheel(0)["wheel_speed"] * simulation.scenario.control.period
+        angle += simulation.worlds.state[0]["wheel_speed"] * simulation.scenario.control.period
     assert renderer._angle == pytest.approx(angle) and angle > 1.0
 
 
@@ -141,7 +141,7 @@ def test_rut_lowers_the_ground_behind_the_wheel():
     drive(simulation, renderer, 60)
     with_rut = scene(renderer.draw(simulation, 0))
     rut = simulation.worlds.courses.rut
-    depth = rut[0, int(simulation.wheel(0)["x"] / rendering.CELL) - 4]
+    depth = rut[0, int(simulation.worlds.state[0]["x"] / rendering.CELL) - 4]
     rut[:] = 0.0
     without = scene(renderer.draw(simulation, 0))
     column = int(hub(simulation)[0] - 1.5 * SCALE)
@@ -233,7 +233,7 @@ def test_history_starts_anew_with_the_episode():
 def test_charts_cover_thirty_seconds_whatever_the_period(period):
     simulation, renderer = start(changes={"control": {"period": period, "substep": min(period, 0.05)}})
     for step in range(0, round(40.0 / period), 1 if period > 0.01 else 5):
-        simulation.worlds.counts.steps[0] = step
+        simulation.worlds.counts["steps"][0] = step
         renderer.record(simulation, 0)
     times = np.array(renderer._history)[:, 0]
     assert len(times) <= 602
@@ -255,7 +255,7 @@ def test_extreme_states_are_drawn():
     for sinkage, speed, wheel_speed in ((1e-5, 0.0, 0.0), (0.225, -0.3, -3.0), (0.1, 0.5, -6.0), (0.05, 0.0, 6.0)):
         simulation, renderer = start()
         w = simulation.worlds.state
-        w.sinkage[0], w.speed[0], w.wheel_speed[0], w.x[0] = sinkage, speed, wheel_speed, -0.7
+        w["sinkage"], w["speed"], w["wheel_speed"], w["x"] = sinkage, speed, wheel_speed, -0.7
         simulation.worlds.ids.sd[0] = 30.0
         renderer.record(simulation, 0)
         assert renderer.draw(simulation, 0).any()
