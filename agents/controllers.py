@@ -194,7 +194,7 @@ class BestSlipTrue(BestSlipIdentified):
         return out
 
 
-@root(nogil=True)
+@root(nogil=True, allocates=True)
 def _best_slips(soils, load, r, b, torque, known, slip):
     for k in range(len(soils)):
         changed = abs(load[k] - known[k, 7]) > 0.1 * known[k, 7]

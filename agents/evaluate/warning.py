@@ -101,7 +101,7 @@ class Warnings:
         return (self.best_pull <= grade) | (worlds.observation[:, _SLIP] > unstable)
 
 
-@root(nogil=True)
+@root(nogil=True, allocates=True)
 def _renew(estimate, load, alive, n, dig_gain, dig_recovery, r, b, torque, known, slip, pull):
     """Best working points, computed again where the estimate has moved by 1 % (phi: 0.002 rad) or the load by 10 %.
 
