@@ -24,6 +24,7 @@ import sys
 from functools import cache, update_wrapper
 from pathlib import Path
 
+import numpy as np
 from numba import config, njit, typeof, types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
@@ -198,7 +199,7 @@ def root(function=None, *, nogil=False, allocates=False):
     if function is None:
         return lambda f: root(f, nogil=nogil, allocates=allocates)
     if not COMPILED:
-        return function
+        return np.errstate(all="ignore")(function)  # as compiled code, which divides by zero without a word
     return _keep(njit(_nrt=allocates, nogil=nogil, pipeline_class=_ROOT, **_OPTIONS)(function))
 
 

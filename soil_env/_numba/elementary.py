@@ -264,7 +264,14 @@ def power(typingctx, x, y):
 
 if not COMPILED:
     from soil_env._numba.interpreted import (  # noqa: F811
+        asin_root,
+        copysign,
         exp,
+        fma,
+        half_sin_cos,
+        log,
+        power,
+        root,
         where_less,
     )
 

@@ -364,4 +364,19 @@ def smallest(typingctx, a):
 
 
 if not COMPILED:
-    pass
+    from soil_env._numba.interpreted import (  # noqa: F811
+        alike,
+        bits,
+        fill,
+        first,
+        from_array,
+        lane,
+        made_of,
+        smallest,
+        summed,
+        to_array,
+        total,
+        totals,
+        transposed,
+        turns,
+    )

@@ -7,10 +7,10 @@ import pytest
 from numba.core.errors import NumbaError
 
 from soil_env._numba import elementary, lanes
-from soil_env._numba.compiling import kernel
+from soil_env._numba.compiling import inlined, root
 
 
-@kernel
+@root
 def over(which, x, out):
     """Function `which` on x [8 m] into `out` [2, 8 m]."""
     for i in range(0, x.size, 8):
@@ -19,13 +19,21 @@ def over(which, x, out):
         if which == 0:
             a = elementary.exp(a)
         elif which == 1:
-            a = elementary.log_lanes(a)
+            a = elementary.log(a)
         elif which == 2:
             a, b = elementary.half_sin_cos(a)
         elif which == 3:
             a = elementary.asin_root(a)
         elif which == 4:
             a = elementary.copysign(lanes.fill(2.0), a)
+        elif which == 5:
+            a = elementary.tanh(a)
+        elif which == 6:
+            a, b = elementary.root(abs(a)), elementary.power(abs(a), 0.7)
+        elif which == 7:
+            a, b = elementary.smaller(a, 0.5), elementary.larger(0.5, a)
+        elif which == 8:
+            a, b = elementary.where_less(a, 0.5, 1.0, a), elementary.fma(a, 2.0, -1.0)
         lanes.to_array(a, out[0], i)
         lanes.to_array(b, out[1], i)
 
@@ -74,7 +82,24 @@ def test_copysign():
     np.testing.assert_array_equal(of(4, [3.0, -1e-300, 0.0, -0.0])[0], [2.0, -2.0, 2.0, -2.0])
 
 
-@kernel
+def test_of_two_numbers():
+    x = np.concatenate([RNG.normal(size=4000), [0.0, 0.5]])
+    np.testing.assert_allclose(of(5, x)[0], np.tanh(x), atol=3e-16)
+    np.testing.assert_array_equal(of(6, x)[0], np.sqrt(np.abs(x)))
+    np.testing.assert_allclose(of(6, x)[1], np.abs(x) ** 0.7, rtol=1e-14, atol=1e-200)
+    np.testing.assert_array_equal(of(7, x), [np.minimum(x, 0.5), np.maximum(x, 0.5)])
+    np.testing.assert_array_equal(of(8, x)[0], np.where(x < 0.5, 1.0, x))
+    np.testing.assert_allclose(of(8, x)[1], 2.0 * x - 1.0, atol=1e-15)
+
+
+@inlined
+def law(x, y):
+    """Whatever an arithmetic of floats or lanes can be made of."""
+    z = elementary.fma(x, y, 1.0) / (2.0 - x) - elementary.exp(-abs(x)) * elementary.half_sin_cos(lanes_of(y))[0]
+    return elementary.where_less(z, 0.3, -z, elementary.power(abs(y), 1.5)) + elementary.asin_root(x * x)
+
+
+@root
 def rearranged(x, out):
     """Transpose, sums, single lanes, first lanes, smallest of x [64] into out [10, 8]."""
     rows = (
@@ -104,4 +129,4 @@ def test_moving_lanes():
 @pytest.mark.parametrize("make", [lambda n: np.empty(n)[0], lambda n: np.zeros(n).sum(), lambda n: [1.0] * n])
 def test_a_kernel_that_allocates_does_not_compile(make):
     with pytest.raises(NumbaError):
-        kernel(make)(3)
+        root(make)(3)
