@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from numba.core.errors import NumbaError
 
 from soil_env._numba import elementary, lanes
 from soil_env._numba.compiling import inlined, root
@@ -94,9 +93,66 @@ def test_of_two_numbers():
 
 @inlined
 def law(x, y):
-    """Whatever an arithmetic of floats or lanes can be made of."""
-    z = elementary.fma(x, y, 1.0) / (2.0 - x) - elementary.exp(-abs(x)) * elementary.half_sin_cos(lanes_of(y))[0]
-    return elementary.where_less(z, 0.3, -z, elementary.power(abs(y), 1.5)) + elementary.asin_root(x * x)
+    """An expression in all operations that floats and lanes have in common."""
+    z = elementary.fma(x, y, 1.0) / (2.0 - x) - elementary.exp(-abs(x)) * elementary.tanh(y)
+    z = elementary.where_less(z, 0.3, -z, elementary.power(abs(y), 1.5)) + elementary.asin_root(x * x)
+    z = elementary.larger(z, elementary.root(abs(z))) + elementary.copysign(elementary.log(1.0 + abs(x)), y)
+    return elementary.smaller(z, 2.0) + elementary.chosen(elementary.below(x, y), z, lanes.alike(0.25, z))
+
+
+@root
+def law_in_lanes(x, y, out):
+    for i in range(0, x.size, 8):
+        lanes.to_array(law(lanes.from_array(x, i), lanes.from_array(y, i)), out, i)
+
+
+def test_a_law_gives_the_same_of_floats_and_in_lanes():
+    x, y = RNG.uniform(-1.5, 1.5, (2, 4000))
+    out = np.empty(4000)
+    law_in_lanes(x, y, out)
+    np.testing.assert_allclose(out, [law(a, b) for a, b in zip(x, y, strict=True)], rtol=1e-13, atol=1e-14)
+
+
+_nodes = lanes.over_eight([1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0])
+_constant = lanes.constant(range(8))
+
+
+@inlined
+def over_nodes(x):
+    """Sum over eight nodes of node times x^node, for one x with its nodes in lanes or for eight x."""
+    total = lanes.fill(0.0)
+    for k in range(lanes.turns(x)):
+        node = _nodes(x, k)
+        total = total + node * elementary.power(x, 0.01 * node)
+    return lanes.summed(total, x)
+
+
+@root
+def over_nodes_in_lanes(x, out):
+    lanes.to_array(over_nodes(lanes.from_array(x, 0)), out, 0)
+
+
+def test_one_loop_serves_one_arc_and_eight():
+    x, out = RNG.uniform(0.1, 3.0, 8), np.empty(8)
+    over_nodes_in_lanes(x, out)
+    nodes = 2.0 ** np.arange(8)
+    expected = [np.sum(nodes * v ** (0.01 * nodes)) for v in x]
+    np.testing.assert_allclose(out, expected, rtol=1e-14)
+    np.testing.assert_allclose([over_nodes(v) for v in x], expected, rtol=1e-14)
+
+
+@root
+def flags(x):
+    """Bits of the lanes that are not 0, of constants, of eight floats."""
+    a = lanes.from_array(x, 0)
+    made = lanes.made_of(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
+    return lanes.bits(a), lanes.bits(made - _constant()), lanes.total(made)
+
+
+@pytest.mark.parametrize("pattern", [0, 1, 0b10010110, 255])
+def test_bits_of_lanes(pattern):
+    x = np.array([float(pattern >> i & 1) for i in range(8)])
+    assert flags(x) == (pattern, 0, 28.0)
 
 
 @root
@@ -124,9 +180,3 @@ def test_moving_lanes():
     np.testing.assert_allclose(out[8], rows.sum(axis=1), atol=1e-14)
     np.testing.assert_array_equal(out[9], [*rows[0, :3], *rows[1, 3:]])
     assert total == pytest.approx(rows[2].sum()) and single == rows[3, 5] and smallest == rows[4].min()
-
-
-@pytest.mark.parametrize("make", [lambda n: np.empty(n)[0], lambda n: np.zeros(n).sum(), lambda n: [1.0] * n])
-def test_a_kernel_that_allocates_does_not_compile(make):
-    with pytest.raises(NumbaError):
-        root(make)(3)
