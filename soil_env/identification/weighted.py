@@ -23,11 +23,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from scipy.optimize import least_squares
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.compiling import CACHE
+from soil_env._numba.compiling import root
 from soil_env.identification import Reading, predict
 from soil_env.measurement.table import Setup, Table
 from soil_env.terramechanics.effects import slip_sinkage_ratio
@@ -44,7 +43,7 @@ SOURCES = ("slip", "sinkage", "load", "drawbar_pull", "torque")  # of error, in 
 _STARTS, _EXACT = 8, 1e-4  # starting points; error of an exact load as a share of it
 
 
-@njit(cache=CACHE)
+@root(allocates=True)
 def predict_rows(x, ln_ref, digging, slip, sinkage, radius, width, ln_ratio, out, rates):
     """Load, drawbar pull and torque into `out` [N, 3]; derivatives by x and by (slip, sinkage) into `rates` [N, 3, 7].
 
