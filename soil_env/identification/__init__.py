@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from soil_env._numba.compiling import root
 from soil_env.identification.point import Points, Reading, predict, weigh
 from soil_env.identification.solver import LOWER, UPPER, Status, normal_equations, solve
 from soil_env.identification.uniqueness import other_soil
@@ -101,6 +102,12 @@ def _points(slip, sinkage, channels, dig_ratio, reading) -> Points:
     return points
 
 
+@root
+def _weigh_all(points, count, x, variances, slip_sd, sinkage_sd, reading):
+    for p in range(count):
+        weigh(points, p, x, variances, slip_sd, sinkage_sd, reading)
+
+
 def generalized_newton_raphson(
     slip,
     sinkage,
@@ -150,8 +157,7 @@ def generalized_newton_raphson(
     covariance, no_prior = np.zeros((3, 3)), np.zeros(3)
 
     def run(x, noise_of_slip, noise_of_sinkage, limit=max_iterations):
-        for p in range(len(points)):
-            weigh(points, p, x, variances, noise_of_slip, noise_of_sinkage, reading)
+        _weigh_all(points, len(points), x, variances, noise_of_slip, noise_of_sinkage, reading)
         return solve(x, points, no_prior, no_prior, reading, limit, tolerance, covariance)
 
     status, iterations, cost = run(x, 0.0, 0.0)
