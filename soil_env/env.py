@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, unknown_key
 from soil_env._numba.compiling import Entry
@@ -21,15 +22,16 @@ from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 from soil_env.terramechanics.traversability import best_working_point
 
+if TYPE_CHECKING:
+    from soil_env.rendering.side_view import Renderer
+
 IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
-
-
 _OWN = ("scenario", "observation", "action", "render_mode", "model")  # keywords that are no part of a scenario
 _FIELDS = tuple(f.name for f in dataclasses.fields(Scenario))
 
 
 def build_scenario(
-    scenario: str | Path | Scenario, action: str | None, changes: dict, own: tuple[str, ...] = _OWN
+    scenario: str | Path | Scenario, action: str | None, changes: dict[str, Any], own: tuple[str, ...] = _OWN
 ) -> Scenario:
     """The scenario that the keyword arguments of an environment describe; `own`: those that are no part of it."""
     for key in changes:
@@ -43,7 +45,7 @@ def build_scenario(
     return load_scenario(scenario, changes, "keyword")
 
 
-def check_count(name: str, count) -> None:
+def check_count(name: str, count: object) -> None:
     """ParameterError unless `count` is a whole number of at least one."""
     if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
         raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
@@ -61,7 +63,7 @@ def action_space() -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
 
 
-class SoilWheelEnv(gymnasium.Env):
+class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     """
     ## Description
     One rigid, driven wheel with its share of a vehicle crosses a course of soils it does not know, uphill and down,
@@ -208,12 +210,14 @@ class SoilWheelEnv(gymnasium.Env):
         self.model = load_model(model)
         self.simulation = Simulation(1, self.scenario, observation, threads=1, model=self.model)
         self._best_working_point = Entry(best_working_point)
-        self._renderer = None
+        self._renderer: Renderer | None = None
         self._seeded = False
         self._warning: dict[str, Any] = {}
         self._over = True
 
-    def reset(self, *, seed: int | None = None, options: dict | None = None):
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """New course, wheel at rest at its start. `options` must be empty. Returns (observation, info)."""
         super().reset(seed=seed)
         if options:
@@ -231,7 +235,7 @@ class SoilWheelEnv(gymnasium.Env):
                 self.render()
         return self.simulation.worlds.observation[0].copy(), self._info()
 
-    def step(self, action):
+    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one control period. Returns (observation, reward, terminated, truncated, info)."""
         if self._over:
             raise gymnasium.error.ResetNeeded("step() before reset(), or after the end of the episode")
@@ -249,7 +253,7 @@ class SoilWheelEnv(gymnasium.Env):
         terminated = self._over and not truncated
         return worlds.observation[0].copy(), float(worlds.reward[0]), terminated, truncated, self._info()
 
-    def render(self):
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""
         if self.render_mode is None:
             gymnasium.logger.warn(
@@ -258,11 +262,11 @@ class SoilWheelEnv(gymnasium.Env):
             return None
         return self._view().draw(self.simulation, 0)
 
-    def __getstate__(self):
+    def __getstate__(self) -> dict[str, Any]:
         """All but the window: a copy opens its own."""
         return {**self.__dict__, "_renderer": None}
 
-    def close(self):
+    def close(self) -> None:
         """Close the window, if there is one."""
         if self._renderer is not None:
             self._renderer.close()
@@ -284,13 +288,15 @@ class SoilWheelEnv(gymnasium.Env):
     def true_soil(self) -> SoilState:
         """The undisturbed soil under the wheel: for analysis and references, never part of a fair observation."""
         w = self.simulation.worlds
+        soil: SoilState
         soil, _, _ = ground_at(w.courses, 0, w.state[0]["x"], w.state[0]["patch"], self.scenario.course.border)
         return soil
 
-    def _view(self):
+    def _view(self) -> Renderer:
         if self._renderer is None:
             from soil_env.rendering.side_view import Renderer
 
+            assert self.render_mode is not None
             self._renderer = Renderer(self.scenario, self.render_mode)
         return self._renderer
 
@@ -342,7 +348,7 @@ class SoilWheelEnv(gymnasium.Env):
 
 _STATUS = {status.value: status.name for status in Status}
 _STATE = {
-    name: WHEEL_STATE.names.index(name)
+    name: (WHEEL_STATE.names or ()).index(name)
     for name in (
         "x",
         "speed",
@@ -358,7 +364,7 @@ _STATE = {
 }
 
 
-def command(action) -> float:
+def command(action: ArrayLike) -> float:
     """The command in [-1, 1] of an action of shape (1,); ValueError if it is anything else."""
     try:
         a = np.asarray(action, dtype=np.float64)
@@ -371,7 +377,7 @@ def command(action) -> float:
     return min(max(float(a[0]), -1.0), 1.0)
 
 
-def numbers(actions, count: int) -> np.ndarray:
+def numbers(actions: ArrayLike, count: int) -> NDArray[np.float64]:
     """Actions of `count` wheels as an array [count, 1]; ValueError if they are anything else."""
     try:
         a = np.asarray(actions, dtype=np.float64)
