@@ -253,7 +253,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         terminated = self._over and not truncated
         return worlds.observation[0].copy(), float(worlds.reward[0]), terminated, truncated, self._info()
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""
         if self.render_mode is None:
             gymnasium.logger.warn(

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -61,7 +61,7 @@ class Soil(Checked):
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5, doc="slip-sinkage, effects.slip_sinkage_ratio")
     source: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         pair = (self.k_c is not None) + (self.k_phi is not None)
         if pair != (2 if self.sinkage_coefficient is None else 0):
@@ -76,6 +76,7 @@ class Soil(Checked):
         """S = k_c/b + k_phi [N/m^(n+2)] for a wheel of width b [m]; `ParameterError` if it is not positive."""
         if self.sinkage_coefficient is not None:
             return self.sinkage_coefficient
+        assert self.k_c is not None and self.k_phi is not None  # checked on construction
         s = self.k_c / width + self.k_phi
         if s <= 0.0:
             raise ParameterError(f"Soil: k_c/b + k_phi = {s:g} for a wheel of width {width:g} m: expected > 0")
@@ -102,7 +103,8 @@ class SoilSpread(Checked):
     `reference_sinkage`, not S itself, whose unit depends on n. Sources: COV of friction 5-15 % in sand (Phoon &
     Kulhawy 1999, Can. Geotech. J. 36:612), cohesion 20-40 % with correlation -0.24 to -0.7 to friction (Cherubini
     2000, Can. Geotech. J. 37:705); denser soil has higher friction (Bolton 1986, Geotechnique 36:65) and stiffness and
-    a lower shear modulus. For K, stiffness and digging no published statistics were found: those are our choice.
+    a lower shear deformation modulus. No published statistics were found for K, stiffness and slip-sinkage gain: those
+    are our choice.
     """
 
     friction: float = quantity("", 0.0, 0.35, default=0.08)
@@ -118,7 +120,7 @@ class SoilSpread(Checked):
     stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4)
     stiffness_dig_gain: float = quantity("", -0.99, 0.99, default=-0.5)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         self.factor()
 
@@ -159,7 +161,7 @@ class Wheel(Checked):
     body_mass: float = quantity("kg", 0.1, 1e5, doc="mass this wheel carries and accelerates, without payload")
     source: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         least = 0.02 * self.body_mass * self.radius**2
         if self.inertia < least:
@@ -234,7 +236,7 @@ class CourseSpec(Checked):
     halt_interval: tuple[float, float] = quantity("m", 0.05, 1e6, default=(0.6, 1.5), doc="between commanded halts")
     halt_time: float = quantity("s", 0.0, 1e3, default=0.8, doc="length of a halt; 0 = none")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         if self.border > self.patch_length[0]:
             raise ParameterError(
@@ -293,7 +295,7 @@ class Scenario(Checked):
     reward: RewardWeights = RewardWeights()
     control: Control = Control()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         if not self.soils:
             raise ParameterError("Scenario.soils: expected at least one soil name with its weight")
@@ -327,7 +329,7 @@ class Scenario(Checked):
 
 
 @cache
-def _library(kind: str) -> dict:
+def _library(kind: str) -> dict[str, Any]:
     path = config_dir() / f"{kind}.yaml"
     cls = {"soils": Soil, "wheels": Wheel}[kind]
     return {name: load(cls, entry, f"{path.name}: {name}") for name, entry in read_yaml(path).items()}
@@ -349,7 +351,7 @@ def scenario_names() -> list[str]:
 
 
 def load_scenario(
-    which: str | Path | Scenario = "mixed", changes: dict | None = None, place: str = "changes"
+    which: str | Path | Scenario = "mixed", changes: dict[str, Any] | None = None, place: str = "changes"
 ) -> Scenario:
     """A scenario by name, by path of a YAML file, or as it is, with `changes` (nested mapping) merged over it.
 
@@ -382,7 +384,7 @@ def load_scenario(
     raise wrong
 
 
-def _in_order(mapping: dict) -> bool:
+def _in_order(mapping: dict[str, Any]) -> bool:
     try:
         _merged(mapping, {}, "")
     except ParameterError:
@@ -390,7 +392,7 @@ def _in_order(mapping: dict) -> bool:
     return True
 
 
-def _merged(mapping: dict, changes: dict, where: str) -> Scenario:
+def _merged(mapping: dict[str, Any], changes: dict[str, Any], where: str) -> Scenario:
     """The scenario of a mapping with `changes` over it."""
     mapping = dict(mapping)
     changes = dict(changes)
@@ -408,4 +410,5 @@ def _merged(mapping: dict, changes: dict, where: str) -> Scenario:
         if not isinstance(preset, str) or preset not in wheels():
             raise unknown_key(preset, wheels(), f"{where}: wheel")
         mapping["wheel"] = merge(to_dict(wheels()[preset]), wheel)
-    return load(Scenario, mapping, where)
+    scenario: Scenario = load(Scenario, mapping, where)
+    return scenario

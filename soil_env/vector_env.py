@@ -82,7 +82,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         self._rngs: list[np.random.Generator | None] | None = None
         self._done = np.ones(self.num_envs, dtype=np.bool_)
 
-    def reset(  # type: ignore[override]  # gymnasium's own signature does not know the list of seeds
+    def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Reset all wheels, or those of `options["reset_mask"]` [N] bool. Returns (observations, info)."""

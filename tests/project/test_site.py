@@ -1,4 +1,4 @@
-"""What the pages name exists: files, code, equations, effects, commands. Links within the site: `mkdocs build --strict`."""
+"""What the pages name exists: files, code, equations, effects, commands (links within the site: `mkdocs --strict`)."""
 
 import ast
 import importlib.util
