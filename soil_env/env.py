@@ -66,11 +66,10 @@ def action_space() -> gymnasium.spaces.Box:
 class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     """
     ## Description
-    One rigid, driven wheel with its share of a vehicle crosses a course of soils it does not know, uphill and down,
-    without getting stuck. Wheel-soil contact follows Hutangkabodee et al. (2006), Eqs. (1)-(10), with slip-sinkage
-    (Lyasko 2010): a wheel that slips digs, a wheel that spins on the spot keeps digging. At commanded halts, about
-    every metre, the drive is held and the agent's action is ignored; afterwards the wheel has to start again where it
-    stands.
+    A rigid, driven wheel with its share of a vehicle has to cross a course of unknown soils and grades without getting
+    stuck. Wheel-soil contact follows Hutangkabodee et al. (2006), Eqs. (1)-(10), with slip-sinkage (Lyasko 2010): a
+    slipping wheel digs, and a wheel spinning on the spot keeps digging. At commanded halts, about every metre, the
+    drive is held and the agent's action is ignored; afterwards the wheel has to start again where it stands.
 
     ## Action space
     `Box(-1, 1, (1,), float32)`, held for one control period (0.1 s):
@@ -80,10 +79,10 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | "torque"      | motor torque as a share of the stall torque, within the motor's torque-speed line (default) |
     | "wheel_speed" | wheel speed as a share of the no-load speed, followed by the drive's own speed loop |
 
-    Values outside are cut to the bounds; a wrong shape, NaN or infinity raises `ValueError`.
+    Values outside are clipped; a wrong shape, NaN or infinity raises `ValueError`.
 
     ## Observation space
-    `Box(float32)`. All of it are noisy sensor readings (`Noise`), except 8-10. "Weight" is that of the wheel with its
+    `Box(float32)`. All entries but 8-10 are noisy sensor readings (`Noise`). "Weight" is that of the wheel with its
     share of the body, without payload; "top rim speed" is radius times no-load speed. `env.unwrapped.observation_names`
     lists the names.
 
@@ -101,17 +100,17 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | 9 | progress | of course length | -5 | 5 |
     | 10 | halted | 0 or 1 | 0 | 1 |
 
-    `observation="blind"` ends here. `"identified"` (default) adds what the identifier has learnt from those readings:
+    `observation="blind"` ends here. `"identified"` (default) adds the identifier's estimate from those readings:
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
     | 11 | friction_angle | rad, phi | 0 | 1.6 |
     | 12 | log10_shear_modulus | log10 m, K | -5 | 1 |
-    | 13 | log10_sinkage_coefficient | log10 N/m^(n+2), S at the exponent of the belief | 0 | 15 |
+    | 13 | log10_sinkage_coefficient | log10 N/m^(n+2), S at the exponent of the prior | 0 | 15 |
     | 14 | friction_angle_sd | rad | 0 | 2 |
     | 15 | shear_modulus_sd | relative | 0 | 20 |
     | 16 | sinkage_coefficient_sd | relative | 0 | 20 |
-    | 17 | estimate_valid | 1 while the estimate is current, 0 while prior or held | 0 | 1 |
+    | 17 | estimate_valid | 1 while the estimate is current, 0 while it is the prior or held | 0 | 1 |
     | 18 | cohesion | kPa | 0 | 1000 |
     | 19 | dig_gain | -, of slip-sinkage | 0 | 100 |
     | 20 | cohesion_sd | kPa | 0 | 1000 |
@@ -140,12 +139,12 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | information | discount x knowledge after the step - knowledge before it [nat] | 0 |
 
     Knowledge is the sum of ln(prior standard deviation / standard deviation) over what the identifier estimates, each
-    at least 0; it counts as 0 once the episode has terminated. The discount is `information_discount`, 0.999, which
-    should be the agent's own. What is learnt pays at once and is paid back when it is lost or the episode terminates,
-    so that the best policy stays the same. `agents.evaluate` drives without this term.
+    at least 0, and 0 once the episode has terminated. The discount, `information_discount` (0.999), should be that of
+    the agent. This is potential-based shaping, so the optimal policy stays the same. `agents.evaluate` drives without
+    this term.
 
     ## Starting state
-    At rest at the start of a new random course, settled under its own load with a random payload.
+    At rest at the start of a new random course, settled under its load with a random payload.
 
     ## Episode end
     Terminated when the course is finished or the wheel is immobilised; `info["cause"]` says which:
@@ -153,12 +152,12 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | cause | condition (`limits={...}`) |
     |-------|-----------|
     | FINISHED | x >= course length |
-    | ENTRAPPED | slip > 0.6 and abs(V) < 0.02 m/s for 4 s: it spins and makes no progress |
-    | STALLED | rim speed < 0.01 m/s for 4 s outside a halt: torque required > torque given |
+    | ENTRAPPED | slip > 0.6 and abs(V) < 0.02 m/s for 4 s: it spins without progress |
+    | STALLED | rim speed < 0.01 m/s for 4 s outside a halt: torque required > torque available |
     | BOGGED | sinkage > 0.8 radii |
 
-    The two clocks run back at the same rate while their condition does not hold. During halts nothing is judged and
-    they stand still. Truncated after `control={"time_limit": ...}` (90 s) with cause TIME_LIMIT.
+    The two timers count down at the same rate while their condition does not hold, and are paused during halts.
+    Truncated after `control={"time_limit": ...}` (90 s) with cause TIME_LIMIT.
 
     ## Info
     | key | content |
@@ -166,7 +165,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | cause | name of the `task.Cause`, "RUNNING" before the end |
     | immobilised | bool |
     | reward_terms | dict of the terms above; their sum is the reward |
-    | estimate | dict: phi [deg], K [m], S [N/m^(n+2)], cohesion [Pa], gain of digging, their standard deviations, |
+    | estimate | dict: phi [deg], K [m], S [N/m^(n+2)], cohesion [Pa], slip-sinkage gain, their standard deviations, |
     |          | status of the identifier |
     | traversability | dict, from sensors and estimate only: best slip, drawbar margin there over the grade [of load; |
     |                | at least -1], torque required there and available [N m], passable; renewed with the estimate |
@@ -177,9 +176,9 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     "human"; any field of `Scenario` as a keyword, merged over the scenario, e.g. `course={"length": 20}` or
     `wheel="paper_vehicle"`. Unknown keys and values out of range raise `soil_env.ParameterError`.
 
-    `model`: a model.yaml (or a `WheelSoilModel`) with the effects that are on in this world. Identifier and agent do
-    not know of them. Where the model has a soil, all patches are drawn from it. Its wheel gives the height of the
-    grousers; everything else about the wheel is the scenario's. A residual law acts on drawbar pull and torque.
+    `model`: a model.yaml (or a `WheelSoilModel`) with the effects that act in this world, unknown to identifier and
+    agent. Where the model has a soil, all patches are sampled from it. Of its wheel only the grouser height is used;
+    the rest is the scenario's. A residual law acts on drawbar pull and torque.
 
     ## Version history
     * v0: first version.
