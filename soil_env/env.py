@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._numba.compiling import Entry
+from soil_env._numba.compiling import FastCall
 from soil_env.identification import Status
 from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
-from soil_env.simulation.dynamics import WHEEL_STATE
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.terrain import ground_at
 from soil_env.simulation.worlds import Simulation
@@ -208,7 +207,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.period))}
         self.model = load_model(model)
         self.simulation = Simulation(1, self.scenario, observation, threads=1, model=self.model)
-        self._best_working_point = Entry(best_working_point)
+        self._best_working_point = FastCall(best_working_point)
         self._renderer: Renderer | None = None
         self._seeded = False
         self._warning: dict[str, Any] = {}
@@ -288,7 +287,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         """The undisturbed soil under the wheel: for analysis and references, never part of a fair observation."""
         w = self.simulation.worlds
         soil: SoilState
-        soil, _, _ = ground_at(w.courses, 0, w.state[0]["x"], w.state[0]["patch"], self.scenario.course.border)
+        soil, _, _ = ground_at(w.courses, 0, w.state.x[0], w.counts.patch[0], self.scenario.course.border)
         return soil
 
     def _view(self) -> Renderer:
@@ -322,7 +321,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         worlds = self.simulation.worlds
         cause = Cause(worlds.cause.item(0))
         x, sd = worlds.ids.estimate[0].tolist(), worlds.ids.sd[0].tolist()
-        state = worlds.state.item(0)
+        state = worlds.state[0]
         return {
             "cause": cause.name,
             "immobilised": cause in IMMOBILISED,
@@ -341,26 +340,23 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
                 "status": _STATUS[worlds.ids.status.item(0)],
             },
             "traversability": dict(self._warning),
-            "state": {name: state[i] for name, i in _STATE.items()},
+            "state": {name: state[name] for name in _STATE},
         }
 
 
 _STATUS = {status.value: status.name for status in Status}
-_STATE = {
-    name: (WHEEL_STATE.names or ()).index(name)
-    for name in (
-        "x",
-        "speed",
-        "wheel_speed",
-        "slip",
-        "sinkage",
-        "load",
-        "drawbar_pull",
-        "torque",
-        "motor_torque",
-        "grade",
-    )
-}
+_STATE = (
+    "x",
+    "speed",
+    "wheel_speed",
+    "slip",
+    "sinkage",
+    "load",
+    "drawbar_pull",
+    "torque",
+    "motor_torque",
+    "grade",
+)
 
 
 def command(action: ArrayLike) -> float:

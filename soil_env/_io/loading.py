@@ -67,7 +67,7 @@ def _bound(x: float) -> str:
 class Checked:
     """Base of the parameter classes: checks every `quantity` on construction."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
 
 
