@@ -17,6 +17,7 @@ from soil_env.identification import Status
 from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.wheel import WheelState
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 from soil_env.terramechanics.traversability import best_working_point
@@ -321,7 +322,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         worlds = self.simulation.worlds
         cause = Cause(worlds.cause.item(0))
         x, sd = worlds.ids.estimate[0].tolist(), worlds.ids.sd[0].tolist()
-        state = worlds.state[0]
+        state = worlds.state.data[:, 0].tolist()
         return {
             "cause": cause.name,
             "immobilised": cause in IMMOBILISED,
@@ -340,23 +341,26 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
                 "status": _STATUS[worlds.ids.status.item(0)],
             },
             "traversability": dict(self._warning),
-            "state": {name: state[name] for name in _STATE},
+            "state": {name: state[row] for name, row in _STATE.items()},
         }
 
 
 _STATUS = {status.value: status.name for status in Status}
-_STATE = (
-    "x",
-    "speed",
-    "wheel_speed",
-    "slip",
-    "sinkage",
-    "load",
-    "drawbar_pull",
-    "torque",
-    "motor_torque",
-    "grade",
-)
+_STATE = {
+    name: WheelState.NAMES.index(name)
+    for name in (
+        "x",
+        "speed",
+        "wheel_speed",
+        "slip",
+        "sinkage",
+        "load",
+        "drawbar_pull",
+        "torque",
+        "motor_torque",
+        "grade",
+    )
+}
 
 
 def command(action: ArrayLike) -> float:

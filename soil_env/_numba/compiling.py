@@ -24,6 +24,7 @@ import sys
 from functools import cache, update_wrapper
 from pathlib import Path
 
+from llvmlite.binding import create_new_module_pass_manager as new_module_passes
 from numba import config, njit, typeof, types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
@@ -103,6 +104,14 @@ class _Part(JITCodeLibrary):
     def get_pointer_to_function(self, name):
         return 0
 
+    def _optimize_functions(self, module):
+        """Values out of memory, into registers; the rest is the root's."""
+        module.data_layout = self._codegen._data_layout
+        passes = new_module_passes()
+        passes.add_sroa_pass()
+        passes.add_simplify_cfg_pass()
+        passes.run(module, self._codegen._pass_builder(opt=1))
+
     def finalize(self):
         for library in self._linking_libraries:
             self._reload_init.update(library._reload_init)
@@ -142,9 +151,13 @@ class Part:
         update_wrapper(self, function)
         self.py_func = function
         self._root = None
-        self.dispatcher = njit(
-            _nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=_PART, **_OPTIONS
-        )(function)
+        compiled = njit(_nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=_PART, **_OPTIONS)
+        self.dispatcher = compiled(function)
+        template = self.dispatcher.get_call_template
+        # One version for a constant and for a number that is not known yet.
+        self.dispatcher.get_call_template = lambda args, kws: template(
+            tuple(types.unliteral(a) for a in args), {name: types.unliteral(t) for name, t in kws.items()}
+        )
 
     @property
     def root(self):

@@ -20,7 +20,7 @@ from soil_env.identification import Status
 from soil_env.identification.online import SensorReading
 from soil_env.parameters import Scenario
 from soil_env.simulation.terrain import ground_at
-from soil_env.terramechanics.effects import NO_EFFECTS, Effects, measured_slip, slip_sinkage_ratio
+from soil_env.terramechanics.effects import NO_EFFECTS, measured_slip, slip_sinkage_ratio
 from soil_env.terramechanics.model import WheelSoilModel
 
 
@@ -101,6 +101,17 @@ def layout(variant: str) -> tuple[Entry, ...]:
     return _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": _TRUE}[variant]
 
 
+class SensorErrors(NamedTuple):
+    """What sensors read wrongly: those of the `Effects`, by their names, that are not on the wheel."""
+
+    slip_bias_offset: float
+    slip_bias_radius_error: float
+    sinkage_offset_offset: float
+    slip_sinkage_gain: float  # of a sinkage that is seen, not felt
+    slip_sinkage_recovery: float
+    slip_sinkage_apparent: float
+
+
 class TaskNumbers(NamedTuple):
     """What the task takes from a `Scenario`."""
 
@@ -113,7 +124,7 @@ class TaskNumbers(NamedTuple):
     border: float
     period: float
     steps: int
-    sensor_effects: Effects  # what the sensors read wrongly
+    errors: SensorErrors
     noise: np.ndarray  # [8] slip, sinkage, drawbar pull, load, torque, speed, rim speed, pitch, in their own units
     low: np.ndarray  # [D] float32 bounds of the observation
     high: np.ndarray
@@ -136,6 +147,7 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
     entries = layout(variant)
     n, lim, w = scenario.noise, scenario.limits, scenario.wheel
     weight = scenario.weight
+    effects = NO_EFFECTS if model is None else model.numbers
     noise = [
         n.slip, n.sinkage, n.drawbar_pull * weight, n.load * weight, n.torque * weight * w.radius, n.speed,
         n.wheel_speed * w.radius, n.pitch,
@@ -150,7 +162,7 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
         scenario.course.border,
         scenario.control.period,
         scenario.steps,
-        NO_EFFECTS if model is None else model.numbers,
+        SensorErrors(*(getattr(effects, name) for name in SensorErrors._fields)),
         np.array(noise),
         np.array([e.low for e in entries], dtype=np.float32),
         np.array([e.high for e in entries], dtype=np.float32),
@@ -174,7 +186,7 @@ def sense(state, k, streams, task):
     """Noisy readings of wheel k and its pitch [rad]: (SensorReading, pitch)."""
     sd, slip, depth = task.noise, state.slip[k], state.sinkage[k]
     a, b, c, d, e, f, g, h = eight_normals(streams, k)
-    fx = task.sensor_effects
+    fx = task.errors
     sinkage = depth + fx.sinkage_offset_offset
     if fx.slip_sinkage_apparent > 0.0:
         sinkage += depth * (slip_sinkage_ratio(slip, fx.slip_sinkage_gain, fx.slip_sinkage_recovery) - 1.0)

@@ -23,6 +23,7 @@ from soil_env.identification.online import (
 )
 from soil_env.parameters import Scenario
 from soil_env.simulation.courses import (
+    CourseDistribution,
     CourseNumbers,
     course_numbers,
     draw_ahead,
@@ -90,9 +91,14 @@ class Numbers(NamedTuple):
     """The scenario as the compiled step takes it."""
 
     world: WorldNumbers
-    course: CourseNumbers
+    drawn: CourseDistribution
     identifier: IdentifierNumbers
     task: TaskNumbers
+
+
+@inlined
+def _course(numbers):
+    return CourseNumbers(numbers.drawn, numbers.world.wheel)
 
 
 @part
@@ -100,7 +106,7 @@ def restart(worlds, numbers, k):
     """Start a new course for wheel k, put the wheel at its start, and observe."""
     mass, attempts = -1.0, 0
     while mass < 0.0 and attempts < _RESTARTS:
-        mass = start_course(k, worlds.courses, worlds.streams, numbers.course)
+        mass = start_course(k, worlds.courses, worlds.streams, _course(numbers))
         attempts += 1
     if mass < 0.0:
         raise RuntimeError("no passable course found: the soils are too weak for this wheel")
@@ -125,7 +131,7 @@ def _observation(worlds, numbers, k, reading, pitch):
 @inlined
 def after_period(worlds, numbers, k):
     """After a control period of wheel k: draw the course ahead, sense, identify, judge, reward, observe."""
-    draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], numbers.course)
+    draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], _course(numbers))
     reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
     paid, prior = numbers.task.reward_information > 0.0, numbers.identifier.precision
     before = knowledge(worlds.ids, k, prior) if paid else 0.0
@@ -163,9 +169,9 @@ def step_chunks(worlds, numbers, commands, what, counter):
             elif what[k] == RESTART:
                 restart(worlds, numbers, k)
             elif what[k] == TRY:
-                worlds.reward[k] = draw_course(k, worlds.courses, worlds.streams, numbers.course)
+                worlds.reward[k] = draw_course(k, worlds.courses, worlds.streams, _course(numbers))
             elif what[k] == COMPLETE:
-                extend_course(k, worlds.courses, worlds.state.mass[k], np.inf, numbers.course)
+                extend_course(k, worlds.courses, worlds.state.mass[k], np.inf, _course(numbers))
         if steps > 0:
             advance(
                 worlds.state, worlds.counts, start, count, what, commands, worlds.courses, worlds.streams,
@@ -206,7 +212,7 @@ class Simulation:
         if max_episode_steps is not None:
             task = task._replace(steps=min(task.steps, int(max_episode_steps)))
         self.numbers = Numbers(
-            world_numbers(scenario, model), course_numbers(scenario, model), identifier_numbers(scenario), task
+            world_numbers(scenario, model), course_numbers(scenario, model).drawn, identifier_numbers(scenario), task
         )
         self.worlds = new_worlds(wheels, scenario, task)
         self._check_passable(task)
