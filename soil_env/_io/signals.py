@@ -36,7 +36,7 @@ def arm() -> None:
         os.write(2, f"\n{name}: interrupted\n".encode())
         os._exit(INTERRUPTED)
 
-    end.while_starting = True
+    end.while_starting = True  # type: ignore[attr-defined]
     signal.signal(signal.SIGINT, end)
 
 
