@@ -13,10 +13,11 @@ from pathlib import Path
 
 import yaml
 
-from agents.extras import needing_train
 from soil_env._io.loading import ParameterError, config_dir, merge, parse_yaml, read_yaml
 from soil_env._io.starting import command, label
 from soil_env._io.stopping import terminable
+
+from .extras import needing_train
 
 _FILES = """
 The run folder, runs/NAME, holds
@@ -36,7 +37,7 @@ Exit status: 0 done, 2 bad input (one line on stderr says what, where, and what 
 
 def _keys() -> str:
     """The config keys by group: option with default, what it is, and its bounds."""
-    from agents.config import PPOConfig, TrainConfig
+    from .config import PPOConfig, TrainConfig
 
     lines = ["Keys of the config with their defaults, in the YAML file or as options:"]
     for title, prefix, cls in (("The run", "", TrainConfig), ("PPO", "ppo.", PPOConfig)):
@@ -55,7 +56,12 @@ def _about(f: dataclasses.Field) -> str:
     return text if low is None else f"{text}, {low:g} to {high:g}"
 
 
-_STARTED_AS = ("agents.train", "train.py")
+_STARTED_AS = (f"{__package__}.train", "train.py")
+
+
+def manual(text: str) -> str:
+    """The text of --help, with this package under the name that it has here."""
+    return text.replace("python -m agents.", f"python -m {__package__}.")
 
 
 def parser(description: str) -> argparse.ArgumentParser:
@@ -64,7 +70,7 @@ def parser(description: str) -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         label(*_STARTED_AS),
         usage=f"{typed} [--config YAML] [--KEY VALUE ...]\n       {typed} --resume RUN",
-        description=description,
+        description=manual(description),
         epilog=_keys() + "\n" + _FILES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
@@ -137,13 +143,13 @@ def main(arguments: list[str] | None = None, description: str = "") -> int:
     """Run train.py; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options, rest = parser(description).parse_known_args(arguments)
     with needing_train(label(*_STARTED_AS)):
-        importlib.import_module("agents.training")  # takes seconds, in which Ctrl-C ends the process at once
+        importlib.import_module(".training", __package__)  # takes seconds, in which Ctrl-C ends the process at once
     return _run(options, rest)
 
 
 @terminable
 def _run(options: argparse.Namespace, rest: list[str]) -> int:
-    from agents import ppo, training
+    from . import ppo, training
 
     name = label(*_STARTED_AS)
     from soil_env.parameters import load_scenario

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
-from agents.controllers import checked_settings
 from soil_env._io.loading import Checked, ParameterError, load, quantity
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
+from .controllers import checked_settings
+
 if TYPE_CHECKING:
-    from agents.guided import Guide
+    from .guided import Guide
 
 #: Name of the PPO agent of each observation variant in tables and files.
 NAMES = {"blind": "ppo_blind", "identified": "ppo_identified", "true_soil": "ppo_true"}
@@ -96,7 +97,7 @@ class TrainConfig(Checked):
         """The controller whose rim speed the agent trims, if there is one; ParameterError where it cannot be made."""
         if not self.guide:
             return None
-        from agents.guided import Guide
+        from .guided import Guide
 
         settings = checked_settings(self.guide, scenario, self.guide_settings, "guide_settings")
         return Guide(scenario, self.guide, settings, self.trim, self.observation)

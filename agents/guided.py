@@ -14,9 +14,10 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from agents.controllers import CONTROLLERS, FixedSlip, make_controller
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
+
+from .controllers import CONTROLLERS, FixedSlip, make_controller
 
 ENTRIES = ("guide_rim_speed", "guide_slip")
 GUIDES = tuple(name for name, cls in CONTROLLERS.items() if issubclass(cls, FixedSlip))

@@ -12,13 +12,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from agents.evaluate import METRICS, RATES, course_rng
 from soil_env._io.files import save_figure
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel, sinkage_coefficient_at
+
+from .evaluate import METRICS, RATES, course_rng
 
 _PANELS = ("immobilised", "time_limit", "finished", "speed", "energy_per_metre", "slip", "return")
 

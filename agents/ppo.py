@@ -20,17 +20,18 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-from agents import checkpoint, zips
-from agents.config import NAMES, PPOConfig, TrainConfig, load_config
-from agents.guided import ENTRIES, Guide, GuidedVecEnv, spaces_of
-from agents.learner import Learner, Tanh
-from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, load, to_dict
 from soil_env.env import action_space, observation_space
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
 from soil_env.terramechanics.model import WheelSoilModel
+
+from . import checkpoint, zips
+from .config import NAMES, PPOConfig, TrainConfig, load_config
+from .guided import ENTRIES, Guide, GuidedVecEnv, spaces_of
+from .learner import Learner, Tanh
+from .sb3 import SoilWheelVecEnv
 
 __all__ = [
     "NAMES", "Agent", "PPOConfig", "TrainConfig", "agent_of", "agent_spaces", "build", "check_layout",

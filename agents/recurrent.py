@@ -11,11 +11,12 @@ from pathlib import Path
 
 import torch
 
-from agents import ppo, zips
-from agents.guided import Guide
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
+
+from . import ppo, zips
+from .guided import Guide
 
 
 def algorithm():

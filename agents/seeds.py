@@ -25,28 +25,28 @@ from pathlib import Path
 
 from rich.console import Console
 
-import agents
 import soil_env
-from agents import engines
-from agents.cli import check_folder, config_file, overrides
-from agents.config import TrainConfig
-from agents.extras import needing_train
-from agents.progress import Bar
 from soil_env._io.loading import ParameterError, merge, read_yaml
 from soil_env._io.starting import leave
 from soil_env._io.stopping import terminable
 from soil_env.parameters import Scenario, load_scenario
 
-NAME = "agents.seeds"
+from . import engines
+from .cli import check_folder, config_file, manual, overrides
+from .config import TrainConfig
+from .extras import needing_train
+from .progress import Bar
+
+NAME = f"{__package__}.seeds"
 with needing_train(NAME):
-    from agents import ppo, training
+    from . import ppo, training
 
 _SET_HERE = ("seed", "name", "runs")
 
 
 def code_version() -> str:
     """Version of soil_env, with a hash of the code that an agent follows from."""
-    here, there = (Path(package.__file__).parent for package in (soil_env, agents))
+    here, there = Path(soil_env.__file__).parent, Path(__file__).parent
     return engines.fingerprint([*sorted(here.rglob("*.py")), *sorted(there.glob("*.py"))])
 
 
@@ -120,7 +120,7 @@ def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = argparse.ArgumentParser(
         f"python -m {NAME}",
-        description=__doc__,
+        description=manual(__doc__),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
         epilog="python train.py --help lists the config keys.\nExit status: 0 done, 2 bad input, 130 interrupted.",
@@ -160,7 +160,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"\n{NAME}: interrupted; the same command goes on with the seeds that are left", file=sys.stderr)
         return 130
     trained = f"{ppo.NAMES[config.observation]}={options.out}/seed_*"
-    command = f"python -m agents.evaluate --controllers 'fixed_slip,{trained}' --out {options.out}/evaluation"
+    command = f"python -m {__package__}.evaluate --controllers 'fixed_slip,{trained}' --out {options.out}/evaluation"
     console.print(f"Compare them: {command}", soft_wrap=True, highlight=False, markup=False)
     return 0
 

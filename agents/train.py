@@ -19,7 +19,7 @@ from soil_env._io.starting import leave
 def main(arguments: list[str] | None = None) -> int:
     """Run with the given command line, sys.argv's by default; returns the exit status."""
     try:
-        from agents.cli import main as run  # torch takes seconds to import: an interrupt then ends quietly too
+        from .cli import main as run  # torch takes seconds to import: an interrupt then ends quietly too
 
         return run(arguments, description=__doc__)
     except KeyboardInterrupt:

@@ -13,16 +13,17 @@ from rich.markup import escape
 from rich.table import Table
 from stable_baselines3.common.callbacks import BaseCallback
 
-from agents import evaluate, plots, ppo, progress, recurrent, tuning
-from agents.controllers import CONTROLLERS, make_controller
-from agents.evaluate import HELD_OUT_SET, TUNING_SET
-from agents.evaluate.models import load_model
-from agents.ppo import TrainConfig
-from agents.timing import Times, Timing
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
+
+from . import evaluate, plots, ppo, progress, recurrent, tuning
+from .controllers import CONTROLLERS, make_controller
+from .evaluate import HELD_OUT_SET, TUNING_SET
+from .evaluate.models import load_model
+from .ppo import TrainConfig
+from .timing import Times, Timing
 
 console = Console()
 

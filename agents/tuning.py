@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from agents import evaluate
-from agents.controllers import make_controller
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
+
+from . import evaluate
+from .controllers import make_controller
 
 _STARTS = (0.055, 0.11, 0.17, 0.24, 0.3)  # beyond, a slip controller is a constant speed
 _CANDIDATES = {  # settings each classical controller is tuned over; speeds are shares of the top rim speed

@@ -17,6 +17,8 @@ from pathlib import Path
 
 from soil_env._io.loading import ParameterError
 
+from . import PACKAGE_NAMES
+
 MOST_BYTES = 2_000_000_000  # of a model, unpacked
 _MOST_TEXT = 50_000_000  # of a JSON member of it
 _SERIALIZED = ":serialized:"
@@ -26,16 +28,11 @@ _POLICIES = {
     "stable_baselines3.common.policies": "ActorCriticPolicy",
     "sb3_contrib.common.recurrent.policies": "RecurrentActorCriticPolicy",
 }
-#: Classes that the settings of a policy may name, as SB3 writes them beside the pickle.
+#: Classes that the settings of a policy may name, as SB3 writes them beside the pickle: (module, name).
 _CLASSES = {
-    f"<class '{module}.{name}'>": (module, name)
-    for module, name in (
-        ("torch.nn.modules.activation", "Tanh"),
-        ("torch.nn.modules.activation", "ReLU"),
-        ("torch.nn.modules.activation", "ELU"),
-        ("agents.learner", "Tanh"),
-    )
-}
+    f"<class 'torch.nn.modules.activation.{name}'>": ("torch.nn.modules.activation", name)
+    for name in ("Tanh", "ReLU", "ELU")
+} | {f"<class '{package}.learner.Tanh'>": (f"{__package__}.learner", "Tanh") for package in PACKAGE_NAMES}
 
 
 def read_member(path: Path, name: str, what: str = "a model of Stable-Baselines3") -> dict:

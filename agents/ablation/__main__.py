@@ -21,24 +21,25 @@ from pathlib import Path
 
 from rich.console import Console
 
-from agents.cli import as_options, check_folder, config_file
-from agents.extras import needing_train
-from agents.progress import Bar
 from soil_env._io.loading import ParameterError, config_dir
 from soil_env._io.starting import command, label, leave
 from soil_env._io.stopping import terminable
 
-_NAME = "agents.ablation"
+from ..cli import as_options, check_folder, config_file, manual
+from ..extras import needing_train
+from ..progress import Bar
+
+_NAME = __package__
 
 with needing_train(label(_NAME)):
-    from agents.ablation import page, results, study, workers
+    from . import page, results, study, workers
 
 
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = argparse.ArgumentParser(
         command(_NAME),
-        description=__doc__,
+        description=manual(__doc__),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
         epilog="Exit status: 0 done, 2 bad input, 130 interrupted.",

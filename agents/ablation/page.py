@@ -10,13 +10,14 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from agents.ablation import results
-from agents.ablation import study as studies
-from agents.ablation.study import Ablation
-from agents.evaluate import report
-from agents.evaluate.results import save_json
-from agents.evaluate.study import replace_file
 from soil_env._io.loading import ParameterError
+
+from ..evaluate import report
+from ..evaluate.results import save_json
+from ..evaluate.study import replace_file
+from . import results
+from . import study as studies
+from .study import Ablation
 
 BEGIN, END = "<!-- ablation -->", "<!-- end -->"
 #: Column of a table -> (metric, heading, factor, digits)

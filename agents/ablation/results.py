@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.ablation import study as studies
-from agents.ablation.study import Ablation
-from agents.controllers import CONTROLLERS
-from agents.evaluate import results as evaluation_results
-from agents.evaluate import statistics as st
-from agents.evaluate.records import METRICS
+from ..controllers import CONTROLLERS
+from ..evaluate import results as evaluation_results
+from ..evaluate import statistics as st
+from ..evaluate.records import METRICS
+from . import study as studies
+from .study import Ablation
 
 SHOWN = (
     "immobilised", "entrapped", "stalled", "bogged", "time_limit", "finished", "distance", "time", "energy_per_metre",

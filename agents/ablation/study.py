@@ -23,19 +23,20 @@ from typing import Literal
 import numpy as np
 import yaml
 
-from agents import training
-from agents.controllers import CONTROLLERS
-from agents.evaluate import HELD_OUT_SET, TUNING_SET
-from agents.evaluate import study as driving
-from agents.evaluate.contestants import Contestant, digest
-from agents.evaluate.records import Records
-from agents.guided import check_guide
-from agents.ppo import PPOConfig, TrainConfig
-from agents.tuning import tuned_settings
 from soil_env._io.files import is_unused
 from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict, unknown_key
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
+
+from .. import training
+from ..controllers import CONTROLLERS
+from ..evaluate import HELD_OUT_SET, TUNING_SET
+from ..evaluate import study as driving
+from ..evaluate.contestants import Contestant, digest
+from ..evaluate.records import Records
+from ..guided import check_guide
+from ..ppo import PPOConfig, TrainConfig
+from ..tuning import tuned_settings
 
 _NOT_COMPARED = ("seeds", "courses")  # may differ when a study goes on: more seeds, other courses
 

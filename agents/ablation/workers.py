@@ -10,9 +10,10 @@ from collections.abc import Callable, Iterable
 from multiprocessing.connection import wait
 from pathlib import Path
 
-from agents import training
-from agents.ablation.study import Ablation, Step, perform
 from soil_env._io.loading import ParameterError
+
+from .. import training
+from .study import Ablation, Step, perform
 
 ATTEMPTS = 3  # at a step whose process has died
 _PATIENCE = 60.0  # [s] for processes to write their checkpoints after an interrupt

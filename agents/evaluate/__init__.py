@@ -1,7 +1,7 @@
 """Controllers on the same courses: paired runs, rates and means with 95 % intervals; `python -m agents.evaluate`."""
 
-from agents.evaluate.comparing import comparison, paired_difference, save, summary, wilson
-from agents.evaluate.driving import (
+from .comparing import comparison, paired_difference, save, summary, wilson
+from .driving import (
     HELD_OUT_SET,
     METRICS,
     RATES,

@@ -32,20 +32,21 @@ from pathlib import Path
 
 from rich.console import Console
 
-from agents import engines
-from agents.cli import as_options, check_folder, overrides
-from agents.evaluate import contestants as entries
-from agents.evaluate import report, results
-from agents.evaluate import study as studies
-from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET
-from agents.progress import Bar
-from agents.tuning import candidates_in_all, tuned_settings
 from soil_env._io.files import is_unused
 from soil_env._io.loading import ParameterError, unknown_key
 from soil_env._io.starting import command, label, leave
 from soil_env._io.stopping import terminable
 from soil_env.parameters import load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
+
+from .. import engines
+from ..cli import as_options, check_folder, manual, overrides
+from ..progress import Bar
+from ..tuning import candidates_in_all, tuned_settings
+from . import contestants as entries
+from . import report, results
+from . import study as studies
+from .driving import HELD_OUT_SET, TUNING_SET
 
 _EPILOG = """further options:
   --changes.KEY VALUE        any key of the scenario, in SI units, as --changes.course.length 20 [m]
@@ -56,14 +57,15 @@ exit status:
   0 done; 2 bad input, said in one line; 130 interrupted, --resume goes on"""
 
 
+_NAME = __package__
 _TUNING_COURSES = 200  # as train.py
 
 
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = argparse.ArgumentParser(
-        command("agents.evaluate"),
-        description=__doc__,
+        command(_NAME),
+        description=manual(__doc__),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
         epilog=_EPILOG,
@@ -105,14 +107,14 @@ def main(arguments: list[str] | None = None) -> int:
         return _refuse(f"not enough memory ({error}); expected fewer --courses or a smaller --block")
     except KeyboardInterrupt:
         known = folder is not None and (folder / studies.STUDY).is_file()
-        again = f"; go on with: {command('agents.evaluate')} --resume {folder}" if known else ""
-        print(f"\n{label('agents.evaluate')}: interrupted{again}", file=sys.stderr)
+        again = f"; go on with: {command(_NAME)} --resume {folder}" if known else ""
+        print(f"\n{label(_NAME)}: interrupted{again}", file=sys.stderr)
         return 130
     return 0
 
 
 def _refuse(message: str) -> int:
-    print(f"{label('agents.evaluate')}: {' '.join(message.split())}", file=sys.stderr)
+    print(f"{label(_NAME)}: {' '.join(message.split())}", file=sys.stderr)
     return 2
 
 

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.evaluate.driving import METRICS, RATES, Runs
 from soil_env._io.files import replace_file
 from soil_env.parameters import Scenario
+
+from .driving import METRICS, RATES, Runs
 
 
 def wilson(successes: float, trials: int, z: float = 1.959963985) -> tuple[float, float]:

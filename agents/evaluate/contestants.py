@@ -24,12 +24,13 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.controllers import CONTROLLERS, checked_settings, make_controller
 from soil_env._io.loading import ParameterError, unknown_key
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel
+
+from ..controllers import CONTROLLERS, checked_settings, make_controller
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,7 @@ def load(contestant: Contestant, scenario: Scenario, files: dict[str, bytes] | N
         settings = checked_settings(contestant.source, scenario, contestant.settings, where)
         return make_controller(contestant.source, scenario, **settings)
     if contestant.kind == "model":
-        from agents.evaluate.models import load_model
+        from .models import load_model
 
         if files is None:
             return load_model(Path(contestant.source), scenario)

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from agents.evaluate.records import METRICS, RATES
+from .records import METRICS, RATES
 
 _PANELS = ("immobilised", "finished", "speed", "energy_per_metre", "tractive_efficiency", "return")
 _CAUSES = {"entrapped": "#d55e00", "stalled": "#e69f00", "bogged": "#7b3f00", "time_limit": "#999999",

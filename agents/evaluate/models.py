@@ -9,16 +9,17 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.evaluate.contestants import VECNORMALIZE
 from soil_env._io.loading import ParameterError
 from soil_env.env import observation_space
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS
 
+from .contestants import VECNORMALIZE
+
 try:
     import torch
 
-    from agents import ppo, zips
+    from .. import ppo, zips
 except ImportError:  # reported in one line where a model is loaded
     torch = ppo = zips = None
 

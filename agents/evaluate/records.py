@@ -7,13 +7,14 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from agents.evaluate import driving
-from agents.evaluate.driving import Runs, drive
-from agents.evaluate.warning import Warnings
 from soil_env.env import IMMOBILISED
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
+
+from . import driving
+from .driving import Runs, drive
+from .warning import Warnings
 
 #: Metric -> (unit, what it is). A course on which a metric is not defined is left out of it.
 METRICS = {

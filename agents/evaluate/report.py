@@ -10,10 +10,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from agents.evaluate import figures, results
-from agents.evaluate.records import METRICS, RATES, Records
-from agents.evaluate.study import Study
 from soil_env._io.files import replace_file
+
+from . import figures, results
+from .records import METRICS, RATES, Records
+from .study import Study
 
 #: Column of the printed table -> (metric, heading, factor, digits, with its interval)
 _COLUMNS = (

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.controllers import make_controller
-from agents.evaluate import statistics as st
-from agents.evaluate.comparing import wilson
-from agents.evaluate.records import METRICS, RATES, Records
-from agents.evaluate.study import Study
 from soil_env._io.files import replace_file
 from soil_env.simulation.task import Cause
+
+from ..controllers import make_controller
+from . import statistics as st
+from .comparing import wilson
+from .records import METRICS, RATES, Records
+from .study import Study
 
 #: Differences on the same courses, and higher = better scores whose distribution over runs is looked at.
 PAIRED = ("immobilised", "finished", "return")

@@ -18,17 +18,17 @@ from pathlib import Path
 
 import yaml
 
-import agents
 import soil_env
-from agents import engines
-from agents.evaluate import contestants as entries
-from agents.evaluate.contestants import Contestant
-from agents.evaluate.driving import HELD_OUT_SET
-from agents.evaluate.records import Records, record
 from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
+
+from .. import engines
+from . import contestants as entries
+from .contestants import Contestant
+from .driving import HELD_OUT_SET
+from .records import Records, record
 
 try:
     import fcntl
@@ -41,7 +41,7 @@ STUDY, LOG = "study.yaml", "courses.jsonl"
 @functools.cache
 def code_version() -> str:
     """Version of soil_env, with a hash of the code that results follow from (not of its compiled form)."""
-    here, there = (Path(package.__file__).parent for package in (soil_env, agents))
+    here, there = Path(soil_env.__file__).parent, Path(__file__).parents[1]
     files = sorted(here.rglob("*.py")) + [there / "controllers.py"]
     files += [there / "evaluate" / name for name in ("driving.py", "records.py", "warning.py")]
     return engines.fingerprint(files)

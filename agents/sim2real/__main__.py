@@ -18,18 +18,19 @@ import argparse
 import sys
 from pathlib import Path
 
-from agents.cli import as_options, check_folder
-from agents.extras import needing_train
 from soil_env._io.loading import ParameterError
 from soil_env._io.starting import command, label, leave
 from soil_env._io.stopping import terminable
 from soil_env.parameters import load_scenario
 
-_NAME = "agents.sim2real"
+from ..cli import as_options, check_folder, manual
+from ..extras import needing_train
+
+_NAME = __package__
 
 with needing_train(label(_NAME)):
-    from agents.sim2real import report, study
-    from agents.training import console
+    from ..training import console
+    from . import report, study
 
 _EPILOG = """files:
   YAML               model.yaml of a hidden world: `effects:` of the catalogue, `wheel:`; configs/worlds has five
@@ -46,7 +47,7 @@ def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     default = {f: study.Study.__dataclass_fields__[f].default for f in _NUMBERS}
     p = argparse.ArgumentParser(
-        command(_NAME), description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
+        command(_NAME), description=manual(__doc__), formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False, epilog=_EPILOG,
     )  # fmt: skip
     p.add_argument("--world", metavar="YAML", nargs="+", required=True, help="model.yaml of each hidden world")

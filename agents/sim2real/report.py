@@ -14,13 +14,14 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from agents.evaluate import statistics as st
-from agents.evaluate.comparing import wilson
-from agents.evaluate.figures import png
-from agents.sim2real.study import ARMS, CONTROLLERS, CORRECTED, PPO, UNCORRECTED, Study, scores
 from soil_env._io.files import replace_file
 from soil_env._io.loading import config_dir
 from soil_env.terramechanics.model import WheelSoilModel
+
+from ..evaluate import statistics as st
+from ..evaluate.comparing import wilson
+from ..evaluate.figures import png
+from .study import ARMS, CONTROLLERS, CORRECTED, PPO, UNCORRECTED, Study, scores
 
 FILES = ("sim2real.json", "sim2real.md", "sim2real.png")
 

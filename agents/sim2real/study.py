@@ -22,20 +22,21 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from agents import training
-from agents.controllers import make_controller
-from agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses
-from agents.evaluate.study import code_version
-from agents.ppo import PPOConfig, TrainConfig, load_agent
-from agents.sim2real import log
-from agents.sim2real.log import Commissioning
-from agents.training import Bar
-from agents.tuning import candidates_in_all, tuned_settings
 from soil_env._io.files import is_unused, replace_file
 from soil_env._io.loading import Checked, ParameterError, quantity, read_yaml, to_dict
 from soil_env.discrepancy import run as find_discrepancy
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
+
+from .. import training
+from ..controllers import make_controller
+from ..evaluate import HELD_OUT_SET, TUNING_SET, run_courses
+from ..evaluate.study import code_version
+from ..ppo import PPOConfig, TrainConfig, load_agent
+from ..training import Bar
+from ..tuning import candidates_in_all, tuned_settings
+from . import log
+from .log import Commissioning
 
 CLASSICAL = ("constant_speed", "fixed_slip", "best_slip_identified")
 PPO = "ppo_identified"

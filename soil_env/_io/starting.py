@@ -11,7 +11,7 @@ import signal
 import sys
 from typing import NoReturn
 
-PACKAGES = ("soil_env", "agents")
+PACKAGES = ("soil_env", "soil_env_agents", "agents")
 INTERRUPTED, TERMINATED = 130, 143  # exit statuses, 128 + the number of the signal
 
 

@@ -49,7 +49,7 @@ def test_the_hyperparameters_are_those_of_train(given):
         "activation_fn": {"relu": nn.ReLU, "tanh": nn.Tanh}[config.activation],
         "log_std_init": config.log_std_init,
     }
-    assert given["vec_env_wrapper"] == [{"agents.zoo.native": {"initial_action": config.initial_action}}]
+    assert given["vec_env_wrapper"] == [{"soil_env_agents.zoo.native": {"initial_action": config.initial_action}}]
 
 
 def test_the_hyperparameters_build_an_agent(given, tmp_path):
