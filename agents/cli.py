@@ -14,8 +14,7 @@ from pathlib import Path
 import yaml
 
 from soil_env._io.loading import ParameterError, config_dir, merge, parse_yaml, read_yaml
-from soil_env._io.starting import command, label
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 
 from .extras import needing_train
 

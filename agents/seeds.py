@@ -27,8 +27,7 @@ from rich.console import Console
 
 import soil_env
 from soil_env._io.loading import ParameterError, merge, read_yaml
-from soil_env._io.starting import leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 from soil_env.parameters import Scenario, load_scenario
 
 from . import engines

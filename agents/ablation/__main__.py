@@ -22,8 +22,7 @@ from pathlib import Path
 from rich.console import Console
 
 from soil_env._io.loading import ParameterError, config_dir
-from soil_env._io.starting import command, label, leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 
 from ..cli import as_options, check_folder, config_file, manual
 from ..extras import needing_train

@@ -34,8 +34,7 @@ from rich.console import Console
 
 from soil_env._io.files import is_unused
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._io.starting import command, label, leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 from soil_env.parameters import load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 

@@ -19,8 +19,7 @@ import sys
 from pathlib import Path
 
 from soil_env._io.loading import ParameterError
-from soil_env._io.starting import command, label, leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 from soil_env.parameters import load_scenario
 
 from ..cli import as_options, check_folder, manual
