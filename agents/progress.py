@@ -6,15 +6,17 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+console = Console()  # that the commands of this package print on
+
 
 class Bar:
     """Progress of one job: a live bar on a terminal, a line every tenth of the way elsewhere. Use with `with`."""
 
-    def __init__(self, title: str, total: int, unit: str, done: int, console: Console):
+    def __init__(self, title: str, total: int, unit: str, done: int = 0, on: Console | None = None):
         self.title, self.total, self.unit, self.done = title, total, unit, done
         self.printed = done
-        self.console, self.live = console, None
-        if console.is_terminal:
+        self.console, self.live = on or console, None
+        if self.console.is_terminal:
             self.live = Progress(
                 TextColumn("{task.description}"),
                 BarColumn(bar_width=20),
@@ -22,7 +24,7 @@ class Bar:
                 TextColumn("{task.fields[note]}"),
                 TimeElapsedColumn(),
                 TimeRemainingColumn(),
-                console=console,
+                console=self.console,
             )
             self.task = self.live.add_task(escape(f"{title} [{unit}]"), total=total, completed=done, note="")
 

@@ -14,8 +14,9 @@ import argparse
 
 import numpy as np
 
-from agents.evaluate import contestants as entries
+from agents.evaluate.contestants import parse
 from agents.evaluate.driving import HELD_OUT_SET, drive
+from agents.evaluate.loading import load
 from soil_env.identification.online import identifier_numbers
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import knowledge
@@ -60,8 +61,8 @@ def main() -> None:
     p.add_argument("--courses", type=int, default=200)
     options = p.parse_args()
     scenario, rows = load_scenario(options.scenario), {}
-    for one in entries.parse(options.controllers).values():
-        rows.setdefault(one.name, []).append(along(entries.load(one, scenario), scenario, options.courses))
+    for one in parse(options.controllers).values():
+        rows.setdefault(one.name, []).append(along(load(one, scenario), scenario, options.courses))
     print("| controller | knowledge [nat] | at its highest | gained in all | distance [m] |\n|---|---|---|---|---|")
     for name, found in rows.items():
         means = [f"{np.mean([row[key] for row in found]):.2f}" for key in ("mean", "highest", "gained", "distance")]

@@ -23,6 +23,7 @@ import numpy as np
 import yaml
 from scipy.stats import chi2
 
+from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, quantity
 from soil_env.measurement.table import Prior
 from soil_env.parameters import Scenario, Soil, load_scenario, soils
@@ -31,7 +32,6 @@ from soil_env.simulation.worlds import IDLE, STEP, Simulation
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 from ..controllers import ConstantSpeed
-from ..evaluate.study import replace_file
 
 _RUNNING = Cause.RUNNING.value
 CHANNELS = ("sinkage", "drawbar_pull", "torque")

@@ -20,20 +20,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import yaml
 
-from soil_env._io.files import is_unused, replace_file
-from soil_env._io.loading import Checked, ParameterError, quantity, read_yaml, to_dict
+from soil_env._io.files import replace_file
+from soil_env._io.loading import Checked, ParameterError, quantity
 from soil_env.discrepancy import run as find_discrepancy
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
-from .. import training
+from .. import studies, training
+from ..config import PPOConfig, TrainConfig
 from ..controllers import make_controller
 from ..evaluate import HELD_OUT_SET, TUNING_SET, run_courses
 from ..evaluate.study import code_version
-from ..ppo import PPOConfig, TrainConfig, load_agent
-from ..training import Bar
+from ..ppo import load_agent
+from ..progress import Bar
 from ..tuning import candidates_in_all, tuned_settings
 from . import log
 from .log import Commissioning
@@ -87,20 +87,9 @@ def read_worlds(paths: list[Path], scenario: Scenario) -> dict[str, dict]:
 
 
 def begin(study: Study, folder: Path) -> None:
-    """Write study.yaml, or check that the folder holds the same study."""
-    path, content = Path(folder) / "study.yaml", yaml.safe_dump(to_dict(study), sort_keys=False)
-    if path.exists():
-        begun, asked = read_yaml(path), yaml.safe_load(content)
-        other = [k for k in asked if begun.get(k) != asked[k]]
-        if other:
-            raise ParameterError(
-                f"{folder}: holds another study (it differs in {', '.join(other)}); give another --out"
-            )
-        return
-    if not is_unused(path.parent):
-        raise ParameterError(f"{folder}: is not empty and holds no study; give another --out")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(path, content.encode())
+    """Write study.yaml; ParameterError where the folder holds another study, or something else."""
+    if not studies.is_begun(study, folder):
+        studies.save_study(study, folder)
 
 
 def run(study: Study, folder: Path, say: Callable[[str], None]) -> None:
@@ -193,13 +182,7 @@ class Arm:
             scenario=study.scenario.name, name=f"ppo_{k}", runs=str(self.folder), seed=study.seed + k,
             model=self.model.content() if self.model else {}, timesteps=study.timesteps, ppo=study.ppo,
         )  # fmt: skip
-        run = self.folder / config.name
-        if run.is_dir() and not (run / "scenario.yaml").is_file():
-            shutil.rmtree(run)  # the start of it was interrupted
-        if not run.is_dir():
-            training.make_run_folder(config, study.scenario)
-        if not (run / "model.zip").is_file():
-            training.train(run, config, study.scenario)
+        training.trained(config, study.scenario)
 
     def members(self, name: str) -> list:
         """The controllers of that name."""
