@@ -17,7 +17,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 
-from .controllers import CONTROLLERS, FixedSlip, make_controller
+from .config import TrainConfig
+from .controllers import CONTROLLERS, FixedSlip, checked_settings, make_controller
 
 ENTRIES = ("guide_rim_speed", "guide_slip")
 GUIDES = tuple(name for name, cls in CONTROLLERS.items() if issubclass(cls, FixedSlip))
@@ -57,6 +58,14 @@ class Guide:
         speed = state["target"] * np.exp(self.trim * np.clip(np.asarray(actions, dtype=np.float64)[:, 0], -1.0, 1.0))
         speed = np.minimum(speed, self.controller.top_speed)
         return self.controller.command(state["batch"], speed, state["memory"])
+
+
+def make_guide(config: TrainConfig, scenario: Scenario) -> Guide | None:
+    """The controller whose rim speed an agent trims, if there is one; ParameterError where it cannot be made."""
+    if not config.guide:
+        return None
+    settings = checked_settings(config.guide, scenario, config.guide_settings, "guide_settings")
+    return Guide(scenario, config.guide, settings, config.trim, config.observation)
 
 
 def spaces_of(box: spaces.Box) -> tuple[spaces.Box, spaces.Box]:

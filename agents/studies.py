@@ -219,7 +219,7 @@ def _serve(channel, work: Callable, telling: bool) -> None:
             channel.send(answer)
 
 
-def processes(work: Callable, tasks: Iterable, workers: int, tell: Callable | None = None) -> Iterator[tuple]:
+def processes(work: Callable, tasks: Iterable, tell: Callable | None = None, *, workers: int) -> Iterator[tuple]:
     """`workers` processes of this machine, each single-threaded."""
     for name in _SINGLE_THREADED:
         os.environ.setdefault(name, "1")  # of the processes to come

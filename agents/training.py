@@ -16,12 +16,14 @@ from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
-from . import evaluate, plots, ppo, recurrent, tuning
+from . import evaluate, plots, ppo, recurrent
 from .config import TrainConfig, load_config
 from .controllers import CONTROLLERS, make_controller
 from .evaluate import HELD_OUT_SET, TUNING_SET
 from .evaluate.models import load_model
 from .evaluate.tables import Column, metric_table, percent, points, show
+from .evaluate.tuning import tuned_settings
+from .guided import make_guide
 from .progress import Bar, console
 from .timing import Times, Timing
 
@@ -68,7 +70,7 @@ class _Watch(BaseCallback):
 
 def check(config: TrainConfig, scenario: Scenario) -> None:
     """ParameterError with one line where a training could not begin: a guide that cannot be made, no sb3-contrib."""
-    config.made_guide(scenario)
+    make_guide(config, scenario)
     if config.algorithm == "recurrent_ppo":
         recurrent.algorithm()
 
@@ -114,7 +116,7 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable =
         return load_model(folder / "model.zip", scenario)
     log = folder / "tensorboard"
     maker = recurrent if config.algorithm == "recurrent_ppo" else ppo
-    rest = config.ppo, config.seed, log, config.world, config.made_guide(scenario)
+    rest = config.ppo, config.seed, log, config.world, make_guide(config, scenario)
     if (folder / "checkpoint.zip").is_file():
         model = maker.resume(folder / "checkpoint.zip", scenario, config.observation, *rest)
         console.print(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
@@ -152,10 +154,7 @@ def trained(config: TrainConfig, scenario: Scenario, bar: Callable = Bar) -> Pat
 
 def tuned_controllers(scenario: Scenario, courses: int, world: WheelSoilModel | None = None) -> tuple[dict, dict]:
     """({name: classical controller}, settings), each tuned to finish most courses of the tuning set."""
-    with Bar("Tuning", courses * tuning.candidates_in_all(), "courses") as bar:
-        chosen, tried = tuning.tuned_settings(
-            scenario, TUNING_SET, courses, lambda count, name: bar.update(advance=count, note=name), model=world
-        )
+    chosen, tried = tuned_settings(scenario, TUNING_SET, courses, model=world)
     settings = {"tuning_courses": courses, **{name: {**chosen[name], "tried": tried[name]} for name in chosen}}
     return {name: make_controller(name, scenario, **chosen.get(name, {})) for name in CONTROLLERS}, settings
 

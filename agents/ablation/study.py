@@ -33,8 +33,8 @@ from ..evaluate import HELD_OUT_SET, TUNING_SET
 from ..evaluate import study as driving
 from ..evaluate.contestants import Contestant, digest
 from ..evaluate.records import Records
+from ..evaluate.tuning import tuned_settings
 from ..guided import check_guide
-from ..tuning import tuned_settings
 
 _NOT_COMPARED = ("seeds", "courses")  # may differ when a study goes on: more seeds, other courses
 

@@ -11,8 +11,8 @@ from .driving import (
     course_rng,
     drive,
     run_courses,
-    tune,
 )
+from .tuning import tune, tuned_settings
 
 __all__ = [
     "HELD_OUT_SET",
@@ -29,5 +29,6 @@ __all__ = [
     "save",
     "summary",
     "tune",
+    "tuned_settings",
     "wilson",
 ]

@@ -37,10 +37,10 @@ from soil_env.terramechanics.model import WheelSoilModel
 from .. import studies
 from ..cli import as_options, go_on_with, manual, overrides
 from ..progress import Bar
-from ..tuning import candidates_in_all, tuned_settings
 from . import contestants, report, results, study
 from .driving import HELD_OUT_SET, TUNING_SET
 from .tables import show
+from .tuning import candidates_in_all, tuned_settings
 
 _EPILOG = """further options:
   --changes.KEY VALUE        any key of the scenario, in SI units, as --changes.course.length 20 [m]
@@ -175,11 +175,7 @@ def _begin(asked: study.Study, folder: Path) -> study.Study:
         return study.load_study(folder)
     untuned = _untuned(asked.controllers)
     if asked.tuning_courses and candidates_in_all(untuned):
-        with Bar("Tuning", asked.tuning_courses * candidates_in_all(untuned), "courses") as bar:
-            tuned, _ = tuned_settings(
-                asked.scenario, TUNING_SET, asked.tuning_courses,
-                lambda count, name: bar.update(advance=count, note=name), untuned, asked.world,
-            )  # fmt: skip
+        tuned, _ = tuned_settings(asked.scenario, TUNING_SET, asked.tuning_courses, None, untuned, asked.world)
         asked = dataclasses.replace(asked, tuned=tuned)
     studies.save_study(asked, folder)
     return asked

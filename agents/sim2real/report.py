@@ -181,15 +181,15 @@ def _path(world: str) -> str:
 
 def page(result: dict) -> str:
     """sim2real.md."""
-    worlds = result["worlds"].items()
+    worlds = [(n, effects_text(w["planted"]), found_text(w)) for n, w in result["worlds"].items()]
     arms = "uncorrected", "corrected", "corrected - uncorrected, same courses"
     changes = "before", "after", "change of the gap", "same controller"
     return render(
         f"{__package__}:sim2real.md",
         r=result,
         command=command(result),
-        worlds=_markdown(("world", "planted", "found"), [(n, effects_text(w["planted"]), found_text(w)) for n, w in worlds]),
-        summaries=[summary(n, w) for n, w in worlds],
+        worlds=_markdown(("world", "planted", "found"), worlds),
+        summaries=[summary(n, w) for n, w in result["worlds"].items()],
         immobilised=_by_controller(result, arms, lambda m: _arms(m["immobilised"], 100.0, 1)),
         returns=_by_controller(result, arms, lambda m: _arms(m["return"])),
         gap=_by_controller(result, changes, lambda m: [

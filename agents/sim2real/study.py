@@ -32,9 +32,9 @@ from ..config import PPOConfig, TrainConfig
 from ..controllers import make_controller
 from ..evaluate import HELD_OUT_SET, TUNING_SET, run_courses
 from ..evaluate.study import code_version
+from ..evaluate.tuning import tuned_settings
 from ..ppo import load_agent
 from ..progress import Bar
-from ..tuning import candidates_in_all, tuned_settings
 from . import log
 from .log import Commissioning
 
@@ -166,11 +166,7 @@ class Arm:
         self.folder.mkdir(parents=True, exist_ok=True)
         path, study = self.folder / "tuned.json", self.study
         if not path.is_file():
-            with Bar("Tuning", study.tuning_courses * candidates_in_all(CLASSICAL), "courses") as bar:
-                chosen, _ = tuned_settings(
-                    study.scenario, TUNING_SET, study.tuning_courses,
-                    lambda count, name: bar.update(advance=count, note=name), CLASSICAL, self.model,
-                )  # fmt: skip
+            chosen, _ = tuned_settings(study.scenario, TUNING_SET, study.tuning_courses, None, CLASSICAL, self.model)
             replace_file(path, (json.dumps(chosen, indent=1) + "\n").encode())
         for k in range(study.training_seeds):
             self._train(k)

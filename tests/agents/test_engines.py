@@ -73,14 +73,14 @@ def always_die(x):
 
 def test_a_killed_process_loses_nothing(tmp_path, importable):
     tasks = [(k, str(tmp_path / "mark") if k == 3 else "") for k in range(8)]
-    done = list(studies.processes(double, tasks, 2))
+    done = list(studies.processes(double, tasks, workers=2))
     assert sorted(done) == [(task, 2 * task[0]) for task in tasks]
     assert (tmp_path / "mark").exists()
 
 
 def test_processes_that_always_die_are_given_up(importable):
     with pytest.raises(ParameterError, match="died 4 times"):
-        list(studies.processes(always_die, [(0, "")], 1))
+        list(studies.processes(always_die, [(0, "")], workers=1))
 
 
 def telling(x, tell):
@@ -91,7 +91,7 @@ def telling(x, tell):
 
 def test_progress_within_tasks_is_told(importable):
     told = []
-    assert sorted(studies.processes(telling, [1, 2, 3], 2, told.append)) == [(1, 2), (2, 4), (3, 6)]
+    assert sorted(studies.processes(telling, [1, 2, 3], told.append, workers=2)) == [(1, 2), (2, 4), (3, 6)]
     assert sorted(told) == [1, 2, 3]
 
 
@@ -111,7 +111,7 @@ def waiting(name):
 
 def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    done = studies.processes(waiting, ["long", "short"], 2)
+    done = studies.processes(waiting, ["long", "short"], workers=2)
     assert next(done) == ("short", None)
     done.close()
     assert (tmp_path / "interrupted").exists()
@@ -119,7 +119,7 @@ def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, m
 
 def test_bad_input_found_in_a_process_comes_back(importable):
     with pytest.raises(ParameterError, match="no 5"):
-        list(studies.processes(refuse, [(5, "")], 1))
+        list(studies.processes(refuse, [(5, "")], workers=1))
 
 
 def test_ray_that_is_absent_is_said_in_one_line(capsys, monkeypatch, tmp_path):

@@ -14,7 +14,7 @@ from agents.controllers import make_controller
 from agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses, study, summary
 from agents.evaluate.__main__ import _asked, main, parser
 from agents.evaluate.records import METRICS, RATES
-from agents.tuning import tuned_settings
+from agents.evaluate.tuning import tuned_settings
 from soil_env.parameters import load_scenario
 from tests.agents.evaluating import CLASSES, FILES, evaluate, make_done, make_models, result_of
 
