@@ -16,6 +16,8 @@ from stable_baselines3 import PPO
 
 from soil_env._io.loading import ParameterError
 
+from .zips import one_line
+
 
 def content(model: PPO) -> bytes:
     """The state of a training, as the bytes of an .npz."""
@@ -51,8 +53,7 @@ def restore(model: PPO, state: bytes, where: Path) -> None:
         np.random.set_state(("MT19937", parts["numpy"], int(position), int(has_gauss), float(cached)))  # noqa: NPY002
         model._last_obs, model._last_episode_starts = parts["last_obs"], parts["last_episode_starts"]
     except Exception as error:  # zipfile and numpy fail in many ways
-        reason = (str(error).splitlines() or [""])[0][:200]
-        raise ParameterError(f"{where}: the state of the training cannot be restored ({reason})") from None
+        raise ParameterError(f"{where}: the state of the training cannot be restored ({one_line(error)})") from None
     model.env.unwrapped._unseeded = False
 
 

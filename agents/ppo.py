@@ -27,7 +27,7 @@ from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
 from soil_env.terramechanics.model import WheelSoilModel
 
-from . import checkpoint, zips
+from . import checkpoint, recurrent, zips
 from .config import NAMES, PPOConfig, TrainConfig, load_config
 from .guided import ENTRIES, Guide, GuidedVecEnv, spaces_of
 from .learner import Learner, Tanh
@@ -47,23 +47,19 @@ def build(
     tensorboard: Path | None = None,
     world: WheelSoilModel | None = None,
     guide: Guide | None = None,
+    algorithm: str = "ppo",
 ) -> PPO:
-    """A fresh PPO agent with its normalised vector environment; `world` brings the effects that are on there.
+    """A fresh agent with its normalised vector environment; `world` brings the effects that are on there.
 
-    With a `guide` the agent trims its rim speed (`agents.guided`), from none at first.
+    With a `guide` the agent trims its rim speed (`agents.guided`), from none at first. `algorithm`: as in
+    `TrainConfig`.
     """
-    torch.set_num_threads(1)  # its tensors are too small to be shared out; `Learner` shares out whole minibatches
-    env = normalised(scenario, observation, config, seed, world, guide)
-    model = Learner(
-        "MlpPolicy",
-        env,
+    cls, policy, network = _algorithm(algorithm, config)
+    model = cls(
+        policy,
+        normalised(scenario, observation, config, seed, world, guide),
         **hyperparameters(config),
-        policy_kwargs={
-            "net_arch": [config.layer, config.layer],
-            "activation_fn": {"relu": nn.ReLU, "tanh": Tanh}[config.activation],
-            "log_std_init": config.log_std_init,
-            "optimizer_kwargs": {"fused": True},
-        },
+        policy_kwargs=network | {"log_std_init": config.log_std_init},
         tensorboard_log=None if tensorboard is None else str(tensorboard),
         seed=seed,
         device="cpu",
@@ -72,6 +68,18 @@ def build(
         model.policy.action_net.bias.fill_(config.initial_action if guide is None else 0.0)
     model.update_threads = config.threads
     return model
+
+
+def _algorithm(name: str, config: PPOConfig) -> tuple[type, str, dict]:
+    """(class, name of its policy, arguments of its network)."""
+    torch.set_num_threads(1)  # its tensors are too small to be shared out; `Learner` shares out whole minibatches
+    if name == "recurrent_ppo":
+        return recurrent.algorithm(), "MlpLstmPolicy", recurrent.network(config)
+    return Learner, "MlpPolicy", {
+        "net_arch": [config.layer, config.layer],
+        "activation_fn": {"relu": nn.ReLU, "tanh": Tanh}[config.activation],
+        "optimizer_kwargs": {"fused": True},
+    }  # fmt: skip
 
 
 def hyperparameters(config: PPOConfig) -> dict:
@@ -252,22 +260,13 @@ def load_agent(path: Path) -> Agent:
         path = path / "model.zip"
     meta = read_meta(path)
     check_layout(meta, path)
-    return agent_of(_load_zip(path, meta), meta)
+    return agent_of(zips.load(Learner, path, zips.without_pickles(path, *agent_spaces(meta))), meta)
 
 
 def agent_spaces(meta: dict) -> tuple:
     """Observation and action space of the network of a saved agent."""
     box = observation_space(meta["observation"])
     return spaces_of(box) if "guide" in meta else (box, action_space())
-
-
-def _load_zip(path: Path, meta: dict, objects: dict | None = None, **options) -> PPO:
-    replaced = zips.without_pickles(path, *agent_spaces(meta), **(objects or {}))
-    try:
-        return Learner.load(path, device="cpu", custom_objects=replaced, **options)
-    except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
-        reason = (str(error).splitlines() or [""])[0][:200]
-        raise ParameterError(f"{path}: cannot be loaded as a PPO model ({type(error).__name__}: {reason})") from None
 
 
 def resume(
@@ -279,22 +278,19 @@ def resume(
     log: Path | None,
     world: WheelSoilModel | None = None,
     guide: Guide | None = None,
+    algorithm: str = "ppo",
 ) -> PPO:
-    """The agent of a checkpoint, ready to go on learning.
+    """The agent of a checkpoint, ready to go on learning; arguments as of `build`.
 
-    Where the checkpoint has the state of the training, it goes on as the run would have; else, as with a guide, its
-    worlds start new courses.
+    Where the checkpoint has the state of the training, it goes on as the run would have; else, as with a guide or a
+    memory, its worlds start new courses.
     """
-    torch.set_num_threads(1)
+    cls, _, _ = _algorithm(algorithm, config)
     meta, env = reopened(path, scenario, observation, config, seed, world, guide)
     rate = schedule(config)
-    model = _load_zip(
-        Path(path),
-        meta,
-        {"learning_rate": rate, "lr_schedule": rate, "clip_range": config.clip_range},
-        env=env,
-        tensorboard_log=None if log is None else str(log),
-    )
+    known = {"learning_rate": rate, "lr_schedule": rate, "clip_range": config.clip_range}
+    objects = zips.without_pickles(path, *agent_spaces(meta), **known)
+    model = zips.load(cls, path, objects, env=env, tensorboard_log=None if log is None else str(log))
     model.update_threads = config.threads
     model.set_random_seed((seed + meta["timesteps"]) % 2**31)  # loading has set the seed of the start of the run
     state = zips.read_bytes(path, _STATE)

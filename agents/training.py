@@ -115,13 +115,12 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable =
         console.print(f"{folder} is trained already.")
         return load_model(folder / "model.zip", scenario)
     log = folder / "tensorboard"
-    maker = recurrent if config.algorithm == "recurrent_ppo" else ppo
-    rest = config.ppo, config.seed, log, config.world, make_guide(config, scenario)
+    rest = config.ppo, config.seed, log, config.world, make_guide(config, scenario), config.algorithm
     if (folder / "checkpoint.zip").is_file():
-        model = maker.resume(folder / "checkpoint.zip", scenario, config.observation, *rest)
+        model = ppo.resume(folder / "checkpoint.zip", scenario, config.observation, *rest)
         console.print(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
     else:
-        model = maker.build(scenario, config.observation, *rest)
+        model = ppo.build(scenario, config.observation, *rest)
     times = Times(folder)
     left = config.timesteps - model.num_timesteps
     if left > 0:

@@ -11,6 +11,7 @@ import importlib
 import json
 import multiprocessing
 import sys
+import warnings
 import zipfile
 from functools import cache
 from pathlib import Path
@@ -52,8 +53,7 @@ def read_member(path: Path, name: str, what: str = "a model of Stable-Baselines3
     except (KeyError, ParameterError):
         raise
     except Exception as error:  # a broken zip fails in a dozen ways
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise ParameterError(f"{path}: not {what} ({reason})") from None
+        raise ParameterError(f"{path}: not {what} ({one_line(error) or type(error).__name__})") from None
     if not isinstance(content, dict):
         raise ParameterError(f"{path}: {name}: expected a mapping, got {type(content).__name__}")
     return content
@@ -71,8 +71,25 @@ def read_bytes(path: Path, name: str) -> bytes | None:
     except ParameterError:
         raise
     except Exception as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise ParameterError(f"{path}: {name}: cannot be read ({reason})") from None
+        raise ParameterError(f"{path}: {name}: cannot be read ({one_line(error) or type(error).__name__})") from None
+
+
+def load(cls: type, path: Path, custom_objects: dict | None, **options):
+    """SB3's `cls.load` on the CPU, its warnings left out; ParameterError in one line."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return cls.load(path, device="cpu", custom_objects=custom_objects, **options)
+    except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
+        name = "PPO" if cls.__name__ == "Learner" else cls.__name__
+        raise ParameterError(
+            f"{path}: cannot be loaded as a {name} model ({type(error).__name__}: {one_line(error)})"
+        ) from None
+
+
+def one_line(error: BaseException) -> str:
+    """The first line of an error's message, not too long."""
+    return (str(error).splitlines() or [""])[0][:200]
 
 
 def without_pickles(path: Path, observation_space, action_space, **known) -> dict:

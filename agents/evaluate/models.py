@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import pickle
-import warnings
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,20 +84,13 @@ def _load(path: Path, data: dict, meta: dict | None):
         cls = getattr(importlib.import_module(package), algorithm)
     except ImportError:
         raise ParameterError(f"controllers: {path}: a {algorithm} model needs {package.replace('_', '-')}") from None
-    objects = None
     if meta is None:
         zips.warn(str(path))
-    else:
-        objects = zips.without_pickles(path, *ppo.agent_spaces(meta))
+    objects = None if meta is None else zips.without_pickles(path, *ppo.agent_spaces(meta))
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return cls.load(path, device="cpu", custom_objects=objects)
-    except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
-        reason = (str(error).splitlines() or [""])[0][:200]
-        raise ParameterError(
-            f"controllers: {path}: cannot be loaded as a {algorithm} model ({type(error).__name__}: {reason})"
-        ) from None
+        return zips.load(cls, path, objects)
+    except ParameterError as error:
+        raise ParameterError(f"controllers: {error}") from None
 
 
 def _variant(model, path: Path) -> str:

@@ -156,20 +156,6 @@ def test_tuning_is_kept_and_not_done_again(tmp_path, capsys):
     assert "Tuning" not in capsys.readouterr().out
 
 
-def test_help_explains_the_entries(capsys):
-    with pytest.raises(SystemExit) as status:
-        main(["--help"])
-    assert status.value.code == 0
-    text = capsys.readouterr().out
-    for part in ("path/to/model.zip", "my.module:Thing", "NAME=...", "--resume", "--engine", "Only what you trust"):
-        assert part.lower() in text.lower()
-    assert max(map(len, parser().format_help().splitlines())) <= 121
-
-
-def test_the_default_courses_are_the_held_out_set():
-    assert parser().get_default("seed") == HELD_OUT_SET
-
-
 # --- what the classical controllers are set to ------------------------------------------------------------------------
 
 

@@ -17,6 +17,7 @@ DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 PHYSICS = sorted((DOCS / "physics").glob("*.md"))
 REFERENCE = re.compile(r"\[`([\w/]+\.py): ([\w.]+)`\]\s*\[([\w.]+)\]")
+PACKAGES = ("soil_env", "agents", "soil_env_agents")  # the last is what agents/ is installed as
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 # Functions that have no equation of their own: plumbing, packing, or another form of one that the pages name.
@@ -156,9 +157,9 @@ def test_python_and_commands_of_a_page_are_real(page):
     for language, block in FENCE.findall(page.read_text(encoding="utf-8")):
         if language == "python":
             for node in ast.walk(ast.parse(block)):
-                if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] in ("soil_env", "agents"):
+                if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] in PACKAGES:
                     for alias in node.names:
-                        resolve(f"{node.module}.{alias.name}")
+                        resolve(f"{node.module}.{alias.name}".replace("soil_env_agents.", "agents."))
         elif language in ("sh", "bash"):
             for line in block.replace("\\\n", " ").splitlines():
                 check_command(line, page.name)
@@ -168,11 +169,12 @@ def check_command(line: str, where: str) -> None:
     """A line of shell: the module or file that python runs exists, and so does the make target."""
     words = shlex.split(line, comments=True)
     for k, word in enumerate(words[:-1]):
-        if word == "python" and words[k + 1] == "-m" and words[k + 2].split(".")[0] in ("soil_env", "agents"):
-            module = importlib.util.find_spec(words[k + 2])
+        if word == "python" and words[k + 1] == "-m" and words[k + 2].split(".")[0] in PACKAGES:
+            name = words[k + 2].replace("soil_env_agents.", "agents.")
+            module = importlib.util.find_spec(name)
             assert module is not None, f"{where}: {line}"
             if module.submodule_search_locations:
-                assert importlib.util.find_spec(words[k + 2] + ".__main__"), f"{where}: {line}"
+                assert importlib.util.find_spec(name + ".__main__"), f"{where}: {line}"
         elif word == "python" and words[k + 1].endswith(".py"):
             assert (ROOT / words[k + 1]).is_file(), f"{where}: {line}"
         elif word == "make":
