@@ -1,4 +1,4 @@
-"""The state of a training between two rollouts, so that a resumed run goes on as if it had never been killed.
+"""State of a training between two rollouts: a resumed run gives what an undisturbed one gives.
 
 Beside the model that is the ground, the wheels and the identifiers of every environment, their random streams, the
 discounted returns of the reward normalisation, and the generators of torch and numpy. It is kept as one .npz without
@@ -20,7 +20,7 @@ from .zips import one_line
 
 
 def content(model: PPO) -> bytes:
-    """The state of a training, as the bytes of an .npz."""
+    """The state of a training as the bytes of an .npz file."""
     name, keys, position, has_gauss, cached = np.random.get_state()  # noqa: NPY002 - SB3 draws from it
     if name != "MT19937":
         raise RuntimeError(f"numpy's global generator is {name}, expected MT19937")
@@ -38,7 +38,7 @@ def content(model: PPO) -> bytes:
 
 
 def restore(model: PPO, state: bytes, where: Path) -> None:
-    """Put a training back into a state of `content`; ParameterError where it is that of another one."""
+    """Restore a state made by `content`; ParameterError where it does not fit the model."""
     try:
         with np.load(io.BytesIO(state), allow_pickle=False) as archive:
             parts = {name: archive[name] for name in archive.files}

@@ -1,4 +1,4 @@
-"""Options of the commands of this package: config keys as --KEY VALUE, files of YAML, what --help says."""
+"""Command-line options shared by the commands: config keys as --KEY VALUE, YAML files, help texts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is asked of a training: the keys of train.py's YAML file and command line. Needs no torch."""
+"""Configuration of a training: the keys of train.py's YAML file and command line. Needs no torch."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class Guide:
         self.settings, self.trim = settings, trim
 
     def content(self) -> dict:
-        """What is noted in the agent's zip."""
+        """Metadata for the agent's zip."""
         return {"controller": self.controller.name, "settings": self.settings, "trim": self.trim}
 
     def observe(self, observation: np.ndarray, state: dict | None, fresh: np.ndarray) -> tuple[np.ndarray, dict]:

@@ -83,7 +83,7 @@ def _algorithm(name: str, config: PPOConfig) -> tuple[type, str, dict]:
 
 
 def hyperparameters(config: PPOConfig) -> dict:
-    """What PPO and RecurrentPPO take from a config alike."""
+    """Keyword arguments common to PPO and RecurrentPPO."""
     same = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "ent_coef")
     return {"learning_rate": schedule(config)} | {name: getattr(config, name) for name in same}
 
@@ -104,7 +104,7 @@ def normalised(
 
 
 def schedule(config: PPOConfig):
-    """The learning rate by the share of the training that is left."""
+    """Learning rate as a function of the share of the training that is left."""
     rate = config.learning_rate
 
     def learning_rate(left: float) -> float:
@@ -117,7 +117,7 @@ _META, _STATE = "soil_env.json", "training.npz"  # members of the model's zip
 
 
 def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
-    """Save the agent to `path` (.zip), replaced in one piece: a kill in between leaves the old file whole.
+    """Save the agent to `path` (.zip) by an atomic write.
 
     `between_rollouts`: keep the state of the training too (`agents.checkpoint`), from which it goes on as if it had
     not been interrupted.
@@ -196,7 +196,7 @@ class Agent:
 
 
 def agent_of(model, meta: dict) -> Agent:
-    """The agent of a loaded model and what was noted with it."""
+    """The agent of a loaded model and its metadata."""
     guide = None
     if "guide" in meta:
         scenario = load(Scenario, meta["scenario"], "scenario")
@@ -207,7 +207,7 @@ def agent_of(model, meta: dict) -> Agent:
 
 
 def read_meta(path: Path) -> dict:
-    """What `save` noted about a model; ParameterError with one line if the file is missing, broken or not ours."""
+    """Metadata that `save` has put into a zip; ParameterError if the file is missing, broken or not ours."""
     path = Path(path)
     try:
         meta = zips.read_member(path, _META, "a model saved by train.py")
@@ -300,7 +300,7 @@ def resume(
 
 
 def reopened(path: Path, scenario, observation: str, config: PPOConfig, seed: int, world, guide):
-    """(what is noted in a checkpoint, the vector environment with its normalisation)."""
+    """(metadata of a checkpoint, the vector environment with its normalisation)."""
     meta = read_meta(path)
     if meta["observation"] != observation:
         raise ParameterError(f"{path}: trained with observation {meta['observation']!r}, not {observation!r}")

@@ -1,4 +1,4 @@
-"""Progress of a job, on a terminal and elsewhere."""
+"""Progress bar on a terminal, progress lines elsewhere."""
 
 from __future__ import annotations
 

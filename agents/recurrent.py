@@ -1,4 +1,4 @@
-"""RecurrentPPO of sb3-contrib: an agent with a memory, which may find out for itself what the identifier would tell it.
+"""RecurrentPPO of sb3-contrib: an agent with a memory, which may learn to identify the soil by itself.
 
 One LSTM serves policy and value; its sequences are the rollouts of single wheels, cut at the ends of episodes. Models
 are built, saved and resumed by `agents.ppo`, with `algorithm="recurrent_ppo"`.

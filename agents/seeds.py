@@ -8,7 +8,7 @@ Examples:
 
 Any key of train.py's config but seed, name and runs, on the command line or in --config. OUT/seed_N is a run folder as
 train.py makes them (python train.py --resume OUT/seed_N compares that agent with the classical controllers). It appears
-in one piece when seed N is trained; the same command again trains the seeds that are not there yet. A training whose
+when seed N is trained; the same command again trains the seeds that are not there yet. A training whose
 worker is killed starts again from its seed, so that every engine gives the same agents, bit for bit.
 """
 
@@ -76,7 +76,7 @@ class Training:
 
 
 def keep(out: Path, config: TrainConfig, scenario: Scenario, seed: int, files: dict[str, bytes]) -> None:
-    """Write the run folder of a seed, in one piece."""
+    """Write the run folder of a seed; it appears only when it is complete."""
     folder = folder_of(out, seed)
     config = dataclasses.replace(config, seed=seed, name=folder.name, runs=str(out))
     partial = folder.with_name(f".{folder.name}.partial")

@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import csv
 import hashlib
+import io
 import json
 import multiprocessing
 import os
@@ -87,6 +89,18 @@ def load_study(cls, folder: Path, version: str):
     if study.version != version:
         raise ParameterError(f"{path}: begun with soil_env {study.version}, this is {version}: give another --out")
     return study
+
+
+def save_json(path: Path, content: object) -> None:
+    """Strict JSON."""
+    replace_file(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
+    """A table as CSV; the first row is its heading."""
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows(rows)
+    replace_file(path, text.getvalue())
 
 
 # --- the log ----------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Models of Stable-Baselines3 opened with care.
+"""Safe loading of Stable-Baselines3 models.
 
 SB3 keeps the parts of a model that JSON cannot hold as pickles, and unpickling runs code. A zip that train.py wrote is
 loaded without: all that is pickled in it follows from its layout and its settings (`without_pickles`), and torch reads

@@ -1,4 +1,4 @@
-"""Pages of an ablation: tables, figures, comparison.md."""
+"""Report of an ablation: tables, figures and comparison.md."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from soil_env._io.loading import ParameterError
 
 from ..evaluate import report
 from ..evaluate.figures import draw_profiles, png
-from ..evaluate.results import save_json
 from ..evaluate.tables import Column, cell, draw_intervals, labels, metric_table, points, show
+from ..studies import save_json
 from . import results
 from . import study as studies
 from .study import Ablation
@@ -58,7 +58,7 @@ def write(asked: Ablation, folder: Path, result: dict, page: Path | None) -> lis
 
 
 def _files(asked: Ablation, result: dict, folder: Path) -> list[Path]:
-    save_json(result, folder / "comparison.json")
+    save_json(folder / "comparison.json", result)
     replace_file(folder / "overview.png", png(overview(asked, result)))
     replace_file(folder / "profiles.png", png(profiles(result)))
     return [folder / name for name in ("comparison.json", "overview.png", "profiles.png")]

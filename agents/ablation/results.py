@@ -1,4 +1,4 @@
-"""From the driven courses of an ablation to its numbers and its three verdicts.
+"""Results of an ablation: metrics, losses on other scenarios, and three verdicts.
 
 Intervals are those of `agents.evaluate`: 95 %, over training seeds and courses, both drawn whole.
 """
@@ -105,16 +105,11 @@ def _loss(asked: Ablation, kept: dict, name: str) -> dict:
             value[key] = sign * (st.mean(b[key]) - st.mean(a[key]))
             lost = st.mean_samples(b[key], members, second.courses) - st.mean_samples(a[key], members, first.courses)
             samples[key] = sign * lost
-        out[metric] = {key: _bounds(value[key], samples[key]) for key in after}
+        out[metric] = {key: st.bounds(value[key], samples[key]) for key in after}
         for key in after:
             if agent in after and key != agent:
-                out[metric][key]["against"] = _bounds(value[agent] - value[key], samples[agent] - samples[key])
+                out[metric][key]["against"] = st.bounds(value[agent] - value[key], samples[agent] - samples[key])
     return out
-
-
-def _bounds(value: float, samples: np.ndarray) -> dict:
-    low, high = st.interval(value, samples)
-    return {"value": value, "low": low, "high": high}
 
 
 # --- the goals --------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""What an ablation asks, the folder it is kept in, and the steps that fill it.
+"""Configuration, folder and steps of an ablation.
 
     study.yaml                     what was asked, resolved; another study may not go on in this folder
     SCENARIO/tuned.json            settings of the classical controllers, tuned on this scenario
@@ -6,7 +6,7 @@
     SCENARIO/driven/NAME-SEED.json the held-out courses as driven by one controller or agent
     SCENARIO/evaluation/           evaluation.json, report.html, ... of `agents.evaluate`
 
-Every file is written in one piece, so that a study goes on after an interrupt or a kill with what is missing. Work is
+Files are written atomically, so that a study goes on after an interrupt or a kill with what is missing. Work is
 ordered by training seed: a study that is cut off has the same number of seeds for all, but for the last.
 """
 
@@ -41,7 +41,7 @@ _NOT_COMPARED = ("seeds", "courses")  # may differ when a study goes on: more se
 
 @dataclass(frozen=True)
 class Target(Checked):
-    """A scenario to be compared on."""
+    """A scenario on which controllers are compared."""
 
     scenario: Scenario
     trained_on: str = ""  # the target whose agents and tuned controllers are compared here; empty = its own
@@ -76,7 +76,7 @@ class AgentSpec(Checked):
 
 @dataclass(frozen=True)
 class Ablation(Checked):
-    """What is asked."""
+    """Configuration of an ablation."""
 
     targets: dict[str, Target]
     agents: dict[str, AgentSpec]
@@ -224,7 +224,7 @@ def perform(study: Ablation, folder: Path, step: Step, progress: Callable[[int],
 
 
 def driven_file(folder: Path, target: str, name: str, seed: int) -> Path:
-    """Where the courses of one controller are kept."""
+    """File of the courses driven by one controller."""
     return Path(folder) / target / "driven" / f"{name}-{seed}.json"
 
 
@@ -235,7 +235,7 @@ def _tuned(study: Ablation, folder: Path, source: str) -> dict:
         chosen, _ = tuned_settings(
             target.scenario, TUNING_SET, study.tuning_courses, lambda count, name: None, model=target.world
         )
-        replace_file(path, (json.dumps(chosen, indent=1) + "\n").encode())
+        studies.save_json(path, chosen)
     return json.loads(path.read_text(encoding="utf-8"))
 
 
@@ -253,7 +253,7 @@ class _Count:
         return None
 
     def update(self, done: int, note: str = "") -> None:
-        """Steps done in all."""
+        """Set the total of steps done."""
         self.progress(done - self.done)
         self.done = done
 
@@ -291,7 +291,7 @@ def _drive(study: Ablation, folder: Path, step: Step, contestant: Contestant) ->
         parts = [Records.from_columns(job(task)) for task in one.tasks()]
         path.parent.mkdir(parents=True, exist_ok=True)
         content = {"contestant": dataclasses.asdict(contestant), "columns": Records.join(parts).columns()}
-        replace_file(path, json.dumps(content, allow_nan=False).encode())
+        replace_file(path, json.dumps(content, allow_nan=False))
 
 
 # --- what is there ----------------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Controllers on the same courses: paired runs, rates and means with 95 % intervals; `python -m agents.evaluate`."""
 
-from .comparing import comparison, paired_difference, save, summary, wilson
+from .comparing import comparison, paired_difference, save, summary
 from .driving import (
     HELD_OUT_SET,
     METRICS,
@@ -12,6 +12,7 @@ from .driving import (
     drive,
     run_courses,
 )
+from .statistics import wilson
 from .tuning import tune, tuned_settings
 
 __all__ = [

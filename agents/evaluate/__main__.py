@@ -1,4 +1,4 @@
-"""Compare controllers on the same courses, and say how sure the numbers are.
+"""Compare controllers on the same courses, with confidence intervals.
 
 CONTROLLERS is a list with commas. An entry is
   full_throttle, fixed_slip, ...   a classical controller (agents/controllers.py)

@@ -1,4 +1,4 @@
-"""Entries of `--controllers`: a list of contestants.
+"""Contestants of an evaluation, parsed from `--controllers`.
 
 | written | is |
 |---|---|

@@ -1,4 +1,4 @@
-"""A controller driven over courses that are the same for every controller."""
+"""Drives of a controller over courses that are the same for every controller."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _RUNNING = Cause.RUNNING.value
 
 
 class ControllerError(ParameterError):
-    """A controller gave what no wheel can be driven with."""
+    """A controller returned an action of the wrong shape, or one that is not finite."""
 
 
 #: Metric -> (unit, what it is). Rates carry Wilson intervals, means bootstrap intervals over courses.

@@ -1,4 +1,4 @@
-"""Controllers of contestants: loaded, wrapped so that their failures are one line, and tried."""
+"""Loading and trial of contestants' controllers; failures of foreign code are errors of one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Models of Stable-Baselines3 and sb3-contrib, whichever algorithm made them."""
+"""Loading of Stable-Baselines3 and sb3-contrib models of any algorithm."""
 
 from __future__ import annotations
 

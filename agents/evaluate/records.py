@@ -1,4 +1,4 @@
-"""What is kept of every course, and the metrics that follow from it."""
+"""Detailed records of driven courses, and their metrics."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Records(Runs):
         return super().metric(name)
 
     def columns(self) -> dict[str, list]:
-        """{field: values}, plain numbers and None where not defined: ready for JSON, and back by `from_columns`."""
+        """{field: values} for JSON: plain numbers, None where not defined."""
         return {
             f.name: [None if isinstance(x, float) and math.isnan(x) else x for x in getattr(self, f.name).tolist()]
             for f in fields(self)
@@ -69,7 +69,7 @@ class Records(Runs):
 
     @classmethod
     def from_columns(cls, columns: dict[str, list]) -> Records:
-        """The records of which `columns` are; KeyError, TypeError or ValueError if they are not such."""
+        """Rebuild records from columns."""
         n = len(columns["cause"])
         out = {}
         for f in fields(cls):

@@ -1,4 +1,4 @@
-"""One evaluation: what is compared on which courses, the folder it is kept in, and the courses that are driven.
+"""Configuration of an evaluation, its tasks, and the log of the courses that are driven.
 
 The folder holds study.yaml (the whole task, resolved) and courses.jsonl: one line a block of courses of one controller.
 Blocks are cut the same way by every engine, so that all engines and any number of interruptions give the same lines, in

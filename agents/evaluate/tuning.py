@@ -1,4 +1,4 @@
-"""Settings of the classical controllers, tuned on courses of their own."""
+"""Tuning of the classical controllers on courses that no comparison uses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When could the vehicle have known? Warnings of a coming immobilisation, from sensors and the identified soil only.
+"""Warnings of a coming immobilisation, from sensors and the identified soil.
 
 The criterion of the source paper (Hutangkabodee et al. 2006, Sec. 5) applied while driving. In a control period the
 ground *looks impassable* where

@@ -1,4 +1,4 @@
-"""What came out: sim2real.json, .md and .png, from the files of a study alone.
+"""Results and report of a study: sim2real.json, .md and .png.
 
 Scores are [members, courses]; course k has the same random numbers in every world, so whole courses are drawn together
 in all of them, and whole training seeds (`agents.evaluate.statistics`). Rates of one member have Wilson intervals.
@@ -19,9 +19,9 @@ from soil_env._io.loading import config_dir
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..evaluate import statistics as st
-from ..evaluate.comparing import wilson
 from ..evaluate.figures import png
 from ..evaluate.tables import cell, draw_intervals, show
+from ..studies import save_json
 from .study import ARMS, CONTROLLERS, CORRECTED, PPO, UNCORRECTED, Study, scores
 
 FILES = ("sim2real.json", "sim2real.md", "sim2real.png")
@@ -91,23 +91,19 @@ def _controller(name: str, own: dict, hidden: dict, foretold: dict, draws: st.Dr
     arms = {UNCORRECTED: UNCORRECTED, CORRECTED: CORRECTED if corrected else UNCORRECTED}
     members = {a: draws.members(f"{name} {arm}", len(own[a]["return"])) for a, arm in arms.items()}
 
-    def estimate(terms: list[tuple[float, np.ndarray, str]]) -> dict:
-        """Weighted sum of mean scores with its interval."""
+    def estimate(terms: list[tuple[float, np.ndarray, str]], rate: bool = False) -> dict:
+        """Weighted sum of mean scores with its interval; `rate`: of a single rate."""
         value = sum(w * st.mean(x) for w, x, _ in terms)
         samples = sum(w * st.mean_samples(x, members[a], draws.courses) for w, x, a in terms)
-        low, high = st.interval(value, samples)
-        return {"value": value, "low": low, "high": high}
+        if rate:
+            ((_, x, _),) = terms
+            return st.rate_bounds(value, samples, x.shape[1], len(x))
+        return st.bounds(value, samples)
 
     out: dict = {}
     for metric in ("immobilised", "finished", "return"):
         x = {a: hidden[a][metric] for a in ARMS}
-        out[metric] = {a: estimate([(1.0, x[a], a)]) for a in ARMS}
-        if metric != "return":
-            for a in ARMS:  # several training seeds on one course are not independent trials: courses are counted
-                low, high = wilson(st.mean(x[a]) * x[a].shape[1], x[a].shape[1])
-                m = out[metric][a]
-                alone = len(x[a]) == 1
-                m["low"], m["high"] = (low, high) if alone else (min(low, m["low"]), max(high, m["high"]))
+        out[metric] = {a: estimate([(1.0, x[a], a)], rate=metric != "return") for a in ARMS}
         out[metric]["difference"] = estimate([(1.0, x[CORRECTED], CORRECTED), (-1.0, x[UNCORRECTED], UNCORRECTED)])
     before = [(1.0, own[UNCORRECTED]["return"], UNCORRECTED), (-1.0, hidden[UNCORRECTED]["return"], UNCORRECTED)]
     after = [(1.0, own[CORRECTED]["return"], CORRECTED), (-1.0, hidden[CORRECTED]["return"], CORRECTED)]
@@ -124,7 +120,7 @@ def _controller(name: str, own: dict, hidden: dict, foretold: dict, draws: st.Dr
 def write(study: Study, result: dict, folder: Path) -> list[str]:
     """Write sim2real.json, .md and .png; returns their names."""
     folder = Path(folder)
-    replace_file(folder / FILES[0], json.dumps(result, indent=1) + "\n")
+    save_json(folder / FILES[0], result)
     replace_file(folder / FILES[1], page(result))
     replace_file(folder / FILES[2], png(figure(result)))
     return list(FILES)

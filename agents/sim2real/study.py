@@ -1,4 +1,4 @@
-"""The steps of a study, each kept in a file of the output folder and skipped where that file exists.
+"""Configuration and steps of a study; each step is kept in a file and skipped where that file exists.
 
 study.yaml                       what was asked, resolved; another study may not go on in this folder
 uncorrected/                     controllers tuned and PPO trained on the scenario without effects, for all worlds
@@ -47,7 +47,7 @@ METRICS = ("immobilised", "finished", "return")
 
 @dataclass(frozen=True)
 class Study(Checked):
-    """What is asked."""
+    """Configuration of a study."""
 
     scenario: Scenario
     worlds: dict = field(default_factory=dict)  # name -> content of its model.yaml
@@ -67,7 +67,7 @@ class Study(Checked):
 
 
 def read_worlds(paths: list[Path], scenario: Scenario) -> dict[str, dict]:
-    """{name: content of model.yaml} of the hidden worlds; `ParameterError` for one that cannot be such."""
+    """{name: content of model.yaml} of the hidden worlds; `ParameterError` for an unsuitable one."""
     out = {}
     for path in map(Path, paths):
         model, w = WheelSoilModel.load(path), scenario.wheel
@@ -93,7 +93,7 @@ def begin(study: Study, folder: Path) -> None:
 
 
 def run(study: Study, folder: Path, say: Callable[[str], None]) -> None:
-    """Do what is not done yet; `say` is told each step."""
+    """Do the steps that are missing; `say` is called with a line for each."""
     folder = Path(folder)
     base = Arm(study, folder / UNCORRECTED, None, say)
     base.prepare()
@@ -167,7 +167,7 @@ class Arm:
         path, study = self.folder / "tuned.json", self.study
         if not path.is_file():
             chosen, _ = tuned_settings(study.scenario, TUNING_SET, study.tuning_courses, None, CLASSICAL, self.model)
-            replace_file(path, (json.dumps(chosen, indent=1) + "\n").encode())
+            studies.save_json(path, chosen)
         for k in range(study.training_seeds):
             self._train(k)
 
@@ -203,7 +203,7 @@ class Arm:
                     for member in self.members(name)
                 ]  # fmt: skip
                 scores = {metric: [r.metric(metric).tolist() for r in runs] for metric in METRICS}
-                replace_file(to / f"{name}.json", json.dumps(scores).encode())
+                replace_file(to / f"{name}.json", json.dumps(scores))
 
 
 def scores(folder: Path, name: str) -> dict[str, np.ndarray]:
