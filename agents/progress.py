@@ -1,10 +1,12 @@
-"""Progress bar on a terminal, progress lines elsewhere."""
+"""Output of the commands: tables and lines, a progress bar on a terminal, progress lines elsewhere."""
 
 from __future__ import annotations
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from soil_env._io.document import Table
 
 console = Console()  # that the commands of this package print on
 
@@ -45,3 +47,10 @@ class Bar:
         elif self.done - self.printed >= 0.1 * self.total or (self.done >= self.total > self.printed):
             self.printed = self.done
             self.console.print(f"{self.title}: {self.done:,} of {self.total:,} {self.unit} {note}", soft_wrap=True)
+
+
+def show(*parts: object) -> None:
+    """Print tables and lines; long lines are wrapped by the terminal, not cut."""
+    for part in parts:
+        text = part.text() if isinstance(part, Table) else part
+        console.print(text, soft_wrap=True, highlight=False, markup=False)

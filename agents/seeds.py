@@ -33,7 +33,7 @@ from . import studies
 from .cli import config_file, manual, overrides
 from .config import NAMES, TrainConfig, load_config
 from .extras import needing_train
-from .progress import Bar, console
+from .progress import Bar, console, show
 
 NAME = f"{__package__}.seeds"
 with needing_train(NAME):
@@ -153,7 +153,7 @@ def main(arguments: list[str] | None = None) -> int:
     train(options.out, config, scenario, range(options.first, options.first + options.seeds), engine)
     trained = f"{NAMES[config.observation]}={options.out}/seed_*"
     again = f"python -m {__package__}.evaluate --controllers 'fixed_slip,{trained}' --out {options.out}/evaluation"
-    console.print(f"Compare them: {again}", soft_wrap=True, highlight=False, markup=False)
+    show(f"Compare them: {again}")
     return 0
 
 

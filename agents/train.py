@@ -114,9 +114,7 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
         training.console.print(f"Run folder: {folder}")
         agent = training.train(folder, config, scenario)
         training.compare(folder, config, scenario, {agent.name: agent})
-        training.console.print(
-            f"Written to {folder}: comparison.json, comparison.csv, comparison.png, course.png, time.json"
-        )
+        training.show(f"Written to {folder}: comparison.json, comparison.csv, comparison.png, course.png, time.json")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"go on with: {command(*_STARTED_AS)} --resume {folder}") from None
     return 0

@@ -21,10 +21,10 @@ from .config import TrainConfig, load_config
 from .controllers import CONTROLLERS, make_controller
 from .evaluate import HELD_OUT_SET, TUNING_SET
 from .evaluate.models import load_model
-from .evaluate.tables import Column, metric_table, percent, points, show
+from .evaluate.tables import Column, metric_table, percent, points
 from .evaluate.tuning import tuned_settings
 from .guided import make_guide
-from .progress import Bar, console
+from .progress import Bar, console, show
 from .timing import Times, Timing
 
 

@@ -26,7 +26,7 @@ from soil_env._io.loading import ParameterError, config_dir
 from .. import studies
 from ..cli import as_options, config_file, go_on_with, manual
 from ..extras import needing_train
-from ..progress import Bar, console
+from ..progress import Bar, console, show
 
 _NAME = __package__
 
@@ -84,7 +84,7 @@ def main(arguments: list[str] | None = None) -> int:
         result = results.result(asked, folder)
         written = page.write(asked, folder, result, options.page)
         page.print_tables(result)
-        console.print(f"Written: {', '.join(map(str, written))}", soft_wrap=True, highlight=False)
+        show(f"Written: {', '.join(map(str, written))}")
     return 0
 
 
@@ -112,7 +112,7 @@ def fill(asked: study.Ablation, folder: Path, engine: studies.Engine) -> None:
                 left -= 1
                 progress(0)
                 if not console.is_terminal:
-                    console.print(f"{step}: done, {left} left", soft_wrap=True, highlight=False)
+                    show(f"{step}: done, {left} left")
 
 
 if __name__ == "__main__":

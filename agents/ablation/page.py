@@ -12,7 +12,8 @@ from soil_env._io.loading import ParameterError
 
 from ..evaluate import report
 from ..evaluate.figures import draw_profiles, png
-from ..evaluate.tables import Column, cell, draw_intervals, labels, metric_table, points, show
+from ..evaluate.tables import Column, cell, draw_intervals, labels, metric_table, points
+from ..progress import show
 from ..studies import save_json
 from . import results
 from . import study as studies

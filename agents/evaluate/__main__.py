@@ -36,10 +36,9 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import studies
 from ..cli import as_options, go_on_with, manual, overrides
-from ..progress import Bar
+from ..progress import Bar, show
 from . import contestants, report, results, study
 from .driving import HELD_OUT_SET, TUNING_SET
-from .tables import show
 from .tuning import candidates_in_all, tuned_settings
 
 _EPILOG = """further options:

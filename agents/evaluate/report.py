@@ -7,11 +7,12 @@ from pathlib import Path
 from soil_env._io.document import Table, html_image, html_page, render
 from soil_env._io.files import replace_file
 
+from ..progress import show
 from ..studies import save_json
 from . import figures, results
 from .records import METRICS, RATES, Records
 from .study import Study
-from .tables import Column, cell, labels, metric_table, show
+from .tables import Column, cell, labels, metric_table
 
 #: Columns of the printed table
 _COLUMNS = (
@@ -19,8 +20,8 @@ _COLUMNS = (
     Column("time_limit", "out of time [%]", 100.0, 1, bounds=False),
     Column("finished", "finished [%]", 100.0, 1, bounds=False),
     Column("warned", "warned [%]", 100.0, 0, bounds=False),
-    Column("warning_distance", "[m]", bounds=False),
-    Column("warning_time", "[s] before", digits=1, bounds=False),
+    Column("warning_distance", "ahead [m]", bounds=False),
+    Column("warning_time", "ahead [s]", digits=1, bounds=False),
     Column("time", "time [s]", digits=0, bounds=False),
     Column("energy_per_metre", "energy [J/m]", digits=0, bounds=False),
     Column("tractive_efficiency", "tractive eff.", bounds=False),

@@ -85,7 +85,7 @@ def _metric(name: str, scores: np.ndarray, members: np.ndarray, draws: st.Draws)
         return {"value": None, "low": None, "high": None, "runs": 0}
     value, samples = st.mean(scores), st.mean_samples(scores, members, draws.courses)
     if name in RATES:
-        out = st.ratest.bounds(value, samples, runs / len(scores), len(scores))
+        out = st.rate_bounds(value, samples, runs / len(scores), len(scores))
     else:
         out = st.bounds(value, samples)
     return {**out, "runs": runs}

@@ -10,8 +10,6 @@ from matplotlib.ticker import MaxNLocator
 
 from soil_env._io.document import Table
 
-from ..progress import console
-
 
 class Column(NamedTuple):
     """A metric in a table of controllers."""
@@ -54,13 +52,6 @@ def metric_table(entries: Mapping[str, Mapping], columns: Iterable[Column], capt
 def labels(controllers: Mapping[str, Mapping]) -> dict[str, str]:
     """{controller: its name with the number of training seeds, where there are several}."""
     return {n: f"{n} ({e['members']} seeds)" if e["members"] > 1 else n for n, e in controllers.items()}
-
-
-def show(*parts: object) -> None:
-    """Print tables and lines; long lines are wrapped by the terminal, not cut."""
-    for part in parts:
-        text = part.text() if isinstance(part, Table) else part
-        console.print(text, soft_wrap=True, highlight=False, markup=False)
 
 
 def draw_intervals(

@@ -22,7 +22,7 @@ from soil_env.parameters import load_scenario
 
 from ..cli import as_options, manual
 from ..extras import needing_train
-from ..progress import console
+from ..progress import show
 
 _NAME = __package__
 
@@ -74,11 +74,11 @@ def main(arguments: list[str] | None = None) -> int:
     with as_options():
         asked = study.Study(scenario=scenario, worlds=worlds, **{name: getattr(options, name) for name in _NUMBERS})
     study.begin(asked, options.out)
-    study.run(asked, options.out, lambda text: console.print(text, soft_wrap=True, highlight=False))
+    study.run(asked, options.out, show)
     result = report.result(asked, options.out)
     written = report.write(asked, result, options.out)
     report.print_table(result)
-    console.print(f"Written to {options.out}: {', '.join(written)}", soft_wrap=True, highlight=False)
+    show(f"Written to {options.out}: {', '.join(written)}")
     return 0
 
 

@@ -20,7 +20,8 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 from ..evaluate import statistics as st
 from ..evaluate.figures import png
-from ..evaluate.tables import cell, draw_intervals, show
+from ..evaluate.tables import cell, draw_intervals
+from ..progress import show
 from ..studies import save_json
 from .study import ARMS, CONTROLLERS, CORRECTED, PPO, UNCORRECTED, Study, scores
 
