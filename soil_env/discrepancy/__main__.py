@@ -52,8 +52,9 @@ from soil_env._io.loading import ParameterError
 from soil_env._io.starting import INTERRUPTED, leave
 from soil_env._io.stopping import terminable
 from soil_env.discrepancy.report import FILES, show
-from soil_env.discrepancy.words import check_first, summary
-from soil_env.discrepancy.workflow import MOST_DRAWS, Report, run
+from soil_env.discrepancy.report.words import check_first, summary
+from soil_env.discrepancy.result import Report
+from soil_env.discrepancy.workflow import MOST_DRAWS, run
 
 NAME = "soil_env.discrepancy"
 

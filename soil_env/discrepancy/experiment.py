@@ -21,7 +21,6 @@ import numpy as np
 
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.locate import TITLES
 from soil_env.discrepancy.search import TOLD, Candidate, Finding
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import Rows
@@ -40,13 +39,16 @@ _NEAR = 0.7  # distance, in half spans, of tests that are much the same
 
 @dataclass(frozen=True)
 class NextTest:
-    """One run to make: the conditions, and the two models that it separates."""
+    """One run to make: the conditions, and the two models or hypotheses that it separates."""
 
     conditions: dict[str, float]  # slip, load [N] and what else matters, as the columns of a table
     channel: str
     separates: tuple[str, str]
     expected_sigma: float  # difference over noise and uncertainty of the two predictions
-    words: str
+    purpose: str = (
+        "separate"  # "repeat" the run with the largest misfit, or go beyond the table in one "extend"ed condition
+    )
+    extended: str = ""  # that condition
 
 
 class Grid(NamedTuple):
@@ -107,8 +109,7 @@ def separating(problem: Problem, candidates: Sequence[Candidate]) -> tuple[NextT
         p, g, j = np.unravel_index(int(np.argmax(score)), score.shape)
         pair = (names[pairs[p][0]], names[pairs[p][1]])
         point = {name: float(grid.value[name][g]) for name in grid.told}
-        out.append(NextTest(point, CHANNELS[j], pair, float(sigma[p, g, j]),
-                            in_words(point, CHANNELS[j], pair, float(sigma[p, g, j]))))  # fmt: skip
+        out.append(NextTest(point, CHANNELS[j], pair, float(sigma[p, g, j])))
         same = np.linalg.norm(grid.scaled - grid.scaled[g], axis=1) < _NEAR
         score[p] *= 0.5
         score[p, same] = 0.0
@@ -207,24 +208,3 @@ def predicted(there: Problem, candidate: Candidate) -> tuple[np.ndarray, np.ndar
     j = there.derivatives(fit.unknowns, fit.u, fit.slack, fit.choices, guess)
     covariance = np.linalg.inv(np.eye(fit.jacobian.shape[1]) + fit.jacobian.T @ fit.jacobian)
     return mean, np.sum((j @ covariance) * j, axis=1).reshape(-1, 3), feasible
-
-
-# --- words ------------------------------------------------------------------------------------------------------------
-
-
-def in_words(point: dict[str, float], channel: str, pair: tuple[str, str], sigma: float) -> str:
-    """The test in a sentence."""
-    extra = [f"{point['speed']:.3g} m/s"] if "speed" in point else []
-    extra += [f"pass {point['pass']:g}"] if point.get("pass", 1.0) != 1.0 else []
-    extra += [f"a grade of {point['grade_deg']:.3g} deg"] if point.get("grade_deg", 0.0) != 0.0 else []
-    where = [f"load {point['load']:.3g} N", *extra]
-    at = where[0] if len(where) == 1 else f"{', '.join(where[:-1])} and {where[-1]}"
-    return (
-        f"slip {point['slip']:.2g} at {at}: {title(pair[0])} against {title(pair[1])}, expected to differ by "
-        f"{sigma:.1f} sd in {TITLES[channel]}"
-    )
-
-
-def title(name: str) -> str:
-    """Effects in words."""
-    return " and ".join(CATALOGUE[n].title if n in CATALOGUE else n for n in name.split(" and "))

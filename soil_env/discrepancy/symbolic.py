@@ -14,16 +14,17 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from itertools import combinations, product
+from typing import NamedTuple
 
 import numpy as np
 
 from soil_env.discrepancy.calibrate import GRAVITY, Fit, Problem
 from soil_env.discrepancy.data import CHANNELS, folds
-from soil_env.discrepancy.locate import TITLES
 from soil_env.terramechanics.model import add_residual
 from soil_env.terramechanics.residual import GROUPS, ResidualTerm, dimensionless_groups, residual_law
 
 TERMS = 3
+SURE = 1.959964  # [sd] of a 95 % interval
 POWERS = (1.0, 2.0, 0.5, -1.0, -0.5, 3.0)
 POWERS_OF_THREE = (1.0, 2.0, 0.5)  # where three groups are multiplied
 LEAST_SPREAD = 0.05  # relative spread of a group below which it does not vary
@@ -34,14 +35,13 @@ _ROUNDS = 5  # of law and soil in turn
 _HELD_OUT = 24  # terms whose held-out likelihood is looked at
 _CLOSE = 0.02  # [noise sd] largest change of the law at which the turns end
 
-_OVER = {"sinkage": "radius", "drawbar_pull": "load", "torque": "load times radius"}
-_MEANING = {
-    "grip": "1 - slip",
-    "sinkage": "z/r",
-    "load": "W/(S b r^(n+1))",
-    "speed": "V/sqrt(g r)",
-    "grade": "sin(grade)",
-}
+
+class Coefficient(NamedTuple):
+    """A coefficient of the law with its 95 % interval, the soil refitted with it."""
+
+    value: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,21 @@ class ResidualFit:
     fit: Fit  # soil refitted with the law; the coefficients, in prior sd, are the last of its slack
     offset: np.ndarray  # [N, 3] what the law adds, as `Problem.offset` takes it
     gain: float  # fall of the objective beyond the price of the terms
-    words: str
+
+    def covariance(self) -> np.ndarray:
+        """[T, T] of the coefficients (Laplace; the soil moves with them)."""
+        fit, count = self.fit, len(self.terms)
+        whole = np.linalg.inv(np.eye(fit.columns) + fit.jacobian.T @ fit.jacobian)[-count:, -count:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            width = np.array([t.coefficient for t in self.terms]) / fit.slack[-count:]  # prior sd of each
+        width = np.where(np.isfinite(width), width, 0.0)
+        return whole * np.outer(width, width)
+
+    def coefficients(self) -> list[Coefficient]:
+        """The coefficients of the terms, in their order."""
+        sd = np.sqrt(np.diag(self.covariance())) if self.terms else ()
+        return [Coefficient(t.coefficient, *sorted((t.coefficient - SURE * s, t.coefficient + SURE * s)))
+                for t, s in zip(self.terms, sd, strict=True)]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +86,7 @@ class Library:
 
 def symbolic(problem: Problem, fit: Fit) -> ResidualFit:
     """The simplest law for what `fit` leaves, with the soil refitted to it."""
-    best = ResidualFit((), fit, np.zeros_like(problem.data.y), 0.0, "no simple law explains what is left")
+    best = ResidualFit((), fit, np.zeros_like(problem.data.y), 0.0)
     at, offset = fit, best.offset
     for _ in range(2):  # the second choice starts where the first has moved the soil
         chosen = choose(problem, at, offset, library(problem, at, offset))
@@ -258,7 +272,7 @@ def refit(problem: Problem, base: Fit, at: Fit, offset: np.ndarray, chosen: Libr
                               evidence=-0.5 * objective - 0.5 * logdet)  # fmt: skip
     price = float(np.sum(chosen.price)) + math.log(at.residual.size) * len(terms)
     gain = float(_likelihood(problem, np.array(base.objective - objective))) - price
-    return ResidualFit(terms, fit, offset, gain, in_words(terms)), at
+    return ResidualFit(terms, fit, offset, gain), at
 
 
 def _terms(problem: Problem, fit: Fit, offset: np.ndarray, here: Library, coefficient) -> tuple[ResidualTerm, ...]:
@@ -278,16 +292,3 @@ def law_offset(problem: Problem, fit: Fit, offset: np.ndarray, terms: tuple[Resi
     add_residual(residual_law(terms), rows.slip, rows.load, rows.wheels, rows.conditions,
                  problem.state(fit.parameters()), GRAVITY, out)  # fmt: skip
     return out - plain
-
-
-def in_words(terms: tuple[ResidualTerm, ...]) -> str:
-    """The law in a sentence, the meaning of its groups behind it."""
-    parts = []
-    for t in terms:
-        product = "".join(f" {g}" if p == 1.0 else f" {g}^{p:g}" for g, p in t.powers.items())
-        up, down = ("rises", "falls") if product else ("is higher", "is lower")
-        way = down if t.coefficient < 0.0 else up
-        parts.append(f"{TITLES[t.channel]} over {_OVER[t.channel]} {way} by {abs(t.coefficient):.2g}{product}")
-    meaning = {g: _MEANING[g] for t in terms for g in t.powers if g in _MEANING}
-    legend = ", ".join(f"{g} = {text}" for g, text in meaning.items())
-    return "; ".join(parts) + (f", where {legend}" if legend else "")

