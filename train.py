@@ -12,9 +12,6 @@ Examples:
     python train.py --resume runs/NAME                   go on with a run that was interrupted or killed
 """
 
-import os
-import signal
-
 
 def main(arguments: list[str] | None = None) -> int:
     """Run with the given command line, sys.argv's by default; returns the exit status."""
@@ -23,18 +20,8 @@ def main(arguments: list[str] | None = None) -> int:
     return run(arguments, description=__doc__)
 
 
-def _interrupted(*_) -> None:
-    """End at once: imports take seconds, nothing is begun yet, and `agents.cli` lets Ctrl-C raise again."""
-    os.write(2, b"\ntrain.py: interrupted\n")
-    os._exit(130)
-
-
-_interrupted.while_starting = True  # see soil_env/_io/starting.py
-
 if __name__ == "__main__":
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _interrupted)
     status = main()
-    from soil_env._io.starting import leave
+    from soil_env._io.commands import leave
 
     leave(status)

@@ -14,9 +14,9 @@ from pathlib import Path
 import yaml
 
 from agents.extras import needing_train
+from soil_env._io.commands import command, label
 from soil_env._io.loading import ParameterError, config_dir, merge, parse_yaml, read_yaml
-from soil_env._io.starting import command, label
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 
 _FILES = """
 The run folder, runs/NAME, holds

@@ -32,9 +32,9 @@ from agents.cli import check_folder, config_file, overrides
 from agents.config import TrainConfig
 from agents.extras import needing_train
 from agents.progress import Bar
+from soil_env._io.commands import leave
 from soil_env._io.loading import ParameterError, merge, read_yaml
-from soil_env._io.starting import leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 from soil_env.parameters import Scenario, load_scenario
 
 NAME = "agents.seeds"

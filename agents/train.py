@@ -13,7 +13,7 @@ Examples:
 
 from __future__ import annotations
 
-from soil_env._io.starting import leave
+from soil_env._io.commands import leave
 
 
 def main(arguments: list[str] | None = None) -> int:

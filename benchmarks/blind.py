@@ -37,10 +37,10 @@ from agents.progress import Bar  # noqa: E402
 from benchmarks import blind_page  # noqa: E402
 from benchmarks.blind_judge import figures  # noqa: E402
 from benchmarks.blind_study import IN_ALL, Task, solve, tasks  # noqa: E402
+from soil_env._io.commands import leave  # noqa: E402
 from soil_env._io.files import append_line, make_folder, replace_file  # noqa: E402
 from soil_env._io.loading import ParameterError  # noqa: E402
-from soil_env._io.starting import leave  # noqa: E402
-from soil_env._io.stopping import terminable  # noqa: E402
+from soil_env._io.signals import terminable  # noqa: E402
 
 NAME = "benchmarks.blind"
 ROOT = Path(__file__).resolve().parent.parent

@@ -23,10 +23,10 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from soil_env._io.commands import leave
 from soil_env._io.files import make_folder, replace_file
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._io.starting import leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 
 NAME = "benchmarks.clients"
 ROOT = Path(__file__).resolve().parent.parent

@@ -21,10 +21,10 @@ from pathlib import Path
 
 import yaml
 
+from soil_env._io.commands import leave
 from soil_env._io.files import make_folder, replace_file
 from soil_env._io.loading import ParameterError
-from soil_env._io.starting import leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 from soil_env.discrepancy import cmu, run
 from soil_env.measurement.table import Prior, Setup, SetupWheel, SoilPriors, read_setup
 

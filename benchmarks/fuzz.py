@@ -27,10 +27,10 @@ from gymnasium.vector import AutoresetMode
 
 from benchmarks.fuzz_cases import Case, Random, draw_case
 from benchmarks.fuzz_checks import faults, ledger
+from soil_env._io.commands import leave
 from soil_env._io.files import make_folder, replace_file
 from soil_env._io.loading import ParameterError
-from soil_env._io.starting import leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 from soil_env.env import SoilWheelEnv
 from soil_env.simulation.task import Cause
 from soil_env.vector_env import SoilWheelVectorEnv

@@ -11,34 +11,22 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import platform
-import signal
 import sys
 import time
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-def _interrupted(*_) -> None:
-    """End at once: imports take seconds and nothing is begun yet; `terminable` lets Ctrl-C raise again."""
-    os.write(2, b"\nidentification.py: interrupted\n")
-    os._exit(130)
-
-
-_interrupted.while_starting = True  # see soil_env/_io/starting.py
-if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-    signal.signal(signal.SIGINT, _interrupted)
-
+import soil_env  # noqa: E402, F401, I001  first: Ctrl-C ends the imports
 import numpy as np  # noqa: E402
 from scipy.integrate import quad  # noqa: E402
 from scipy.optimize import root  # noqa: E402
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
 from benchmarks import identification_online, identification_page  # noqa: E402
-from soil_env._io.files import check_outputs, drop_output, make_folder, replace_file  # noqa: E402
-from soil_env._io.starting import leave  # noqa: E402
-from soil_env._io.stopping import terminable  # noqa: E402
+from soil_env._io.files import check_outputs, make_folder, replace_file  # noqa: E402
+from soil_env._io.commands import drop_output, leave  # noqa: E402
+from soil_env._io.signals import terminable  # noqa: E402
 from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict  # noqa: E402
 from soil_env.identification.point import POINT_SIZE, WEIGHTS, weigh  # noqa: E402
 from soil_env.identification.solver import solve  # noqa: E402

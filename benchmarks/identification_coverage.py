@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._io.starting import INTERRUPTED, leave
-from soil_env._io.stopping import terminable
+from soil_env._io.commands import INTERRUPTED, leave
+from soil_env._io.signals import terminable
 from soil_env.identification import Reading, predict
 from soil_env.identification.table import identify_table
 from soil_env.measurement.table import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, Table

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.fuzz import around, renew
+from soil_env._io.commands import leave
 from soil_env._io.loading import ParameterError, config_dir
-from soil_env._io.starting import leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 from soil_env.env import SoilWheelEnv
 from soil_env.vector_env import SoilWheelVectorEnv
 

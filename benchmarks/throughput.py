@@ -32,8 +32,8 @@ from benchmarks import throughput_parts, throughput_page  # noqa: E402, I001
 from soil_env.env import SoilWheelEnv  # noqa: E402
 from soil_env._io.files import make_folder, replace_file  # noqa: E402
 from soil_env.simulation.worlds import IDLE, STEP  # noqa: E402
-from soil_env._io.starting import leave  # noqa: E402
-from soil_env._io.stopping import terminable  # noqa: E402
+from soil_env._io.commands import leave  # noqa: E402
+from soil_env._io.signals import terminable  # noqa: E402
 from soil_env.simulation.task import Cause  # noqa: E402
 from soil_env.vector_env import SoilWheelVectorEnv  # noqa: E402
 

@@ -34,8 +34,8 @@ from benchmarks import training_page  # noqa: E402
 from benchmarks.throughput import machine, spread  # noqa: E402
 from soil_env._io.files import make_folder, replace_file  # noqa: E402
 from soil_env.parameters import load_scenario  # noqa: E402
-from soil_env._io.starting import leave  # noqa: E402
-from soil_env._io.stopping import terminable  # noqa: E402
+from soil_env._io.commands import leave  # noqa: E402
+from soil_env._io.signals import terminable  # noqa: E402
 
 VALIDATION_SET = 3_000_017  # courses, see `evaluate.course_rng`
 

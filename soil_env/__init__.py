@@ -5,9 +5,9 @@ without an import. The physics is in `contact`, `model` and `dynamics`, the iden
 `identifier`, the environment in `env` and `vector_env`.
 """
 
-from soil_env._io import starting
+from soil_env._io.signals import arm
 
-starting.arm()  # before the imports that take time
+arm()  # before the imports that take time
 
 from gymnasium.envs.registration import register, registry  # noqa: E402
 

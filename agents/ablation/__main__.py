@@ -24,9 +24,9 @@ from rich.console import Console
 from agents.cli import as_options, check_folder, config_file
 from agents.extras import needing_train
 from agents.progress import Bar
+from soil_env._io.commands import command, label, leave
 from soil_env._io.loading import ParameterError, config_dir
-from soil_env._io.starting import command, label, leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 
 _NAME = "agents.ablation"
 

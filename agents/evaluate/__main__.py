@@ -40,10 +40,10 @@ from agents.evaluate import study as studies
 from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET
 from agents.progress import Bar
 from agents.tuning import candidates_in_all, tuned_settings
+from soil_env._io.commands import command, label, leave
 from soil_env._io.files import is_unused
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._io.starting import command, label, leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 from soil_env.parameters import load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 

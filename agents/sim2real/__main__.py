@@ -20,9 +20,9 @@ from pathlib import Path
 
 from agents.cli import as_options, check_folder
 from agents.extras import needing_train
+from soil_env._io.commands import command, label, leave
 from soil_env._io.loading import ParameterError
-from soil_env._io.starting import command, label, leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 from soil_env.parameters import load_scenario
 
 _NAME = "agents.sim2real"

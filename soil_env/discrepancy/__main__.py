@@ -48,9 +48,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from soil_env._io.commands import INTERRUPTED, leave
 from soil_env._io.loading import ParameterError
-from soil_env._io.starting import INTERRUPTED, leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 from soil_env.discrepancy.report import FILES, show
 from soil_env.discrepancy.report.words import check_first, summary
 from soil_env.discrepancy.result import Report

@@ -43,9 +43,9 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
+from soil_env._io.commands import INTERRUPTED, leave
 from soil_env._io.loading import ParameterError
-from soil_env._io.starting import INTERRUPTED, leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 
 REPOSITORY = "github.com/robomechanics/3d-terramechanics"
 FILES = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}

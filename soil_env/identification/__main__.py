@@ -45,10 +45,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as Grid
 
-from soil_env._io.files import check_outputs, drop_output, replace_files
+from soil_env._io.commands import INTERRUPTED, drop_output, leave
+from soil_env._io.files import check_outputs, replace_files
 from soil_env._io.loading import ParameterError
-from soil_env._io.starting import INTERRUPTED, leave
-from soil_env._io.stopping import terminable
+from soil_env._io.signals import terminable
 from soil_env.identification.table import Fit, TableEstimate, identify_table
 from soil_env.measurement.table import read_setup, read_table
 

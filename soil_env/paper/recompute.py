@@ -17,9 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from soil_env._io.files import drop_output
-from soil_env._io.starting import INTERRUPTED
-from soil_env._io.stopping import terminable
+from soil_env._io.commands import INTERRUPTED, drop_output
+from soil_env._io.signals import terminable
 from soil_env.identification import Reading
 from soil_env.paper import page as paper_page
 from soil_env.paper.points import (

@@ -1,0 +1,88 @@
+"""What all commands share: their name, one line for what goes wrong, and the exit status."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from functools import wraps
+from typing import NoReturn
+
+from soil_env._io.loading import ParameterError
+from soil_env._io.signals import INTERRUPTED, TERMINATED, module_asked, terminable
+
+BAD_INPUT = 2  # exit status
+
+
+def command(module: str, script: str = "") -> str:
+    """What was typed to start this process: an installed command, python -m `module`, or python `script`."""
+    name = os.path.basename(sys.argv[0]) if sys.argv else ""
+    if name.startswith("soil-env-"):
+        return name
+    return f"python {script}" if script and module_asked() != module else f"python -m {module}"
+
+
+def label(module: str, script: str = "") -> str:
+    """The name of a command in its messages: the last word of `command`."""
+    return command(module, script).rpartition(" ")[2]
+
+
+def command_line(
+    module: str, script: str = "", *, interrupted: str = "", memory: str = ""
+) -> Callable[[Callable[..., int]], Callable[..., int]]:
+    """Decorator of a command's `main`, which returns the exit status: what goes wrong is one line on stderr.
+
+    Bad input (`ParameterError`), a file that cannot be read or written (`OSError`) and too little memory are
+    `BAD_INPUT`; `memory` says what would need less. Ctrl-C and SIGTERM are `INTERRUPTED` and `TERMINATED`; what the
+    `KeyboardInterrupt` says, else `interrupted`, is added to their line.
+    """
+
+    def decorate(main: Callable[..., int]) -> Callable[..., int]:
+        @terminable
+        @wraps(main)
+        def run(*args, **kwargs) -> int:
+            try:
+                return main(*args, **kwargs)
+            except KeyboardInterrupt as error:
+                more = str(error) or interrupted
+                print(f"\n{label(module, script)}: interrupted{'; ' if more else ''}{more}", file=sys.stderr)
+                return INTERRUPTED
+            except (ParameterError, OSError, MemoryError) as error:
+                print(f"{label(module, script)}: {' '.join(_words(error, memory).split())}", file=sys.stderr)
+                return BAD_INPUT
+
+        return run
+
+    return decorate
+
+
+def _words(error: Exception, memory: str) -> str:
+    if isinstance(error, MemoryError):
+        return f"not enough memory ({error})" + (f"; expected {memory}" if memory else "")
+    if not isinstance(error, OSError):
+        return str(error)
+    if error.filename is None:  # all files of ours are named: a print that failed
+        drop_output()
+        return f"the output cannot be written ({error.strerror or error})"
+    return f"{error.filename}: {error.strerror or error}"
+
+
+def drop_output() -> None:
+    """After a print that failed, as on a full disk: send the rest nowhere, since Python flushes again at its end."""
+    with suppress(OSError, ValueError):  # no file of the system behind it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def leave(status: int) -> NoReturn:
+    """End with this exit status.
+
+    After an interrupt the interpreter's own end is left out: where `KeyboardInterrupt` has passed through an `exec`, as
+    in the making of a dataclass or the compiling of a kernel, that ends in death by signal though it was handled.
+    """
+    if status not in (INTERRUPTED, TERMINATED):
+        sys.exit(status)
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):
+            stream.flush()
+    os._exit(status)

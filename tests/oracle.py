@@ -1,0 +1,147 @@
+"""The oracle: numbers that the code gave before it was rewritten, and that it has to go on giving.
+
+    python -m tests.oracle                    run all cases, say how far each is from tests/data/oracle.npz
+    python -m tests.oracle --nudge 1e-15      the same with inputs changed in their last digits: what rounding does
+    python -m tests.oracle --record           write tests/data/oracle.npz anew; only when results are meant to change
+
+A case gives named quantities, each an array of numbers or a text. Cases go through the public interface alone.
+"""
+
+import argparse
+import json
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+
+from tests import oracle_cases, oracle_runs
+
+FILE = Path(__file__).parent / "data" / "oracle.npz"
+TOLERANCE = 1e-9  # of the largest value that a quantity has over the case
+SINGLE = 1.2e-7  # the same for float32, whose last digit may be rounded the other way
+#: The same for results of optimisers, which stop near the optimum, not at it: ten times what --nudge 1e-15 changes.
+SEARCHED = {"identification": 1e-7, "discrepancy": 2e-5}
+#: Rivals that lose, which the search follows less far: the same for how well each of them explains a table.
+RIVAL, RIVALS = 3e-4, "ranking."
+#: Quantities whose scale is at least 1: log-likelihoods, what is exp() of them, whitened residuals.
+UNIT = ("probability", "p_value", "share", "chance", "score", "residual")
+
+
+def tolerance(case: str, name: str, values: np.ndarray) -> float:
+    """Largest difference from the recorded `values` of a quantity, over their scale."""
+    if name.startswith(RIVALS):
+        return RIVAL
+    return SEARCHED.get(case.split("/")[0], SINGLE if values.dtype == np.float32 else TOLERANCE)
+
+
+def differences(name: str, want: np.ndarray, got: np.ndarray) -> np.ndarray:
+    """|got - want| over the scale of the quantity: the largest |want| along the first axis; inf where one is nan."""
+    want, got = np.asarray(want, float), np.asarray(got, float)
+    scale = np.max(np.abs(np.where(np.isfinite(want), want, 0.0)), axis=0)
+    if name.split(".")[-1] in UNIT:
+        scale = np.maximum(scale, 1.0)
+    with np.errstate(invalid="ignore"):
+        off = np.abs(got - want) / np.where(scale > 0.0, scale, 1.0)
+    off = np.where(got == want, 0.0, np.where(np.isnan(got) & np.isnan(want), 0.0, off))
+    return np.where(np.isnan(off), math.inf, off)
+
+
+def first_difference(case: str, want: dict, got: dict) -> str | None:
+    """One line on the earliest value of a case that is not the recorded one; None if all are. More may have come."""
+    missing = [name for name in want if name not in got]
+    if missing:
+        return f"{case}: {len(missing)} quantities are missing, the first {missing[0]!r}"
+    found = []
+    for name, old in want.items():
+        new = got[name]
+        if isinstance(old, str) or isinstance(new, str):
+            if old != new:
+                found.append((-2, 0.0, f"{case}: {name}: {new!r} instead of {old!r}"))
+        elif old.shape != new.shape or old.dtype != new.dtype:
+            text = f"{new.dtype}{list(new.shape)} instead of {old.dtype}{list(old.shape)}"
+            found.append((-1, 0.0, f"{case}: {name}: {text}"))
+        else:
+            off, limit = differences(name, old, new), tolerance(case, name, old)
+            wrong = np.argwhere(off > limit)
+            if len(wrong):
+                rows = wrong[wrong[:, 0] == wrong[0, 0]]  # of the first time, the worst
+                at = tuple(max(rows.tolist(), key=lambda i: off[tuple(i)]))
+                when = f" (control period {int(want['period'][at[0]])})" if "period" in want else ""
+                found.append((
+                    at[0], -off[at],
+                    f"{case}: {name} at {list(at)}{when}: {new[at]:.15g} instead of {old[at]:.15g}, "
+                    f"relative difference {off[at]:.2g}, tolerance {limit:.1g}",
+                ))  # fmt: skip
+    return min(found)[2] if found else None
+
+
+def worst(case: str, want: dict, got: dict) -> tuple[float, str]:
+    """(largest difference in tolerances, its quantity) of the numbers of a case."""
+    out = (0.0, "")
+    for name, old in want.items():
+        if not isinstance(old, str) and name in got and old.size and old.shape == got[name].shape:
+            out = max(out, (float(np.max(differences(name, old, got[name]))) / tolerance(case, name, old), name))
+    return out
+
+
+def save(results: dict) -> None:
+    """Write the file: all numbers in two arrays, and an index of them in JSON with the texts."""
+    index, parts = {}, {"float32": [], "float64": []}
+    for case, quantities in results.items():
+        index[case] = {}
+        for name, value in quantities.items():
+            if isinstance(value, str):
+                index[case][name] = value
+            else:
+                parts[value.dtype.name].append(value.ravel())
+                index[case][name] = [value.dtype.name, *value.shape]
+    arrays = {kind: np.concatenate(values) for kind, values in parts.items()}
+    np.savez_compressed(FILE, index=np.frombuffer(json.dumps(index).encode(), np.uint8), **arrays)
+
+
+def recorded() -> dict:
+    """{case: {quantity: array or text}} of the file."""
+    with np.load(FILE) as data:
+        index, numbers = json.loads(data["index"].tobytes()), {k: data[k] for k in ("float32", "float64")}
+    at, results = {"float32": 0, "float64": 0}, {}
+    for case, quantities in index.items():
+        results[case] = {}
+        for name, value in quantities.items():
+            if not isinstance(value, str):
+                kind, *shape = value
+                size = math.prod(shape)
+                value = numbers[kind][at[kind] : at[kind] + size].reshape(shape)
+                at[kind] += size
+            results[case][name] = value
+    return results
+
+
+def main() -> None:
+    """Record, or say how far each case is from what is recorded."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--record", action="store_true", help="write the file")
+    p.add_argument("--nudge", type=float, default=0.0, help="relative change of the inputs")
+    p.add_argument("--only", default="", help="cases whose names contain this")
+    options = p.parse_args()
+    if options.record and (options.nudge or options.only):
+        p.error("--record goes with nothing else")
+    oracle_runs.NUDGE = options.nudge
+    old, results = ({} if options.record else recorded()), {}
+    for case, run in oracle_cases.CASES.items():
+        if options.only not in case:
+            continue
+        start = time.perf_counter()
+        got = results[case] = run()
+        text = f"{case:45s} {time.perf_counter() - start:6.2f} s"
+        if not options.record:
+            far, name = worst(case, old[case], got)
+            text += f"  {far:8.2g} tolerances: {name:35s} {first_difference(case, old[case], got) or ''}"
+        print(text, flush=True)
+    if options.record:
+        save(results)
+        print(f"{FILE}: {FILE.stat().st_size / 1e3:.0f} kB, {len(results)} cases")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,21 @@
+"""Results are those of the recorded oracle (tests/oracle.py)."""
+
+import pytest
+
+from tests import oracle, oracle_cases
+
+WANT = oracle.recorded()
+
+
+def test_every_case_is_recorded():
+    assert list(WANT) == list(oracle_cases.CASES)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(c, marks=pytest.mark.slow) if c.startswith("discrepancy") else c for c in oracle_cases.CASES],
+)
+def test_the_numbers_are_the_recorded_ones(case):
+    wrong = oracle.first_difference(case, WANT[case], oracle_cases.CASES[case]())
+    if wrong:
+        pytest.fail(wrong, pytrace=False)
