@@ -26,6 +26,7 @@ from soil_env._io.files import make_folder, replace_file
 from soil_env._io.loading import ParameterError
 from soil_env._io.signals import terminable
 from soil_env.discrepancy import cmu, run
+from soil_env.discrepancy.report import content
 from soil_env.measurement.table import Prior, Setup, SetupWheel, SoilPriors, read_setup
 
 OTHER_SIZE = (0.0625, 0.060)  # [m] radius, width in qishuny/3D-RFT-wheel
@@ -96,7 +97,7 @@ def judged(table: Path, setup: Setup) -> dict:
     with tempfile.NamedTemporaryFile("w", suffix=".yaml", delete=False) as stream:
         yaml.safe_dump(_plain(setup), stream)
     try:
-        return run(table, Path(stream.name), seed=0).as_dict()
+        return content(run(table, Path(stream.name), seed=0))
     finally:
         os.unlink(stream.name)
 
