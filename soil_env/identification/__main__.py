@@ -49,7 +49,7 @@ from soil_env._io.commands import INTERRUPTED, drop_output, leave
 from soil_env._io.files import check_outputs, replace_files
 from soil_env._io.loading import ParameterError
 from soil_env._io.signals import terminable
-from soil_env.identification.table import Fit, TableEstimate, identify_table
+from soil_env.identification.table import ChannelFit, TableEstimate, identify_table
 from soil_env.measurement.table import read_setup, read_table
 
 FILES = ("identification.json", "identification.png")
@@ -188,7 +188,7 @@ def show(estimate: TableEstimate, console: Console) -> None:
         console.print(f"! {warning}", style="yellow", highlight=False)
 
 
-def _rms(fit: Fit) -> float:
+def _rms(fit: ChannelFit) -> float:
     return math.sqrt(float(np.nanmean((fit.measured - fit.fitted) ** 2)))
 
 
