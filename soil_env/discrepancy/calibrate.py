@@ -21,7 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.discrepancy.data import CHANNELS, Data, Noise, find_noise
+from soil_env.discrepancy.data import CHANNELS, Data
+from soil_env.discrepancy.noise import NoiseEstimate, find_noise
 from soil_env.identification.priors import (
     USUAL_SINKAGE,
     Unknown,
@@ -319,7 +320,7 @@ class Problem:
                    -0.5 * objective - 0.5 * logdet, ok, eta.size)  # fmt: skip
 
 
-def calibrate(data: Data) -> tuple[Problem, Noise]:
+def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
     """`Problem` with its noise found and its outliers left out."""
     spread = np.array([np.nanstd(data.y[:, j]) if data.measured[:, j].any() else 1.0 for j in range(3)])
     rough = np.array([

@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 from soil_env.discrepancy.calibrate import Fit, Problem
-from soil_env.discrepancy.data import smooth_basis
+from soil_env.discrepancy.noise import smooth_basis
 
 LEAST_LEFT = 0.05  # of the length of a direction, below which the unknowns explain it anyway
 _STEP = 1e-3  # relative change of an input, for differences

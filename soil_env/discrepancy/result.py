@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from soil_env.discrepancy.calibrate import Fit, Problem
-from soil_env.discrepancy.data import CHANNELS, Noise
+from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.experiment import NextTest
 from soil_env.discrepancy.judgement import Gap, Interval, Rank, Sureness
 from soil_env.discrepancy.locate import Disagreement
+from soil_env.discrepancy.noise import NoiseEstimate
 from soil_env.discrepancy.search import Finding
 from soil_env.discrepancy.symbolic import ResidualFit
 from soil_env.terramechanics.model import WheelSoilModel
@@ -44,7 +45,7 @@ class Report:
 
     finding: Finding
     problem: Problem
-    noise: Noise
+    noise: NoiseEstimate
     where: tuple[Disagreement, ...]
     effects: tuple[EffectFound, ...]
     law: ResidualFit | None  # where something unlisted is missing

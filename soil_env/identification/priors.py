@@ -16,16 +16,15 @@ from soil_env.measurement.setup import Setup
 from soil_env.parameters import SoilState
 
 #: Where the setup says nothing of a soil parameter: mean, sd, lower and upper bound, of the parameter or its logarithm.
-#: Ours, wide enough for the preset soils of configs/soils.yaml. The mean of ln S is that of a plate that carries the
-#: median load at the median sinkage.
+#: Ours, wide enough for every preset soil of configs/soils.yaml, clays with 69 kPa among them. The mean of ln S is that
+#: of a plate that carries the median load at the median sinkage.
 BROAD = MappingProxyType({
-    "friction_angle_deg": (31.0, 8.0, 2.0, 65.0, False),
-    "cohesion": (2e3, 4e3, 0.0, 1e5, False),
-    "shear_modulus": (math.log(0.018), 0.9, math.log(2e-4), math.log(0.3), True),
+    "friction_angle_deg": (30.0, 15.0, 2.0, 65.0, False),
+    "cohesion": (5e3, 3e4, 0.0, 1e5, False),
+    "shear_modulus": (math.log(0.02), 1.2, math.log(2e-4), math.log(0.3), True),
     "sinkage_coefficient": (math.nan, 3.0, math.log(10.0), math.log(1e13), True),
-    "sinkage_exponent": (0.95, 0.3, 0.05, 2.5, False),
+    "sinkage_exponent": (0.8, 0.5, 0.05, 2.5, False),
 })  # fmt: skip
-SOIL = tuple(BROAD)
 USUAL_SINKAGE = 0.08  # [radii] where none was measured
 #: Smallest standard deviations of priors that are given, in the coordinate of the fit.
 _LEAST_SD = {"friction_angle_deg": 0.05, "cohesion": 1.0, "shear_modulus": 1e-4, "sinkage_coefficient": 1e-4,

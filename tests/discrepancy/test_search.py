@@ -8,7 +8,8 @@ import pytest
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import run
 from soil_env.discrepancy.calibrate import Choice, Problem, calibrate
-from soil_env.discrepancy.data import Noise, folds, prepare
+from soil_env.discrepancy.data import folds, prepare
+from soil_env.discrepancy.noise import NoiseEstimate
 from soil_env.discrepancy.search import candidates, held_out, lack_of_fit, search
 from soil_env.measurement.table import read_setup, read_table
 from tests.discrepancy.tables import problem, table
@@ -129,6 +130,6 @@ def test_an_outlier_is_left_out():
     y = clean.data.y.copy()
     y[40, 1] += 20.0 * clean.noise[1]
     p, noise = calibrate(dataclasses.replace(clean.data, y=y))
-    assert isinstance(noise, Noise) and isinstance(p, Problem)
+    assert isinstance(noise, NoiseEstimate) and isinstance(p, Problem)
     assert not p.used[40, 1] and noise.outliers <= 2
     assert [n.name for n in search(p).named] == ["bulldozing"]
