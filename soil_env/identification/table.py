@@ -21,6 +21,7 @@ from soil_env.measurement.table import UNITS, Setup, Table
 NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "sinkage_exponent", "cohesion")
 PHI, LN_K, LN_S, EXPONENT, COHESION = range(5)  # in these coordinates, the angle in degrees
 LABELS = ("friction angle", "shear deformation modulus", "stiffness S z^n", "sinkage exponent", "cohesion")
+SYMBOLS = dict(zip(LABELS, ("phi", "K", "S z^n", "n", "c"), strict=True))
 UNTOLD = 0.7  # share of the prior sd above which the data do not tell a parameter
 TIED = 0.98  # correlation above which two parameters are tied
 SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows
