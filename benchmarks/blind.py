@@ -44,11 +44,12 @@ from soil_env._io.signals import terminable  # noqa: E402
 
 NAME = "benchmarks.blind"
 ROOT = Path(__file__).resolve().parent.parent
-FOLLOWS_FROM = ("_io/loading.py", "_numba", "measurement", "parameters.py", "terramechanics")  # besides discrepancy
-APART = (  # modules of discrepancy and of the benchmark from which no record follows
-    "__main__", "closing", "cmu", "equations", "formulas", "page", "pictures", "report", "unlisted", "words",
-    "blind", "blind_judge", "blind_page", "blind_plots",
+FOLLOWS_FROM = (  # besides discrepancy
+    "_io/loading.py", "_numba", "identification/priors.py", "identification/weighted.py", "measurement",
+    "parameters.py", "terramechanics",
 )  # fmt: skip
+#: Modules of discrepancy (beside report/) and of the benchmark from which no record follows.
+APART = ("__main__", "cmu", "law_tests", "blind", "blind_judge", "blind_page", "blind_plots")
 
 
 def code_version() -> str:
