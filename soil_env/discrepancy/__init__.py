@@ -1,4 +1,4 @@
-"""The discrepancy workflow: where simulation and measurement disagree, which effect is missing, and the gap closed."""
+"""The discrepancy workflow: where simulation and measurement disagree, and which effect is missing."""
 
 from soil_env.discrepancy.result import Report
 from soil_env.discrepancy.workflow import run

@@ -1,4 +1,4 @@
-"""The test that would tell apart what a table cannot.
+"""Design of the next tests: the conditions that discriminate best between the remaining candidates.
 
 Every candidate predicts a grid of feasible conditions, with its uncertainty: the covariance C = (I + J'J)^-1 of its
 parameters, form error included, carried to the grid. A single extra run separates candidates a and b in a channel by
@@ -21,7 +21,7 @@ import numpy as np
 
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.search import TOLD, Candidate, Finding
+from soil_env.discrepancy.search import RULED_OUT, Candidate, Finding
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import Rows
 
@@ -74,7 +74,7 @@ def undecided(finding: Finding) -> tuple[Candidate, ...]:
     if finding.verdict == "ambiguous":
         other = {name for named in finding.named for name in named.alternatives}
         rest = [c for c in rest if len(c.names) == len(first.names) and other & set(c.names)]
-        near = [c for c in rest if c.score > first.score - TOLD]
+        near = [c for c in rest if c.score > first.score - RULED_OUT]
         rest = near or rest
     else:  # a model without one effect of a named pair is no rival to it
         rest = [c for c in rest if c.score > first.score - RUNNER_UP and not set(c.names) < set(first.names)]

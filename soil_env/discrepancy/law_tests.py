@@ -1,4 +1,4 @@
-"""The tests that tell most about a law without a name.
+"""Design of tests for a law without a name.
 
 Such a law is a guess at a form. Two kinds of test bear on it: the run in which it adds most, made again, says whether
 there is anything to explain; runs in which one of its conditions goes beyond the table, all else kept, say whether the

@@ -1,4 +1,4 @@
-"""Where a table and a fitted model disagree: the channel, the region of the conditions, the size, the chance of it.
+"""Location of disagreements between a table and a fitted model: channel, region of the conditions, size, p value.
 
 Every box of one or two conditions (intervals of levels of one, half-lines of two) is looked at in every channel. What
 the fit's own parameters would absorb is projected out, so under the null the statistic of a box is standard normal
@@ -22,8 +22,8 @@ from scipy.stats import t as student
 from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.data import CHANNELS
 
-SIGNIFICANT = 0.01  # p value above which a disagreement is not told
-MOST = 4  # disagreements told
+SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
+MOST = 4  # disagreements reported
 LEAST_VALUES = 3  # in a box
 _TAIL = 0.95  # quantile of the simulated maxima at which the number of independent looks is read off
 _SHOWS = 2.0  # least |t| of the plain mean residual of a box

@@ -1,6 +1,6 @@
-"""Whether a fit leaves more than noise: tests of what is left along smooth and along physical directions.
+"""Tests for lack of fit: residuals along smooth and along physical directions.
 
-Two things are looked for, with what the fit's own unknowns explain taken out of both:
+What the fit's own unknowns explain is taken out of both:
 
 - *smooth*: polynomials of the conditions, in each channel on its own;
 - *physical*: an input of the model (a soil parameter, the load on the wheel, its radius, its slip) that is not the

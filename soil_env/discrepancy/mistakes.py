@@ -1,8 +1,8 @@
-"""Mistakes of sign and unit that no effect should be sought in: told before the search, or refused.
+"""Checks of a table for mistakes of sign and unit, before the search for effects.
 
-Two things speak for one: the table read otherwise (the drawbar pull with its sign turned, the load as kilograms ...)
-is fitted far better by the base model, and the table as it is breaks what a wheel on soil can do. Where both hold the
-table is refused; one of them alone is a doubt that a report says first.
+Two things speak for a mistake: the table read otherwise (the drawbar pull with its sign turned, the load as kilograms
+...) is fitted far better by the base model, and the table as it is breaks what a wheel on soil can do. Where both hold
+the table is refused; one of them alone is a doubt that a report says first.
 """
 
 from __future__ import annotations

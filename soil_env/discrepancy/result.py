@@ -9,7 +9,7 @@ import numpy as np
 from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.experiment import NextTest
-from soil_env.discrepancy.judgement import Gap, Interval, Rank, Sureness
+from soil_env.discrepancy.judgement import Bootstrap, Gap, Interval, Rank
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.noise import NoiseEstimate
 from soil_env.discrepancy.search import Finding
@@ -52,7 +52,7 @@ class Report:
     soil: dict[str, Interval]
     ranking: tuple[Rank, ...]
     other: dict[str, float]  # probability that nothing is missing, and that something unlisted is
-    sureness: Sureness | None
+    bootstrap: Bootstrap | None
     gap: dict[str, Gap]
     closed: float | None  # None where nothing was added
     closed_interval: tuple[float, float] | None  # 95 %

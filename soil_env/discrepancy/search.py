@@ -1,4 +1,4 @@
-"""Which named effects are missing: every candidate refitted jointly with the soil, judged on what was held out.
+"""Search for the missing effects: every candidate is refitted jointly with the soil and judged on held-out conditions.
 
 The steps, for the conclusion `Finding`:
 
@@ -28,8 +28,8 @@ CHANCE = 0.004  # probability of a false alarm over everything that is tried
 LEAST_FIT = (3e-3, 0.02)  # p value of the lack of fit below which one effect, two effects, are not enough: where
 # -e p ln p (Sellke et al. 2001) meets prior odds of 20, of 5, that what is missing is in the catalogue
 SECOND = 1e-4  # the same for a second effect beside one that is enough: B(p) of it against prior odds of 20 is again 20
-TOLD = 4.6  # [nats] of held-out likelihood by which a candidate must lose to be ruled out
-TRIED = 20  # independent looks that the candidates amount to
+RULED_OUT = 4.6  # [nats] of held-out likelihood by which a candidate must be behind to be ruled out
+LOOKS = 20  # independent tests that the candidates amount to
 IMPLAUSIBLE = 4.0  # [widened prior sd] of a soil that no candidate may need
 LEADING = 10.0  # [nats] by which a pair must lead to be named with a fit down to LEAST_FIT of one effect, and by which
 # what is named may not be behind a model that does not fit
@@ -130,7 +130,7 @@ def judge(problem: Problem, fit: Fit, base_score: float = 0.0) -> Candidate:
 
 
 def strengths(choices: Iterable[Choice]) -> int:
-    """Unknowns that effects bring."""
+    """Number of unknowns of effects."""
     return sum(len(c.free) for c in choices)
 
 
@@ -195,7 +195,7 @@ class Finding:
     singles: tuple[Candidate, ...]  # best first
     pairs: tuple[Candidate, ...]
     untestable: dict[str, str]
-    chance: float  # p value of everything there is to see being chance
+    chance: float  # p value that all disagreement is noise
 
 
 def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> Finding:
@@ -242,7 +242,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     pairs = two_effects(problem, singles, names, base_score, say)
     needed = [c for c in pairs if both_needed(problem, c, singles)]
     enough_pairs = not_behind([c for c in needed if acceptable(problem, base, c)], needed, problem, base)
-    if enough and (not enough_pairs or enough_pairs[0].score < enough[0].score + TOLD):
+    if enough and (not enough_pairs or enough_pairs[0].score < enough[0].score + RULED_OUT):
         return conclude_one(enough, pairs)
     if not enough_pairs and pairs:
         ahead = pairs[0].score - (pairs[1].score if len(pairs) > 1 else 0.0)
@@ -267,9 +267,9 @@ def undecided(enough: list[Candidate], others: list[Candidate]) -> tuple[Candida
 
     The first is one that fits; another is ruled out by the held-out likelihood and its lack of fit together.
     """
-    least = max(c.score for c in enough) - TOLD
+    least = max(c.score for c in enough) - RULED_OUT
     first = max((c for c in enough if c.score > least), key=lambda c: c.score + c.fit.evidence)
-    least = max(c.worth for c in enough) - TOLD
+    least = max(c.worth for c in enough) - RULED_OUT
     near = [c for c in others if c.worth > least and c is not first]
     return first, sorted(near, key=lambda c: -(c.worth + c.fit.evidence))
 
@@ -288,7 +288,7 @@ def _instead(name: str, best: Candidate, near: list[Candidate]) -> tuple[str, ..
 
 
 def _family(p: float) -> float:
-    return 1.0 - (1.0 - p) ** TRIED
+    return 1.0 - (1.0 - p) ** LOOKS
 
 
 def _p_gain(problem: Problem, base: Candidate, c: Candidate) -> float:
@@ -302,7 +302,7 @@ def possible(problem: Problem, base: Candidate, c: Candidate) -> bool:
     for unknown, x, without in zip(problem.soil, c.fit.u, base.fit.u, strict=False):
         if getattr(priors, unknown.name, None) and abs(x) > max(IMPLAUSIBLE, abs(without) + 1.0):
             return False
-    return c.score > TOLD and _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
+    return c.score > RULED_OUT and _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
 
 
 def acceptable(problem: Problem, base: Candidate, c: Candidate, least: float | None = None) -> bool:
@@ -322,7 +322,7 @@ def second(problem: Problem, first: Candidate, names: list[str], base_score: flo
         fit = fit_effect(problem, name, first.fit.choices)
         p = probability(first.fit.objective - fit.objective, strengths(fit.choices[-1:]), problem.freedom)
         c = judge(problem, fit, base_score)
-        if _family(p) < SECOND and c.score > first.score + TOLD and (best is None or c.score > best.score):
+        if _family(p) < SECOND and c.score > first.score + RULED_OUT and (best is None or c.score > best.score):
             best = c
     return best
 
@@ -333,7 +333,7 @@ def both_needed(problem: Problem, pair: Candidate, singles: list[Candidate]) -> 
         if c.names[0] in pair.names:
             rest = [k for k in pair.fit.choices if k.effect != c.names[0]]
             p = probability(c.fit.objective - pair.fit.objective, strengths(rest), problem.freedom)
-            if _family(p) > CHANCE or pair.score < c.score + 0.5 * TOLD:
+            if _family(p) > CHANCE or pair.score < c.score + 0.5 * RULED_OUT:
                 return False
     return True
 

@@ -1,4 +1,4 @@
-"""A misfit that no listed effect explains, as the simplest law in dimensionless groups.
+"""Symbolic regression of a misfit that no listed effect explains, in dimensionless groups.
 
 The law is a sum of at most `TERMS` products of powers of the groups of `residual.py`, in any channel. Terms are chosen
 one after the other, each fitted jointly with the fit's own parameters (to first order, so that the soil may move): a

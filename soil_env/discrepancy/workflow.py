@@ -44,7 +44,7 @@ def run(
 
     Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html and model.yaml,
     written at the end, all of them or none; `seed` of the simulated null distributions and the bootstrap; `bootstrap`,
-    draws of the noise from which the sureness of the name is told, 0 for none; `progress` is told what is being done,
+    draws of the noise that say how sure the name is, 0 for none; `progress` is called with what is being done,
     "stage: step".
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
@@ -90,7 +90,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     base = finding.base.fit
     say("locating the disagreement")
     where = locate(problem, base, settings.seed) if finding.verdict != "none" else ()
-    final, law, terms = base, None, ()
+    final, law = base, None
     if finding.named:
         # without the form error that the search grants: model.yaml cannot have it
         best = finding.best.fit
@@ -98,30 +98,41 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     elif finding.verdict == "unlisted":
         say("looking for a law of what is left")
         law = symbolic(problem, base)
-        final, terms = law.fit, tuple(law.terms)
+        final = law.fit
     say("predicting what was held out")
-    held = judgement.predictions(problem, base)
-    held_after = held if final is base else judgement.predictions(problem, final)
-    gap = judgement.gaps(problem, held, held_after)
-    rng = np.random.default_rng(settings.seed)
-    sureness = judgement.sureness(problem, finding, settings.bootstrap, rng, say)
+    before = judgement.predictions(problem, base)
+    after = before if final is base else judgement.predictions(problem, final)
+    gap = judgement.gaps(problem, before, after)
+    closed = None if final is base else judgement.closed(problem, gap)
+    rng = np.random.default_rng([settings.seed, 1])
+    redraws = judgement.bootstrap(problem, finding, settings.bootstrap, np.random.default_rng(settings.seed), say)
     ranking, other = judgement.ranking(problem, finding)
     say("choosing the next tests")
-    corrected = model_of(problem, final, terms)
-    if finding.verdict == "unlisted":
-        tests = law_tests(problem, base, law, corrected)
-    else:
-        tests = next_tests(problem, finding)
-    spread = final if not finding.named else finding.best.fit
-    told = judgement.intervals(spread, final.parameters())
-    share = None if final is base else judgement.closed(problem, gap)
-    again = np.random.default_rng([settings.seed, 1])  # the draws above stay the same
-    interval = None if share is None else judgement.closed_interval(problem, held, held_after, again)
+    model = model_of(problem, final, () if law is None else tuple(law.terms))
+    intervals = judgement.intervals(finding.best.fit if finding.named else final, final.parameters())
     return Report(
-        finding, problem, noise, where, _effects(problem, finding, told), law, _soil(problem, told), ranking, other,
-        sureness, gap, share, interval, tests, final, model_of(problem, base), corrected, held,
-        held_after, doubts, settings,
-    )  # fmt: skip
+        finding=finding,
+        problem=problem,
+        noise=noise,
+        where=where,
+        effects=_effects(problem, finding, intervals),
+        law=law,
+        soil=_soil(problem, intervals),
+        ranking=ranking,
+        other=other,
+        bootstrap=redraws,
+        gap=gap,
+        closed=closed,
+        closed_interval=None if closed is None else judgement.closed_interval(problem, before, after, rng),
+        next_tests=next_tests(problem, finding) if law is None else law_tests(problem, base, law, model),
+        fit=final,
+        base_model=model_of(problem, base),
+        model=model,
+        held_before=before,
+        held_after=after,
+        doubts=doubts,
+        settings=settings,
+    )
 
 
 # --- the model --------------------------------------------------------------------------------------------------------

@@ -83,7 +83,7 @@ def test_the_bootstrap_takes_its_noise_from_the_generator(planted):
     weak = [dataclasses.replace(c, fit=_weaker(c.fit)) for c in planted.finding.singles]
     finding = dataclasses.replace(planted.finding, singles=tuple(weak), best=weak[0])
     seeds = (1, 1, 2, 3)
-    told = [judgement.sureness(problem, finding, 101, np.random.default_rng(k), lambda text: None) for k in seeds]
+    told = [judgement.bootstrap(problem, finding, 101, np.random.default_rng(k), lambda text: None) for k in seeds]
     assert told[0] == told[1] and len({t.share for t in told}) > 1
     assert 0.2 < told[0].share < 1.0 and told[0].share + sum(told[0].instead.values()) == pytest.approx(1.0)
 

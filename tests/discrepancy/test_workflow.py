@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_the_planted_effect_is_named(planted):
     assert planted.verdict == "named" and [e.name for e in planted.effects] == ["slip_sinkage"]
     assert planted.effects[0].alternatives == ()
-    assert planted.sureness.share > 0.9 and planted.sureness.draws == 40
+    assert planted.bootstrap.share > 0.9 and planted.bootstrap.draws == 40
     assert planted.where[0].channel == "sinkage" and planted.where[0].p_value < 1e-3
 
 

@@ -48,9 +48,9 @@ def content(report: Report) -> dict:
         "residual": _law(report, shown),
         "probability": report.other,
         "chance": report.finding.chance,
-        "confidence": None if report.sureness is None else {
-            "share": report.sureness.share, "draws": report.sureness.draws,
-            "instead": [{"names": names, "share": share} for names, share in report.sureness.instead.items()],
+        "confidence": None if report.bootstrap is None else {
+            "share": report.bootstrap.share, "draws": report.bootstrap.draws,
+            "instead": [{"names": names, "share": share} for names, share in report.bootstrap.instead.items()],
         },
         "soil": {name: v._asdict() | {"known": report.known(name)} for name, v in report.soil.items()},
         "noise": {name: {"sd": report.noise.sd[j], "origin": report.noise.origin[j]} for name, j in noise.items()},

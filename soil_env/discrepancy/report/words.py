@@ -13,7 +13,7 @@ from soil_env.discrepancy.experiment import NextTest
 from soil_env.discrepancy.judgement import LISTED, chance_of
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.result import Report
-from soil_env.discrepancy.search import TOLD
+from soil_env.discrepancy.search import RULED_OUT
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import DEEPEST
 from soil_env.terramechanics.validity import in_words
@@ -185,8 +185,8 @@ def _named(report: Report) -> str:
     one = len(report.effects) == 1
     first = listed(title(e.name) for e in report.effects)
     text = f"Missing from the model: {first}. With {'it' if one else 'them'}, {_shrinks(report)}."
-    if report.sureness is not None:
-        share = f"{_percent(report.sureness.share)} of {report.sureness.draws} redraws of the noise"
+    if report.bootstrap is not None:
+        share = f"{_percent(report.bootstrap.share)} of {report.bootstrap.draws} redraws of the noise"
         text += f" The {'name is' if one else 'names are'} found again in {share}."
     return text
 
@@ -223,18 +223,18 @@ def rule(report: Report) -> str:
     """When an effect is named, and what the probabilities and the redraws rest on."""
     prior = f"{LISTED / (1.0 + LISTED):.3f} = {LISTED:.0f}/{1.0 + LISTED:.0f}"
     text = (
-        f"An effect is named only where every rival that fits the table, with a plausible soil, falls {TOLD} nats of "
-        "held-out likelihood behind; otherwise the verdict is ambiguous. A listed effect reaches a probability of at "
-        f"most {prior}, the prior that what is missing is in the catalogue."
+        f"An effect is named only where every rival that fits the table, with a plausible soil, falls {RULED_OUT} nats "
+        "of held-out likelihood behind; otherwise the verdict is ambiguous. A listed effect reaches a probability of "
+        f"at most {prior}, the prior that what is missing is in the catalogue."
     )
-    if report.sureness is not None:
+    if report.bootstrap is not None:
         text += " The redraws of the noise assume the named model: they do not see a wrong form."
     return text
 
 
-def sureness(report: Report) -> str:
+def bootstrap(report: Report) -> str:
     """How often the names are found again, and what is found instead; empty where nothing was drawn."""
-    sure = report.sureness
+    sure = report.bootstrap
     if sure is None:
         return ""
     names = listed(title(e.name) for e in report.effects)

@@ -93,7 +93,7 @@ def test_the_page_stands_alone(planted_files):
     assert all(source.startswith("data:image/svg+xml;base64,") for source in page.sources)
     assert not {"script", "link", "iframe"} & set(page.tags) and "url(" not in text and "@import" not in text
     said = " ".join(page.words)
-    parts = [words.summary(report), words.rule(report), words.sureness(report), *words.cautions(report)]
+    parts = [words.summary(report), words.rule(report), words.bootstrap(report), *words.cautions(report)]
     parts += [words.next_test(report, t) for t in report.next_tests]
     parts += [words.disagreement(report, d) for d in report.where]
     assert all(part in said for part in parts)
