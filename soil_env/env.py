@@ -11,10 +11,9 @@ import gymnasium
 import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._numba.compiling import Entry
+from soil_env._numba.compiling import FastCall
 from soil_env.identification import Status
 from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
-from soil_env.simulation.dynamics import WHEEL_STATE
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.terrain import ground_at
 from soil_env.simulation.worlds import Simulation
@@ -207,7 +206,7 @@ class SoilWheelEnv(gymnasium.Env):
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.period))}
         self.model = load_model(model)
         self.simulation = Simulation(1, self.scenario, observation, threads=1, model=self.model)
-        self._best_working_point = Entry(best_working_point)
+        self._best_working_point = FastCall(best_working_point)
         self._renderer = None
         self._seeded = False
         self._warning: dict[str, Any] = {}
@@ -284,7 +283,7 @@ class SoilWheelEnv(gymnasium.Env):
     def true_soil(self) -> SoilState:
         """The undisturbed soil under the wheel: for analysis and references, never part of a fair observation."""
         w = self.simulation.worlds
-        soil, _, _ = ground_at(w.courses, 0, w.state[0]["x"], w.state[0]["patch"], self.scenario.course.border)
+        soil, _, _ = ground_at(w.courses, 0, w.state.x[0], w.counts.patch[0], self.scenario.course.border)
         return soil
 
     def _view(self):
@@ -317,7 +316,7 @@ class SoilWheelEnv(gymnasium.Env):
         worlds = self.simulation.worlds
         cause = Cause(worlds.cause.item(0))
         x, sd = worlds.ids.estimate[0].tolist(), worlds.ids.sd[0].tolist()
-        state = worlds.state.item(0)
+        state = worlds.state[0]
         return {
             "cause": cause.name,
             "immobilised": cause in IMMOBILISED,
@@ -336,26 +335,23 @@ class SoilWheelEnv(gymnasium.Env):
                 "status": _STATUS[worlds.ids.status.item(0)],
             },
             "traversability": dict(self._warning),
-            "state": {name: state[i] for name, i in _STATE.items()},
+            "state": {name: state[name] for name in _STATE},
         }
 
 
 _STATUS = {status.value: status.name for status in Status}
-_STATE = {
-    name: WHEEL_STATE.names.index(name)
-    for name in (
-        "x",
-        "speed",
-        "wheel_speed",
-        "slip",
-        "sinkage",
-        "load",
-        "drawbar_pull",
-        "torque",
-        "motor_torque",
-        "grade",
-    )
-}
+_STATE = (
+    "x",
+    "speed",
+    "wheel_speed",
+    "slip",
+    "sinkage",
+    "load",
+    "drawbar_pull",
+    "torque",
+    "motor_torque",
+    "grade",
+)
 
 
 def command(action) -> float:

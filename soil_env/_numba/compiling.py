@@ -1,18 +1,50 @@
-"""How the functions of a step are compiled.
+"""How functions are compiled: parts, roots, and the cache on the disk.
 
-`_nrt=False` takes numba's reference counting and heap out of them: two threads that count references to the same
-arrays slow each other down, and a function that would allocate does not compile. Scratch is `lanes.scratch`, on the
-stack. `error_model="numpy"`: a division by zero gives inf, as in numpy, not a test and an exception.
+A simulation step is some 150 small functions. Numba by itself optimises each of them together with everything it calls,
+and emits machine code for each, although only a few are ever called from Python. Here a `part` is only translated; its
+callers link it, and a `root`, a function that Python calls, optimises the whole tree once. Called from Python, as in a
+test or a notebook, a part compiles a root of its own.
+
+Compiled code is kept beside the sources (or where NUMBA_CACHE_DIR says) and is valid for as long as none of the
+compiled sources of the package has changed. With NUMBA_DISABLE_JIT=1 nothing is compiled: the same functions run as
+Python, slowly, for a debugger.
+
+`error_model="numpy"`: a division by zero gives inf, as in numpy. `_nrt=False` takes numba's reference counting and heap
+out of a function: two threads that count references to the same arrays slow each other down, and a function that would
+allocate does not compile. Scratch memory is on the stack (`lanes.scratch`, `rows.scratch_rows`).
 """
 
+from __future__ import annotations
+
+import hashlib
 import importlib
 import multiprocessing
 import os
 import sys
+from functools import cache, update_wrapper
+from pathlib import Path
 
-from numba import njit, typeof, types
-from numba.extending import intrinsic
+from numba import config, njit, typeof, types
+from numba.core.caching import IndexDataCacheFile
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.extending import intrinsic, typeof_impl
 from numba.np.arrayobj import make_array
+
+#: Whether functions are compiled at all.
+COMPILED = not config.DISABLE_JIT
+_ROOMS = ("_numba", "terramechanics", "simulation", "identification")  # whose sources compiled code is made of
+
+
+# --- the cache --------------------------------------------------------------------------------------------------------
+
+
+@cache
+def _sources() -> str:
+    """Hash of the sources that compiled code may be made of."""
+    package = Path(__file__).resolve().parents[1]
+    files = sorted(f for room in _ROOMS for f in (package / room).glob("*.py"))
+    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
 
 
 def _nothing():
@@ -29,26 +61,134 @@ def _cacheable() -> bool:
 
 #: Whether compiled code is kept on the disk; without a folder for it every process compiles anew.
 CACHE = _cacheable()
-#: For functions of a step.
-kernel = njit(cache=CACHE, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
-#: The same for those that only compiled code calls: without what takes Python's arguments apart, which for the nested
-#: tuples of a simulation is more code than the function. Called from Python they would crash.
-inner = njit(cache=CACHE, error_model="numpy", _nrt=False, no_cfunc_wrapper=True, no_cpython_wrapper=True)
-#: The same for small ones whose values should stay in registers: always inlined.
-inlined = njit(cache=CACHE, error_model="numpy", _nrt=False, forceinline=True, no_cfunc_wrapper=True)
-#: The same for large ones with one caller: put into it before compilation, so that they are not compiled twice.
-pasted = njit(cache=CACHE, error_model="numpy", _nrt=False, inline="always")
 
 
-@intrinsic
-def take(typingctx, counter, count):
-    """Present value of counter[0] (int64), which grows by `count` at once, whatever other threads do."""
+def _keep(dispatcher):
+    """Turn on the cache of a dispatcher, valid for the present sources of all compiled rooms and of its own file."""
+    if CACHE:
+        dispatcher.enable_caching()
+        store = dispatcher._cache
+        own = hashlib.sha256(Path(dispatcher.py_func.__code__.co_filename).read_bytes()).hexdigest()
+        store._cache_file = IndexDataCacheFile(
+            cache_path=store._cache_path,
+            filename_base=store._impl.filename_base,
+            source_stamp=(_sources(), own),
+        )
+    return dispatcher
 
-    def emit(context, builder, sig, args):
-        data = make_array(sig.args[0])(context, builder, args[0]).data
-        return builder.atomic_rmw("add", data, args[1], "monotonic")
 
-    return types.int64(counter, types.int64), emit
+# --- parts and roots --------------------------------------------------------------------------------------------------
+
+
+class _WithoutEnvironment:
+    """The code generator, for functions that have no place in memory into which Python objects could be written."""
+
+    def __init__(self, codegen):
+        self._codegen = codegen
+
+    def __getattr__(self, name):
+        return getattr(self._codegen, name)
+
+    def set_env(self, name, environment):
+        pass
+
+
+class _Part(JITCodeLibrary):
+    """Code that is only ever linked into that of a caller: neither optimised nor turned into machine code by itself."""
+
+    @property
+    def codegen(self):
+        return _WithoutEnvironment(self._codegen)
+
+    def get_pointer_to_function(self, name):
+        return 0
+
+    def finalize(self):
+        for library in self._linking_libraries:
+            self._reload_init.update(library._reload_init)
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _Root(JITCodeLibrary):
+    """Code with all parts below it, each linked once."""
+
+    def add_linking_library(self, library):
+        super().add_linking_library(library)
+        for below in library._linking_libraries:
+            if below not in self._linking_libraries:
+                self.add_linking_library(below)
+
+
+def _compiler(library_class):
+    class Pipeline(Compiler):
+        def compile_extra(self, func):
+            codegen = self.state.targetctx.codegen()
+            self.state.library = library_class(codegen, func.__qualname__)
+            self.state.library.enable_object_caching()
+            return super().compile_extra(func)
+
+    return Pipeline
+
+
+_PART, _ROOT = _compiler(_Part), _compiler(_Root)
+_OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
+
+
+class Part:
+    """A function of compiled code, which Python may call too; `py_func` is its source as a Python function."""
+
+    def __init__(self, function, inline: bool):
+        update_wrapper(self, function)
+        self.py_func = function
+        self._root = None
+        self.dispatcher = njit(
+            _nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=_PART, **_OPTIONS
+        )(function)
+
+    @property
+    def root(self):
+        """The function compiled for calls from Python."""
+        if self._root is None:
+            self._root = _keep(njit(_nrt=False, pipeline_class=_ROOT, **_OPTIONS)(self.py_func))
+        return self._root
+
+    def __call__(self, *arguments, **keywords):
+        return self.root(*arguments, **keywords)
+
+    def __reduce__(self):
+        return _named, (self.__module__, self.__qualname__)
+
+
+@typeof_impl.register(Part)
+def _typeof_part(value, context):
+    return types.Dispatcher(value.dispatcher)
+
+
+def _named(module: str, name: str):
+    return getattr(importlib.import_module(module), name)
+
+
+def part(function):
+    """A function of compiled code that its callers call."""
+    return Part(function, False) if COMPILED else function
+
+
+def inlined(function):
+    """A function of compiled code that is put into its callers, so that its values may stay in registers."""
+    return Part(function, True) if COMPILED else function
+
+
+def root(function=None, *, nogil=False, allocates=False):
+    """A compiled function that Python calls. `nogil`: without the interpreter's lock; `allocates`: may make arrays."""
+    if function is None:
+        return lambda f: root(f, nogil=nogil, allocates=allocates)
+    if not COMPILED:
+        return function
+    return _keep(njit(_nrt=allocates, nogil=nogil, pipeline_class=_ROOT, **_OPTIONS)(function))
+
+
+# --- calls from Python ------------------------------------------------------------------------------------------------
 
 
 _told = [False]  # whether this process has said that it compiles
@@ -68,7 +208,7 @@ def _tell(function) -> None:
         return
     _told[0] = True
     kept = "once" if CACHE else "in every process, as no cache can be written (NUMBA_CACHE_DIR)"
-    print(f"soil_env: compiling, {kept}; about a minute", file=sys.stderr, flush=True)
+    print(f"soil_env: compiling, {kept}; about half a minute", file=sys.stderr, flush=True)
 
 
 def _kept(function) -> bool:
@@ -81,7 +221,7 @@ def _kept(function) -> bool:
         return True
 
 
-class Entry:
+class FastCall:
     """A compiled function without numba's look-up of the types of the arguments at each call.
 
     The look-up takes 8 us for the nested tuples of a simulation, the call itself 1 us. All calls must have arguments of
@@ -89,21 +229,46 @@ class Entry:
     """
 
     def __init__(self, function):
-        self._function, self._code = function, None
+        self._function, self._code = function, None if COMPILED else function
 
     def __call__(self, *arguments):
         if self._code is None:
+            function = getattr(self._function, "root", self._function)
             signature = tuple(typeof(a) for a in arguments)
-            _tell(self._function)
-            self._function.compile(signature)
-            self._code = self._function.overloads[signature].entry_point
+            _tell(function)
+            function.compile(signature)
+            self._code = function.overloads[signature].entry_point
         return self._code(*arguments)
 
     def __reduce__(self):
         """By name: numba would pickle the source of the function, and compile it anew in another process."""
-        function = self._function.py_func
-        return _entry, (function.__module__, function.__name__)
+        function = getattr(self._function, "py_func", self._function)
+        return _fast_call, (function.__module__, function.__name__)
 
 
-def _entry(module: str, name: str) -> Entry:
-    return Entry(getattr(importlib.import_module(module), name))
+def _fast_call(module: str, name: str) -> FastCall:
+    return FastCall(_named(module, name))
+
+
+@intrinsic
+def _take(typingctx, counter, count):
+    def emit(context, builder, sig, args):
+        data = make_array(sig.args[0])(context, builder, args[0]).data
+        return builder.atomic_rmw("add", data, args[1], "monotonic")
+
+    return types.int64(counter, types.int64), emit
+
+
+def _take_in_python(counter, count):
+    taken = int(counter[0])
+    counter[0] += count
+    return taken
+
+
+#: take(counter, count): present value of counter[0] (int64), which grows by `count` at once, whatever other threads do.
+take = _take if COMPILED else _take_in_python
+
+# names until every module has moved over
+kernel = inner = part
+pasted = inlined
+Entry = FastCall

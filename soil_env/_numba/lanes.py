@@ -1,7 +1,9 @@
-"""Eight float64 numbers as one value inside compiled code.
+"""Lanes: eight float64 numbers as one value inside compiled code.
 
-The contact integrals take eight nodes a zone, which is one AVX-512 register (two of AVX2, four of SSE2 or NEON: LLVM
-splits them). `elementary.py` has the functions on them.
+Eight numbers are one AVX-512 register (two of AVX2, four of SSE2 or NEON: LLVM splits them). They are eight wheels that
+are stepped at once, or the eight quadrature nodes of one wheel's contact arc. `elementary` has the functions on them.
+A law that is written for "floats or lanes" is compiled for either. With NUMBA_DISABLE_JIT=1 lanes are arrays of eight
+numbers (`interpreted`).
 """
 
 from __future__ import annotations
@@ -12,6 +14,10 @@ from llvmlite import ir
 from numba import types
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
+from numba.np.arrayobj import make_array, populate_array
+
+from soil_env._numba import interpreted
+from soil_env._numba.compiling import COMPILED
 
 COUNT = 8
 
@@ -115,13 +121,23 @@ def constant(values):
     def get(typingctx):
         return lanes(), lambda context, builder, sig, args: numbers(*eight)
 
-    return get
+    return get if COMPILED else lambda: interpreted.made_of(*eight)
 
 
 @intrinsic
 def fill(typingctx, x):
     """`x` in every lane."""
+    if x == lanes:
+        return lanes(lanes), lambda context, builder, sig, args: args[0]
     return lanes(types.float64), lambda context, builder, sig, args: spread(builder, args[0])
+
+
+@intrinsic
+def alike(typingctx, x, pattern):
+    """The float `x` as what `pattern` is: a float, or lanes."""
+    if pattern == lanes:
+        return lanes(types.float64, lanes), lambda context, builder, sig, args: spread(builder, args[0])
+    return types.float64(types.float64, types.float64), lambda context, builder, sig, args: args[0]
 
 
 @intrinsic
@@ -129,8 +145,6 @@ def from_array(typingctx, a, i):
     """Lanes a[i] .. a[i + 7] of a contiguous float64 array."""
 
     def emit(context, builder, sig, args):
-        from numba.np.arrayobj import make_array
-
         data = make_array(sig.args[0])(context, builder, args[0]).data
         at = builder.bitcast(builder.gep(data, [args[1]]), VECTOR.as_pointer())
         value = builder.load(at)
@@ -145,8 +159,6 @@ def to_array(typingctx, x, a, i):
     """Store lanes into a[i] .. a[i + 7] of a contiguous float64 array."""
 
     def emit(context, builder, sig, args):
-        from numba.np.arrayobj import make_array
-
         data = make_array(sig.args[1])(context, builder, args[1]).data
         at = builder.bitcast(builder.gep(data, [args[2]]), VECTOR.as_pointer())
         builder.store(args[0], at).align = 8
@@ -167,7 +179,6 @@ def scratch(size):
 
         def emit(context, builder, sig, args):
             from numba.core import cgutils
-            from numba.np.arrayobj import make_array, populate_array
 
             data = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), size))
             data.align = 64
@@ -179,12 +190,65 @@ def scratch(size):
 
         return array_type(), emit
 
-    return get
+    return get if COMPILED else lambda: interpreted.scratch(size)
+
+
+def over_eight(values):
+    """A compiled function get(pattern, k): the eight numbers as lanes if `pattern` is a float, number k if it is lanes.
+
+    So one loop serves one arc with its nodes in the lanes and eight arcs with one node after the other (`turns`,
+    `summed`).
+    """
+    eight = tuple(float(v) for v in values)
+
+    @intrinsic
+    def get(typingctx, pattern, k):
+        if pattern != lanes:
+            return lanes(types.float64, types.intp), lambda context, builder, sig, args: numbers(*eight)
+
+        def emit(context, builder, sig, args):
+            table = ir.Constant(ir.ArrayType(ir.DoubleType(), COUNT), list(eight))
+            name = f"eight_{abs(hash(eight))}"
+            try:
+                stored = builder.module.get_global(name)
+            except KeyError:
+                stored = ir.GlobalVariable(builder.module, table.type, name)
+                stored.initializer, stored.global_constant, stored.linkage = table, True, "internal"
+            zero = ir.Constant(ir.IntType(64), 0)
+            return builder.load(builder.gep(stored, [zero, args[1]]))
+
+        return types.float64(lanes, types.intp), emit
+
+    return get if COMPILED else lambda pattern, k: interpreted.over_eight(eight, pattern, k)
+
+
+@intrinsic
+def turns(typingctx, pattern):
+    """How often the loop of `over_eight` runs: once for a float, eight times for lanes."""
+    count = COUNT if pattern == lanes else 1
+    pattern = lanes if pattern == lanes else types.float64
+    return types.intp(pattern), lambda context, builder, sig, args: ir.Constant(ir.IntType(64), count)
+
+
+@intrinsic
+def summed(typingctx, x, pattern):
+    """The sum over the eight of a value accumulated in such a loop: over the lanes of `x` if `pattern` is a float."""
+    if pattern == lanes:
+        return lanes(lanes, lanes), lambda context, builder, sig, args: args[0]
+    return types.float64(lanes, types.float64), lambda context, builder, sig, args: _total(builder, args[0])
 
 
 def _shuffled(builder, a, b, order):
     mask = ir.Constant(ir.VectorType(ir.IntType(32), len(order)), list(order))
     return builder.shuffle_vector(a, b, mask)
+
+
+def _total(builder, value):
+    for half in (4, 2, 1):
+        n = 2 * half
+        low, high = _shuffled(builder, value, value, range(half)), _shuffled(builder, value, value, range(half, n))
+        value = builder.fadd(low, high)
+    return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
 
 
 _MERGES = (
@@ -270,15 +334,7 @@ def first(typingctx, count, a, b):
 def total(typingctx, a):
     """The sum over the lanes."""
 
-    def emit(context, builder, sig, args):
-        value = args[0]
-        for half in (4, 2, 1):
-            n = 2 * half
-            low, high = _shuffled(builder, value, value, range(half)), _shuffled(builder, value, value, range(half, n))
-            value = builder.fadd(low, high)
-        return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
-
-    return types.float64(lanes), emit
+    return types.float64(lanes), lambda context, builder, sig, args: _total(builder, args[0])
 
 
 @intrinsic
@@ -305,3 +361,7 @@ def smallest(typingctx, a):
         return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
 
     return types.float64(lanes), emit
+
+
+if not COMPILED:
+    pass

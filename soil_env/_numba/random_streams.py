@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, kernel
-from soil_env._numba.elementary import half_sin_cos, log_lanes, sqrt_lanes
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import half_sin_cos, log, root
 from soil_env._numba.lanes import lane, made_of
 
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
@@ -49,7 +49,7 @@ def between(streams, k, low, high):
     return low + (high - low) * uniform(streams, k)
 
 
-@kernel
+@part
 def normal_pair(streams, k):
     """Two independent standard normal numbers of stream k (Box & Muller 1958)."""
     radius = math.sqrt(-2.0 * math.log(1.0 - uniform(streams, k)))
@@ -66,7 +66,7 @@ def eight_normals(streams, k):
     seventh, eighth = uniform(streams, k), uniform(streams, k)
     u = made_of(first, third, fifth, seventh, first, third, fifth, seventh)
     v = made_of(second, fourth, sixth, eighth, second, fourth, sixth, eighth)
-    radius = sqrt_lanes(-2.0 * log_lanes(1.0 - u))
+    radius = root(-2.0 * log(1.0 - u))
     sin_half, cos_half = half_sin_cos(math.pi * (2.0 * v - 1.0))  # half a turn back, so both functions change sign
     x = radius * (2.0 * sin_half * sin_half - 1.0)
     y = radius * (-2.0 * sin_half * cos_half)

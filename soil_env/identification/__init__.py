@@ -19,17 +19,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soil_env.identification.point import POINT_SIZE, WEIGHTS, Reading, predict, weigh
-from soil_env.identification.solver import LOWER, UPPER, Status, invert3, normal_equations, solve
+from soil_env.identification.point import Points, Reading, predict, weigh
+from soil_env.identification.solver import LOWER, UPPER, Status, normal_equations, solve
 from soil_env.identification.uniqueness import other_soil
 from soil_env.parameters import Soil
 
 __all__ = [
     "LOWER",
-    "POINT_SIZE",
     "UPPER",
-    "WEIGHTS",
     "Estimate",
+    "Points",
     "Reading",
     "Status",
     "generalized_newton_raphson",
@@ -69,8 +68,8 @@ def _check_reading(reading: Reading) -> None:
             raise ValueError(f"reading.{name} = {getattr(reading, name)}: expected metres > 0")
 
 
-def _rows(slip, sinkage, channels, dig_ratio, reading) -> np.ndarray:
-    """Checked points [M, POINT_SIZE] without weights; ValueError for a reading or arrays that make no sense."""
+def _points(slip, sinkage, channels, dig_ratio, reading) -> Points:
+    """Checked `Points` without weights; ValueError for a reading or arrays that make no sense."""
     _check_reading(reading)
     slip = np.asarray(slip, dtype=float)
     ones = np.ones_like(slip)
@@ -96,8 +95,9 @@ def _rows(slip, sinkage, channels, dig_ratio, reading) -> np.ndarray:
         raise ValueError(f"sinkage: expected values in (0, {reading.radius:g}] m, the radius of the wheel")
     if all(c is None for c in channels):
         raise ValueError(f"expected at least one of {', '.join(CHANNELS)}")
-    points = np.zeros((slip.size, POINT_SIZE))
-    points[:, :6] = np.stack(list(columns.values()), axis=1)
+    points = Points(slip.size)
+    for name, column in columns.items():
+        points[name] = column
     return points
 
 
@@ -133,7 +133,7 @@ def generalized_newton_raphson(
     Raises ValueError for arrays that do not match or are not finite. Source: Hutangkabodee et al. (2006), Sec. 3.
     """
     channels = (drawbar_pull, load, torque)
-    points = _rows(slip, sinkage, channels, dig_ratio, reading)
+    points = _points(slip, sinkage, channels, dig_ratio, reading)
     variances = np.full(3, np.inf)
     for i, (channel, s) in enumerate(zip(channels, sd, strict=True)):
         if not s > 0.0:
@@ -150,9 +150,9 @@ def generalized_newton_raphson(
     covariance, no_prior = np.zeros((3, 3)), np.zeros(3)
 
     def run(x, noise_of_slip, noise_of_sinkage, limit=max_iterations):
-        for row in points:
-            weigh(row, x, variances, noise_of_slip, noise_of_sinkage, reading)
-        return solve(x, points, len(points), no_prior, no_prior, reading, limit, tolerance, covariance)
+        for p in range(len(points)):
+            weigh(points, p, x, variances, noise_of_slip, noise_of_sinkage, reading)
+        return solve(x, points, no_prior, no_prior, reading, limit, tolerance, covariance)
 
     status, iterations, cost = run(x, 0.0, 0.0)
     allowed = _misfit_allowed(measured)
@@ -172,11 +172,10 @@ def generalized_newton_raphson(
             iterations += more
             if np.max(np.abs(x - before)) < 1e-4:
                 break
-    matrix, vector = np.zeros((3, 3)), np.zeros(3)
-    cost = normal_equations(x, points, len(points), no_prior, no_prior, reading, matrix, vector)
-    if not invert3(matrix, covariance):
-        covariance[:, :] = 0.0
+    cost, matrix, _ = normal_equations(x, points, no_prior, no_prior, reading)
     eigenvalues = np.linalg.eigvalsh(matrix)
+    singular = not np.linalg.det(matrix) > 1e-14 * np.prod(np.diagonal(matrix))
+    covariance = np.zeros((3, 3)) if singular else np.linalg.inv(matrix)
     condition = math.sqrt(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0.0 else math.inf
     second, other = np.empty(3), None
     if measured == 3 and status == Status.CONVERGED and other_soil(x, points, reading, second):

@@ -19,28 +19,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, kernel, pasted
-from soil_env._numba.lanes import COUNT, fill, first, from_array, lane, scratch, smallest, to_array, transposed
-from soil_env.identification.digging import DIGGING, close_point, note, roll
-from soil_env.identification.joint import COHESION, GAIN, SIZE, by_gain, solve_joint
-from soil_env.identification.point import (
-    DIG_RATIO,
-    DIG_RESPONSE,
-    DRAWBAR_PULL,
-    LOAD,
-    PLACE,
-    POINT_SIZE,
-    SINKAGE,
-    SLIP,
-    TORQUE,
-    WEIGHTS,
-    Reading,
-    weigh,
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.lanes import COUNT, fill, first, from_array, lane, smallest
+from soil_env._numba.rows import copy_column, rows, scratch_rows, zero_column
+from soil_env.identification.digging import KEPT, Digging, DiggingPlaces, close_point, note, roll
+from soil_env.identification.point import Points, Reading, weigh, weights, whitened
+from soil_env.identification.solver import (
+    COHESION,
+    GAIN,
+    SIZE,
+    Prepared,
+    Status,
+    Workspace,
+    gain_share,
+    in_blocks,
+    least_squares,
+    prepare,
 )
-from soil_env.identification.solver import BLOCK, Status, prepare, whitened
 from soil_env.parameters import Scenario
+from soil_env.terramechanics.contact import NODE_COLUMNS, Nodes
 
-_work = scratch(BLOCK)
+_prepared, _nodes = scratch_rows(Prepared, COUNT), scratch_rows(Nodes, NODE_COLUMNS)
 WINDOW = COUNT  # points: one block of lanes
 _BUCKET_READINGS = 5  # readings averaged to one point, at most
 _BUCKET_LENGTH = 0.06  # [m] travelled within one point, at most
@@ -52,8 +51,20 @@ RATIO_ERROR = 0.07  # relative error of the digging ratio that the law of sinkag
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
 _MINIMUM_RIM_SPEED = 0.02  # [m/s] below which readings say nothing of shear
 
-# Columns of `Identifiers.running`: sums of the open point (one not used), then the observers
-_COUNT, _START, _FIRST_SLIP, _ODOMETER, _HELD, _RUNNING = 6, 7, 8, 9, 10, 11
+#: The open point of each identifier: sums over its readings, and where it began.
+OpenPoint = rows(
+    "OpenPoint",
+    "slip",
+    "sinkage",
+    "drawbar_pull",
+    "load",
+    "torque",
+    "readings",
+    "start",  # [m] odometer at its first reading
+    "first_slip",
+    "odometer",  # [m] travelled since `forget`
+    "held",  # 1 once an estimate has converged on this soil
+)
 
 
 class SensorReading(NamedTuple):
@@ -71,10 +82,11 @@ class SensorReading(NamedTuple):
 class Identifiers(NamedTuple):
     """Memory of many identifiers: arrays with one row a wheel."""
 
-    points: np.ndarray  # [wheels, WINDOW, POINT_SIZE]
+    points: Points  # WINDOW columns a wheel
     count: np.ndarray  # [wheels] points in the window
-    running: np.ndarray  # [wheels, 11]
-    digging: np.ndarray  # [wheels, DIGGING]
+    open: OpenPoint
+    digging: Digging
+    places: DiggingPlaces  # KEPT columns a wheel
     estimate: np.ndarray  # [wheels, 5] the published estimate, in the order of `IdentifierNumbers.prior`
     sd: np.ndarray  # [wheels, 5] its standard deviations
     status: np.ndarray  # [wheels] `Status`
@@ -127,10 +139,11 @@ def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
 def new_identifiers(wheels: int) -> Identifiers:
     """Empty identifiers; `forget` sets one to the prior."""
     return Identifiers(
-        np.zeros((wheels, WINDOW, POINT_SIZE)),
+        Points(wheels * WINDOW),
         np.zeros(wheels, dtype=np.int64),
-        np.zeros((wheels, _RUNNING)),
-        np.zeros((wheels, DIGGING)),
+        OpenPoint(wheels),
+        Digging(wheels),
+        DiggingPlaces(wheels * KEPT),
         np.zeros((wheels, SIZE)),
         np.zeros((wheels, SIZE)),
         np.zeros(wheels, dtype=np.int64),
@@ -140,14 +153,12 @@ def new_identifiers(wheels: int) -> Identifiers:
     )
 
 
-@kernel
+@part
 def forget(ids, k, numbers):
     """Set identifier k back to its prior."""
     ids.count[k] = 0
-    for i in range(ids.running.shape[1]):
-        ids.running[k, i] = 0.0
-    for i in range(DIGGING):
-        ids.digging[k, i] = 0.0
+    zero_column(ids.open, k)
+    zero_column(ids.digging, k)
     for i in range(SIZE):
         ids.estimate[k, i] = ids.trial[k, i] = numbers.prior[i]
         ids.sd[k, i] = 1.0 / math.sqrt(numbers.precision[i])
@@ -155,92 +166,98 @@ def forget(ids, k, numbers):
     ids.condition[k] = 1.0
 
 
-@pasted
+@inlined
 def observe(ids, k, reading, numbers):
     """Take one set of readings; True if it completed a point and the estimate was solved again."""
-    run = ids.running[k]
-    dt = numbers.period
-    run[_ODOMETER] += reading.speed * dt
-    digging = ids.digging[k]
+    sums, digging, dt = ids.open, ids.digging, numbers.period
+    sums.odometer[k] += reading.speed * dt
     roll(
-        digging, reading.speed, reading.rim_speed - reading.speed, dt, numbers.dig_gain, numbers.dig_recovery,
+        digging, k, reading.speed, reading.rim_speed - reading.speed, dt, numbers.dig_gain, numbers.dig_recovery,
         numbers.relaxation,
     )  # fmt: skip
     if abs(reading.rim_speed) < _MINIMUM_RIM_SPEED or reading.sinkage < 1e-3 * numbers.reading.radius:
         return False
-    done = False
-    if run[_COUNT] > 0.0 and (
-        abs(reading.slip - run[_FIRST_SLIP]) > _BUCKET_SLIP or abs(run[_ODOMETER] - run[_START]) > _BUCKET_LENGTH
-    ):
+    full, done = False, False
+    if sums.readings[k] > 0.0:
+        full = abs(reading.slip - sums.first_slip[k]) > _BUCKET_SLIP
+        full = full or abs(sums.odometer[k] - sums.start[k]) > _BUCKET_LENGTH
+    if full:
         done = _complete(ids, k, numbers)
-    if run[_COUNT] == 0.0:
-        run[_START], run[_FIRST_SLIP] = run[_ODOMETER], reading.slip
-    run[SLIP] += reading.slip
-    run[SINKAGE] += reading.sinkage
-    note(digging)
-    run[DRAWBAR_PULL] += reading.drawbar_pull
-    run[LOAD] += reading.load
-    run[TORQUE] += reading.torque
-    run[_COUNT] += 1.0
-    if run[_COUNT] >= _BUCKET_READINGS:
+    if sums.readings[k] == 0.0:
+        sums.start[k], sums.first_slip[k] = sums.odometer[k], reading.slip
+    sums.slip[k] += reading.slip
+    sums.sinkage[k] += reading.sinkage
+    note(digging, k)
+    sums.drawbar_pull[k] += reading.drawbar_pull
+    sums.load[k] += reading.load
+    sums.torque[k] += reading.torque
+    sums.readings[k] += 1.0
+    if sums.readings[k] >= _BUCKET_READINGS:
         done = _complete(ids, k, numbers)
     return done
 
 
-@pasted
+@part
 def _complete(ids, k, numbers):
     """Close the open point, put it into the window and solve."""
-    run, points = ids.running[k], ids.points[k]
-    slot = _free_slot(ids, k, run[_ODOMETER], numbers)
-    row = points[slot]
-    readings = run[_COUNT]
-    for i in range(6):
-        row[i] = run[i] / readings
-        run[i] = 0.0
-    run[_COUNT] = 0.0
-    row[SLIP] = min(max(row[SLIP], -0.999), 1.0)
-    row[PLACE] = run[_ODOMETER]
-    row[DIG_RATIO], row[DIG_RESPONSE], ratio_sd = close_point(
-        ids.digging[k], readings, row[SINKAGE], numbers.sinkage_sd
-    )  # fmt: skip
-    error, sd, x = numbers.model_error * abs(row[LOAD]), numbers.force_sd, ids.trial[k]
-    twist = error * numbers.reading.radius
-    variances = (
-        sd[0] * sd[0] / readings + error * error, sd[1] * sd[1] / readings + error * error,
-        sd[2] * sd[2] / readings + twist * twist,
-    )  # fmt: skip
+    points, newest = ids.points, k * WINDOW + _free_slot(ids, k, numbers)
+    ratio_sd = _close(ids, k, newest, numbers)
+    readings, x = ids.open.readings[k], ids.trial[k]
+    ids.open.readings[k] = 0.0
     share, gain, n = 1.0 / math.sqrt(readings), math.exp(x[GAIN]), numbers.reading
     predicted = weigh(
-        row, x, variances, share * numbers.slip_sd, share * numbers.sinkage_sd,
-        Reading(x[COHESION], n.exponent, n.radius, n.width, 0, False),
+        points, newest, x, _variances(points.load[newest], readings, numbers), share * numbers.slip_sd,
+        share * numbers.sinkage_sd, Reading(x[COHESION], n.exponent, n.radius, n.width, 0, False),
         math.sqrt(RATIO_ERROR * RATIO_ERROR + ratio_sd * ratio_sd), gain,
     )  # fmt: skip
-    if slot > 0 and contradicts(row, predicted, gain, n.exponent, ids.covariance[k]):
+    if newest > k * WINDOW and contradicts(points, newest, predicted, gain, n.exponent, ids.covariance[k]):
         # another soil: keep the newest point only, and nothing of the old estimate
-        _copy_point(points, slot, 0)
-        slot = 0
-        run[_HELD] = 0.0
-    ids.count[k] = slot + 1
+        copy_column(points, newest, points, k * WINDOW)
+        newest = k * WINDOW
+        ids.open.held[k] = 0.0
+    ids.count[k] = newest - k * WINDOW + 1
     _solve_window(ids, k, numbers)
     return True
 
 
 @inlined
-def contradicts(row, predicted, gain, exponent, covariance):
-    """Whether a point is further from its prediction than its own error and that of the estimate explain."""
-    w = row[WEIGHTS:]
-    u = whitened(w, row[DRAWBAR_PULL] - predicted.pull, row[LOAD] - predicted.load, row[TORQUE] - predicted.torque)
-    s, c = predicted.by_S, predicted.by_c
-    response = gain * row[DIG_RESPONSE]
-    dug = by_gain(exponent, response, row[DIG_RATIO] + response)
-    s = whitened(w, s[0], s[1], s[2])
-    j = (
-        whitened(w, predicted.by_phi[0], predicted.by_phi[1], predicted.by_phi[2]),
-        whitened(w, predicted.by_K[0], predicted.by_K[1], predicted.by_K[2]),
-        s,
-        whitened(w, c[0], c[1], c[2]),
-        (dug * s[0], dug * s[1], dug * s[2]),
+def _close(ids, k, p, numbers):
+    """The mean of the open point into point p of the window; the relative error of its digging ratio."""
+    sums, points = ids.open, ids.points
+    readings = sums.readings[k]
+    points.slip[p] = min(max(sums.slip[k] / readings, -0.999), 1.0)
+    points.sinkage[p] = sums.sinkage[k] / readings
+    points.drawbar_pull[p] = sums.drawbar_pull[k] / readings
+    points.load[p] = sums.load[k] / readings
+    points.torque[p] = sums.torque[k] / readings
+    points.place[p] = sums.odometer[k]
+    sums.slip[k] = sums.sinkage[k] = sums.drawbar_pull[k] = sums.load[k] = sums.torque[k] = 0.0
+    r0, r1, ratio_sd = close_point(ids.digging, ids.places, k, readings, points.sinkage[p], numbers.sinkage_sd)
+    points.dig_ratio[p], points.dig_response[p] = r0, r1
+    return ratio_sd
+
+
+@inlined
+def _variances(load, readings, numbers):
+    """Variances of drawbar pull, load and torque of a point: of the sensors and of the model."""
+    error, sd = numbers.model_error * abs(load), numbers.force_sd
+    twist = error * numbers.reading.radius
+    return (
+        sd[0] * sd[0] / readings + error * error,
+        sd[1] * sd[1] / readings + error * error,
+        sd[2] * sd[2] / readings + twist * twist,
     )
+
+
+@inlined
+def contradicts(points, p, predicted, gain, exponent, covariance):
+    """Whether a point is further from its prediction than its own error and that of the estimate explain."""
+    w, y = weights(points, p), predicted
+    u = whitened(w, (points.drawbar_pull[p] - y.pull, points.load[p] - y.load, points.torque[p] - y.torque))
+    response = gain * points.dig_response[p]
+    dug = gain_share(exponent, response, points.dig_ratio[p] + response)
+    s = whitened(w, y.by_S)
+    j = (whitened(w, y.by_phi), whitened(w, y.by_K), s, whitened(w, y.by_c), (dug * s[0], dug * s[1], dug * s[2]))
     # I + J C J^T
     m00 = m11 = m22 = 1.0
     m10 = m20 = m21 = 0.0
@@ -263,20 +280,10 @@ def contradicts(row, predicted, gain, exponent, covariance):
 
 
 @inlined
-def _copy_point(points, source, target):
-    for start in range(0, POINT_SIZE, COUNT):
-        to_array(from_array(points, source * POINT_SIZE + start), points, target * POINT_SIZE + start)
-
-
-@inlined
-def _more_redundant(points, by_slip, by_sinkage):
+def _more_redundant(points, first_point, by_slip, by_sinkage):
     """Index of the older one of the two points of a full window that are closest in slip and sinkage."""
-    columns = transposed(
-        from_array(points, 0), from_array(points, POINT_SIZE), from_array(points, 2 * POINT_SIZE),
-        from_array(points, 3 * POINT_SIZE), from_array(points, 4 * POINT_SIZE), from_array(points, 5 * POINT_SIZE),
-        from_array(points, 6 * POINT_SIZE), from_array(points, 7 * POINT_SIZE),
-    )  # fmt: skip
-    slips, sinkages, far = by_slip * columns[SLIP], by_sinkage * columns[SINKAGE], fill(np.inf)
+    slips = by_slip * from_array(points.slip, first_point)
+    sinkages, far = by_sinkage * from_array(points.sinkage, first_point), fill(np.inf)
     closest, drop = np.inf, 0
     for p in range(WINDOW - 1):
         d = abs(slips - lane(slips, p)) + abs(sinkages - lane(sinkages, p))
@@ -287,33 +294,36 @@ def _more_redundant(points, by_slip, by_sinkage):
 
 
 @inlined
-def _free_slot(ids, k, place, numbers):
+def _free_slot(ids, k, numbers):
     """Index for the next point, after dropping what is too far back, or the older of the two most alike if full."""
-    points = ids.points[k]
+    points, start, place = ids.points, k * WINDOW, ids.open.odometer[k]
     kept = 0
     for p in range(ids.count[k]):
-        if abs(place - points[p, PLACE]) <= numbers.memory:
+        if abs(place - points.place[start + p]) <= numbers.memory:
             if kept != p:
-                _copy_point(points, p, kept)
+                copy_column(points, start + p, points, start + kept)
             kept += 1
     if kept == WINDOW:
-        drop = _more_redundant(points, 1.0 / 0.1, 1.0 / (0.05 * numbers.reading.radius))
+        drop = _more_redundant(points, start, 1.0 / 0.1, 1.0 / (0.05 * numbers.reading.radius))
         for p in range(drop, WINDOW - 1):
-            _copy_point(points, p + 1, p)
+            copy_column(points, start + p + 1, points, start + p)
         kept = WINDOW - 1
     ids.count[k] = kept
     return kept
 
 
-@pasted
+@inlined
 def _solve_window(ids, k, numbers):
     """Solve for the window and publish, or hold the last good estimate while the points do not excite."""
     covariance, trial, count = ids.covariance[k], ids.trial[k], ids.count[k]
-    work = _work()
-    prepare(ids.points[k], count, numbers.reading, work)
-    status = solve_joint(trial, numbers.prior, numbers.precision, numbers.reading, 20, 1e-2, covariance, work)
+    work = Workspace(_prepared(), _nodes())
+    prepare(ids.points, k * WINDOW, count, numbers.reading, work)
+    status, _, _ = least_squares(
+        in_blocks, trial, ids.points, k * WINDOW, count, numbers.prior, numbers.precision, numbers.reading, SIZE, 20,
+        1e-2, covariance, work,
+    )  # fmt: skip
     learnt = 0.0
-    for i in range(2):  # S shows in every point; friction and shear modulus need a range of slip
+    for i in range(2):  # S shows in every point; friction and shear deformation modulus need a range of slip
         learnt = max(learnt, math.sqrt(covariance[i, i] * numbers.precision[i]))
     ids.condition[k] = learnt
     if status == Status.CONVERGED.value and learnt > 0.6:
@@ -323,8 +333,8 @@ def _solve_window(ids, k, numbers):
             trial[i] = numbers.prior[i]
     good = status == Status.CONVERGED.value
     if good:
-        ids.running[k, _HELD] = 1.0
-    if good or (status == Status.NOT_EXCITED.value and ids.running[k, _HELD] == 0.0):
+        ids.open.held[k] = 1.0
+    if good or (status == Status.NOT_EXCITED.value and ids.open.held[k] == 0.0):
         for i in range(SIZE):
             ids.estimate[k, i] = trial[i]
             ids.sd[k, i] = math.sqrt(covariance[i, i])

@@ -11,53 +11,29 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from soil_env._numba.compiling import CACHE, inlined, kernel
-from soil_env._numba.lanes import fill, from_array, to_array
-from soil_env.identification.point import DIG_RATIO, DRAWBAR_PULL, SINKAGE, SLIP, WEIGHTS, channels, channels_at
-from soil_env.identification.solver import _FACTOR, BLOCK, LOWER, UPPER, blocks, prepare
-from soil_env.terramechanics.arcs import stored_integrals
+from soil_env._numba.compiling import inlined, part, root
+from soil_env.identification.point import Points, Reading, channels_at, weights
+from soil_env.identification.solver import LOWER, UPPER
 
 _CELLS = 64  # of ln K within its bounds, each searched for one root
-_QUARTER = np.array([math.pi / 4.0, 0.0, 0.0])  # tan(phi) = 1, S = 1
-_DIAGONAL = np.array([0, 2, 5])  # weights of drawbar pull, load and torque
+_QUARTER = math.pi / 4.0  # tan(phi) = 1
 
 
-@kernel
-def _coefficients(ln_k, points, reading, work, lanes, values):
+@part
+def _coefficients(ln_k, points, count, reading, values):
     """Fill `values` [3, 3] with the linear equations (a, b | m) of a S + b S tan(phi) = m at one K."""
-    count = 0
-    if reading.simpson > 0 or reading.paper_resistance:
-        for p in range(len(points)):
-            row = points[p]
-            x = (_QUARTER[0], ln_k, 0.0)
-            y, _ = channels_at(x, row[SLIP], row[SINKAGE], row[DIG_RATIO], reading)
-            for channel in range(3):
-                if row[WEIGHTS + _DIAGONAL[channel]] > 0.0:
-                    by_tan = 0.5 * y.by_phi[channel]  # d tan(phi) / d phi = 2
-                    values[count, 0] = y.by_S[channel] - by_tan
-                    values[count, 1] = by_tan
-                    values[count, 2] = row[DRAWBAR_PULL + channel] - reading.cohesion * y.by_c[channel]
-                    count += 1
-        return
-    K = math.exp(ln_k)
-    q, k = stored_integrals(work, 0, K)
-    y = channels(
-        q, k, from_array(work, _FACTOR), 1.0, K, reading.cohesion, reading.radius, reading.width, -1.0
-    )  # fmt: skip
-    for channel in range(3):
-        to_array(y.by_S[channel], lanes, 24 * channel)
-        to_array(y.by_phi[channel], lanes, 24 * channel + 8)
-        to_array(fill(reading.cohesion) * y.by_c[channel], lanes, 24 * channel + 16)
-    for p in range(len(points)):
-        for channel in range(3):
-            if points[p, WEIGHTS + _DIAGONAL[channel]] > 0.0:
-                by_tan = 0.5 * lanes[24 * channel + 8 + p]
-                values[count, 0] = lanes[24 * channel + p] - by_tan
-                values[count, 1] = by_tan
-                values[count, 2] = points[p, DRAWBAR_PULL + channel] - lanes[24 * channel + 16 + p]
-                count += 1
+    row = 0
+    for p in range(count):
+        w = weights(points, p)
+        measured = (points.drawbar_pull[p], points.load[p], points.torque[p])
+        y, _ = channels_at((_QUARTER, ln_k, 0.0), points.slip[p], points.sinkage[p], points.dig_ratio[p], reading)
+        for channel, weight in enumerate((w[0], w[2], w[5])):
+            if weight > 0.0:
+                by_tan = 0.5 * y.by_phi[channel]  # d tan(phi) / d phi = 2
+                values[row, 0], values[row, 1] = y.by_S[channel] - by_tan, by_tan
+                values[row, 2] = measured[channel] - reading.cohesion * y.by_c[channel]
+                row += 1
 
 
 @inlined
@@ -69,7 +45,7 @@ def _determinant(v):
     )
 
 
-@kernel
+@part
 def _soil_at(ln_k, v, out):
     """(phi, ln K, ln S) that solve the equations `v` best into `out`; False if no soil within the bounds does."""
     aa = ab = bb = am = bm = 0.0
@@ -86,26 +62,23 @@ def _soil_at(ln_k, v, out):
     return LOWER[0] <= out[0] <= UPPER[0] and LOWER[2] <= out[2] <= UPPER[2]
 
 
-@njit(cache=CACHE)
-def other_soil(x, points, reading, out):
-    """True if another soil than x [3] within the bounds explains the three measured values of `points`; into `out` [3].
+@root(allocates=True)
+def _search(x, points, count, reading, out):
+    """`other_soil`: a search of `_CELLS` cells of ln K for a change of sign of the determinant over (ln K - ln K of x).
 
-    A search of `_CELLS` cells of ln K for a change of sign of the determinant over (ln K - ln K of x), refined by
-    bisection. Two further roots within one cell, 12 % of K apart at most, pass unseen.
+    Refined by bisection. Two further roots within one cell, 12 % of K apart at most, pass unseen.
     """
-    work = np.empty(blocks(len(points)) * BLOCK)
-    prepare(points, len(points), reading, work)
-    lanes, values = np.empty(72), np.empty((3, 3))
+    values = np.empty((3, 3))
     before = 0.0
     for cell in range(_CELLS + 1):
         high = LOWER[1] + cell * (UPPER[1] - LOWER[1]) / _CELLS
-        _coefficients(high, points, reading, work, lanes, values)
+        _coefficients(high, points, count, reading, values)
         after = _determinant(values) / (high - x[1])
         if cell > 0 and before * after < 0.0:
             low, below = high - (UPPER[1] - LOWER[1]) / _CELLS, before
             while high - low > 1e-10:
                 middle = 0.5 * (low + high)
-                _coefficients(middle, points, reading, work, lanes, values)
+                _coefficients(middle, points, count, reading, values)
                 at = _determinant(values) / (middle - x[1])
                 if below * at <= 0.0:
                     high = middle
@@ -116,3 +89,8 @@ def other_soil(x, points, reading, out):
             high = LOWER[1] + cell * (UPPER[1] - LOWER[1]) / _CELLS
         before = after
     return False
+
+
+def other_soil(x: np.ndarray, points: Points, reading: Reading, out: np.ndarray) -> bool:
+    """Whether another soil than x [3] within the bounds explains the three values of `points`; that one into `out`."""
+    return bool(_search(x, points, len(points), reading, out))

@@ -11,9 +11,8 @@ from collections import deque
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
-from soil_env._numba.compiling import CACHE
+from soil_env._numba.compiling import root
 from soil_env.identification import Status
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import (
@@ -39,7 +38,15 @@ from soil_env.rendering.canvas import (
 from soil_env.rendering.charts import SPAN, draw_charts, nice, ticks
 from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import CELL, ground_at
-from soil_env.terramechanics.contact import arc_node, entry_angle, mirror_angle, motion_from_speeds, relative_stress
+from soil_env.terramechanics.contact import (
+    JANOSI,
+    entry_angle,
+    mirror_angle,
+    mobilised,
+    motion_from_speeds,
+    relative_stress,
+    shear_displacement,
+)
 from soil_env.terramechanics.model import sinkage_coefficient_at
 from soil_env.terramechanics.reaction import REST_SPEED, reaction
 
@@ -64,11 +71,11 @@ class Stresses(NamedTuple):
 
 def contact_stresses(simulation, k: int) -> Stresses:
     """`Stresses` under wheel k as it moves now, at the sinkage coefficient that its load mobilises."""
-    w, world = simulation.worlds.state[k], simulation.numbers.world
-    r, rim_speed = world.radius, w["wheel_speed"] * world.radius
+    w, world = simulation.wheel(k), simulation.numbers.world
+    r, rim_speed = world.wheel.radius, w["wheel_speed"] * world.wheel.radius
     soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], world.border)
-    load = w["mass"] * world.gravity * math.cos(w["grade"])
-    modulus = reaction(w["speed"], rim_speed, w["sinkage"], load, soil, r, world.width).modulus
+    load = w["mass"] * world.wheel.gravity * math.cos(w["grade"])
+    modulus = reaction(w["speed"], rim_speed, w["sinkage"], load, soil, r, world.wheel.width).modulus
     rim, travel, _ = motion_from_speeds(rim_speed, w["speed"], REST_SPEED)
     theta1 = entry_angle(w["sinkage"], r)
     angle = np.linspace(0.0, theta1, _ARC_POINTS)
@@ -76,7 +83,8 @@ def contact_stresses(simulation, k: int) -> Stresses:
     for i, theta in enumerate(angle):
         depth = r * (math.cos(mirror_angle(theta, theta1, 0.0, 0.5 * theta1)) - math.cos(theta1))
         normal[i] = modulus * relative_stress(depth, soil.sinkage_exponent)
-        share = arc_node(theta, theta1, math.sin(theta1), rim, travel, r, soil.shear_modulus)[2]
+        j, _, _ = shear_displacement(theta, theta1, math.sin(theta1), rim, travel, r)
+        share, _ = mobilised(j, soil.shear_modulus, JANOSI)
         shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * share
     return Stresses(angle, normal, shear)
 
@@ -89,7 +97,7 @@ class _Profile(NamedTuple):
     friction: np.ndarray  # [points] phi [deg]
 
 
-@njit(cache=CACHE)
+@root(allocates=True)
 def _along(courses, k, x, border):
     """(tan(grade), phi [deg]) of course k at each x [m]."""
     slope, friction, patch = np.empty(x.size), np.empty(x.size), 0
@@ -129,7 +137,7 @@ class Renderer:
 
     def record(self, simulation, k: int) -> None:
         """Add the present state of wheel k to the history; at its reset the history starts anew."""
-        w, ids, world = simulation.worlds.state[k], simulation.worlds.ids, simulation.numbers.world
+        w, ids, world = simulation.wheel(k), simulation.worlds.ids, simulation.numbers.world
         if w["steps"] == 0:
             self.clear()
         self._angle += float(w["wheel_speed"]) * world.period
@@ -137,7 +145,7 @@ class Renderer:
             soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], world.border)
             same = sinkage_coefficient_at(soil, simulation.numbers.identifier.reading.exponent, w["bearing_sinkage"])
             truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
-            now = w["steps"] * world.period, w["slip"], w["sinkage"] / world.radius
+            now = w["steps"] * world.period, w["slip"], w["sinkage"] / world.wheel.radius
             self._history.append((*now, *ids.estimate[k, :3], *ids.sd[k, :3], *truth))
 
     def draw(self, simulation, k: int) -> np.ndarray | None:
@@ -150,7 +158,7 @@ class Renderer:
         courses = simulation.worlds.courses
         key = courses.edges[k].tobytes() + courses.soils[k].tobytes() + courses.grades[k].tobytes()
         if key != self._course_key:
-            self._profile = _profile(simulation, k, _VIEW * simulation.numbers.world.radius)
+            self._profile = _profile(simulation, k, _VIEW * simulation.numbers.world.wheel.radius)
             self._course_key = key
         bounds = _friction_range(self.scenario, simulation)
         _draw_scene(self._canvas, simulation, k, self._profile, bounds, self._angle)
@@ -192,7 +200,7 @@ class Renderer:
 
 def _draw_scene(c: Canvas, simulation, k: int, profile: _Profile, bounds, angle: float) -> None:
     """Terrain, rut, end of the course, wheel and stress in a camera that moves with the wheel."""
-    w, world = simulation.worlds.state[k], simulation.numbers.world
+    w, world = simulation.wheel(k), simulation.numbers.world.wheel
     r, grade, scale = world.radius, float(w["grade"]), SCENE[2] / (_VIEW * world.radius)  # scale [units per m]
     centre = np.array([w["x"], np.interp(w["x"], profile.x, profile.height)])
     place = np.add(SCENE[:2], np.multiply(_WHEEL_AT, SCENE[2:]))
@@ -289,7 +297,7 @@ def _draw_stresses(c: Canvas, hub, size, grade, side, stresses: Stresses, scale)
 
 def _draw_readings(c: Canvas, simulation, k: int, bounds) -> None:
     """Numbers above the side view, the state of the episode, and the true soil under the wheel below it."""
-    w, worlds, numbers = simulation.worlds.state[k], simulation.worlds, simulation.numbers
+    w, worlds, numbers = simulation.wheel(k), simulation.worlds, simulation.numbers
     cells = (
         ("distance", f"{w['x']:.2f} of {numbers.task.length:g} m"),
         ("speed", f"{w['speed']:.2f} m/s"),
@@ -326,7 +334,7 @@ def _draw_course(c: Canvas, simulation, k: int, profile: _Profile, bounds) -> No
     y = top + 0.62 * height - stretch * (h - 0.5 * (h.max() + h.min()))
     friction = np.interp(0.5 * (x[1:] + x[:-1]), profile.x, profile.friction)
     c.soil(np.stack([left + width * x / length, y], axis=1), top + height, friction, bounds)
-    wheel = min(max(float(simulation.worlds.state[k]["x"]), 0.0), length)
+    wheel = min(max(float(simulation.worlds.state.x[k]), 0.0), length)
     c.circle((left + width * wheel / length, float(np.interp(wheel, x, y)) - 5), 5, RIM)
     for tick in ticks(0.0, length, nice(length / 5.0)):
         c.text(left + width * tick / length, top + height + 10, f"{tick:g} m", 14, GREY, 0.5)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, inner, kernel
+from soil_env._numba.compiling import inlined, part
 from soil_env._numba.lanes import scratch
 from soil_env._numba.random_streams import between, normal_pair, uniform, word
 from soil_env.parameters import Scenario, SoilState
@@ -98,7 +98,7 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
     )
 
 
-@kernel
+@part
 def draw_soil(streams, k, numbers):
     """One soil: a preset by weight, scattered by `SoilSpread` (deviations cut at 2.5 sigma)."""
     pick = uniform(streams, k)
@@ -131,7 +131,7 @@ def draw_soil(streams, k, numbers):
     )
 
 
-@inner
+@part
 def _best_pull(load, soil, speed, sin_grade, numbers):
     """Best steady drawbar pull over load at this travel speed [m/s], -inf where the wheel would be bogged at it."""
     fx, r, b = numbers.effects, numbers.radius, numbers.width
@@ -144,7 +144,7 @@ def _best_pull(load, soil, speed, sin_grade, numbers):
     return best.drawbar_pull / load + pull
 
 
-@inner
+@part
 def _capacity(load, soil, tangent, numbers):
     """Best steady drawbar pull over load on a slope, -inf where the wheel would be bogged at rest or at its best.
 
@@ -162,7 +162,7 @@ def _capacity(load, soil, tangent, numbers):
     return pull
 
 
-@inner
+@part
 def _steepest(load, soil, margin, numbers):
     """(tangent of the steepest grade of the course that leaves `margin`, `_capacity` there); -inf twice if none does.
 
@@ -188,7 +188,7 @@ def _steepest(load, soil, margin, numbers):
     return flat, capacity
 
 
-@inner
+@part
 def _margin_at_border(k, courses, i, load, numbers):
     """Margin in the middle of the passage from patch i - 1 to patch i."""
     mid = blend(row_soil(courses.soils[k, i - 1]), row_soil(courses.soils[k, i]), 0.5)
@@ -196,7 +196,7 @@ def _margin_at_border(k, courses, i, load, numbers):
     return _capacity(load, mid, tangent, numbers) - tangent
 
 
-@kernel
+@part
 def draw_course(k, courses, streams, numbers):
     """`start_course` and all of its patches; the mass [kg] on the wheel with payload, or -1.
 
@@ -208,7 +208,7 @@ def draw_course(k, courses, streams, numbers):
     return mass
 
 
-@kernel
+@part
 def start_course(k, courses, streams, numbers):
     """Start course k afresh, with a seed from stream k; the mass [kg] on the wheel with payload, or -1 (`draw_course`).
 
@@ -233,7 +233,7 @@ def draw_ahead(k, courses, x, mass, numbers):
         extend_course(k, courses, mass, x + numbers.ahead, numbers)
 
 
-@kernel
+@part
 def extend_course(k, courses, mass, x, numbers):
     """Draw patches of course k until the ground is final up to x [m] or the course ends.
 
@@ -254,7 +254,7 @@ def extend_course(k, courses, mass, x, numbers):
     return found
 
 
-@inner
+@part
 def _try_patch(k, courses, load, numbers):
     """Draw the next patch of course k and add it; False, with the course as before, if it is not passable.
 
@@ -287,7 +287,7 @@ def _try_patch(k, courses, load, numbers):
     return True
 
 
-@inner
+@part
 def _joined(k, courses, i, load, numbers):
     """Lower the grades of patches i - 1 and i until their border is passable; False if that cannot be."""
     short = numbers.margin_low - _margin_at_border(k, courses, i, load, numbers)
@@ -309,7 +309,7 @@ def _joined(k, courses, i, load, numbers):
     return numbers.margin_low - least <= 1e-6
 
 
-@inner
+@part
 def _add_patch(k, courses, length, numbers):
     """Count the patch just written: its edges, the cells below it, and how far the ground is final now."""
     p = courses.patches[k]

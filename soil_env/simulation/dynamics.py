@@ -1,166 +1,134 @@
-"""State of a driven wheel and one step of it.
+"""One control period of many wheels: implicit Euler for the speeds, eight wheels at a time in lanes.
 
-    m dV/dt = DP - m g sin(grade)            travel, m = wheel with its share of the body, and payload
-    J dw/dt = T_motor - T                    rotation
-    dz/dt   = B z_w - A z                    sinkage, `effects.excavation_rate`
-    W       = m g cos(grade)                 Eq. (1), met at every instant
+Sliding speed and travel speed answer to force within milliseconds for a slow rover, so (V, u = r w) are stepped by
+implicit Euler with a safeguarded Newton iteration on analytic derivatives, and the sinkage z, which is slow, by the
+exact solution of its law with A, B and z_w held over the substep (`wheel`).
 
-z_w is the depth at which undisturbed soil carries the same peak pressure as the wheel now has under it. At a sinkage
-z the load mobilises a sinkage coefficient s, in closed form since Eq. (1) is linear in it
-(`contact.mobilised_modulus`); equal pressure s z^n = S z_w^n then gives z_w = z (s/S)^(1/n). So the balance (1) holds
-throughout and no root is sought; the steady state at any slip is that of `model.steady_state`. (Where cohesion alone
-carries more than the load, s is 0 and the reported load exceeds the weight: a deeply dug wheel in strongly cohesive
-soil.)
-
-Sliding speed and travel speed answer to force within milliseconds for a slow rover, so (V, r w) are stepped by implicit
-Euler with a safeguarded Newton iteration on analytic derivatives, and z, which is slow, by the exact solution of its
-law with A, B and z_w held over the step.
+Within one wheel nearly everything depends on what came before, and a processor that steps one wheel after the other
+mostly waits. Here each operation acts on eight wheels. They share no number: a wheel goes through the same operations
+on the same bits whoever its neighbours are, so that a wheel alone gives what it gives among others. Newton's method
+takes one wheel longer than another: a lane whose wheel has converged goes on with the next of up to `MANY`. A wheel
+whose iteration fails goes on by shorter substeps, its neighbours waiting.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, kernel
-from soil_env._numba.elementary import exp, larger, power, smaller, where_less
-from soil_env._numba.random_streams import between
-from soil_env.parameters import Scenario
-from soil_env.simulation.terrain import cell_at, ground_at, leave_rut, stiffened
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import below, chosen, half_sin_cos, larger, smaller
+from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
+from soil_env._numba.rows import copy_column, rows, scratch_rows
+from soil_env.parameters import SoilState
+from soil_env.simulation.terrain import cell_at, ground_at, leave_rut
+from soil_env.simulation.wheel import (
+    SHALLOWEST,
+    WheelCounts,
+    WheelState,
+    bearing_sinkage,
+    finish,
+    motor,
+    relax_sinkage,
+)
 from soil_env.terramechanics.contact import (
-    arc_nodes,
-    slip_ratio,
+    NODE_COLUMNS,
+    ArcFrame,
+    Nodes,
+    motion_from_speeds,
+    shear_integrals,
+    store_nodes,
 )
-from soil_env.terramechanics.effects import (
-    NO_EFFECTS,
-    Effects,
-    acting,
-    excavation_rate,
+from soil_env.terramechanics.reaction import (
+    REST_SPEED,
+    Reaction,
+    at_the_axle,
+    ground_under,
+    moved,
+    reaction_from,
 )
-from soil_env.terramechanics.model import DEEPEST, Conditions, Rim, WheelSoilModel, steady_with
-from soil_env.terramechanics.reaction import REST_SPEED, ground_with_effects, moved, plain_ground, react
-from soil_env.terramechanics.residual import ResidualLaw, residual_law
+from soil_env.terramechanics.steady import DEEPEST
 
-SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
-SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
+__all__ = ["MANY", "STEP", "TOLERANCE", "WheelCounts", "WheelState", "advance"]
+
+MANY = 16 * COUNT  # wheels that `advance` takes at most
+STEP = 0  # what is to be done with a wheel: a control period
 TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
-SHORT = 0.1  # share of the rim speed up to which the first step goes by the last reaction
-FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
-_MAX_ITERATIONS = 30
-FINEST = 1024  # a substep that fails is halved down to this fraction; softening soil breaks away within 1 ms
+_SHORT = 0.1  # share of the rim speed up to which the first step goes by the last reaction
+_FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
+_FINEST = 1024  # a substep that fails is halved down to this fraction; softening soil breaks away within 1 ms
+_PASSES = 60  # evaluations of the reaction in a substep, at most
+_TRIES = 8  # of them at most along one step of Newton's method
+_HUGE = 1e300
 
-#: One wheel. Numbers that follow from the others in the same step are kept for sensors and info.
-WHEEL_STATE = np.dtype(
-    [
-        ("x", np.float64),  # [m] distance along the course
-        ("best_x", np.float64),  # [m] furthest x so far
-        ("speed", np.float64),  # V [m/s]
-        ("wheel_speed", np.float64),  # w [rad/s]
-        ("sinkage", np.float64),  # z [m] below the undisturbed surface
-        ("mass", np.float64),  # [kg]
-        ("motor_torque", np.float64),  # [N m]
-        ("available_torque", np.float64),  # [N m] of the motor at this wheel speed, in the direction of the command
-        ("load", np.float64),  # W [N]
-        ("drawbar_pull", np.float64),  # DP [N]
-        ("torque", np.float64),  # T [N m], soil on wheel
-        ("slip", np.float64),  # [-]
-        ("pull_by_speed", np.float64),  # dDP/dV [N s/m] at the end of the last substep
-        ("pull_by_rim", np.float64),  # dDP/d(r w)
-        ("torque_by_speed", np.float64),  # dT/dV [N s]
-        ("torque_by_rim", np.float64),  # dT/d(r w)
-        ("bearing_sinkage", np.float64),  # z_w [m]
-        ("grade", np.float64),  # [rad] at the wheel
-        ("motor_work", np.float64),  # [J] in the last control period
-        ("soil_work", np.float64),  # [J] that soil and drivetrain took from it, T w - DP V, in the last control period
-        ("travel", np.float64),  # [m] in the last control period
-        ("last_action", np.float64),  # [-1, 1]
-        ("entrapped_time", np.float64),  # [s] the conditions of entrapment have held
-        ("stalled_time", np.float64),  # [s] the conditions of stalling have held
-        ("next_halt", np.float64),  # [m] place of the next commanded halt
-        ("halt_left", np.float64),  # [s] left of the present halt, 0 while driving
-        ("converged", np.int64),  # 1 unless a Newton iteration of the last control period failed at the finest substep
-        ("patch", np.int64),
-        ("cell", np.int64),
-        ("steps", np.int64),  # control periods since reset
-    ],
-    align=True,
-)
+# --- scratch, a column a wheel ----------------------------------------------------------------------------------------
+
+#: A control period.
+_Period = rows("_Period", "start", "command", "by_speed", "left", "alive", "clean")
+#: The ground in a substep: a `SoilState`, first undisturbed and then as the wheel meets it.
+_Footing = rows("_Footing", *SoilState._fields, "grade", "passes", "lift")
+#: The equations of a substep; the last two are the speeds to try next.
+_Equations = rows(
+    "_Equations", "speed0", "rim0", "gain_v", "weight_along", "load", "tan_phi", "cohesion", "shear_modulus",
+    "command", "by_speed", *ArcFrame._fields, "bulldozing", "blades", "pull", "twist", "try_v", "try_u",
+)  # fmt: skip
+#: Newton's method on them: the best so far with its `Reaction`, then the state of the iteration.
+_Newton = rows(
+    "_Newton", "v", "u", *Reaction._fields, "converged",
+    "f1", "f2", "motor_slope", "norm", "before", "share", "tries", "passes",
+)  # fmt: skip
+_period, _footing = scratch_rows(_Period, MANY), scratch_rows(_Footing, MANY)
+# The last block is that of the wheels that take longer.
+_equations, _newton = scratch_rows(_Equations, MANY + COUNT), scratch_rows(_Newton, MANY + COUNT)
+_nodes = scratch_rows(Nodes, (MANY // COUNT + 1) * NODE_COLUMNS)
+_Queue = rows("_Queue", "wheel", kind=np.int64)
+_queue, _occupants = scratch_rows(_Queue, MANY), scratch_rows(_Queue, COUNT)
 
 
-class WorldNumbers(NamedTuple):
-    """What the dynamics take from a `Scenario`."""
+class _Substep(NamedTuple):
+    """Scratch of a substep."""
 
-    radius: float
-    width: float
-    inertia: float
-    stall_torque: float
-    no_load_speed: float
-    gravity: float
-    relaxation: float  # [m]
-    border: float  # [m]
-    halt_low: float  # [m]
-    halt_high: float  # [m]
-    halt_time: float  # [s]
-    period: float  # [s]
-    substeps: int
-    speed_command: bool
-    with_effects: bool  # whether any effect below is on
-    grouser_height: float  # [m]
-    unit_weight: float  # of the soil [N/m3]
-    effects: Effects  # those that act on the wheel, not on its sensors
-    residual: ResidualLaw
-
-
-def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> WorldNumbers:
-    """Pack what `advance` needs; `model` brings the effects that are on in this world."""
-    w, c = scenario.wheel, scenario.control
-    effects = NO_EFFECTS if model is None else acting(model.numbers)
-    terms = () if model is None else model.residual
-    return WorldNumbers(
-        w.radius,
-        w.width,
-        w.inertia,
-        w.stall_torque,
-        w.no_load_speed,
-        scenario.gravity,
-        scenario.relaxation * w.radius,
-        scenario.course.border,
-        *scenario.course.halt_interval,
-        scenario.course.halt_time,
-        c.period,
-        math.ceil(c.period / c.substep - 1e-9),
-        c.action == "wheel_speed",
-        effects != NO_EFFECTS or len(terms) > 0,
-        0.0 if model is None else model.wheel.grouser_height,
-        0.0 if model is None else model.density * scenario.gravity,
-        effects,
-        residual_law(terms),
-    )
+    footing: object
+    equations: object
+    nodes: object
+    newton: object
 
 
 @inlined
-def motor(command, by_speed, wheel_speed, world):
-    """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
+def _load_reaction(n, i):
+    return Reaction(
+        from_array(n.load, i), from_array(n.drawbar_pull, i), from_array(n.torque, i), from_array(n.modulus, i),
+        from_array(n.dp_v, i), from_array(n.dp_u, i), from_array(n.torque_v, i), from_array(n.torque_u, i),
+        from_array(n.modulus_v, i), from_array(n.modulus_u, i),
+    )  # fmt: skip
 
-    The command is a share of the stall torque or, with `by_speed`, of the no-load speed, which a stiff speed loop then
-    follows. Either way the torque stays between the torque-speed lines of full voltage forward and backward,
-    T_stall (+-1 - w/w_0), and within +-T_stall: faster than the no-load speed the motor brakes. `available` is the line
-    on the side of the command. Of floats or in lanes; `by_speed` is 1 or 0.
-    """
-    stall, line = world.stall_torque, world.stall_torque / world.no_load_speed
-    high = smaller(larger(stall - line * wheel_speed, -stall), stall)
-    low = smaller(larger(-stall - line * wheel_speed, -stall), stall)
-    gain = 10.0 * line
-    follow = gain * (command * world.no_load_speed - wheel_speed)
-    torque = where_less(0.5, by_speed, follow, command * stall)
-    slope = where_less(0.5, by_speed, -gain, 0.0)
-    available = where_less(torque, 0.0, -low, high)
-    on_high = where_less(-stall, high, where_less(high, stall, -line, 0.0), 0.0)
-    on_low = where_less(-stall, low, where_less(low, stall, -line, 0.0), 0.0)
-    slope = where_less(high, torque, on_high, where_less(torque, low, on_low, slope))
-    return where_less(high, torque, high, where_less(torque, low, low, torque)), slope, available
+
+@inlined
+def _store_reaction(f, n, i):
+    to_array(f.load, n.load, i)
+    to_array(f.drawbar_pull, n.drawbar_pull, i)
+    to_array(f.torque, n.torque, i)
+    to_array(f.modulus, n.modulus, i)
+    to_array(f.dp_v, n.dp_v, i)
+    to_array(f.dp_u, n.dp_u, i)
+    to_array(f.torque_v, n.torque_v, i)
+    to_array(f.torque_u, n.torque_u, i)
+    to_array(f.modulus_v, n.modulus_v, i)
+    to_array(f.modulus_u, n.modulus_u, i)
+
+
+@inlined
+def _chosen_reaction(mask, f, g):
+    return Reaction(
+        chosen(mask, f.load, g.load), chosen(mask, f.drawbar_pull, g.drawbar_pull), chosen(mask, f.torque, g.torque),
+        chosen(mask, f.modulus, g.modulus), chosen(mask, f.dp_v, g.dp_v), chosen(mask, f.dp_u, g.dp_u),
+        chosen(mask, f.torque_v, g.torque_v), chosen(mask, f.torque_u, g.torque_u),
+        chosen(mask, f.modulus_v, g.modulus_v), chosen(mask, f.modulus_u, g.modulus_u),
+    )  # fmt: skip
+
+
+# --- the equations of a substep ---------------------------------------------------------------------------------------
 
 
 @inlined
@@ -169,187 +137,400 @@ def newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
     a11, a12 = 1.0 - cv * dp_v, -cv * dp_u
     a21, a22 = cu * torque_v, 1.0 + cu * net_u
     det = a11 * a22 - a12 * a21
-    det = where_less(1e-12, abs(det), det, 1e-12)
+    det = chosen(below(1e-12, abs(det)), det, 1e-12)
     return -(a22 * f1 - a12 * f2) / det, -(a11 * f2 - a21 * f1) / det
 
 
 @inlined
-def implicit_speeds(w, load, ground, command, by_speed, grade, world, h):
-    """Implicit Euler for (V, u = r w) of wheel `w` (a WHEEL_STATE) over h seconds: (V, u, Reaction, converged).
+def _gather_ground(state, counts, first, block, period, g, courses, world, h):
+    """The undisturbed ground under eight wheels in the middle of the substep, with the rut left by earlier passes."""
+    for i in range(block, block + COUNT):
+        k = first + i
+        if period.alive[i] == 0.0:  # nobody there
+            g.tan_phi[i] = g.cohesion[i] = g.shear_modulus[i] = g.sinkage_coefficient[i] = g.sinkage_exponent[i] = 1.0
+            g.dig_gain[i] = g.dig_recovery[i] = g.grade[i] = g.passes[i] = 0.0
+            continue
+        x, cell = state.x[k] + 0.5 * h * state.speed[k], counts.cell[k]
+        soil, grade, patch = ground_at(courses, k, x, counts.patch[k], world.border)
+        counts.patch[k] = patch
+        g.tan_phi[i], g.cohesion[i], g.shear_modulus[i] = soil.tan_phi, soil.cohesion, soil.shear_modulus
+        g.sinkage_coefficient[i] = soil.sinkage_coefficient * courses.modulus[k, cell]
+        g.sinkage_exponent[i] = soil.sinkage_exponent
+        g.dig_gain[i], g.dig_recovery[i], g.grade[i] = soil.dig_gain, soil.dig_recovery, grade
+        g.passes[i] = 2.0 if courses.rut[k, cell] > 0.0 else 1.0
 
-    The first step goes by the reaction of the last substep to first order, where it is short. Newton's residual
-    falls quadratically: once it is foretold to fall far below the tolerance, by the last two residuals or by
-    the change of shear that the step makes, the step is taken with the reaction to first order instead of being
-    computed once more.
-    """
-    r = world.radius
-    weight_along = w.mass * world.gravity * math.sin(grade)
-    cv, cu = h / w.mass, h * r / world.inertia
-    speed0, u0 = w.speed, w.wheel_speed * r
-    v, u = speed0, u0
-    torque, torque_w, _ = motor(command, by_speed, u / r, world)
-    dv, du = newton_step(
-        -cv * (w.drawbar_pull - weight_along), -cu * (torque - w.torque), cv, cu,
-        w.pull_by_speed, w.pull_by_rim, w.torque_by_speed, w.torque_by_rim - torque_w / r,
+
+@inlined
+def _soil(g, i):
+    """`SoilState` of eight wheels, in lanes."""
+    return SoilState(
+        from_array(g.tan_phi, i), from_array(g.cohesion, i), from_array(g.shear_modulus, i),
+        from_array(g.sinkage_coefficient, i), from_array(g.sinkage_exponent, i), from_array(g.dig_gain, i),
+        from_array(g.dig_recovery, i),
     )  # fmt: skip
-    if max(abs(dv), abs(du)) < SHORT * (abs(u) + REST_SPEED):
-        v, u = v + dv, u + du
-        torque, torque_w, _ = motor(command, by_speed, u / r, world)
+
+
+@inlined
+def _first_try(state, k, speed0, u0, cv, cu, weight_along, command, by_speed, world):
+    """Speeds to try first: a Newton step by the reaction of the last substep to first order, where it is short."""
+    torque, torque_w, _ = motor(command, by_speed, u0 / world.wheel.radius, world)
+    dv, du = newton_step(
+        -cv * (from_array(state.drawbar_pull, k) - weight_along), -cu * (torque - from_array(state.torque, k)), cv, cu,
+        from_array(state.pull_by_speed, k), from_array(state.pull_by_rim, k), from_array(state.torque_by_speed, k),
+        from_array(state.torque_by_rim, k) - torque_w / world.wheel.radius,
+    )  # fmt: skip
+    short = below(larger(abs(dv), abs(du)), _SHORT * (abs(u0) + REST_SPEED))
+    return speed0 + short * dv, u0 + short * du
+
+
+@inlined
+def _set_up(state, first, i, period, sub, world, h):
+    """The equations of a substep of the eight wheels from column i on, and where Newton's method starts."""
+    wheel, e, g = world.wheel, sub.equations, sub.footing
+    k = first + i
+    mass, speed0 = from_array(state.mass, k), from_array(state.speed, k)
+    u0, sinkage = wheel.radius * from_array(state.wheel_speed, k), from_array(state.sinkage, k)
+    command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
+    sin_half, cos_half = half_sin_cos(from_array(g.grade, i))
+    sine, weight = 2.0 * sin_half * cos_half, wheel.gravity * mass
+    ground = ground_under(sinkage, speed0, u0, weight, _soil(g, i), sine, from_array(g.passes, i), wheel)
+    cv, cu = h / mass, h * wheel.radius / world.inertia
+    v1, u1 = _first_try(state, k, speed0, u0, cv, cu, weight * sine, command, by_speed, world)
     soil = ground.soil
-    nodes = arc_nodes(
-        ground.theta1, ground.theta2, ground.thetam, soil.sinkage_exponent, ground.radius, ground.sheared_from
-    )
-    curvature = 1.0 + r * ground.theta1 / soil.shear_modulus  # relative change of the shear over that of the speeds
-    soil_force = react(nodes, ground, v, u, load, world)
-    f1 = v - speed0 - cv * (soil_force.drawbar_pull - weight_along)
-    f2 = u - u0 - cu * (torque - soil_force.torque)
-    norm = max(abs(f1), abs(f2))
-    before = 0.1 * norm  # nothing is foretold by the first residual alone
-    for _ in range(_MAX_ITERATIONS):
-        dv, du = newton_step(
-            f1, f2, cv, cu, soil_force.dp_v, soil_force.dp_u, soil_force.torque_v, soil_force.torque_u - torque_w / r
-        )
-        foretold = min(norm / before, max(abs(dv), abs(du)) * curvature / (abs(u) + REST_SPEED)) * norm
-        if foretold < FORETOLD * TOLERANCE:
-            trial = moved(soil_force, dv, du)
-            torque, _, _ = motor(command, by_speed, (u + du) / r, world)
-            g1 = v + dv - speed0 - cv * (trial.drawbar_pull - weight_along)
-            g2 = u + du - u0 - cu * (torque - trial.torque)
-            if max(abs(g1), abs(g2)) < 0.1 * TOLERANCE and trial.modulus > 0.0:
-                return v + dv, u + du, trial, True
-        if norm < TOLERANCE:
-            return v, u, soil_force, True
-        share = 1.0
-        v1, u1, g1, g2, trial = v, u, f1, f2, soil_force
-        reached = norm
-        for _ in range(8):
-            v1, u1 = v + share * dv, u + share * du
-            trial = react(nodes, ground, v1, u1, load, world)
-            torque, torque_w, _ = motor(command, by_speed, u1 / r, world)
-            g1 = v1 - speed0 - cv * (trial.drawbar_pull - weight_along)
-            g2 = u1 - u0 - cu * (torque - trial.torque)
-            reached = max(abs(g1), abs(g2))
-            if reached < norm * (1.0 - 0.1 * share):
-                break
-            share *= 0.4
-        if not reached < norm:
-            break
-        before, norm = norm, reached
-        v, u, f1, f2, soil_force = v1, u1, g1, g2, trial
-    return v, u, soil_force, norm < 1e-4
+    frame = store_nodes(ground.arc, soil.sinkage_exponent, sub.nodes, (i // COUNT) * NODE_COLUMNS)
+    _store_frame(frame, e, i)
+    to_array(speed0, e.speed0, i)
+    to_array(u0, e.rim0, i)
+    to_array(cv, e.gain_v, i)
+    to_array(weight * sine, e.weight_along, i)
+    to_array(weight * (1.0 - 2.0 * sin_half * sin_half), e.load, i)
+    to_array(soil.tan_phi, e.tan_phi, i)
+    to_array(soil.cohesion, e.cohesion, i)
+    to_array(soil.shear_modulus, e.shear_modulus, i)
+    to_array(command, e.command, i)
+    to_array(by_speed, e.by_speed, i)
+    to_array(v1, e.try_v, i)
+    to_array(u1, e.try_u, i)
+    if wheel.on:
+        to_array(ground.bulldozing, e.bulldozing, i)
+        to_array(ground.blades, e.blades, i)
+        to_array(ground.pull, e.pull, i)
+        to_array(ground.torque, e.twist, i)
+        to_array(ground.lift, g.lift, i)
+        to_array(soil.sinkage_coefficient, g.sinkage_coefficient, i)
+        to_array(soil.sinkage_exponent, g.sinkage_exponent, i)
+        to_array(soil.dig_gain, g.dig_gain, i)
+        to_array(soil.dig_recovery, g.dig_recovery, i)
 
 
 @inlined
-def bearing_sinkage(sinkage, modulus, soil):
-    """z_w [m]: depth at which undisturbed soil bears the pressure `modulus` z^n, at most 10 z."""
-    n = larger(soil.sinkage_exponent, 0.05)
-    return sinkage * smaller(power(modulus / soil.sinkage_coefficient, 1.0 / n), 10.0)
+def _store_frame(frame, e, i):
+    to_array(frame.theta1, e.theta1, i)
+    to_array(frame.front, e.front, i)
+    to_array(frame.ratio, e.ratio, i)
+    to_array(frame.lever_front, e.lever_front, i)
+    to_array(frame.lever_rear, e.lever_rear, i)
+    to_array(frame.lever_sin, e.lever_sin, i)
+    to_array(frame.p_cos, e.p_cos, i)
+    to_array(frame.p_sin, e.p_sin, i)
 
 
 @inlined
-def relax_sinkage(sinkage, bearing, speed, slip_speed, soil, length, h):
-    """Sinkage [m] after h seconds of dz/dt = B z_w - A z (`effects.excavation_rate`)."""
-    a, b = excavation_rate(abs(speed), abs(slip_speed), soil.dig_gain, soil.dig_recovery, length)
-    yielding = where_less(sinkage, bearing, 1.0 / SETTLING_TIME, 0.0)  # under the load at once, travelling or not
-    a, b = a + yielding, b + yielding
-    goal = b * bearing / a
-    return where_less(a * h, 1e-12, sinkage, goal + (sinkage - goal) * exp(-a * h))
+def _load_frame(e, i):
+    return ArcFrame(
+        from_array(e.theta1, i), from_array(e.front, i), from_array(e.ratio, i), from_array(e.lever_front, i),
+        from_array(e.lever_rear, i), from_array(e.lever_sin, i), from_array(e.p_cos, i), from_array(e.p_sin, i),
+    )  # fmt: skip
 
 
-@kernel
-def advance(state, k, command, courses, streams, world):
-    """Drive wheel k for one control period with a command in [-1, 1]; updates state[k] and its rut.
+@inlined
+def _reaction_at(v, u, sub, i, wheel):
+    """`Reaction` at the axle of eight wheels at travel speeds v and rim speeds u [m/s]."""
+    e, rim = sub.equations, wheel.rim_ratio * u
+    motion = motion_from_speeds(rim, v, REST_SPEED)
+    integrals = shear_integrals(
+        _load_frame(e, i), sub.nodes, (i // COUNT) * NODE_COLUMNS, motion[0], motion[1],
+        from_array(e.shear_modulus, i), wheel.contact_radius, wheel.law,
+    )  # fmt: skip
+    f = reaction_from(
+        integrals, motion, v, rim, from_array(e.load, i), from_array(e.tan_phi, i), from_array(e.cohesion, i),
+        wheel.contact_radius, wheel.width,
+    )  # fmt: skip
+    if wheel.on:
+        f = at_the_axle(
+            f, from_array(e.bulldozing, i), from_array(e.blades, i), from_array(e.pull, i), from_array(e.twist, i),
+            v, u, wheel,
+        )  # fmt: skip
+    return f
 
-    During a commanded halt the drive ignores the command and holds the wheel with its speed loop.
+
+@inlined
+def _residual(v, u, f, e, i, cu, world):
+    """(f1, f2, d motor torque/dw): the residuals of implicit Euler [m/s] at speeds v, u with the `Reaction` f."""
+    torque, slope, _ = motor(from_array(e.command, i), from_array(e.by_speed, i), u / world.wheel.radius, world)
+    along = f.drawbar_pull - from_array(e.weight_along, i)
+    f1 = v - from_array(e.speed0, i) - from_array(e.gain_v, i) * along
+    return f1, u - from_array(e.rim0, i) - cu * (torque - f.torque), slope
+
+
+# --- Newton's method --------------------------------------------------------------------------------------------------
+
+
+@inlined
+def _begin(e, n, i):
+    """Newton's state of the eight wheels from column i on, at the start of a substep."""
+    zero, huge = fill(0.0), fill(_HUGE)
+    to_array(from_array(e.speed0, i), n.v, i)
+    to_array(from_array(e.rim0, i), n.u, i)
+    _store_reaction(Reaction(zero, zero, zero, zero, zero, zero, zero, zero, zero, zero), n, i)
+    to_array(zero, n.converged, i)
+    to_array(zero, n.f1, i)
+    to_array(zero, n.f2, i)
+    to_array(zero, n.motor_slope, i)
+    to_array(huge, n.norm, i)
+    to_array(huge, n.before, i)
+    to_array(fill(1.0), n.share, i)
+    to_array(zero, n.tries, i)
+    to_array(zero, n.passes, i)
+
+
+@inlined
+def _accept(sub, i, cu, world):
+    """Evaluate the speeds to try and keep them where they are better: (better, failed), 1 or 0 in each lane."""
+    e, n = sub.equations, sub.newton
+    zero, one = fill(0.0), fill(1.0)
+    v1, u1 = from_array(e.try_v, i), from_array(e.try_u, i)
+    trial = _reaction_at(v1, u1, sub, i, world.wheel)
+    g1, g2, slope = _residual(v1, u1, trial, e, i, cu, world)
+    reached = larger(abs(g1), abs(g2))
+    share, tries, norm = from_array(n.share, i), from_array(n.tries, i), from_array(n.norm, i)
+    last = below(_TRIES - 1.5, tries)
+    better = below(reached, norm * chosen(last, one, 1.0 - 0.1 * share))
+    first_before = chosen(below(norm, 0.5 * _HUGE), norm, 0.1 * reached)  # nothing is foretold by the first residual
+    to_array(chosen(better, first_before, from_array(n.before, i)), n.before, i)
+    to_array(chosen(better, reached, norm), n.norm, i)
+    to_array(chosen(better, v1, from_array(n.v, i)), n.v, i)
+    to_array(chosen(better, u1, from_array(n.u, i)), n.u, i)
+    to_array(chosen(better, g1, from_array(n.f1, i)), n.f1, i)
+    to_array(chosen(better, g2, from_array(n.f2, i)), n.f2, i)
+    to_array(chosen(better, slope, from_array(n.motor_slope, i)), n.motor_slope, i)
+    _store_reaction(_chosen_reaction(better, trial, _load_reaction(n, i)), n, i)
+    to_array(chosen(better, one, 0.4 * share), n.share, i)
+    to_array(chosen(better, zero, tries + 1.0), n.tries, i)
+    return better, last * (1.0 - better)
+
+
+@inlined
+def _iterate(sub, i, world, h):
+    """One pass of Newton's method on the eight wheels from column i on; 1 where it has ended.
+
+    Newton's residual falls quadratically: once it is foretold to fall far below the tolerance, by the last two
+    residuals or by the change of shear that the step makes, the step is taken with the reaction to first order instead
+    of being computed once more.
     """
-    w = state[k]
-    by_speed = world.speed_command
-    if w.halt_left > 0.0:
-        command, by_speed = 0.0, True
-    x_start = w.x
-    w.motor_work = w.soil_work = 0.0
-    w.converged = 1
-    drive(state, k, command, by_speed, courses, world, world.period)
-    finish(state, k, command, x_start, streams, world)
+    e, n, r = sub.equations, sub.newton, world.wheel.radius
+    cu = h * r / world.inertia
+    better, failed = _accept(sub, i, cu, world)
+    v, u, norm, f = from_array(n.v, i), from_array(n.u, i), from_array(n.norm, i), _load_reaction(n, i)
+    dv, du = newton_step(
+        from_array(n.f1, i), from_array(n.f2, i), from_array(e.gain_v, i), cu, f.dp_v, f.dp_u, f.torque_v,
+        f.torque_u - from_array(n.motor_slope, i) / r,
+    )  # fmt: skip
+    curvature = 1.0 + r * from_array(e.theta1, i) / from_array(e.shear_modulus, i)  # change of shear over that of speed
+    by_shear = larger(abs(dv), abs(du)) * curvature / (abs(u) + REST_SPEED)
+    foretold = norm * smaller(norm / from_array(n.before, i), by_shear)
+    ahead = moved(f, dv, du)
+    g1, g2, _ = _residual(v + dv, u + du, ahead, e, i, cu, world)
+    seen = below(foretold, _FORETOLD * TOLERANCE) * below(larger(abs(g1), abs(g2)), 0.1 * TOLERANCE)
+    seen = seen * below(0.0, ahead.modulus) * better
+    there = larger(seen, better * below(norm, TOLERANCE))
+    passes, share = from_array(n.passes, i) + 1.0, from_array(n.share, i)
+    to_array(passes, n.passes, i)
+    to_array(v + share * dv, e.try_v, i)
+    to_array(u + share * du, e.try_u, i)
+    to_array(chosen(seen, v + dv, v), n.v, i)
+    to_array(chosen(seen, u + du, u), n.u, i)
+    _store_reaction(_chosen_reaction(seen, ahead, f), n, i)
+    to_array(larger(failed * below(norm, 1e-4), there), n.converged, i)
+    return larger(larger(failed, there), below(_PASSES - 0.5, passes))
 
 
-@kernel
-def drive(state, k, command, by_speed, courses, world, left):
-    """Substeps of wheel k for the `left` seconds that remain of a control period."""
-    w = state[k]
-    r = world.radius
-    longest = world.period / world.substeps
-    h = longest
+@inlined
+def _copy_wheel(sub, source, target):
+    """A wheel with its state of Newton's method from one column to another."""
+    copy_column(sub.equations, source, sub.equations, target)
+    copy_column(sub.newton, source, sub.newton, target)
+    a, b = (source // COUNT) * NODE_COLUMNS + source % COUNT, (target // COUNT) * NODE_COLUMNS + target % COUNT
+    for node in range(0, NODE_COLUMNS, COUNT):
+        copy_column(sub.nodes, a + node, sub.nodes, b + node)
+
+
+@inlined
+def _solve(sub, period, begin, end, world, h):
+    """The speeds and reactions at the end of a substep of the wheels in columns begin .. end - 1, into `sub.newton`.
+
+    One pass for all, on the spot; those that have not ended go on in the last block, where a lane takes the next as
+    soon as its wheel has ended.
+    """
+    queue, occupants = _queue(), _occupants()
+    block, queued, following, working = begin, 0, 0, 0
+    while True:
+        filling = block < end
+        if filling:
+            _begin(sub.equations, sub.newton, block)
+        ended = bits(_iterate(sub, block, world, h))
+        if filling:
+            for i in range(COUNT):
+                if ended >> i & 1 == 0 and period.alive[block + i] > 0.0:
+                    queue.wheel[queued] = block + i
+                    queued += 1
+            block += COUNT
+            if block < end:
+                continue
+            block, ended = MANY, (1 << COUNT) - 1
+            for i in range(COUNT):
+                occupants.wheel[i] = -1
+        for i in range(COUNT):
+            if ended >> i & 1 == 0:
+                continue
+            k = occupants.wheel[i]
+            if k >= 0:
+                copy_column(sub.newton, block + i, sub.newton, k)
+                occupants.wheel[i] = -1
+                working -= 1
+            if following < queued or (filling and queued > 0):  # no lane without a wheel, if only another's
+                k = queue.wheel[min(following, queued - 1)]
+                _copy_wheel(sub, k, block + i)
+                if following < queued:
+                    occupants.wheel[i] = k
+                    working += 1
+                following += 1
+        if working == 0:
+            return
+
+
+# --- a control period -------------------------------------------------------------------------------------------------
+
+
+@inlined
+def _keep(alive, row, k, value):
+    """Store `value` in lanes where `alive` is 1."""
+    to_array(chosen(alive, value, from_array(row, k)), row, k)
+
+
+@inlined
+def _move(state, first, i, period, sub, world, h, anyhow):
+    """Eight wheels to the end of a substep, but those not alive; who did not converge dies, unless `anyhow` is 1."""
+    n, g, k, r = sub.newton, sub.footing, first + i, world.wheel.radius
+    v, u, f = from_array(n.v, i), from_array(n.u, i), _load_reaction(n, i)
+    converged = from_array(n.converged, i)
+    alive = from_array(period.alive, i) * larger(converged, anyhow)
+    to_array(alive, period.alive, i)
+    _keep(alive, period.clean, i, from_array(period.clean, i) * converged)
+    soil, sinkage, speed = _soil(g, i), from_array(state.sinkage, k), from_array(state.speed, k)
+    bearing = bearing_sinkage(sinkage, f.modulus, soil)
+    if world.wheel.on:
+        bearing = bearing + from_array(g.lift, i)
+    relaxed = relax_sinkage(sinkage, bearing, v, u - v, soil, world.relaxation, h)
+    torque, _, available = motor(from_array(period.command, i), from_array(period.by_speed, i), u / r, world)
+    _keep(alive, state.x, k, from_array(state.x, k) + 0.5 * h * (speed + v))
+    _keep(alive, state.motor_work, k, from_array(state.motor_work, k) + h * torque * u / r)
+    work = h * (f.torque * u / r - f.drawbar_pull * v)
+    _keep(alive, state.soil_work, k, from_array(state.soil_work, k) + work)
+    _keep(alive, state.speed, k, v)
+    _keep(alive, state.wheel_speed, k, u / r)
+    _keep(alive, state.sinkage, k, smaller(larger(relaxed, SHALLOWEST * r), DEEPEST * r))
+    _keep(alive, state.bearing_sinkage, k, bearing)
+    _keep(alive, state.motor_torque, k, torque)
+    _keep(alive, state.available_torque, k, available)
+    _keep(alive, state.load, k, f.load)
+    _keep(alive, state.drawbar_pull, k, f.drawbar_pull)
+    _keep(alive, state.torque, k, f.torque)
+    _keep(alive, state.pull_by_speed, k, f.dp_v)
+    _keep(alive, state.pull_by_rim, k, f.dp_u)
+    _keep(alive, state.torque_by_speed, k, f.torque_v)
+    _keep(alive, state.torque_by_rim, k, f.torque_u)
+    _keep(alive, state.grade, k, from_array(g.grade, i))
+    _keep(alive, period.left, i, from_array(period.left, i) - h)
+
+
+@part
+def _drive(state, counts, first, begin, end, period, courses, world, left, longest, anyhow):
+    """Substeps of at most `longest` seconds for `left` seconds, of the wheels in columns begin .. end - 1 of `period`.
+
+    A wheel for which Newton's method fails stays as it was before that substep, with the rest of its time in
+    `period.left`; with `anyhow` = 1 it goes on.
+    """
+    sub = _Substep(_footing(), _equations(), _nodes(), _newton())
+    while left > 1e-9 * longest:
+        h = min(longest, left)
+        for i in range(begin, end, COUNT):
+            _gather_ground(state, counts, first, i, period, sub.footing, courses, world, h)
+            _set_up(state, first, i, period, sub, world, h)
+        _solve(sub, period, begin, end, world, h)
+        for i in range(begin, end, COUNT):
+            _move(state, first, i, period, sub, world, h, anyhow)
+        left -= h
+        for i in range(begin, end):
+            if period.alive[i] > 0.0:
+                _leave_ruts(state, counts, first + i, courses)
+
+
+@inlined
+def _leave_ruts(state, counts, k, courses):
+    """Mark the cells that wheel k has left in this substep."""
+    cell = cell_at(courses, state.x[k])
+    while counts.cell[k] != cell:
+        leave_rut(courses, k, counts.cell[k], state.sinkage[k], state.bearing_sinkage[k])
+        counts.cell[k] += 1 if cell > counts.cell[k] else -1
+
+
+@part
+def _drive_alone(state, counts, first, i, period, courses, world, longest):
+    """The rest of the control period of the wheel in column i, by substeps halved while Newton's method fails."""
+    block = i // COUNT * COUNT
+    for j in range(block, block + COUNT):
+        period.alive[j] = 0.0
+    left, h = period.left[i], longest
     while left > 1e-9 * longest:
         h = min(h, left)
-        soil, grade, patch = ground_at(courses, k, w.x + 0.5 * h * w.speed, w.patch, world.border)
-        soil = stiffened(soil, courses.modulus[k, w.cell])
-        load = w.mass * world.gravity * math.cos(grade)
-        if world.with_effects:
-            passes = 2.0 if courses.rut[k, w.cell] > 0.0 else 1.0
-            ground = ground_with_effects(w, soil, grade, passes, world)
+        finest = h <= longest / _FINEST
+        period.alive[i], period.left[i] = 1.0, h
+        _drive(state, counts, first, block, block + COUNT, period, courses, world, h, h, 1.0 if finest else 0.0)
+        if period.left[i] > 0.0:
+            h *= 0.5
         else:
-            ground = plain_ground(w, soil, world)
-        v, u, soil_force, converged = implicit_speeds(w, load, ground, command, by_speed, grade, world, h)
-        if not converged:
-            if h > longest / FINEST:
-                h *= 0.5
-                continue
-            w.converged = 0
-        bearing = bearing_sinkage(w.sinkage, soil_force.modulus, ground.soil) + ground.lift
-        sinkage = relax_sinkage(w.sinkage, bearing, v, u - v, ground.soil, world.relaxation, h)
-        torque, _, available = motor(command, by_speed, u / r, world)
-
-        w.x += 0.5 * h * (w.speed + v)
-        w.motor_work += h * torque * u / r
-        w.soil_work += h * (soil_force.torque * u / r - soil_force.drawbar_pull * v)
-        w.speed, w.wheel_speed = v, u / r
-        w.sinkage = min(max(sinkage, SHALLOWEST * r), DEEPEST * r)
-        w.bearing_sinkage = bearing
-        w.motor_torque, w.available_torque = torque, available
-        w.load, w.drawbar_pull, w.torque = soil_force.load, soil_force.drawbar_pull, soil_force.torque
-        w.pull_by_speed, w.pull_by_rim = soil_force.dp_v, soil_force.dp_u
-        w.torque_by_speed, w.torque_by_rim = soil_force.torque_v, soil_force.torque_u
-        w.grade, w.patch = grade, patch
-        left -= h
-        h = longest
-        cell = cell_at(courses, w.x)
-        while w.cell != cell:
-            leave_rut(courses, k, w.cell, w.sinkage, bearing)
-            w.cell += 1 if cell > w.cell else -1
+            left -= h
+            h = longest
+    period.left[i] = 0.0
 
 
-@inlined
-def finish(state, k, command, x_start, streams, world):
-    """The end of a control period of wheel k, which began at `x_start` [m]: slip, travel and halts."""
-    w = state[k]
-    w.slip = slip_ratio(w.wheel_speed * world.radius, w.speed, REST_SPEED)
-    w.travel = w.x - x_start
-    w.best_x = max(w.best_x, w.x)
-    w.last_action = command
-    w.steps += 1
-    if w.halt_left > 0.0:
-        w.halt_left = max(0.0, w.halt_left - world.period)
-    elif w.x >= w.next_halt:
-        w.halt_left = world.halt_time
-        w.next_halt = w.x + between(streams, k, world.halt_low, world.halt_high)
+@part
+def advance(state, counts, first, count, what, commands, courses, streams, world):
+    """One control period of those of the wheels first .. first + count - 1 with what[k] = STEP.
 
-
-@kernel
-def settle(state, k, mass, courses, streams, world):
-    """Put wheel k at rest at the start of its course, sunk in under its own load."""
-    w = state[k]
-    w.x, w.patch = 0.0, 0
-    soil, grade, patch = ground_at(courses, k, w.x, w.patch, world.border)
-    load = mass * world.gravity * math.cos(grade)
-    wheel, here = Rim(world.radius, world.width, world.grouser_height), Conditions(0.0, 1.0, math.sin(grade))
-    rest = steady_with(0.0, load, soil, wheel, here, world.unit_weight, world.effects, 0.0)
-    w.best_x = w.speed = w.wheel_speed = 0.0
-    w.sinkage = w.bearing_sinkage = max(rest.sinkage, SHALLOWEST * world.radius)
-    w.mass, w.load, w.grade, w.patch = mass, load, grade, patch
-    w.motor_torque = w.drawbar_pull = w.torque = w.slip = 0.0
-    w.pull_by_speed = w.pull_by_rim = w.torque_by_speed = w.torque_by_rim = 0.0
-    w.available_torque = world.stall_torque
-    w.motor_work = w.soil_work = w.travel = w.last_action = w.entrapped_time = w.stalled_time = 0.0
-    w.converged, w.cell, w.steps = 1, 0, 0
-    w.next_halt, w.halt_left = between(streams, k, world.halt_low, world.halt_high), 0.0
+    `commands` [wheels] in [-1, 1]. During a commanded halt the drive ignores the command and holds the wheel with its
+    speed loop. `count` <= MANY; `first` a multiple of eight. `state` (`WheelState`), `counts` (`WheelCounts`),
+    `courses` and `streams` are renewed in place.
+    """
+    period, longest = _period(), world.period / world.substeps
+    end = (count + COUNT - 1) // COUNT * COUNT
+    for i in range(end):
+        k = first + i
+        going = i < count and what[k] == STEP
+        period.alive[i], period.left[i], period.clean[i] = (1.0, world.period, 1.0) if going else (0.0, 0.0, 1.0)
+        period.start[i] = period.command[i] = period.by_speed[i] = 0.0
+        if going:
+            halted = state.halt_left[k] > 0.0
+            period.start[i] = state.x[k]
+            period.command[i] = 0.0 if halted else commands[k]
+            period.by_speed[i] = 1.0 if halted or world.speed_command else 0.0
+            state.motor_work[k] = state.soil_work[k] = 0.0
+    _drive(state, counts, first, 0, end, period, courses, world, world.period, longest, 0.0)
+    for i in range(count):
+        if what[first + i] != STEP:
+            continue
+        if period.left[i] > 1e-9 * longest:
+            _drive_alone(state, counts, first, i, period, courses, world, longest)
+        counts.converged[first + i] = 1 if period.clean[i] > 0.0 else 0
+        finish(state, counts, first + i, period.command[i], period.start[i], streams, world)

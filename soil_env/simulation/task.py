@@ -172,28 +172,28 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
 @inlined
 def sense(state, k, streams, task):
     """Noisy readings of wheel k and its pitch [rad]: (SensorReading, pitch)."""
-    w, sd = state[k], task.noise
+    sd, slip, depth = task.noise, state.slip[k], state.sinkage[k]
     a, b, c, d, e, f, g, h = eight_normals(streams, k)
     fx = task.sensor_effects
-    sinkage = w.sinkage + fx.sinkage_offset_offset
+    sinkage = depth + fx.sinkage_offset_offset
     if fx.slip_sinkage_apparent > 0.0:
-        sinkage += w.sinkage * (slip_sinkage_ratio(w.slip, fx.slip_sinkage_gain, fx.slip_sinkage_recovery) - 1.0)
+        sinkage += depth * (slip_sinkage_ratio(slip, fx.slip_sinkage_gain, fx.slip_sinkage_recovery) - 1.0)
     reading = SensorReading(
-        min(max(measured_slip(w.slip, fx) + sd[0] * a, -1.0), 1.0),
+        min(max(measured_slip(slip, fx) + sd[0] * a, -1.0), 1.0),
         sinkage + sd[1] * b,
-        w.drawbar_pull + sd[2] * c,
-        w.load + sd[3] * d,
-        w.torque + sd[4] * e,
-        w.speed + sd[5] * f,
-        w.wheel_speed * task.radius + sd[6] * g,
+        state.drawbar_pull[k] + sd[2] * c,
+        state.load[k] + sd[3] * d,
+        state.torque[k] + sd[4] * e,
+        state.speed[k] + sd[5] * f,
+        state.wheel_speed[k] * task.radius + sd[6] * g,
     )
-    return reading, w.grade + sd[7] * h
+    return reading, state.grade[k] + sd[7] * h
 
 
 @inlined
-def write_observation(out, state, k, reading, pitch, courses, ids, task):
+def write_observation(out, state, counts, k, reading, pitch, courses, ids, task):
     """Fill the observation `out` [D] of wheel k, cut to the bounds of the layout."""
-    w = state[k]
+    x = state.x[k]
     out[0] = reading.slip
     out[1] = reading.sinkage / task.radius
     out[2] = reading.drawbar_pull / task.weight
@@ -202,18 +202,18 @@ def write_observation(out, state, k, reading, pitch, courses, ids, task):
     out[5] = reading.speed / task.top_speed
     out[6] = reading.rim_speed / task.top_speed
     out[7] = pitch
-    out[8] = w.last_action
-    out[9] = w.x / task.length
-    out[10] = 1.0 if w.halt_left > 0.0 else 0.0
+    out[8] = state.last_action[k]
+    out[9] = x / task.length
+    out[10] = 1.0 if state.halt_left[k] > 0.0 else 0.0
     if task.variant == 1:
-        x, sd = ids.estimate[k], ids.sd[k]
-        out[11], out[12], out[13] = x[0], x[1] / math.log(10.0), x[2] / math.log(10.0)
+        mean, sd = ids.estimate[k], ids.sd[k]
+        out[11], out[12], out[13] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
         out[14], out[15], out[16] = sd[0], sd[1], sd[2]
         out[17] = 1.0 if ids.status[k] == _CONVERGED else 0.0
-        out[18], out[19] = x[3] / 1000.0, task.dig_gain * math.exp(x[4])
+        out[18], out[19] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
         out[20], out[21] = sd[3] / 1000.0, sd[4]
     elif task.variant == 2:
-        soil, _, _ = ground_at(courses, k, w.x, w.patch, task.border)
+        soil, _, _ = ground_at(courses, k, x, counts.patch[k], task.border)
         out[11] = math.atan(soil.tan_phi)
         out[12], out[13] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
         out[14], out[15] = soil.cohesion / 1000.0, soil.sinkage_exponent
@@ -223,24 +223,24 @@ def write_observation(out, state, k, reading, pitch, courses, ids, task):
 
 
 @inlined
-def judge(state, k, task):
+def judge(state, counts, k, task):
     """`Cause` of wheel k after a step; advances its two clocks, which run back while their condition does not hold."""
-    w = state[k]
-    if w.halt_left > 0.0:
-        return _TIME_LIMIT if w.steps >= task.steps else _RUNNING
-    trapped = w.slip > task.entrapped_slip and abs(w.speed) < task.entrapped_speed
-    w.entrapped_time = max(0.0, w.entrapped_time + (task.period if trapped else -task.period))
-    stalled = abs(w.wheel_speed) * task.radius < task.stalled_rim_speed
-    w.stalled_time = max(0.0, w.stalled_time + (task.period if stalled else -task.period))
-    if w.x >= task.length:
+    out_of_time = counts.steps[k] >= task.steps
+    if state.halt_left[k] > 0.0:
+        return _TIME_LIMIT if out_of_time else _RUNNING
+    trapped = state.slip[k] > task.entrapped_slip and abs(state.speed[k]) < task.entrapped_speed
+    state.entrapped_time[k] = max(0.0, state.entrapped_time[k] + (task.period if trapped else -task.period))
+    stalled = abs(state.wheel_speed[k]) * task.radius < task.stalled_rim_speed
+    state.stalled_time[k] = max(0.0, state.stalled_time[k] + (task.period if stalled else -task.period))
+    if state.x[k] >= task.length:
         return _FINISHED
-    if w.sinkage > task.bogged_sinkage:
+    if state.sinkage[k] > task.bogged_sinkage:
         return _BOGGED
-    if w.entrapped_time >= task.entrapped_time - 1e-9:
+    if state.entrapped_time[k] >= task.entrapped_time - 1e-9:
         return _ENTRAPPED
-    if w.stalled_time >= task.stalled_time - 1e-9:
+    if state.stalled_time[k] >= task.stalled_time - 1e-9:
         return _STALLED
-    if w.steps >= task.steps:
+    if out_of_time:
         return _TIME_LIMIT
     return _RUNNING
 
@@ -268,9 +268,9 @@ def reward_terms(state, k, cause, before, after, task, terms):
     terminated course: shaping by a potential, which leaves the best policy as it is (Ng, Harada & Russell 1999, ICML;
     its end: Grzes 2017, AAMAS).
     """
-    w = state[k]
-    terms[0] = task.reward_progress * w.travel / task.length
-    terms[1] = -task.reward_energy * max(w.motor_work, 0.0) / (w.mass * task.gravity * task.length)
+    terms[0] = task.reward_progress * state.travel[k] / task.length
+    work = max(state.motor_work[k], 0.0)
+    terms[1] = -task.reward_energy * work / (state.mass[k] * task.gravity * task.length)
     stuck = cause == _ENTRAPPED or cause == _STALLED or cause == _BOGGED
     terms[2] = -task.reward_immobilisation if stuck else 0.0
     kept = 0.0 if stuck or cause == _FINISHED else task.information_discount * after

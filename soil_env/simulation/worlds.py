@@ -6,11 +6,10 @@ import os
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.compiling import CACHE, Entry, inlined, kernel, pasted, take
-from soil_env._numba.lanes import COUNT, scratch
+from soil_env._numba.compiling import FastCall, inlined, part, root, take
+from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import seed_stream
 from soil_env._numba.threads import crew
 from soil_env.identification.online import (
@@ -30,8 +29,7 @@ from soil_env.simulation.courses import (
     extend_course,
     start_course,
 )
-from soil_env.simulation.dynamics import WHEEL_STATE, WorldNumbers, advance, settle, world_numbers
-from soil_env.simulation.lockstep import MANY, advance_many
+from soil_env.simulation.dynamics import MANY, advance
 from soil_env.simulation.task import (
     REWARD_TERMS,
     Cause,
@@ -44,20 +42,23 @@ from soil_env.simulation.task import (
     write_observation,
 )
 from soil_env.simulation.terrain import Courses, new_courses
+from soil_env.simulation.wheel import WheelCounts, WheelState, WorldNumbers, settle, world_numbers
 from soil_env.terramechanics.model import WheelSoilModel
 
-_many = scratch(MANY)
 _TRIAL_COURSES = 8
 _RESTARTS = 100  # attempts at a course in the middle of a run, where there is nobody to change the scenario
-_LEAST = 32  # wheels that a thread takes at a time, at least; in a step up to MANY
-STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
+_LEAST = 32  # wheels that a thread takes at a time, at least; at most MANY
+#: What to do with a wheel: a control period, a new course, nothing, a whole course drawn for a trial (`reward` is
+#: then the mass on the wheel, or -1 if no passable course was found), the rest of its course drawn.
+STEP, RESTART, IDLE, TRY, COMPLETE = np.int8(0), np.int8(1), np.int8(2), np.int8(3), np.int8(4)
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 
 
 class Worlds(NamedTuple):
     """Everything the compiled step reads and writes; arrays have one row a wheel."""
 
-    state: np.ndarray  # [wheels] WHEEL_STATE
+    state: WheelState
+    counts: WheelCounts
     courses: Courses
     streams: np.ndarray  # [wheels] uint64
     ids: Identifiers
@@ -66,6 +67,22 @@ class Worlds(NamedTuple):
     reward: np.ndarray  # [wheels]
     cause: np.ndarray  # [wheels] `task.Cause`
     solved: np.ndarray  # [wheels] True where the last step renewed the estimate
+
+
+def new_worlds(wheels: int, scenario: Scenario, task: TaskNumbers) -> Worlds:
+    """Worlds for `wheels` wheels, to be restarted."""
+    return Worlds(
+        WheelState(wheels),
+        WheelCounts(wheels),
+        new_courses(wheels, scenario),
+        np.zeros(wheels, dtype=np.uint64),
+        new_identifiers(wheels),
+        np.zeros((wheels, task.low.size), dtype=np.float32),
+        np.zeros((wheels, len(REWARD_TERMS))),
+        np.zeros(wheels),
+        np.zeros(wheels, dtype=np.int64),
+        np.zeros(wheels, dtype=np.bool_),
+    )
 
 
 class Numbers(NamedTuple):
@@ -77,7 +94,7 @@ class Numbers(NamedTuple):
     task: TaskNumbers
 
 
-@kernel
+@part
 def restart(worlds, numbers, k):
     """Start a new course for wheel k, put the wheel at its start, and observe."""
     mass, attempts = -1.0, 0
@@ -86,7 +103,7 @@ def restart(worlds, numbers, k):
         attempts += 1
     if mass < 0.0:
         raise RuntimeError("no passable course found: the soils are too weak for this wheel")
-    settle(worlds.state, k, mass, worlds.courses, worlds.streams, numbers.world)
+    settle(worlds.state, worlds.counts, k, mass, worlds.courses, worlds.streams, numbers.world)
     forget(worlds.ids, k, numbers.identifier)
     worlds.cause[k] = _RUNNING
     worlds.reward[k] = 0.0
@@ -94,28 +111,31 @@ def restart(worlds, numbers, k):
         worlds.terms[k, i] = 0.0
     worlds.solved[k] = False
     reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
+    _observation(worlds, numbers, k, reading, pitch)
+
+
+@part
+def _observation(worlds, numbers, k, reading, pitch):
     write_observation(
-        worlds.observation[k], worlds.state, k, reading, pitch, worlds.courses, worlds.ids, numbers.task
+        worlds.observation[k], worlds.state, worlds.counts, k, reading, pitch, worlds.courses, worlds.ids, numbers.task
     )  # fmt: skip
 
 
-@pasted
-def report(worlds, numbers, k):
-    """What follows on the drive of wheel k in a control period: sense, identify, judge, reward, observe."""
-    draw_ahead(k, worlds.courses, worlds.state[k].x, worlds.state[k].mass, numbers.course)
+@inlined
+def after_period(worlds, numbers, k):
+    """After a control period of wheel k: draw the course ahead, sense, identify, judge, reward, observe."""
+    draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], numbers.course)
     reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
     paid, prior = numbers.task.reward_information > 0.0, numbers.identifier.precision
     before = knowledge(worlds.ids, k, prior) if paid else 0.0
     worlds.solved[k] = observe(worlds.ids, k, reading, numbers.identifier)
-    cause = judge(worlds.state, k, numbers.task)
+    cause = judge(worlds.state, worlds.counts, k, numbers.task)
     worlds.cause[k] = cause
     terms = worlds.terms[k]
     after = knowledge(worlds.ids, k, prior) if paid else 0.0
     reward_terms(worlds.state, k, cause, before, after, numbers.task, terms)
     worlds.reward[k] = terms[0] + terms[1] + terms[2] + terms[3]
-    write_observation(
-        worlds.observation[k], worlds.state, k, reading, pitch, worlds.courses, worlds.ids, numbers.task
-    )  # fmt: skip
+    _observation(worlds, numbers, k, reading, pitch)
 
 
 @inlined
@@ -125,60 +145,36 @@ def _portion(counter, wheels):
     return MANY if counter[1] == 1 else min(max(share, _LEAST), MANY)
 
 
-@njit(cache=CACHE, error_model="numpy", _nrt=False, nogil=True)
+@root(nogil=True)
 def step_chunks(worlds, numbers, commands, what, counter):
-    """A control period of wheels (what[k] = STEP), `restart` (RESTART) or nothing (IDLE), by chunks.
+    """What `what` [wheels] says, chunk by chunk; `counter`: [next wheel, threads at work].
 
-    `counter`: [next wheel, threads at work].
+    This is the one function that environments call, so that it is all that has to be compiled for them.
     """
-    which, given = _many(), _many()
     wheels = what.size
     portion = _portion(counter, wheels)
     start = take(counter, portion)
     while start < wheels:
-        stop, count = min(start + portion, wheels), 0
-        for k in range(start, stop):
+        count, steps = min(portion, wheels - start), 0
+        for k in range(start, start + count):
             if what[k] == STEP:
-                which[count], given[count] = k, commands[k]
-                count += 1
+                steps += 1
             elif what[k] == RESTART:
                 restart(worlds, numbers, k)
-            if count > 0 and k == stop - 1:
-                advance_many(
-                    worlds.state, which, count, given, worlds.courses, worlds.streams, numbers.world
-                )  # fmt: skip
-                for i in range(count):
-                    report(worlds, numbers, int(which[i]))
-                count = 0
+            elif what[k] == TRY:
+                worlds.reward[k] = draw_course(k, worlds.courses, worlds.streams, numbers.course)
+            elif what[k] == COMPLETE:
+                extend_course(k, worlds.courses, worlds.state.mass[k], np.inf, numbers.course)
+        if steps > 0:
+            advance(
+                worlds.state, worlds.counts, start, count, what, commands, worlds.courses, worlds.streams,
+                numbers.world,
+            )  # fmt: skip
+            for k in range(start, start + count):
+                if what[k] == STEP:
+                    after_period(worlds, numbers, k)
         portion = _portion(counter, wheels)
         start = take(counter, portion)
-
-
-@njit(cache=CACHE, error_model="numpy", _nrt=False, nogil=True)
-def step_chunks_with_effects(worlds, numbers, commands, what, counter):
-    """`step_chunks` of worlds with effects, one wheel after the other."""
-    wheels = what.size
-    start = take(counter, _LEAST)
-    while start < wheels:
-        for k in range(start, min(start + _LEAST, wheels)):
-            if what[k] == STEP:
-                advance(worlds.state, k, commands[k], worlds.courses, worlds.streams, numbers.world)
-                report(worlds, numbers, k)
-            elif what[k] == RESTART:
-                restart(worlds, numbers, k)
-        start = take(counter, _LEAST)
-
-
-@njit(cache=CACHE, error_model="numpy", _nrt=False, nogil=True)
-def restart_chunks(worlds, numbers, which, counter):
-    """`restart` the wheels with `which` True, by chunks; `counter` as in `step_chunks`."""
-    wheels = which.size
-    start = take(counter, _LEAST)
-    while start < wheels:
-        for k in range(start, min(start + _LEAST, wheels)):
-            if which[k]:
-                restart(worlds, numbers, k)
-        start = take(counter, _LEAST)
 
 
 def _processors() -> int:
@@ -202,8 +198,7 @@ class Simulation:
     ):
         self.scenario = scenario
         self._threads = threads or _processors()
-        self._restart = Entry(restart)
-        self._restart_chunks = Entry(restart_chunks)
+        self._run = FastCall(step_chunks)
         self._commands, self._what = np.zeros(wheels), np.full(wheels, IDLE)
         self._counter = np.ones(2, dtype=np.int64)
         task = task_numbers(scenario, variant, model)
@@ -212,31 +207,25 @@ class Simulation:
         self.numbers = Numbers(
             world_numbers(scenario, model), course_numbers(scenario, model), identifier_numbers(scenario), task
         )
-        effects = self.numbers.world.with_effects
-        self._step_chunks = Entry(step_chunks_with_effects if effects else step_chunks)
-        self.worlds = Worlds(
-            np.zeros(wheels, dtype=WHEEL_STATE),
-            new_courses(wheels, scenario),
-            np.zeros(wheels, dtype=np.uint64),
-            new_identifiers(wheels),
-            np.zeros((wheels, task.low.size), dtype=np.float32),
-            np.zeros((wheels, len(REWARD_TERMS))),
-            np.zeros(wheels),
-            np.zeros(wheels, dtype=np.int64),
-            np.zeros(wheels, dtype=np.bool_),
-        )
+        self.worlds = new_worlds(wheels, scenario, task)
+        self._check_passable(task)
 
-        self._check_passable()
-
-    def _check_passable(self) -> None:
+    def _check_passable(self, task: TaskNumbers) -> None:
         """Refuse a scenario whose soils this wheel cannot pass, before it shows in the middle of a training."""
-        courses, streams = new_courses(1, self.scenario), np.array([1], dtype=np.uint64)
+        trial, what, counter = new_worlds(1, self.scenario, task), np.array([TRY]), np.ones(2, dtype=np.int64)
+        trial.streams[0] = 1
         for _ in range(_TRIAL_COURSES):
-            if draw_course(0, courses, streams, self.numbers.course) < 0.0:
+            counter[:] = 0, 1
+            self._run(trial, self.numbers, np.zeros(1), what, counter)
+            if trial.reward[0] < 0.0:
                 raise ParameterError(
                     f"scenario {self.scenario.name!r}: no passable course found for this wheel on these soils; "
                     "expected firmer soils, more stall torque, a lower course.margin or a lower course.grade_deg"
                 )
+
+    def wheel(self, k: int) -> dict[str, float]:
+        """State and counts of wheel k by name, as they are now."""
+        return self.worlds.state[k] | self.worlds.counts[k]
 
     def seed(self, k: int, rng: np.random.Generator) -> None:
         """Start the random stream of wheel k from a Generator."""
@@ -244,36 +233,41 @@ class Simulation:
 
     def restart(self, k: int) -> None:
         """New course and fresh start for wheel k."""
-        self._restart(self.worlds, self.numbers, int(k))
+        self._do(k, RESTART)
 
     def complete(self, k: int) -> None:
         """Draw what is left of the course of wheel k; it goes on as it would have."""
-        extend_course(int(k), self.worlds.courses, float(self.worlds.state["mass"][k]), np.inf, self.numbers.course)
+        self._do(k, COMPLETE)
 
     def step(self, k: int, command: float) -> None:
         """One control period of wheel k."""
-        self._commands[k], self._what[k] = command, STEP
+        self._commands[k] = command
+        self._do(k, STEP)
+
+    def _do(self, k: int, what: np.int8) -> None:
+        self._what[k] = what
         self._counter[:] = 0, 1
-        self._step_chunks(self.worlds, self.numbers, self._commands, self._what, self._counter)
-        self._what[k] = IDLE
+        try:
+            self._run(self.worlds, self.numbers, self._commands, self._what, self._counter)
+        finally:
+            self._what[k] = IDLE
 
     def step_all(self, commands: np.ndarray, what: np.ndarray) -> None:
         """One control period with `commands` [wheels] float64; `what` [wheels] int8: STEP, RESTART or IDLE."""
         commands, what = np.ascontiguousarray(commands, np.float64), np.ascontiguousarray(what, np.int8)
-        self._in_parallel(self._step_chunks, commands, what)
+        self._in_parallel(commands, what)
 
     def restart_where(self, which: np.ndarray) -> None:
         """Restart the wheels with `which` True."""
-        which = np.ascontiguousarray(which, np.bool_)
-        if which.any():
-            self._in_parallel(self._restart_chunks, which)
+        if np.any(which):
+            self._in_parallel(np.zeros(len(which)), np.where(which, RESTART, IDLE))
 
-    def _in_parallel(self, kernel, *arrays) -> None:
-        """Run a kernel over all wheels in several threads (it holds no lock, and they share no row)."""
+    def _in_parallel(self, commands: np.ndarray, what: np.ndarray) -> None:
+        """`step_chunks` over all wheels in several threads (it holds no lock, and they share no row)."""
         threads = min(self._threads, -(-self.worlds.reward.size // _LEAST))
         self._counter[:] = 0, threads
-        arguments = (self.worlds, self.numbers, *arrays, self._counter)
+        arguments = (self.worlds, self.numbers, commands, what, self._counter)
         if threads == 1:
-            kernel(*arguments)
+            self._run(*arguments)
         else:
-            crew(self._threads).run(kernel, arguments, threads - 1)
+            crew(self._threads).run(self._run, arguments, threads - 1)

@@ -12,9 +12,12 @@ The motion enters through two numbers without unit, `rim` = r w / v* and `travel
 reverse: j = r [rim (theta1 - theta) - travel (sin theta1 - sin theta)], the sign of j being the sign of the shear
 stress.
 
-For a given shear modulus and sinkage exponent every force is linear in S, S tan(phi) and c. The kernels therefore
-return integrals over the arc (`ArcIntegrals`), and `forces` combines them. The same integrals serve the simulated
-world, the steady prediction and the identifier's Jacobian.
+For a given shear deformation modulus and sinkage exponent every force is linear in S, S tan(phi) and c. So there are
+integrals over the arc (`ArcIntegrals`), which `forces` combines. The same integrals serve the simulated world, the
+steady prediction and the identifier's Jacobian.
+
+Every function takes floats (one wheel) or lanes (eight wheels, `_numba.lanes`). The nodes of one wheel's arc are
+themselves in lanes; those of eight wheels' arcs are taken one after the other (`lanes.over_eight`).
 """
 
 from __future__ import annotations
@@ -24,16 +27,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, kernel
-from soil_env._numba.elementary import copysign, exp, exp_lanes, fma, half_sin_cos, log_lanes, root, where_less
-from soil_env._numba.lanes import constant, fill, total, totals
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import (
+    asin_root,
+    copysign,
+    exp,
+    fma,
+    half_sin_cos,
+    larger,
+    power,
+    root,
+    smaller,
+    where_less,
+)
+from soil_env._numba.lanes import COUNT, alike, fill, from_array, over_eight, summed, to_array, turns
+from soil_env._numba.rows import rows, scratch_rows
 
 #: Gauss-Legendre nodes per zone of the contact arc (front and rear nodes share the normal stress).
 NODES_PER_ZONE = 8
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
 NODE_DEPTHS = (0.5 * (_x + 1.0)) ** 2  # u^2: relative distance of the node from the end of the arc
 NODE_WEIGHTS = 0.5 * _w * 2.0 * (0.5 * (_x + 1.0))  # weight times d(u^2)/du
-_u2, _du2 = constant(NODE_DEPTHS), constant(NODE_WEIGHTS)
+_depth, _weight = over_eight(NODE_DEPTHS), over_eight(NODE_WEIGHTS)
 
 
 class ShearLaw(NamedTuple):
@@ -88,10 +103,30 @@ class Forces(NamedTuple):
     torque: float  # T [N m], Eq. (3), the torque the soil takes from the axle
 
 
+class Arc(NamedTuple):
+    """A contact arc: where it begins and ends, and where its normal stress peaks."""
+
+    theta1: float  # [rad] entry angle
+    theta2: float  # [rad] exit angle
+    thetam: float  # [rad] angle of the largest normal stress
+    sheared_from: float  # [rad] angle from which the soil is sheared: theta1, but for lugs
+    radius: float  # [m] that carries the normal stress
+
+
+# --- motion -----------------------------------------------------------------------------------------------------------
+
+
 @inlined
 def entry_angle(sinkage, r):
     """Entry angle theta1 [rad] of a wheel of radius r [m] at the given sinkage [m]: z0 = r (1 - cos theta1)."""
-    return math.acos(max(-1.0, min(1.0, 1.0 - sinkage / r)))
+    return 2.0 * asin_root((0.5 / r) * sinkage)
+
+
+@inlined
+def smooth_arc(sinkage, r):
+    """`Arc` of the source paper: theta2 = 0 and the peak midway, Eq. (9)."""
+    theta1 = entry_angle(sinkage, r)
+    return Arc(theta1, 0.0 * theta1, 0.5 * theta1, theta1, r)
 
 
 @inlined
@@ -100,18 +135,25 @@ def slip_ratio(rim_speed, travel_speed, floor):
 
     `floor` [m/s] bounds the denominator from below, so that a wheel at rest has slip 0.
     """
-    scale = max(abs(rim_speed), abs(travel_speed), floor)
-    direction = 1.0 if rim_speed + travel_speed >= 0.0 else -1.0
-    return max(-1.0, min(1.0, direction * (rim_speed - travel_speed) / scale))
+    scale = larger(larger(abs(rim_speed), abs(travel_speed)), floor)
+    difference = rim_speed - travel_speed
+    forward = where_less(rim_speed + travel_speed, 0.0, -difference, difference)
+    return larger(-1.0, smaller(1.0, forward / scale))
 
 
 @inlined
 def motion_from_slip(slip):
     """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1 spins on the spot."""
-    if slip >= 0.0:
-        return 1.0, 1.0 - slip
-    braking = max(1.0 + slip, 1e-9)  # r w / V
-    return 1.0, 1.0 / braking
+    braking = larger(1.0 + slip, 1e-9)  # r w / V
+    return alike(1.0, slip), where_less(slip, 0.0, 1.0 / braking, 1.0 - slip)
+
+
+@inlined
+def smoothed_sign(speed, floor):
+    """(sign of a speed in (-1, 1), its derivative [s/m]): smooth through rest over about `floor` [m/s]."""
+    square = speed * speed + floor * floor
+    length = root(square)
+    return speed / length, (floor * floor) / (square * length)
 
 
 @inlined
@@ -119,19 +161,22 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
     """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and reversal.
 
     `direction` in (-1, 1) is the smoothed sign of V; `floor` [m/s] is the speed below which the wheel counts as
-    resting. Of floats or in lanes.
+    resting.
     """
     v = root(rim_speed * rim_speed + floor * floor)
-    return rim_speed / v, travel_speed / v, travel_speed / root(travel_speed * travel_speed + floor * floor)
+    return rim_speed / v, travel_speed / v, smoothed_sign(travel_speed, floor)[0]
 
 
-@kernel
+# --- stresses ---------------------------------------------------------------------------------------------------------
+
+
+@part
 def relative_stress(depth, n):
     """Normal stress for S = 1 at `depth` [m] on the rim below the entry point, Eq. (7): sigma / S = depth^n."""
     return depth**n if depth > 0.0 else (1.0 if n == 0.0 else 0.0)
 
 
-@kernel
+@part
 def mirror_angle(theta, theta1, theta2, thetam):
     """Angle in the front zone with the same normal stress as `theta`, Eq. (8) for the rear zone, itself in front."""
     if theta >= thetam:
@@ -141,149 +186,197 @@ def mirror_angle(theta, theta1, theta2, thetam):
 
 @inlined
 def mobilised(j, K, law):
-    """(e, de/dj): share of the shear strength mobilised at shear displacement j [m], `ShearLaw`, signed as j.
-
-    j is a float or `lanes`.
-    """
+    """(e, de/dj): share of the shear strength mobilised at shear displacement j [m], `ShearLaw`, signed as j."""
     distance, rate = abs(j), 1.0 / K
     decay = exp(-rate * distance)
+    free = 1.0 - decay
+    if law.a == 1.0 and law.b == 0.0 and law.c == 0.0:
+        return copysign(free, j), rate * decay
     share = law.a + law.b * decay
     slope = rate * (law.b * decay)
     if law.c != 0.0:
         beyond = distance - law.onset
         slow = law.c * exp(-(0.5 / law.length) * (beyond + abs(beyond)))
         share = share + slow
-        slope = slope + (1.0 / law.length) * (copysign(0.0 * beyond + 0.5, beyond) + 0.5) * slow
-    free = 1.0 - decay
+        slope = slope + (1.0 / law.length) * where_less(beyond, 0.0, 0.0, slow)
     return copysign(free, j) * share, rate * decay * share - free * slope
 
 
-@kernel
-def arc_node(theta, theta1, sin1, rim, travel, r, K):
-    """What Eq. (10) gives at one angle: (sin, cos, e, g, lever_rim, lever_travel).
-
-    g = de/dj [1/m]; the levers dj/d(rim) and dj/d(travel) are in metres.
-    """
-    s, c = math.sin(theta), math.cos(theta)
-    lever_rim = r * (theta1 - theta)
-    lever_travel = -r * (sin1 - s)
-    e, g = mobilised(rim * lever_rim + travel * lever_travel, K, JANOSI)
-    return s, c, e, g, lever_rim, lever_travel
+@part
+def shear_displacement(theta, theta1, sin1, rim, travel, r):
+    """(j, dj/d(rim), dj/d(travel)) [m] of Eq. (10) at one angle; sin1 = sin(theta1)."""
+    by_rim, by_travel = r * (theta1 - theta), -r * (sin1 - math.sin(theta))
+    return rim * by_rim + travel * by_travel, by_rim, by_travel
 
 
-@kernel
-def _add_node(t, w, p, node):
-    """Running sums `t` of the arc integrals and their rates after one node of weight w and stress p (for S = 1)."""
-    s, c, e, g, lever_rim, lever_travel = node
-    wc, ws = w * c, w * s
-    x, y = g * lever_rim, g * lever_travel
-    return (
-        t[0] + p * wc, t[1] + p * ws,
-        t[2] + p * e * wc, t[3] + p * e * ws, t[4] + p * e * w, t[5] + e * wc, t[6] + e * ws, t[7] + e * w,
-        t[8] + p * x * wc, t[9] + p * x * ws, t[10] + p * x * w, t[11] + x * wc, t[12] + x * ws, t[13] + x * w,
-        t[14] + p * y * wc, t[15] + p * y * ws, t[16] + p * y * w, t[17] + y * wc, t[18] + y * ws, t[19] + y * w,
-    )  # fmt: skip
+# --- integrals over the arc -------------------------------------------------------------------------------------------
+
+#: Nodes of contact arcs: COUNT columns a node, NODE_COLUMNS for eight wheels. Stress for S = 1 times the node's weight,
+#: cosine and sine of the front node, and of the rear node times the length of its zone over that of the front zone.
+Nodes = rows("Nodes", "stress", "cos_front", "sin_front", "cos_rear", "sin_rear")
+NODE_COLUMNS = COUNT * NODES_PER_ZONE
+_ShearAtNodes = rows("_ShearAtNodes", "e_front", "e_rear", "x_front", "x_rear", "y_front", "y_rear")
+_shear_at_nodes = scratch_rows(_ShearAtNodes, NODE_COLUMNS)
+_one_arc = scratch_rows(Nodes, COUNT)
 
 
-@kernel
-def _packed(t):
-    return (
-        ArcIntegrals(t[0], t[1], t[2], t[3], t[4], t[5], t[6], t[7]),
-        ArcRates(t[8], t[9], t[10], t[11], t[12], t[13]),
-        ArcRates(t[14], t[15], t[16], t[17], t[18], t[19]),
-    )
+class ArcFrame(NamedTuple):
+    """What the nodes of an arc have in common, beside what `store_nodes` writes."""
 
-
-_NOTHING = (0.0,) * 20
-
-
-class Zone(NamedTuple):
-    """Eight nodes of one zone of the arc, as lanes: what they need of Eqs. (1)-(10) whatever the motion and K."""
-
-    w: float  # weight [rad]
-    w_cos: float
-    w_sin: float
-    pw: float  # stress for S = 1 [m^n] times weight
-    pw_cos: float
-    pw_sin: float
-    lever_rim: float  # dj/d(rim) [m]
-    lever_travel: float  # dj/d(travel) [m]
+    theta1: float  # [rad]
+    front: float  # [rad] length of the front zone
+    ratio: float  # length of the rear zone over it
+    lever_front: float  # [m] dj/d(rim) at the entry
+    lever_rear: float  # [m] dj/d(rim) at the exit
+    lever_sin: float  # [m] r sin(sheared_from)
+    p_cos: float  # as in `ArcIntegrals`
+    p_sin: float
 
 
 @inlined
-def zone(theta1, sin1, theta, sin_half, cos_half, w, p, r):
-    """`Zone` of nodes at theta with weights w and normal stress p over S: j of Eq. (10) split by rim and by travel."""
-    s, c = 2.0 * sin_half * cos_half, fma(-2.0 * sin_half, sin_half, 1.0)
-    pw = p * w
-    return Zone(w, w * c, w * s, pw, pw * c, pw * s, r * (theta1 - theta), r * (s - sin1))
-
-
-@inlined
-def arc_nodes(theta1, theta2, thetam, n, r, sheared_from):
-    """The nodes of the contact arc, `Zone` in front and `Zone` behind; soil is sheared from the angle `sheared_from`.
+def store_nodes(arc, n, nodes, at):
+    """What the quadrature nodes of an `Arc` need whatever the motion and K, into columns at.. of `Nodes`; `ArcFrame`.
 
     Gauss-Legendre nodes at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind, which
     removes the singularity (theta1 - theta)^n at both ends; by Eq. (8) the two nodes have the same normal stress.
     """
-    front, rear = theta1 - thetam, thetam - theta2
-    ahead, behind = theta1 - front * _u2(), theta2 + rear * _u2()
-    sin_half, cos_half = half_sin_cos(ahead)
-    sin_half1, cos_half1 = half_sin_cos(fill(theta1))
-    rise = sin_half1 * sin_half1 - sin_half * sin_half  # depth over 2 r
-    p = exp_lanes(n * log_lanes((2.0 * r) * rise))
-    sin1 = 2.0 * sin_half1 * cos_half1
-    sin_half2, cos_half2 = half_sin_cos(behind)
-    if sheared_from != theta1:
-        sin1 = fill(math.sin(sheared_from))
-    return (
-        zone(sheared_from, sin1, ahead, sin_half, cos_half, front * _du2(), p, r),
-        zone(sheared_from, sin1, behind, sin_half2, cos_half2, rear * _du2(), p, r),
+    front, rear = arc.theta1 - arc.thetam, arc.thetam - arc.theta2
+    ratio = where_less(0.0, front, rear / front, 1.0)
+    sin_half1, _ = half_sin_cos(fill(arc.theta1))
+    rise1 = sin_half1 * sin_half1
+    p_cos, p_sin = fill(0.0), fill(0.0)
+    for k in range(turns(arc.theta1)):
+        depth, i = _depth(arc.theta1, k), at + k * COUNT
+        sin_half, cos_half = half_sin_cos(arc.theta1 - front * depth)
+        sin_half2, cos_half2 = half_sin_cos(arc.theta2 + rear * depth)
+        stress = _weight(arc.theta1, k) * power((2.0 * arc.radius) * (rise1 - sin_half * sin_half), n)
+        c, s = fma(-2.0 * sin_half, sin_half, 1.0), 2.0 * sin_half * cos_half
+        c2, s2 = ratio * fma(-2.0 * sin_half2, sin_half2, 1.0), (2.0 * ratio) * (sin_half2 * cos_half2)
+        p_cos, p_sin = fma(stress, c + c2, p_cos), fma(stress, s + s2, p_sin)
+        to_array(stress, nodes.stress, i)
+        to_array(c, nodes.cos_front, i)
+        to_array(s, nodes.sin_front, i)
+        to_array(c2, nodes.cos_rear, i)
+        to_array(s2, nodes.sin_rear, i)
+    sin_half, cos_half = half_sin_cos(fill(arc.sheared_from))
+    r = arc.radius
+    return ArcFrame(
+        arc.theta1,
+        front,
+        ratio,
+        r * (arc.sheared_from - arc.theta1),
+        r * (arc.sheared_from - arc.theta2),
+        (2.0 * r) * (sin_half * cos_half),
+        summed(front * p_cos, arc.theta1),
+        summed(front * p_sin, arc.theta1),
     )
 
 
 @inlined
-def shear_integrals(zones, rim, travel, K, law):
-    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of the nodes of `arc_nodes` at one motion."""
-    f, b = zones
-    e, g = mobilised(rim * f.lever_rim + travel * f.lever_travel, K, law)
-    e2, g2 = mobilised(rim * b.lever_rim + travel * b.lever_travel, K, law)
-    x, x2 = g * f.lever_rim, g2 * b.lever_rim
-    y, y2 = g * f.lever_travel, g2 * b.lever_travel
-    s = totals(
-        f.pw_cos + b.pw_cos, f.pw_sin + b.pw_sin,
-        fma(e, f.pw_cos, e2 * b.pw_cos), fma(e, f.pw_sin, e2 * b.pw_sin), fma(e, f.pw, e2 * b.pw),
-        fma(e, f.w_cos, e2 * b.w_cos), fma(e, f.w_sin, e2 * b.w_sin), fma(e, f.w, e2 * b.w),
-    )  # fmt: skip
-    t = totals(
-        fma(x, f.pw_cos, x2 * b.pw_cos), fma(x, f.pw_sin, x2 * b.pw_sin), fma(x, f.pw, x2 * b.pw),
-        fma(x, f.w_cos, x2 * b.w_cos), fma(x, f.w_sin, x2 * b.w_sin), fma(x, f.w, x2 * b.w),
-        fma(y, f.pw_cos, y2 * b.pw_cos), fma(y, f.pw_sin, y2 * b.pw_sin),
-    )  # fmt: skip
+def _levers(frame, nodes, i, k, r):
+    """dj/d(rim) and dj/d(travel) [m] at the front node, then at the rear node: Eq. (10) split by the motion."""
+    depth = _depth(frame.theta1, k)
+    ahead = (r * frame.front) * depth
     return (
-        ArcIntegrals(s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7]),
-        ArcRates(t[0], t[1], t[2], t[3], t[4], t[5]),
-        ArcRates(
-            t[6], t[7], total(fma(y, f.pw, y2 * b.pw)),
-            total(fma(y, f.w_cos, y2 * b.w_cos)), total(fma(y, f.w_sin, y2 * b.w_sin)), total(fma(y, f.w, y2 * b.w)),
-        ),
+        frame.lever_front + ahead,
+        fma(r, from_array(nodes.sin_front, i), -frame.lever_sin),
+        frame.lever_rear - frame.ratio * ahead,
+        fma(r / frame.ratio, from_array(nodes.sin_rear, i), -frame.lever_sin),
+    )
+
+
+@inlined
+def _sums(frame, nodes, at, in_front, behind):
+    """Six sums over an arc of values at its nodes: with the stress times cos, sin and 1, and without the stress.
+
+    One value at a time, as the sums of all of them do not fit into the registers.
+    """
+    o, pattern = fill(0.0), frame.theta1
+    p_cos, p_sin, p, cos_, sin_, plain = o, o, o, o, o, o
+    for k in range(turns(pattern)):
+        i = at + k * COUNT
+        stress, w = from_array(nodes.stress, i), _weight(pattern, k)
+        e, e2 = from_array(in_front, k * COUNT), from_array(behind, k * COUNT)
+        ec = fma(e, from_array(nodes.cos_front, i), e2 * from_array(nodes.cos_rear, i))
+        es = fma(e, from_array(nodes.sin_front, i), e2 * from_array(nodes.sin_rear, i))
+        e = fma(e2, frame.ratio, e)
+        p_cos, p_sin, p = fma(stress, ec, p_cos), fma(stress, es, p_sin), fma(stress, e, p)
+        cos_, sin_, plain = fma(w, ec, cos_), fma(w, es, sin_), fma(w, e, plain)
+    front = frame.front
+    return ArcRates(
+        summed(front * p_cos, pattern), summed(front * p_sin, pattern), summed(front * p, pattern),
+        summed(front * cos_, pattern), summed(front * sin_, pattern), summed(front * plain, pattern),
     )  # fmt: skip
 
 
 @inlined
+def _integrals(frame, e):
+    """`ArcIntegrals` from the six sums `e` of the mobilised share."""
+    return ArcIntegrals(frame.p_cos, frame.p_sin, e.pe_cos, e.pe_sin, e.pe, e.e_cos, e.e_sin, e.e)
+
+
+@inlined
+def shear_integrals(frame, nodes, at, rim, travel, K, r, law):
+    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of the nodes of `store_nodes` at one motion."""
+    shear = _shear_at_nodes()
+    for k in range(turns(frame.theta1)):
+        i = k * COUNT
+        a, z, a2, z2 = _levers(frame, nodes, at + i, k, r)
+        e, g = mobilised(fma(rim, a, travel * z), K, law)
+        e2, g2 = mobilised(fma(rim, a2, travel * z2), K, law)
+        to_array(e, shear.e_front, i)
+        to_array(e2, shear.e_rear, i)
+        to_array(g * a, shear.x_front, i)
+        to_array(g2 * a2, shear.x_rear, i)
+        to_array(g * z, shear.y_front, i)
+        to_array(g2 * z2, shear.y_rear, i)
+    e = _sums(frame, nodes, at, shear.e_front, shear.e_rear)
+    by_rim = _sums(frame, nodes, at, shear.x_front, shear.x_rear)
+    return _integrals(frame, e), by_rim, _sums(frame, nodes, at, shear.y_front, shear.y_rear)
+
+
+@inlined
+def shear_integrals_by_modulus(frame, nodes, at, rim, travel, K, r, law):
+    """(ArcIntegrals, ArcRates by K [1/m]) of the nodes of `store_nodes`: de/dK = -(j/K) de/dj (Janosi's law)."""
+    shear, rate = _shear_at_nodes(), -1.0 / K
+    for k in range(turns(frame.theta1)):
+        i = k * COUNT
+        a, z, a2, z2 = _levers(frame, nodes, at + i, k, r)
+        j, j2 = fma(rim, a, travel * z), fma(rim, a2, travel * z2)
+        e, g = mobilised(j, K, law)
+        e2, g2 = mobilised(j2, K, law)
+        to_array(e, shear.e_front, i)
+        to_array(e2, shear.e_rear, i)
+        to_array((rate * j) * g, shear.x_front, i)
+        to_array((rate * j2) * g2, shear.x_rear, i)
+    e = _sums(frame, nodes, at, shear.e_front, shear.e_rear)
+    return _integrals(frame, e), _sums(frame, nodes, at, shear.x_front, shear.x_rear)
+
+
+@inlined
+def integrals_of(arc, rim, travel, K, n, law):
+    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of one wheel's `Arc`, by the rule of `store_nodes`."""
+    nodes = _one_arc()
+    frame = store_nodes(arc, n, nodes, 0)
+    return shear_integrals(frame, nodes, 0, rim, travel, K, arc.radius, law)
+
+
+@part
 def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
     """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
 
-    Rule and nodes: `arc_nodes`. Relative error about 1e-5 when driving; when braking j changes sign within the arc, and
-    it is 5e-4 for K = 0.07 r. The derivative by K needs no further integrals: see `shear_modulus_rates`.
+    Rule and nodes: `store_nodes`. Relative error about 1e-5 when driving; when braking j changes sign within the arc,
+    and it is 5e-4 for K = 0.07 r. The derivative by K needs no further integrals: see `shear_modulus_rates`.
     """
-    return shear_integrals(arc_nodes(theta1, theta2, thetam, n, r, theta1), rim, travel, K, law)
+    return integrals_of(Arc(theta1, theta2, thetam, theta1, r), rim, travel, K, n, law)
 
 
-@kernel
+@part
 def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
     """`arc_integrals` by the paper's rule: composite Simpson with 2m subintervals in each zone, Eq. (18)."""
     sin1, cos1 = math.sin(theta1), math.cos(theta1)
-    t = _NOTHING
+    p_cos = p_sin = 0.0
+    e_sums = by_rim = by_travel = ArcRates(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for zone in range(2):
         low, high = (theta2, thetam) if zone == 0 else (thetam, theta1)
         h = (high - low) / (2 * m)
@@ -291,8 +384,28 @@ def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
             w = h / 3.0 * (1.0 if k == 0 or k == 2 * m else (4.0 if k % 2 == 1 else 2.0))
             theta = low + k * h
             p = relative_stress(r * (math.cos(mirror_angle(theta, theta1, theta2, thetam)) - cos1), n)
-            t = _add_node(t, w, p, arc_node(theta, theta1, sin1, rim, travel, r, K))
-    return _packed(t)
+            j, lever_rim, lever_travel = shear_displacement(theta, theta1, sin1, rim, travel, r)
+            e, g = mobilised(j, K, JANOSI)
+            wc, ws = w * math.cos(theta), w * math.sin(theta)
+            p_cos, p_sin = p_cos + p * wc, p_sin + p * ws
+            e_sums = _with_node(e_sums, e, p, w, wc, ws)
+            by_rim = _with_node(by_rim, g * lever_rim, p, w, wc, ws)
+            by_travel = _with_node(by_travel, g * lever_travel, p, w, wc, ws)
+    s = e_sums
+    return ArcIntegrals(p_cos, p_sin, s.pe_cos, s.pe_sin, s.pe, s.e_cos, s.e_sin, s.e), by_rim, by_travel
+
+
+@inlined
+def _with_node(t, value, p, w, wc, ws):
+    """The six sums `t` with one more node."""
+    return ArcRates(
+        t.pe_cos + p * value * wc,
+        t.pe_sin + p * value * ws,
+        t.pe + p * value * w,
+        t.e_cos + value * wc,
+        t.e_sin + value * ws,
+        t.e + value * w,
+    )
 
 
 @inlined
@@ -309,6 +422,20 @@ def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
     )
 
 
+# --- forces -----------------------------------------------------------------------------------------------------------
+
+
+@inlined
+def shear_forces(q, st, c, r, b, direction):
+    """`Forces` of the shear stress alone, st = S tan(phi), from `ArcIntegrals`; from `ArcRates`, their derivatives."""
+    rb = r * b
+    return Forces(
+        direction * rb * (st * q.pe_sin + c * q.e_sin),
+        rb * (st * q.pe_cos + c * q.e_cos),
+        r * rb * (st * q.pe + c * q.e),
+    )
+
+
 @inlined
 def forces(integrals, S, tan_phi, c, r, b, direction):
     """`Forces` from `ArcIntegrals`: Eqs. (1)-(3) with the exact resistance integral of Eq. (11) ("consistent").
@@ -316,18 +443,25 @@ def forces(integrals, S, tan_phi, c, r, b, direction):
     `direction` is the smoothed sign of the travel speed (1 in a steady forward run): behind a turned-round wheel the
     horizontal part of the normal stress and the vertical part of the shear stress change sign.
     """
-    q = integrals
-    load = r * b * (S * (q.p_cos + direction * tan_phi * q.pe_sin) + direction * c * q.e_sin)
-    thrust = r * b * (S * tan_phi * q.pe_cos + c * q.e_cos)
-    resistance = direction * r * b * S * q.p_sin
-    torque = r * r * b * (S * tan_phi * q.pe + c * q.e)
-    return Forces(load, thrust - resistance, torque)
+    shear = shear_forces(integrals, S * tan_phi, c, r, b, direction)
+    normal = r * b * S
+    return Forces(
+        normal * integrals.p_cos + shear.load,
+        shear.drawbar_pull - direction * normal * integrals.p_sin,
+        shear.torque,
+    )
 
 
-@kernel
+@part
 def compaction_resistance(sinkage, S, n, b):
     """Resistance [N] of Eq. (12), b S z0^(n+1) / (n+1): equal to Eq. (11) only without the rear branch (8)."""
     return b * S * sinkage ** (n + 1.0) / (n + 1.0)
+
+
+@inlined
+def bearing_share(integrals, tan_phi, direction):
+    """Load over S r b [m^n]: what the normal stress and the friction that it brings carry, Eq. (1)."""
+    return integrals.p_cos + direction * tan_phi * integrals.pe_sin
 
 
 @inlined
@@ -337,6 +471,6 @@ def mobilised_modulus(integrals, load, tan_phi, c, r, b, direction):
     Eq. (1) is linear in S, so at a given sinkage the coefficient the load mobilises has a closed form.
     """
     q = integrals
-    bearing = q.p_cos + direction * tan_phi * q.pe_sin
+    bearing = bearing_share(q, tan_phi, direction)
     rest = load / (r * b) - direction * c * q.e_sin
     return where_less(1e-12 * q.p_cos, bearing, where_less(0.0, rest, rest / bearing, 0.0), 0.0)

@@ -8,15 +8,16 @@ places: on the soil under the wheel (`soil_in_contact`), on the contact arc and 
 
 from __future__ import annotations
 
-import math
 from collections import namedtuple
 from collections.abc import Mapping
 
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._numba.compiling import inlined, kernel
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import asin_root, exp, larger, log, power, root, smaller, tanh, where_less
+from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.contact import ShearLaw
+from soil_env.terramechanics.contact import ShearLaw, smoothed_sign
 
 #: All parameters of all effects, `<effect>_<parameter>`, as the kernels take them.
 Effects = namedtuple("Effects", [f"{effect.name}_{p.name}" for effect in CATALOGUE.values() for p in effect.parameters])
@@ -68,7 +69,7 @@ def acting(fx: Effects) -> Effects:
 # --- slip-sinkage -----------------------------------------------------------------------------------------------------
 
 
-@kernel
+@part
 def slip_sinkage_ratio(slip, gain, recovery):
     """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i| + recovery |i|).
 
@@ -78,9 +79,8 @@ def slip_sinkage_ratio(slip, gain, recovery):
 
     Both are the steady states of `excavation_rate`.
     """
-    if slip >= 0.0:
-        return 1.0 + gain * slip / max(1.0 - slip + recovery * slip, 1e-6)
-    return 1.0 - gain * slip / (1.0 - recovery * slip)
+    driven = larger(1.0 - slip + recovery * slip, 1e-6)
+    return 1.0 + gain * abs(slip) / where_less(slip, 0.0, 1.0 - recovery * slip, driven)
 
 
 @inlined
@@ -98,45 +98,43 @@ def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     return a, b
 
 
-@kernel
+@part
 def digging(soil, fx):
     """(gain, recovery) of `slip_sinkage_ratio`: the effect's where it is on, else those of the soil."""
     if fx.slip_sinkage_gain != 0.0:
-        return fx.slip_sinkage_gain, fx.slip_sinkage_recovery
+        return alike(fx.slip_sinkage_gain, soil.dig_gain), alike(fx.slip_sinkage_recovery, soil.dig_gain)
     return soil.dig_gain, soil.dig_recovery
 
 
-@kernel
+@part
 def excavated_depth(slip, fx):
     """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), Reece's law with its length l."""
-    i = min(abs(slip), 0.95)
+    i = smaller(abs(slip), 0.95)
     return fx.slip_sinkage_length * i / (1.0 - i)
 
 
 # --- soil under the wheel ---------------------------------------------------------------------------------------------
 
 
-@kernel
+@part
 def sliding_speed(slip, travel_speed):
     """|r w - V| [m/s] of a wheel that travels at V with the given slip."""
-    if slip >= 0.0:
-        return travel_speed * slip / max(1.0 - slip, 0.02)
-    return -travel_speed * slip
+    return travel_speed * abs(slip) / where_less(slip, 0.0, 1.0, larger(1.0 - slip, 0.02))
 
 
-@kernel
+@part
 def rate_factor(speed, reference, exponent, slope):
     """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m, or 1 + a ln(v/v0) where the power m is 0.
 
     Below v0/50 soil counts as loaded at rest. Never less than 0.1.
     """
     if exponent == 0.0 and slope == 0.0:
-        return 1.0
-    x = math.log(max(speed / reference, 0.02))
-    return max(math.exp(exponent * x) + slope * x, 0.1)
+        return alike(1.0, speed)
+    x = log(larger(speed / reference, 0.02))
+    return larger(exp(exponent * x) + slope * x, 0.1)
 
 
-@kernel
+@part
 def depends_on_speed(fx):
     """Whether a rate law is on."""
     penetration = fx.penetration_rate_exponent != 0.0 or fx.penetration_rate_slope != 0.0
@@ -144,48 +142,57 @@ def depends_on_speed(fx):
     return penetration or shear
 
 
-@kernel
+@inlined
+def depends_on_passes(fx):
+    """Whether earlier passes change the soil."""
+    bearing = fx.multipass_gain != 0.0 or fx.multipass_per_pass != 0.0 or fx.multipass_slip_gain != 0.0
+    strength = fx.multipass_stiffening != 0.0 or fx.multipass_strength != 0.0 or fx.multipass_cohesion != 0.0
+    return bearing or strength or fx.multipass_hardening != 0.0
+
+
+@part
 def pass_factor(passes, slip, fx):
     """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at the same slip.
 
     N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)]; the terms in slip and pass number are those
     of Senatore & Sandu (2011).
     """
-    if passes <= 1.0:
-        return 1.0
     more = passes - 1.0
-    gain = fx.multipass_gain * (1.0 - math.exp(-more / fx.multipass_passes)) + fx.multipass_per_pass * more
-    gain += fx.multipass_slip_gain * (1.0 - math.exp(-abs(slip) / fx.multipass_slip_scale))
-    return passes**fx.multipass_hardening * max(1.0 + gain, 0.05)
+    gain = fx.multipass_gain * (1.0 - exp(-more / fx.multipass_passes)) + fx.multipass_per_pass * more
+    gain = gain + fx.multipass_slip_gain * (1.0 - exp(-abs(slip) / fx.multipass_slip_scale))
+    factor = power(passes, fx.multipass_hardening) * larger(1.0 + gain, 0.05)
+    return where_less(1.0, passes, factor, 1.0)
 
 
-@kernel
+@part
 def slope_factor(soil, sin_grade, fx):
     """Bearing on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 to the power w."""
-    if fx.grade_weakening == 0.0 or sin_grade == 0.0:
-        return 1.0
-    left = 1.0 - math.asin(abs(sin_grade)) / max(math.atan(soil.tan_phi), 1e-3)
-    return max(left, 0.02) ** (2.0 * fx.grade_weakening)
+    if fx.grade_weakening == 0.0:
+        return alike(1.0, soil.tan_phi)
+    phi = asin_root(soil.tan_phi * soil.tan_phi / (1.0 + soil.tan_phi * soil.tan_phi))
+    left = 1.0 - asin_root(sin_grade * sin_grade) / larger(phi, 1e-3)
+    return power(larger(left, 0.02), 2.0 * fx.grade_weakening)
 
 
-@kernel
+@part
 def soil_in_contact(soil, fx, slip, speed, slide, passes, sin_grade):
     """`SoilState` that the wheel meets at this slip, travel speed, sliding speed [m/s], pass and grade."""
-    s = soil.sinkage_coefficient * pass_factor(passes, slip, fx)
-    s *= rate_factor(
+    s = soil.sinkage_coefficient * rate_factor(
         speed, fx.penetration_rate_reference_speed, fx.penetration_rate_exponent, fx.penetration_rate_slope
     )
-    s *= slope_factor(soil, sin_grade, fx)
+    s = s * slope_factor(soil, sin_grade, fx)
     c = soil.cohesion
     if fx.shear_rate_cohesion != 0.0:
-        c = c * max(1.0 + fx.shear_rate_cohesion * math.log1p(slide / fx.shear_rate_onset_speed), 0.1)
+        c = c * larger(1.0 + fx.shear_rate_cohesion * log(1.0 + slide / fx.shear_rate_onset_speed), 0.1)
     strength = rate_factor(slide, fx.shear_rate_reference_speed, fx.shear_rate_exponent, fx.shear_rate_slope)
     tan_phi, K = soil.tan_phi * strength, soil.shear_modulus
-    if passes > 1.0:
-        K = K * passes**-fx.multipass_stiffening
-        tan_phi = tan_phi * passes**fx.multipass_strength
-        c = c * passes**fx.multipass_cohesion
-    n = max(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(slip), 0.0)
+    if depends_on_passes(fx):
+        s = s * pass_factor(passes, slip, fx)
+        again = larger(passes, 1.0)
+        K = K * power(again, -fx.multipass_stiffening)
+        tan_phi = tan_phi * power(again, fx.multipass_strength)
+        c = c * power(again, fx.multipass_cohesion)
+    n = larger(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(slip), 0.0)
     gain, recovery = digging(soil, fx)
     return SoilState(tan_phi, c * strength, K, s, n, gain, recovery)
 
@@ -193,7 +200,7 @@ def soil_in_contact(soil, fx, slip, speed, slide, passes, sin_grade):
 # --- contact arc and shear law ----------------------------------------------------------------------------------------
 
 
-@kernel
+@part
 def arc_ends(theta1, slip, fx):
     """(theta2, thetam) [rad]: exit angle -l theta1, and the peak (9) moved by (a + c |i|) theta1.
 
@@ -203,11 +210,11 @@ def arc_ends(theta1, slip, fx):
     theta2 = -fx.rear_contact_ratio * theta1
     span = theta1 - theta2
     peak = 0.5 * (theta1 + fx.rear_contact_peak_follows * theta2)
-    peak += (fx.stress_peak_shift_offset + fx.stress_peak_shift_slope * abs(slip)) * theta1
-    return theta2, min(max(peak, theta2 + 0.05 * span), theta1 - 0.05 * span)
+    peak = peak + (fx.stress_peak_shift_offset + fx.stress_peak_shift_slope * abs(slip)) * theta1
+    return theta2, smaller(larger(peak, theta2 + 0.05 * span), theta1 - 0.05 * span)
 
 
-@kernel
+@part
 def shear_law(fx):
     """`ShearLaw` with a peak and a residual strength.
 
@@ -223,7 +230,7 @@ def shear_law(fx):
     return ShearLaw((1.0 - drop) / peak, s / peak, drop, fx.shear_softening_length, fx.shear_softening_onset)
 
 
-@kernel
+@part
 def shear_length_ratio(fx):
     """Length of the shear law over K: 4 s/(1 + s) where K is that of the first slope, else 1."""
     s = fx.shear_softening_sharpness
@@ -232,7 +239,7 @@ def shear_length_ratio(fx):
     return 1.0
 
 
-@kernel
+@part
 def shear_radius_ratio(r, height, fx):
     """Radius at which the soil between lugs of `height` [m] is sheared, over the rim radius."""
     return 1.0 + fx.grousers_shear_share * height / r
@@ -241,13 +248,14 @@ def shear_radius_ratio(r, height, fx):
 # --- added forces -----------------------------------------------------------------------------------------------------
 
 
-@kernel
+@part
 def passive_coefficient(tan_phi):
-    """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2)."""
-    return math.tan(0.25 * math.pi + 0.5 * math.atan(tan_phi)) ** 2
+    """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2) = (1 + sin phi)/(1 - sin phi)."""
+    secant = root(1.0 + tan_phi * tan_phi)
+    return (secant + tan_phi) / (secant - tan_phi)
 
 
-@kernel
+@part
 def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
     """Resistance [N] of the soil pushed ahead of the wheel to the depth of its sinkage.
 
@@ -255,43 +263,41 @@ def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
     z^2/2), D1 = cot X + tan(X + phi), D2 = cot X + cot^2 X tan phi, X = 45 deg - phi/2.
     """
     if fx.bulldozing_rankine == 0.0 and fx.bulldozing_hegedus == 0.0:
-        return 0.0
-    kp, z = passive_coefficient(soil.tan_phi), max(sinkage, 0.0)
-    rankine = b * (0.5 * unit_weight * z * z * kp + 2.0 * soil.cohesion * z * math.sqrt(kp))
-    phi = math.atan(soil.tan_phi)
-    x = 0.25 * math.pi - 0.5 * phi
-    cot = 1.0 / math.tan(x)
-    hegedus = (cot + math.tan(x + phi)) * (
-        soil.cohesion * z + 0.5 * unit_weight * z * z * (cot + cot * cot * soil.tan_phi)
-    )
+        return alike(0.0, sinkage)
+    kp, z = passive_coefficient(soil.tan_phi), larger(sinkage, 0.0)
+    cot = root(kp)  # cot X = tan(X + phi) = tan(45 deg + phi/2)
+    rankine = b * (0.5 * unit_weight * z * z * kp + 2.0 * soil.cohesion * z * cot)
+    hegedus = 2.0 * cot * (soil.cohesion * z + 0.5 * unit_weight * z * z * (cot + kp * soil.tan_phi))
     return fx.bulldozing_rankine * rankine + fx.bulldozing_hegedus * b * hegedus
 
 
-@kernel
-def blade_share(slip):
-    """Share of the thrust of the lugs that this slip brings out: none where the wheel rolls freely."""
-    return math.tanh(slip / 0.015)
+BLADE_SLIP = 0.015  # slip over which the thrust of the lugs comes in
 
 
-@kernel
-def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
-    """Thrust [N] of the lugs in the ground along the rim: lugs a radian, times theta1, times the force of one blade.
+@part
+def blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx):
+    """Thrust [N] of the lugs in the ground along the rim of a slipping wheel: lugs a radian, times theta1, times one.
 
     One blade of width b and height h pushes soil out with b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt Kp) (Rankine;
-    Bekker 1969), q = gamma z/2 the soil above it on average; none where the wheel rolls freely.
+    Bekker 1969), q = gamma z/2 the soil above it on average.
     """
     if fx.grousers_blades == 0.0 or height <= 0.0:
-        return 0.0
+        return alike(0.0, theta1)
     kp = passive_coefficient(soil.tan_phi)
-    weight = 0.5 * unit_weight * height * (height + max(sinkage, 0.0)) * kp
-    one = b * (weight + 2.0 * soil.cohesion * height * math.sqrt(kp))
-    return fx.grousers_blades * theta1 * one * blade_share(slip)
+    weight = 0.5 * unit_weight * height * (height + larger(sinkage, 0.0)) * kp
+    return fx.grousers_blades * theta1 * b * (weight + 2.0 * soil.cohesion * height * root(kp))
+
+
+@part
+def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
+    """`blade_thrust` [N] at this slip: none where the wheel rolls freely."""
+    return blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx) * tanh(slip / BLADE_SLIP)
 
 
 # --- what is measured -------------------------------------------------------------------------------------------------
 
 
-@kernel
+@part
 def _slip_of_radius(slip, scale):
     """Slip after V/(r w) is multiplied by `scale`, driving or braking."""
     if slip <= -1.0 or scale == 1.0:
@@ -300,7 +306,7 @@ def _slip_of_radius(slip, scale):
     return 1.0 - ratio if ratio <= 1.0 else 1.0 / ratio - 1.0
 
 
-@kernel
+@part
 def true_slip(measured, fx):
     """Slip of the wheel where the measured one has an offset d, or comes from a rolling radius r (1 - e).
 
@@ -310,18 +316,18 @@ def true_slip(measured, fx):
     return min(max(i, -1.0), 1.0)
 
 
-@kernel
+@part
 def measured_slip(slip, fx):
     """Inverse of `true_slip`."""
     return _slip_of_radius(slip - fx.slip_bias_offset, 1.0 / (1.0 - fx.slip_bias_radius_error))
 
 
-@kernel
+@part
 def drive_torque(torque, wheel_speed, floor, fx):
     """Torque [N m] at the motor for a torque at the axle: Coulomb and viscous friction and a share of the load.
 
     `floor` [rad/s] is the wheel speed below which Coulomb friction fades out.
     """
-    turning = wheel_speed / math.sqrt(wheel_speed * wheel_speed + floor * floor)
+    turning, _ = smoothed_sign(wheel_speed, floor)
     friction = turning * (fx.drivetrain_friction_constant + fx.drivetrain_friction_share * abs(torque))
     return torque + friction + fx.drivetrain_friction_viscous * wheel_speed

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, check, load, quantity, read_yaml, to_dict, unknown_key
-from soil_env._numba.compiling import kernel
+from soil_env._numba.compiling import part
 from soil_env.measurement.table import LARGEST_WHEEL, STEEPEST, Table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.effects import Effects, pack_effects
@@ -27,15 +27,12 @@ from soil_env.terramechanics.steady import (  # noqa: F401
     DEEPEST,
     LEVEL,
     Conditions,
-    Contact,
     Rim,
     Steady,
-    contact_arc,
-    contact_at,
+    arc_of,
     forces_at,
     predict_rows,
     sheared,
-    sheared_from,
     sinkage_coefficient_at,
     steady_state,
     steady_with,
@@ -270,7 +267,7 @@ def rows_of(conditions, wheel: ModelWheel) -> Rows:
     )
 
 
-@kernel
+@part
 def add_residual(law, slip, load, wheels, conditions, soil, gravity, out):
     """Add a `ResidualLaw` to predictions `out` [N, 3]."""
     for k in range(slip.size):

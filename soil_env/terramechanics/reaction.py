@@ -1,44 +1,50 @@
-"""What the soil and all else do to a wheel at one motion, with the derivatives that the implicit step needs."""
+"""What the soil and all else do to a driven wheel at one motion, with the derivatives that an implicit step needs.
+
+All functions take floats (one wheel) or lanes (eight wheels).
+"""
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, inner, kernel
-from soil_env._numba.elementary import larger, root, where_less
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import larger, root, tanh, where_less
+from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.contact import (
     JANOSI,
+    Arc,
     ShearLaw,
-    arc_nodes,
-    entry_angle,
+    bearing_share,
     forces,
+    integrals_of,
     mobilised_modulus,
     motion_from_speeds,
-    shear_integrals,
+    shear_forces,
     slip_ratio,
+    smooth_arc,
+    smoothed_sign,
 )
 from soil_env.terramechanics.effects import (
-    arc_ends,
-    blade_force,
-    blade_share,
+    BLADE_SLIP,
+    Effects,
+    blade_thrust,
     bulldozing_resistance,
-    drive_torque,
     excavated_depth,
     shear_law,
     shear_length_ratio,
+    shear_radius_ratio,
     slip_sinkage_ratio,
     soil_in_contact,
 )
-from soil_env.terramechanics.model import Rim, contact_arc, sheared_from
-from soil_env.terramechanics.residual import dimensionless_groups, residual_at
+from soil_env.terramechanics.residual import ResidualLaw, dimensionless_groups, residual_at
+from soil_env.terramechanics.steady import Rim, arc_of, contact_radius
 
 REST_SPEED = 0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
 
 
 class Reaction(NamedTuple):
-    """Soil reaction at one motion, with its derivatives by V and by rim speed u = r w."""
+    """Soil reaction at one motion, with its derivatives by travel speed V and by rim speed u = r w."""
 
     load: float
     drawbar_pull: float
@@ -52,75 +58,92 @@ class Reaction(NamedTuple):
     modulus_u: float
 
 
-@kernel
-def reaction(speed, rim_speed, sinkage, load, soil, r, b):
-    """`Reaction` of the soil to a wheel at a given sinkage that carries `load`: Eqs. (1)-(3) with (1) solved for S."""
-    theta1 = entry_angle(sinkage, r)
-    nodes = arc_nodes(theta1, 0.0, 0.5 * theta1, soil.sinkage_exponent, r, theta1)
-    return reaction_of(nodes, speed, rim_speed, load, soil, r, b, JANOSI)
-
-
-@inlined
-def reaction_of(nodes, speed, rim_speed, load, soil, r, b, law):
-    """`reaction` on given nodes of the contact arc (`contact.arc_nodes`), which depend on sinkage and soil only."""
-    motion = motion_from_speeds(rim_speed, speed, REST_SPEED)
-    integrals = shear_integrals(nodes, motion[0], motion[1], soil.shear_modulus, law)
-    return reaction_from(integrals, motion, speed, rim_speed, load, soil.tan_phi, soil.cohesion, r, b)
-
-
 @inlined
 def reaction_from(integrals, motion, speed, rim_speed, load, tan_phi, c, r, b):
-    """`reaction` from the arc's integrals with their rates, of floats or in lanes."""
+    """`Reaction` to a wheel that carries `load`: Eqs. (1)-(3) with (1) solved for S, from its arc's integrals."""
     q, by_rim, by_travel = integrals
     _, travel, direction = motion
     s = mobilised_modulus(q, load, tan_phi, c, r, b, direction)
     f = forces(q, s, tan_phi, c, r, b, direction)
-
+    st = s * tan_phi
     rest2 = REST_SPEED * REST_SPEED
-    u2, v2 = rim_speed * rim_speed + rest2, speed * speed + rest2
+    u2 = rim_speed * rim_speed + rest2
     travel_v = 1.0 / root(u2)
     rim_u, travel_u = rest2 * travel_v / u2, -travel * rim_speed / u2
-    turn = rest2 / (v2 * root(v2))  # d direction/dV
-    share = where_less(0.0, s, 1.0 / (q.p_cos + direction * tan_phi * q.pe_sin), 0.0)
-    st = s * tan_phi
+    turn = smoothed_sign(speed, REST_SPEED)[1]
 
-    # d/dV and d/du of the soil's reaction: first at the present s, then by s
-    a, z = by_rim, by_travel
-    dp_s, torque_s = tan_phi * q.pe_cos - direction * q.p_sin, r * tan_phi * q.pe
-    lift = direction * (st * z.pe_sin + c * z.e_sin)
-    lift_u = direction * (st * a.pe_sin + c * a.e_sin) * rim_u + lift * travel_u
-    s_v = -share * (lift * travel_v + turn * (st * q.pe_sin + c * q.e_sin))
-    s_u = -share * lift_u
-    pull, twist = st * z.pe_cos + c * z.e_cos, r * (st * z.pe + c * z.e)
-    pull_u = (st * a.pe_cos + c * a.e_cos) * rim_u + pull * travel_u
-    twist_u = r * (st * a.pe + c * a.e) * rim_u + twist * travel_u
-    rb = r * b
+    # at the present s: through rim, travel and the direction
+    by_rim = shear_forces(by_rim, st, c, r, b, direction)
+    by_travel = shear_forces(by_travel, st, c, r, b, direction)
+    load_v = by_travel.load * travel_v + turn * (shear_forces(q, st, c, r, b, 1.0).load)
+    load_u = by_rim.load * rim_u + by_travel.load * travel_u
+    # through s, which keeps the load what it is
+    of_s = forces(q, 1.0, tan_phi, 0.0, r, b, direction)
+    s_by_load = where_less(0.0, s, -1.0 / (r * b * bearing_share(q, tan_phi, direction)), 0.0)
+    s_v, s_u = s_by_load * load_v, s_by_load * load_u
     return Reaction(
         f.load,
         f.drawbar_pull,
         f.torque,
         s,
-        rb * (s_v * dp_s + pull * travel_v - turn * s * q.p_sin),
-        rb * (s_u * dp_s + pull_u),
-        rb * (s_v * torque_s + twist * travel_v),
-        rb * (s_u * torque_s + twist_u),
+        s_v * of_s.drawbar_pull + by_travel.drawbar_pull * travel_v - turn * (r * b * s * q.p_sin),
+        s_u * of_s.drawbar_pull + by_rim.drawbar_pull * rim_u + by_travel.drawbar_pull * travel_u,
+        s_v * of_s.torque + by_travel.torque * travel_v,
+        s_u * of_s.torque + by_rim.torque * rim_u + by_travel.torque * travel_u,
         s_v,
         s_u,
     )
 
 
-class Ground(NamedTuple):
-    """What a wheel stands on during a substep, and the effects that act there."""
+@part
+def reaction(speed, rim_speed, sinkage, load, soil, r, b):
+    """`Reaction` of the base model to one wheel at a given sinkage [m] that carries `load` [N]."""
+    motion = motion_from_speeds(rim_speed, speed, REST_SPEED)
+    arc = smooth_arc(sinkage, r)
+    integrals = integrals_of(arc, motion[0], motion[1], soil.shear_modulus, soil.sinkage_exponent, JANOSI)
+    return reaction_from(integrals, motion, speed, rim_speed, load, soil.tan_phi, soil.cohesion, r, b)
 
-    soil: SoilState
-    radius: float  # [m] that carries the normal stress
-    shear_ratio: float  # radius at which soil is sheared, over `radius`
-    rim_ratio: float  # that radius over the wheel's
+
+# --- effects ----------------------------------------------------------------------------------------------------------
+
+
+class Interaction(NamedTuple):
+    """A wheel and what acts between it and any soil: its size and the effects that are on, as the kernels take them."""
+
+    radius: float  # [m] of the rim
+    width: float  # [m]
+    grouser_height: float  # [m]
+    contact_radius: float  # [m] that carries the normal stress
+    shear_ratio: float  # radius at which soil is sheared, over `contact_radius`
+    rim_ratio: float  # that radius over the rim's
     law: ShearLaw
-    theta1: float
-    theta2: float
-    thetam: float
-    sheared_from: float
+    gravity: float
+    unit_weight: float  # of the soil [N/m3]
+    on: bool  # whether any effect or a residual law is on
+    effects: Effects
+    residual: ResidualLaw
+
+
+def interaction(wheel: Rim, effects: Effects, residual: ResidualLaw, gravity: float, unit_weight: float) -> Interaction:
+    """`Interaction` of a wheel with the effects that act on it."""
+    from soil_env.terramechanics.effects import NO_EFFECTS
+
+    python = lambda f: getattr(f, "py_func", f)  # noqa: E731  not compiled for one call
+    r = python(contact_radius)(effects, wheel)
+    ratio = python(shear_radius_ratio)(r, wheel.grouser_height, effects)
+    on = effects != NO_EFFECTS or residual.coefficient.size > 0
+    law = python(shear_law)(effects)
+    return Interaction(
+        wheel.radius, wheel.width, wheel.grouser_height, r, ratio, ratio * r / wheel.radius, law, gravity, unit_weight,
+        on, effects, residual,
+    )  # fmt: skip
+
+
+class Ground(NamedTuple):
+    """What a wheel stands on during a substep, at the slip and the speeds that it begins with."""
+
+    soil: SoilState  # as it is sheared
+    arc: Arc
     lift: float  # [m] sinkage beyond that which carries, as digging has it
     bulldozing: float  # [N] resistance of the soil ahead
     blades: float  # [N] thrust of the lugs of a slipping wheel
@@ -128,85 +151,111 @@ class Ground(NamedTuple):
     torque: float  # [N m] of the residual law
 
 
-@kernel
-def plain_ground(w, soil, world):
-    """`Ground` of the base model."""
-    theta1 = entry_angle(w.sinkage, world.radius)
-    return Ground(soil, world.radius, 1.0, 1.0, JANOSI, theta1, 0.0, 0.5 * theta1, theta1, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-@kernel
-def ground_with_effects(w, soil, grade, passes, world):
-    """`Ground` with the effects of this world, at the slip and the speeds that the substep starts with."""
-    fx, r, b, h = world.effects, world.radius, world.width, world.grouser_height
-    u = w.wheel_speed * r
-    slip = slip_ratio(u, w.speed, REST_SPEED)
-    weight = w.mass * world.gravity
-    groups = dimensionless_groups(
-        slip, w.sinkage, weight, abs(w.speed), passes, math.sin(grade), soil, r, b, world.gravity
-    )
-    _, pull, torque = residual_at(world.residual, groups)
-    soil = soil_in_contact(soil, fx, slip, abs(w.speed), abs(u - w.speed), passes, math.sin(grade))
-    arc = contact_arc(w.sinkage, fx, Rim(r, b, h))
-    theta2, thetam = arc_ends(arc.theta1, slip, fx)
-    ahead = bulldozing_resistance(w.sinkage, soil, world.unit_weight, b, fx)
-    blades = blade_force(arc.theta1, w.sinkage, 1.0, soil, world.unit_weight, b, h, fx)
-    dug = max(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), 1e-3)
-    moving = w.speed / math.sqrt(w.speed * w.speed + REST_SPEED * REST_SPEED)
-    q = arc.shear_ratio
-    sheared_soil = SoilState(
+@inlined
+def ground_under(sinkage, speed, rim_speed, weight, soil, sin_grade, passes, wheel):
+    """`Ground` under a wheel (`Interaction`) of this weight [N] on undisturbed `soil`."""
+    none = alike(0.0, sinkage)
+    if not wheel.on:
+        return Ground(soil, smooth_arc(sinkage, wheel.radius), none, none, none, none, none)
+    fx, r, b, h = wheel.effects, wheel.radius, wheel.width, wheel.grouser_height
+    slip = slip_ratio(rim_speed, speed, REST_SPEED)
+    pull, torque = none, none
+    if wheel.residual.coefficient.size > 0:
+        groups = dimensionless_groups(slip, sinkage, weight, abs(speed), passes, sin_grade, soil, r, b, wheel.gravity)
+        moving = smoothed_sign(speed, REST_SPEED)[0] * weight
+        _, pull, torque = residual_at(wheel.residual, groups)
+        pull, torque = moving * pull, moving * torque * r
+    soil = soil_in_contact(soil, fx, slip, abs(speed), abs(rim_speed - speed), passes, sin_grade)
+    arc = arc_of(sinkage, slip, fx, Rim(r, b, h))
+    dug = larger(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), 1e-3)
+    q = wheel.shear_ratio
+    sheared = SoilState(
         q * soil.tan_phi, q * soil.cohesion, soil.shear_modulus * shear_length_ratio(fx) / q,
         soil.sinkage_coefficient, soil.sinkage_exponent, soil.dig_gain, soil.dig_recovery,
     )  # fmt: skip
     return Ground(
-        sheared_soil, arc.radius, q, q * arc.radius / r, shear_law(fx), arc.theta1, theta2, thetam, sheared_from(arc),
-        excavated_depth(slip, fx) / dug, ahead, blades, moving * pull * weight, moving * torque * weight * r,
-    )  # fmt: skip
+        sheared,
+        arc,
+        excavated_depth(slip, fx) / dug,
+        bulldozing_resistance(sinkage, soil, wheel.unit_weight, b, fx),
+        blade_thrust(arc.theta1, sinkage, soil, wheel.unit_weight, b, h, fx),
+        pull,
+        torque,
+    )
+
+
+class Added(NamedTuple):
+    """A force or a torque that is added to the soil's, with its derivatives."""
+
+    value: float
+    by_v: float
+    by_u: float
 
 
 @inlined
-def react(nodes, ground, speed, rim_speed, load, world):
-    """`Reaction` of the ground, with all that acts on the wheel at its axle."""
-    f = reaction_of(
-        nodes, speed, ground.rim_ratio * rim_speed, load, ground.soil, ground.radius, world.width, ground.law
+def _signed_slip(speed, rim_speed):
+    """`Added` (u - V) / max(|u|, |V|, rest): positive where the rim drives the wheel forward."""
+    u, v = abs(rim_speed), abs(speed)
+    scale = larger(larger(u, v), REST_SPEED)
+    slip = (rim_speed - speed) / scale
+    rolling = where_less(v, u, 1.0, 0.0)  # the rim is the faster one
+    moving = where_less(larger(u, v), REST_SPEED, 0.0, 1.0)
+    sign_u, sign_v = where_less(rim_speed, 0.0, -1.0, 1.0), where_less(speed, 0.0, -1.0, 1.0)
+    inside = where_less(abs(slip), 1.0, 1.0, 0.0)
+    return Added(
+        larger(-1.0, where_less(slip, 1.0, slip, 1.0)),
+        inside * (-1.0 - moving * (1.0 - rolling) * slip * sign_v) / scale,
+        inside * (1.0 - moving * rolling * slip * sign_u) / scale,
     )
-    return with_added_forces(f, ground, speed, rim_speed, world) if world.with_effects else f
 
 
-@kernel
-def with_added_forces(f, ground, speed, rim_speed, world):
-    """`Reaction` `f` at the shear radius as one at the axle, with lugs, bulldozing, drivetrain and residual law."""
-    q, p = ground.shear_ratio, ground.rim_ratio
-    torque, torque_v, torque_u = q * f.torque, q * f.torque_v, q * p * f.torque_u
-    d = 1e-8  # [m/s], small beside the speeds within which Coulomb friction and the thrust of lugs turn round
-    pull, more = _added_forces(ground, speed, rim_speed, torque, world)
-    pull_v, more_v = _added_forces(ground, speed + d, rim_speed, torque + d * torque_v, world)
-    pull_u, more_u = _added_forces(ground, speed, rim_speed + d, torque + d * torque_u, world)
+@inlined
+def _blades(thrust, speed, rim_speed):
+    """`Added` thrust [N] of the lugs along the rim."""
+    slip = _signed_slip(speed, rim_speed)
+    share = tanh(slip.value / BLADE_SLIP)
+    slope = thrust * (1.0 - share * share) / BLADE_SLIP
+    return Added(thrust * share, slope * slip.by_v, slope * slip.by_u)
+
+
+@inlined
+def _drive_friction(torque, rim_speed, r, fx):
+    """`Added` torque [N m] of the drivetrain, `effects.drive_torque`, for an `Added` torque at the axle."""
+    turning, turn = smoothed_sign(rim_speed / r, REST_SPEED / r)
+    size = fx.drivetrain_friction_constant + fx.drivetrain_friction_share * abs(torque.value)
+    share = turning * fx.drivetrain_friction_share * where_less(torque.value, 0.0, -1.0, 1.0)
+    return Added(
+        turning * size + fx.drivetrain_friction_viscous * (rim_speed / r),
+        share * torque.by_v,
+        share * torque.by_u + (turn * size + fx.drivetrain_friction_viscous) / r,
+    )
+
+
+@inlined
+def at_the_axle(f, bulldozing, blades, pull, torque, speed, rim_speed, wheel):
+    """`Reaction` `f` at the shear radius as one at the axle, with what `Ground` and the drivetrain add."""
+    q, p = wheel.shear_ratio, wheel.rim_ratio
+    lever = wheel.radius + 0.5 * wheel.grouser_height
+    direction, turn = smoothed_sign(speed, REST_SPEED)
+    blade = _blades(blades, speed, rim_speed)
+    axle = Added(
+        q * f.torque + lever * blade.value + torque,
+        q * f.torque_v + lever * blade.by_v,
+        q * p * f.torque_u + lever * blade.by_u,
+    )
+    friction = _drive_friction(axle, rim_speed, wheel.radius, wheel.effects)
     return Reaction(
         f.load,
-        f.drawbar_pull + pull,
-        torque + more,
+        f.drawbar_pull + blade.value - direction * bulldozing + pull,
+        axle.value + friction.value,
         f.modulus,
-        f.dp_v + (pull_v - pull) / d,
-        p * f.dp_u + (pull_u - pull) / d,
-        torque_v + (more_v - more) / d,
-        torque_u + (more_u - more) / d,
+        f.dp_v + blade.by_v - turn * bulldozing,
+        p * f.dp_u + blade.by_u,
+        axle.by_v + friction.by_v,
+        axle.by_u + friction.by_u,
         f.modulus_v,
         p * f.modulus_u,
     )
-
-
-@inner
-def _added_forces(ground, speed, rim_speed, soil_torque, world):
-    """(pull [N], torque [N m]) that lugs, bulldozing, drivetrain friction and the residual law add."""
-    fx, r = world.effects, world.radius
-    direction = speed / math.sqrt(speed * speed + REST_SPEED * REST_SPEED)
-    slip = slip_ratio(rim_speed, speed, REST_SPEED) * (1.0 if rim_speed + speed >= 0.0 else -1.0)
-    blade = ground.blades * blade_share(slip)
-    lever = r + 0.5 * world.grouser_height
-    torque = blade * lever + ground.torque
-    friction = drive_torque(soil_torque + torque, rim_speed / r, REST_SPEED / r, fx) - soil_torque - torque
-    return blade - direction * ground.bulldozing + ground.pull, torque + friction
 
 
 @inlined

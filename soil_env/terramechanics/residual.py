@@ -16,7 +16,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
-from soil_env._numba.compiling import kernel
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import larger, power, smaller, where_less
+from soil_env._numba.lanes import alike
 
 CHANNELS = ("sinkage", "drawbar_pull", "torque")
 #: Dimensionless groups: |slip|, 1 - |slip|, z/r, W/(S b r^(n+1)), V/sqrt(g r), pass number, sin(grade).
@@ -85,29 +87,42 @@ def residual_law(terms: Sequence[ResidualTerm]) -> ResidualLaw:
     return law
 
 
-@kernel
+@part
 def dimensionless_groups(slip, sinkage, load, speed, passes, sin_grade, soil, r, b, gravity):
     """The seven `GROUPS` at one working point."""
-    i = min(abs(slip), 1.0)
-    bearing = soil.sinkage_coefficient * b * r ** (soil.sinkage_exponent + 1.0)
-    return i, 1.0 - i, sinkage / r, load / bearing, abs(speed) / math.sqrt(gravity * r), passes, sin_grade
+    i = smaller(abs(slip), 1.0)
+    bearing = soil.sinkage_coefficient * b * power(alike(r, soil.sinkage_exponent), soil.sinkage_exponent + 1.0)
+    pattern = 0.0 * i  # floats or lanes alike
+    return (
+        i, 1.0 - i, sinkage / r + pattern, load / bearing + pattern, abs(speed) / math.sqrt(gravity * r) + pattern,
+        passes + pattern, sin_grade + pattern,
+    )  # fmt: skip
 
 
-@kernel
+@part
 def residual_at(law, groups):
     """Sum of the terms for (sinkage / r, drawbar pull / W, torque / (W r)) at `groups`."""
-    z = pull = torque = 0.0
+    z = pull = torque = 0.0 * groups[0]
     for k in range(law.coefficient.size):
-        value = law.coefficient[k]
+        value = alike(law.coefficient[k], groups[0])
         for g in range(len(groups)):
             p = law.powers[k, g]
             if p != 0.0:
-                x = min(max(groups[g], law.low[k, g]), law.high[k, g])
-                value *= x**p if x > 0.0 or (x < 0.0 and p == math.floor(p)) else 0.0
+                x = smaller(larger(groups[g], law.low[k, g]), law.high[k, g])
+                value = value * _raised(x, p)
         if law.channel[k] == 0:
-            z += value
+            z = z + value
         elif law.channel[k] == 1:
-            pull += value
+            pull = pull + value
         else:
-            torque += value
+            torque = torque + value
     return z, pull, torque
+
+
+@inlined
+def _raised(x, p):
+    """x^p; 0 where it is not a real number."""
+    size = power(larger(abs(x), 1e-300), p)
+    odd = p == math.floor(p) and 0.5 * p != math.floor(0.5 * p)
+    below = (-size if odd else size) if p == math.floor(p) else 0.0 * size
+    return where_less(0.0, x, size, where_less(x, 0.0, below, 0.0))

@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import kernel
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import asin_root
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.contact import (
     JANOSI,
+    Arc,
     Forces,
-    arc_integrals,
-    arc_nodes,
+    ShearLaw,
+    bearing_share,
     entry_angle,
     forces,
+    integrals_of,
     mobilised_modulus,
     motion_from_slip,
-    shear_integrals,
+    smooth_arc,
 )
 from soil_env.terramechanics.effects import (
     NO_EFFECTS,
@@ -63,134 +66,144 @@ class Conditions(NamedTuple):
     sin_grade: float  # uphill positive
 
 
-class Contact(NamedTuple):
-    """Contact arc of a wheel at one sinkage, with the effects that shape it."""
-
-    theta1: float  # [rad] entry angle
-    radius: float  # [m] that carries the normal stress
-    shear_ratio: float  # radius at which soil is sheared, over `radius`
-
-
 LEVEL = Conditions(0.0, 1.0, 0.0)
 
 
-@kernel
-def contact_arc(sinkage, fx, wheel):
-    """`Contact` of a wheel at a given sinkage [m]."""
-    r = wheel.radius + fx.grousers_radius_share * wheel.grouser_height
-    return Contact(entry_angle(sinkage, r), r, shear_radius_ratio(r, wheel.grouser_height, fx))
+@inlined
+def contact_radius(fx, wheel):
+    """Radius [m] that carries the normal stress: of the rim, or part of the way to the tips of the lugs."""
+    return wheel.radius + fx.grousers_radius_share * wheel.grouser_height
 
 
-@kernel
-def sheared_from(arc):
-    """Angle [rad] at which the lug tips enter the soil: cos = cos(theta1)/q; theta1 without lugs (Ding et al. 2011)."""
-    if arc.shear_ratio == 1.0:
-        return arc.theta1
-    return math.acos(max(-1.0, min(1.0, math.cos(arc.theta1) / arc.shear_ratio)))
+@inlined
+def arc_of(sinkage, slip, fx, wheel):
+    """`Arc` of a wheel at a given sinkage [m] and slip, with the effects that shape it.
+
+    The tips of the lugs enter the soil, and begin to shear it, at cos = cos(theta1)/q (Ding et al. 2011).
+    """
+    r = contact_radius(fx, wheel)
+    theta1 = entry_angle(sinkage, r)
+    theta2, thetam = arc_ends(theta1, slip, fx)
+    q = shear_radius_ratio(r, wheel.grouser_height, fx)
+    if q == 1.0:
+        return Arc(theta1, theta2, thetam, theta1, r)
+    rise = 0.5 * (1.0 - 1.0 / q) + (0.5 / (r * q)) * sinkage  # (1 - cos)/2 of the tips' entry
+    return Arc(theta1, theta2, thetam, 2.0 * asin_root(rise), r)
 
 
-@kernel
-def sheared(rim, soil, arc, fx, wheel):
-    """(rim, K) as the soil between the lug tips sees them: `rim` of motion and shear modulus [m].
+@inlined
+def sheared(rim, soil, fx, wheel):
+    """(rim, K) as the soil between the lug tips sees them: `rim` of motion and shear deformation modulus [m].
 
     Shear at the radius q R stretches j, thrust and torque: K/q here, q tan(phi) and q c where forces are summed. Where
     slip was taken at the rim of radius r, the tips move faster: rim q R/r instead.
     """
+    r = contact_radius(fx, wheel)
+    q = shear_radius_ratio(r, wheel.grouser_height, fx)
     K = soil.shear_modulus * shear_length_ratio(fx)
     if fx.grousers_slip_at_rim > 0.0:
-        larger = arc.radius / wheel.radius
-        return rim * larger * arc.shear_ratio, K * larger
-    return rim, K / arc.shear_ratio
+        wider = r / wheel.radius
+        return rim * wider * q, K * wider
+    return rim, K / q
 
 
-@kernel
-def contact_at(sinkage, rim, travel, slip, soil, fx, wheel):
-    """(Contact, ArcIntegrals, ArcRates by rim, ArcRates by travel) of a wheel at a given sinkage [m]."""
-    arc = contact_arc(sinkage, fx, wheel)
-    theta2, thetam = arc_ends(arc.theta1, slip, fx)
-    rim, K = sheared(rim, soil, arc, fx, wheel)
-    nodes = arc_nodes(arc.theta1, theta2, thetam, soil.sinkage_exponent, arc.radius, sheared_from(arc))
-    q, by_rim, by_travel = shear_integrals(nodes, rim, travel, K, shear_law(fx))
-    return arc, q, by_rim, by_travel
-
-
-@kernel
+@part
 def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
     """`Forces` of a smooth wheel at a given sinkage [m] with sinkage coefficient S, contact up to the lowest point."""
-    theta1 = entry_angle(sinkage, r)
-    q, _, _ = arc_integrals(
-        theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, soil.sinkage_exponent, r, JANOSI
-    )
+    arc = smooth_arc(sinkage, r)
+    q, _, _ = integrals_of(arc, rim, travel, soil.shear_modulus, soil.sinkage_exponent, JANOSI)
     return forces(q, S, soil.tan_phi, soil.cohesion, r, b, direction)
 
 
-@kernel
+@part
 def steady_state(slip, load, soil, r, b, guess=0.0):
     """`steady_with` of the base model on level, fresh soil, with the digging of `soil`."""
     return steady_with(slip, load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, guess)
 
 
-@kernel
-def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
-    """`Steady` sinkage, drawbar pull and torque as they are measured at a measured slip and weight `load` [N].
+class _Balance(NamedTuple):
+    """What Eq. (1) is solved with."""
 
-    Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the same bearing
-    pressure: s z^n = S z_w^n with z = k(i) z_w + l(i), so z carries the load when the coefficient s(z) that the load
-    mobilises (closed form, since (1) is linear in it) is S ((z - l)/(k z))^n. The root of the difference of their
-    logarithms is found by a bracketed secant in ln z, in which it is nearly straight, from `guess` [m] where one is
-    given. `unit_weight` [N/m3] of the soil is needed by bulldozing and blades only.
-    """
-    i = true_slip(slip, fx)
-    rim, travel = motion_from_slip(i)
+    slip: float
+    rim: float  # of motion, as the sheared soil sees it
+    travel: float
+    load: float  # [N] normal to the ground
+    soil: SoilState  # as it is sheared
+    strength: float  # ln of S over the pressure ratio of the digging
+    lift: float  # [m] depth excavated whatever the load
+    law: ShearLaw
+
+
+@inlined
+def _balance(slip, load, soil, wheel, conditions, fx):
+    """(`_Balance`, soil in contact, sinkage that is seen over that which is felt)."""
     sine = conditions.sin_grade
-    ground = soil_in_contact(soil, fx, i, conditions.speed, sliding_speed(i, conditions.speed), conditions.passes, sine)
+    ground = soil_in_contact(
+        soil, fx, slip, conditions.speed, sliding_speed(slip, conditions.speed), conditions.passes, sine
+    )
     normal = load * (1.0 - fx.grade_share * (1.0 - math.sqrt(1.0 - sine * sine)))
-    r, b, n = wheel.radius, wheel.width, ground.sinkage_exponent
-    ratio = slip_sinkage_ratio(i, ground.dig_gain, ground.dig_recovery)
-    apparent = max(ratio, 1e-3) if fx.slip_sinkage_apparent > 0.0 else 1.0
-    ratio = 1.0 if fx.slip_sinkage_apparent > 0.0 else ratio
-    lift = min(excavated_depth(i, fx), 0.9 * DEEPEST * r)
-    available = math.log(ground.sinkage_coefficient) - n * math.log(max(ratio, 1e-3))
-    low, high = math.log(max(1e-6 * r, 1.0001 * lift)), math.log(DEEPEST * r)
-    deepest = high
-    # start from the guess, or from the depth of a flat plate, sqrt(2 r z) long
+    rim, travel = motion_from_slip(slip)
+    rim, K = sheared(rim, ground, fx, wheel)
+    q = shear_radius_ratio(contact_radius(fx, wheel), wheel.grouser_height, fx)
+    under = SoilState(
+        q * ground.tan_phi, q * ground.cohesion, K, ground.sinkage_coefficient, ground.sinkage_exponent,
+        ground.dig_gain, ground.dig_recovery,
+    )  # fmt: skip
+    ratio = max(slip_sinkage_ratio(slip, ground.dig_gain, ground.dig_recovery), 1e-3)
+    apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
+    lift = min(excavated_depth(slip, fx), 0.9 * DEEPEST * wheel.radius)
+    strength = math.log(ground.sinkage_coefficient) - ground.sinkage_exponent * math.log(ratio / apparent)
+    return _Balance(slip, rim, travel, normal, under, strength, lift, shear_law(fx)), ground, apparent
+
+
+@inlined
+def _misfit(x, p, wheel, fx):
+    """(ln of the mobilised over the available sinkage coefficient at the sinkage e^x [m], `Forces` there)."""
+    z, soil, b = math.exp(x), p.soil, wheel.width
+    n = soil.sinkage_exponent
+    arc = arc_of(z, p.slip, fx, wheel)
+    q, _, _ = integrals_of(arc, p.rim, p.travel, soil.shear_modulus, n, p.law)
+    s = mobilised_modulus(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
+    available = p.strength + (n * math.log(1.0 - p.lift / z) if p.lift != 0.0 else 0.0)
+    f = min(max(math.log(max(s, 1e-300)) - available, -2.0), 50.0)
+    if bearing_share(q, soil.tan_phi, 1.0) <= 1e-12 * q.p_cos and p.load / (arc.radius * b) > soil.cohesion * q.e_sin:
+        f = 2.0  # friction takes more than the normal stress gives: no S carries the load here
+    return f, forces(q, math.exp(available), soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
+
+
+@inlined
+def _first_guess(p, wheel, guess):
+    """ln of the sinkage [m] to start from: of `guess` where there is one, else of a flat plate, sqrt(2 r z) long."""
     if guess > 0.0:
-        x = math.log(guess)
-    else:
-        x = (math.log(normal / (b * math.sqrt(2.0 * r))) - available) / (n + 0.5)
-        x = math.log(math.exp(min(x, high)) + max(lift, 0.0))
-    x = min(max(x, low), high)
-    slope = -(n + 0.5)
+        return math.log(guess)
+    pressure = math.log(p.load / (wheel.width * math.sqrt(2.0 * wheel.radius))) - p.strength
+    x = pressure / (p.soil.sinkage_exponent + 0.5)
+    return math.log(math.exp(min(x, math.log(DEEPEST * wheel.radius))) + max(p.lift, 0.0))
+
+
+@part
+def _solve_balance(p, wheel, fx, guess):
+    """(ln of the sinkage, `Forces` there, whether the soil carries the load): bracketed secant on `_misfit`."""
+    deepest = math.log(DEEPEST * wheel.radius)
+    low, high = math.log(max(1e-6 * wheel.radius, 1.0001 * p.lift)), deepest
+    x = min(max(_first_guess(p, wheel, guess), low), high)
+    slope = -(p.soil.sinkage_exponent + 0.5)
     x_old = f_old = 0.0
     w_old = Forces(0.0, 0.0, 0.0)
     floating = False
     for k in range(60):
-        z = math.exp(x)
-        arc, q, _, _ = contact_at(z, rim, travel, i, ground, fx, wheel)
-        tan_phi, c = arc.shear_ratio * ground.tan_phi, arc.shear_ratio * ground.cohesion
-        s = mobilised_modulus(q, normal, tan_phi, c, arc.radius, b, 1.0)
-        lifted = n * math.log(1.0 - lift / z) if lift != 0.0 else 0.0
-        f = min(max(math.log(max(s, 1e-300)) - available - lifted, -2.0), 50.0)
-        if q.p_cos + tan_phi * q.pe_sin <= 1e-12 * q.p_cos and normal / (arc.radius * b) > c * q.e_sin:
-            f = 2.0  # friction takes more than the normal stress gives: no S carries the load here
+        f, w = _misfit(x, p, wheel, fx)
         if f > 0.0:
             low = max(low, x)
         else:
             high = min(high, x)
-        w = forces(q, math.exp(available + lifted), tan_phi, c, arc.radius, b, 1.0)
         moved = x - x_old
         if k > 0 and moved != 0.0:
             slope = min((f - f_old) / moved, -0.05)
         step = -f / slope
         if k > 0 and abs(step * moved) < _SECANT and low < x + step < high:
             share = step / moved  # along the secant that gave the step
-            w_old = Forces(
-                w.load,
-                w.drawbar_pull + share * (w.drawbar_pull - w_old.drawbar_pull),
-                w.torque + share * (w.torque - w_old.torque),
-            )
-            x_old, floating = x + step, True
-            break
+            return x + step, _along(w_old, w, share), True
         x_old, f_old, w_old = x, f, w
         floating = x < deepest
         if abs(step) < 1e-6 or low >= high:
@@ -200,19 +213,46 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
             x = deepest
         elif not low < x < high:
             x = 0.5 * (low + high)
-    z = math.exp(x_old)
-    arc = contact_arc(z, fx, wheel)
+    return x_old, w_old, floating
+
+
+@inlined
+def _along(before, now, share):
+    """`Forces` extrapolated beyond `now` by a share of the last change; the load stays."""
+    return Forces(
+        now.load,
+        now.drawbar_pull + share * (now.drawbar_pull - before.drawbar_pull),
+        now.torque + share * (now.torque - before.torque),
+    )
+
+
+@part
+def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
+    """`Steady` sinkage, drawbar pull and torque as they are measured at a measured slip and weight `load` [N].
+
+    Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the same bearing
+    pressure: s z^n = S z_w^n with z = k(i) z_w + l(i), so z carries the load when the coefficient s(z) that the load
+    mobilises (closed form, since (1) is linear in it) is S ((z - l)/(k z))^n. The root of the difference of their
+    logarithms is found by a bracketed secant in ln z, in which it is nearly straight, from `guess` [m] where one is
+    given. `unit_weight` [N/m3] of the soil is needed by bulldozing and blades only.
+    """
+    i, r, b = true_slip(slip, fx), wheel.radius, wheel.width
+    p, ground, apparent = _balance(i, load, soil, wheel, conditions, fx)
+    x, w, floating = _solve_balance(p, wheel, fx, guess)
+    z = math.exp(x)
+    arc = arc_of(z, i, fx, wheel)
     blade = blade_force(arc.theta1, z, i, ground, unit_weight, b, wheel.grouser_height, fx)
-    pull = w_old.drawbar_pull + blade - bulldozing_resistance(z, ground, unit_weight, b, fx)
-    pull -= fx.grade_share * load * sine
-    torque = arc.shear_ratio * w_old.torque + blade * (r + 0.5 * wheel.grouser_height)
+    pull = w.drawbar_pull + blade - bulldozing_resistance(z, ground, unit_weight, b, fx)
+    pull -= fx.grade_share * load * conditions.sin_grade
+    q = shear_radius_ratio(arc.radius, wheel.grouser_height, fx)
+    torque = q * w.torque + blade * (r + 0.5 * wheel.grouser_height)
     speed = max(conditions.speed, 1e-9)  # a wheel whose speed is not known turns all the same
     wheel_speed = (speed + sliding_speed(i, speed) * (1.0 if i > 0.0 else -1.0)) / r
     torque = drive_torque(torque, wheel_speed, 1e-15, fx)
     return Steady(min(apparent * z, DEEPEST * r) + fx.sinkage_offset_offset, pull, torque, floating)
 
 
-@kernel
+@part
 def predict_rows(slip, load, wheels, conditions, soil, unit_weight, fx, guess, out):
     """`steady_with` of every row into `out` [N, 3] (sinkage, drawbar pull, torque), from `guess` [N], which it renews.
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import kernel
+from soil_env._numba.compiling import part
 from soil_env.terramechanics.effects import NO_EFFECTS, digging, slip_sinkage_ratio
 from soil_env.terramechanics.model import DEEPEST, LEVEL, Rim, steady_with
 
@@ -28,13 +28,13 @@ class Best(NamedTuple):
     sinkage: float  # [m]
 
 
-@kernel
+@part
 def best_working_point(load, soil, r, b, torque_available):
     """`best_working_point_with` of the base model on level, fresh soil, with the digging of `soil`."""
     return best_working_point_with(load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, torque_available)
 
 
-@kernel
+@part
 def best_working_point_with(load, soil, wheel, conditions, unit_weight, fx, torque_available):
     """`Best` of `model.steady_with` over the slips of `SLIPS`: up from the middle of them, then down from there.
 

@@ -1,0 +1,125 @@
+"""Lanes as arrays of eight numbers, for NUMBA_DISABLE_JIT=1: what `lanes`, `elementary` and `rows` then consist of.
+
+Slow; for stepping through a law with a debugger, and as an independent reading of the compiled forms.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+COUNT = 8
+
+
+def wide(x) -> bool:
+    """Whether `x` is lanes."""
+    return isinstance(x, np.ndarray)
+
+
+# --- lanes ------------------------------------------------------------------------------------------------------------
+
+
+def fill(x):
+    return x if wide(x) else np.full(COUNT, float(x))
+
+
+def alike(x, pattern):
+    return fill(x) if wide(pattern) else float(x)
+
+
+def over_eight(eight, pattern, k):
+    return eight[k] if wide(pattern) else np.array(eight)
+
+
+def turns(pattern):
+    return COUNT if wide(pattern) else 1
+
+
+def summed(x, pattern):
+    return x if wide(pattern) else total(x)
+
+
+def from_array(a, i):
+    return a.reshape(-1)[i : i + COUNT].copy()
+
+
+def to_array(x, a, i):
+    a.reshape(-1)[i : i + COUNT] = x
+
+
+def scratch(size):
+    return np.zeros(size)
+
+
+def made_of(*values):
+    return np.array(values, dtype=float)
+
+
+def lane(a, i):
+    return float(a[i])
+
+
+def first(count, a, b):
+    return np.where(np.arange(COUNT) < count, a, b)
+
+
+def total(a):
+    for half in (4, 2, 1):
+        a = a[:half] + a[half : 2 * half]
+    return float(a[0])
+
+
+def totals(*values):
+    return tuple(total(v) for v in values)
+
+
+def transposed(*rows):
+    return tuple(np.array(rows).T.copy())
+
+
+def bits(a):
+    return sum(1 << i for i in range(COUNT) if a[i] != 0.0)
+
+
+def smallest(a):
+    return float(a.min())
+
+
+# --- elementary functions ---------------------------------------------------------------------------------------------
+
+
+def fma(a, b, c):
+    return a * b + c
+
+
+def where_less(a, b, x, y):
+    chosen = np.where(np.less(a, b), x, y)
+    return chosen if any(wide(v) for v in (a, b, x, y)) else float(chosen)
+
+
+def _of(function):
+    def apply(x):
+        with np.errstate(all="ignore"):
+            y = function(np.asarray(x, dtype=float))
+        return y if wide(x) else float(y)
+
+    return apply
+
+
+root = _of(np.sqrt)
+exp = _of(lambda x: np.exp(np.clip(x, -700.0, 700.0)))
+log = _of(np.log)
+tanh = _of(np.tanh)
+asin_root = _of(lambda x: np.arcsin(np.sqrt(np.clip(x, 0.0, 1.0))))
+
+
+def power(x, y):
+    return exp(y * log(np.maximum(x, 1e-300))) if wide(x) or wide(y) else float(x) ** float(y)
+
+
+def copysign(size, sign):
+    y = np.copysign(size, sign)
+    return y if wide(size) or wide(sign) else float(y)
+
+
+def half_sin_cos(x):
+    return np.sin(0.5 * x), np.cos(0.5 * x)

@@ -1,0 +1,216 @@
+"""Rows: arrays with names, one contiguous row of numbers for each quantity, for the state and the scratch of wheels.
+
+    State = rows("State", "x", "speed")          # a class
+    state = State(10)                            # quantities of ten wheels, zero
+    state.x[3], state["x"], state[3]             # a number; a row; all quantities of wheel 3 as a dict
+
+In compiled code `state.x` is the same row, so that `from_array(state.x, k)` loads eight neighbours at once, and `state`
+itself is one pointer. A row is as long as the next multiple of eight there, so that the last eight can be loaded like
+any other. `scratch_rows(State, n)` are rows on the stack.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import (
+    NativeValue,
+    infer_getattr,
+    intrinsic,
+    lower_getattr_generic,
+    models,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+from numba.np.arrayobj import make_array, populate_array
+
+from soil_env._numba.compiling import COMPILED
+from soil_env._numba.lanes import COUNT
+
+
+class Rows:
+    """Named rows of `count` numbers each; made by a class that `rows` returns."""
+
+    NAMES: tuple[str, ...] = ()
+    KIND = np.float64
+
+    def __init__(self, count: int, data: np.ndarray | None = None):
+        columns = -(-count // COUNT) * COUNT
+        self.count = count
+        self.data = np.zeros((len(self.NAMES), columns), self.KIND) if data is None else data
+        self._pointer, self._columns = self.data.ctypes.data, self.data.shape[1]
+
+    def __getattr__(self, name):
+        if name.startswith("__") or name not in self.NAMES:
+            raise AttributeError(f"{type(self).__name__} has no row {name!r}")
+        return self.data[self.NAMES.index(name), : self.count if COMPILED else None]
+
+    def __setattr__(self, name, value):
+        if name in self.NAMES:
+            self.data[self.NAMES.index(name), : self.count] = value
+        else:
+            super().__setattr__(name, value)
+
+    def __getitem__(self, which):
+        """The row of a name, or all quantities at one index as a dict."""
+        if isinstance(which, str):
+            return self.data[self.NAMES.index(which), : self.count]
+        return dict(zip(self.NAMES, self.data[:, : self.count][:, which].tolist(), strict=True))
+
+    def __setitem__(self, name: str, value):
+        self.data[self.NAMES.index(name), : self.count] = value
+
+    def __len__(self):
+        return self.count
+
+    def copy(self):
+        """Rows of their own with the same numbers."""
+        return type(self)(self.count, self.data.copy())
+
+    def tobytes(self) -> bytes:
+        """All numbers."""
+        return self.data.tobytes()
+
+    def __deepcopy__(self, memo):
+        return self.copy()
+
+    def __reduce__(self):
+        return type(self), (self.count, self.data)
+
+
+def rows(name: str, *names: str, kind=np.float64) -> type[Rows]:
+    """A class of `Rows` with these names; `kind`: float64 or int64."""
+    return type(name, (Rows,), {"NAMES": names, "KIND": kind, "__module__": sys._getframe(1).f_globals["__name__"]})
+
+
+# --- in compiled code -------------------------------------------------------------------------------------------------
+
+
+class _RowsType(types.Type):
+    def __init__(self, cls):
+        self.cls = cls
+        super().__init__(name=f"{cls.__module__}.{cls.__qualname__}{cls.NAMES}")
+
+    @property
+    def row(self):
+        return types.Array(types.int64 if self.cls.KIND is np.int64 else types.float64, 1, "C")
+
+
+@register_model(_RowsType)
+class _RowsModel(models.StructModel):
+    def __init__(self, manager, fe_type):
+        super().__init__(manager, fe_type, [("pointer", types.voidptr), ("columns", types.intp)])
+
+
+@typeof_impl.register(Rows)
+def _typeof_rows(value, context):
+    return _RowsType(type(value))
+
+
+@unbox(_RowsType)
+def _unbox_rows(typ, obj, c):
+    value = cgutils.create_struct_proxy(typ)(c.context, c.builder)
+    for name in ("pointer", "columns"):
+        number = c.pyapi.object_getattr_string(obj, f"_{name}")
+        whole = c.pyapi.long_as_longlong(number)
+        setattr(value, name, c.builder.inttoptr(whole, cgutils.voidptr_t) if name == "pointer" else whole)
+        c.pyapi.decref(number)
+    return NativeValue(value._getvalue())
+
+
+@infer_getattr
+class _RowsAttributes(AttributeTemplate):
+    key = _RowsType
+
+    def generic_resolve(self, typ, name):
+        return typ.row if name in typ.cls.NAMES else None
+
+
+@lower_getattr_generic(_RowsType)
+def _row(context, builder, typ, value, name):
+    rows = cgutils.create_struct_proxy(typ)(context, builder, value=value)
+    item, kind = ir.Constant(ir.IntType(64), 8), typ.row
+    offset = builder.mul(rows.columns, ir.Constant(ir.IntType(64), 8 * typ.cls.NAMES.index(name)))
+    array = make_array(kind)(context, builder)
+    pointer = builder.bitcast(builder.gep(rows.pointer, [offset]), context.get_data_type(kind.dtype).as_pointer())
+    populate_array(array, data=pointer, shape=[rows.columns], strides=[item], itemsize=item, meminfo=None)
+    return array._getvalue()
+
+
+def scratch_rows(cls: type[Rows], columns: int):
+    """A compiled function without arguments that returns rows on the stack of its caller, not set to anything."""
+    if not COMPILED:
+        return lambda: cls(columns)
+    if columns % COUNT:
+        raise ValueError(f"scratch_rows: {columns} columns: expected a multiple of {COUNT}")
+
+    @intrinsic
+    def get(typingctx):
+        typ = _RowsType(cls)
+
+        def emit(context, builder, sig, args):
+            size = len(cls.NAMES) * columns
+            data = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(64), size))
+            data.align = 64
+            rows = cgutils.create_struct_proxy(typ)(context, builder)
+            rows.pointer = builder.bitcast(data, cgutils.voidptr_t)
+            rows.columns = ir.Constant(ir.IntType(64), columns)
+            return rows._getvalue()
+
+        return typ(), emit
+
+    return get
+
+
+def _cells(context, builder, typ, rows, index):
+    """Pointers to the quantities at one index."""
+    rows = cgutils.create_struct_proxy(typ)(context, builder, value=rows)
+    size = ir.Constant(ir.IntType(64), 8)
+    for k in range(len(typ.cls.NAMES)):
+        item = builder.add(builder.mul(rows.columns, ir.Constant(ir.IntType(64), k)), index)
+        yield builder.bitcast(builder.gep(rows.pointer, [builder.mul(item, size)]), ir.IntType(64).as_pointer())
+
+
+@intrinsic
+def _copy_column(typingctx, source, i, target, j):
+    def emit(context, builder, sig, args):
+        cells = zip(
+            _cells(context, builder, sig.args[0], args[0], args[1]),
+            _cells(context, builder, sig.args[2], args[2], args[3]),
+            strict=True,
+        )
+        for a, b in cells:
+            builder.store(builder.load(a), b)
+        return context.get_dummy_value()
+
+    return types.void(source, types.intp, target, types.intp), emit
+
+
+@intrinsic
+def _zero_column(typingctx, target, i):
+    def emit(context, builder, sig, args):
+        for cell in _cells(context, builder, sig.args[0], args[0], args[1]):
+            builder.store(ir.Constant(ir.IntType(64), 0), cell)
+        return context.get_dummy_value()
+
+    return types.void(target, types.intp), emit
+
+
+def _copy_column_in_python(source, i, target, j):
+    target.data[:, j] = source.data[:, i]
+
+
+def _zero_column_in_python(target, i):
+    target.data[:, i] = 0
+
+
+#: copy_column(source, i, target, j): all quantities at index i of `source` to index j of `target`, rows of one class.
+copy_column = _copy_column if COMPILED else _copy_column_in_python
+#: zero_column(target, i): all quantities at index i to zero.
+zero_column = _zero_column if COMPILED else _zero_column_in_python

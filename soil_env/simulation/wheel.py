@@ -1,0 +1,189 @@
+"""State of a driven wheel and its laws of motion.
+
+    m dV/dt = DP - m g sin(grade)            travel, m = wheel with its share of the body, and payload
+    J dw/dt = T_motor - T                    rotation
+    dz/dt   = B z_w - A z                    sinkage, `effects.excavation_rate`
+    W       = m g cos(grade)                 Eq. (1), met at every instant
+
+z_w is the depth at which undisturbed soil carries the same peak pressure as the wheel now has under it. At a sinkage
+z the load mobilises a sinkage coefficient s, in closed form since Eq. (1) is linear in it
+(`contact.mobilised_modulus`); equal pressure s z^n = S z_w^n then gives z_w = z (s/S)^(1/n). So the balance (1) holds
+throughout and no root is sought; the steady state at any slip is that of `steady.steady_state`. (Where cohesion alone
+carries more than the load, s is 0 and the reported load exceeds the weight: a deeply dug wheel in strongly cohesive
+soil.) `dynamics` steps these equations.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import exp, larger, power, smaller, where_less
+from soil_env._numba.random_streams import between
+from soil_env._numba.rows import rows, zero_column
+from soil_env.parameters import Scenario
+from soil_env.simulation.terrain import ground_at
+from soil_env.terramechanics.contact import slip_ratio
+from soil_env.terramechanics.effects import NO_EFFECTS, acting, excavation_rate
+from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.reaction import REST_SPEED, Interaction, interaction
+from soil_env.terramechanics.residual import residual_law
+from soil_env.terramechanics.steady import Conditions, Rim, steady_with
+
+SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
+SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
+
+#: Wheels. Numbers that follow from the others in the same step are kept for sensors and info.
+WheelState = rows(
+    "WheelState",
+    "x",  # [m] distance along the course
+    "best_x",  # [m] furthest x so far
+    "speed",  # V [m/s]
+    "wheel_speed",  # w [rad/s]
+    "sinkage",  # z [m] below the undisturbed surface
+    "mass",  # [kg]
+    "motor_torque",  # [N m]
+    "available_torque",  # [N m] of the motor at this wheel speed, in the direction of the command
+    "load",  # W [N]
+    "drawbar_pull",  # DP [N]
+    "torque",  # T [N m], soil on wheel
+    "slip",  # [-]
+    "pull_by_speed",  # dDP/dV [N s/m] at the end of the last substep
+    "pull_by_rim",  # dDP/d(r w)
+    "torque_by_speed",  # dT/dV [N s]
+    "torque_by_rim",  # dT/d(r w)
+    "bearing_sinkage",  # z_w [m]
+    "grade",  # [rad] at the wheel
+    "motor_work",  # [J] in the last control period
+    "soil_work",  # [J] that soil and drivetrain took from it, T w - DP V, in the last control period
+    "travel",  # [m] in the last control period
+    "last_action",  # [-1, 1]
+    "entrapped_time",  # [s] the conditions of entrapment have held
+    "stalled_time",  # [s] the conditions of stalling have held
+    "next_halt",  # [m] place of the next commanded halt
+    "halt_left",  # [s] left of the present halt, 0 while driving
+)
+
+#: What is counted of wheels.
+WheelCounts = rows(
+    "WheelCounts",
+    "converged",  # 1 unless a Newton iteration of the last control period failed at the finest substep
+    "patch",  # of the course, under the wheel
+    "cell",  # of the rut, under the wheel
+    "steps",  # control periods since reset
+    kind=np.int64,
+)
+
+
+class WorldNumbers(NamedTuple):
+    """What the dynamics take from a `Scenario`."""
+
+    wheel: Interaction  # with the effects that act on the wheel, not on its sensors
+    inertia: float
+    stall_torque: float
+    no_load_speed: float
+    relaxation: float  # [m]
+    border: float  # [m]
+    halt_low: float  # [m]
+    halt_high: float  # [m]
+    halt_time: float  # [s]
+    period: float  # [s]
+    substeps: int
+    speed_command: bool
+
+
+def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> WorldNumbers:
+    """Pack what `dynamics.advance` needs; `model` brings the effects that are on in this world."""
+    w, c = scenario.wheel, scenario.control
+    grousers, density = (0.0, 0.0) if model is None else (model.wheel.grouser_height, model.density)
+    effects = NO_EFFECTS if model is None else acting(model.numbers)
+    law = residual_law(() if model is None else model.residual)
+    return WorldNumbers(
+        interaction(Rim(w.radius, w.width, grousers), effects, law, scenario.gravity, density * scenario.gravity),
+        w.inertia,
+        w.stall_torque,
+        w.no_load_speed,
+        scenario.relaxation * w.radius,
+        scenario.course.border,
+        *scenario.course.halt_interval,
+        scenario.course.halt_time,
+        c.period,
+        math.ceil(c.period / c.substep - 1e-9),
+        c.action == "wheel_speed",
+    )
+
+
+@inlined
+def motor(command, by_speed, wheel_speed, world):
+    """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
+
+    The command is a share of the stall torque or, with `by_speed`, of the no-load speed, which a stiff speed loop then
+    follows. Either way the torque stays between the torque-speed lines of full voltage forward and backward,
+    T_stall (+-1 - w/w_0), and within +-T_stall: faster than the no-load speed the motor brakes. `available` is the line
+    on the side of the command. Of floats or in lanes; `by_speed` is 1 or 0.
+    """
+    stall, line = world.stall_torque, world.stall_torque / world.no_load_speed
+    high = smaller(larger(stall - line * wheel_speed, -stall), stall)
+    low = smaller(larger(-stall - line * wheel_speed, -stall), stall)
+    gain = 10.0 * line
+    follow = gain * (command * world.no_load_speed - wheel_speed)
+    torque = where_less(0.5, by_speed, follow, command * stall)
+    slope = where_less(0.5, by_speed, -gain, 0.0)
+    available = where_less(torque, 0.0, -low, high)
+    on_high = where_less(-stall, high, where_less(high, stall, -line, 0.0), 0.0)
+    on_low = where_less(-stall, low, where_less(low, stall, -line, 0.0), 0.0)
+    slope = where_less(high, torque, on_high, where_less(torque, low, on_low, slope))
+    return where_less(high, torque, high, where_less(torque, low, low, torque)), slope, available
+
+
+@inlined
+def bearing_sinkage(sinkage, modulus, soil):
+    """z_w [m]: depth at which undisturbed soil bears the pressure `modulus` z^n, at most 10 z."""
+    n = larger(soil.sinkage_exponent, 0.05)
+    return sinkage * smaller(power(modulus / soil.sinkage_coefficient, 1.0 / n), 10.0)
+
+
+@inlined
+def relax_sinkage(sinkage, bearing, speed, slip_speed, soil, length, h):
+    """Sinkage [m] after h seconds of dz/dt = B z_w - A z (`effects.excavation_rate`)."""
+    a, b = excavation_rate(abs(speed), abs(slip_speed), soil.dig_gain, soil.dig_recovery, length)
+    yielding = where_less(sinkage, bearing, 1.0 / SETTLING_TIME, 0.0)  # under the load at once, travelling or not
+    a, b = a + yielding, b + yielding
+    goal = b * bearing / a
+    return where_less(a * h, 1e-12, sinkage, goal + (sinkage - goal) * exp(-a * h))
+
+
+@inlined
+def finish(state, counts, k, command, x_start, streams, world):
+    """The end of a control period of wheel k, which began at `x_start` [m]: slip, travel and halts."""
+    x = state.x[k]
+    state.slip[k] = slip_ratio(state.wheel_speed[k] * world.wheel.radius, state.speed[k], REST_SPEED)
+    state.travel[k] = x - x_start
+    state.best_x[k] = max(state.best_x[k], x)
+    state.last_action[k] = command
+    counts.steps[k] += 1
+    if state.halt_left[k] > 0.0:
+        state.halt_left[k] = max(0.0, state.halt_left[k] - world.period)
+    elif x >= state.next_halt[k]:
+        state.halt_left[k] = world.halt_time
+        state.next_halt[k] = x + between(streams, k, world.halt_low, world.halt_high)
+
+
+@part
+def settle(state, counts, k, mass, courses, streams, world):
+    """Put wheel k at rest at the start of its course, sunk in under its own load."""
+    wheel = world.wheel
+    soil, grade, patch = ground_at(courses, k, 0.0, 0, world.border)
+    load = mass * wheel.gravity * math.cos(grade)
+    rim, here = Rim(wheel.radius, wheel.width, wheel.grouser_height), Conditions(0.0, 1.0, math.sin(grade))
+    rest = steady_with(0.0, load, soil, rim, here, wheel.unit_weight, wheel.effects, 0.0)
+    zero_column(state, k)
+    zero_column(counts, k)
+    state.sinkage[k] = state.bearing_sinkage[k] = max(rest.sinkage, SHALLOWEST * wheel.radius)
+    state.mass[k], state.load[k], state.grade[k] = mass, load, grade
+    state.available_torque[k] = world.stall_torque
+    state.next_halt[k] = between(streams, k, world.halt_low, world.halt_high)
+    counts.converged[k], counts.patch[k] = 1, patch
