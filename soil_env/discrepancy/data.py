@@ -15,6 +15,7 @@ CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
 LEAST_PRESSURE, MOST_PRESSURE = 20.0, 1e7  # [Pa] load over radius times width, beyond which the unit is wrong
 MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which the unit is wrong
+LOGARITHMIC = ("load", "speed", "pass")  # conditions that are compared by their ratio
 _SAME = 0.02  # relative difference below which two values of a condition are one level
 _SAME_SLIP = 0.005
 _SAME_GRADE = 0.1  # [deg]
@@ -52,6 +53,18 @@ class Data:
         """[N, 3] True where a value was measured."""
         return np.isfinite(self.y)
 
+    @property
+    def conditions(self) -> dict[str, np.ndarray]:
+        """Conditions [N] by the columns of a table; a speed of 0 is not known."""
+        return conditions_of(self.rows)
+
+
+def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
+    """Conditions [N] of rows by the columns of a table."""
+    speed, passes, sine = rows.conditions.T
+    grade = np.round(np.degrees(np.arcsin(sine)), 6)
+    return {"slip": rows.slip, "load": rows.load, "speed": speed, "pass": passes, "grade_deg": grade}
+
 
 def prepare(table: Table, setup: Setup) -> Data:
     """`Data` of a table and its setup. Raises `ParameterError` where nothing could be learned from it."""
@@ -70,14 +83,8 @@ def prepare(table: Table, setup: Setup) -> Data:
     y = np.stack([getattr(table, name) for name in CHANNELS], axis=1)
     _refuse_units(table, rows, y)
     varied = {}
-    for name, value, log in (
-        ("slip", rows.slip, False),
-        ("load", rows.load, True),
-        ("speed", rows.conditions[:, 0], True),
-        ("pass", rows.conditions[:, 1], True),
-        ("grade_deg", np.degrees(np.arcsin(rows.conditions[:, 2])), False),
-    ):
-        found = _condition(name, value, log)
+    for name, value in conditions_of(rows).items():
+        found = _factor(name, value, name in LOGARITHMIC)
         if found.levels > 1:
             varied[name] = found
     if "slip" not in varied:
@@ -117,7 +124,7 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
     )
 
 
-def _condition(name: str, value: np.ndarray, log: bool) -> Factor:
+def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
     """Levels by gaps: values closer than 2 % of the span (or of themselves) are one level."""
     x = np.log(np.maximum(value, 1e-9)) if log else value
     span = float(np.ptp(x))

@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.calibrate import Problem
-from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC
 from soil_env.discrepancy.search import RULED_OUT, Candidate, Finding
 from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.model import Rows
+from soil_env.terramechanics.model import rows_of
 
 MOST = 4  # tests proposed
 LEAST = 1.0  # [sd] below which a test separates nothing
@@ -125,9 +125,8 @@ def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
 
     What no candidate knows is the middle speed, the first pass and the least grade of the table.
     """
-    rows, varied = problem.data.rows, problem.data.varied
-    speed, passes, sine = rows.conditions.T
-    column = {"slip": rows.slip, "load": rows.load, "speed": speed, "pass": passes, "grade_deg": _degrees(sine)}
+    column, varied = problem.data.conditions, problem.data.varied
+    speed, passes, grade = column["speed"], column["pass"], column["grade_deg"]
     choices = [choice for c in candidates for choice in c.fit.choices]
     known = {CATALOGUE[c.effect].varies for c in choices}
     if any("drivetrain_friction_viscous" in c.free for c in choices):
@@ -136,9 +135,9 @@ def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
     if not timed:
         known.discard("speed")
     levels = {name: [float(np.median(x))] for name, x in column.items()}
-    levels["pass"], grade = [float(passes.min())], column["grade_deg"]
+    levels["pass"] = [float(passes.min())]
     levels["grade_deg"] = [min(max(0.0, float(grade.min())), float(grade.max()))]
-    levels["slip"], levels["load"] = list(SLIPS), _around(rows.load, 0.5, 2.0)
+    levels["slip"], levels["load"] = list(SLIPS), _around(column["load"], 0.5, 2.0)
     if "speed" in known:
         levels["speed"] = _around(speed, 0.3, 3.0)
     if "pass" in known:
@@ -150,7 +149,7 @@ def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
     scaled = []
     for k, name in enumerate(levels):
         x, t = points[:, k], column[name]
-        if name in ("load", "speed", "pass"):
+        if name in LOGARITHMIC:
             x, t = np.log(np.maximum(x, 1e-9)), np.log(np.maximum(t, 1e-9))
         scaled.append((x - 0.5 * (t.min() + t.max())) / max(0.5 * np.ptp(t), _HALF_SPAN[name]))
     return Grid(dict(zip(levels, points.T, strict=True)), tuple(told), np.stack(scaled, axis=1))
@@ -168,20 +167,10 @@ def _round(x: float) -> float:
     return float(f"{x:.2g}")
 
 
-def _degrees(sine: np.ndarray) -> np.ndarray:
-    return np.round(np.degrees(np.arcsin(sine)), 6)
-
-
 def _problem_at(problem: Problem, grid: Grid) -> Problem:
     """The problem with the grid for rows, every channel in use; the form error is that of the nearest row."""
-    data, v = problem.data, grid.value
-    count, wheel = v["slip"].size, data.wheel
-    rows = Rows(
-        v["slip"],
-        v["load"],
-        np.tile([wheel.radius, wheel.width, wheel.grouser_height], (count, 1)),
-        np.stack([v["speed"], v["pass"], np.sin(np.radians(v["grade_deg"]))], axis=1),
-    )
+    data, count = problem.data, grid.value["slip"].size
+    rows = rows_of(grid.value, data.wheel)
     there = copy.copy(problem)
     there.data = dataclasses.replace(data, rows=rows)
     there.used, there.offset = np.ones((count, 3), dtype=bool), None

@@ -86,9 +86,7 @@ def _difference(problem, law, model, there, name, spread) -> tuple[float, int] |
 
 def _steps(problem: Problem, name: str) -> list[float]:
     """Values of a condition beyond the table."""
-    x = {"slip": problem.data.rows.slip, "load": problem.data.rows.load, "speed": problem.data.rows.conditions[:, 0],
-         "pass": problem.data.rows.conditions[:, 1],
-         "grade_deg": np.degrees(np.arcsin(problem.data.rows.conditions[:, 2]))}[name]  # fmt: skip
+    x = problem.data.conditions[name]
     low, high = float(x.min()), float(x.max())
     if name == "slip":
         return [s for s in (high + 0.1, high + 0.2, low - 0.1) if 0.0 <= s <= 0.8]
@@ -101,12 +99,7 @@ def _steps(problem: Problem, name: str) -> list[float]:
 
 def _conditions(problem: Problem, row: int) -> dict[str, float]:
     """The conditions of a row, as the columns of a table."""
-    rows = problem.data.rows
-    speed, passes, sine = rows.conditions[row]
-    out = {"slip": float(rows.slip[row]), "load": float(rows.load[row])}
-    if speed > 0.0:
-        out["speed"] = float(speed)
-    for name, value in (("pass", float(passes)), ("grade_deg", round(float(np.degrees(np.arcsin(sine))), 6))):
-        if name in problem.data.varied:
-            out[name] = value
-    return out
+    varied = problem.data.varied
+    point = {name: float(column[row]) for name, column in problem.data.conditions.items()}
+    known = {"slip", "load", *varied} | ({"speed"} if point["speed"] > 0.0 else set())
+    return {name: value for name, value in point.items() if name in known}

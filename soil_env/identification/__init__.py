@@ -160,6 +160,11 @@ def generalized_newton_raphson(
                 break
     elif restarts:
         found = _restarted(found, _misfit_allowed(measured), partial(run, limit=min(max_iterations, 40)))
+    return _estimate(found, points, measured, reading)
+
+
+def _estimate(found: _Found, points: Points, measured: int, reading: Reading) -> Estimate:
+    """`Estimate` at the end of an iteration."""
     cost, matrix, _ = normal_equations(found.x, points, _NO_PRIOR, _NO_PRIOR, reading)
     eigenvalues = np.linalg.eigvalsh(matrix)
     singular = not np.linalg.det(matrix) > 1e-14 * np.prod(np.diagonal(matrix))

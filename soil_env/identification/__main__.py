@@ -1,9 +1,9 @@
 """Identify a soil from the measurements of a wheel.
 
 Reads a table of steady points (slip, load, sinkage and drawbar pull or torque) and what is known beforehand about
-wheel, soil and sensors; fits friction angle, shear modulus K, sinkage coefficient S, sinkage exponent n and cohesion,
-as far as they are not known; prints the estimates with 95 % intervals, their correlations, and in words what the data
-cannot tell.
+wheel, soil and sensors; fits friction angle, shear deformation modulus K, sinkage coefficient S, sinkage exponent n and
+cohesion, as far as they are not known; prints the estimates with 95 % intervals, their correlations, and in words what
+the data cannot tell.
 
 DATA.csv (SI units; a cell is left empty where nothing was measured):
 

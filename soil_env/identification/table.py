@@ -1,8 +1,8 @@
 """Identification of a soil from a measurement table: the most probable parameters under the setup's priors.
 
-Of friction angle phi, shear modulus K, sinkage coefficient S, exponent n and cohesion c, those are fitted that the
-setup does not give as known. `weighted.py` has the equations; here the solution is turned into intervals, and into
-words on what the data cannot tell.
+Of friction angle phi, shear deformation modulus K, sinkage coefficient S, exponent n and cohesion c, those are fitted
+that the setup does not give as known. `weighted.py` has the equations; here the solution is turned into intervals, and
+into words on what the data cannot tell.
 """
 
 from __future__ import annotations

@@ -126,12 +126,14 @@ def _slip(report: Report) -> Figure:
         axis.set_xlabel("slip")
     for (label, rows), line in zip(picked, axes, strict=False):
         slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
-        middle = rows[len(rows) // 2]
-        at = {"slip": slip, "load": data.rows.load[rows].mean(), "speed": data.rows.conditions[middle, 0],
-              "pass": data.rows.conditions[middle, 1],
-              "grade_deg": np.degrees(np.arcsin(data.rows.conditions[rows, 2].mean())),
-              "wheel_radius": data.rows.wheels[middle, 0], "wheel_width": data.rows.wheels[middle, 1],
-              "grouser_height": data.rows.wheels[middle, 2]}  # fmt: skip
+        middle = data.rows.wheels[rows[len(rows) // 2]]
+        at = {name: float(np.median(column[rows])) for name, column in data.conditions.items()}
+        at |= {
+            "slip": slip,
+            "load": data.rows.load[rows].mean(),
+            "grade_deg": data.conditions["grade_deg"][rows].mean(),
+        }
+        at |= dict(zip(("wheel_radius", "wheel_width", "grouser_height"), middle, strict=True))
         curves = _both(report, report.base_model.predict(at), report.model.predict(at))
         lines = [(np.stack(p[:3], axis=1), color, text) for p, color, text in curves]
         for name, ax in zip(report.channels, line, strict=True):
