@@ -22,8 +22,9 @@ from soil_env.discrepancy.search import (
     Candidate,
     Finding,
     acceptable,
-    held_out,
+    groups,
     possible,
+    predictive,
     strengths,
 )
 
@@ -140,11 +141,6 @@ def closed_interval(
     return float(low), float(high)
 
 
-def predictions(problem: Problem, fit: Fit) -> np.ndarray:
-    """Held-out predictions [N, 3], NaN where no value is in use."""
-    return np.where(problem.used, held_out(problem, fit)[1], math.nan)
-
-
 # --- names ------------------------------------------------------------------------------------------------------------
 
 
@@ -257,15 +253,5 @@ def _refitted(problem: Problem, fit: Fit, e: np.ndarray) -> tuple[np.ndarray, np
     whole = np.concatenate([e, np.repeat(-x[:, None], e.shape[1], axis=1)])
     left = whole - a @ np.linalg.solve(normal, a.T @ whole)
     evidence = fit.evidence + 0.5 * fit.objective - 0.5 * np.sum(left**2, axis=0)
-    rows = np.nonzero(problem.used)[0]
-    ways, total, r = folds(problem.data), np.zeros(e.shape[1]), left[: e.shape[0]]
-    all_rows = np.linalg.slogdet(normal)[1]
-    for group in (g for way in ways for g in way):
-        out = group[rows]
-        if not out.any():
-            continue
-        jo, ro = j[out], r[out]
-        rest = normal - jo.T @ jo
-        off = ro + jo @ np.linalg.solve(rest, jo.T @ ro)
-        total += -0.5 * np.sum(off * ro, axis=0) - 0.5 * (all_rows - np.linalg.slogdet(rest)[1])  # as in `held_out`
-    return total / len(ways), evidence
+    member, ways = groups(problem)
+    return predictive(member, j, normal, left[: e.shape[0]]) / ways, evidence

@@ -13,6 +13,7 @@ The steps, for the conclusion `Finding`:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import combinations
@@ -58,32 +59,49 @@ class Candidate:
 # --- judgement of one fit ---------------------------------------------------------------------------------------------
 
 
-def held_out(problem: Problem, fit: Fit) -> tuple[float, np.ndarray]:
-    """(log-likelihood, predictions [N, 3]) of what is held out, fold by fold, averaged over the conditions.
+def groups(problem: Problem) -> tuple[np.ndarray, int]:
+    """([F, M] which of the values in use each held-out group has, number of ways to cut the table into groups)."""
+    ways, rows = folds(problem.data), np.nonzero(problem.used)[0]
+    return np.stack([group[rows] for way in ways for group in way]), len(ways)
+
+
+def predictive(member: np.ndarray, top: np.ndarray, normal: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """Log-likelihood of groups of values, `member` [F, M], each predicted from the others, of a linear model.
+
+    With the residuals r [M] or [M, B] of the fit to all, J the rows of the Jacobian `top` [M, p] that are held out and
+    N = A'A of the whole problem: the predictive covariance of what is held out is
+    S = (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J', and its error S r.
+    """
+    whole, total = np.linalg.slogdet(normal)[1], 0.0
+    for out in member:
+        j, held = top[out], r[out]
+        rest, pull = normal - j.T @ j, j.T @ held
+        quadratic = np.sum(held**2, axis=0) + np.sum(pull * np.linalg.solve(rest, pull), axis=0)
+        total = total - 0.5 * quadratic - 0.5 * (whole - np.linalg.slogdet(rest)[1])
+    return total
+
+
+def held_out(problem: Problem, fit: Fit) -> float:
+    """Log-likelihood of what is held out, group by group, averaged over the ways to cut the table.
 
     Refits are linearised about the fit of all rows, and exact as far as the model is linear there; the predictive
     covariance includes that of the parameters.
     """
-    rows = np.nonzero(problem.used)[0]
-    a, e = fit.linearised()
-    m = fit.residual.size
-    top, normal = a[:m], a.T @ a
-    whole = np.linalg.slogdet(normal)[1]
-    channel = np.nonzero(problem.used)[1]
-    predicted, ways, total = np.zeros_like(problem.data.y), folds(problem.data), 0.0
-    for fold in (group for way in ways for group in way):
-        out = fold[rows]
-        if not out.any():
-            continue
-        j, r = top[out], e[:m][out]
-        rest = normal - j.T @ j
-        left = r + j @ np.linalg.solve(rest, j.T @ r)  # the gradient vanishes over all rows
-        # its covariance is S = I + J rest^-1 J^T: left = S r, and ln det S = ln det normal - ln det rest
-        total += -0.5 * float(left @ r) - 0.5 * (whole - np.linalg.slogdet(rest)[1])
-        there = channel[out]
-        value = problem.data.y[rows[out], there] - left * problem.noise[there]
-        predicted[rows[out], there] += value / len(ways)
-    return total / len(ways), predicted
+    (a, _), (member, ways) = fit.linearised(), groups(problem)
+    return float(predictive(member, a[: fit.residual.size], a.T @ a, fit.residual)) / ways
+
+
+def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
+    """Predictions [N, 3] of each value from the groups without it, the mean over the ways; NaN where not in use."""
+    (a, _), (member, ways) = fit.linearised(), groups(problem)
+    top, normal, r = a[: fit.residual.size], a.T @ a, fit.residual
+    error = np.zeros(r.size)
+    for out in member:
+        j = top[out]
+        error[out] += (r[out] + j @ np.linalg.solve(normal - j.T @ j, j.T @ r[out])) / ways
+    predicted = np.full(problem.used.shape, math.nan)
+    predicted[problem.used] = problem.data.y[problem.used] - error * problem.noise[np.nonzero(problem.used)[1]]
+    return predicted
 
 
 # --- the search -------------------------------------------------------------------------------------------------------
@@ -126,7 +144,7 @@ def forms(problem: Problem, name: str) -> list[int]:
 
 def judge(problem: Problem, fit: Fit, base_score: float = 0.0) -> Candidate:
     """`Candidate` of a fit."""
-    return Candidate(fit, held_out(problem, fit)[0] - base_score, lack_of_fit(problem, fit))
+    return Candidate(fit, held_out(problem, fit) - base_score, lack_of_fit(problem, fit))
 
 
 def strengths(choices: Iterable[Choice]) -> int:
@@ -202,7 +220,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     """Find the missing effects; `say` is told what is being done."""
     say("base model")
     fit = problem.fit()
-    base_score = held_out(problem, fit)[0]
+    base_score = held_out(problem, fit)
     base = Candidate(fit, 0.0, lack_of_fit(problem, fit))
     names, untestable = candidates(problem)
     singles = []

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.calibrate import GRAVITY, Fit, Problem
-from soil_env.discrepancy.data import CHANNELS, folds
+from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.search import groups, predictive
 from soil_env.terramechanics.model import add_residual
 from soil_env.terramechanics.residual import GROUPS, ResidualTerm, dimensionless_groups, residual_law
 
@@ -202,11 +203,10 @@ def _next(problem: Problem, fit: Fit, offset: np.ndarray, found: Library, picked
     best = best[worth[best] > 0.0]
     if not best.size:
         return None
-    ways, row = folds(problem.data), np.nonzero(problem.used)[0]
-    member = np.stack([group[row] for way in ways for group in way])
+    member, ways = groups(problem)
     base = held_out(member, a, e)
     gain = [
-        2.0 / len(ways) * (held_out(member, *_with_terms(problem, fit, offset, found.column[:, [*picked, k]])) - base)
+        2.0 / ways * (held_out(member, *_with_terms(problem, fit, offset, found.column[:, [*picked, k]])) - base)
         - found.price[k]
         for k in best
     ]
@@ -232,18 +232,9 @@ def _with_terms(problem: Problem, fit: Fit, offset: np.ndarray, column: np.ndarr
 
 
 def held_out(member: np.ndarray, a: np.ndarray, e: np.ndarray) -> float:
-    """Log-likelihood of groups of values, `member` [F, M], each predicted from the others, of a linear model.
-
-    With residuals r of the fit to all, J the rows of A held out, N = A'A: the predictive covariance of what is held out
-    is (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J', and its error that times r.
-    """
-    normal = a.T @ a
-    r = (e - a @ np.linalg.solve(normal, a.T @ e))[: member.shape[1]]
-    top = a[: member.shape[1]]
-    rest = normal - np.stack([top[out].T @ top[out] for out in member])
-    pull = (member * r) @ top
-    quadratic = np.sum(pull * np.linalg.solve(rest, pull[:, :, None])[:, :, 0]) + np.sum(member @ r**2)
-    return 0.5 * float(np.sum(np.linalg.slogdet(rest)[1] - np.linalg.slogdet(normal)[1]) - quadratic)
+    """`search.predictive` of the linear model A [M + p, k] with the right side e, fitted to all."""
+    normal, m = a.T @ a, member.shape[1]
+    return float(predictive(member, a[:m], normal, (e - a @ np.linalg.solve(normal, a.T @ e))[:m]))
 
 
 # --- refit ------------------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from soil_env.discrepancy.judgement import Interval
 from soil_env.discrepancy.law_tests import law_tests
 from soil_env.discrepancy.locate import locate
 from soil_env.discrepancy.result import EffectFound, Report, Settings
-from soil_env.discrepancy.search import Finding, search
+from soil_env.discrepancy.search import Finding, held_out_predictions, search
 from soil_env.discrepancy.symbolic import symbolic
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
 from soil_env.parameters import Soil
@@ -100,8 +100,8 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
         law = symbolic(problem, base)
         final = law.fit
     say("predicting what was held out")
-    before = judgement.predictions(problem, base)
-    after = before if final is base else judgement.predictions(problem, final)
+    before = held_out_predictions(problem, base)
+    after = before if final is base else held_out_predictions(problem, final)
     gap = judgement.gaps(problem, before, after)
     closed = None if final is base else judgement.closed(problem, gap)
     rng = np.random.default_rng([settings.seed, 1])
