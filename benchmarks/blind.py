@@ -19,7 +19,6 @@ import importlib
 import json
 import os
 import platform
-import sys
 from functools import partial
 from pathlib import Path
 
@@ -37,18 +36,18 @@ from agents.progress import Bar  # noqa: E402
 from benchmarks import blind_page  # noqa: E402
 from benchmarks.blind_judge import figures  # noqa: E402
 from benchmarks.blind_study import IN_ALL, Task, solve, tasks  # noqa: E402
-from soil_env._io.commands import leave  # noqa: E402
+from soil_env._io.commands import command_line, leave  # noqa: E402
 from soil_env._io.files import append_line, make_folder, replace_file  # noqa: E402
 from soil_env._io.loading import ParameterError  # noqa: E402
-from soil_env._io.signals import terminable  # noqa: E402
 
 NAME = "benchmarks.blind"
 ROOT = Path(__file__).resolve().parent.parent
-FOLLOWS_FROM = ("_io/loading.py", "_numba", "measurement", "parameters.py", "terramechanics")  # besides discrepancy
-APART = (  # modules of discrepancy and of the benchmark from which no record follows
-    "__main__", "closing", "cmu", "equations", "formulas", "page", "pictures", "report", "unlisted", "words",
-    "blind", "blind_judge", "blind_page", "blind_plots",
+FOLLOWS_FROM = (  # besides discrepancy
+    "_io/loading.py", "_numba", "identification/priors.py", "identification/weighted.py", "measurement",
+    "parameters.py", "terramechanics",
 )  # fmt: skip
+#: Modules of discrepancy (beside report/) and of the benchmark from which no record follows.
+APART = ("__main__", "cmu", "law_tests", "blind", "blind_judge", "blind_page", "blind_plots")
 
 
 def code_version() -> str:
@@ -179,26 +178,13 @@ def write_result(result: dict, folder: Path) -> None:
     replace_file(folder / "discrepancy.json", text)
 
 
-@terminable
+@command_line(NAME, interrupted="go on with the same command and --resume")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = _parser().parse_args(arguments)
     console = Console()
-    try:
-        if options.page:
-            result = read_result(options.out / "discrepancy.json")
-        else:
-            result = study(options, console)
-        write_result(result, options.out)
-    except ParameterError as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"{NAME}: {error.filename or options.out}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"\n{NAME}: interrupted; go on with the same command and --resume", file=sys.stderr)
-        return 130
+    result = read_result(options.out / "discrepancy.json") if options.page else study(options, console)
+    write_result(result, options.out)
     console.print(blind_page.summary(result), markup=False, highlight=False, soft_wrap=True)
     console.print(f"Written: {options.out / 'discrepancy.md'}", markup=False, highlight=False, soft_wrap=True)
     return 0
