@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -61,7 +61,7 @@ class Soil(Checked):
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5, doc="slip-sinkage, effects.slip_sinkage_ratio")
     source: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         pair = (self.k_c is not None) + (self.k_phi is not None)
         if pair != (2 if self.sinkage_coefficient is None else 0):
@@ -76,6 +76,7 @@ class Soil(Checked):
         """S = k_c/b + k_phi [N/m^(n+2)] for a wheel of width b [m]; `ParameterError` if it is not positive."""
         if self.sinkage_coefficient is not None:
             return self.sinkage_coefficient
+        assert self.k_c is not None and self.k_phi is not None  # checked on construction
         s = self.k_c / width + self.k_phi
         if s <= 0.0:
             raise ParameterError(f"Soil: k_c/b + k_phi = {s:g} for a wheel of width {width:g} m: expected > 0")
@@ -113,7 +114,7 @@ class SoilSpread(Checked):
     stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4)
     stiffness_dig_gain: float = quantity("", -0.99, 0.99, default=-0.5)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         self.factor()
 
@@ -154,7 +155,7 @@ class Wheel(Checked):
     body_mass: float = quantity("kg", 0.1, 1e5, doc="mass this wheel carries and accelerates, without payload")
     source: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         least = 0.02 * self.body_mass * self.radius**2
         if self.inertia < least:
@@ -230,7 +231,7 @@ class CourseSpec(Checked):
     halt_interval: tuple[float, float] = quantity("m", 0.05, 1e6, default=(0.6, 1.5), doc="between commanded halts")
     halt_time: float = quantity("s", 0.0, 1e3, default=0.8, doc="length of a halt; 0 = none")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         if self.border > self.patch_length[0]:
             raise ParameterError(
@@ -289,7 +290,7 @@ class Scenario(Checked):
     reward: RewardWeights = RewardWeights()
     control: Control = Control()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         if not self.soils:
             raise ParameterError("Scenario.soils: expected at least one soil name with its weight")
@@ -323,7 +324,7 @@ class Scenario(Checked):
 
 
 @cache
-def _library(kind: str) -> dict:
+def _library(kind: str) -> dict[str, Any]:
     path = config_dir() / f"{kind}.yaml"
     cls = {"soils": Soil, "wheels": Wheel}[kind]
     return {name: load(cls, entry, f"{path.name}: {name}") for name, entry in read_yaml(path).items()}
@@ -345,7 +346,7 @@ def scenario_names() -> list[str]:
 
 
 def load_scenario(
-    which: str | Path | Scenario = "mixed", changes: dict | None = None, place: str = "changes"
+    which: str | Path | Scenario = "mixed", changes: dict[str, Any] | None = None, place: str = "changes"
 ) -> Scenario:
     """A scenario by name, by path of a YAML file, or as it is, with `changes` (nested mapping) merged over it.
 
@@ -370,7 +371,7 @@ def load_scenario(
     return _merged(mapping, changes or {}, place if changes and _is_valid(mapping) else where)
 
 
-def _is_valid(mapping: dict) -> bool:
+def _is_valid(mapping: dict[str, Any]) -> bool:
     try:
         _merged(mapping, {}, "")
     except ParameterError:
@@ -378,7 +379,7 @@ def _is_valid(mapping: dict) -> bool:
     return True
 
 
-def _merged(mapping: dict, changes: dict, where: str) -> Scenario:
+def _merged(mapping: dict[str, Any], changes: dict[str, Any], where: str) -> Scenario:
     """The scenario of a mapping with `changes` over it."""
     mapping = dict(mapping)
     changes = dict(changes)
@@ -396,4 +397,5 @@ def _merged(mapping: dict, changes: dict, where: str) -> Scenario:
         if not isinstance(preset, str) or preset not in wheels():
             raise unknown_key(preset, wheels(), f"{where}: wheel")
         mapping["wheel"] = merge(to_dict(wheels()[preset]), wheel)
-    return load(Scenario, mapping, where)
+    scenario: Scenario = load(Scenario, mapping, where)
+    return scenario

@@ -68,7 +68,7 @@ def _bound(x: float) -> str:
 class Checked:
     """Base of the parameter classes: every `quantity` is checked on construction."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
 
 

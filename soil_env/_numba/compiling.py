@@ -24,6 +24,7 @@ import sys
 from functools import cache, update_wrapper
 from pathlib import Path
 
+import numpy as np
 from llvmlite.binding import create_new_module_pass_manager as new_module_passes
 from numba import config, njit, typeof, types
 from numba.core.caching import IndexDataCacheFile
@@ -107,6 +108,8 @@ class _WithoutEnvironment:
 class _Part(JITCodeLibrary):
     """Code that is only ever linked into that of a caller: neither optimised nor turned into machine code by itself."""
 
+    linkable = False  # while a root is linked; any other caller would miss what this part calls
+
     @property
     def codegen(self):
         return _WithoutEnvironment(self._codegen)
@@ -121,6 +124,11 @@ class _Part(JITCodeLibrary):
         passes.add_sroa_pass()
         passes.add_simplify_cfg_pass()
         passes.run(module, self._codegen._pass_builder(opt=1))
+
+    def _get_module_for_linking(self):
+        if not _Part.linkable:
+            raise TypeError(f"{self.name}: a `part` called by a function of numba's own `njit`: make that one a `root`")
+        return super()._get_module_for_linking()
 
     def finalize(self):
         for library in self._linking_libraries:
@@ -137,6 +145,13 @@ class _Root(JITCodeLibrary):
         for below in library._linking_libraries:
             if below not in self._linking_libraries:
                 self.add_linking_library(below)
+
+    def finalize(self):
+        _Part.linkable = True
+        try:
+            super().finalize()
+        finally:
+            _Part.linkable = False
 
 
 def _compiler(library_class):
@@ -207,7 +222,7 @@ def root(function=None, *, nogil=False, allocates=False):
     if function is None:
         return lambda f: root(f, nogil=nogil, allocates=allocates)
     if not COMPILED:
-        return function
+        return np.errstate(all="ignore")(function)  # as compiled code, which divides by zero without a word
     return _keep(njit(_nrt=allocates, nogil=nogil, pipeline_class=_ROOT, **_OPTIONS)(function))
 
 

@@ -11,6 +11,7 @@ from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, inlined, part, root, take
 from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import seed_stream
+from soil_env._numba.rows import Rows
 from soil_env._numba.threads import threads
 from soil_env.identification.online import (
     IdentifierNumbers,
@@ -58,8 +59,8 @@ _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 class Worlds(NamedTuple):
     """Everything the compiled step reads and writes; arrays have one row a wheel."""
 
-    state: WheelState
-    counts: WheelCounts
+    state: Rows  # WheelState
+    counts: Rows  # WheelCounts
     courses: Courses
     streams: np.ndarray  # [wheels] uint64
     ids: Identifiers
