@@ -12,7 +12,8 @@ from soil_env.env import SoilWheelEnv
 from soil_env.parameters import Soil, SoilState, load_scenario, soils
 from soil_env.simulation import courses as drawing
 from soil_env.simulation import dynamics, terrain
-from soil_env.simulation.task import VARIANTS, sense, task_numbers
+from soil_env.simulation.sensors import sense
+from soil_env.simulation.task import VARIANTS, task_numbers
 from soil_env.simulation.wheel import WheelState
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.catalogue import CATALOGUE
@@ -52,7 +53,7 @@ def readings(wheels, effects):
     """What the sensors read of the wheel."""
     model = None if effects is None else model_of(effects)
     task = task_numbers(load_scenario("mixed", STILL), "blind", model)
-    return sense(wheels.state, 0, np.ones(1, dtype=np.uint64), task)[0]
+    return sense(wheels.state, 0, np.ones(1, dtype=np.uint64), task.sensors)[0]
 
 
 def ground_of(w, soil, grade, passes, world):
