@@ -70,11 +70,11 @@ def _report(worlds, numbers, what, readings):
 
 @root
 def _ground(worlds, numbers, what):
-    course = CourseNumbers(numbers.drawn, numbers.world.wheel)
     for k in range(what.size):
         if what[k] == RESTART:
             restart(worlds, numbers, k)
         else:
+            course = CourseNumbers(numbers.drawn, numbers.world.wheel)
             draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], course)
 
 
