@@ -1,13 +1,23 @@
-# Needs Python 3.11 or newer, git and make. Everything is installed into .venv.
-#   make test PYTHON=python3.11    another interpreter
+# Needs Python 3.11 or newer, git and make (on Windows: Git Bash). Everything is installed into .venv.
+#   make test PYTHON=python3.13    another interpreter
+#   make test JOBS=8               more test processes
+#   make test ARGS="-m 'not documents and not benchmarks and not slow'"    only the quick tests
 #   make train ARGS="--help"       arguments for train.py
 #   make test TORCH_INDEX=         take torch from pip's usual indexes only
 
-PYTHON ?= python3
 VENV := .venv
-PY := $(VENV)/bin/python
+ifeq ($(OS),Windows_NT)
+PYTHON ?= python
+BIN := $(VENV)/Scripts
+PY := $(BIN)/python.exe
+else
+PYTHON ?= python3
+BIN := $(VENV)/bin
+PY := $(BIN)/python
+endif
 PIP := $(PY) -m pip --disable-pip-version-check
 ARGS ?=
+JOBS ?= 2
 
 TORCH := $(shell sed -n 's/^\(torch==[^ ]*\).*/\1/p' constraints.txt)
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
@@ -16,8 +26,7 @@ TRAIN_READY := $(VENV)/.installed-train
 TEST_READY := $(VENV)/.installed-test
 
 .DEFAULT_GOAL := help
-.NOTPARALLEL:
-.PHONY: help train test lint docs dist bench clients clean
+.PHONY: help train test lint format kernels docs dist bench clients clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
@@ -25,15 +34,27 @@ help:  ## list the targets
 train: $(TRAIN_READY)  ## install what training needs, then run train.py $(ARGS)
 	$(PY) train.py $(ARGS)
 
-test: lint docs  ## lint, check the import contracts, build the site, run the tests
-	SDL_VIDEODRIVER=dummy SDL_AUDIODRIVER=dummy MPLBACKEND=Agg $(PY) -m pytest -q $(ARGS)
+# Compiling the kernels takes one core for a while, lint and site the other.
+test: $(TEST_READY)  ## lint, build the site, compile the kernels, run the tests
+	$(MAKE) -j 2 kernels lint docs
+	$(PY) -m pytest -q -n $(JOBS) --dist worksteal $(ARGS)
 
-lint: $(TEST_READY)  ## ruff and import-linter only
-	$(VENV)/bin/ruff check .
-	$(VENV)/bin/lint-imports
+lint: $(TEST_READY)  ## ruff, import contracts, types, workflow files
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows $(wildcard .github/workflows/*.yml)
+
+format: $(TEST_READY)  ## let ruff format the code and repair what it can
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+kernels: $(TEST_READY)  ## compile what most tests use, once for all test processes
+	$(PY) -m tests.kernels
 
 docs: $(TEST_READY)  ## build the documentation into site/; a warning is an error
-	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 dist: $(TEST_READY)  ## wheel and sdist into dist/
 	$(PIP) install -q -c constraints.txt build
@@ -47,7 +68,7 @@ clients: $(TRAIN_READY)  ## smoke runs in rl-zoo3, RLlib, Minari and Ray, each i
 	$(PY) -m benchmarks.clients $(ARGS)
 
 clean:  ## remove .venv, build products and caches; runs/ stays
-	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PY):

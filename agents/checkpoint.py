@@ -15,6 +15,7 @@ import torch
 from stable_baselines3 import PPO
 
 from soil_env._io.loading import ParameterError
+from soil_env._numba.rows import Rows
 
 
 def content(model: PPO) -> bytes:
@@ -68,6 +69,8 @@ def _arrays(model: PPO) -> dict[str, np.ndarray]:
 def _collect(name: str, value, out: dict[str, np.ndarray]) -> None:
     if isinstance(value, np.ndarray):
         out[name] = value
+    elif isinstance(value, Rows):
+        out[name] = value.data
     else:
         for field in value._fields:
             _collect(f"{name}.{field}", getattr(value, field), out)

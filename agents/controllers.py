@@ -17,10 +17,9 @@ the drive's own loop does that.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from soil_env._io.loading import ParameterError, number, unknown_key
-from soil_env._numba.compiling import CACHE
+from soil_env._numba.compiling import root
 from soil_env.parameters import Scenario, SoilState
 from soil_env.simulation.task import layout
 from soil_env.terramechanics.traversability import best_working_point
@@ -195,7 +194,7 @@ class BestSlipTrue(BestSlipIdentified):
         return out
 
 
-@njit(cache=CACHE, nogil=True)
+@root(nogil=True, allocates=True)
 def _best_slips(soils, load, r, b, torque, known, slip):
     for k in range(len(soils)):
         changed = abs(load[k] - known[k, 7]) > 0.1 * known[k, 7]

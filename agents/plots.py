@@ -58,7 +58,7 @@ def trace(
         action, memory = controller.predict(w.observation, state=memory, episode_start=fresh, deterministic=True)
         fresh = np.array([False])
         sim.step(0, float(np.clip(action[0, 0], -1.0, 1.0)))
-        s = w.state[0]
+        s = sim.wheel(0)
         soil, grade, _ = ground_at(w.courses, 0, s["x"], s["patch"], scenario.course.border)
         same = sinkage_coefficient_at(soil, scenario.belief.sinkage_exponent, s["bearing_sinkage"])
         rows.append(

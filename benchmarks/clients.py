@@ -1,4 +1,4 @@
-"""Smoke runs of soil_env in the code of others: each client in an environment of its own, with pinned versions.
+"""Smoke runs of soil_env with other packages: each client in an environment of its own, with pinned versions.
 
     python -m benchmarks.clients                        all clients; gigabytes and minutes; writes docs/clients.md
     python -m benchmarks.clients zoo minari             only these; the others keep what docs/clients.json has of them
@@ -11,7 +11,6 @@ of every client did, 1 if one did not, 2 for bad input.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import platform
@@ -20,96 +19,34 @@ import shlex
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from soil_env._io.commands import leave
-from soil_env._io.files import make_folder, replace_file
-from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._io.signals import terminable
+from benchmarks.common import ROOT
+from soil_env._io.commands import command_line, command_parser, folder, leave
+from soil_env._io.document import Table, render
+from soil_env._io.files import make_folder, replace_file, write_json
+from soil_env._io.loading import ParameterError, read_yaml, unknown_key
 
 NAME = "benchmarks.clients"
-ROOT = Path(__file__).resolve().parent.parent
 SHOWN = ("gymnasium", "numpy", "torch")  # versions in the page, besides those pinned for the client
 LIMIT = 3600  # [s] for one command
 
 
 @dataclass(frozen=True)
 class Client:
-    """Somebody else's code, and what is run of it. In commands {out} is a fresh folder."""
+    """A package that uses the environment, and the commands that are run with it. In them {out} is a fresh folder."""
 
     words: str
     extras: str  # of soil_env
-    pins: tuple[str, ...]
-    commands: tuple[str, ...]
+    pins: Sequence[str]
+    commands: Sequence[str]
     torch: bool = True
     notes: str = ""
 
 
-_TASK = "--algo ppo --env SoilWheel-v0 --gym-packages soil_env"
-_TRAIN = f"python -m rl_zoo3.train {_TASK}"
-_FILE = "-conf configs/rl_zoo3/ppo.yml --num-threads 1 -f {out}"
-_STUDY = "--storage sqlite:///{out}/study.db --study-name soil_wheel"
-_SEARCH = (
-    f"{_TRAIN} agents.zoo_space {_FILE} -n 300000 -optimize --n-startup-trials 3 --n-evaluations 1 "
-    f"--eval-episodes 40 --n-eval-envs 40 --no-optim-plots {_STUDY}"
-)
-CLIENTS = {
-    "zoo": Client(
-        "rl-baselines3-zoo: training, evaluation, hyperparameter search with Optuna",
-        "zoo",
-        (
-            "rl_zoo3==2.9.2",
-            "sb3_contrib==2.9.2",
-            "stable-baselines3==2.9.2",
-            "gymnasium==1.4.0",
-            "optuna==5.0.0",
-            "pandas==2.3.3",
-            "pytest==9.2.0",
-        ),
-        (
-            f"{_TRAIN} {_FILE} -n 2000000 --eval-freq 500000 --eval-episodes 100 --n-eval-envs 20 --seed 1",
-            f"python -m rl_zoo3.enjoy {_TASK} --no-render -n 20000 -f {{out}}",
-            f"{_SEARCH} --n-trials 4 --seed 1",
-            f"{_SEARCH} --n-trials 2 --seed 2",
-            f"{_TRAIN} agents.zoo_space {_FILE}/trial -n 500000 --eval-freq 250000 --eval-episodes 100 "
-            f"--n-eval-envs 20 --seed 1 {_STUDY} --trial-id 1",
-            "python -m pytest -q tests/agents/test_zoo.py",
-        ),
-        notes="""
-The hyperparameters are those of `train.py`, and so are the 20 million steps without `-n`. The study of the search is
-kept in the SQLite file: the same command goes on with it (with another `--seed`; with the same one the first trials are
-drawn once more), several processes can share it, and `--trial-id` trains with what a trial had. Trials are drawn from
-the space of `agents/zoo_space.py`; rl_zoo3's own does not fit this many wheels. Six trials are a search in form only;
-in earnest it is the same command with, say, `-n 5000000 --n-trials 100 --n-evaluations 5`.
-""",
-    ),
-    "rllib": Client(
-        "Ray RLlib on the vector entry point; the CleanRL-style file with the gymnasium that RLlib pins",
-        "rllib",
-        ("ray[rllib]==2.60.0", "gymnasium==1.2.2"),
-        (
-            "python examples/rllib_ppo.py",
-            "python examples/cleanrl_ppo.py --out {out}/curve.png",
-        ),
-    ),
-    "minari": Client(
-        "Minari: a data set recorded and replayed",
-        "minari",
-        ("minari[create,hdf5]==0.5.4", "gymnasium==1.4.0"),
-        ("python examples/minari_dataset.py --episodes 3",),
-        torch=False,
-    ),
-    "ray": Client(
-        "Ray Core: evaluation, blind cases and training seeds on a cluster of two nodes, a worker killed in each",
-        "ray,train,test",
-        ("ray==2.60.0", "stable-baselines3==2.9.2", "gymnasium==1.4.0"),
-        tuple(
-            f"python -m pytest -q tests/test_{name}.py -k 'ray or node'"
-            for name in ("engines", "seeds", "benchmark_blind")
-        ),
-    ),
-}
+CLIENTS = {name: Client(**entry) for name, entry in read_yaml(ROOT / "benchmarks" / "clients.yaml").items()}
 
 
 def torch_pin() -> str:
@@ -135,7 +72,7 @@ def environment(name: str, client: Client, envs: Path) -> Path:
 
 
 def versions(python: Path, client: Client) -> dict[str, str]:
-    """{package: version} of what counts in an environment."""
+    """{package: version} of the pinned packages and of `SHOWN` in an environment."""
     packages = [re.split(r"[\[=]", pin)[0] for pin in client.pins]
     code = (
         "import json, sys; from importlib import metadata as m\n"
@@ -148,7 +85,7 @@ def versions(python: Path, client: Client) -> dict[str, str]:
 
 
 def smoke(name: str, client: Client, python: Path) -> list[dict]:
-    """Run the commands of a client from the root of the clone; what each ended with. The first failure ends it."""
+    """Run the commands of a client from the root of the clone up to the first failure; the outcome of each."""
     runs = []
     with tempfile.TemporaryDirectory() as out:
         given = {"SDL_VIDEODRIVER": "dummy", "MPLBACKEND": "Agg", "MINARI_DATASETS_PATH": out, "PYTHONPATH": str(ROOT)}
@@ -196,73 +133,50 @@ def _rounded(text: str) -> str:
     return re.sub(r"-?\d+\.\d+(e-?\d+)?", lambda found: f"{float(found.group()):.3g}", text)
 
 
-# --- the page ---------------------------------------------------------------------------------------------------------
+# --- the command ------------------------------------------------------------------------------------------------------
 
 
 def page(result: dict) -> str:
     """docs/clients.md."""
-    lines = [
-        "# soil_env in the code of others",
-        "",
-        f"Smoke runs with the real clients: `python -m {NAME}` makes an environment for each and runs the commands",
-        "below from the root of the repository. They are short: they show that the pieces fit and that agents",
-        "learn, not how much can be learnt. Figures are in [clients.json](clients.json).",
-    ]
-    for name, client in CLIENTS.items():
-        found = result.get(name)
-        lines += ["", f"## {name}", "", f'{client.words}. `pip install "soil_env[{client.extras}]"`.', ""]
-        lines += [client.notes.strip(), ""] if client.notes else []
-        if found is None:
-            lines += ["Not run yet."]
-            continue
-        lines += ["Versions: " + ", ".join(f"{k} {v}" for k, v in found["versions"].items()) + ".", ""]
-        lines += ["| command | seen |", "|---|---|"]
-        for run in found["runs"]:
-            seen = ("" if run["ok"] else "**failed**: ") + run["seen"].replace("|", "/")
-            lines += [f"| `{run['command']}` | {seen} |"]
-    return "\n".join(lines) + "\n"
+    tables = {
+        name: Table(("command", "seen"), [
+            (f"`{run['command']}`", ("" if run["ok"] else "**failed**: ") + run["seen"].replace("|", "/"))
+            for run in found["runs"]
+        ]).markdown()
+        for name, found in result.items()
+    }  # fmt: skip
+    return render("benchmarks:clients.md", clients=CLIENTS, result=result, tables=tables)
 
 
-@terminable
+@command_line(NAME)
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    p = argparse.ArgumentParser(
-        f"python -m {NAME}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    p = command_parser(f"python -m {NAME}", __doc__)
     p.add_argument("clients", nargs="*", metavar="CLIENT", help=f"of {', '.join(CLIENTS)} (default: all)")
     p.add_argument("--envs", type=Path, default=ROOT / ".venv-clients", help="folder of the environments")
-    p.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of clients.json and clients.md")
+    p.add_argument("--out", type=folder, default=ROOT / "docs", help="folder of clients.json and clients.md")
     p.add_argument("--page", action="store_true", help="no runs: the page from clients.json in --out")
     options = p.parse_args(arguments)
+    for name in options.clients:
+        if name not in CLIENTS:
+            raise unknown_key(name, CLIENTS, "CLIENT")
+    make_folder(options.out)
     file = options.out / "clients.json"
-    try:
-        for name in options.clients:
-            if name not in CLIENTS:
-                raise unknown_key(name, CLIENTS, "CLIENT")
-        make_folder(options.out)
-        result = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-        for name in [] if options.page else options.clients or CLIENTS:
+    result = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    if options.page:
+        replace_file(options.out / "clients.md", page(result))
+        return 0
+    asked = options.clients or CLIENTS
+    for name in asked:
+        try:
             python = environment(name, CLIENTS[name], options.envs.resolve())
             found = versions(python, CLIENTS[name])
-            result[name] = {"versions": found, "runs": smoke(name, CLIENTS[name], python)}
-            replace_file(file, json.dumps(result, indent=1) + "\n")
-            replace_file(options.out / "clients.md", page(result))
-        if options.page:
-            replace_file(options.out / "clients.md", page(result))
-    except ParameterError as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"{NAME}: {error.filename or options.out}: {error.strerror}", file=sys.stderr)
-        return 2
-    except subprocess.CalledProcessError as error:
-        print(f"{NAME}: {error.cmd[0]} ended with {error.returncode}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"\n{NAME}: interrupted", file=sys.stderr)
-        return 130
-    asked = options.clients or CLIENTS
-    return 0 if options.page or all(run["ok"] for name in asked for run in result[name]["runs"]) else 1
+        except subprocess.CalledProcessError as error:
+            raise ParameterError(f"{error.cmd[0]} ended with {error.returncode}") from None
+        result[name] = {"versions": found, "runs": smoke(name, CLIENTS[name], python)}
+        write_json(file, result)
+        replace_file(options.out / "clients.md", page(result))
+    return 0 if all(run["ok"] for name in asked for run in result[name]["runs"]) else 1
 
 
 if __name__ == "__main__":

@@ -12,10 +12,7 @@ change nothing.
 
 from __future__ import annotations
 
-import argparse
 import math
-import re
-import sys
 import time
 import traceback
 from collections import Counter
@@ -25,12 +22,12 @@ from pathlib import Path
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from benchmarks.common import check_page, renew_page
 from benchmarks.fuzz_cases import Case, Random, draw_case
 from benchmarks.fuzz_checks import faults, ledger
-from soil_env._io.commands import leave
-from soil_env._io.files import make_folder, replace_file
+from soil_env._io.commands import command_line, command_parser, leave, whole_number
+from soil_env._io.document import Table
 from soil_env._io.loading import ParameterError
-from soil_env._io.signals import terminable
 from soil_env.env import SoilWheelEnv
 from soil_env.simulation.task import Cause
 from soil_env.vector_env import SoilWheelVectorEnv
@@ -43,7 +40,7 @@ REFUSED = (math.nan, math.inf, -math.inf)
 
 @dataclass
 class Tally:
-    """What was covered and what was broken."""
+    """Coverage and violations."""
 
     steps: int = 0
     cases: int = 0
@@ -74,7 +71,7 @@ def commands(rng: np.random.Generator, wheels: int, step: int) -> np.ndarray:
 
 
 def run_case(case: Case, rng: np.random.Generator, tally: Tally, wheels: int = WHEELS, steps: int = STEPS) -> list[str]:
-    """Drive one case; what it broke, in words. ParameterError where its courses cannot be passed."""
+    """Drive one case; its violations, in words. ParameterError where its courses cannot be passed."""
     modes = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]
     mode = modes[int(rng.integers(2))]
     env = SoilWheelVectorEnv(
@@ -94,8 +91,8 @@ def run_case(case: Case, rng: np.random.Generator, tally: Tally, wheels: int = W
         tally.causes.update(Cause(c).name for c in out[4]["cause"][ended])
         tally.steps += wheels - int(done.sum())
         if mode == AutoresetMode.SAME_STEP:  # the state is that of the new course already
-            stepped, before = ~ended, np.where(ended, env.simulation.worlds.state, before)
-            done = np.zeros(wheels, dtype=bool)
+            stepped, done = ~ended, np.zeros(wheels, dtype=bool)
+            before.data[:, :wheels][:, ended] = env.simulation.worlds.state.data[:, :wheels][:, ended]
         else:
             stepped, done = ~done, ended
         found = faults(env, actions, before, stepped, out)
@@ -130,7 +127,7 @@ def _energy(env, before, stepped, case: Case, tally: Tally, shares: list, step: 
     """The energy balance of the wheels that were driven."""
     worlds = env.simulation.worlds
     balance = ledger(before, worlds, case.scenario)
-    sure = stepped & (worlds.state["converged"] == 1)
+    sure = stepped & (worlds.counts["converged"] == 1)
     tally.not_converged += int(np.sum(stepped & ~sure))
     slack = balance.tolerance + 1e-9 * balance.turnover
     gap, turnover = balance.gap, balance.turnover + 1e-9
@@ -146,7 +143,7 @@ def _energy(env, before, stepped, case: Case, tally: Tally, shares: list, step: 
 
 
 def run_single(case: Case, rng: np.random.Generator, steps: int = SINGLE) -> list[str]:
-    """Drive the single environment; what it broke."""
+    """Drive the single environment; its violations."""
     env, broken = SoilWheelEnv(case.scenario, case.observation, model=case.model), []
     observation, info = env.reset(seed=int(rng.integers(1 << 30)))
     for step in range(steps):
@@ -214,7 +211,7 @@ def _note(case: Case, tally: Tally) -> None:
 
 
 def summary(tally: Tally, seed: int) -> str:
-    """What was covered and what was broken, as Markdown."""
+    """Coverage and violations, as Markdown."""
     k, share = tally.kinds, np.array(tally.gaps or [(0.0, 0.0)])
 
     def many(prefix: str) -> str:
@@ -243,68 +240,29 @@ def summary(tally: Tally, seed: int) -> str:
         ("balance checked to Newton's tolerance", f"{tally.one_substep:,} control periods of one substep; in "
          f"{tally.halved:,} the integrator halved its step, which another amount belongs to"),
     ]  # fmt: skip
-    lines = [f"| `--seed {seed}` | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)]
-    return "\n".join(lines)
+    return Table((f"`--seed {seed}`", ""), rows).markdown()
 
 
-def renew(page: Path, name: str, text: str) -> None:
-    """Put `text` between the markers of that name in a page."""
-    before, after = around(page, name)
-    replace_file(page, f"{before}{text}{after}")
-
-
-def around(page: Path, name: str) -> tuple[str, str]:
-    """What stands before and after the marked part of a page; ParameterError or OSError if it cannot be renewed."""
-    make_folder(page.parent)
-    parts = re.split(rf"(?<=<!-- {name} -->\n).*?(?=\n<!-- end -->)", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-    if len(parts) != 2:
-        found = len(parts) - 1
-        raise ParameterError(f"{page}: expected one pair of markers <!-- {name} --> ... <!-- end -->, found {found}")
-    return parts[0], parts[1]
-
-
-@terminable
+@command_line("benchmarks.fuzz")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status: 0, 1 if something was broken, 2 bad input, 130 interrupted."""
-    p = argparse.ArgumentParser(
-        prog="python -m benchmarks.fuzz", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="exit status: 0 all held, 1 something was broken, 2 bad input, 130 interrupted.",
+    p = command_parser(
+        "python -m benchmarks.fuzz", __doc__,
+        "exit status: 0 all held, 1 something was broken, 2 bad input, 130 interrupted.",
     )  # fmt: skip
-    p.add_argument("--steps", type=_count, default=10**6, help="in all (default 1e6)")
-    p.add_argument("--seed", type=int, default=0, help="of the cases (default 0)")
-    p.add_argument("--case", type=int, metavar="N", help="this case alone")
+    p.add_argument("--steps", type=whole_number(1), default=10**6, help="in all (default 1e6)")
+    p.add_argument("--seed", type=whole_number(), default=0, help="of the cases (default 0)")
+    p.add_argument("--case", type=whole_number(), metavar="N", help="this case alone")
     p.add_argument("--page", type=Path, metavar="MD", help="put the result between the markers of this page")
     options = p.parse_args(arguments)
-    try:
-        if options.seed < 0 or (options.case or 0) < 0:
-            raise ParameterError("--seed, --case: expected whole numbers >= 0")
-        if options.page is not None:
-            around(options.page, "fuzz")  # before the work
-        tally = run(options.seed, options.steps, options.case, lambda text: print(text, flush=True))
-        text = summary(tally, options.seed)
-        if options.page is not None:
-            renew(options.page, "fuzz", text)
-    except ParameterError as error:
-        print(f"benchmarks.fuzz: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"benchmarks.fuzz: {error.filename}: {error.strerror}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nbenchmarks.fuzz: interrupted", file=sys.stderr)
-        return 130
+    if options.page is not None:
+        check_page(options.page, "fuzz")  # before the work
+    tally = run(options.seed, options.steps, options.case, lambda text: print(text, flush=True))
+    text = summary(tally, options.seed)
+    if options.page is not None:
+        renew_page(options.page, {"fuzz": text})
     print(text)
     return 1 if tally.broken else 0
-
-
-def _count(text: str) -> int:
-    try:
-        value = int(float(text))
-    except (ValueError, OverflowError):
-        value = 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 1")
-    return value
 
 
 if __name__ == "__main__":

@@ -7,14 +7,24 @@ its load), since else no course would be passable. What the loaders refuse is re
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError
-from soil_env.parameters import Scenario, load_scenario, scenario_names, soils, wheels
+from soil_env.parameters import (
+    Belief,
+    Limits,
+    Noise,
+    Scenario,
+    SoilSpread,
+    load_scenario,
+    scenario_names,
+    soils,
+    wheels,
+)
 from soil_env.simulation.task import VARIANTS
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
@@ -22,7 +32,7 @@ from soil_env.terramechanics.residual import GROUPS, ResidualTerm
 
 
 class Choices(Protocol):
-    """Where the numbers of a case come from."""
+    """Source of the numbers of a case."""
 
     def number(self, low: float, high: float) -> float:
         """A number in [low, high], the bounds included."""
@@ -32,7 +42,7 @@ class Choices(Protocol):
 
 
 class Random:
-    """`Choices` of a random generator; one number in twenty is a bound."""
+    """`Choices` drawn by a random generator; one number in twenty is a bound."""
 
     def __init__(self, rng: np.random.Generator):
         self.rng = rng
@@ -73,15 +83,18 @@ def _pair(choices: Choices, low: float, high: float) -> list[float]:
     return sorted(choices.number(low, high) for _ in range(2))
 
 
-def _maybe(choices: Choices, out: dict, **values) -> None:
-    """Put about half of `values`, which are functions of no argument, into `out`."""
-    for name, value in values.items():
-        if choices.pick([True, False]):
-            out[name] = value()
+def _within(c: Choices, f: dataclasses.Field) -> float:
+    """A number within the bounds of a parameter, by ratio where they are more than a factor of 100 apart."""
+    low, high = f.metadata["low"], f.metadata["high"]
+    return _log(c, low, high) if low > 0.0 and high > 100.0 * low else c.number(low, high)
 
 
-def _scenario(choices: Choices, most_substeps: int) -> dict:
-    c = choices
+def _half(c: Choices, cls: type, leave: tuple[str, ...] = ()) -> dict[str, float]:
+    """About half of the parameters of a class, each anywhere within its bounds."""
+    return {f.name: _within(c, f) for f in dataclasses.fields(cls) if f.name not in leave and c.pick([True, False])}
+
+
+def _scenario(c: Choices, most_substeps: int) -> dict:
     gravity = c.pick([9.81, 9.81, 3.71, 1.62, _log(c, 0.1, 30.0)])
     out: dict = {"gravity": gravity, "relaxation": _log(c, 0.05, 50.0)}
     wheel = _wheel(c, gravity)
@@ -90,26 +103,14 @@ def _scenario(choices: Choices, most_substeps: int) -> dict:
     if wheel is not None or c.pick([True, False]):
         names = sorted(soils())
         out["soils"] = {c.pick(names): c.number(0.1, 1.0) for _ in range(c.pick([1, 2, 3]))}
-    spread: dict = {}
-    _maybe(
-        c, spread, friction=lambda: c.number(0.0, 0.35), cohesion=lambda: c.number(0.0, 1.0),
-        shear_modulus=lambda: c.number(0.0, 1.5), stiffness=lambda: c.number(0.0, 1.5),
-        exponent=lambda: c.number(0.0, 0.3), dig_gain=lambda: c.number(0.0, 1.5),
-        reference_sinkage=lambda: _log(c, 1e-3, 0.5), friction_cohesion=lambda: c.number(-0.99, 0.99),
-        stiffness_dig_gain=lambda: c.number(-0.99, 0.99),
-    )  # fmt: skip
+    correlations = "friction_stiffness", "friction_shear_modulus", "stiffness_shear_modulus"  # soon contradict others
+    spread = _half(c, SoilSpread, correlations)
     if spread and c.pick([True, False]):
         out["spread"] = spread
     out["course"] = _course(c)
     out["noise"] = _noise(c)
-    out["belief"] = _belief(c)
-    limits: dict = {}
-    _maybe(
-        c, limits, entrapped_slip=lambda: c.number(0.1, 1.0), entrapped_speed=lambda: _log(c, 1e-4, 10.0),
-        entrapped_time=lambda: _log(c, 0.1, 1e3), stalled_rim_speed=lambda: _log(c, 1e-4, 1.0),
-        stalled_time=lambda: _log(c, 0.1, 1e3), bogged_sinkage=lambda: c.number(0.05, 1.4),
-    )  # fmt: skip
-    out["limits"] = limits
+    out["belief"] = _half(c, Belief) if c.pick([True, False]) else {}
+    out["limits"] = _half(c, Limits)
     out["reward"] = {name: c.pick([0.0, 1.0, 10.0, c.number(0.0, 1e4)]) for name in
                      ("progress", "energy", "immobilisation")}  # fmt: skip
     out["reward"]["information"] = out["reward"]["energy"]
@@ -148,39 +149,23 @@ def _course(c: Choices) -> dict:
         "length": length, "patch_length": [shortest, shortest * c.number(1.0, 4.0)],
         "border": min(_log(c, 0.01, 10.0), shortest),
     }  # fmt: skip
-    _maybe(
-        c, course, grade_deg=lambda: _pair(c, -25.0, 35.0), margin=lambda: _pair(c, 0.0, 0.15),
-        payload=lambda: c.pick([[0.0, 0.0], [0.0, 1.0], _pair(c, 0.0, 20.0)]),
-        halt_interval=lambda: sorted(_log(c, 0.05, 30.0) for _ in range(2)),
-        halt_time=lambda: c.pick([0.0, 0.8, _log(c, 1e-3, 1e3)]),
-    )  # fmt: skip
-    return course
+    others = {
+        "grade_deg": lambda: _pair(c, -25.0, 35.0), "margin": lambda: _pair(c, 0.0, 0.15),
+        "payload": lambda: c.pick([[0.0, 0.0], [0.0, 1.0], _pair(c, 0.0, 20.0)]),
+        "halt_interval": lambda: sorted(_log(c, 0.05, 30.0) for _ in range(2)),
+        "halt_time": lambda: c.pick([0.0, 0.8, _log(c, 1e-3, 1e3)]),
+    }  # fmt: skip
+    return course | {name: draw() for name, draw in others.items() if c.pick([True, False])}
 
 
 def _noise(c: Choices) -> dict:
-    names = {"slip": 1.0, "sinkage": 1.0, "drawbar_pull": 1.0, "torque": 1.0, "load": 1.0, "speed": 10.0,
-             "wheel_speed": 10.0, "pitch": 1.0}  # fmt: skip
+    high = {f.name: f.metadata["high"] for f in dataclasses.fields(Noise)}
     kind = c.pick(["default", "none", "small", "any"])
     if kind == "default":
         return {}
     if kind == "none":
-        return dict.fromkeys(names, 0.0)
-    return {name: _log(c, 1e-6, 1e-2 if kind == "small" else high) for name, high in names.items()}
-
-
-def _belief(c: Choices) -> dict:
-    belief: dict = {}
-    if c.pick([True, False]):
-        _maybe(
-            c, belief, friction_angle_deg=lambda: c.number(1.0, 60.0), friction_sd_deg=lambda: _log(c, 0.01, 60.0),
-            shear_modulus=lambda: _log(c, 1e-4, 0.3), shear_modulus_sd=lambda: _log(c, 0.01, 5.0),
-            sinkage_coefficient=lambda: _log(c, 1e2, 1e13), sinkage_coefficient_sd=lambda: _log(c, 0.01, 10.0),
-            cohesion=lambda: c.number(0.0, 2e5), cohesion_sd=lambda: c.number(0.0, 2e5),
-            sinkage_exponent=lambda: c.number(0.1, 3.0), dig_gain=lambda: c.number(0.0, 20.0),
-            dig_gain_sd=lambda: c.number(0.0, 5.0), dig_recovery=lambda: c.number(0.05, 5.0),
-            model_error=lambda: c.number(0.0, 1.0), memory=lambda: _log(c, 0.01, 1e3),
-        )  # fmt: skip
-    return belief
+        return dict.fromkeys(high, 0.0)
+    return {name: _log(c, 1e-6, 1e-2 if kind == "small" else most) for name, most in high.items()}
 
 
 # --- effects ----------------------------------------------------------------------------------------------------------
@@ -222,6 +207,3 @@ def _model(c: Choices, scenario: Scenario) -> WheelSoilModel:
             for _ in range(c.pick([1, 2]))
         )  # fmt: skip
     return WheelSoilModel(ModelWheel(w.radius, w.width, height), soil, effects, terms, scenario.gravity)
-
-
-__all__ = ["Case", "Choices", "ParameterError", "Random", "draw_case"]

@@ -1,4 +1,4 @@
-"""What must hold in every step of every configuration, and the energy balance of a step.
+"""Invariants of every step of every configuration, and the energy balance of a step.
 
 Implicit Euler, multiplied by the new speeds, is an energy balance of each substep h:
 
@@ -20,9 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import kernel
+from soil_env._numba.compiling import root
 from soil_env.simulation.dynamics import REST_SPEED
 from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.wheel import WheelState
 
 _x, _w = np.polynomial.legendre.leggauss(8)
 _NODES, _WEIGHTS = tuple(0.5 * (_x + 1.0)), tuple(0.5 * _w)
@@ -30,7 +31,7 @@ _PIECES = 4
 NEWTON = 1e-4  # [m/s] largest residual of a substep that counts as converged
 
 
-@kernel
+@root
 def _climbs(courses, before, after, border, rise, low, high):
     """Height gained [m] by each wheel between two x, and the range of sin(grade) on the way."""
     for k in range(before.size):
@@ -69,12 +70,12 @@ class Ledger(NamedTuple):
         return np.abs(self.motor) + np.abs(self.kinetic) + np.abs(self.height) + np.abs(self.soil)
 
 
-def ledger(before: np.ndarray, worlds, scenario) -> Ledger:
+def ledger(before: WheelState, worlds, scenario) -> Ledger:
     """The balance of the last control period; `before` is a copy of the state [wheels] from before it."""
     after, r, inertia = worlds.state, scenario.wheel.radius, scenario.wheel.inertia
     substeps = math.ceil(scenario.control.period / scenario.control.substep - 1e-9)
     h = scenario.control.period / substeps
-    n = after.size
+    n = len(after)
     rise, low, high = np.zeros(n), np.zeros(n), np.zeros(n)
     _climbs(worlds.courses, np.ascontiguousarray(before["x"]), np.ascontiguousarray(after["x"]),
             scenario.course.border, rise, low, high)  # fmt: skip
@@ -102,7 +103,6 @@ def faults(env, actions, before, stepped, out) -> dict[str, np.ndarray]:
     worlds, scenario = env.simulation.worlds, env.scenario
     state, r = worlds.state, scenario.wheel.radius
     space = env.single_observation_space
-    numbers = [name for name in state.dtype.names if state.dtype[name].kind == "f"]
     terms = sum(info["reward_terms"].values())
     stall = scenario.wheel.stall_torque * (1.0 + 1e-12)
     found = {
@@ -111,7 +111,7 @@ def faults(env, actions, before, stepped, out) -> dict[str, np.ndarray]:
         "reward finite": ~np.isfinite(reward),
         "reward is the sum of its terms": ~np.isclose(reward, terms, rtol=1e-12, atol=1e-12),
         "energy term <= 0": ~(info["reward_terms"]["energy"] <= 0.0),
-        "state finite": ~np.logical_and.reduce([np.isfinite(state[name]) for name in numbers]),
+        "state finite": ~np.logical_and.reduce([np.isfinite(state[name]) for name in state.NAMES]),
         "sinkage in [1e-4, 1.5] radii": ~((state["sinkage"] >= 0.99e-4 * r) & (state["sinkage"] <= 1.5 * r * 1.000001)),
         "slip in [-1, 1]": ~(np.abs(state["slip"]) <= 1.0),
         "motor within its stall torque": ~(np.abs(state["motor_torque"]) <= stall),

@@ -1,4 +1,4 @@
-"""How good the identification is: convergence, efficiency, what can be told at all, online, and speed.
+"""Accuracy of the identification: convergence, efficiency, identifiability, online estimation, speed.
 
     python benchmarks/identification.py                  the full study, minutes; writes docs/identification.*
     python benchmarks/identification.py --smoke --out X every part in seconds, numbers without meaning
@@ -8,8 +8,6 @@ Every number of docs/identification.md comes from this command with its default 
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import platform
 import sys
@@ -18,21 +16,22 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import soil_env  # noqa: E402, F401, I001  first: Ctrl-C ends the imports
-import numpy as np  # noqa: E402
-from scipy.integrate import quad  # noqa: E402
-from scipy.optimize import root  # noqa: E402
+import soil_env  # noqa: F401  first: from here on Ctrl-C ends the imports in one line
 
-from benchmarks import identification_online, identification_page  # noqa: E402
-from soil_env._io.files import check_outputs, make_folder, replace_file  # noqa: E402
-from soil_env._io.commands import drop_output, leave  # noqa: E402
-from soil_env._io.signals import terminable  # noqa: E402
-from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict  # noqa: E402
-from soil_env.identification.point import POINT_SIZE, WEIGHTS, weigh  # noqa: E402
-from soil_env.identification.solver import solve  # noqa: E402
-from soil_env.identification.uniqueness import other_soil  # noqa: E402
-from soil_env.parameters import Soil, SoilState, soils  # noqa: E402
-from soil_env.terramechanics.model import steady_state  # noqa: E402
+# isort: split
+import numpy as np
+from scipy.integrate import quad
+from scipy.optimize import root
+
+from benchmarks import identification_online, identification_page
+from soil_env._io.commands import command_line, command_parser, folder, leave, whole_number
+from soil_env._io.files import check_outputs, make_folder, write_json
+from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict
+from soil_env.identification.point import Points, weigh
+from soil_env.identification.solver import solve
+from soil_env.identification.uniqueness import other_soil
+from soil_env.parameters import Soil, SoilState, soils
+from soil_env.terramechanics.model import steady_state
 
 PAPER = Reading(cohesion=3000.0, exponent=0.47, radius=0.6274, width=0.1524)  # the wheel and sand of the source paper
 ROVER = Reading(cohesion=170.0, exponent=1.0, radius=0.15, width=0.15)
@@ -41,16 +40,9 @@ SLIP_SD, SINKAGE_SD = 0.01, 0.001
 IDENTIFIABLE = 100.0  # condition number of the whitened Jacobian by (phi, ln K, ln S) up to which a problem counts
 
 
-def unknowns(soil: Soil) -> np.ndarray:
-    """(phi [rad], ln K, ln S) of a soil with a lumped S."""
-    return np.array([math.radians(soil.friction_angle_deg), math.log(soil.shear_modulus), math.log(soil.lumped(1.0))])
-
-
-def lumped(x, reading: Reading) -> Soil:
-    """The soil of unknowns x under a reading."""
-    return Soil(
-        math.degrees(x[0]), reading.cohesion, math.exp(x[1]), reading.exponent, sinkage_coefficient=math.exp(x[2])
-    )
+def unknowns(soil: Soil, width: float = 1.0) -> np.ndarray:
+    """(phi [rad], ln K, ln S) of a soil under a wheel of this width [m]."""
+    return np.array([math.radians(soil.friction_angle_deg), *np.log([soil.shear_modulus, soil.lumped(width)])])
 
 
 def predictions(x, slip, sinkage, reading):
@@ -82,17 +74,12 @@ def convergence(rng: np.random.Generator, draws: int) -> dict:
         tally = {"identifiable": 0, "drawn": 0, "ambiguous": 0, "recovered": 0, "flagged": 0, "silently_wrong": 0}
         while tally["identifiable"] < draws:
             tally["drawn"] += 1
-            x = np.array(
-                [
-                    math.radians(rng.uniform(10.0, 50.0)),
-                    rng.uniform(math.log(low[1]), math.log(high[1])),
-                    rng.uniform(math.log(low[2]), math.log(1e7)),  # stiffer soil than this does not let the wheel sink
-                ]
+            # stiffer soil than S = 1e7 does not let the wheel sink
+            x = rng.uniform(
+                [math.radians(10.0), *np.log(low[1:])], [math.radians(50.0), math.log(high[1]), math.log(1e7)]
             )
-            slip = rng.uniform(0.03, 0.8, points)
-            sinkage = np.minimum(
-                steady_sinkage(x, slip, 8923.0 * rng.uniform(0.6, 1.4, points), PAPER), 0.9 * PAPER.radius
-            )
+            slip, load = rng.uniform(0.03, 0.8, points), 8923.0 * rng.uniform(0.6, 1.4, points)
+            sinkage = np.minimum(steady_sinkage(x, slip, load, PAPER), 0.9 * PAPER.radius)
             y, jacobian = predictions(x, slip, sinkage, PAPER)
             sd = (90.0, 90.0, 56.0)  # 1 % of the load, for the weights and the condition number
             white = (jacobian[:, :, :3] / np.array(sd)[None, :, None])[:, : 3 if all_channels else 1].reshape(-1, 3)
@@ -100,12 +87,9 @@ def convergence(rng: np.random.Generator, draws: int) -> dict:
             if singular[0] > IDENTIFIABLE * singular[-1]:
                 continue
             g = rng.uniform(0.0, 1.0, 3)
+            phi, K = low[:2] + g[:2] * (high - low)[:2]
             guess = Soil(
-                low[0] + g[0] * (high[0] - low[0]),
-                PAPER.cohesion,
-                low[1] + g[1] * (high[1] - low[1]),
-                PAPER.exponent,
-                sinkage_coefficient=low[2] * (high[2] / low[2]) ** g[2],
+                phi, PAPER.cohesion, K, PAPER.exponent, sinkage_coefficient=low[2] * (high[2] / low[2]) ** g[2]
             )
             channels = y.T if all_channels else (y[:, 0], None, None)
             e = generalized_newton_raphson(slip, sinkage, *channels, reading=PAPER, guess=guess, sd=sd)
@@ -132,16 +116,20 @@ def _both_exact(e, slip, sinkage, pull) -> bool:
 
 
 def whitened(x, slip, sinkage, reading, sd, slip_sd, sinkage_sd, channels=(True, True, True)):
-    """Jacobian by (phi, ln K, ln S) of all measured values, whitened [3M, 3]."""
-    variances = np.where(channels, np.square(sd), np.inf)
-    _, jacobians = predictions(x, slip, sinkage, reading)
-    rows, row = [], np.zeros(POINT_SIZE)
-    for i, z, j in zip(slip, sinkage, jacobians, strict=True):
-        row[:3] = i, z, 1.0
-        weigh(row, x, variances, slip_sd, sinkage_sd, reading)
-        w = row[WEIGHTS : WEIGHTS + 6]
-        rows.append(np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]]) @ j)
-    return np.concatenate(rows)
+    """Jacobian by (phi, ln K, ln S, c) of all measured values, whitened [3M, 4]."""
+    jacobians = predictions(x, slip, sinkage, reading)[1]
+    return (whitening(x, slip, sinkage, reading, sd, slip_sd, sinkage_sd, channels) @ jacobians).reshape(-1, 4)
+
+
+def whitening(x, slip, sinkage, reading, sd, slip_sd, sinkage_sd, channels):
+    """Matrices [M, 3, 3] that whiten the errors of the three channels of each point."""
+    points, variances = Points(len(slip)), np.where(channels, np.square(sd), np.inf)
+    points["slip"], points["sinkage"], points["dig_ratio"] = slip, sinkage, 1.0
+    matrices = np.zeros((len(slip), 3, 3))
+    for p in range(len(slip)):
+        weigh(points, p, x, variances, slip_sd, sinkage_sd, reading)
+        matrices[p][np.tril_indices(3)] = [points[name][p] for name in ("w00", "w10", "w11", "w20", "w21", "w22")]
+    return matrices
 
 
 def efficiency(rng: np.random.Generator, draws: int) -> list[dict]:
@@ -174,21 +162,16 @@ def efficiency(rng: np.random.Generator, draws: int) -> list[dict]:
                     )
                     errors[d] = unknowns(e.soil) - x
                     covered[d] = np.abs(errors[d]) < 1.959964 * np.sqrt(np.diag(e.covariance))
-                out.append(
-                    {
-                        "noise_in_slip_and_sinkage": noisy,
-                        "points": points,
-                        "method": method,
-                        "bound": [math.degrees(bound[0]), *bound[1:].tolist()],
-                        "rmse_over_bound": (np.sqrt(np.mean(errors**2, axis=0)) / bound).tolist(),
-                        "bias_over_bound": (np.mean(errors, axis=0) / bound).tolist(),
-                        "coverage_95": np.mean(covered, axis=0).tolist(),
-                    }
-                )
+                out.append({
+                    "noise_in_slip_and_sinkage": noisy, "points": points, "method": method,
+                    "bound": [math.degrees(bound[0]), *bound[1:]],
+                    "rmse_over_bound": np.sqrt(np.mean(errors**2, axis=0)) / bound,
+                    "bias_over_bound": np.mean(errors, axis=0) / bound, "coverage_95": np.mean(covered, axis=0),
+                })  # fmt: skip
     return out
 
 
-# --- 3: what can be told ----------------------------------------------------------------------------------------------
+# --- 3: identifiability -----------------------------------------------------------------------------------------------
 
 SETS = {"phi, K, S": (), "phi, K, S, n": ("n",), "phi, K, S, c": ("c",), "phi, K, S, n, c": ("n", "c")}
 DATA = {"drawbar pull": (True, False, False), "and load": (True, True, False), "and torque": (True, True, True)}
@@ -204,13 +187,7 @@ def identifiability(points: int = 24) -> list[dict]:
     for soil_name in ("dry_sand", "lunar_nominal", "rubicon_sandy_loam", "clayey_soil_38", "heavy_clay_25"):
         preset = presets[soil_name]
         reading = Reading(preset.cohesion, preset.sinkage_exponent, ROVER.radius, ROVER.width)
-        x = np.array(
-            [
-                math.radians(preset.friction_angle_deg),
-                math.log(preset.shear_modulus),
-                math.log(preset.lumped(ROVER.width)),
-            ]
-        )
+        x = unknowns(preset, ROVER.width)
         slip = np.tile(np.linspace(0.03, 0.7, points // 3), 3)
         load = np.repeat([75.0, 150.0, 300.0], points // 3)
         sinkage = steady_sinkage(x, slip, load, reading)
@@ -223,15 +200,9 @@ def identifiability(points: int = 24) -> list[dict]:
                 moved = reading._replace(exponent=reading.exponent + sign * h)
                 y, _ = predictions(x - [0.0, 0.0, sign * h * math.log(depth)], slip, sinkage, moved)
                 by_n.append(y)
-            column = ((by_n[0] - by_n[1]) / (2.0 * h))[:, :, None]
-            row = np.zeros(POINT_SIZE)
-            white_n = []
-            for i, z, c in zip(slip, sinkage, column, strict=True):
-                row[:3] = i, z, 1.0
-                weigh(row, x, np.where(channels, np.square(ROVER_SD), np.inf), SLIP_SD, sinkage_sd, reading)
-                w = row[WEIGHTS : WEIGHTS + 6]
-                white_n.append(np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]]) @ c)
-            full = np.column_stack([j[:, :3], np.concatenate(white_n), j[:, 3] * 1000.0])  # c in kPa
+            white = whitening(x, slip, sinkage, reading, ROVER_SD, SLIP_SD, sinkage_sd, channels)
+            white_n = (white @ ((by_n[0] - by_n[1]) / (2.0 * h))[:, :, None]).ravel()
+            full = np.column_stack([j[:, :3], white_n, j[:, 3] * 1000.0])  # c in kPa
             for name, extra in SETS.items():
                 used = [0, 1, 2, *([3] if "n" in extra else []), *([4] if "c" in extra else [])]
                 a = full[:, used]
@@ -242,16 +213,10 @@ def identifiability(points: int = 24) -> list[dict]:
                 condition = float(singular[0] / max(singular[-1], 1e-300))
                 told = sd["phi_deg"] < 5.0 and sd["ln_K"] < 0.5 and sd["ln_S"] < 0.5 and sd.get("n", 0.0) < 0.2
                 told = told and sd.get("c_kPa", 0.0) < max(0.5, 0.3 * preset.cohesion / 1000.0)
-                out.append(
-                    {
-                        "soil": soil_name,
-                        "data": data,
-                        "unknowns": name,
-                        "condition": condition,
-                        "bound": {k: float(v) for k, v in sd.items()},
-                        "identifiable": bool(told),
-                    }
-                )
+                out.append({
+                    "soil": soil_name, "data": data, "unknowns": name, "condition": condition, "bound": sd,
+                    "identifiable": bool(told),
+                })  # fmt: skip
     return out
 
 
@@ -282,9 +247,8 @@ def speed(rng: np.random.Generator, repeats: int) -> dict:
     """Time of one three-point solve on drawbar pull: ours and scipy.optimize.root on quad integrals, same problems."""
     ours, compiled, checked, theirs, agreement = [], [], [], [], []
     for _ in range(repeats):
-        x = np.array(
-            [math.radians(rng.uniform(28.0, 38.0)), math.log(rng.uniform(0.03, 0.045)), math.log(rng.uniform(4e5, 7e5))]
-        )
+        phi, K, S = rng.uniform([28.0, 0.03, 4e5], [38.0, 0.045, 7e5])
+        x = np.array([math.radians(phi), math.log(K), math.log(S)])
         slip = np.array([0.08, 0.22, 0.45])
         sinkage = steady_sinkage(x, slip, np.array([7000.0, 8900.0, 10500.0]), PAPER)
         y, _ = predictions(x, slip, sinkage, PAPER)
@@ -293,11 +257,12 @@ def speed(rng: np.random.Generator, repeats: int) -> dict:
         e = newton_raphson(slip, sinkage, y[:, 0], reading=PAPER, guess=guess, sd=(1.0, 1.0, 1.0))
         ours.append(time.perf_counter() - start)
 
-        points = np.zeros((3, POINT_SIZE))
-        points[:, 0], points[:, 1], points[:, 2], points[:, 3], points[:, WEIGHTS] = slip, sinkage, 1.0, y[:, 0], 1.0
+        points = Points(3)
+        points["slip"], points["sinkage"], points["drawbar_pull"] = slip, sinkage, y[:, 0]
+        points["dig_ratio"] = points["w00"] = 1.0
         z, zero, covariance = unknowns(guess), np.zeros(3), np.zeros((3, 3))
         start = time.perf_counter()
-        solve(z, points, 3, zero, zero, PAPER, 100, 1e-8, covariance)
+        solve(z, points, zero, zero, PAPER, 100, 1e-8, covariance)
         compiled.append(time.perf_counter() - start)
         other_soil(z, points, PAPER, np.empty(3))
         checked.append(time.perf_counter() - start)
@@ -354,52 +319,35 @@ def study(seed: int, smoke: bool) -> dict:
     return result
 
 
-def _seed(text: str) -> int:
-    if not text.strip().isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 0")
-    return int(text)
+_EPILOG = """files:
+  OUT/identification.md, identification.json, identification/*.png
+
+exit status:
+  0 done; 2 a folder that cannot be written; 130 interrupted
+
+examples:
+  python benchmarks/identification.py --smoke --out /tmp/identification"""
 
 
-def _folder(text: str) -> Path:
-    if not text:
-        raise argparse.ArgumentTypeError("is empty: expected a folder")
-    return Path(text)
-
-
-@terminable
+@command_line("benchmarks.identification", interrupted="nothing written")
 def main(arguments: list[str] | None = None) -> int:
     """Run the study and write its page."""
-    p = argparse.ArgumentParser(
-        prog="python benchmarks/identification.py",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  OUT/identification.md, identification.json, identification/*.png\n\nexit status:\n"
-        "  0 done; 2 a folder that cannot be written; 130 interrupted\n\nexamples:\n"
-        "  python benchmarks/identification.py --smoke --out /tmp/identification",
-    )
+    p = command_parser("python benchmarks/identification.py", __doc__, _EPILOG)
     p.add_argument(
-        "--out", metavar="OUT", type=_folder, default=Path("docs"),
+        "--out", metavar="OUT", type=folder, default=Path("docs"),
         help="folder of identification.json, .md and plots (default: docs)",
     )  # fmt: skip
-    p.add_argument("--seed", metavar="N", type=_seed, default=0, help="of everything random, >= 0 (default: 0)")
+    p.add_argument(
+        "--seed", metavar="N", type=whole_number(), default=0, help="of everything random, >= 0 (default: 0)"
+    )
     p.add_argument("--smoke", action="store_true", help="seconds instead of minutes, numbers without meaning")
     options = p.parse_args(arguments)
-    try:
-        check_outputs(options.out, ("identification.json", "identification.md", "identification/x.png"))
-        make_folder(options.out)
-        result = study(options.seed, options.smoke)
-        identification_page.write(result, options.out)
-        replace_file(options.out / "identification.json", json.dumps(result, indent=1, allow_nan=True) + "\n")
-        print(f"Written: {options.out / 'identification.md'}", flush=True)
-    except OSError as error:
-        if error.filename is None:
-            drop_output()
-        place = error.filename or "the progress cannot be printed"
-        print(f"identification.py: {place}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nidentification.py: interrupted, nothing written", file=sys.stderr)
-        return 130
+    check_outputs(options.out, ("identification.json", "identification.md", "identification/x.png"))
+    make_folder(options.out)
+    result = study(options.seed, options.smoke)
+    identification_page.write(result, options.out)
+    write_json(options.out / "identification.json", result)
+    print(f"Written: {options.out / 'identification.md'}", flush=True)
     return 0
 
 

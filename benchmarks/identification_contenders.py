@@ -1,4 +1,4 @@
-"""The online identifiers that `identification_online.py` compares, and their replay of a logged drive."""
+"""Online identifiers to compare, and the replay of a logged drive by each."""
 
 from __future__ import annotations
 
@@ -6,22 +6,12 @@ import math
 from time import perf_counter
 
 import numpy as np
-from numba import njit
 from scipy.optimize import least_squares
 
-from soil_env._numba.compiling import CACHE, kernel
+from soil_env._numba.compiling import root
 from soil_env.identification.online import SensorReading, forget, identifier_numbers, new_identifiers, observe
-from soil_env.identification.point import (
-    DIG_RATIO,
-    DIG_RESPONSE,
-    DRAWBAR_PULL,
-    SINKAGE,
-    SLIP,
-    WEIGHTS,
-    Reading,
-    predict,
-)
-from soil_env.identification.solver import LOWER, UPPER, Status
+from soil_env.identification.point import Reading, channels_at, predict, weights, whitened
+from soil_env.identification.solver import LOWER, UPPER, Status, gain_share
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.effects import excavation_rate
 
@@ -53,7 +43,7 @@ class Contender:
 
 
 class Ours(Contender):
-    """`identifier.observe`, called from Python."""
+    """`soil_env.identification.online.observe`, called from Python."""
 
     name = "ours"
 
@@ -85,13 +75,13 @@ class Digging:
         return self.ratio
 
 
-def says_something(reading, numbers):
-    """The wheel turns and touches the ground: the condition of `identifier.observe`."""
+def is_informative(reading, numbers):
+    """Whether the wheel turns and touches the ground: the condition of `observe`."""
     return abs(reading.rim_speed) >= 0.02 and reading.sinkage >= 1e-3 * numbers.reading.radius
 
 
 class NewtonRaphson(Contender):
-    """The paper's: phi, K and S from the drawbar pulls of the last three distinct points, plain Newton.
+    """The paper's method: phi, K and S from the drawbar pulls of the last three distinct points, plain Newton.
 
     Points are means of five readings; they are distinct if their slips differ by `distinct`. It starts from its last
     solution, else from the prior. A solution outside the bounds, or none within 30 iterations, is not valid.
@@ -112,7 +102,7 @@ class NewtonRaphson(Contender):
         self.odometer += reading.speed * n.period
         self.solved = False
         ratio = self.digging.update(reading)
-        if not says_something(reading, n):
+        if not is_informative(reading, n):
             return self.x, self.sd, self.valid
         self.open.append((reading.slip, reading.sinkage, ratio, reading.drawbar_pull, self.odometer))
         if len(self.open) == 5:
@@ -182,7 +172,7 @@ class LinearLeastSquares(Contender):
         n = self.numbers
         r, b = n.reading.radius, n.reading.width
         self.solved = False
-        if not says_something(reading, n) or reading.slip < 0.01:
+        if not is_informative(reading, n) or reading.slip < 0.01:
             return self.x, self.sd, self.valid
         th1 = math.acos(max(-1.0, 1.0 - reading.sinkage / r))
         thm = 0.5 * th1
@@ -222,31 +212,28 @@ class LinearLeastSquares(Contender):
         self.sd[0] = math.sqrt(variance) / (1.0 + tan_phi * tan_phi)
 
 
-@njit(cache=CACHE)
-def _whitened(x, points, prior, precision, reading, residual, jacobian):
+@root
+def _whitened(x, points, count, prior, precision, reading, residual, jacobian):
     """Whitened residuals [3 M + 5] (prior last) and their Jacobian [3 M + 5, 5] at x = (phi, ln K, ln S, c, ln g)."""
-    out, jac = np.empty(3), np.empty((3, 4))
-    m, gain, n = len(points), math.exp(x[4]), reading.exponent
+    gain, n = math.exp(x[4]), reading.exponent
     at = Reading(x[3], n, reading.radius, reading.width, 0, False)
     jacobian[:, :] = 0.0
-    for p in range(m):
-        row = points[p]
-        ratio = row[DIG_RATIO] + gain * row[DIG_RESPONSE]
-        predict(x, row[SLIP], row[SINKAGE], ratio, at, out, jac)
-        dug = -n * gain * row[DIG_RESPONSE] / ratio
-        w = row[WEIGHTS:]
-        k = 0
+    for p in range(count):
+        response = gain * points.dig_response[p]
+        ratio = points.dig_ratio[p] + response
+        y, _ = channels_at(x, points.slip[p], points.sinkage[p], ratio, at)
+        w, share = weights(points, p), gain_share(n, response, ratio)
+        u = whitened(w, (y.pull - points.drawbar_pull[p], y.load - points.load[p], y.torque - points.torque[p]))
+        columns = (whitened(w, y.by_phi), whitened(w, y.by_K), whitened(w, y.by_S), whitened(w, y.by_c))
         for i in range(3):
-            for j in range(i + 1):
-                residual[3 * p + i] = (residual[3 * p + i] if j else 0.0) + w[k] * (out[j] - row[DRAWBAR_PULL + j])
-                for q in range(4):
-                    jacobian[3 * p + i, q] += w[k] * jac[j, q]
-                jacobian[3 * p + i, 4] += w[k] * dug * jac[j, 2]
-                k += 1
+            residual[3 * p + i] = u[i]
+            for q in range(4):
+                jacobian[3 * p + i, q] = columns[q][i]
+            jacobian[3 * p + i, 4] = share * columns[2][i]
     for i in range(5):
-        root = math.sqrt(precision[i])
-        residual[3 * m + i] = root * (x[i] - prior[i])
-        jacobian[3 * m + i, i] = root
+        precise = math.sqrt(precision[i])
+        residual[3 * count + i] = precise * (x[i] - prior[i])
+        jacobian[3 * count + i, i] = precise
 
 
 class Batch(Contender):
@@ -272,23 +259,23 @@ class Batch(Contender):
         self.solved = observe(self.ids, 0, reading, self.numbers)
         self.elsewhere += perf_counter() - began
         if self.solved:
-            self._solve(self.ids.points[0, : self.ids.count[0]])
+            self._solve(int(self.ids.count[0]))
         return self.x, self.sd, self.valid
 
-    def _solve(self, points):
-        n, u = self.numbers, self.unknowns
-        residual, jacobian, x = np.empty(3 * len(points) + 5), np.empty((3 * len(points) + 5, 5)), n.prior.copy()
+    def _solve(self, count):
+        n, u, rows = self.numbers, self.unknowns, 3 * count + 5
+        residual, jacobian, x = np.empty(rows), np.empty((rows, 5)), n.prior.copy()
 
-        def whitened(free):
+        def at(free):
             x[:u] = free
-            _whitened(x, points, n.prior, n.precision, n.reading, residual, jacobian)
+            _whitened(x, self.ids.points, count, n.prior, n.precision, n.reading, residual, jacobian)
 
         def fun(free):
-            whitened(free)
+            at(free)
             return residual.copy()
 
         def jac(free):
-            whitened(free)
+            at(free)
             return jacobian[:, :u].copy()
 
         lower, upper = np.append(LOWER, [0.0, -3.0])[:u], np.append(UPPER, [2e5, 3.0])[:u]
@@ -300,7 +287,7 @@ class Batch(Contender):
         covariance = np.linalg.inv(result.jac.T @ result.jac)
         sd = np.sqrt(np.diag(covariance))[:3]
         self.valid = bool(result.success and np.all(sd[:2] ** 2 * self.precision[:2] < 0.36))
-        self.held = self.held and len(points) > 1  # one point: our window started anew
+        self.held = self.held and count > 1  # one point: our window started anew
         if self.valid or not self.held:
             self.x, self.sd = result.x[:3], sd
         self.held = self.held or self.valid
@@ -324,7 +311,7 @@ def make(name: str, scenario: Scenario) -> Contender:
 # --- replay -----------------------------------------------------------------------------------------------------------
 
 
-@kernel
+@root
 def replay_compiled(readings, ids, numbers, estimate, sd, valid):
     """`observe` over a log [T, 7], compiled as in the environment; the number of solves."""
     forget(ids, 0, numbers)

@@ -1,4 +1,4 @@
-"""How often the 95 % intervals of `python -m soil_env.identification` hold the truth: the table of docs/identify.md.
+"""Coverage of the 95 % intervals of `python -m soil_env.identification`: the table of docs/identify.md.
 
     python -m benchmarks.identification_coverage               minutes; prints the table as Markdown
     python -m benchmarks.identification_coverage --draws 20    seconds, for a look
@@ -10,15 +10,13 @@ known.
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
 from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._io.commands import INTERRUPTED, leave
-from soil_env._io.signals import terminable
+from soil_env._io import document
+from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env.identification import Reading, predict
 from soil_env.identification.table import identify_table
 from soil_env.measurement.table import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, Table
@@ -69,12 +67,8 @@ def clean(case: Case) -> np.ndarray:
     """Rows [N, 5] of slip, load, sinkage, drawbar pull and torque without noise."""
     soil = SoilState(math.tan(math.radians(PHI_DEG)), COHESION, K, S, EXPONENT, 0.0, 0.5)
     x = np.array([math.radians(PHI_DEG), math.log(K), math.log(S)])
-    reading, rows, out, rates = (
-        Reading(COHESION, EXPONENT, WHEEL.radius, WHEEL.width),
-        [],
-        np.empty(3),
-        np.empty((3, 4)),
-    )
+    reading = Reading(COHESION, EXPONENT, WHEEL.radius, WHEEL.width)
+    rows, out, rates = [], np.empty(3), np.empty((3, 4))
     for load in case.loads:
         for slip in np.linspace(0.05, 0.7, case.slips):
             z = steady_state(slip, load, soil, WHEEL.radius, WHEEL.width).sinkage
@@ -113,41 +107,25 @@ def coverage(case: Case, draws: int, rng: np.random.Generator) -> tuple[dict[str
     return {name: count / draws for name, count in hits.items()}, unsettled / draws
 
 
-@terminable
+@command_line("benchmarks.identification_coverage")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    p = argparse.ArgumentParser(
-        prog="python -m benchmarks.identification_coverage", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  none; the table goes to the terminal\n\nexit status:\n"
-        "  0 done; 2 bad options; 130 interrupted",
+    p = command_parser(
+        "python -m benchmarks.identification_coverage", __doc__,
+        "files:\n  none; the table goes to the terminal\n\nexit status:\n  0 done; 2 bad options; 130 interrupted",
     )  # fmt: skip
-    p.add_argument("--draws", metavar="N", type=_draws, default=400, help="tables drawn for each row (default: 400)")
-    p.add_argument("--seed", metavar="N", type=_count, default=0, help="of the noise, >= 0 (default: 0)")
+    p.add_argument(
+        "--draws", metavar="N", type=whole_number(1), default=400, help="tables drawn for each row (default: 400)"
+    )
+    p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the noise, >= 0 (default: 0)")
     options = p.parse_args(arguments)
-    try:
-        print("| slips | loads | measured | noise | $\\varphi$ | $K$ | $S$ | not settled |")
-        print("| --- | --- | --- | --- | --- | --- | --- | --- |")
-        for k, case in enumerate(CASES):
-            shares, unsettled = coverage(case, options.draws, np.random.default_rng([options.seed, k]))
-            cells = (*case.label, *(f"{100.0 * v:.0f} %" for v in shares.values()), f"{100.0 * unsettled:.0f} %")
-            print("| " + " | ".join(cells) + " |", flush=True)
-    except KeyboardInterrupt:
-        print("\nbenchmarks.identification_coverage: interrupted", file=sys.stderr)
-        return INTERRUPTED
+    rows = []
+    for k, case in enumerate(CASES):
+        shares, unsettled = coverage(case, options.draws, np.random.default_rng([options.seed, k]))
+        rows.append((*case.label, *(f"{100.0 * v:.0f} %" for v in shares.values()), f"{100.0 * unsettled:.0f} %"))
+    header = ("slips", "loads", "measured", "noise", "$\\varphi$", "$K$", "$S$", "not settled")
+    print(document.Table(header, rows).markdown())
     return 0
-
-
-def _draws(text: str) -> int:
-    if _count(text) == 0:
-        raise argparse.ArgumentTypeError("0: expected a whole number > 0")
-    return int(text)
-
-
-def _count(text: str) -> int:
-    if not text.strip().isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 0")
-    return int(text)
 
 
 if __name__ == "__main__":

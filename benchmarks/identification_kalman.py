@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
-from benchmarks.identification_contenders import Contender, Digging, says_something
-from soil_env.identification.digging import DIGGING, close_point, note, roll
+from benchmarks.identification_contenders import Contender, Digging, is_informative
+from soil_env.identification.digging import KEPT, DiggingPlaces, close_point, note, roll
+from soil_env.identification.digging import Digging as DiggingMemory
 from soil_env.identification.online import RATIO_ERROR
-from soil_env.identification.point import DIG_RESPONSE, POINT_SIZE, WEIGHTS, Reading, predict, weigh
+from soil_env.identification.point import Points, Reading, predict, weigh, weights
 from soil_env.identification.solver import LOWER, UPPER
 
 
@@ -33,7 +34,7 @@ class UnscentedKalman(Contender):
         self.digging = Digging(n)
         self.mean, self.variances = n.prior.copy(), 1.0 / n.precision[:u]
         self.P = np.diag(self.variances)
-        self.row = np.zeros(POINT_SIZE)
+        self.point = Points(1)
         self.out, self.jac = np.empty(3), np.empty((3, 4))
         self.lower, self.upper = np.append(LOWER, [0.0, -3.0])[:u], np.append(UPPER, [2e5, 3.0])[:u]
         alpha, kappa = 0.5, 0.0
@@ -50,7 +51,7 @@ class UnscentedKalman(Contender):
         ratio = self.dug(reading)
         q = self.walk**2 * abs(reading.speed) * n.period * self.variances
         self.P = self.P + np.diag(np.minimum(q, np.maximum(self.variances - np.diag(self.P), 0.0)))
-        self.solved = says_something(reading, n)
+        self.solved = is_informative(reading, n)
         if self.solved:
             self._measure(reading, *ratio)
         self.x, self.sd = self.mean[:3].copy(), np.sqrt(np.diag(self.P)[:3])
@@ -62,14 +63,13 @@ class UnscentedKalman(Contender):
         return self.digging.update(reading), 0.0, 0.0
 
     def _measure(self, reading, r0, r1, ratio_sd):
-        n, row, u = self.numbers, self.row, self.size
-        row[:6] = (min(max(reading.slip, -0.999), 1.0), reading.sinkage, r0, reading.drawbar_pull, reading.load,
-                   reading.torque)  # fmt: skip
-        row[DIG_RESPONSE] = r1
+        n, point, u = self.numbers, self.point, self.size
+        slip, measured = min(max(reading.slip, -0.999), 1.0), [reading.drawbar_pull, reading.load, reading.torque]
+        point["slip"], point["sinkage"], point["dig_ratio"], point["dig_response"] = slip, reading.sinkage, r0, r1
         error = n.model_error * abs(reading.load) * np.array([1.0, 1.0, n.reading.radius])
-        weigh(row, self.mean, n.force_sd**2 + error**2, n.slip_sd, n.sinkage_sd, self._at(self.mean), ratio_sd,
+        weigh(point, 0, self.mean, n.force_sd**2 + error**2, n.slip_sd, n.sinkage_sd, self._at(self.mean), ratio_sd,
               math.exp(self.mean[4]))  # fmt: skip
-        w = row[WEIGHTS : WEIGHTS + 6]
+        w = weights(point, 0)
         whiten = np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]])
         mean = self.mean[:u]
         root = self.spread * np.linalg.cholesky(self.P)
@@ -78,14 +78,14 @@ class UnscentedKalman(Contender):
         x = self.mean.copy()
         for i in range(2 * u + 1):
             x[:u] = sigma[i]
-            predict(x, row[0], row[1], r0 + math.exp(x[4]) * r1, self._at(x), self.out, self.jac)
+            predict(x, slip, reading.sinkage, r0 + math.exp(x[4]) * r1, self._at(x), self.out, self.jac)
             z[i] = self.out
         z = z @ whiten.T
         z_mean = self.mean_weights @ z
         dz, dx = z - z_mean, sigma - mean
         pzz = (dz.T * self.cov_weights) @ dz + self.inflation * np.eye(3)
         gain = np.linalg.solve(pzz, (dz.T * self.cov_weights) @ dx).T
-        self.mean[:u] = np.clip(mean + gain @ (whiten @ row[3:6] - z_mean), self.lower, self.upper)
+        self.mean[:u] = np.clip(mean + gain @ (whiten @ measured - z_mean), self.lower, self.upper)
         P = self.P - gain @ pzz @ gain.T
         P = 0.5 * (P + P.T)
         scale = np.sqrt(self.variances)
@@ -106,14 +106,14 @@ class UnscentedKalmanJoint(UnscentedKalman):
 
     def __init__(self, scenario):
         super().__init__(scenario)
-        self.memory = np.zeros(DIGGING)
+        self.memory, self.places = DiggingMemory(1), DiggingPlaces(KEPT)
 
     def dug(self, reading):
         n = self.numbers
-        roll(self.memory, reading.speed, reading.rim_speed - reading.speed, n.period, n.dig_gain, n.dig_recovery,
+        roll(self.memory, 0, reading.speed, reading.rim_speed - reading.speed, n.period, n.dig_gain, n.dig_recovery,
              n.relaxation)  # fmt: skip
-        if not says_something(reading, n):
+        if not is_informative(reading, n):
             return 1.0, 0.0, 0.0
-        note(self.memory)
-        r0, r1, sd = close_point(self.memory, 1.0, reading.sinkage, n.sinkage_sd)
+        note(self.memory, 0)
+        r0, r1, sd = close_point(self.memory, self.places, 0, 1.0, reading.sinkage, n.sinkage_sd)
         return r0, r1, math.hypot(sd, RATIO_ERROR)

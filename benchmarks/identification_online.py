@@ -24,14 +24,11 @@ Sources: Hutangkabodee et al. (2006), IJAC 3:244-251; Iagnemma, Kang, Shibly & D
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from numba import njit
 
 from agents.controllers import ConstantSpeed
 from benchmarks.identification_contenders import (
@@ -44,8 +41,9 @@ from benchmarks.identification_contenders import (
 )
 from benchmarks.identification_kalman import UnscentedKalman
 from benchmarks.identification_online_figure import figure
-from soil_env._io.files import replace_file
-from soil_env._numba.compiling import CACHE
+from soil_env._io.commands import command_line, command_parser, folder, leave, whole_number
+from soil_env._io.files import make_folder, plain, write_json
+from soil_env._numba.compiling import root
 from soil_env.identification.online import SensorReading, identifier_numbers, new_identifiers
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause
@@ -74,20 +72,19 @@ class SwingingSpeed(ConstantSpeed):
         return self.speed * (1.0 + SWING * np.sin(2.0 * math.pi * t / SWING_PERIOD))
 
 
-@njit(cache=CACHE)
-def _log_truth(state, courses, border, exponent, out):
+@root
+def _log_truth(state, counts, courses, border, exponent, out):
     """Per wheel into `out` [n, 6]: phi, ln K, ln S at `exponent` and the true bearing sinkage, distance since the last
     border [m], patch, halted."""
-    for k in range(len(state)):
-        w = state[k]
-        soil, _, patch = ground_at(courses, k, w.x, w.patch, border)
-        depth = max(w.bearing_sinkage, 1e-4)
+    for k in range(len(out)):
+        soil, _, patch = ground_at(courses, k, state.x[k], counts.patch[k], border)
+        depth = max(state.bearing_sinkage[k], 1e-4)
         out[k, 0] = math.atan(soil.tan_phi)
         out[k, 1] = math.log(soil.shear_modulus)
         out[k, 2] = math.log(soil.sinkage_coefficient) + (soil.sinkage_exponent - exponent) * math.log(depth)
-        out[k, 3] = w.x - courses.edges[k, patch]
+        out[k, 3] = state.x[k] - courses.edges[k, patch]
         out[k, 4] = patch
-        out[k, 5] = 1.0 if w.halt_left > 0.0 else 0.0
+        out[k, 5] = 1.0 if state.halt_left[k] > 0.0 else 0.0
 
 
 def record(scenario: Scenario, courses: int, seed: int, stream: int = _DRIVE_STREAM) -> tuple[list[dict], dict]:
@@ -114,7 +111,7 @@ def record(scenario: Scenario, courses: int, seed: int, stream: int = _DRIVE_STR
         fresh = np.zeros(courses, dtype=bool)
         sim.step_all(action[:, 0].astype(np.float64), np.where(alive, STEP, IDLE).astype(np.int8))
         row = np.empty((courses, 6))
-        _log_truth(w.state, w.courses, scenario.course.border, scenario.belief.sinkage_exponent, row)
+        _log_truth(w.state, w.counts, w.courses, scenario.course.border, scenario.belief.sinkage_exponent, row)
         readings.append(w.observation[:, :7] * scale)
         truth.append(row)
         running.append(alive)
@@ -182,93 +179,88 @@ def _settling(error: np.ndarray, distance: np.ndarray, time: np.ndarray):
     return distance[t] - distance[0], time[t] - time[0]
 
 
-def measure(logs: list[dict], replays: list[tuple], scenario: Scenario, seed: int, draws: int = 1000) -> dict:
-    """All numbers of one contender over all courses."""
-    prior_sd = 1.0 / np.sqrt(identifier_numbers(scenario).precision[:3])
-    period, courses, bins = scenario.control.period, len(logs), np.array(BINS)
-    shape = (courses, len(bins) - 1, 3)
-    square, valid_square = np.zeros(shape), np.zeros(shape)
-    count, valid_count = np.zeros((courses, len(bins) - 1, 1)), np.zeros((courses, len(bins) - 1, 1))
-    inside = {68: np.zeros((courses, 3)), 95: np.zeros((courses, 3))}
-    judged = np.zeros((courses, 1))
-    settled: list[list] = [[], [], []]
-    passages = 0
-    for k, (log, (estimate, sd, valid, _)) in enumerate(zip(logs, replays, strict=True)):
-        driven = ~log["halted"]
-        error = estimate - log["truth"]
-        which = np.digitize(log["since"], bins) - 1
-        for i in range(len(bins) - 1):
+class _Sums:
+    """Sums over the driven steps of each course, from which the measures follow."""
+
+    def __init__(self, courses: int):
+        bins = len(BINS) - 1
+        self.square, self.valid_square = np.zeros((2, courses, bins, 3))  # of the errors, in `PARAMETERS`
+        self.count, self.valid_count = np.zeros((2, courses, bins, 1))
+        self.inside = {"68": np.zeros((courses, 3)), "95": np.zeros((courses, 3))}
+        self.judged = np.zeros((courses, 1))  # steps with a valid estimate
+        self.settled: list[list] = [[], [], []]  # of each parameter: (course, distance, time) of a patch
+        self.passages = 0  # patches long enough for it
+
+    def add(self, k: int, log: dict, replayed: tuple, period: float) -> None:
+        """The replay (estimate, sd, valid, ...) of the log of course k."""
+        estimate, sd, valid, _ = replayed
+        driven, error = ~log["halted"], estimate - log["truth"]
+        which = np.digitize(log["since"], BINS) - 1
+        for i in range(len(BINS) - 1):
             here = driven & (which == i)
-            square[k, i], count[k, i] = np.sum(error[here] ** 2, axis=0), here.sum()
-            square_ok = here & valid
-            valid_square[k, i], valid_count[k, i] = np.sum(error[square_ok] ** 2, axis=0), square_ok.sum()
+            self.square[k, i], self.count[k, i] = np.sum((error[here] * _UNIT) ** 2, axis=0), here.sum()
+            here &= valid
+            self.valid_square[k, i], self.valid_count[k, i] = np.sum((error[here] * _UNIT) ** 2, axis=0), here.sum()
         good = driven & valid
-        judged[k] = good.sum()
+        self.judged[k] = good.sum()
         z = np.abs(error[good]) / sd[good]
-        inside[68][k], inside[95][k] = np.sum(z <= 1.0, axis=0), np.sum(z <= 1.959964, axis=0)
+        self.inside["68"][k], self.inside["95"][k] = np.sum(z <= 1.0, axis=0), np.sum(z <= 1.959964, axis=0)
         for patch in np.unique(log["patch"]):
             on = driven & (log["patch"] == patch)
             if log["since"][on].max(initial=0.0) < 1.0:
                 continue
-            passages += 1
-            for j in range(3):
-                e = np.abs(error[on, j])
-                found = None
-                if np.all(np.isfinite(e)):
-                    found = _settling(e, log["since"][on], period * np.arange(on.sum()))
+            self.passages += 1
+            for j, e in enumerate(np.abs(error[on]).T):
+                found = _settling(e, log["since"][on], period * np.arange(on.sum())) if np.all(np.isfinite(e)) else None
                 if found is not None:
-                    settled[j].append((k, *found))
-    square, valid_square = square * _UNIT**2, valid_square * _UNIT**2
-    picks = np.random.default_rng([seed, 99]).integers(courses, size=(draws, courses))
-    steps = count.sum((1, 2))[:, None]
-    shown = [name for name, x in zip(PARAMETERS, square.sum((0, 1)), strict=True) if np.isfinite(x)]
-    final = bins[:-1] >= 0.75
+                    self.settled[j].append((k, *found))
 
-    def by_name(record):
-        return {
-            name: {key: record[key][i] for key in record} if name in shown else None
-            for i, name in enumerate(PARAMETERS)
-        }
-
-    def curve(top, bottom):
-        r = _ratio(top, np.broadcast_to(bottom, top.shape), picks, root=True)
-        return {
-            name: {key: [row[i] for row in r[key]] for key in r} if name in shown else None
-            for i, name in enumerate(PARAMETERS)
-        }
-
-    def total(top, bottom):
-        return by_name(_ratio(top, np.broadcast_to(bottom, top.shape), picks, root=True))
-
-    settling = {}
-    for j, name in enumerate(PARAMETERS):
-        if name not in shown or not settled[j]:
-            settling[name] = None
-            continue
-        rows = np.array(settled[j])
-        by_course = [rows[rows[:, 0] == k, 1:] for k in range(courses)]
+    def settling(self, j: int, picks: np.ndarray) -> dict | None:
+        """Median distance and time until parameter j has settled, with intervals over courses."""
+        if not self.settled[j]:
+            return None
+        rows = np.array(self.settled[j])
+        by_course = [rows[rows[:, 0] == k, 1:] for k in range(len(self.judged))]
         medians = np.array([np.median(np.concatenate([by_course[k] for k in p]), axis=0) for p in picks[:300]
                             if sum(len(by_course[k]) for k in p)])  # fmt: skip
-        settling[name] = {
-            "share_of_patches": len(rows) / passages,
+        return {
+            "share_of_patches": len(rows) / self.passages,
             "distance_m": float(np.median(rows[:, 1])), "distance_interval": _interval(medians[:, 0]),
             "time_s": float(np.median(rows[:, 2])), "time_interval": _interval(medians[:, 1]),
         }  # fmt: skip
+
+
+def measure(logs: list[dict], replays: list[tuple], scenario: Scenario, seed: int, draws: int = 1000) -> dict:
+    """All numbers of one contender over all courses."""
+    sums = _Sums(len(logs))
+    for k, (log, replayed) in enumerate(zip(logs, replays, strict=True)):
+        sums.add(k, log, replayed, scenario.control.period)
+    prior_sd = _UNIT / np.sqrt(identifier_numbers(scenario).precision[:3])
+    picks = np.random.default_rng([seed, 99]).integers(len(logs), size=(draws, len(logs)))
+    shown = np.isfinite(sums.square.sum((0, 1)))
+    final = np.array(BINS[:-1]) >= 0.75
+
+    def ratios(top: np.ndarray, bottom: np.ndarray, root: bool = True) -> dict:
+        """{parameter: {"value", "low", "high"}}; None for a parameter that is not estimated."""
+        found = _ratio(top, np.broadcast_to(bottom, top.shape), picks, root)
+        return {
+            name: {key: np.asarray(v)[..., i].tolist() for key, v in found.items()} if shown[i] else None
+            for i, name in enumerate(PARAMETERS)
+        }
+
+    rms = np.sqrt(sums.square.sum((0, 1)) / sums.count.sum()) / prior_sd
+    valid_share = _ratio(sums.judged, sums.count.sum((1, 2))[:, None], picks)
     return {
-        "rms": total(square.sum(1), count.sum(1)),
-        "rms_valid": total(valid_square.sum(1), valid_count.sum(1)),
-        "rms_final": total(square[:, final].sum(1), count[:, final].sum(1)),
-        "rms_over_prior_sd": {
-            n: float(np.sqrt(square[:, :, i].sum() / count.sum()) / (prior_sd * _UNIT)[i])
-            for i, n in enumerate(PARAMETERS) if n in shown
-        },
-        "curve": curve(square, count),
-        "curve_valid": curve(valid_square, valid_count),
-        "settling": settling,
-        "valid_share": {k: float(np.ravel(v)[0]) for k, v in _ratio(judged, steps, picks).items()},
-        "coverage": {str(level): by_name(_ratio(hits, np.broadcast_to(judged, hits.shape), picks))
-                     for level, hits in inside.items()},
-    }  # fmt: skip
+        "rms": ratios(sums.square.sum(1), sums.count.sum(1)),
+        "rms_valid": ratios(sums.valid_square.sum(1), sums.valid_count.sum(1)),
+        "rms_final": ratios(sums.square[:, final].sum(1), sums.count[:, final].sum(1)),
+        "rms_over_prior_sd": {name: float(v) for name, v, s in zip(PARAMETERS, rms, shown, strict=True) if s},
+        "curve": ratios(sums.square, sums.count),
+        "curve_valid": ratios(sums.valid_square, sums.valid_count),
+        "settling": {name: sums.settling(j, picks) if shown[j] else None for j, name in enumerate(PARAMETERS)},
+        "valid_share": {key: float(np.ravel(v)[0]) for key, v in valid_share.items()},
+        "coverage": {level: ratios(hits, sums.judged, root=False) for level, hits in sums.inside.items()},
+    }
 
 
 def run(courses: int = 200, seed: int = 0, progress=None, contenders=CONTENDERS, draws: int = 1000) -> dict:
@@ -293,7 +285,7 @@ def run(courses: int = 200, seed: int = 0, progress=None, contenders=CONTENDERS,
         result["contenders"][name] = entry
         say(f"{name}: rms {entry['rms']['phi_deg']['value']:.2f} deg, {entry['time']['mean_us']:.1f} us a reading")
     result["time"] = compare_times(scenario, logs, contenders)
-    return _finite(result)
+    return plain(result)
 
 
 def _timed(contender: Contender, readings: np.ndarray):
@@ -342,17 +334,6 @@ def compare_times(scenario: Scenario, logs: list[dict], contenders=CONTENDERS, r
     return out
 
 
-def _finite(value):
-    """The same with NaN and infinity as None, which JSON has."""
-    if isinstance(value, dict):
-        return {str(k): _finite(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(v) for v in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value
-
-
 def smoke(seed: int = 0) -> dict:
     """`run` on two courses."""
     return run(2, seed, draws=50)
@@ -377,28 +358,37 @@ def tune_ukf(courses: int = 30, seed: int = 0, progress=print, base=UnscentedKal
     return scores
 
 
-def main() -> None:
-    """Run it alone: the result as JSON and its figure."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.identification_online",
-        description="Compare online identifiers on the same courses and readings: soil_env's window and others.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  OUT/online.json, OUT/online.png\n\nexit status:\n  0 done\n\nexamples:\n"
-        "  python -m benchmarks.identification_online --smoke --out /tmp/online",
-    )
-    parser.add_argument("--courses", metavar="N", type=int, default=200, help="courses (default 200)")
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the courses (default 0)")
-    parser.add_argument(
-        "--out", metavar="OUT", type=Path, default=Path("runs/identification_online"),
+_EPILOG = """files:
+  OUT/online.json, OUT/online.png
+
+exit status:
+  0 done; 2 a folder that cannot be written; 130 interrupted
+
+examples:
+  python -m benchmarks.identification_online --smoke --out /tmp/online"""
+
+
+@command_line("benchmarks.identification_online")
+def main(arguments: list[str] | None = None) -> int:
+    """Run it alone: the result as JSON and its figure; returns the exit status."""
+    p = command_parser(
+        "python -m benchmarks.identification_online",
+        "Compare online identifiers on the same courses and readings: soil_env's window and others.", _EPILOG,
+    )  # fmt: skip
+    p.add_argument("--courses", metavar="N", type=whole_number(1), default=200, help="courses (default 200)")
+    p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the courses (default 0)")
+    p.add_argument(
+        "--out", metavar="OUT", type=folder, default=Path("runs/identification_online"),
         help="folder of the results (default runs/identification_online)",
     )  # fmt: skip
-    parser.add_argument("--smoke", action="store_true", help="two courses, numbers without meaning")
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    result = smoke(args.seed) if args.smoke else run(args.courses, args.seed, print)
-    replace_file(args.out / "online.json", json.dumps(result, indent=1, allow_nan=False))
-    figure(result, args.out / "online.png")
+    p.add_argument("--smoke", action="store_true", help="two courses, numbers without meaning")
+    options = p.parse_args(arguments)
+    make_folder(options.out)
+    result = smoke(options.seed) if options.smoke else run(options.courses, options.seed, print)
+    write_json(options.out / "online.json", result)
+    figure(result, options.out / "online.png")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    leave(main())

@@ -1,9 +1,8 @@
-"""What can a controller know of the slip that the soil under it needs: from its sensors at one moment, with the
-estimate of the identifier, with the true soil?
+"""Predictability of the best slip from one moment's sensors, from the identifier's estimate, from the true soil.
 
-The best slip of the true soil (`traversability.best_working_point`, at the nominal load) is foretold by a small network
-from what can be read on courses driven by `fixed_slip`; the share of its variance that is foretold on other courses
-(R^2) says what a reading is worth. It is no bound: a network may find more with more data, and a memory of sensor
+The best slip of the true soil (`traversability.best_working_point`, at the nominal load) is predicted by a small
+network from what can be read on courses driven by `fixed_slip`. The share of its variance that is predicted on other
+courses (R^2) is the worth of a reading. It is no bound: a network may find more with more data, and a memory of sensor
 readings may tell more than one moment does.
 
     python benchmarks/information.py --out docs/comparison          writes information.json, prints a table
@@ -12,15 +11,19 @@ readings may tell more than one moment does.
 
 from __future__ import annotations
 
-import argparse
-import json
+import sys
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 import torch
 
 from agents.controllers import _best_slips, make_controller
 from agents.evaluate import course_rng
+from soil_env._io.commands import command_line, command_parser, folder, leave
+from soil_env._io.document import Table
+from soil_env._io.files import make_folder, write_json
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import IDLE, STEP, Simulation
@@ -75,7 +78,7 @@ def best_slip(scenario: Scenario, name: str, observation: np.ndarray) -> np.ndar
     return out
 
 
-def foretold(x: np.ndarray, y: np.ndarray, learn: np.ndarray, epochs: int) -> float:
+def predicted_share(x: np.ndarray, y: np.ndarray, learn: np.ndarray, epochs: int) -> float:
     """R^2, on the rows not in `learn`, of a network that has learnt y [n] from x [n, D] on the rows in `learn`."""
     torch.manual_seed(0)
     mean, sd = x[learn].mean(axis=0), x[learn].std(axis=0) + 1e-6
@@ -118,7 +121,7 @@ def study(name: str, courses: int, epochs: int) -> dict:
     best, held = best_slip(scenario, "best_slip_true", true), best_slip(scenario, "best_slip_identified", seen)
     learn = who < HALF * courses
     r_squared = {
-        label: foretold(np.hstack([seen[:, :sensors], *(column[c] for c in names)]), best, learn, epochs)
+        label: predicted_share(np.hstack([seen[:, :sensors], *(column[c] for c in names)]), best, learn, epochs)
         for label, names in READINGS.items()
     }
     return {
@@ -132,23 +135,24 @@ def study(name: str, courses: int, epochs: int) -> dict:
     }
 
 
-def main() -> None:
-    """Run the study and write information.json."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of information.json")
+@command_line("benchmarks.information")
+def main(arguments: list[str] | None = None) -> int:
+    """Run the study and write information.json; returns the exit status."""
+    p = command_parser("python benchmarks/information.py", __doc__)
+    p.add_argument("--out", type=folder, required=True, metavar="DIR", help="folder of information.json")
     p.add_argument("--scenarios", default="mixed,loose_slopes,sticky", metavar="A,B")
     p.add_argument("--smoke", action="store_true", help="a few courses only")
-    options = p.parse_args()
+    options = p.parse_args(arguments)
+    make_folder(options.out)
     torch.set_num_threads(1)
     courses, epochs = (12, 2) if options.smoke else (400, 25)
     result = {name: study(name, courses, epochs) for name in options.scenarios.split(",")}
-    options.out.mkdir(parents=True, exist_ok=True)
     content = {"courses": courses, "smoke": options.smoke, "scenarios": result}
-    (options.out / "information.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    print("| best slip foretold from (R^2) | " + " | ".join(result) + " |\n|---|" + "---|" * len(result))
-    for label in READINGS:
-        print(f"| {label} | " + " | ".join(f"{entry['r_squared'][label]:.2f}" for entry in result.values()) + " |")
+    write_json(options.out / "information.json", content)
+    rows = [(label, *(f"{entry['r_squared'][label]:.2f}" for entry in result.values())) for label in READINGS]
+    print(Table(("best slip predicted from (R^2)", *result), rows).markdown())
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    leave(main())

@@ -10,18 +10,16 @@ grow by more than 2 MB.
 
 from __future__ import annotations
 
-import argparse
 import gc
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.fuzz import around, renew
-from soil_env._io.commands import leave
+from benchmarks.common import check_page, renew_page
+from soil_env._io.commands import command_line, command_parser, leave
+from soil_env._io.document import Table
 from soil_env._io.loading import ParameterError, config_dir
-from soil_env._io.signals import terminable
 from soil_env.env import SoilWheelEnv
 from soil_env.vector_env import SoilWheelVectorEnv
 
@@ -70,42 +68,29 @@ def growth(sizes: list[float]) -> float:
     return max(sizes) - sizes[0]
 
 
-@terminable
+@command_line("benchmarks.memory")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status: 0 flat, 1 not, 2 bad input, 130 interrupted."""
-    p = argparse.ArgumentParser(
-        prog="python -m benchmarks.memory", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    p = command_parser("python -m benchmarks.memory", __doc__)
     p.add_argument("--share", type=float, default=1.0, help="of the steps, to see that it works (default 1)")
     p.add_argument("--page", type=Path, metavar="MD", help="put the result between the markers of this page")
     options = p.parse_args(arguments)
-    try:
-        if not 0.0 < options.share <= 100.0:
-            raise ParameterError(f"--share {options.share}: expected a number in (0, 100]")
-        if options.page is not None:
-            around(options.page, "memory")  # before the work
-        counts = round(1e7 * options.share), round(2e5 * options.share)
-        rows = [
-            (f"vector, 1024 wheels, {counts[0]:,} steps", vector(counts[0], 1024)),
-            (f"single, effects and pictures, {counts[1]:,} steps", single(counts[1])),
-        ]
-        lines = ["| resident size [MB] after each tenth of the steps | | growth after the first |", "|---|---|---|"]
-        for name, sizes in rows:
-            lines.append(f"| {name} | {', '.join(f'{s:.1f}' for s in sizes)} | {growth(sizes):.1f} |")
-        text = "\n".join(lines)
-        if options.page is not None:
-            renew(options.page, "memory", text)
-    except ParameterError as error:
-        print(f"benchmarks.memory: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"benchmarks.memory: {error.filename}: {error.strerror}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nbenchmarks.memory: interrupted", file=sys.stderr)
-        return 130
+    if not 0.0 < options.share <= 100.0:
+        raise ParameterError(f"--share {options.share}: expected a number in (0, 100]")
+    if options.page is not None:
+        check_page(options.page, "memory")  # before the work
+    counts = round(1e7 * options.share), round(2e5 * options.share)
+    samples = {
+        f"vector, 1024 wheels, {counts[0]:,} steps": vector(counts[0], 1024),
+        f"single, effects and pictures, {counts[1]:,} steps": single(counts[1]),
+    }
+    header = ("resident size [MB] after each tenth of the steps", "", "growth after the first")
+    rows = [(name, ", ".join(f"{s:.1f}" for s in v), f"{growth(v):.1f}") for name, v in samples.items()]
+    text = Table(header, rows).markdown()
+    if options.page is not None:
+        renew_page(options.page, {"memory": text})
     print(text)
-    return 0 if all(growth(sizes) <= MOST_GROWTH for _, sizes in rows) else 1
+    return 0 if all(growth(sizes) <= MOST_GROWTH for sizes in samples.values()) else 1
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How much does the identifier know while a controller drives, and what would a plain bonus for information pay?
+"""Knowledge of the identifier along a drive, and what a plain bonus for every gain of it would pay.
 
 Knowledge is that of the reward term `information` (`task.knowledge`, nat). A bonus for every gain of it could be earned
 again and again: `Rocking` hardly leaves its place and makes the identifier start anew each time.
@@ -10,12 +10,12 @@ CONTROLLERS as of `python -m agents.evaluate`; several models of one name are av
 
 from __future__ import annotations
 
-import argparse
-
 import numpy as np
 
 from agents.evaluate import contestants as entries
 from agents.evaluate.driving import HELD_OUT_SET, drive
+from soil_env._io.commands import command_line, command_parser, leave, whole_number
+from soil_env._io.document import Table
 from soil_env.identification.online import identifier_numbers
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import knowledge
@@ -52,21 +52,23 @@ def along(controller, scenario: Scenario, courses: int) -> dict[str, float]:
     return {name: float(values.mean()) for name, values in found.items()}
 
 
-def main() -> None:
-    """Print the table."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+@command_line("benchmarks.paying")
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table; returns the exit status."""
+    p = command_parser("python -m benchmarks.paying", __doc__)
     p.add_argument("--controllers", required=True)
     p.add_argument("--scenario", default="mixed")
-    p.add_argument("--courses", type=int, default=200)
-    options = p.parse_args()
-    scenario, rows = load_scenario(options.scenario), {}
+    p.add_argument("--courses", type=whole_number(1), default=200)
+    options = p.parse_args(arguments)
+    scenario, found = load_scenario(options.scenario), {}
     for one in entries.parse(options.controllers).values():
-        rows.setdefault(one.name, []).append(along(entries.load(one, scenario), scenario, options.courses))
-    print("| controller | knowledge [nat] | at its highest | gained in all | distance [m] |\n|---|---|---|---|---|")
-    for name, found in rows.items():
-        means = [f"{np.mean([row[key] for row in found]):.2f}" for key in ("mean", "highest", "gained", "distance")]
-        print(f"| {name} | " + " | ".join(means) + " |")
+        found.setdefault(one.name, []).append(along(entries.load(one, scenario), scenario, options.courses))
+    keys = ("mean", "highest", "gained", "distance")
+    rows = [(name, *(f"{np.mean([run[key] for run in runs]):.2f}" for key in keys)) for name, runs in found.items()]
+    header = ("controller", "knowledge [nat]", "at its highest", "gained in all", "distance [m]")
+    print(Table(header, rows).markdown())
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    leave(main())

@@ -1,4 +1,4 @@
-"""How fast the environment is: against others, over N and threads, by part, and against what the machine could do.
+"""Speed of the environment: against others, over N and threads, by part, and against the limit of the machine.
 
     python benchmarks/throughput.py                  minutes; writes docs/performance.json and the tables of
                                                      docs/performance.md
@@ -10,139 +10,96 @@ rounds with the lowest and the highest; what is compared is measured in turns. R
 
 from __future__ import annotations
 
-import argparse
-import json
+import itertools
 import os
-import platform
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import NamedTuple
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import gymnasium
-import llvmlite
-import numba
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from benchmarks import throughput_parts, throughput_page  # noqa: E402, I001
-from soil_env.env import SoilWheelEnv  # noqa: E402
-from soil_env._io.files import make_folder, replace_file  # noqa: E402
-from soil_env.simulation.worlds import IDLE, STEP  # noqa: E402
-from soil_env._io.commands import leave  # noqa: E402
-from soil_env._io.signals import terminable  # noqa: E402
-from soil_env.simulation.task import Cause  # noqa: E402
-from soil_env.vector_env import SoilWheelVectorEnv  # noqa: E402
+from benchmarks import throughput_page, throughput_parts
+from benchmarks.common import ROOT, machine, renew_page, spread
+from soil_env._io.commands import command_line, command_parser, folder, leave
+from soil_env._io.files import make_folder, write_json
+from soil_env.env import SoilWheelEnv
+from soil_env.simulation.task import Cause
+from soil_env.simulation.worlds import IDLE, STEP
+from soil_env.vector_env import SoilWheelVectorEnv
 
 HELD = 8  # steps that a random command is held
-
-
-def spread(values) -> dict:
-    """Median, lowest and highest of rounds."""
-    return {"median": float(np.median(values)), "low": float(np.min(values)), "high": float(np.max(values))}
-
-
-def machine() -> dict:
-    """What the figures were measured on."""
-    name = platform.processor() or platform.machine()
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        name = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        pass
-    return {
-        "processor": name,
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "numba": numba.__version__,
-        "llvmlite": llvmlite.__version__,
-    }
 
 
 # --- steps a second ---------------------------------------------------------------------------------------------------
 
 
-class Ours:
-    """Steps of `SoilWheelVectorEnv` under held random torque commands, resets included."""
+class Runner(NamedTuple):
+    """An environment under random actions: what one call of `step` does to `size` of them."""
 
-    def __init__(self, wheels: int, threads: int, **changes):
-        self.size, self.env = wheels, SoilWheelVectorEnv(wheels, threads=threads, **changes)
-        self.env.reset(seed=0)
-        rng = np.random.default_rng(0)
-        self.actions = [rng.uniform(0.0, 0.8, (wheels, 1)).astype(np.float32) for _ in range(16)]
-        self.count = 0
-
-    def step(self):
-        self.env.step(self.actions[self.count // HELD % len(self.actions)])
-        self.count += 1
+    size: int
+    step: Callable[[], object]
 
 
-class OursSingle:
-    """Steps of `SoilWheelEnv`."""
+def ours(wheels: int, threads: int, **changes) -> Runner:
+    """`SoilWheelVectorEnv` under held random torque commands, resets included."""
+    env, rng = SoilWheelVectorEnv(wheels, threads=threads, **changes), np.random.default_rng(0)
+    env.reset(seed=0)
+    actions = [rng.uniform(0.0, 0.8, (wheels, 1)).astype(np.float32) for _ in range(16)]
+    held = itertools.cycle([a for a in actions for _ in range(HELD)])
+    return Runner(wheels, lambda: env.step(next(held)))
 
-    size = 1
 
-    def __init__(self):
-        self.env, self.count = SoilWheelEnv(), 0
-        self.env.reset(seed=0)
-        rng = np.random.default_rng(0)
-        self.actions = [rng.uniform(0.0, 0.8, 1).astype(np.float32) for _ in range(512)]
+def single(env: gymnasium.Env, actions: Iterable[np.ndarray]) -> Runner:
+    """One environment, reset where an episode ends."""
+    env.reset(seed=0)
+    actions = itertools.cycle(actions)
 
-    def step(self):
-        _, _, terminated, truncated, _ = self.env.step(self.actions[self.count // HELD % len(self.actions)])
-        self.count += 1
+    def step() -> None:
+        _, _, terminated, truncated, _ = env.step(next(actions))
         if terminated or truncated:
-            self.env.reset()
+            env.reset()
+
+    return Runner(1, step)
 
 
-class EnvPoolCartPole:
+def ours_single() -> Runner:
+    """`SoilWheelEnv` under held random torque commands."""
+    actions = np.random.default_rng(0).uniform(0.0, 0.8, (512, 1)).astype(np.float32)
+    return single(SoilWheelEnv(), np.repeat(actions, HELD, axis=0))
+
+
+def envpool_cartpole(size: int, threads: int) -> Runner:
     """EnvPool's CartPole-v1, C++, random actions."""
+    import envpool
 
-    def __init__(self, size: int, threads: int):
-        import envpool
-
-        self.size = size
-        self.env = envpool.make("CartPole-v1", env_type="gymnasium", num_envs=size, num_threads=threads)
-        self.env.reset()
-        self.actions = np.random.default_rng(0).integers(0, 2, (16, size))
-        self.count = 0
-
-    def step(self):
-        self.env.step(self.actions[self.count % len(self.actions)])
-        self.count += 1
+    env = envpool.make("CartPole-v1", env_type="gymnasium", num_envs=size, num_threads=threads)
+    env.reset()
+    actions = itertools.cycle(np.random.default_rng(0).integers(0, 2, (16, size)))
+    return Runner(size, lambda: env.step(next(actions)))
 
 
-class HalfCheetah:
+def half_cheetah() -> Runner:
     """Gymnasium's HalfCheetah-v5, one env, random actions."""
-
-    size = 1
-
-    def __init__(self):
-        self.env, self.count = gymnasium.make("HalfCheetah-v5"), 0
-        self.env.reset(seed=0)
-        self.actions = np.random.default_rng(0).uniform(-1.0, 1.0, (512, *self.env.action_space.shape))
-
-    def step(self):
-        _, _, terminated, truncated, _ = self.env.step(self.actions[self.count % len(self.actions)])
-        self.count += 1
-        if terminated or truncated:
-            self.env.reset()
+    env = gymnasium.make("HalfCheetah-v5")
+    return single(env, np.random.default_rng(0).uniform(-1.0, 1.0, (512, *env.action_space.shape)))
 
 
-def optional(make, *arguments):
-    """(runner, None), or (None, why there is none)."""
+def optional(make: Callable[..., Runner], *arguments) -> tuple[Runner | None, str]:
+    """The runner, or None and why there is none."""
     try:
-        return make(*arguments), None
+        return make(*arguments), ""
     except (ImportError, gymnasium.error.Error) as error:
         return None, f"{make.__name__}: not measured ({str(error).splitlines()[0]})"
 
 
-def rates(runners: dict, seconds: float, rounds: int) -> dict:
+def rates(runners: dict[str, Runner], seconds: float, rounds: int) -> dict:
     """Env steps a second of each runner, measured in turns: {name: [rounds]}."""
     found = {name: [] for name in runners}
     for runner in runners.values():
@@ -160,9 +117,9 @@ def rates(runners: dict, seconds: float, rounds: int) -> dict:
     return found
 
 
-def comparison(ours, theirs, seconds, rounds) -> dict:
+def comparison(mine: Runner, theirs: Runner | None, seconds: float, rounds: int) -> dict:
     """Steps/s of both and their ratio, round by round."""
-    found = rates({"ours": ours} | ({"reference": theirs} if theirs else {}), seconds, rounds)
+    found = rates({"ours": mine} | ({"reference": theirs} if theirs else {}), seconds, rounds)
     result = {name: spread(values) for name, values in found.items()}
     if theirs:
         result["ratio"] = spread(np.divide(found["ours"], found["reference"]))
@@ -171,14 +128,14 @@ def comparison(ours, theirs, seconds, rounds) -> dict:
 
 def against_others(seconds: float, rounds: int, wheels: int, threads: int, notes: list[str]) -> dict:
     """The two targets: the vector env against EnvPool's CartPole, the single env against HalfCheetah."""
-    cartpole, missing = optional(EnvPoolCartPole, wheels, threads)
-    cheetah, missing_too = optional(HalfCheetah)
+    cartpole, missing = optional(envpool_cartpole, wheels, threads)
+    cheetah, missing_too = optional(half_cheetah)
     notes.extend(note for note in (missing, missing_too) if note)
     return {
         "wheels": wheels,
         "threads": threads,
-        "vector": comparison(Ours(wheels, threads), cartpole, seconds, rounds),
-        "single": comparison(OursSingle(), cheetah, seconds, rounds),
+        "vector": comparison(ours(wheels, threads), cartpole, seconds, rounds),
+        "single": comparison(ours_single(), cheetah, seconds, rounds),
     }
 
 
@@ -186,7 +143,7 @@ def scaling(seconds: float, rounds: int, sizes, threads) -> list[dict]:
     """Steps/s over the number of wheels and threads."""
     rows = []
     for size in sizes:
-        found = rates({str(t): Ours(size, t) for t in threads}, seconds, rounds)
+        found = rates({str(t): ours(size, t) for t in threads}, seconds, rounds)
         rows.append({"wheels": size} | {t: spread(values) for t, values in found.items()})
     return rows
 
@@ -212,10 +169,15 @@ def independence(seconds: float, rounds: int, wheels: int, steps: int) -> dict:
             what[simulation.worlds.cause != Cause.RUNNING] = IDLE
         return spent / moved
 
-    a, b = (Ours(wheels, 1, **changes).env.simulation for changes in (short, long))
+    def seeded(changes):
+        env = SoilWheelVectorEnv(wheels, threads=1, **changes)
+        env.reset(seed=0)
+        return env.simulation
+
+    a, b = seeded(short), seeded(long)
     costs = [(cost(a, steps), cost(b, steps), cost(b, 4 * steps)) for _ in range(rounds + 1)][1:]
     near, far, late = np.array(costs).T
-    found = rates({"short": Ours(wheels, 1, **short), "long": Ours(wheels, 1, **long)}, seconds, rounds)
+    found = rates({"short": ours(wheels, 1, **short), "long": ours(wheels, 1, **long)}, seconds, rounds)
     return {
         "length": spread(far / near),
         "age": spread(late / far),
@@ -296,42 +258,36 @@ def run(smoke: bool, say=lambda text: None) -> dict:
     return result
 
 
-@terminable
+_EPILOG = """files:
+  OUT/performance.json
+  OUT/performance.md, docs/performance.md with its tables renewed
+
+exit status:
+  0 done; 2 a folder that cannot be written; 130 interrupted
+
+examples:
+  python benchmarks/throughput.py --smoke --out /tmp/throughput"""
+
+
+@command_line("benchmarks.throughput", interrupted="nothing written")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python benchmarks/throughput.py",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  OUT/performance.json\n  OUT/performance.md, docs/performance.md with its tables renewed\n\n"
-        "exit status:\n  0 done; 2 a folder that cannot be written; 130 interrupted\n\nexamples:\n"
-        "  python benchmarks/throughput.py --smoke --out /tmp/throughput",
-    )
+    parser = command_parser("python benchmarks/throughput.py", __doc__, _EPILOG)
     parser.add_argument("--smoke", action="store_true", help="seconds instead of minutes, numbers without meaning")
     parser.add_argument(
-        "--out", metavar="OUT", type=Path, default=ROOT / "docs",
+        "--out", metavar="OUT", type=folder, default=ROOT / "docs",
         help="folder of performance.json and performance.md (default: docs of the clone)",
     )  # fmt: skip
     options = parser.parse_args(arguments)
-    try:
-        make_folder(options.out)
-        result = run(options.smoke, print)
-        for note in result["notes"]:
-            print(note)
-        _write(result, options.out)
-    except OSError as error:
-        print(f"throughput.py: {error.filename or options.out}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nthroughput.py: interrupted, nothing written", file=sys.stderr)
-        return 130
+    make_folder(options.out)
+    result = run(options.smoke, print)
+    for note in result["notes"]:
+        print(note)
+    write_json(options.out / "performance.json", result)
+    page = ROOT / "docs" / "performance.md"
+    renew_page(page, throughput_page.sections(result), options.out / "performance.md")
     print(throughput_page.summary(result))
     return 0
-
-
-def _write(result: dict, folder: Path) -> None:
-    replace_file(folder / "performance.json", json.dumps(result, indent=1) + "\n")
-    throughput_page.write(result, ROOT / "docs" / "performance.md", folder / "performance.md")
 
 
 if __name__ == "__main__":

@@ -1,23 +1,9 @@
-"""The tables of docs/performance.md, put between its markers from the figures of `throughput.run`."""
+"""The tables of docs/performance.md from the figures of `throughput.run`."""
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
-from soil_env._io.files import replace_file
-
-
-def table(head: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table."""
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
-
-
-def _range(value: dict, digits: int = 2, scale: float = 1.0) -> str:
-    """Median with the lowest and highest round."""
-    median, low, high = (f"{value[k] * scale:,.{digits}f}" for k in ("median", "low", "high"))
-    return f"{median} ({low}-{high})"
+from benchmarks.common import range_text
+from soil_env._io.document import Table
 
 
 def machine(result: dict) -> str:
@@ -42,33 +28,32 @@ def targets(result: dict) -> str:
     }
     for key, (ours, reference) in names.items():
         c = t[key]
-        measured = "reference" in c
-        rows.append([
-            ours, _range(c["ours"], 0, 1e-3), reference,
-            _range(c["reference"], 0, 1e-3) if measured else "not measured", _range(c["ratio"]) if measured else "",
-        ])  # fmt: skip
-    text = table(["env", "1000 steps/s", "reference", "1000 steps/s", "ratio"], rows)
+        theirs, ratio = "not measured", ""
+        if "reference" in c:
+            theirs, ratio = range_text(c["reference"], 0, 1e-3), range_text(c["ratio"])
+        rows.append([ours, range_text(c["ours"], 0, 1e-3), reference, theirs, ratio])
+    text = Table(["env", "1000 steps/s", "reference", "1000 steps/s", "ratio"], rows).markdown()
     return "\n\n".join([text, *result["notes"]])
 
 
 def scaling(result: dict) -> str:
     """Steps/s over N and threads."""
-    rows = [[str(r["wheels"]), _range(r["1"], 0, 1e-3), _range(r["2"], 0, 1e-3)] for r in result["scaling"]]
-    return table(["wheels", "1 thread, 1000 steps/s", "2 threads, 1000 steps/s"], rows)
+    rows = [[str(r["wheels"]), range_text(r["1"], 0, 1e-3), range_text(r["2"], 0, 1e-3)] for r in result["scaling"]]
+    return Table(["wheels", "1 thread, 1000 steps/s", "2 threads, 1000 steps/s"], rows).markdown()
 
 
 def parts(result: dict) -> str:
-    """Share of the parts, and of the limit."""
+    """Cost of each part beside its limit."""
     p, possible = result["parts"], result["limit"]["us"]
     total = sum(v["median"] for v in p["us"].values())
     rows = []
     for name, value in p["us"].items():
         share = f"{100 * possible[name] / value['median']:.0f} %" if name in possible else ""
         least = f"{possible[name]:.3f}" if name in possible else ""
-        rows.append([name, _range(value, 3), f"{100 * value['median'] / total:.0f} %", least, share])
+        rows.append([name, range_text(value, 3), f"{100 * value['median'] / total:.0f} %", least, share])
     least = sum(possible.values())
     rows.append(["all", f"{total:.3f}", "100 %", f"{least:.3f}", f"{100 * least / total:.0f} %"])
-    text = table(["part", "us a wheel and step, one core", "share", "limit, us", "limit / achieved"], rows)
+    text = Table(["part", "us a wheel and step, one core", "share", "limit, us", "limit / achieved"], rows).markdown()
     often = (
         f"A step solves {p['solves_a_step']:.2f} windows, draws {p['patches_a_step']:.4f} patches and resets "
         f"{p['resets_a_step']:.4f} wheels on average."
@@ -77,12 +62,12 @@ def parts(result: dict) -> str:
 
 
 def rates(result: dict) -> str:
-    """What the machine does at best."""
+    """Throughput of the machine for single operations."""
     names = {"exp": "exp", "log": "log", "sin_cos": "sin and cos", "fma": "multiply and add", "scalar": "exp of libm"}
-    rows = [[names[k], "1" if k == "scalar" else "8", _range(v)] for k, v in result["limit"]["ns"].items()]
+    rows = [[names[k], "1" if k == "scalar" else "8", range_text(v)] for k, v in result["limit"]["ns"].items()]
     b = result["limit"]["bytes"]
     return (
-        table(["operation", "numbers", "ns"], rows)
+        Table(["operation", "numbers", "ns"], rows).markdown()
         + f"\n\nA wheel takes {b['wheel']:,} bytes; a step reads or writes about {b['step']:,} of them, and "
         f"{b['solve']:,} more where it solves."
     )
@@ -91,37 +76,37 @@ def rates(result: dict) -> str:
 def independence(result: dict) -> str:
     """Ratios over course length and age."""
     i = result["independence"]
-    return table(
+    return Table(
         ["cost of a step over", "ratio"],
         [
-            ["a course of 100 m / one of 10 m", _range(i["length"])],
-            ["wheels late / early in their episode", _range(i["age"])],
-            ["a course of 100 m / one of 10 m, resets included", _range(i["length_with_resets"])],
+            ["a course of 100 m / one of 10 m", range_text(i["length"])],
+            ["wheels late / early in their episode", range_text(i["age"])],
+            ["a course of 100 m / one of 10 m, resets included", range_text(i["length_with_resets"])],
         ],
-    )
+    ).markdown()
 
 
 def accuracy(result: dict) -> str:
     """Errors of the contact rule."""
     rows = [[k, f"{v['median']:.1e}", f"{v['high']:.1e}"] for k, v in result["accuracy"].items()]
-    return table(["", "median", "largest"], rows)
+    return Table(["", "median", "largest"], rows).markdown()
 
 
 def startup(result: dict) -> str:
-    """Seconds until something happens."""
+    """Seconds to import, to the first `reset` and to the first `step`."""
     s = result["startup"]
     if not s:
         return "Not measured."
-    return table(
+    return Table(
         ["", "s"],
         [
-            ["`import soil_env` beyond numpy and gymnasium", _range(s["import"])],
+            ["`import soil_env` beyond numpy and gymnasium", range_text(s["import"])],
             ["first env and `reset`, nothing cached", f"{s['first_reset']:.1f}"],
             ["then the first env, `reset` and `step`", f"{s['first_step_after']:.1f}"],
-            ["env and `reset`, cached", _range(s["cached_reset"])],
-            ["env, `reset` and `step`, cached", _range(s["cached_step"])],
+            ["env and `reset`, cached", range_text(s["cached_reset"])],
+            ["env, `reset` and `step`, cached", range_text(s["cached_step"])],
         ],
-    )
+    ).markdown()
 
 
 SECTIONS = {
@@ -130,17 +115,9 @@ SECTIONS = {
 }  # fmt: skip
 
 
-def write(result: dict, template: Path, out: Path) -> None:
-    """`template` with the text between its markers renewed, into `out`; a KeyError for a marker without figures."""
-    text = template.read_text(encoding="utf-8")
-
-    def renewed(match):
-        return f"<!-- {match[1]} -->\n{SECTIONS[match[1]](result)}\n<!-- end -->"
-
-    text, count = re.subn(r"<!-- (\w+) -->\n.*?<!-- end -->", renewed, text, flags=re.DOTALL)
-    if count != len(SECTIONS):
-        raise ValueError(f"{template}: {count} figures, expected {len(SECTIONS)}")
-    replace_file(out, text)
+def sections(result: dict) -> dict[str, str]:
+    """Text between the markers of docs/performance.md, by marker."""
+    return {name: section(result) for name, section in SECTIONS.items()}
 
 
 def summary(result: dict) -> str:

@@ -1,4 +1,4 @@
-"""Where the time of a step goes, what the machine could do at best, and how accurate the contact rule is."""
+"""Cost of the parts of a step, the least that the machine could need for them, and the error of the contact rule."""
 
 from __future__ import annotations
 
@@ -7,78 +7,76 @@ import time
 
 import numpy as np
 
+from benchmarks.common import spread
 from soil_env._numba import elementary, lanes
-from soil_env._numba.compiling import Entry, kernel
-from soil_env.identification import online as identifier
-from soil_env.identification.online import SensorReading
+from soil_env._numba.compiling import FastCall, inlined, root
+from soil_env._numba.rows import Rows
+from soil_env.identification.online import SensorReading, observe
 from soil_env.parameters import load_scenario
-from soil_env.simulation import courses as drawing
-from soil_env.simulation import lockstep, task
-from soil_env.simulation.worlds import Simulation, restart
+from soil_env.simulation.courses import draw_ahead
+from soil_env.simulation.dynamics import MANY, advance
+from soil_env.simulation.task import Cause, judge, reward_terms, sense, write_observation
+from soil_env.simulation.worlds import RESTART, STEP, Simulation, restart
 from soil_env.terramechanics import contact
 from soil_env.vector_env import SoilWheelVectorEnv
 
-_many = lanes.scratch(lockstep.MANY)
-
-# --- parts ------------------------------------------------------------------------------------------------------------
+# --- parts: of a step of the wheels with what[k] = STEP ---------------------------------------------------------------
 
 
-@kernel
-def _drive(worlds, numbers, commands, over):
-    which, given = _many(), _many()
-    count, wheels = 0, commands.size
-    for k in range(wheels):
-        if not over[k]:
-            which[count], given[count] = k, commands[k]
-            count += 1
-        if count == lockstep.MANY or (count > 0 and k == wheels - 1):
-            lockstep.advance_many(worlds.state, which, count, given, worlds.courses, worlds.streams, numbers.world)
-            count = 0
+@root
+def _drive(worlds, numbers, what, commands):
+    for start in range(0, what.size, MANY):
+        count = min(MANY, what.size - start)
+        advance(
+            worlds.state, worlds.counts, start, count, what, commands, worlds.courses, worlds.streams, numbers.world
+        )
 
 
-@kernel
-def _sense(worlds, numbers, readings, over):
-    for k in range(readings.shape[0]):
-        if not over[k]:
-            r, pitch = task.sense(worlds.state, k, worlds.streams, numbers.task)
+@root
+def _sense(worlds, numbers, what, readings):
+    for k in range(what.size):
+        if what[k] == STEP:
+            r, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
             for i in range(7):
                 readings[k, i] = r[i]
             readings[k, 7] = pitch
 
 
-@kernel
+@inlined
 def _reading(a, k):
     return SensorReading(a[k, 0], a[k, 1], a[k, 2], a[k, 3], a[k, 4], a[k, 5], a[k, 6])
 
 
-@kernel
-def _identify(worlds, numbers, readings, over):
-    for k in range(readings.shape[0]):
-        if not over[k]:
-            worlds.solved[k] = identifier.observe(worlds.ids, k, _reading(readings, k), numbers.identifier)
+@root
+def _identify(worlds, numbers, what, readings):
+    for k in range(what.size):
+        if what[k] == STEP:
+            worlds.solved[k] = observe(worlds.ids, k, _reading(readings, k), numbers.identifier)
 
 
-@kernel
-def _report(worlds, numbers, readings, over):
-    for k in range(readings.shape[0]):
-        if not over[k]:
-            cause = task.judge(worlds.state, k, numbers.task)
+@root
+def _report(worlds, numbers, what, readings):
+    for k in range(what.size):
+        if what[k] == STEP:
+            cause = judge(worlds.state, worlds.counts, k, numbers.task)
             worlds.cause[k] = cause
-            task.reward_terms(worlds.state, k, cause, 0.0, 0.0, numbers.task, worlds.terms[k])
-            task.write_observation(
-                worlds.observation[k], worlds.state, k, _reading(readings, k), readings[k, 7], worlds.courses,
-                worlds.ids, numbers.task,
+            reward_terms(worlds.state, k, cause, 0.0, 0.0, numbers.task, worlds.terms[k])
+            write_observation(
+                worlds.observation[k], worlds.state, worlds.counts, k, _reading(readings, k), readings[k, 7],
+                worlds.courses, worlds.ids, numbers.task,
             )  # fmt: skip
 
 
-@kernel
-def _ground(worlds, numbers, over):
-    for k in range(over.size):
-        w = worlds.state[k]
-        if over[k]:
+@root
+def _ground(worlds, numbers, what):
+    for k in range(what.size):
+        if what[k] == RESTART:
             restart(worlds, numbers, k)
         else:
-            drawing.draw_ahead(k, worlds.courses, w.x, w.mass, numbers.course)
+            draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], numbers.course)
+
+
+_PARTS = {"ground": _ground, "dynamics": _drive, "sensors": _sense, "identification": _identify, "report": _report}
 
 
 def parts(wheels: int, steps: int, rounds: int) -> dict:
@@ -91,40 +89,37 @@ def parts(wheels: int, steps: int, rounds: int) -> dict:
     for k in range(wheels):
         sim.seed(k, rng)
     sim.restart_where(np.ones(wheels, dtype=np.bool_))
-    kernels = {name: Entry(f) for name, f in _PARTS.items()}
-    readings, over = np.zeros((wheels, 8)), np.zeros(wheels, dtype=np.bool_)
-    w, n, clock = sim.worlds, sim.numbers, time.process_time
-    found, solves, resets, patches = {name: [] for name in kernels}, 0, 0, 0
+    calls = {name: FastCall(f) for name, f in _PARTS.items()}
+    readings, what = np.zeros((wheels, 8)), np.full(wheels, STEP)
+    w, clock = sim.worlds, time.process_time
+    found, solves, resets, patches = {name: [] for name in calls}, 0, 0, 0
     for turn in range(rounds + 1):  # the first warms up and spreads the ages
-        spent = dict.fromkeys(kernels, 0.0)
+        spent = dict.fromkeys(calls, 0.0)
         for step in range(steps):
             if step % 8 == 0:
                 commands = rng.uniform(0.0, 0.8, wheels)
-            drawn = np.where(over, 0, w.courses.patches)
-            for name, f in kernels.items():
+            drawn = np.where(what == RESTART, 0, w.courses.patches)
+            for name, call in calls.items():
                 extra = {"dynamics": (commands,), "ground": ()}.get(name, (readings,))
                 start = clock()
-                f(w, n, *extra, over)
+                call(w, sim.numbers, what, *extra)
                 spent[name] += clock() - start
             if turn > 0:
-                solves += int(w.solved[~over].sum())
-                resets += int(over.sum())
+                solves += int(w.solved[what == STEP].sum())
+                resets += int((what == RESTART).sum())
                 patches += int((w.courses.patches - drawn).sum())
-            over = w.cause != task.Cause.RUNNING
+            what = np.where(w.cause != Cause.RUNNING, RESTART, STEP)
         if turn > 0:
             for name, value in spent.items():
                 found[name].append(1e6 * value / (steps * wheels))
     made = steps * wheels * rounds
     return {
         "wheels": wheels,
-        "us": {name: _spread(values) for name, values in found.items()} | {"Python": _spread(_python(wheels, rounds))},
+        "us": {name: spread(values) for name, values in found.items()} | {"Python": spread(_python(wheels, rounds))},
         "solves_a_step": solves / made,
         "resets_a_step": resets / made,
         "patches_a_step": patches / made,
     }
-
-
-_PARTS = {"ground": _ground, "dynamics": _drive, "sensors": _sense, "identification": _identify, "report": _report}
 
 
 def _python(wheels: int, rounds: int) -> list[float]:
@@ -141,34 +136,30 @@ def _python(wheels: int, rounds: int) -> list[float]:
     return found
 
 
-def _spread(values) -> dict:
-    return {"median": float(np.median(values)), "low": float(np.min(values)), "high": float(np.max(values))}
-
-
 # --- the limit --------------------------------------------------------------------------------------------------------
 
 
-@kernel
+@root
 def _many_exp(n):
     a = b = c = d = lanes.fill(0.0)
     for i in range(n):
         x = -1e-9 * i
-        a, b = a + elementary.exp_lanes(lanes.fill(x)), b + elementary.exp_lanes(lanes.fill(x - 0.1))
-        c, d = c + elementary.exp_lanes(lanes.fill(x - 0.2)), d + elementary.exp_lanes(lanes.fill(x - 0.3))
+        a, b = a + elementary.exp(lanes.fill(x)), b + elementary.exp(lanes.fill(x - 0.1))
+        c, d = c + elementary.exp(lanes.fill(x - 0.2)), d + elementary.exp(lanes.fill(x - 0.3))
     return lanes.total(a + b + c + d)
 
 
-@kernel
+@root
 def _many_log(n):
     a = b = c = d = lanes.fill(0.0)
     for i in range(n):
         x = 1.0 + 1e-9 * i
-        a, b = a + elementary.log_lanes(lanes.fill(x)), b + elementary.log_lanes(lanes.fill(x + 0.1))
-        c, d = c + elementary.log_lanes(lanes.fill(x + 0.2)), d + elementary.log_lanes(lanes.fill(x + 0.3))
+        a, b = a + elementary.log(lanes.fill(x)), b + elementary.log(lanes.fill(x + 0.1))
+        c, d = c + elementary.log(lanes.fill(x + 0.2)), d + elementary.log(lanes.fill(x + 0.3))
     return lanes.total(a + b + c + d)
 
 
-@kernel
+@root
 def _many_sin_cos(n):
     a = b = c = d = lanes.fill(0.0)
     for i in range(n):
@@ -182,7 +173,7 @@ def _many_sin_cos(n):
     return lanes.total(a + b + c + d)
 
 
-@kernel
+@root
 def _many_fma(n):
     a = b = c = d = e = f = g = h = lanes.fill(1e-3 * n)
     x, y = lanes.fill(0.999 - 1e-9 * n), lanes.fill(1e-3 + 1e-9 * n)
@@ -192,7 +183,7 @@ def _many_fma(n):
     return lanes.total(a + b + c + d + e + f + g + h)
 
 
-@kernel
+@root
 def _many_scalar(n):
     a = b = c = d = 0.0
     for i in range(n):
@@ -204,20 +195,19 @@ def _many_scalar(n):
 _RATES = {"exp": (_many_exp, 4), "log": (_many_log, 4), "sin_cos": (_many_sin_cos, 4), "fma": (_many_fma, 8),
           "scalar": (_many_scalar, 4)}  # fmt: skip
 
-#: Operations on eight lanes that each piece of work of a wheel cannot do without, counted in the code, and scalar
-#: functions. In lockstep eight wheels share an operation.
+#: Operations in lanes, counted in the code, of what a wheel cannot do without. The lanes are eight wheels, eight points
+#: of the identifier, or the eight nodes of one arc; "scalar": functions of the C library.
 WORK = {
-    "store_arcs": {"sin_cos": 17 / 8, "log": 8 / 8, "exp": 8 / 8, "fma": 8 * 20 / 8},
-    "arcs_integrals": {"exp": 16 / 8, "fma": (8 * 59 + 190) / 8},  # with the reaction and a step of Newton's method
-    "rest of a substep": {"sin_cos": 1 / 8, "log": 1 / 8, "exp": 2 / 8, "fma": 80 / 8},
-    "arc_nodes": {"sin_cos": 3, "log": 1, "exp": 1, "fma": 34, "scalar": 1},
-    "shear_integrals": {"exp": 2, "fma": 101, "scalar": 0},  # 46 products and sums, 55 for the 20 sums over lanes
+    "nodes of eight": {"sin_cos": 18, "log": 8, "exp": 8, "fma": 8 * 20},  # contact.store_nodes
+    "shear of eight": {"exp": 16, "fma": 8 * 59 + 190},  # contact.shear_integrals, the reaction, a step of Newton
+    "rest of a substep of eight": {"sin_cos": 1, "log": 1, "exp": 2, "fma": 80},
+    "shear of eight points": {"exp": 16, "fma": 8 * 45 + 80},  # contact.shear_integrals_by_modulus
+    "nodes of one": {"sin_cos": 3, "log": 1, "exp": 1, "fma": 34, "scalar": 1},
+    "shear of one": {"exp": 2, "fma": 101},  # 46 products and sums, 55 for the 20 sums over lanes
     "noise": {"log": 1, "sin_cos": 1, "fma": 10},
-    "store_nodes": {"sin_cos": 17, "log": 8, "exp": 8, "fma": 8 * 22 + 30},
-    "stored_integrals": {"exp": 16, "fma": 8 * 45 + 80},
 }
 SUBSTEPS = 2
-SOLVES = {"store_nodes": 1, "stored_integrals": 3, "arc_nodes": 2, "shear_integrals": 2}  # see, step, judge; weigh
+SOLVE = {"nodes of eight": 1, "shear of eight points": 3, "nodes of one": 2, "shear of one": 2}  # and weighing a point
 STEADY_STATES = 2 * 8  # for a patch: two grounds that are checked, itself and its border, slips of each
 EVALUATIONS = 2  # the fewest that a root takes: one to see it, one to know it
 
@@ -232,26 +222,32 @@ def limit(rounds: int, repeats: int, solves: float = 0.28, patches: float = 0.00
             start = time.process_time()
             f(repeats)
             found.append(1e9 * (time.process_time() - start) / (repeats * each))
-        ns[name] = _spread(found)
+        ns[name] = spread(found)
     cost = {piece: sum(ns[op]["low"] * count for op, count in ops.items()) for piece, ops in WORK.items()}
-    evaluation = cost["arc_nodes"] + cost["shear_integrals"]
+    evaluation = cost["nodes of one"] + cost["shear of one"]
+    substep = cost["nodes of eight"] + cost["shear of eight"] + cost["rest of a substep of eight"]
     pieces = {
-        "dynamics": SUBSTEPS * (cost["store_arcs"] + cost["arcs_integrals"] + cost["rest of a substep"]),
+        "dynamics": SUBSTEPS * substep / 8,
         "sensors": cost["noise"],
-        "identification": ns["scalar"]["low"] + solves * sum(cost[piece] * count for piece, count in SOLVES.items()),
+        "identification": ns["scalar"]["low"] + solves * sum(cost[piece] * count for piece, count in SOLVE.items()),
         "ground": patches * STEADY_STATES * EVALUATIONS * evaluation,
     }
     return {"ns": ns, "us": {name: 1e-3 * value for name, value in pieces.items()}, "bytes": _memory()}
 
 
+def size(value) -> int:
+    """Bytes of an array, of rows without their padding, or of a tuple of these."""
+    if isinstance(value, tuple):
+        return sum(map(size, value))
+    return 8 * len(value.NAMES) * len(value) if isinstance(value, Rows) else value.nbytes
+
+
 def _memory() -> dict:
     """Bytes of one wheel, and of those what a step reads or writes."""
-    sim = Simulation(1, load_scenario("mixed"), "identified", threads=1)
-    w = sim.worlds
-    state, window = w.state.nbytes, sum(a.nbytes for a in w.ids)
-    courses = sum(a.nbytes for a in w.courses)
-    step = 2 * state + sum(a.nbytes for a in w.ids if a is not w.ids.points) + w.observation.nbytes + 2 * 7 * 8 + 64
-    return {"wheel": state + window + courses, "step": step, "solve": w.ids.points.nbytes}
+    w = Simulation(1, load_scenario("mixed"), "identified", threads=1).worlds
+    state, points = size((w.state, w.counts)), size(w.ids.points)
+    step = 2 * state + size(w.ids) - points + w.observation.nbytes + 2 * 7 * 8 + 64
+    return {"wheel": state + size(w.ids) + size(w.courses), "step": step, "solve": points}
 
 
 # --- accuracy ---------------------------------------------------------------------------------------------------------

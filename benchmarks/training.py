@@ -1,4 +1,4 @@
-"""How fast PPO learns the default task, over batch layouts, against wall time; and where the time of a step goes.
+"""Learning speed of PPO on the default task by batch layout, against wall time; cost of a step.
 
     python benchmarks/training.py                  under an hour; writes docs/training.json, docs/training.png and the
                                                    tables of docs/training.md; goes on where it was interrupted
@@ -20,22 +20,23 @@ import time
 from dataclasses import asdict, replace
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import soil_env  # noqa: F401  first: from here on Ctrl-C ends the imports in one line
+
+# isort: split
 import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from agents import evaluate, ppo  # noqa: E402, I001
-from agents.timing import TRAINING, Times, Timing  # noqa: E402
-from benchmarks import training_page  # noqa: E402
-from benchmarks.throughput import machine, spread  # noqa: E402
-from soil_env._io.files import make_folder, replace_file  # noqa: E402
-from soil_env.parameters import load_scenario  # noqa: E402
-from soil_env._io.commands import leave  # noqa: E402
-from soil_env._io.signals import terminable  # noqa: E402
+from agents import evaluate, ppo
+from agents.timing import TRAINING, Times, Timing
+from benchmarks import training_page
+from benchmarks.common import ROOT, machine, renew_page, spread
+from soil_env._io.commands import command_line, command_parser, folder, leave
+from soil_env._io.files import make_folder, write_json
+from soil_env.parameters import load_scenario
 
 VALIDATION_SET = 3_000_017  # courses, see `evaluate.course_rng`
 
@@ -165,14 +166,9 @@ def study(jobs, result: dict, path: Path, say) -> None:
             continue
         run = key | learn(config, seed, seconds, marks, courses)
         result["runs"].append(run)
-        keep(result, path)
+        write_json(path, result)
         last = run["points"][-1]
         say(f"{part}, {name(config)}, seed {seed}: {run['timesteps']:,} steps, finished {last['finished']:.1%}")
-
-
-def keep(result: dict, path: Path) -> None:
-    """Write training.json in one piece."""
-    replace_file(path, (json.dumps(result, indent=1) + "\n").encode())
 
 
 def costs(small: ppo.PPOConfig, large: ppo.PPOConfig, steps: int, rounds: int) -> dict:
@@ -229,43 +225,38 @@ def measure(options: argparse.Namespace) -> None:
         else:
             small, large = layout(128, 128, 6, 1024, 1e-3, "tanh"), layout(512, 64, 4, 4096, 1e-3, "tanh")
             result["update"] = costs(small, large, 32_768, 3)
-        keep(result, path)
+        write_json(path, result)
     study(jobs(options.smoke), result, path, print)
-    keep(result, path)
+    write_json(path, result)
     training_page.figure(result, options.out / "training.png")
-    training_page.write(result, ROOT / "docs" / "training.md", options.out / "training.md")
+    renew_page(ROOT / "docs" / "training.md", training_page.sections(result), options.out / "training.md")
 
 
-@terminable
+_EPILOG = """files:
+  OUT/training.json, training.md, training.png
+
+exit status:
+  0 done; 2 a folder that cannot be written; 130 interrupted
+
+examples:
+  python benchmarks/training.py --smoke --out /tmp/training"""
+
+
+@command_line("benchmarks.training", interrupted="the same command goes on")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python benchmarks/training.py",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  OUT/training.json, training.md, training.png\n\nexit status:\n"
-        "  0 done; 2 a folder that cannot be written; 130 interrupted\n\n"
-        "examples:\n"
-        "  python benchmarks/training.py --smoke --out /tmp/training",
-    )
+    parser = command_parser("python benchmarks/training.py", __doc__, _EPILOG)
     parser.add_argument("--smoke", action="store_true", help="seconds instead of an hour, numbers without meaning")
     parser.add_argument(
-        "--out", metavar="OUT", type=Path, default=ROOT / "docs",
+        "--out", metavar="OUT", type=folder, default=ROOT / "docs",
         help="folder of training.json, .md and .png (default: docs of the clone)",
     )  # fmt: skip
     parser.add_argument(
         "--run", metavar="RUN", type=Path, help="run folder of train.py whose wall time goes onto the page"
     )
     options = parser.parse_args(arguments)
-    try:
-        make_folder(options.out)
-        measure(options)
-    except OSError as error:
-        print(f"training.py: {error.filename or options.out}: {error.strerror}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\ntraining.py: interrupted; the same command goes on", file=sys.stderr)
-        return 130
+    make_folder(options.out)
+    measure(options)
     return 0
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import matplotlib
@@ -11,8 +10,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.throughput_page import table
-from soil_env._io.files import replace_file, save_figure
+from benchmarks.common import range_text
+from soil_env._io.document import Table
+from soil_env._io.files import save_figure
 
 PARTS = ("env", "policy", "update")
 
@@ -55,7 +55,7 @@ def _layouts(result: dict, part: str) -> str:
             *(_each(runs, lambda run, m=m: 100.0 * run["points"][-1][m], 1)
               for m in ("finished", "immobilised", "time_limit")),
         ])  # fmt: skip
-    return table(head, rows)
+    return Table(head, rows).markdown()
 
 
 def screening(result: dict) -> str:
@@ -69,25 +69,19 @@ def finalists(result: dict) -> str:
 
 
 def update(result: dict) -> str:
-    """What a step costs with SB3's update and with ours."""
-    rows = [
-        [
-            name,
-            *(f"{c[key]['median']:.1f} ({c[key]['low']:.1f}-{c[key]['high']:.1f})" for key in ("step", "update")),
-        ]
-        for name, c in result["update"].items()
-    ]
-    return table(["", "us a step in all", "of that the update"], rows)
+    """Cost of a step with SB3's update and with ours."""
+    rows = [[name, *(range_text(c[key], 1) for key in ("step", "update"))] for name, c in result["update"].items()]
+    return Table(["", "us a step in all", "of that the update"], rows).markdown()
 
 
 def default_run(result: dict) -> str:
-    """Where the wall time of one run of train.py went."""
+    """Wall time of one run of train.py, by part."""
     seconds = result.get("run")
     if not seconds:
         return "Not measured."
     total = sum(seconds.values())
     rows = [[part, f"{s:.0f}", f"{s / total:.0%}"] for part, s in seconds.items()]
-    return table(["part", "s", "share"], [*rows, ["all", f"{total:.0f}", "100%"]])
+    return Table(["part", "s", "share"], [*rows, ["all", f"{total:.0f}", "100%"]]).markdown()
 
 
 def figure(result: dict, path: Path) -> None:
@@ -115,12 +109,6 @@ SECTIONS = {
 }  # fmt: skip
 
 
-def write(result: dict, template: Path, out: Path) -> None:
-    """`template` with the text between its markers renewed, into `out`; a KeyError for a marker without figures."""
-
-    def section(match):
-        return f"<!-- {match[1]} -->\n{SECTIONS[match[1]](result)}\n<!-- end -->"
-
-    text = template.read_text(encoding="utf-8")
-    text = re.sub(r"<!-- (\w+) -->\n.*?<!-- end -->", section, text, flags=re.DOTALL)
-    replace_file(out, text)
+def sections(result: dict) -> dict[str, str]:
+    """Text between the markers of docs/training.md, by marker."""
+    return {name: section(result) for name, section in SECTIONS.items()}

@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, unknown_key
 from soil_env._numba.compiling import FastCall
@@ -16,19 +17,21 @@ from soil_env.identification import Status
 from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.wheel import WheelState
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 from soil_env.terramechanics.traversability import best_working_point
 
+if TYPE_CHECKING:
+    from soil_env.rendering.side_view import Renderer
+
 IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
-
-
 _OWN = ("scenario", "observation", "action", "render_mode", "model")  # keywords that are no part of a scenario
 _FIELDS = tuple(f.name for f in dataclasses.fields(Scenario))
 
 
 def build_scenario(
-    scenario: str | Path | Scenario, action: str | None, changes: dict, own: tuple[str, ...] = _OWN
+    scenario: str | Path | Scenario, action: str | None, changes: dict[str, Any], own: tuple[str, ...] = _OWN
 ) -> Scenario:
     """The scenario that the keyword arguments of an environment describe; `own`: those that are no part of it."""
     for key in changes:
@@ -42,7 +45,7 @@ def build_scenario(
     return load_scenario(scenario, changes, "keyword")
 
 
-def check_count(name: str, count) -> None:
+def check_count(name: str, count: object) -> None:
     """ParameterError unless `count` is a whole number of at least one."""
     if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
         raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
@@ -60,14 +63,13 @@ def action_space() -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
 
 
-class SoilWheelEnv(gymnasium.Env):
+class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     """
     ## Description
-    One rigid, driven wheel with its share of a vehicle crosses a course of soils it does not know, uphill and down,
-    without getting stuck. Wheel-soil contact follows Hutangkabodee et al. (2006), Eqs. (1)-(10), with slip-sinkage
-    (Lyasko 2010): a wheel that slips digs, a wheel that spins on the spot keeps digging. At commanded halts, about
-    every metre, the drive is held and the agent's action is ignored; afterwards the wheel has to start again where it
-    stands.
+    A rigid, driven wheel with its share of a vehicle has to cross a course of unknown soils and grades without getting
+    stuck. Wheel-soil contact follows Hutangkabodee et al. (2006), Eqs. (1)-(10), with slip-sinkage (Lyasko 2010): a
+    slipping wheel digs, and a wheel spinning on the spot keeps digging. At commanded halts, about every metre, the
+    drive is held and the agent's action is ignored; afterwards the wheel has to start again where it stands.
 
     ## Action space
     `Box(-1, 1, (1,), float32)`, held for one control period (0.1 s):
@@ -77,10 +79,10 @@ class SoilWheelEnv(gymnasium.Env):
     | "torque"      | motor torque as a share of the stall torque, within the motor's torque-speed line (default) |
     | "wheel_speed" | wheel speed as a share of the no-load speed, followed by the drive's own speed loop |
 
-    Values outside are cut to the bounds; a wrong shape, NaN or infinity raises `ValueError`.
+    Values outside are clipped; a wrong shape, NaN or infinity raises `ValueError`.
 
     ## Observation space
-    `Box(float32)`. All of it are noisy sensor readings (`Noise`), except 8-10. "Weight" is that of the wheel with its
+    `Box(float32)`. All entries but 8-10 are noisy sensor readings (`Noise`). "Weight" is that of the wheel with its
     share of the body, without payload; "top rim speed" is radius times no-load speed. `env.unwrapped.observation_names`
     lists the names.
 
@@ -98,17 +100,17 @@ class SoilWheelEnv(gymnasium.Env):
     | 9 | progress | of course length | -5 | 5 |
     | 10 | halted | 0 or 1 | 0 | 1 |
 
-    `observation="blind"` ends here. `"identified"` (default) adds what the identifier has learnt from those readings:
+    `observation="blind"` ends here. `"identified"` (default) adds the identifier's estimate from those readings:
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
     | 11 | friction_angle | rad, phi | 0 | 1.6 |
     | 12 | log10_shear_modulus | log10 m, K | -5 | 1 |
-    | 13 | log10_sinkage_coefficient | log10 N/m^(n+2), S at the exponent of the belief | 0 | 15 |
+    | 13 | log10_sinkage_coefficient | log10 N/m^(n+2), S at the exponent of the prior | 0 | 15 |
     | 14 | friction_angle_sd | rad | 0 | 2 |
     | 15 | shear_modulus_sd | relative | 0 | 20 |
     | 16 | sinkage_coefficient_sd | relative | 0 | 20 |
-    | 17 | estimate_valid | 1 while the estimate is current, 0 while prior or held | 0 | 1 |
+    | 17 | estimate_valid | 1 while the estimate is current, 0 while it is the prior or held | 0 | 1 |
     | 18 | cohesion | kPa | 0 | 1000 |
     | 19 | dig_gain | -, of slip-sinkage | 0 | 100 |
     | 20 | cohesion_sd | kPa | 0 | 1000 |
@@ -137,12 +139,12 @@ class SoilWheelEnv(gymnasium.Env):
     | information | discount x knowledge after the step - knowledge before it [nat] | 0 |
 
     Knowledge is the sum of ln(prior standard deviation / standard deviation) over what the identifier estimates, each
-    at least 0; it counts as 0 once the episode has terminated. The discount is `information_discount`, 0.999, which
-    should be the agent's own. What is learnt pays at once and is paid back when it is lost or the episode terminates,
-    so that the best policy stays the same. `agents.evaluate` drives without this term.
+    at least 0, and 0 once the episode has terminated. The discount, `information_discount` (0.999), should be that of
+    the agent. This is potential-based shaping, so the optimal policy stays the same. `agents.evaluate` drives without
+    this term.
 
     ## Starting state
-    At rest at the start of a new random course, settled under its own load with a random payload.
+    At rest at the start of a new random course, settled under its load with a random payload.
 
     ## Episode end
     Terminated when the course is finished or the wheel is immobilised; `info["cause"]` says which:
@@ -150,12 +152,12 @@ class SoilWheelEnv(gymnasium.Env):
     | cause | condition (`limits={...}`) |
     |-------|-----------|
     | FINISHED | x >= course length |
-    | ENTRAPPED | slip > 0.6 and abs(V) < 0.02 m/s for 4 s: it spins and makes no progress |
-    | STALLED | rim speed < 0.01 m/s for 4 s outside a halt: torque required > torque given |
+    | ENTRAPPED | slip > 0.6 and abs(V) < 0.02 m/s for 4 s: it spins without progress |
+    | STALLED | rim speed < 0.01 m/s for 4 s outside a halt: torque required > torque available |
     | BOGGED | sinkage > 0.8 radii |
 
-    The two clocks run back at the same rate while their condition does not hold. During halts nothing is judged and
-    they stand still. Truncated after `control={"time_limit": ...}` (90 s) with cause TIME_LIMIT.
+    The two timers count down at the same rate while their condition does not hold, and are paused during halts.
+    Truncated after `control={"time_limit": ...}` (90 s) with cause TIME_LIMIT.
 
     ## Info
     | key | content |
@@ -163,7 +165,7 @@ class SoilWheelEnv(gymnasium.Env):
     | cause | name of the `task.Cause`, "RUNNING" before the end |
     | immobilised | bool |
     | reward_terms | dict of the terms above; their sum is the reward |
-    | estimate | dict: phi [deg], K [m], S [N/m^(n+2)], cohesion [Pa], gain of digging, their standard deviations, |
+    | estimate | dict: phi [deg], K [m], S [N/m^(n+2)], cohesion [Pa], slip-sinkage gain, their standard deviations, |
     |          | status of the identifier |
     | traversability | dict, from sensors and estimate only: best slip, drawbar margin there over the grade [of load; |
     |                | at least -1], torque required there and available [N m], passable; renewed with the estimate |
@@ -174,9 +176,9 @@ class SoilWheelEnv(gymnasium.Env):
     "human"; any field of `Scenario` as a keyword, merged over the scenario, e.g. `course={"length": 20}` or
     `wheel="paper_vehicle"`. Unknown keys and values out of range raise `soil_env.ParameterError`.
 
-    `model`: a model.yaml (or a `WheelSoilModel`) with the effects that are on in this world. Identifier and agent do
-    not know of them. Where the model has a soil, all patches are drawn from it. Its wheel gives the height of the
-    grousers; everything else about the wheel is the scenario's. A residual law acts on drawbar pull and torque.
+    `model`: a model.yaml (or a `WheelSoilModel`) with the effects that act in this world, unknown to identifier and
+    agent. Where the model has a soil, all patches are sampled from it. Of its wheel only the grouser height is used;
+    the rest is the scenario's. A residual law acts on drawbar pull and torque.
 
     ## Version history
     * v0: first version.
@@ -207,12 +209,14 @@ class SoilWheelEnv(gymnasium.Env):
         self.model = load_model(model)
         self.simulation = Simulation(1, self.scenario, observation, threads=1, model=self.model)
         self._best_working_point = FastCall(best_working_point)
-        self._renderer = None
+        self._renderer: Renderer | None = None
         self._seeded = False
         self._warning: dict[str, Any] = {}
         self._over = True
 
-    def reset(self, *, seed: int | None = None, options: dict | None = None):
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """New course, wheel at rest at its start. `options` must be empty. Returns (observation, info)."""
         super().reset(seed=seed)
         if options:
@@ -230,7 +234,7 @@ class SoilWheelEnv(gymnasium.Env):
                 self.render()
         return self.simulation.worlds.observation[0].copy(), self._info()
 
-    def step(self, action):
+    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one control period. Returns (observation, reward, terminated, truncated, info)."""
         if self._over:
             raise gymnasium.error.ResetNeeded("step() before reset(), or after the end of the episode")
@@ -248,7 +252,7 @@ class SoilWheelEnv(gymnasium.Env):
         terminated = self._over and not truncated
         return worlds.observation[0].copy(), float(worlds.reward[0]), terminated, truncated, self._info()
 
-    def render(self):
+    def render(self) -> NDArray[np.uint8] | None:
         """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""
         if self.render_mode is None:
             gymnasium.logger.warn(
@@ -257,11 +261,11 @@ class SoilWheelEnv(gymnasium.Env):
             return None
         return self._view().draw(self.simulation, 0)
 
-    def __getstate__(self):
+    def __getstate__(self) -> dict[str, Any]:
         """All but the window: a copy opens its own."""
         return {**self.__dict__, "_renderer": None}
 
-    def close(self):
+    def close(self) -> None:
         """Close the window, if there is one."""
         if self._renderer is not None:
             self._renderer.close()
@@ -283,13 +287,15 @@ class SoilWheelEnv(gymnasium.Env):
     def true_soil(self) -> SoilState:
         """The undisturbed soil under the wheel: for analysis and references, never part of a fair observation."""
         w = self.simulation.worlds
+        soil: SoilState
         soil, _, _ = ground_at(w.courses, 0, w.state.x[0], w.counts.patch[0], self.scenario.course.border)
         return soil
 
-    def _view(self):
+    def _view(self) -> Renderer:
         if self._renderer is None:
             from soil_env.rendering.side_view import Renderer
 
+            assert self.render_mode is not None
             self._renderer = Renderer(self.scenario, self.render_mode)
         return self._renderer
 
@@ -316,7 +322,7 @@ class SoilWheelEnv(gymnasium.Env):
         worlds = self.simulation.worlds
         cause = Cause(worlds.cause.item(0))
         x, sd = worlds.ids.estimate[0].tolist(), worlds.ids.sd[0].tolist()
-        state = worlds.state[0]
+        state = worlds.state.data[:, 0].tolist()
         return {
             "cause": cause.name,
             "immobilised": cause in IMMOBILISED,
@@ -335,26 +341,29 @@ class SoilWheelEnv(gymnasium.Env):
                 "status": _STATUS[worlds.ids.status.item(0)],
             },
             "traversability": dict(self._warning),
-            "state": {name: state[name] for name in _STATE},
+            "state": {name: state[row] for name, row in _STATE.items()},
         }
 
 
 _STATUS = {status.value: status.name for status in Status}
-_STATE = (
-    "x",
-    "speed",
-    "wheel_speed",
-    "slip",
-    "sinkage",
-    "load",
-    "drawbar_pull",
-    "torque",
-    "motor_torque",
-    "grade",
-)
+_STATE = {
+    name: WheelState.NAMES.index(name)
+    for name in (
+        "x",
+        "speed",
+        "wheel_speed",
+        "slip",
+        "sinkage",
+        "load",
+        "drawbar_pull",
+        "torque",
+        "motor_torque",
+        "grade",
+    )
+}
 
 
-def command(action) -> float:
+def command(action: ArrayLike) -> float:
     """The command in [-1, 1] of an action of shape (1,); ValueError if it is anything else."""
     try:
         a = np.asarray(action, dtype=np.float64)
@@ -367,7 +376,7 @@ def command(action) -> float:
     return min(max(float(a[0]), -1.0), 1.0)
 
 
-def numbers(actions, count: int) -> np.ndarray:
+def numbers(actions: ArrayLike, count: int) -> NDArray[np.float64]:
     """Actions of `count` wheels as an array [count, 1]; ValueError if they are anything else."""
     try:
         a = np.asarray(actions, dtype=np.float64)

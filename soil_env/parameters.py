@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -30,11 +30,11 @@ from soil_env._io.loading import (
 
 
 class SoilState(NamedTuple):
-    """Soil under the wheel as the kernels take it; see `Soil` for the meaning."""
+    """Parameters of a soil under a given wheel, as the kernels take them; see `Soil`."""
 
     tan_phi: float  # [-]
     cohesion: float  # [Pa]
-    shear_modulus: float  # K [m]
+    shear_modulus: float  # shear deformation modulus K [m]
     sinkage_coefficient: float  # S [N/m^(n+2)]
     sinkage_exponent: float  # n [-]
     dig_gain: float  # [-]
@@ -51,7 +51,7 @@ class Soil(Checked):
 
     friction_angle_deg: float = quantity("deg", 0.0, 89.9)
     cohesion: float = quantity("Pa", 0.0, 2e5)
-    shear_modulus: float = quantity("m", 1e-4, 0.3, doc="K of Eq. (10)")
+    shear_modulus: float = quantity("m", 1e-4, 0.3, doc="shear deformation modulus, K of Eq. (10)")
     sinkage_exponent: float = quantity("", 0.0, 3.0, doc="n of Eq. (7)")
     k_c: float | None = quantity("N/m^(n+1)", -1e7, 1e9, default=None)
     k_phi: float | None = quantity("N/m^(n+2)", 0.0, 1e13, default=None)
@@ -61,7 +61,7 @@ class Soil(Checked):
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5, doc="slip-sinkage, effects.slip_sinkage_ratio")
     source: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         pair = (self.k_c is not None) + (self.k_phi is not None)
         if pair != (2 if self.sinkage_coefficient is None else 0):
@@ -76,6 +76,7 @@ class Soil(Checked):
         """S = k_c/b + k_phi [N/m^(n+2)] for a wheel of width b [m]; `ParameterError` if it is not positive."""
         if self.sinkage_coefficient is not None:
             return self.sinkage_coefficient
+        assert self.k_c is not None and self.k_phi is not None  # checked on construction
         s = self.k_c / width + self.k_phi
         if s <= 0.0:
             raise ParameterError(f"Soil: k_c/b + k_phi = {s:g} for a wheel of width {width:g} m: expected > 0")
@@ -84,25 +85,20 @@ class Soil(Checked):
     def state(self, width: float) -> SoilState:
         """The soil as the compiled kernels take it, under a wheel of width b [m]."""
         return SoilState(
-            self.tan_phi,
-            self.cohesion,
-            self.shear_modulus,
-            self.lumped(width),
-            self.sinkage_exponent,
-            self.dig_gain,
-            self.dig_recovery,
-        )
+            self.tan_phi, self.cohesion, self.shear_modulus, self.lumped(width), self.sinkage_exponent,
+            self.dig_gain, self.dig_recovery,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class SoilSpread(Checked):
-    """How a soil in the field scatters about its preset: coefficients of variation and correlations.
+    """Scatter of a soil in the field about its preset: coefficients of variation and correlations.
 
     Friction scatters normally, the others log-normally. The stiffness that scatters is the pressure at
-    `reference_sinkage`, not S itself, whose unit depends on n. Sources: COV of friction 5-15 % in sand (Phoon &
-    Kulhawy 1999, Can. Geotech. J. 36:612), cohesion 20-40 % with correlation -0.24 to -0.7 to friction (Cherubini
-    2000, Can. Geotech. J. 37:705); denser soil has higher friction (Bolton 1986, Geotechnique 36:65) and stiffness and
-    a lower shear modulus. For K, stiffness and digging no published statistics were found: those are our choice.
+    `reference_sinkage`, not S itself, whose unit depends on n. Sources: COV of friction 5-15 % in sand (Phoon & Kulhawy
+    1999, Can. Geotech. J. 36:612), cohesion 20-40 % with correlation -0.24 to -0.7 to friction (Cherubini 2000, Can.
+    Geotech. J. 37:705); denser soil has higher friction (Bolton 1986, Geotechnique 36:65) and stiffness and a lower
+    shear deformation modulus. For K, stiffness and digging no published statistics were found: those are our choice.
     """
 
     friction: float = quantity("", 0.0, 0.35, default=0.08)
@@ -118,7 +114,7 @@ class SoilSpread(Checked):
     stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4)
     stiffness_dig_gain: float = quantity("", -0.99, 0.99, default=-0.5)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         self.factor()
 
@@ -159,7 +155,7 @@ class Wheel(Checked):
     body_mass: float = quantity("kg", 0.1, 1e5, doc="mass this wheel carries and accelerates, without payload")
     source: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         least = 0.02 * self.body_mass * self.radius**2
         if self.inertia < least:
@@ -187,12 +183,13 @@ class Noise(Checked):
 
 @dataclass(frozen=True)
 class Belief(Checked):
-    """What the identifier holds to be true before it has measured anything.
+    """Prior of the identifier: what it assumes before it has measured anything.
 
-    It knows neither the soil nor the parameters of the world's slip-sinkage: cohesion, exponent and digging are nominal
-    values, the first and the last with a standard deviation that widens the reported ones, and (phi, K, S) start from a
-    prior: friction normal, K and S log-normal (`..._sd` are relative there). The defaults are the mean and the scatter
-    of the soils that scenario "mixed" draws; S is compared at the exponent of the belief, at a sinkage of 3 cm.
+    Neither the soil nor the parameters of the world's slip-sinkage are known to it: cohesion, exponent and digging have
+    nominal values, the first and the last with a standard deviation that widens the reported ones, and (phi, K, S) a
+    prior distribution: friction normal, K and S log-normal (`..._sd` are relative there). The defaults are the mean and
+    the scatter of the soils that scenario "mixed" draws; S is compared at the exponent of the belief, at a sinkage of 3
+    cm.
     """
 
     friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=30.0)
@@ -213,7 +210,7 @@ class Belief(Checked):
 
 @dataclass(frozen=True)
 class CourseSpec(Checked):
-    """How courses are drawn. All pairs are (low, high) of a uniform distribution.
+    """Distribution of the random courses. All pairs are (low, high) of a uniform distribution.
 
     Each patch gets the steepest grade at which a wheel at its best slip keeps a drawbar pull of `margin` times its
     weight in reserve, cut to the upper bound of `grade_deg`; soils that would need less than its lower bound are not
@@ -234,7 +231,7 @@ class CourseSpec(Checked):
     halt_interval: tuple[float, float] = quantity("m", 0.05, 1e6, default=(0.6, 1.5), doc="between commanded halts")
     halt_time: float = quantity("s", 0.0, 1e3, default=0.8, doc="length of a halt; 0 = none")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         if self.border > self.patch_length[0]:
             raise ParameterError(
@@ -244,7 +241,7 @@ class CourseSpec(Checked):
 
 @dataclass(frozen=True)
 class Limits(Checked):
-    """When a wheel counts as immobilised (see `task.Cause`)."""
+    """Thresholds beyond which a wheel counts as immobilised (see `task.Cause`)."""
 
     entrapped_slip: float = quantity("", 0.1, 1.0, default=0.6)
     entrapped_speed: float = quantity("m/s", 1e-4, 10.0, default=0.02)
@@ -267,7 +264,7 @@ class RewardWeights(Checked):
 
 @dataclass(frozen=True)
 class Control(Checked):
-    """How the agent acts on the wheel."""
+    """Action of the agent, control period, integrator step and time limit."""
 
     period: float = quantity("s", 1e-3, 1.0, default=0.1, doc="time between two actions")
     substep: float = quantity("s", 1e-4, 0.5, default=0.05, doc="longest step of the integrator")
@@ -293,7 +290,7 @@ class Scenario(Checked):
     reward: RewardWeights = RewardWeights()
     control: Control = Control()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         if not self.soils:
             raise ParameterError("Scenario.soils: expected at least one soil name with its weight")
@@ -327,7 +324,7 @@ class Scenario(Checked):
 
 
 @cache
-def _library(kind: str) -> dict:
+def _library(kind: str) -> dict[str, Any]:
     path = config_dir() / f"{kind}.yaml"
     cls = {"soils": Soil, "wheels": Wheel}[kind]
     return {name: load(cls, entry, f"{path.name}: {name}") for name, entry in read_yaml(path).items()}
@@ -349,14 +346,13 @@ def scenario_names() -> list[str]:
 
 
 def load_scenario(
-    which: str | Path | Scenario = "mixed", changes: dict | None = None, place: str = "changes"
+    which: str | Path | Scenario = "mixed", changes: dict[str, Any] | None = None, place: str = "changes"
 ) -> Scenario:
     """A scenario by name, by path of a YAML file, or as it is, with `changes` (nested mapping) merged over it.
 
-    What is wrong in `changes` is said to be in `place`.
-
-    `wheel` may be the name of a preset, or a mapping whose key `preset` names one. `soils`, where given in `changes`,
-    replaces the whole mixture. Raises `ParameterError` with one line for anything unknown or out of range.
+    Errors in `changes` name `place` as their origin. `wheel` may be the name of a preset, or a mapping whose key
+    `preset` names one. `soils`, where given in `changes`, replaces the whole mixture. Raises `ParameterError` with one
+    line for anything unknown or out of range.
     """
     if isinstance(which, Scenario):
         mapping, where = to_dict(which), f"scenario {which.name!r}"
@@ -372,17 +368,10 @@ def load_scenario(
                 raise unknown_key(which, scenario_names(), "scenario")
         mapping, where = read_yaml(path), path.name
         mapping.setdefault("name", path.stem)
-    try:
-        return _merged(mapping, changes or {}, where)
-    except ParameterError as error:
-        if not changes or not _in_order(mapping):
-            raise
-        wrong = error
-    _merged(mapping, changes, place)
-    raise wrong
+    return _merged(mapping, changes or {}, place if changes and _is_valid(mapping) else where)
 
 
-def _in_order(mapping: dict) -> bool:
+def _is_valid(mapping: dict[str, Any]) -> bool:
     try:
         _merged(mapping, {}, "")
     except ParameterError:
@@ -390,7 +379,7 @@ def _in_order(mapping: dict) -> bool:
     return True
 
 
-def _merged(mapping: dict, changes: dict, where: str) -> Scenario:
+def _merged(mapping: dict[str, Any], changes: dict[str, Any], where: str) -> Scenario:
     """The scenario of a mapping with `changes` over it."""
     mapping = dict(mapping)
     changes = dict(changes)
@@ -408,4 +397,5 @@ def _merged(mapping: dict, changes: dict, where: str) -> Scenario:
         if not isinstance(preset, str) or preset not in wheels():
             raise unknown_key(preset, wheels(), f"{where}: wheel")
         mapping["wheel"] = merge(to_dict(wheels()[preset]), wheel)
-    return load(Scenario, mapping, where)
+    scenario: Scenario = load(Scenario, mapping, where)
+    return scenario

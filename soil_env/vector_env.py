@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError
 from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
@@ -78,10 +79,12 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         self.simulation = Simulation(
             self.num_envs, self.scenario, observation, max_episode_steps, threads, load_model(model)
         )
-        self._rngs: list[np.random.Generator] | None = None
+        self._rngs: list[np.random.Generator | None] | None = None
         self._done = np.ones(self.num_envs, dtype=np.bool_)
 
-    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None):
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Reset all wheels, or those of `options["reset_mask"]` [N] bool. Returns (observations, info)."""
         options = dict(options or {})
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=np.bool_)), dtype=np.bool_)
@@ -95,18 +98,20 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
             seeds = list(seed)
             if len(seeds) != self.num_envs:
                 raise ValueError(f"seed: expected {self.num_envs} seeds, got {len(seeds)}")
-        first = self._rngs is None
-        if first:
+        if self._rngs is None:
             self._rngs = [None] * self.num_envs
-        for k in np.flatnonzero(mask):
+        for k in np.flatnonzero(mask).tolist():
             if seeds[k] is not None or self._rngs[k] is None:
-                self._rngs[k] = gymnasium.utils.seeding.np_random(seeds[k])[0]
-                self.simulation.seed(int(k), self._rngs[k])
+                rng, _ = gymnasium.utils.seeding.np_random(seeds[k])
+                self.simulation.seed(k, rng)
+                self._rngs[k] = rng
         self.simulation.restart_where(mask)
         self._done[mask] = False
         return self.simulation.worlds.observation.copy(), self._info()
 
-    def step(self, actions):
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """One control period of every wheel. Returns (observations, rewards, terminations, truncations, info)."""
         if self._rngs is None:
             raise gymnasium.error.ResetNeeded("step() before reset()")

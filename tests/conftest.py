@@ -1,4 +1,4 @@
-"""Fixtures for tests that start other processes."""
+"""Markers by folder, headless drawing, and fixtures for tests that start other processes."""
 
 import os
 import signal
@@ -6,11 +6,23 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+TESTS = Path(__file__).resolve().parent
+ROOT = TESTS.parent
 PYTHONPATH = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+
+for name, value in (("SDL_VIDEODRIVER", "dummy"), ("SDL_AUDIODRIVER", "dummy"), ("MPLBACKEND", "Agg")):
+    os.environ.setdefault(name, value)
 
 # A shell starts what runs in the background with Ctrl-C ignored, and processes started from here would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark the tests of tests/benchmarks as `benchmarks`."""
+    for item in items:
+        if (TESTS / "benchmarks") in item.path.parents:
+            item.add_marker("benchmarks")
 
 
 @pytest.fixture()

@@ -24,8 +24,8 @@ SINGLE = 1.2e-7  # the same for float32, whose last digit may be rounded the oth
 SEARCHED = {"identification": 1e-7, "discrepancy": 2e-5}
 #: Rivals that lose, which the search follows less far: the same for how well each of them explains a table.
 RIVAL, RIVALS = 3e-4, "ranking."
-#: Worlds with added forces: Newton's method has their derivatives in closed form, not by differences, since the laws are
-#: written once, and so ends within its tolerance elsewhere.
+#: Worlds with added forces: Newton's method has their derivatives in closed form, not by differences, since the laws
+#: are written once, and so ends within its tolerance elsewhere.
 ADDED = 1e-6
 ADDED_FORCES = ("effect/grousers_blades", "effect/bulldozing_rankine", "world/lugs_of_two_kinds", "world/two_effects")
 #: Quantities whose scale is at least 1: log-likelihoods, what is exp() of them, whitened residuals.

@@ -1,4 +1,4 @@
-"""The checkers of gymnasium and SB3 with effects on, and the vector environments, for every shipped scenario."""
+"""The checkers of gymnasium and SB3 for every shipped scenario, with and without effects, single and vector."""
 
 import warnings
 
@@ -6,7 +6,6 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from soil_env._io.loading import config_dir
 from soil_env.env import SoilWheelEnv
@@ -29,14 +28,18 @@ def world(scenario: str, number: int = 0) -> WheelSoilModel:
 @pytest.mark.parametrize("scenario", scenario_names())
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_checkers_with_effects(scenario, mode, variant):
-    number = VARIANTS.index(variant) + 3 * MODES.index(mode)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", message=".*(not have a spec|render|spec).*")
-        check_env(SoilWheelEnv(scenario, variant, mode, model=world(scenario, number)), skip_render_check=True)
-    checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    checker.check_env(SoilWheelEnv(scenario, variant, mode, model=world(scenario, number)), warn=True)
+def test_checkers(scenario, mode, variant):
+    sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
+    for model in (None, world(scenario, VARIANTS.index(variant) + 3 * MODES.index(mode))):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warnings.filterwarnings("ignore", message=".*(not have a spec|render|spec).*")
+            check_env(SoilWheelEnv(scenario, variant, mode, model=model), skip_render_check=True)
+        sb3.check_env(SoilWheelEnv(scenario, variant, mode, model=model), warn=True)
+
+
+def test_checker_with_rendering():
+    check_env(gymnasium.make("SoilWheel-v0", render_mode="rgb_array").unwrapped)
 
 
 def check_vector(env, steps=30):
@@ -65,13 +68,5 @@ def test_vector_env(scenario, mode, variant):
         check_vector(SoilWheelVectorEnv(3, scenario, variant, mode, model=model, course={"length": 2.0}))
 
 
-@pytest.mark.parametrize("mode", ["vector_entry_point", "sync"])
-def test_made_by_gymnasium(mode):
-    check_vector(gymnasium.make_vec("soil_env:SoilWheel-v0", num_envs=3, vectorization_mode=mode))
-
-
-def test_under_a_wrapper_of_gymnasium():
-    env = RecordEpisodeStatistics(SoilWheelVectorEnv(4, max_episode_steps=5))
-    env.reset(seed=0)
-    infos = [env.step(np.full((4, 1), 0.4, dtype=np.float32))[4] for _ in range(6)]
-    assert any("episode" in info for info in infos)
+def test_single_environments_in_a_vector_of_gymnasium():
+    check_vector(gymnasium.make_vec("soil_env:SoilWheel-v0", num_envs=3, vectorization_mode="sync"))

@@ -3,18 +3,16 @@
 import math
 import subprocess
 import sys
-import warnings
 
 import gymnasium
 import numpy as np
 import pytest
 import yaml
-from gymnasium.utils.env_checker import check_env
 
 import soil_env
 from soil_env.env import SoilWheelEnv
-from soil_env.parameters import ParameterError, load_scenario, scenario_names, soils
-from soil_env.simulation.task import VARIANTS, Cause
+from soil_env.parameters import ParameterError, load_scenario, soils
+from soil_env.simulation.task import Cause
 from soil_env.terramechanics.traversability import best_working_point
 
 MODES = ("torque", "wheel_speed")
@@ -41,35 +39,18 @@ def run(env, seed, steps, actions=None):
     return np.array(rows), np.array(rewards), infos, False
 
 
-# --- checkers and registration ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("scenario", scenario_names())
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_checkers(scenario, mode, variant):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", message=".*(not have a spec|render|spec).*")
-        check_env(SoilWheelEnv(scenario, observation=variant, action=mode), skip_render_check=True)
-    checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    checker.check_env(SoilWheelEnv(scenario, observation=variant, action=mode), warn=True)
-
-
-def test_checker_with_rendering():
-    check_env(gymnasium.make("SoilWheel-v0", render_mode="rgb_array").unwrapped)
+# --- registration -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("code", [
     "import gymnasium; e = gymnasium.make('soil_env:SoilWheel-v0')",
-    "import gymnasium, soil_env; e = gymnasium.make('SoilWheel-v0')",
-    "import soil_env, gymnasium; e = gymnasium.make('soil_env:SoilWheel-v0', observation='blind').unwrapped",
+    "import soil_env, gymnasium; e = gymnasium.make('SoilWheel-v0')",
 ])  # fmt: skip
 def test_registration_in_a_fresh_process(code):
-    code += "; assert type(e.unwrapped).__name__ == 'SoilWheelEnv'; print(e.reset(seed=0)[0].shape)"
+    code += "; print(type(e.unwrapped).__name__, e.observation_space.shape)"
     done = subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == ("(11,)" if "blind" in code else "(22,)")
+    assert done.stdout.strip() == "SoilWheelEnv (22,)"
 
 
 def test_spec_and_spaces():
@@ -235,27 +216,27 @@ def test_a_changed_env_does_not_change_the_next():
     assert SoilWheelEnv().scenario == load_scenario("mixed")
 
 
-@pytest.mark.parametrize(("arguments", "words"), [
-    ({"cours": {}}, ["'cours'", "did you mean 'course'"]),
-    ({"course": {"lenght": 3}}, ["'lenght'", "did you mean 'length'"]),
-    ({"observation": "x"}, ["observation", "'x'", "blind", "identified", "true_soil"]),
-    ({"observation": "identifed"}, ["did you mean 'identified'"]),
-    ({"render_mode": "x"}, ["render_mode = 'x'", "rgb_array", "human"]),
-    ({"action": "torqe"}, ["'torqe'", "'torque'", "'wheel_speed'"]),
-    ({"scenario": "mixd"}, ["'mixd'", "did you mean 'mixed'"]),
-    ({"scenario": "nowhere.yaml"}, ["nowhere.yaml", "cannot be read"]),
-    ({"wheel": "planetary"}, ["'planetary'", "planetary_rover"]),
-    ({"soils": {"dry_sandd": 1}}, ["'dry_sandd'", "dry_sand"]),
-    ({"course": {"length": -1}}, ["length", "-1", "expected"]),
-    ({"gravity": "heavy"}, ["gravity", "'heavy'", "number"]),
-    ({"gravity": math.nan}, ["gravity", "nan"]),
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"cours": {}}, "keyword: unknown key 'cours'; did you mean 'course'?"),
+    ({"rendermode": "human"}, "keyword: unknown key 'rendermode'; did you mean 'render_mode'?"),
+    ({"course": {"lenght": 3}}, "keyword: course: unknown key 'lenght'; did you mean 'length'?"),
+    ({"course": {"length": -1}}, "keyword: course.length = -1.0: "),
+    ({"observation": "identifed"}, "observation: unknown key 'identifed'; did you mean 'identified'?"),
+    ({"observation": None}, "observation = None: expected one of blind, identified, true_soil"),
+    ({"render_mode": "x"}, "render_mode = 'x': expected one of ['rgb_array', 'human']"),
+    ({"action": "torqe"}, "'torqe'"),
+    ({"scenario": "mixd"}, "did you mean 'mixed'"),
+    ({"scenario": "nowhere.yaml"}, "nowhere.yaml: cannot be read"),
+    ({"scenario": "."}, "is a folder; expected a name or a YAML file"),
+    ({"wheel": "planetary"}, "did you mean 'planetary_rover'"),
+    ({"soils": {"dry_sandd": 1}}, "did you mean 'dry_sand'"),
+    ({"gravity": "heavy"}, "gravity = 'heavy'"),
+    ({"gravity": math.nan}, "gravity = nan"),
 ])  # fmt: skip
-def test_bad_arguments_are_named(arguments, words):
-    with pytest.raises(ParameterError) as raised:
+def test_bad_arguments_are_named(arguments, message):
+    with pytest.raises(soil_env.ParameterError) as raised:
         SoilWheelEnv(**arguments)
-    message = str(raised.value)
-    assert all(word in message for word in words), message
-    assert "\n" not in message and isinstance(raised.value, soil_env.ParameterError)
+    assert message in str(raised.value) and "\n" not in str(raised.value)
 
 
 def test_yaml_file_as_scenario(tmp_path):
@@ -271,25 +252,6 @@ def test_yaml_file_as_scenario(tmp_path):
     path.write_text("wheel: planetary_rover\nsoils: {lete_sand: 1}\ncours: {}\n")
     with pytest.raises(ParameterError, match="mine.yaml.*'cours'.*'course'"):
         SoilWheelEnv(path)
-
-
-@pytest.mark.parametrize(("keywords", "message"), [
-    ({"obervation": "blind"}, "keyword: unknown key 'obervation'; did you mean 'observation'?"),
-    ({"rendermode": "human"}, "keyword: unknown key 'rendermode'; did you mean 'render_mode'?"),
-    ({"cours": {}}, "keyword: unknown key 'cours'; did you mean 'course'?"),
-    ({"course": {"lenght": 5}}, "keyword: course: unknown key 'lenght'; did you mean 'length'?"),
-    ({"course": {"length": -5}}, "keyword: course.length = -5.0: "),
-    ({"observation": None}, "observation = None: expected one of blind, identified, true_soil"),
-])  # fmt: skip
-def test_a_keyword_is_refused_as_one(keywords, message):
-    with pytest.raises(ParameterError) as raised:
-        SoilWheelEnv(**keywords)
-    assert str(raised.value).startswith(message)
-
-
-def test_a_scenario_that_is_a_folder_is_said_to_be_one(tmp_path):
-    with pytest.raises(ParameterError, match="is a folder; expected a name or a YAML file"):
-        SoilWheelEnv(scenario=tmp_path)
 
 
 def test_a_scenario_object():

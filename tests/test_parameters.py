@@ -1,6 +1,7 @@
 """Presets, strict loading and its one-line errors."""
 
 import copy
+import dataclasses
 import math
 
 import pytest
@@ -230,3 +231,13 @@ def test_scenario_from_a_file(tmp_path):
     scenario = load_scenario(path)
     assert scenario.name == "mine" and scenario.wheel.radius == 0.2
     assert isinstance(scenario.wheel, Wheel)
+
+
+@pytest.mark.parametrize("name", parameters.scenario_names())
+def test_a_shipped_scenario_states_only_what_differs_from_the_defaults(name):
+    mapping = read_yaml(config_dir() / "scenarios" / f"{name}.yaml")
+    groups = {f.name: f.default for f in dataclasses.fields(Scenario) if dataclasses.is_dataclass(f.default)}
+    for key, value in mapping.items():
+        if key in groups:
+            same = [k for k, v in value.items() if getattr(groups[key], k) == (tuple(v) if isinstance(v, list) else v)]
+            assert not same, f"{key}: {same}"

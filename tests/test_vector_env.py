@@ -210,17 +210,12 @@ def test_make_vec():
     env.close()
 
 
-def test_make_vec_with_arguments():
-    env = gymnasium.make_vec("SoilWheel-v0", 2, "vector_entry_point", observation="blind", course={"length": 30.0},
-                             autoreset_mode="SameStep")  # fmt: skip
+@pytest.mark.parametrize("mode", [*AutoresetMode, *(m.value for m in AutoresetMode)])
+def test_arguments_of_make_vec(mode):
+    env = gymnasium.make_vec("SoilWheel-v0", 2, "vector_entry_point", observation="blind", autoreset_mode=mode,
+                             course={"length": 30.0})  # fmt: skip
     assert env.single_observation_space.shape == (11,) and env.unwrapped.scenario.course.length == 30.0
-    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
-
-
-@pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_metadata_names_the_mode_as_the_enum(mode):
-    for given in (mode, mode.value):
-        assert SoilWheelVectorEnv(2, autoreset_mode=given).metadata["autoreset_mode"] is mode
+    assert env.metadata["autoreset_mode"] is AutoresetMode(mode)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

@@ -28,9 +28,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from soil_env._numba.compiling import CACHE
+from soil_env._numba.compiling import root
 from soil_env.parameters import Scenario, SoilState
 from soil_env.simulation.task import layout
 from soil_env.simulation.worlds import Worlds
@@ -102,7 +101,7 @@ class Warnings:
         return (self.best_pull <= grade) | (worlds.observation[:, _SLIP] > unstable)
 
 
-@njit(cache=CACHE, nogil=True)
+@root(nogil=True, allocates=True)
 def _renew(estimate, load, alive, n, dig_gain, dig_recovery, r, b, torque, known, slip, pull):
     """Best working points, computed again where the estimate has moved by 1 % (phi: 0.002 rad) or the load by 10 %.
 

@@ -1,12 +1,14 @@
-"""What all commands share: their name, one line for what goes wrong, and the exit status."""
+"""What all commands share: their name, their options, one line for what goes wrong, and the exit status."""
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
 from functools import wraps
+from pathlib import Path
 from typing import NoReturn
 
 from soil_env._io.loading import ParameterError
@@ -26,6 +28,35 @@ def command(module: str, script: str = "") -> str:
 def label(module: str, script: str = "") -> str:
     """The name of a command in its messages: the last word of `command`."""
     return command(module, script).rpartition(" ")[2]
+
+
+def command_parser(prog: str, description: str, epilog: str = "") -> argparse.ArgumentParser:
+    """Parser that prints description and epilog as they are written."""
+    return argparse.ArgumentParser(
+        prog, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+
+
+def whole_number(least: int = 0) -> Callable[[str], int]:
+    """Type of an option: a whole number of at least `least`, also as 1e6."""
+
+    def convert(text: str) -> int:
+        try:
+            value = float(text)
+        except ValueError:
+            value = -1.0
+        if not (least <= value < 1e15 and value == int(value)):
+            raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= {least}")
+        return int(value)
+
+    return convert
+
+
+def folder(text: str) -> Path:
+    """Type of an option: a path that is not empty."""
+    if not text:
+        raise argparse.ArgumentTypeError("is empty: expected a folder")
+    return Path(text)
 
 
 def command_line(

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
 from importlib import resources
+from pathlib import Path
 
 import jinja2
+
+from soil_env._io.loading import ParameterError
 
 _NUMBER = re.compile(r"[-+]?\.?\d|[-+]?(inf|nan)\b|-?$")  # how a cell of a column of numbers begins
 
@@ -63,7 +67,30 @@ class Table:
 
 
 def _markdown_row(cells: Sequence[object]) -> str:
-    return "| " + " | ".join(" ".join(str(c).split()).replace("|", r"\|") or " " for c in cells) + " |"
+    return "| " + " | ".join(" ".join(str(c).split()).replace("|", r"\|") for c in cells) + " |"
+
+
+def wrapped(markdown: str, width: int = 120) -> str:
+    """Markdown with its paragraphs broken into lines of `width`; headings, tables, figures, lists and code as is."""
+    blocks = [block.strip("\n") for block in re.split(r"\n\s*\n", markdown.strip())]
+    fixed = ("|", "!", "#", "- ", "* ", "```", "<", "    ")
+    lines = [b if b.startswith(fixed) else textwrap.fill(" ".join(b.split()), width, break_long_words=False,
+                                                         break_on_hyphens=False) for b in blocks]  # fmt: skip
+    return "\n\n".join(lines) + "\n"
+
+
+def renewed(text: str, parts: Mapping[str, str], where: str | Path) -> str:
+    """`text` with what stands between `<!-- NAME -->` and `<!-- end -->` replaced for each name of `parts`.
+
+    ParameterError, which names `where`, if there is not one such part for each.
+    """
+    for name, part in parts.items():
+        around = re.split(rf"(?<=<!-- {name} -->\n).*?(?=<!-- end -->)", text, flags=re.DOTALL)
+        if len(around) != 2:
+            markers = f"<!-- {name} --> ... <!-- end -->"
+            raise ParameterError(f"{where}: expected one pair of markers {markers}, found {len(around) - 1}")
+        text = f"{around[0]}{part}\n{around[1]}"
+    return text
 
 
 def html_page(title: str, body: str | Sequence[str], style: str = "") -> str:

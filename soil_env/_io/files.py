@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import errno
 import io
+import json
+import math
 import os
 import tempfile
 from collections.abc import Iterable, Mapping
@@ -39,6 +41,22 @@ def _replace(contents: Mapping[Path, bytes | str]) -> None:
         for rest in partial.values():
             with suppress(OSError):  # the first failure is what is told
                 rest.unlink(missing_ok=True)
+
+
+def write_json(path: str | Path, content, indent: int | None = 1) -> None:
+    """Write nested plain values, arrays and numbers of numpy as JSON; NaN and infinities become null."""
+    replace_file(path, json.dumps(plain(content), indent=indent, allow_nan=False) + "\n")
+
+
+def plain(value):
+    """Nested values as JSON has them: arrays and tuples as lists, keys as text, NaN and infinities as None."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if hasattr(value, "tolist"):  # of numpy
+        return plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def is_unused(folder: str | Path) -> bool:

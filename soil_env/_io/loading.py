@@ -13,6 +13,7 @@ import math
 import re
 import types
 import typing
+from collections import Counter
 from dataclasses import field
 from pathlib import Path
 
@@ -65,9 +66,9 @@ def _bound(x: float) -> str:
 
 
 class Checked:
-    """Base of the parameter classes: checks every `quantity` on construction."""
+    """Base of the parameter classes: every `quantity` is checked on construction."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
 
 
@@ -123,44 +124,34 @@ def _keys(cls) -> str:
     return ", ".join(f.name for f in dataclasses.fields(cls) if f.init)
 
 
-def _convert(hint, value, where):
-    origin = typing.get_origin(hint)
-    if origin in (typing.Union, types.UnionType):
-        options = typing.get_args(hint)
-        if value is None and type(None) in options:
-            return None
-        return _convert(next(o for o in options if o is not type(None)), value, where)
+def _convert(hint, value, where: str):
+    """`value` as the annotated type `hint` of a field."""
+    origin, items = typing.get_origin(hint), typing.get_args(hint)
+
+    def expect(right: bool, what: str) -> None:
+        if not right:
+            raise ParameterError(f"{where} = {value!r}: expected {what}")
+
+    if origin in (typing.Union, types.UnionType):  # X | None
+        known = next(item for item in items if item is not type(None))
+        return None if value is None else _convert(known, value, where)
     if dataclasses.is_dataclass(hint):
         return value if isinstance(value, hint) else load(hint, value, where)
     if origin is tuple:
-        items = typing.get_args(hint)
-        if not isinstance(value, (list, tuple)) or len(value) != len(items):
-            raise ParameterError(f"{where} = {value!r}: expected a list of {len(items)} values")
+        expect(isinstance(value, (list, tuple)) and len(value) == len(items), f"a list of {len(items)} values")
         return tuple(_convert(item, v, where) for item, v in zip(items, value, strict=True))
-    if hint is dict:
-        if not isinstance(value, dict):
-            raise ParameterError(f"{where} = {value!r}: expected a mapping")
-        return value
-    if origin is dict:
-        if not isinstance(value, dict):
-            raise ParameterError(f"{where} = {value!r}: expected a mapping")
-        _, item = typing.get_args(hint)
-        return {str(k): _convert(item, v, f"{where}.{k}") for k, v in value.items()}
+    if hint is dict or origin is dict:
+        expect(isinstance(value, dict), "a mapping")
+        return {str(k): _convert(items[1], v, f"{where}.{k}") for k, v in value.items()} if items else value
     if origin is typing.Literal:
-        if value not in typing.get_args(hint):
-            raise ParameterError(f"{where} = {value!r}: expected one of {', '.join(map(repr, typing.get_args(hint)))}")
-        return value
-    if hint is bool:
-        if not isinstance(value, bool):
-            raise ParameterError(f"{where} = {value!r}: expected true or false")
+        expect(value in items, f"one of {', '.join(map(repr, items))}")
         return value
     if hint in (float, int):
         return number(hint, value, where)
-    if hint is str:
-        if not isinstance(value, str):
-            raise ParameterError(f"{where} = {value!r}: expected text")
-        return value
-    raise TypeError(f"{where}: no rule to load a {hint!r}")  # a programming error, not the user's
+    if hint not in (bool, str):
+        raise TypeError(f"{where}: no rule to load a {hint!r}")  # a programming error, not the user's
+    expect(isinstance(value, hint), "true or false" if hint is bool else "text")
+    return value
 
 
 def number(kind: type, value, where: str):
@@ -210,48 +201,35 @@ class _Strict(yaml.SafeLoader):
     Aliases are counted as often as they are used: ten lines of them can stand for more values than memory holds.
     """
 
-    def get_single_node(self):
-        """The root of the document."""
-        root = super().get_single_node()
-        if root is not None:
-            self._count(root, 1, set())
-        return root
+    def __init__(self, stream):
+        super().__init__(stream)
+        self.depth = self.composed = self.values = 0
 
     def compose_node(self, parent, index):
-        """A node, no deeper than `DEEPEST`, one of at most `MOST_VALUES`."""
-        self.depth, self.nodes = getattr(self, "depth", 0) + 1, getattr(self, "nodes", 0) + 1
-        if self.depth > DEEPEST or self.nodes > MOST_VALUES:
+        """A node; the root is checked whole."""
+        self.depth, self.composed = self.depth + 1, self.composed + 1
+        if self.depth > DEEPEST or self.composed > MOST_VALUES:
             raise yaml.constructor.ConstructorError(None, None, _TOO_MUCH)
-        try:
-            return super().compose_node(parent, index)
-        finally:
-            self.depth -= 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        if parent is None:
+            self._check(node, ())
+        return node
 
-    def _count(self, node, depth: int, above: set, seen: list | None = None) -> None:
-        seen = [0] if seen is None else seen
-        seen[0] += 1
-        if seen[0] > MOST_VALUES or depth > DEEPEST or id(node) in above:
-            reason = "a value that contains itself" if id(node) in above else _TOO_MUCH
-            raise yaml.constructor.ConstructorError(None, None, reason)
-        if isinstance(node, yaml.ScalarNode):
-            return
-        above.add(id(node))
-        for item in node.value:
+    def _check(self, node: yaml.Node, above: tuple[yaml.Node, ...]) -> None:
+        """Refuse a node that stands for too much, contains itself or has a key twice; `above` are those around it."""
+        self.values += 1
+        reason = _TOO_MUCH if self.values > MOST_VALUES or len(above) >= DEEPEST else ""
+        reason = "a value that contains itself" if node in above else reason
+        if isinstance(node, yaml.MappingNode) and not reason:
+            keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+            twice = [key for key, times in Counter(keys).items() if times > 1]
+            reason = f"key {twice[0]!r} appears twice" if twice else ""
+        if reason:
+            raise yaml.constructor.ConstructorError(None, None, reason, node.start_mark)
+        for item in () if isinstance(node, yaml.ScalarNode) else node.value:
             for part in item if isinstance(item, tuple) else (item,):
-                self._count(part, depth + 1, above, seen)
-        above.discard(id(node))
-
-    def construct_mapping(self, node, deep=False):
-        """The mapping of a node."""
-        known: set = set()
-        for key, _ in node.value:
-            if isinstance(key.value, str):
-                if key.value in known:
-                    raise yaml.constructor.ConstructorError(
-                        None, None, f"key {key.value!r} appears twice", node.start_mark
-                    )
-                known.add(key.value)
-        return super().construct_mapping(node, deep)
+                self._check(part, (*above, node))
 
 
 def parse_yaml(text: str):

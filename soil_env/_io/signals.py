@@ -36,7 +36,7 @@ def arm() -> None:
         os.write(2, f"\n{name}: interrupted\n".encode())
         os._exit(INTERRUPTED)
 
-    end.while_starting = True
+    end.while_starting = True  # type: ignore[attr-defined]
     signal.signal(signal.SIGINT, end)
 
 
@@ -60,8 +60,9 @@ def _starting() -> str:
     if main.name.startswith("soil-env-"):
         return main.name
     script = main.resolve()
-    ours = script == _CLONE / "train.py" or script.parent == _CLONE / "benchmarks"
-    return (module_asked() or script.name) if ours else ""
+    if script == _CLONE / "train.py":
+        return script.name
+    return f"benchmarks.{script.stem}" if script.parent == _CLONE / "benchmarks" else ""
 
 
 def terminable(main: Callable[..., int]) -> Callable[..., int]:

@@ -24,6 +24,8 @@ import sys
 from functools import cache, update_wrapper
 from pathlib import Path
 
+import numpy as np
+from llvmlite.binding import create_new_module_pass_manager as new_module_passes
 from numba import config, njit, typeof, types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
@@ -63,13 +65,23 @@ def _cacheable() -> bool:
 CACHE = _cacheable()
 
 
+class _Index(IndexDataCacheFile):
+    """Index of the cached code of one function; one of earlier sources, whose types may be gone, counts as empty."""
+
+    def _load_index(self):
+        try:
+            return super()._load_index()
+        except (AttributeError, ImportError, TypeError):
+            return {}
+
+
 def _keep(dispatcher):
     """Turn on the cache of a dispatcher, valid for the present sources of all compiled rooms and of its own file."""
     if CACHE:
         dispatcher.enable_caching()
         store = dispatcher._cache
         own = hashlib.sha256(Path(dispatcher.py_func.__code__.co_filename).read_bytes()).hexdigest()
-        store._cache_file = IndexDataCacheFile(
+        store._cache_file = _Index(
             cache_path=store._cache_path,
             filename_base=store._impl.filename_base,
             source_stamp=(_sources(), own),
@@ -96,12 +108,27 @@ class _WithoutEnvironment:
 class _Part(JITCodeLibrary):
     """Code that is only ever linked into that of a caller: neither optimised nor turned into machine code by itself."""
 
+    linkable = False  # while a root is linked; any other caller would miss what this part calls
+
     @property
     def codegen(self):
         return _WithoutEnvironment(self._codegen)
 
     def get_pointer_to_function(self, name):
         return 0
+
+    def _optimize_functions(self, module):
+        """Values out of memory, into registers; the rest is the root's."""
+        module.data_layout = self._codegen._data_layout
+        passes = new_module_passes()
+        passes.add_sroa_pass()
+        passes.add_simplify_cfg_pass()
+        passes.run(module, self._codegen._pass_builder(opt=1))
+
+    def _get_module_for_linking(self):
+        if not _Part.linkable:
+            raise TypeError(f"{self.name}: a `part` called by a function of numba's own `njit`: make that one a `root`")
+        return super()._get_module_for_linking()
 
     def finalize(self):
         for library in self._linking_libraries:
@@ -118,6 +145,13 @@ class _Root(JITCodeLibrary):
         for below in library._linking_libraries:
             if below not in self._linking_libraries:
                 self.add_linking_library(below)
+
+    def finalize(self):
+        _Part.linkable = True
+        try:
+            super().finalize()
+        finally:
+            _Part.linkable = False
 
 
 def _compiler(library_class):
@@ -142,9 +176,13 @@ class Part:
         update_wrapper(self, function)
         self.py_func = function
         self._root = None
-        self.dispatcher = njit(
-            _nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=_PART, **_OPTIONS
-        )(function)
+        compiled = njit(_nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=_PART, **_OPTIONS)
+        self.dispatcher = compiled(function)
+        template = self.dispatcher.get_call_template
+        # One version for a constant and for a number that is not known yet.
+        self.dispatcher.get_call_template = lambda args, kws: template(
+            tuple(types.unliteral(a) for a in args), {name: types.unliteral(t) for name, t in kws.items()}
+        )
 
     @property
     def root(self):
@@ -184,7 +222,7 @@ def root(function=None, *, nogil=False, allocates=False):
     if function is None:
         return lambda f: root(f, nogil=nogil, allocates=allocates)
     if not COMPILED:
-        return function
+        return np.errstate(all="ignore")(function)  # as compiled code, which divides by zero without a word
     return _keep(njit(_nrt=allocates, nogil=nogil, pipeline_class=_ROOT, **_OPTIONS)(function))
 
 

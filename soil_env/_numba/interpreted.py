@@ -87,38 +87,29 @@ def smallest(a):
 # --- elementary functions ---------------------------------------------------------------------------------------------
 
 
-def fma(a, b, c):
-    return a * b + c
-
-
-def where_less(a, b, x, y):
-    chosen = np.where(np.less(a, b), x, y)
-    return chosen if any(wide(v) for v in (a, b, x, y)) else float(chosen)
-
-
 def _of(function):
-    def apply(x):
+    """`function` of numpy for lanes and for floats, which stay Python's."""
+
+    def apply(*given):
         with np.errstate(all="ignore"):
-            y = function(np.asarray(x, dtype=float))
-        return y if wide(x) else float(y)
+            y = function(*given)
+        return y if any(wide(x) for x in given) else float(y)
 
     return apply
 
 
+fma = _of(lambda a, b, c: a * b + c)
+where_less = _of(lambda a, b, x, y: np.where(np.less(a, b), x, y))
+copysign = _of(np.copysign)
 root = _of(np.sqrt)
-exp = _of(lambda x: np.exp(np.clip(x, -700.0, 700.0)))
+exp = _of(lambda x: np.exp(np.clip(x, -700.0, 700.0) if wide(x) else x))
 log = _of(np.log)
-tanh = _of(np.tanh)
 asin_root = _of(lambda x: np.arcsin(np.sqrt(np.clip(x, 0.0, 1.0))))
 
 
+@_of
 def power(x, y):
-    return exp(y * log(np.maximum(x, 1e-300))) if wide(x) or wide(y) else float(x) ** float(y)
-
-
-def copysign(size, sign):
-    y = np.copysign(size, sign)
-    return y if wide(size) or wide(sign) else float(y)
+    return exp(y * log(np.maximum(x, 1e-300))) if wide(x) or wide(y) else np.power(float(x), float(y))
 
 
 def half_sin_cos(x):

@@ -44,7 +44,7 @@ class Rows:
         columns = -(-count // COUNT) * COUNT
         self.count = count
         self.data = np.zeros((len(self.NAMES), columns), self.KIND) if data is None else data
-        self._pointer, self._columns = self.data.ctypes.data, self.data.shape[1]
+        self._memory = self.data.ctypes.data, self.data.shape[1]  # address, columns
 
     def __getattr__(self, name):
         if name.startswith("__") or name not in self.NAMES:
@@ -116,11 +116,10 @@ def _typeof_rows(value, context):
 @unbox(_RowsType)
 def _unbox_rows(typ, obj, c):
     value = cgutils.create_struct_proxy(typ)(c.context, c.builder)
-    for name in ("pointer", "columns"):
-        number = c.pyapi.object_getattr_string(obj, f"_{name}")
-        whole = c.pyapi.long_as_longlong(number)
-        setattr(value, name, c.builder.inttoptr(whole, cgutils.voidptr_t) if name == "pointer" else whole)
-        c.pyapi.decref(number)
+    memory = c.pyapi.object_getattr_string(obj, "_memory")
+    address, columns = (c.pyapi.long_as_longlong(c.pyapi.tuple_getitem(memory, i)) for i in range(2))
+    value.pointer, value.columns = c.builder.inttoptr(address, cgutils.voidptr_t), columns
+    c.pyapi.decref(memory)
     return NativeValue(value._getvalue())
 
 

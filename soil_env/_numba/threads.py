@@ -1,7 +1,7 @@
-"""Threads that wait for the blocks of a compiled, parallel call.
+"""Threads that wait for work on a compiled function that holds no lock.
 
 `concurrent.futures` makes an object with its own lock for every block; here a helper waits on one queue and answers
-through one lock, which takes a third of the time. Work is shared out by the kernel itself (`compiled.take`).
+through one lock, which takes a third of the time. Work is shared out by the kernel itself (`compiling.take`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from functools import cache
 from queue import SimpleQueue
 
 
-class Crew:
+class Threads:
     """`size` threads in all: the caller and size - 1 helpers."""
 
     def __init__(self, size: int):
@@ -48,10 +48,10 @@ def _help(orders: SimpleQueue) -> None:
 
 
 @cache
-def crew(size: int) -> Crew:
-    """The one crew of this size in this process."""
-    return Crew(size)
+def threads(size: int) -> Threads:
+    """The threads of this process where `size` work at once."""
+    return Threads(size)
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=crew.cache_clear)  # threads do not survive a fork
+    os.register_at_fork(after_in_child=threads.cache_clear)  # threads do not survive a fork

@@ -9,6 +9,7 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml
 from soil_env.parameters import Soil
@@ -65,7 +66,7 @@ class SoilPriors(Checked):
     dig_gain: Prior | None = None
     dig_recovery: Prior | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
         for f in dataclasses.fields(self):
             prior, limit = getattr(self, f.name), limits[f.name]
@@ -80,12 +81,12 @@ class SoilPriors(Checked):
         pair = (self.k_c is not None) + (self.k_phi is not None)
         if pair == 1 or (pair == 2 and self.sinkage_coefficient is not None):
             raise ParameterError("expected either sinkage_coefficient, or both k_c and k_phi, or none of them")
-        if pair == 2 and self.k_phi.value <= 0.0:
+        if pair == 2 and self.k_phi is not None and self.k_phi.value <= 0.0:
             raise ParameterError(f"k_phi = {self.k_phi.value:g}: expected a number > 0 N/m^(n+2)")
 
     def lumped(self, width: float) -> Prior | None:
         """Prior of S [N/m^(n+2)] under a wheel of width b [m]: k_c/b + k_phi where these are given."""
-        if self.k_c is None:
+        if self.k_c is None or self.k_phi is None:
             return self.sinkage_coefficient
         value = self.k_c.value / width + self.k_phi.value
         if value <= 0.0:
@@ -106,7 +107,7 @@ class NoiseLevels(Checked):
     slip: float | None = quantity("", default=None)
     load: float | None = quantity("N", default=None)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for f in dataclasses.fields(self):
             value = getattr(self, f.name)
             if value is not None and not 0.0 < value < math.inf:
@@ -123,7 +124,7 @@ class Setup(Checked):
     noise: NoiseLevels = NoiseLevels()
     source: str = field(default="setup", init=False, compare=False)  # the file, for messages
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         sinkage = self.noise.sinkage
         if sinkage is not None and sinkage > 0.5 * self.wheel.radius:
             raise ParameterError(
@@ -156,12 +157,12 @@ def read_setup(path: str | Path) -> Setup:
         mapping["soil"] = {key: _prior(v, f"{where}: soil.{key}") for key, v in mapping["soil"].items()}
     if "wheel" not in mapping:
         raise ParameterError(f"{where}: missing wheel: expected wheel: {{radius: ..., width: ...}} in metres")
-    setup = load(Setup, mapping, where)
+    setup: Setup = load(Setup, mapping, where)
     object.__setattr__(setup, "source", where)
     return setup
 
 
-def _prior(value, where: str):
+def _prior(value: Any, where: str) -> dict[str, Any]:
     """A number as a known `Prior` mapping; a mapping must have an sd > 0."""
     if isinstance(value, dict):
         numbers = {key: _as_number(value[key]) for key in ("value", "sd") if key in value}
@@ -182,7 +183,7 @@ def _prior(value, where: str):
     return {"value": value, "sd": 0.0}
 
 
-def _as_number(value) -> float | None:
+def _as_number(value: Any) -> float | None:
     """The number that a YAML value stands for, also where YAML 1.1 takes it for text (1e-3); None if it is none."""
     try:
         return None if isinstance(value, bool) else float(value)

@@ -13,21 +13,27 @@ import dataclasses
 import difflib
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.measurement.setup import (  # noqa: F401
-    LARGEST_WHEEL,
-    NoiseLevels,
-    Prior,
-    Setup,
-    SetupWheel,
-    SoilPriors,
-    read_setup,
-)
+from soil_env.measurement.setup import LARGEST_WHEEL, NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
+
+__all__ = [
+    "LARGEST_WHEEL",
+    "NoiseLevels",
+    "Prior",
+    "Setup",
+    "SetupWheel",
+    "SoilPriors",
+    "Table",
+    "in_radians",
+    "read_setup",
+    "read_table",
+]
 
 REQUIRED = ("slip", "load")
 MEASURED = ("sinkage", "drawbar_pull", "torque")
@@ -41,6 +47,8 @@ UNITS = {
 DEEPEST = 1.0  # [m] a larger sinkage is taken for millimetres
 STEEPEST = 60.0  # [deg]
 FASTEST = 40.0  # [m/s] a larger speed is taken for mm/s
+
+Rows = Sequence[tuple[int, list[str]]]  # line of the file and cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +191,7 @@ def _check_header(path: Path, header: list[str]) -> None:
         raise ParameterError(f"{path}: missing column: expected at least one of {', '.join(MEASURED)}")
 
 
-def _column(path: Path, name: str, header: list[str], rows: list) -> np.ndarray:
+def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
     """The numbers [N] of one column, NaN for an empty cell or an absent column."""
     out = np.full(len(rows), math.nan)
     if name not in header:
@@ -204,7 +212,7 @@ def _column(path: Path, name: str, header: list[str], rows: list) -> np.ndarray:
     return out
 
 
-def _check_rows(table: Table, header: list[str], rows: list, wheel: SetupWheel | None) -> None:
+def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel | None) -> None:
     """Refuse values that cannot be right, the first by column and row."""
 
     def refuse(name: str, wrong: np.ndarray, expected: str) -> None:
@@ -249,7 +257,7 @@ def _check_rows(table: Table, header: list[str], rows: list, wheel: SetupWheel |
     if np.any(nothing):
         line = table.row[nothing][0]
         raise ParameterError(f"{table.source}: row {line}: nothing measured: expected one of {', '.join(MEASURED)}")
-    seen: dict[tuple, int] = {}
+    seen: dict[tuple[float | str, ...], int] = {}
     for line, cells in rows:
         key = tuple(_canonical(c) for c in cells)
         if key in seen:
@@ -264,7 +272,7 @@ def _check_rows(table: Table, header: list[str], rows: list, wheel: SetupWheel |
         )
 
 
-def _canonical(cell: str):
+def _canonical(cell: str) -> float | str:
     try:
         return float(cell)
     except ValueError:
@@ -278,7 +286,7 @@ def in_radians(cells: list[str]) -> bool:
     """
     numbers = [(float(c), len(c.rpartition(".")[2])) for c in cells if c and float(c) != 0.0]
 
-    def whole_degrees(x, digits):
+    def whole_degrees(x: float, digits: int) -> bool:
         return digits >= 3 and abs(round(math.radians(round(math.degrees(x))), digits) - x) < 10.0**-digits * 1e-3
 
     return bool(numbers) and all(abs(x) < math.radians(40.0) and whole_degrees(x, d) for x, d in numbers)

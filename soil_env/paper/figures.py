@@ -1,4 +1,4 @@
-"""The figures of `paper`, each drawn onto a given matplotlib figure.
+"""Figures of the recomputed paper, each drawn onto a given matplotlib figure.
 
 Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251.
 """
@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from soil_env.paper.points import FIXED_COHESION, MOTOR, PRINTED_PULL, SAND, SLIP
+from soil_env.paper.curves import ForceCurves, PullCurves, Traverse
+from soil_env.paper.points import FIXED_COHESION, MOTOR, PRINTED_PULL, SAND, SLIP, GuessMap
 
 
 def _axes(figure: Figure, x: str, y: str, position=111):
@@ -19,7 +20,7 @@ def _axes(figure: Figure, x: str, y: str, position=111):
     return axes
 
 
-def fig2(figure: Figure, c):
+def pull_against_slip(figure: Figure, c: PullCurves) -> None:
     """DP (12) against slip, by Simpson (18) and exactly."""
     axes = _axes(figure, "slip [-]", "drawbar pull (12) [N]")
     for name, values in c.by_rule.items():
@@ -28,7 +29,7 @@ def fig2(figure: Figure, c):
     axes.legend()
 
 
-def fig3(figure: Figure, c):
+def pull_against_cohesion(figure: Figure, c: PullCurves) -> None:
     """DP (12) against cohesion."""
     axes = _axes(figure, "cohesion [kPa]", "drawbar pull (12) [N]")
     axes.plot(c.cohesion / 1e3, c.by_cohesion, label="slip 22.11 %, entry angle 37 deg, m = 2")
@@ -38,9 +39,9 @@ def fig3(figure: Figure, c):
     axes.legend()
 
 
-def fig4(figure: Figure, c):
+def pull_against_phi_and_K(figure: Figure, c: PullCurves) -> None:
     """DP (12) against phi and K; the star is Table 2's sand."""
-    axes = _axes(figure, "friction angle phi [deg]", "shear modulus K [m]")
+    axes = _axes(figure, "friction angle phi [deg]", "shear deformation modulus K [m]")
     filled = axes.contourf(c.phi_deg, c.K, c.by_phi_K.T, 20, cmap="viridis")
     lines = axes.contour(c.phi_deg, c.K, c.by_phi_K.T, levels=[0.0, PRINTED_PULL], colors="white")
     axes.clabel(lines, fmt="%.0f N")
@@ -48,7 +49,7 @@ def fig4(figure: Figure, c):
     figure.colorbar(filled, ax=axes, label="drawbar pull (12) [N]")
 
 
-def guess_map(figure: Figure, m):
+def guess_map(figure: Figure, m: GuessMap) -> None:
     """Share of the guesses of the box of Table 4 that reach the root (star)."""
     figure.set_size_inches(11.0, 4.2)
     for k, (title, outcomes) in enumerate((("plain Newton-Raphson", m.plain), ("ours", m.ours))):
@@ -67,7 +68,7 @@ def guess_map(figure: Figure, m):
     axes.legend()
 
 
-def pair(figure: Figure, p):
+def force_curves(figure: Figure, p: ForceCurves) -> None:
     """DP (12) and torque (3) of each parameter set."""
     figure.set_size_inches(11.0, 4.2)
     for k, (label, curves) in enumerate((("drawbar pull (12) [N]", p.pull), ("torque (3) [N m]", p.torque))):
@@ -77,7 +78,7 @@ def pair(figure: Figure, p):
     axes.legend()
 
 
-def ground(figure: Figure, soils):
+def traversability(figure: Figure, soils: dict[str, tuple[Traverse, Traverse]]) -> None:
     """Torque required (3) and DP of each soil."""
     figure.set_size_inches(11.0, 4.2)
     torque = _axes(figure, "slip [-]", "torque required (3) [N m]", 121)

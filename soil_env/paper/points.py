@@ -1,7 +1,7 @@
 """Tables 3, 4 and 5 of the source paper: three-point identification, its initial guesses, its noise.
 
-Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251. The command is `paper`. Every force comes
-from the compiled functions that the simulated world uses.
+Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251. Every force comes from the compiled
+functions that the simulated world uses.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.optimize import brentq
 
-from soil_env._numba.compiling import CACHE
-from soil_env.identification import Estimate, Reading, generalized_newton_raphson, newton_raphson, predict
+from soil_env._numba.compiling import part, root
+from soil_env.identification import Estimate, Reading, generalized_newton_raphson, newton_raphson
+from soil_env.identification.point import channels_at
 from soil_env.parameters import Soil, soils, wheels
 from soil_env.terramechanics.contact import entry_angle
 from soil_env.terramechanics.model import steady_state
@@ -40,11 +40,11 @@ DRAWS = 1000
 # --- forces from the compiled functions -------------------------------------------------------------------------------
 
 
-@njit(cache=CACHE)
+@root
 def _channels(x, slip, sinkage, reading, out):
-    jacobian = np.empty((3, 4))
     for p in range(x.shape[0]):
-        predict(x[p], slip[p], sinkage[p], 1.0, reading, out[p], jacobian)
+        y, _ = channels_at(x[p], slip[p], sinkage[p], 1.0, reading)
+        out[p, 0], out[p, 1], out[p, 2] = y.pull, y.load, y.torque
 
 
 def unknowns(phi_deg, K, S) -> np.ndarray:
@@ -113,10 +113,9 @@ def identified(points: Points, reading=HELD, guess=(30.0, 0.03, 5e5)) -> Estimat
     return method(points.slip, points.sinkage, points.pull, reading=reading, guess=start)
 
 
-def triple(estimate: Estimate) -> np.ndarray:
-    """(phi [deg], K [m], S) of an estimate."""
-    s = estimate.soil
-    return np.array([s.friction_angle_deg, s.shear_modulus, s.sinkage_coefficient])
+def triple(soil: Soil) -> np.ndarray:
+    """(phi [deg], K [m], S) of a soil that has an S."""
+    return np.array([soil.friction_angle_deg, soil.shear_modulus, soil.sinkage_coefficient])
 
 
 def miss(found) -> np.ndarray:
@@ -165,8 +164,8 @@ def nearest_by_assumption(points: Points) -> dict[str, Nearest]:
         best = Nearest("none converges", np.full(3, np.nan), math.inf)
         for value, reading, changed in cases:
             estimate = identified(changed, reading)
-            if estimate.converged and miss(triple(estimate)) < best.miss:
-                best = Nearest(value, triple(estimate), float(miss(triple(estimate))))
+            if estimate.converged and miss(triple(estimate.soil)) < best.miss:
+                best = Nearest(value, triple(estimate.soil), float(miss(triple(estimate.soil))))
         out[name] = best
     return out
 
@@ -197,27 +196,23 @@ def needed_noise(points: Points) -> NeededNoise:
 _UNIT = 1e6
 
 
-@njit(cache=CACHE)
+@part
 def equations(x, slip, sinkage, pull, reading, residual, jacobian):
     """Measured minus predicted DP [3] and d(DP)/d(phi, K, S) [3, 3], for any sign of S and any phi.
 
-    Eqs. (2) and (12) are affine in S, so that two calls of the compiled prediction give them for every S.
+    Eqs. (2) and (12) are affine in S, so that the prediction at two values of S gives them for every S.
     """
-    low, high = np.empty(3), np.empty(3)
-    d_low, d_high = np.empty((3, 4)), np.empty((3, 4))
     share = (x[2] - 1.0) / (_UNIT - 1.0)
-    u = np.array([x[0], math.log(x[1]), 0.0])
-    v = np.array([x[0], math.log(x[1]), math.log(_UNIT)])
     for p in range(3):
-        predict(u, slip[p], sinkage[p], 1.0, reading, low, d_low)
-        predict(v, slip[p], sinkage[p], 1.0, reading, high, d_high)
-        residual[p] = pull[p] - low[0] - share * (high[0] - low[0])
-        jacobian[p, 0] = d_low[0, 0] + share * (d_high[0, 0] - d_low[0, 0])
-        jacobian[p, 1] = (d_low[0, 1] + share * (d_high[0, 1] - d_low[0, 1])) / x[1]
-        jacobian[p, 2] = (high[0] - low[0]) / (_UNIT - 1.0)
+        low, _ = channels_at((x[0], math.log(x[1]), 0.0), slip[p], sinkage[p], 1.0, reading)
+        high, _ = channels_at((x[0], math.log(x[1]), math.log(_UNIT)), slip[p], sinkage[p], 1.0, reading)
+        residual[p] = pull[p] - low.pull - share * (high.pull - low.pull)
+        jacobian[p, 0] = low.by_phi[0] + share * (high.by_phi[0] - low.by_phi[0])
+        jacobian[p, 1] = (low.by_K[0] + share * (high.by_K[0] - low.by_K[0])) / x[1]
+        jacobian[p, 2] = (high.pull - low.pull) / (_UNIT - 1.0)
 
 
-@njit(cache=CACHE)
+@root(allocates=True)
 def plain_newton(path, slip, sinkage, pull, reading, tolerance):
     """Newton-Raphson without safeguard in (phi [rad], K, S) from path[0]: iterates into `path`, their number.
 
@@ -254,8 +249,8 @@ def newton_path(points: Points, guess, iterations=100, reading=HELD, tolerance=1
     return path * (180.0 / np.pi, 1.0, 1.0), count
 
 
-class Map(NamedTuple):
-    """Which guesses of the box lead to the root, [phi, K, S] each."""
+class GuessMap(NamedTuple):
+    """Outcome of every guess in the box, [phi, K, S] each."""
 
     phi_deg: np.ndarray
     K: np.ndarray
@@ -281,21 +276,21 @@ def _plain_outcome(points: Points, guess, root) -> str:
 def _our_outcome(points: Points, guess, root) -> tuple[str, np.ndarray]:
     estimate = identified(points, guess=guess)
     if not estimate.converged:
-        return estimate.status.name.lower(), triple(estimate)
-    if _same(triple(estimate), root):
-        return "root", triple(estimate)
-    return "another root" if estimate.residual < 1e-6 else "no root", triple(estimate)  # residual in N
+        return estimate.status.name.lower(), triple(estimate.soil)
+    if _same(triple(estimate.soil), root):
+        return "root", triple(estimate.soil)
+    return "another root" if estimate.residual < 1e-6 else "no root", triple(estimate.soil)  # residual in N
 
 
-def table_4(points: Points, counts=(40, 40, 9)) -> Map:
+def table_4(points: Points, counts=(40, 40, 9)) -> GuessMap:
     """Outcome from every guess of the grid, for the paper's iteration and for ours."""
-    guesses, root = box(counts), triple(identified(points))
+    guesses, root = box(counts), triple(identified(points).soil)
     flat = guesses.reshape(-1, 3)
     plain = np.array([_plain_outcome(points, g, root) for g in flat]).reshape(counts)
     outcomes = [_our_outcome(points, g, root) for g in flat]
     ours = np.array([name for name, _ in outcomes]).reshape(counts)
     other = np.array([found for name, found in outcomes if name in ("another root", "no root")]).reshape(-1, 3)
-    return Map(guesses[:, 0, 0, 0], guesses[0, :, 0, 1], guesses[0, 0, :, 2], root, plain, ours, other)
+    return GuessMap(guesses[:, 0, 0, 0], guesses[0, :, 0, 1], guesses[0, 0, :, 2], root, plain, ours, other)
 
 
 class Stop(NamedTuple):
@@ -347,7 +342,7 @@ def noisy(clean: Points, noise: tuple[float, float, float], rng, draws: int) -> 
         factors = 1.0 + np.array(noise)[:, None] * rng.standard_normal((3, clean.slip.size))
         estimate = identified(Points(*(v * f for v, f in zip(clean, factors, strict=True))), READING)
         if estimate.converged:
-            found.append(100.0 * (triple(estimate) / truth - 1.0))
+            found.append(100.0 * (triple(estimate.soil) / truth - 1.0))
     errors = np.array(found)
     size = np.median(np.abs(errors), axis=0)
     return Noisy(errors.mean(axis=0), errors.std(axis=0, ddof=1), size, 100.0 * len(errors) / draws)

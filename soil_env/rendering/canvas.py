@@ -1,4 +1,4 @@
-"""Drawing for `rendering`: colours, and a pygame surface with a fixed design size that is scaled to any other."""
+"""Canvas on a pygame surface, laid out for one size and scaled to any other; colours."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ BLUE, LIGHT_BLUE, ORANGE, LIGHT_ORANGE = (0, 114, 178), (190, 220, 240), (213, 9
 GREEN, AMBER, SURFACE = (0, 130, 96), (176, 112, 0), (74, 54, 38)
 SKY, RIM, WHEEL, SPOKE = (232, 240, 246), (60, 64, 72), (238, 239, 242), (150, 154, 162)
 _RAMP = np.array([(247, 230, 186), (218, 182, 126), (171, 128, 82), (116, 82, 56)], dtype=float)
-_GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, shade
+GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, shade
 
 
 class Canvas:

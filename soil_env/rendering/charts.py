@@ -1,4 +1,4 @@
-"""The strip charts of `rendering.py`: slip and sinkage, and the soil as estimated and as it is, over time."""
+"""Strip charts over time: slip and sinkage, and the soil, estimated and true."""
 
 from __future__ import annotations
 
@@ -6,17 +6,7 @@ import math
 
 import numpy as np
 
-from soil_env.rendering.canvas import (
-    BLUE,
-    GREEN,
-    GREY,
-    GRID,
-    INK,
-    LIGHT_BLUE,
-    ORANGE,
-    WHITE,
-    Canvas,
-)
+from soil_env.rendering.canvas import BLUE, GREEN, GREY, GRID, INK, LIGHT_BLUE, ORANGE, WHITE, Canvas
 
 SPAN = 30.0  # [s] shown by the charts
 CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
@@ -32,10 +22,10 @@ def draw_charts(c: Canvas, history: np.ndarray) -> None:
     _draw_chart(c, CHARTS[0], end, time, (low, 1.0), False, [(sinkage, GREEN), (slip, INK)])
     c.text(x, y - 11, "slip [-]", 16)
     c.text(x + 62, y - 11, "sinkage / radius [-]", 16, GREEN)
-    names = "friction angle φ [deg]", "shear modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
+    names = "friction angle φ [deg]", "shear deformation modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
     for i, name in enumerate(names):
         estimate, sd, true = history[3 + i], history[6 + i], history[9 + i]
-        low, high, estimate, true = (_readable(v, i) for v in (estimate - sd, estimate + sd, estimate, true))
+        low, high, estimate, true = (_in_shown_units(v, i) for v in (estimate - sd, estimate + sd, estimate, true))
         limits = _limits(np.concatenate([low, high, true]), i > 0)
         _draw_chart(c, CHARTS[i + 1], end, time, limits, i > 0, [(true, ORANGE), (estimate, BLUE)], (low, high))
         c.text(x, CHARTS[i + 1][1] - 11, name, 16)
@@ -73,7 +63,7 @@ def _draw_chart(c: Canvas, box, end, time, limits, log, lines, band=None) -> Non
         c.lines(at(time, values), colour, 1.8)
 
 
-def _readable(values: np.ndarray, i: int) -> np.ndarray:
+def _in_shown_units(values: np.ndarray, i: int) -> np.ndarray:
     """phi [deg], K [mm] or S [MN/m^(n+2)], for i = 0, 1, 2, from phi [rad] or the logarithm of K or S in SI units."""
     return np.degrees(values) if i == 0 else (1e3, 1e-6)[i - 1] * np.exp(np.clip(values, -50.0, 50.0))
 

@@ -1,7 +1,7 @@
-"""Side view of one wheel with the stress under it, and its slip, sinkage and soil estimate against the truth over time.
+"""Side view of one wheel with the stress under it, and charts of its slip, sinkage and soil estimate over time.
 
-The picture is laid out in units of a 960 x 540 design and scaled to the size asked for. Nothing physical is computed
-here: terrain, stresses and mobilised modulus come from the compiled functions that the simulation itself uses.
+The picture is laid out for 960 x 540 pixels and scaled to the size asked for. Nothing physical is computed here:
+terrain, stresses and mobilised modulus come from the compiled functions that the simulation itself uses.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from soil_env._numba.compiling import root
 from soil_env.identification import Status
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import (
-    _GRAINS,
     AMBER,
     BLUE,
     DESIGN,
+    GRAINS,
     GREEN,
     GREY,
     GRID,
@@ -90,7 +90,7 @@ def contact_stresses(simulation, k: int) -> Stresses:
 
 
 class _Profile(NamedTuple):
-    """A course on a grid."""
+    """Elevation and friction angle along a course, on a grid."""
 
     x: np.ndarray  # [points] distance along the course, taken as horizontal [m]
     height: np.ndarray  # [points] integral of tan(grade) [m]
@@ -183,7 +183,7 @@ class Renderer:
         self._window = self._canvas = self._clock = None
 
     def _poll(self) -> bool:
-        """Open the window at the first call and take the events; False once the user has closed it."""
+        """Open the window at the first call and handle its events; False once the user has closed it."""
         import pygame
 
         if self._window is None:
@@ -241,7 +241,7 @@ def _draw_ground(c: Canvas, x, hub, r, rut, grade, profile: _Profile, bounds, at
     colours = c.soil(at(x, now), SCENE[1] + SCENE[3], friction, bounds)
     step = (x[-1] - x[0]) / 40.0
     cells = np.arange(4 * math.floor(x[0] / step), 4 * math.ceil(x[-1] / step))
-    place, depth, shade = _GRAINS[cells % len(_GRAINS)].T
+    place, depth, shade = GRAINS[cells % len(GRAINS)].T
     gx = (cells // 4 + place) * step
     spots = at(gx, np.interp(gx, x, now) - (0.3 + 12.0 * depth) * step)
     tints = colours[np.searchsorted(middle, gx).clip(0, middle.size - 1)] * np.where(shade < 0.5, 0.82, 1.1)[:, None]

@@ -19,9 +19,11 @@ from soil_env._numba.lanes import scratch
 from soil_env._numba.random_streams import between, normal_pair, uniform, word
 from soil_env.parameters import Scenario, SoilState
 from soil_env.simulation.terrain import blend, cell_at, row_soil
-from soil_env.terramechanics.effects import NO_EFFECTS, Effects, acting, depends_on_speed
+from soil_env.simulation.wheel import interaction_of
+from soil_env.terramechanics.effects import depends_on_speed
 from soil_env.terramechanics.model import Conditions, Rim, WheelSoilModel, steady_with
-from soil_env.terramechanics.residual import ResidualLaw, dimensionless_groups, residual_at, residual_law
+from soil_env.terramechanics.reaction import Interaction
+from soil_env.terramechanics.residual import dimensionless_groups, residual_at
 from soil_env.terramechanics.traversability import best_working_point_with
 
 _MAX_REDRAWS = 30
@@ -30,7 +32,7 @@ _BISECTIONS = 8  # of the steepest grade on ground that slopes weaken
 _six = scratch(6)
 
 
-class CourseNumbers(NamedTuple):
+class CourseDistribution(NamedTuple):
     """`CourseSpec`, `SoilSpread` and the soil mixture as the kernels take them."""
 
     length: float
@@ -45,9 +47,6 @@ class CourseNumbers(NamedTuple):
     payload_low: float
     payload_high: float
     body_mass: float
-    gravity: float
-    radius: float
-    width: float
     stall_torque: float
     bogged_sinkage: float  # [m]
     reference_sinkage: float
@@ -56,10 +55,13 @@ class CourseNumbers(NamedTuple):
     library: np.ndarray  # [soils, 7] `SoilState` of the presets
     cumulative: np.ndarray  # [soils] cumulative share of the presets
     speed: float  # [m/s] travel at which passability is judged, half the top rim speed
-    grouser_height: float  # [m]
-    unit_weight: float  # of the soil [N/m3]
-    effects: Effects  # of the world
-    residual: ResidualLaw  # of the world
+
+
+class CourseNumbers(NamedTuple):
+    """What courses are drawn from, and the wheel that has to pass them."""
+
+    drawn: CourseDistribution
+    wheel: Interaction
 
 
 def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> CourseNumbers:
@@ -71,7 +73,7 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
         presets = scenario.library
         library = [presets[name].state(w.width) for name in scenario.soils]
         weights = np.array(list(scenario.soils.values()), dtype=float)
-    return CourseNumbers(
+    drawn = CourseDistribution(
         c.length,
         *c.patch_length,
         c.border,
@@ -80,9 +82,6 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
         *c.margin,
         *c.payload,
         w.body_mass,
-        scenario.gravity,
-        w.radius,
-        w.width,
         w.stall_torque,
         scenario.limits.bogged_sinkage * w.radius,
         s.reference_sinkage,
@@ -91,11 +90,8 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
         np.array(library),
         np.cumsum(weights) / weights.sum(),
         0.5 * w.no_load_speed * w.radius,
-        0.0 if model is None else model.wheel.grouser_height,
-        0.0 if model is None else model.density * scenario.gravity,
-        NO_EFFECTS if model is None else acting(model.numbers),
-        residual_law(() if model is None else model.residual),
     )
+    return CourseNumbers(drawn, interaction_of(scenario, model))
 
 
 @part
@@ -103,9 +99,9 @@ def draw_soil(streams, k, numbers):
     """One soil: a preset by weight, scattered by `SoilSpread` (deviations cut at 2.5 sigma)."""
     pick = uniform(streams, k)
     i = 0
-    while i < numbers.cumulative.size - 1 and pick > numbers.cumulative[i]:
+    while i < numbers.drawn.cumulative.size - 1 and pick > numbers.drawn.cumulative[i]:
         i += 1
-    mean, spread, factor = numbers.library[i], numbers.spread, numbers.factor
+    mean, spread, factor = numbers.drawn.library[i], numbers.drawn.spread, numbers.drawn.factor
     z, d, scale = _six(), _six(), _six()
     for j in range(3):
         z[2 * j], z[2 * j + 1] = normal_pair(streams, k)
@@ -119,12 +115,13 @@ def draw_soil(streams, k, numbers):
         s = math.sqrt(math.log(1.0 + spread[j] * spread[j]))
         scale[j] = math.exp(s * d[j] - 0.5 * s * s)
     n = mean[4] * (1.0 + spread[5] * min(max(z[5], -2.5), 2.5))
-    stiffness = mean[3] * numbers.reference_sinkage ** mean[4] * scale[3]  # pressure at the reference sinkage [Pa]
+    depth = numbers.drawn.reference_sinkage
+    stiffness = mean[3] * depth ** mean[4] * scale[3]  # pressure at that depth [Pa]
     return SoilState(
         math.tan(phi),
         mean[1] * scale[1],
         mean[2] * scale[2],
-        stiffness / numbers.reference_sinkage**n,
+        stiffness / depth**n,
         n,
         mean[5] * scale[4],
         mean[6],
@@ -134,12 +131,14 @@ def draw_soil(streams, k, numbers):
 @part
 def _best_pull(load, soil, speed, sin_grade, numbers):
     """Best steady drawbar pull over load at this travel speed [m/s], -inf where the wheel would be bogged at it."""
-    fx, r, b = numbers.effects, numbers.radius, numbers.width
-    wheel, at = Rim(r, b, numbers.grouser_height), Conditions(speed, 1.0, sin_grade)
-    best = best_working_point_with(load, soil, wheel, at, numbers.unit_weight, fx, numbers.stall_torque)
-    groups = dimensionless_groups(best.slip, best.sinkage, load, speed, 1.0, sin_grade, soil, r, b, numbers.gravity)
-    _, pull, torque = residual_at(numbers.residual, groups)
-    if best.sinkage > 0.9 * numbers.bogged_sinkage or best.torque + torque * load * r > numbers.stall_torque:
+    wheel, drawn, at = numbers.wheel, numbers.drawn, Conditions(speed, 1.0, sin_grade)
+    r, b = wheel.radius, wheel.width
+    best = best_working_point_with(
+        load, soil, Rim(r, b, wheel.grouser_height), at, wheel.unit_weight, wheel.effects, drawn.stall_torque
+    )
+    groups = dimensionless_groups(best.slip, best.sinkage, load, speed, 1.0, sin_grade, soil, r, b, wheel.gravity)
+    _, pull, torque = residual_at(wheel.residual, groups)
+    if best.sinkage > 0.9 * drawn.bogged_sinkage or best.torque + torque * load * r > drawn.stall_torque:
         return -np.inf
     return best.drawbar_pull / load + pull
 
@@ -151,13 +150,14 @@ def _capacity(load, soil, tangent, numbers):
     Where strength depends on speed, the lesser one of starting and of driving. Of the slope only the loss of bearing
     counts: W cos(grade) sinks less than W, so W is on the safe side.
     """
-    fx, wheel = numbers.effects, Rim(numbers.radius, numbers.width, numbers.grouser_height)
+    wheel = numbers.wheel
     sin_grade = tangent / math.sqrt(1.0 + tangent * tangent)
-    rest = steady_with(0.0, load, soil, wheel, Conditions(0.0, 1.0, sin_grade), numbers.unit_weight, fx, 0.0)
-    if rest.sinkage > 0.9 * numbers.bogged_sinkage or not rest.floating:
+    rim, at_rest = Rim(wheel.radius, wheel.width, wheel.grouser_height), Conditions(0.0, 1.0, sin_grade)
+    rest = steady_with(0.0, load, soil, rim, at_rest, wheel.unit_weight, wheel.effects, 0.0)
+    if rest.sinkage > 0.9 * numbers.drawn.bogged_sinkage or not rest.floating:
         return -np.inf
-    pull = _best_pull(load, soil, numbers.speed, sin_grade, numbers)
-    if depends_on_speed(fx):
+    pull = _best_pull(load, soil, numbers.drawn.speed, sin_grade, numbers)
+    if depends_on_speed(wheel.effects):
         pull = min(pull, _best_pull(load, soil, 0.0, sin_grade, numbers))
     return pull
 
@@ -168,10 +168,10 @@ def _steepest(load, soil, margin, numbers):
 
     On the level and on a slope the capacity is the same, unless slopes weaken the ground: then it is sought for.
     """
-    low, high = numbers.grade_low, numbers.grade_high
+    low, high = numbers.drawn.grade_low, numbers.drawn.grade_high
     flat = min(max(0.0, low), high)
     capacity = _capacity(load, soil, flat, numbers)
-    if numbers.effects.grade_weakening == 0.0:
+    if numbers.wheel.effects.grade_weakening == 0.0:
         return (min(capacity - margin, high), capacity) if capacity - margin >= low else (-np.inf, -np.inf)
     if capacity - margin < flat:
         flat, high = low, flat
@@ -219,9 +219,11 @@ def start_course(k, courses, streams, numbers):
     courses.patches[k] = 0
     courses.streams[k] = word(streams, k)
     for _ in range(_MAX_REDRAWS):
-        mass = numbers.body_mass + between(courses.streams, k, numbers.payload_low, numbers.payload_high)
-        if _try_patch(k, courses, mass * numbers.gravity, numbers):
-            extend_course(k, courses, mass, numbers.ahead, numbers)
+        mass = numbers.drawn.body_mass + between(
+            courses.streams, k, numbers.drawn.payload_low, numbers.drawn.payload_high
+        )
+        if _try_patch(k, courses, mass * numbers.wheel.gravity, numbers):
+            extend_course(k, courses, mass, numbers.drawn.ahead, numbers)
             return mass
     return -1.0
 
@@ -229,8 +231,8 @@ def start_course(k, courses, streams, numbers):
 @inlined
 def draw_ahead(k, courses, x, mass, numbers):
     """Draw what a wheel of `mass` [kg] at x [m] may reach in the next control period, unless it is there already."""
-    if courses.ready[k] < x + numbers.ahead:
-        extend_course(k, courses, mass, x + numbers.ahead, numbers)
+    if courses.ready[k] < x + numbers.drawn.ahead:
+        extend_course(k, courses, mass, x + numbers.drawn.ahead, numbers)
 
 
 @part
@@ -242,7 +244,7 @@ def extend_course(k, courses, mass, x, numbers):
     found = True
     while courses.ready[k] < x:
         tries = 0
-        while tries < _MAX_REDRAWS and not _try_patch(k, courses, mass * numbers.gravity, numbers):
+        while tries < _MAX_REDRAWS and not _try_patch(k, courses, mass * numbers.wheel.gravity, numbers):
             tries += 1
         if tries == _MAX_REDRAWS:
             found = False
@@ -250,7 +252,9 @@ def extend_course(k, courses, mass, x, numbers):
             for j in range(7):
                 courses.soils[k, p, j] = courses.soils[k, p - 1, j]
             courses.grades[k, p], courses.margins[k, p] = courses.grades[k, p - 1], courses.margins[k, p - 1]
-            _add_patch(k, courses, between(courses.streams, k, numbers.patch_low, numbers.patch_high), numbers)
+            _add_patch(
+                k, courses, between(courses.streams, k, numbers.drawn.patch_low, numbers.drawn.patch_high), numbers
+            )
     return found
 
 
@@ -262,10 +266,10 @@ def _try_patch(k, courses, load, numbers):
     So the grade of a patch is final when the next one is drawn.
     """
     p, streams = courses.patches[k], courses.streams
-    length = between(streams, k, numbers.patch_low, numbers.patch_high)
-    margin = between(streams, k, numbers.margin_low, numbers.margin_high)
+    length = between(streams, k, numbers.drawn.patch_low, numbers.drawn.patch_high)
+    margin = between(streams, k, numbers.drawn.margin_low, numbers.drawn.margin_high)
     if p == 0:
-        margin = max(margin, 0.5 * (numbers.margin_low + numbers.margin_high))  # somewhere to get going
+        margin = max(margin, 0.5 * (numbers.drawn.margin_low + numbers.drawn.margin_high))  # somewhere to get going
     tangent = capacity = -np.inf
     for _ in range(_MAX_REDRAWS):
         soil = draw_soil(streams, k, numbers)
@@ -290,23 +294,23 @@ def _try_patch(k, courses, load, numbers):
 @part
 def _joined(k, courses, i, load, numbers):
     """Lower the grades of patches i - 1 and i until their border is passable; False if that cannot be."""
-    short = numbers.margin_low - _margin_at_border(k, courses, i, load, numbers)
+    short = numbers.drawn.margin_low - _margin_at_border(k, courses, i, load, numbers)
     if short <= 0.0:
         return True
     for j in (i - 1, i):
         tangent = math.tan(courses.grades[k, j])
-        lowered = max(tangent - 1.02 * short, numbers.grade_low)
+        lowered = max(tangent - 1.02 * short, numbers.drawn.grade_low)
         courses.grades[k, j] = math.atan(lowered)
         courses.margins[k, j] += tangent - lowered
     least = _margin_at_border(k, courses, i, load, numbers)
-    if numbers.effects.grade_weakening != 0.0:  # a lowered grade may be a steep descent on weaker ground
+    if numbers.wheel.effects.grade_weakening != 0.0:  # a lowered grade may be a steep descent on weaker ground
         for j in (i - 1, i):
             tangent = math.tan(courses.grades[k, j])
             courses.margins[k, j] = _capacity(load, row_soil(courses.soils[k, j]), tangent, numbers) - tangent
             least = min(least, courses.margins[k, j])
         if i > 1:
             least = min(least, _margin_at_border(k, courses, i - 1, load, numbers))
-    return numbers.margin_low - least <= 1e-6
+    return numbers.drawn.margin_low - least <= 1e-6
 
 
 @part
@@ -315,10 +319,10 @@ def _add_patch(k, courses, length, numbers):
     p = courses.patches[k]
     start = 0.0 if p == 0 else courses.edges[k, p]
     end = start + length
-    whole = end >= numbers.length or p + 1 == courses.soils.shape[1]
+    whole = end >= numbers.drawn.length or p + 1 == courses.soils.shape[1]
     courses.edges[k, p], courses.edges[k, p + 1] = start, end
     courses.patches[k] = p + 1
-    courses.ready[k] = np.inf if whole else start - 0.5 * numbers.border
+    courses.ready[k] = np.inf if whole else start - 0.5 * numbers.drawn.border
     first = 0 if p == 0 else cell_at(courses, start) + 1
     last = courses.modulus.shape[1] - 1 if whole else cell_at(courses, end)
     for i in range(first, last + 1):

@@ -1,4 +1,4 @@
-"""The task as pure functions: what the wheel's sensors read, what the agent sees, what it earns, when the episode ends.
+"""The task: what the agent observes, what it earns, when the episode ends and why.
 
 One layout serves all observation variants; forces, speeds and sinkage are relative to the wheel's weight, top rim
 speed and radius, so that they are of order one for any wheel.
@@ -15,12 +15,10 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_key
 from soil_env._numba.compiling import inlined
-from soil_env._numba.random_streams import eight_normals
 from soil_env.identification import Status
-from soil_env.identification.online import SensorReading
 from soil_env.parameters import Scenario
+from soil_env.simulation.sensors import SensorNumbers, sensor_numbers
 from soil_env.simulation.terrain import ground_at
-from soil_env.terramechanics.effects import NO_EFFECTS, Effects, measured_slip, slip_sinkage_ratio
 from soil_env.terramechanics.model import WheelSoilModel
 
 
@@ -46,7 +44,7 @@ VARIANTS = ("blind", "identified", "true_soil")
 
 
 @dataclass(frozen=True)
-class Entry:
+class ObservedNumber:
     """One number of the observation."""
 
     name: str
@@ -56,43 +54,43 @@ class Entry:
 
 
 _BLIND = (
-    Entry("slip", "-", -1.0, 1.0),
-    Entry("sinkage", "of radius", -1.0, 3.0),
-    Entry("drawbar_pull", "of weight", -10.0, 10.0),
-    Entry("load", "of weight", -10.0, 10.0),
-    Entry("torque", "of weight x radius", -10.0, 10.0),
-    Entry("speed", "of top rim speed", -5.0, 5.0),
-    Entry("rim_speed", "of top rim speed", -5.0, 5.0),
-    Entry("pitch", "rad, uphill positive", -1.6, 1.6),
-    Entry("last_action", "-", -1.0, 1.0),
-    Entry("progress", "of course length", -5.0, 5.0),
-    Entry("halted", "0 or 1", 0.0, 1.0),
+    ObservedNumber("slip", "-", -1.0, 1.0),
+    ObservedNumber("sinkage", "of radius", -1.0, 3.0),
+    ObservedNumber("drawbar_pull", "of weight", -10.0, 10.0),
+    ObservedNumber("load", "of weight", -10.0, 10.0),
+    ObservedNumber("torque", "of weight x radius", -10.0, 10.0),
+    ObservedNumber("speed", "of top rim speed", -5.0, 5.0),
+    ObservedNumber("rim_speed", "of top rim speed", -5.0, 5.0),
+    ObservedNumber("pitch", "rad, uphill positive", -1.6, 1.6),
+    ObservedNumber("last_action", "-", -1.0, 1.0),
+    ObservedNumber("progress", "of course length", -5.0, 5.0),
+    ObservedNumber("halted", "0 or 1", 0.0, 1.0),
 )
 _IDENTIFIED = (
-    Entry("friction_angle", "rad", 0.0, 1.6),
-    Entry("log10_shear_modulus", "log10 m", -5.0, 1.0),
-    Entry("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0),
-    Entry("friction_angle_sd", "rad", 0.0, 2.0),
-    Entry("shear_modulus_sd", "relative", 0.0, 20.0),
-    Entry("sinkage_coefficient_sd", "relative", 0.0, 20.0),
-    Entry("estimate_valid", "0 or 1", 0.0, 1.0),
-    Entry("cohesion", "kPa", 0.0, 1000.0),
-    Entry("dig_gain", "-", 0.0, 100.0),
-    Entry("cohesion_sd", "kPa", 0.0, 1000.0),
-    Entry("dig_gain_sd", "relative", 0.0, 20.0),
+    ObservedNumber("friction_angle", "rad", 0.0, 1.6),
+    ObservedNumber("log10_shear_modulus", "log10 m", -5.0, 1.0),
+    ObservedNumber("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0),
+    ObservedNumber("friction_angle_sd", "rad", 0.0, 2.0),
+    ObservedNumber("shear_modulus_sd", "relative", 0.0, 20.0),
+    ObservedNumber("sinkage_coefficient_sd", "relative", 0.0, 20.0),
+    ObservedNumber("estimate_valid", "0 or 1", 0.0, 1.0),
+    ObservedNumber("cohesion", "kPa", 0.0, 1000.0),
+    ObservedNumber("dig_gain", "-", 0.0, 100.0),
+    ObservedNumber("cohesion_sd", "kPa", 0.0, 1000.0),
+    ObservedNumber("dig_gain_sd", "relative", 0.0, 20.0),
 )
 _TRUE = (
-    Entry("friction_angle", "rad", 0.0, 1.6),
-    Entry("log10_shear_modulus", "log10 m", -5.0, 1.0),
-    Entry("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0),
-    Entry("cohesion", "kPa", 0.0, 1000.0),
-    Entry("sinkage_exponent", "-", 0.0, 4.0),
-    Entry("dig_gain", "-", 0.0, 100.0),
-    Entry("dig_recovery", "-", 0.0, 10.0),
+    ObservedNumber("friction_angle", "rad", 0.0, 1.6),
+    ObservedNumber("log10_shear_modulus", "log10 m", -5.0, 1.0),
+    ObservedNumber("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0),
+    ObservedNumber("cohesion", "kPa", 0.0, 1000.0),
+    ObservedNumber("sinkage_exponent", "-", 0.0, 4.0),
+    ObservedNumber("dig_gain", "-", 0.0, 100.0),
+    ObservedNumber("dig_recovery", "-", 0.0, 10.0),
 )
 
 
-def layout(variant: str) -> tuple[Entry, ...]:
+def layout(variant: str) -> tuple[ObservedNumber, ...]:
     """The observation of a variant, number by number; the first entries are those of `blind` in every variant."""
     if not isinstance(variant, str):
         raise ParameterError(f"observation = {variant!r}: expected one of {', '.join(VARIANTS)}")
@@ -113,8 +111,7 @@ class TaskNumbers(NamedTuple):
     border: float
     period: float
     steps: int
-    sensor_effects: Effects  # what the sensors read wrongly
-    noise: np.ndarray  # [8] slip, sinkage, drawbar pull, load, torque, speed, rim speed, pitch, in their own units
+    sensors: SensorNumbers
     low: np.ndarray  # [D] float32 bounds of the observation
     high: np.ndarray
     entrapped_slip: float
@@ -134,12 +131,8 @@ class TaskNumbers(NamedTuple):
 def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None = None) -> TaskNumbers:
     """Pack what the functions below need; `model` brings the effects that are on in this world."""
     entries = layout(variant)
-    n, lim, w = scenario.noise, scenario.limits, scenario.wheel
+    lim, w = scenario.limits, scenario.wheel
     weight = scenario.weight
-    noise = [
-        n.slip, n.sinkage, n.drawbar_pull * weight, n.load * weight, n.torque * weight * w.radius, n.speed,
-        n.wheel_speed * w.radius, n.pitch,
-    ]  # fmt: skip
     return TaskNumbers(
         VARIANTS.index(variant),
         weight,
@@ -150,8 +143,7 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
         scenario.course.border,
         scenario.control.period,
         scenario.steps,
-        NO_EFFECTS if model is None else model.numbers,
-        np.array(noise),
+        sensor_numbers(scenario, model),
         np.array([e.low for e in entries], dtype=np.float32),
         np.array([e.high for e in entries], dtype=np.float32),
         lim.entrapped_slip,
@@ -167,27 +159,6 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
         scenario.reward.information_discount,
         scenario.belief.dig_gain,
     )
-
-
-@inlined
-def sense(state, k, streams, task):
-    """Noisy readings of wheel k and its pitch [rad]: (SensorReading, pitch)."""
-    sd, slip, depth = task.noise, state.slip[k], state.sinkage[k]
-    a, b, c, d, e, f, g, h = eight_normals(streams, k)
-    fx = task.sensor_effects
-    sinkage = depth + fx.sinkage_offset_offset
-    if fx.slip_sinkage_apparent > 0.0:
-        sinkage += depth * (slip_sinkage_ratio(slip, fx.slip_sinkage_gain, fx.slip_sinkage_recovery) - 1.0)
-    reading = SensorReading(
-        min(max(measured_slip(slip, fx) + sd[0] * a, -1.0), 1.0),
-        sinkage + sd[1] * b,
-        state.drawbar_pull[k] + sd[2] * c,
-        state.load[k] + sd[3] * d,
-        state.torque[k] + sd[4] * e,
-        state.speed[k] + sd[5] * f,
-        state.wheel_speed[k] * task.radius + sd[6] * g,
-    )
-    return reading, state.grade[k] + sd[7] * h
 
 
 @inlined

@@ -95,14 +95,21 @@ class WorldNumbers(NamedTuple):
     speed_command: bool
 
 
-def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> WorldNumbers:
-    """Pack what `dynamics.advance` needs; `model` brings the effects that are on in this world."""
-    w, c = scenario.wheel, scenario.control
+def interaction_of(scenario: Scenario, model: WheelSoilModel | None = None) -> Interaction:
+    """The wheel of a scenario and the effects of `model` that act on it, not on its sensors."""
+    w = scenario.wheel
     grousers, density = (0.0, 0.0) if model is None else (model.wheel.grouser_height, model.density)
     effects = NO_EFFECTS if model is None else acting(model.numbers)
     law = residual_law(() if model is None else model.residual)
+    rim = Rim(w.radius, w.width, grousers)
+    return interaction(rim, effects, law, scenario.gravity, density * scenario.gravity)
+
+
+def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> WorldNumbers:
+    """Pack what `dynamics.advance` needs; `model` brings the effects that are on in this world."""
+    w, c = scenario.wheel, scenario.control
     return WorldNumbers(
-        interaction(Rim(w.radius, w.width, grousers), effects, law, scenario.gravity, density * scenario.gravity),
+        interaction_of(scenario, model),
         w.inertia,
         w.stall_torque,
         w.no_load_speed,

@@ -11,7 +11,8 @@ from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, inlined, part, root, take
 from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import seed_stream
-from soil_env._numba.threads import crew
+from soil_env._numba.rows import Rows
+from soil_env._numba.threads import threads
 from soil_env.identification.online import (
     IdentifierNumbers,
     Identifiers,
@@ -22,6 +23,7 @@ from soil_env.identification.online import (
 )
 from soil_env.parameters import Scenario
 from soil_env.simulation.courses import (
+    CourseDistribution,
     CourseNumbers,
     course_numbers,
     draw_ahead,
@@ -30,6 +32,7 @@ from soil_env.simulation.courses import (
     start_course,
 )
 from soil_env.simulation.dynamics import MANY, advance
+from soil_env.simulation.sensors import sense
 from soil_env.simulation.task import (
     REWARD_TERMS,
     Cause,
@@ -37,7 +40,6 @@ from soil_env.simulation.task import (
     judge,
     knowledge,
     reward_terms,
-    sense,
     task_numbers,
     write_observation,
 )
@@ -57,8 +59,8 @@ _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 class Worlds(NamedTuple):
     """Everything the compiled step reads and writes; arrays have one row a wheel."""
 
-    state: WheelState
-    counts: WheelCounts
+    state: Rows  # WheelState
+    counts: Rows  # WheelCounts
     courses: Courses
     streams: np.ndarray  # [wheels] uint64
     ids: Identifiers
@@ -89,9 +91,14 @@ class Numbers(NamedTuple):
     """The scenario as the compiled step takes it."""
 
     world: WorldNumbers
-    course: CourseNumbers
+    drawn: CourseDistribution
     identifier: IdentifierNumbers
     task: TaskNumbers
+
+
+@inlined
+def _course(numbers):
+    return CourseNumbers(numbers.drawn, numbers.world.wheel)
 
 
 @part
@@ -99,7 +106,7 @@ def restart(worlds, numbers, k):
     """Start a new course for wheel k, put the wheel at its start, and observe."""
     mass, attempts = -1.0, 0
     while mass < 0.0 and attempts < _RESTARTS:
-        mass = start_course(k, worlds.courses, worlds.streams, numbers.course)
+        mass = start_course(k, worlds.courses, worlds.streams, _course(numbers))
         attempts += 1
     if mass < 0.0:
         raise RuntimeError("no passable course found: the soils are too weak for this wheel")
@@ -110,7 +117,7 @@ def restart(worlds, numbers, k):
     for i in range(worlds.terms.shape[1]):
         worlds.terms[k, i] = 0.0
     worlds.solved[k] = False
-    reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
+    reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
     _observation(worlds, numbers, k, reading, pitch)
 
 
@@ -124,8 +131,8 @@ def _observation(worlds, numbers, k, reading, pitch):
 @inlined
 def after_period(worlds, numbers, k):
     """After a control period of wheel k: draw the course ahead, sense, identify, judge, reward, observe."""
-    draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], numbers.course)
-    reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
+    draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], _course(numbers))
+    reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
     paid, prior = numbers.task.reward_information > 0.0, numbers.identifier.precision
     before = knowledge(worlds.ids, k, prior) if paid else 0.0
     worlds.solved[k] = observe(worlds.ids, k, reading, numbers.identifier)
@@ -162,9 +169,9 @@ def step_chunks(worlds, numbers, commands, what, counter):
             elif what[k] == RESTART:
                 restart(worlds, numbers, k)
             elif what[k] == TRY:
-                worlds.reward[k] = draw_course(k, worlds.courses, worlds.streams, numbers.course)
+                worlds.reward[k] = draw_course(k, worlds.courses, worlds.streams, _course(numbers))
             elif what[k] == COMPLETE:
-                extend_course(k, worlds.courses, worlds.state.mass[k], np.inf, numbers.course)
+                extend_course(k, worlds.courses, worlds.state.mass[k], np.inf, _course(numbers))
         if steps > 0:
             advance(
                 worlds.state, worlds.counts, start, count, what, commands, worlds.courses, worlds.streams,
@@ -205,7 +212,7 @@ class Simulation:
         if max_episode_steps is not None:
             task = task._replace(steps=min(task.steps, int(max_episode_steps)))
         self.numbers = Numbers(
-            world_numbers(scenario, model), course_numbers(scenario, model), identifier_numbers(scenario), task
+            world_numbers(scenario, model), course_numbers(scenario, model).drawn, identifier_numbers(scenario), task
         )
         self.worlds = new_worlds(wheels, scenario, task)
         self._check_passable(task)
@@ -264,10 +271,10 @@ class Simulation:
 
     def _in_parallel(self, commands: np.ndarray, what: np.ndarray) -> None:
         """`step_chunks` over all wheels in several threads (it holds no lock, and they share no row)."""
-        threads = min(self._threads, -(-self.worlds.reward.size // _LEAST))
-        self._counter[:] = 0, threads
+        at_work = min(self._threads, -(-self.worlds.reward.size // _LEAST))
+        self._counter[:] = 0, at_work
         arguments = (self.worlds, self.numbers, commands, what, self._counter)
-        if threads == 1:
+        if at_work == 1:
             self._run(*arguments)
         else:
-            crew(self._threads).run(self._run, arguments, threads - 1)
+            threads(self._threads).run(self._run, arguments, at_work - 1)

@@ -13,8 +13,8 @@ from agents.evaluate.records import METRICS, Records, record
 from agents.evaluate.warning import HOLD, RELEASE, Warnings
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import load_scenario
-from soil_env.simulation.dynamics import WHEEL_STATE
 from soil_env.simulation.task import Cause, layout
+from soil_env.simulation.wheel import WheelState
 from soil_env.simulation.worlds import Simulation
 from tests.agents import drivers
 
@@ -142,7 +142,7 @@ def play(scenario, script):
     period = scenario.control.period
     warnings = Warnings(scenario, 1)
     worlds = SimpleNamespace(
-        state=np.zeros(1, dtype=WHEEL_STATE),
+        state=WheelState(1),
         ids=SimpleNamespace(estimate=np.zeros((1, 5))),
         observation=np.zeros((1, len(NAMES)), dtype=np.float32),
     )

@@ -51,7 +51,7 @@ def test_truth_is_that_of_the_course_and_readings_scatter_about_it(logs):
     controller = online.SwingingSpeed(SCENARIO)
     action, _ = controller.predict(sim.worlds.observation, None, np.array([True]))
     sim.step(0, float(action[0, 0]))
-    w, s = sim.worlds, sim.worlds.state[0]
+    w, s = sim.worlds, sim.wheel(0)
     soil, _, _ = ground_at(w.courses, 0, s["x"], s["patch"], SCENARIO.course.border)
     same = sinkage_coefficient_at(soil, SCENARIO.belief.sinkage_exponent, s["bearing_sinkage"])
     want = [math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)]

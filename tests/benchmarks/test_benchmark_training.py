@@ -1,19 +1,11 @@
-"""The benchmark of training runs, goes on where it stopped, and its committed page is what its figures say."""
+"""The benchmark of training runs, and goes on where it stopped."""
 
 import json
-from pathlib import Path
 
 import pytest
 
 from agents.ppo import PPOConfig
-from benchmarks import training, training_page
-
-DOCS = Path(__file__).resolve().parents[2] / "docs"
-
-
-@pytest.fixture()
-def committed():
-    return json.loads((DOCS / "training.json").read_text(encoding="utf-8"))
+from benchmarks import training
 
 
 def no_learning(*arguments):
@@ -38,16 +30,6 @@ def test_smoke_run_and_again(tmp_path, monkeypatch):
     (tmp_path / "time.json").write_text('{"seconds": {"env": 12.0, "update": 36.0}}', encoding="utf-8")
     assert training.main(["--smoke", "--out", str(tmp_path), "--run", str(tmp_path)]) == 0
     assert "| env | 12 | 25% |" in (tmp_path / "training.md").read_text(encoding="utf-8")
-
-
-def test_the_committed_study_is_whole(committed, tmp_path, monkeypatch):
-    monkeypatch.setattr(training, "learn", no_learning)
-    training.study(training.jobs(smoke=False), committed, tmp_path / "x.json", print)
-
-
-def test_the_committed_page_has_the_committed_figures(committed, tmp_path):
-    training_page.write(committed, DOCS / "training.md", tmp_path / "training.md")
-    assert (tmp_path / "training.md").read_text(encoding="utf-8") == (DOCS / "training.md").read_text(encoding="utf-8")
 
 
 def test_the_default_layout_is_a_finalist():

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks import throughput, throughput_page
+from benchmarks.throughput_parts import size
+from soil_env.identification.online import WINDOW
 from soil_env.parameters import load_scenario
 from soil_env.simulation.worlds import Simulation
 
@@ -25,19 +27,12 @@ def test_smoke_run_measures_every_part(tmp_path):
     assert all(f"<!-- {name} -->" in page for name in throughput_page.SECTIONS)
 
 
-def test_page_without_a_section_is_refused(tmp_path):
-    template = tmp_path / "page.md"
-    template.write_text("<!-- machine -->\n<!-- end -->\n", encoding="utf-8")
-    with pytest.raises(ValueError, match="1 figures, expected"):
-        throughput_page.write({"machine": throughput.machine()}, template, tmp_path / "out.md")
-
-
 def step_spoilt(sim, k, command):
     """`sim.step` while all of course k but the patches and cells beside the wheel is NaN, and unused points too.
 
     The last patch drawn stays as well: the next may be drawn in this step, and joins it.
     """
-    courses, w = sim.worlds.courses, sim.worlds.state[k]
+    courses, w = sim.worlds.courses, sim.wheel(k)
     last = courses.patches[k] - 1
     patches, edges, cells = (np.arange(a.shape[1]) for a in (courses.soils, courses.edges, courses.modulus))
     far = {
@@ -51,7 +46,8 @@ def step_spoilt(sim, k, command):
     kept = {name: getattr(courses, name)[k, where].copy() for name, where in far.items()}
     for name, where in far.items():
         getattr(courses, name)[k, where] = np.nan
-    sim.worlds.ids.points[k, sim.worlds.ids.count[k] :] = np.nan
+    for name in sim.worlds.ids.points.NAMES:
+        sim.worlds.ids.points[name][k * WINDOW + sim.worlds.ids.count[k] : (k + 1) * WINDOW] = np.nan
     sim.step(k, command)
     for name, where in far.items():
         getattr(courses, name)[k, where] = kept[name]
@@ -78,7 +74,8 @@ def test_a_step_reads_nothing_but_what_is_beside_the_wheel(length):
             if sims[0].worlds.cause[k]:
                 for sim in sims:
                     sim.restart(k)
-        for name in ("state", "observation", "reward"):
+        assert [sims[0].wheel(k) for k in range(4)] == [sims[1].wheel(k) for k in range(4)]
+        for name in ("observation", "reward"):
             np.testing.assert_array_equal(getattr(sims[0].worlds, name), getattr(sims[1].worlds, name), name)
         np.testing.assert_array_equal(sims[0].worlds.ids.estimate, sims[1].worlds.ids.estimate)
         far = max(far, sims[0].worlds.state["x"].max())
@@ -88,12 +85,11 @@ def test_a_step_reads_nothing_but_what_is_beside_the_wheel(length):
 def test_work_of_a_wheel_is_bounded_by_its_arrays():
     """A longer course adds only patches and cells; nothing else of a wheel grows with the course or the time limit."""
 
-    def size(length, limit):
-        w = Simulation(
-            1, load_scenario("mixed", {"course": {"length": length}, "control": {"time_limit": limit}}), "blind"
-        ).worlds
-        return {"courses": sum(a.nbytes for a in w.courses), "rest": w.state.nbytes + sum(a.nbytes for a in w.ids)}
+    def sizes(length, limit):
+        scenario = load_scenario("mixed", {"course": {"length": length}, "control": {"time_limit": limit}})
+        w = Simulation(1, scenario, "blind").worlds
+        return {"courses": size(w.courses), "rest": size((w.state, w.counts, w.ids))}
 
-    short, long, late = size(10.0, 90.0), size(100.0, 90.0), size(10.0, 900.0)
+    short, long, late = sizes(10.0, 90.0), sizes(100.0, 90.0), sizes(10.0, 900.0)
     assert long["courses"] > 5 * short["courses"] and long["rest"] == short["rest"]
     assert late == short

@@ -110,5 +110,5 @@ def test_the_benchmark_refuses_a_folder_that_is_none_before_the_study(tmp_path, 
                       (tmp_path, "identification.md: is a folder")):  # fmt: skip
         assert benchmark.main(["--out", str(out)]) == 2
         shown = capsys.readouterr()
-        assert shown.out == "" and shown.err.count("\n") == 1 and shown.err.startswith("identification.py: ")
+        assert shown.out == "" and shown.err.count("\n") == 1 and shown.err.startswith("benchmarks.identification: ")
         assert said in shown.err

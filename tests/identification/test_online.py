@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from soil_env import identification
-from soil_env.identification import LOWER, UPPER, Status
+from soil_env._numba.rows import Rows
+from soil_env.identification import LOWER, UPPER, Points, Status, predict
 from soil_env.identification import online as identifier
 from soil_env.identification.online import SensorReading
 from soil_env.identification.point import weigh
 from soil_env.parameters import load_scenario, soils
-from soil_env.simulation.dynamics import advance
+from soil_env.simulation.dynamics import STEP, advance
 from soil_env.simulation.task import sense
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import steady_state
@@ -82,7 +82,15 @@ class Fed:
 
 
 def snapshot(ids, k=0):
-    return [np.array(a[k]) for a in ids]
+    """All numbers of identifier k, by name."""
+    out, wheels = {}, len(ids.count)
+    for name, value in ids._asdict().items():
+        if isinstance(value, Rows):
+            each = len(value) // wheels
+            out |= {f"{name}.{row}": value[row][k * each : (k + 1) * each].copy() for row in value.NAMES}
+        else:
+            out[name] = value[k].copy()
+    return out
 
 
 def test_it_starts_from_the_prior():
@@ -163,7 +171,7 @@ def test_old_ground_is_forgotten():
     fed, rng = Fed(), np.random.default_rng(0)
     for _ in range(300):
         fed.feed([reading(rng.uniform(0.0, 0.7))])
-        places = fed.ids.points[0, : fed.ids.count[0], identifier.PLACE]
+        places = fed.ids.points.place[: fed.ids.count[0]]
         if places.size:
             assert places.max() - places.min() <= NUMBERS.memory + 1e-9
     assert fed.ids.count[0] == identifier.WINDOW and np.ptp(places) > 0.5 * NUMBERS.memory
@@ -174,7 +182,7 @@ def test_the_window_keeps_the_points_that_inform():
     fed = Fed()
     fed.feed([reading(0.5)] * 10)
     fed.feed([reading(0.05)] * 25)  # 1.4 m
-    slips = fed.ids.points[0, : fed.ids.count[0], 0]
+    slips = fed.ids.points.slip[: fed.ids.count[0]]
     assert slips.max() > 0.45 and slips.min() < 0.1
 
 
@@ -184,9 +192,8 @@ def test_a_standing_wheel_says_nothing():
     before = snapshot(fed.ids)
     assert fed.feed([reading(0.0, rim_speed=0.0)._replace(torque=0.0, drawbar_pull=5.0)] * 50) == 0
     after = snapshot(fed.ids)
-    for name, a, b in zip(fed.ids._fields, before, after, strict=True):
-        if name != "running":
-            np.testing.assert_array_equal(a, b)
+    for name in before:
+        np.testing.assert_array_equal(before[name], after[name], name)
 
 
 def test_forget_resets_everything():
@@ -194,12 +201,17 @@ def test_forget_resets_everything():
     used.excite(5.0, FIRM, np.random.default_rng(1))
     assert used.status == Status.CONVERGED
     identifier.forget(used.ids, 0, NUMBERS)
-    for name in ("count", "running", "estimate", "sd", "status", "trial", "condition"):
-        np.testing.assert_array_equal(getattr(used.ids, name), getattr(fresh.ids, name), name)
+    memory = ("count", "open", "digging", "estimate", "sd", "status", "trial", "condition")
+
+    def same():
+        for (name, a), b in zip(snapshot(used.ids).items(), snapshot(fresh.ids).values(), strict=True):
+            if name.split(".")[0] in memory:
+                np.testing.assert_array_equal(a, b, name)
+
+    same()
     for fed in (fresh, used):
         fed.excite(3.0, STILL, np.random.default_rng(1))
-    for name in ("estimate", "sd", "status", "trial", "count", "running", "condition"):
-        np.testing.assert_array_equal(getattr(used.ids, name), getattr(fresh.ids, name), name)
+    same()
 
 
 def test_identifiers_do_not_disturb_each_other():
@@ -212,8 +224,8 @@ def test_identifiers_do_not_disturb_each_other():
         alone.feed([reading(slip)])
         identifier.observe(two.ids, 1, reading(slip, FIRM), NUMBERS)
         identifier.observe(two.ids, 0, reading(slip), NUMBERS)
-    for a, b in zip(snapshot(alone.ids), snapshot(two.ids), strict=True):
-        np.testing.assert_array_equal(a, b)
+    for (name, a), b in zip(snapshot(alone.ids).items(), snapshot(two.ids).values(), strict=True):
+        np.testing.assert_array_equal(a, b, name)
     assert np.abs(two.ids.estimate[0] - two.ids.estimate[1]).max() > 0.5
 
 
@@ -243,17 +255,20 @@ def test_weights_whiten_the_noise_of_all_channels(slip):
     """
     numbers = NUMBERS._replace(model_error=0.0)
     rng, x, predicted, rates = np.random.default_rng(0), unknowns(STILL), np.empty(3), np.empty((3, 4))
-    row = np.zeros(identification.POINT_SIZE)
-    row[:6] = [*reading(slip)[:2], 1.0, *reading(slip)[2:5]]
+    points, true = Points(1), reading(slip)
+    points.slip[0], points.sinkage[0], points.dig_ratio[0] = true.slip, true.sinkage, 1.0
+    points.drawbar_pull[0], points.load[0], points.torque[0] = true[2:5]
     share = 1.0 / math.sqrt(5.0)
-    weigh(row, x, numbers.force_sd**2 / 5.0, share * numbers.slip_sd, share * numbers.sinkage_sd, numbers.reading)
-    w = row[identification.WEIGHTS : identification.WEIGHTS + 6]
-    whiten = np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]])
+    weigh(
+        points, 0, x, numbers.force_sd**2 / 5.0, share * numbers.slip_sd, share * numbers.sinkage_sd, numbers.reading
+    )  # fmt: skip
+    w = points[0]
+    whiten = np.array([[w["w00"], 0.0, 0.0], [w["w10"], w["w11"], 0.0], [w["w20"], w["w21"], w["w22"]]])
     sd = np.array([numbers.slip_sd, numbers.sinkage_sd, *numbers.force_sd]) / math.sqrt(5.0)
     misfits = []
     for noise in sd * rng.standard_normal((5000, 5)):
-        identification.predict(x, slip + noise[0], row[1] + noise[1], 1.0, numbers.reading, predicted, rates)
-        misfits.append(whiten @ (row[3:6] + noise[2:] - predicted))
+        predict(x, slip + noise[0], true.sinkage + noise[1], 1.0, numbers.reading, predicted, rates)
+        misfits.append(whiten @ (np.array(true[2:5]) + noise[2:] - predicted))
     np.testing.assert_allclose(np.cov(np.array(misfits).T), np.eye(3), atol=0.1)
 
 
@@ -288,8 +303,10 @@ def test_only_readings_enter(hide):
     w, n = sim.worlds, sim.numbers
     other = identifier.new_identifiers(1)
     identifier.forget(other, 0, n.identifier)
+    what = np.full(1, STEP, dtype=np.int8)
     for k in range(80):
-        advance(w.state, 0, 0.4 + 0.35 * math.sin(0.7 * k), w.courses, w.streams, n.world)
+        commands = np.array([0.4 + 0.35 * math.sin(0.7 * k)])
+        advance(w.state, w.counts, 0, 1, what, commands, w.courses, w.streams, n.world)
         readings, _ = sense(w.state, 0, w.streams, n.task)
         identifier.observe(other, 0, readings, n.identifier)
         kept = w.courses.soils.copy(), w.state.copy()
@@ -298,10 +315,10 @@ def test_only_readings_enter(hide):
             for name in ("sinkage", "load", "torque", "drawbar_pull", "slip", "bearing_sinkage", "mass"):
                 w.state[name] *= 1.3
         identifier.observe(w.ids, 0, readings, n.identifier)
-        w.courses.soils[:], w.state[:] = kept
+        w.courses.soils[:], w.state.data[:] = kept[0], kept[1].data
     assert w.ids.status[0] == Status.CONVERGED
-    for a, b in zip(snapshot(w.ids), snapshot(other), strict=True):
-        np.testing.assert_array_equal(a, b)
+    for (name, a), b in zip(snapshot(w.ids).items(), snapshot(other).values(), strict=True):
+        np.testing.assert_array_equal(a, b, name)
 
 
 # --- in the simulated world -------------------------------------------------------------------------------------------
@@ -390,15 +407,15 @@ def test_a_border_between_soils_is_noticed():
     sim.worlds.courses.grades[:] = 0.0
     state, ids = sim.worlds.state, sim.worlds.ids
     for k in range(400):
-        if state[0]["x"] > 3.7 and (k % 10 == 0 or state[0]["x"] < 3.75):
+        if state.x[0] > 3.7 and (k % 10 == 0 or state.x[0] < 3.75):
             assert abs(ids.estimate[0, 2] - math.log(soil[0, 0, 3])) < 3.0 * ids.sd[0, 2]
             break
         sim.step(0, 0.4 + 0.35 * math.sin(0.7 * k))
     for k in range(400):
-        if state[0]["x"] > 5.15:
+        if state.x[0] > 5.15:
             break
         sim.step(0, 0.4 + 0.35 * math.sin(0.7 * k))
-    assert 5.15 < state[0]["x"] < 5.4
+    assert 5.15 < state.x[0] < 5.4
     assert abs(ids.estimate[0, 2] - math.log(soil[0, 1, 3])) < max(3.0 * ids.sd[0, 2], 0.1)
     assert ids.sd[0, 2] < 0.3
 

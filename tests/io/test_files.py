@@ -1,12 +1,15 @@
 """Files are written whole or not at all."""
 
 import contextlib
+import json
+import math
 import os
 
 import matplotlib.figure
+import numpy as np
 import pytest
 
-from soil_env._io.files import append_line, check_outputs, replace_file, replace_files, save_figure
+from soil_env._io.files import append_line, check_outputs, replace_file, replace_files, save_figure, write_json
 
 resource = pytest.importorskip("resource")
 
@@ -83,3 +86,8 @@ def test_no_folder(tmp_path):
     with pytest.raises(OSError) as raised:
         replace_file(tmp_path / "no" / "a", "x")
     assert raised.value.filename == str(tmp_path / "no" / "a")
+
+
+def test_json_has_no_numpy_and_no_nan(tmp_path):
+    write_json(tmp_path / "a.json", {"x": np.array([1.0, np.nan]), 2: (np.float32(0.5), math.inf, None, True)})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"x": [1.0, None], "2": [0.5, None, None, True]}

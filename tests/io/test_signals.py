@@ -38,13 +38,10 @@ def interrupted(folder, command, at):
     "command, name",
     [
         (["-m", "soil_env.discrepancy"], "soil_env.discrepancy"),
-        (["-m", "soil_env.discrepancy.cmu"], "soil_env.discrepancy.cmu"),
         (["-m", "soil_env.identification"], "soil_env.identification"),
-        (["-m", "soil_env.paper"], "soil_env.paper"),
         (["-m", "agents.evaluate"], "agents.evaluate"),
-        (["-m", "agents.sim2real"], "agents.sim2real"),
         (["train.py"], "train.py"),
-        (["benchmarks/identification.py"], "identification.py"),
+        (["benchmarks/identification.py"], "benchmarks.identification"),
         (["-m", "benchmarks.fuzz"], "benchmarks.fuzz"),
     ],
 )
@@ -120,15 +117,14 @@ def test_sigterm_that_is_ignored_stays_ignored():
 
 
 @pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
-@pytest.mark.parametrize("delay", [0.0, 0.7])
-def test_a_command_ends_in_one_line(tmp_path, name, status, delay):
+def test_a_command_ends_in_one_line(tmp_path, name, status):
     """While it works: one line, and nothing is written."""
     folder = tmp_path / "out"
     command = [sys.executable, "-m", "soil_env.paper", "--out", str(folder)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while not folder.exists() and process.poll() is None:  # made when the work begins
         time.sleep(0.02)
-    time.sleep(delay)
+    time.sleep(0.5)
     process.send_signal(getattr(signal, name))
     _, error = process.communicate(timeout=120)
     assert process.returncode == status, error
@@ -174,14 +170,6 @@ def test_a_signal_while_llvm_calls_back_is_not_lost(name, status):
     """An exception in the callback would be printed and swallowed by ctypes; it comes when the callback has ended."""
     done = subprocess.run([sys.executable, "-c", IN_LLVM, name], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (status, "['ended']\n", "")
-
-
-def test_what_was_set_is_set_again():
-    before = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)]
-    during = []
-    terminable(lambda: during.extend(signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)) or 0)()
-    assert during[0] is during[1] and during[0] not in before
-    assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == before
 
 
 @pytest.mark.parametrize(

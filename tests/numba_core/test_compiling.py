@@ -1,12 +1,164 @@
-"""The line that says that kernels are compiled."""
+"""Parts and roots, their cache, calls without type look-up, and the line that says that code is compiled."""
 
 import multiprocessing
+import pickle
 import sys
+import threading
+from typing import NamedTuple
 
+import numpy as np
 import pytest
 from numba import njit
+from numba.core.errors import NumbaError
 
 from soil_env._numba import compiling as compiled
+from soil_env._numba.compiling import FastCall, inlined, part, root, take
+
+
+class Pair(NamedTuple):
+    first: float
+    second: float
+
+
+@part
+def squared(x):
+    """x^2."""
+    return x * x
+
+
+@inlined
+def swapped(pair):
+    """The other way round."""
+    return Pair(pair.second, squared(pair.first))
+
+
+@part
+def twice(f, pair):
+    """`f` of `f` of a pair; `f` is a part."""
+    return f(f(pair))
+
+
+@root
+def summed(values, pair):
+    """Sum of squares and of a pair, swapped twice."""
+    total = 0.0
+    for i in range(values.size):
+        total += squared(values[i])
+    a, b = twice(swapped, pair)
+    return total + a - b, 1.0 / (pair.first - pair.first)
+
+
+# --- parts and roots --------------------------------------------------------------------------------------------------
+
+
+def test_a_root_calls_parts_that_call_parts():
+    total, infinite = summed(np.array([1.0, 2.0, 3.0]), Pair(2.0, 5.0))
+    assert total == 14.0 + 4.0 - 25.0
+    assert infinite == np.inf  # as numpy divides
+
+
+def test_a_part_is_called_from_python_like_a_function():
+    assert squared(3.0) == squared(x=3.0) == 9.0 and isinstance(squared(3), int)
+    assert swapped(Pair(2.0, 5.0)) == Pair(5.0, 4.0) and type(swapped(Pair(2.0, 5.0))) is Pair
+    assert squared.__name__ == "squared" and squared.__doc__ == "x^2." and squared.py_func(4.0) == 16.0
+    assert pickle.loads(pickle.dumps(squared)) is squared
+
+
+def test_a_part_called_by_plain_njit_says_so():
+    """Its own parts would be missing there."""
+    with pytest.raises(TypeError, match="squared: a `part` called by a function of numba's own `njit`"):
+        njit(lambda x: squared(x))(2.0)
+
+
+def test_a_root_is_called_by_plain_njit_and_by_roots():
+    values, pair = np.ones(3), Pair(2.0, 5.0)
+    assert njit(lambda v, p: summed(v, p)[0])(values, pair) == summed(values, pair)[0]
+    assert root(lambda v, p: summed(v, p)[0] + squared(2.0))(values, pair) == summed(values, pair)[0] + 4.0
+
+
+@pytest.mark.parametrize("make", [lambda n: np.empty(n)[0], lambda n: np.zeros(n).sum(), lambda n: [1.0] * n])
+def test_a_function_that_allocates_does_not_compile_unless_it_may(make):
+    with pytest.raises(NumbaError):
+        root(make)(3)
+    root(allocates=True)(make)(3)
+
+
+def test_what_a_root_raises_is_raised():
+    def refuse(x):
+        if x < 0.0:
+            raise ValueError("expected a number >= 0")
+        return x
+
+    assert root(refuse)(1.0) == 1.0
+    with pytest.raises(ValueError, match="expected a number >= 0"):
+        root(refuse)(-1.0)
+
+
+# --- calls from Python ------------------------------------------------------------------------------------------------
+
+
+def test_a_fast_call_gives_the_same_and_pickles_by_name():
+    values, pair, fast = np.arange(3.0), Pair(2.0, 5.0), FastCall(summed)
+    assert fast(values, pair) == summed(values, pair) == fast(values, pair)
+    other = pickle.loads(pickle.dumps(fast))
+    assert other._function is summed and other(values, pair) == summed(values, pair)
+    of_a_part = FastCall(squared)
+    assert of_a_part(3.0) == 9.0 and pickle.loads(pickle.dumps(of_a_part))(3.0) == 9.0
+
+
+@root(nogil=True)
+def shared_out(counter, taken):
+    """Count each number that `take` gives."""
+    number = take(counter, 1)
+    while number < taken.size:
+        taken[number] += 1
+        number = take(counter, 1)
+
+
+def test_threads_take_each_number_once():
+    counter, taken = np.zeros(1, dtype=np.int64), np.zeros(200_000, dtype=np.int64)
+    threads = [threading.Thread(target=shared_out, args=(counter, taken)) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert np.all(taken == 1) and counter[0] == taken.size + 4
+
+
+# --- the cache --------------------------------------------------------------------------------------------------------
+
+
+def stamp(function):
+    return getattr(function, "root", function)._cache._cache_file._source_stamp
+
+
+def test_the_cache_is_valid_for_the_sources_that_the_code_is_made_of(tmp_path, monkeypatch):
+    """Of all compiled rooms of the package, and of the file of the function itself."""
+    if not compiled.CACHE:
+        pytest.skip("no folder for compiled code")
+    first = stamp(root(squared.py_func))
+    assert stamp(root(squared.py_func)) == first
+    package = tmp_path / "soil_env"
+    for room in compiled._ROOMS:
+        (package / room).mkdir(parents=True)
+        (package / room / "law.py").write_text("x = 1\n")
+    monkeypatch.setattr(compiled, "__file__", str(package / "_numba" / "compiling.py"))
+    stamps = set()
+    for room in (None, *compiled._ROOMS):
+        if room is not None:
+            (package / room / "law.py").write_text("x = 2\n")
+        compiled._sources.cache_clear()
+        stamps.add(stamp(root(squared.py_func)))
+    assert len(stamps) == 1 + len(compiled._ROOMS) and first not in stamps
+    (package / "_numba" / "notes.txt").write_text("no source")
+    compiled._sources.cache_clear()
+    assert stamp(root(squared.py_func)) in stamps
+    monkeypatch.undo()
+    compiled._sources.cache_clear()
+    assert stamp(root(squared.py_func)) == first
+
+
+# --- the line that says that code is compiled -------------------------------------------------------------------------
 
 
 @pytest.fixture()
@@ -35,7 +187,7 @@ def fresh(tmp_path, monkeypatch, name="kernel_of_a_test"):
 
 def test_a_cold_cache_is_said_once_and_a_warm_one_never(tmp_path, monkeypatch, said):
     function = fresh(tmp_path, monkeypatch)
-    assert said(function) == "soil_env: compiling, once; about a minute\n"
+    assert said(function) == "soil_env: compiling, once; about half a minute\n"
     function(1.0)
     assert said(function) == ""
 

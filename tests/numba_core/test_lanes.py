@@ -4,13 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from numba.core.errors import NumbaError
 
 from soil_env._numba import elementary, lanes
-from soil_env._numba.compiling import kernel
+from soil_env._numba.compiling import inlined, root
 
 
-@kernel
+@root
 def over(which, x, out):
     """Function `which` on x [8 m] into `out` [2, 8 m]."""
     for i in range(0, x.size, 8):
@@ -19,13 +18,21 @@ def over(which, x, out):
         if which == 0:
             a = elementary.exp(a)
         elif which == 1:
-            a = elementary.log_lanes(a)
+            a = elementary.log(a)
         elif which == 2:
             a, b = elementary.half_sin_cos(a)
         elif which == 3:
             a = elementary.asin_root(a)
         elif which == 4:
             a = elementary.copysign(lanes.fill(2.0), a)
+        elif which == 5:
+            a = elementary.tanh(a)
+        elif which == 6:
+            a, b = elementary.root(abs(a)), elementary.power(abs(a), 0.7)
+        elif which == 7:
+            a, b = elementary.smaller(a, 0.5), elementary.larger(0.5, a)
+        elif which == 8:
+            a, b = elementary.where_less(a, 0.5, 1.0, a), elementary.fma(a, 2.0, -1.0)
         lanes.to_array(a, out[0], i)
         lanes.to_array(b, out[1], i)
 
@@ -74,7 +81,81 @@ def test_copysign():
     np.testing.assert_array_equal(of(4, [3.0, -1e-300, 0.0, -0.0])[0], [2.0, -2.0, 2.0, -2.0])
 
 
-@kernel
+def test_of_two_numbers():
+    x = np.concatenate([RNG.normal(size=4000), [0.0, 0.5]])
+    np.testing.assert_allclose(of(5, x)[0], np.tanh(x), atol=3e-16)
+    np.testing.assert_array_equal(of(6, x)[0], np.sqrt(np.abs(x)))
+    np.testing.assert_allclose(of(6, x)[1], np.abs(x) ** 0.7, rtol=1e-14, atol=1e-200)
+    np.testing.assert_array_equal(of(7, x), [np.minimum(x, 0.5), np.maximum(x, 0.5)])
+    np.testing.assert_array_equal(of(8, x)[0], np.where(x < 0.5, 1.0, x))
+    np.testing.assert_allclose(of(8, x)[1], 2.0 * x - 1.0, atol=1e-15)
+
+
+@inlined
+def law(x, y):
+    """An expression in all operations that floats and lanes have in common."""
+    z = elementary.fma(x, y, 1.0) / (2.0 - x) - elementary.exp(-abs(x)) * elementary.tanh(y)
+    z = elementary.where_less(z, 0.3, -z, elementary.power(abs(y), 1.5)) + elementary.asin_root(x * x)
+    z = elementary.larger(z, elementary.root(abs(z))) + elementary.copysign(elementary.log(1.0 + abs(x)), y)
+    return elementary.smaller(z, 2.0) + elementary.chosen(elementary.below(x, y), z, lanes.alike(0.25, z))
+
+
+@root
+def law_in_lanes(x, y, out):
+    for i in range(0, x.size, 8):
+        lanes.to_array(law(lanes.from_array(x, i), lanes.from_array(y, i)), out, i)
+
+
+def test_a_law_gives_the_same_of_floats_and_in_lanes():
+    x, y = RNG.uniform(-1.5, 1.5, (2, 4000))
+    out = np.empty(4000)
+    law_in_lanes(x, y, out)
+    np.testing.assert_allclose(out, [law(a, b) for a, b in zip(x, y, strict=True)], rtol=1e-13, atol=1e-14)
+
+
+_nodes = lanes.over_eight([1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0])
+_constant = lanes.constant(range(8))
+
+
+@inlined
+def over_nodes(x):
+    """Sum over eight nodes of node times x^node, for one x with its nodes in lanes or for eight x."""
+    total = lanes.fill(0.0)
+    for k in range(lanes.turns(x)):
+        node = _nodes(x, k)
+        total = total + node * elementary.power(x, 0.01 * node)
+    return lanes.summed(total, x)
+
+
+@root
+def over_nodes_in_lanes(x, out):
+    lanes.to_array(over_nodes(lanes.from_array(x, 0)), out, 0)
+
+
+def test_one_loop_serves_one_arc_and_eight():
+    x, out = RNG.uniform(0.1, 3.0, 8), np.empty(8)
+    over_nodes_in_lanes(x, out)
+    nodes = 2.0 ** np.arange(8)
+    expected = [np.sum(nodes * v ** (0.01 * nodes)) for v in x]
+    np.testing.assert_allclose(out, expected, rtol=1e-14)
+    np.testing.assert_allclose([over_nodes(v) for v in x], expected, rtol=1e-14)
+
+
+@root
+def flags(x):
+    """Bits of the lanes that are not 0, of constants, of eight floats."""
+    a = lanes.from_array(x, 0)
+    made = lanes.made_of(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
+    return lanes.bits(a), lanes.bits(made - _constant()), lanes.total(made)
+
+
+@pytest.mark.parametrize("pattern", [0, 1, 0b10010110, 255])
+def test_bits_of_lanes(pattern):
+    x = np.array([float(pattern >> i & 1) for i in range(8)])
+    assert flags(x) == (pattern, 0, 28.0)
+
+
+@root
 def rearranged(x, out):
     """Transpose, sums, single lanes, first lanes, smallest of x [64] into out [10, 8]."""
     rows = (
@@ -99,9 +180,3 @@ def test_moving_lanes():
     np.testing.assert_allclose(out[8], rows.sum(axis=1), atol=1e-14)
     np.testing.assert_array_equal(out[9], [*rows[0, :3], *rows[1, 3:]])
     assert total == pytest.approx(rows[2].sum()) and single == rows[3, 5] and smallest == rows[4].min()
-
-
-@pytest.mark.parametrize("make", [lambda n: np.empty(n)[0], lambda n: np.zeros(n).sum(), lambda n: [1.0] * n])
-def test_a_kernel_that_allocates_does_not_compile(make):
-    with pytest.raises(NumbaError):
-        kernel(make)(3)

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from soil_env.identification import Status
-from soil_env.paper import page as paper_page
+from soil_env.paper import curves, page, recompute
 from soil_env.paper import points as paper_points
-from soil_env.paper import recompute as paper
-from soil_env.paper import sections as paper_sections
+from soil_env.paper.results import compute
 from soil_env.terramechanics.contact import entry_angle
 from tests.terramechanics import reference
 
@@ -23,18 +22,11 @@ PAGE = ROOT / "docs" / "paper.md"
 R, B = paper_points.R, paper_points.B
 
 
-def rows(title, text=None):
-    """Cells of the tables of the page's section `title`, without headers."""
-    text = PAGE.read_text(encoding="utf-8") if text is None else text
-    section = next(part for part in text.split("\n## ") if part.startswith(title))
-    return [[c.strip() for c in line.strip("|").split("|")] for line in section.splitlines() if line.startswith("|")]
-
-
 # --- golden values ----------------------------------------------------------------------------------------------------
 
 
 def test_known_drawbar_pulls():
-    rules = paper.pull_rules()
+    rules = curves.pull_rules()
     assert rules["m = 2"] == pytest.approx(1050.25, abs=0.005)
     assert rules["exact"] == pytest.approx(1095.0, abs=0.5)
     assert rules["exact, (11)"] == pytest.approx(1318.0, abs=0.5)
@@ -46,12 +38,12 @@ def test_exact_rule_against_the_independent_judge():
     sand = paper_points.SAND
     ground = reference.Ground(sand.friction_angle_deg, sand.cohesion, sand.shear_modulus, sand.lumped(B), 0.47)
     judge = reference.forces(ground, 0.2211, math.radians(37.0), R, B)
-    assert paper.pull_rules()["exact"] == pytest.approx(judge.drawbar_pull_paper, rel=1e-5)
-    assert paper.pull_rules()["exact, (11)"] == pytest.approx(judge.drawbar_pull, rel=1e-5)
+    assert curves.pull_rules()["exact"] == pytest.approx(judge.drawbar_pull_paper, rel=1e-5)
+    assert curves.pull_rules()["exact, (11)"] == pytest.approx(judge.drawbar_pull, rel=1e-5)
 
 
 def test_single_changes_give_the_printed_pull():
-    changes = paper.single_changes()
+    changes = curves.single_changes()
     assert changes["phi"][1] == pytest.approx(33.28, abs=0.005)
     assert changes["n"][1] == pytest.approx(0.47096, abs=1e-4)
     assert changes["entry angle"][1] == pytest.approx(36.906, abs=0.002)
@@ -60,7 +52,7 @@ def test_single_changes_give_the_printed_pull():
 
 
 def test_sensitivity_of_table_1():
-    table = paper.table_1()
+    table = curves.table_1()
     assert list(table) == ["c", "phi", "K", "k_c", "k_phi", "n"]
     np.testing.assert_allclose(table["phi"][:2], [-23.16, 24.06], atol=0.005)
     np.testing.assert_allclose(table["K"][:2], [7.21, -7.05], atol=0.005)
@@ -78,8 +70,8 @@ def test_three_points():
     for name, e in found.items():  # a second soil gives the same three drawbar pulls
         pull = paper_points.channels(paper_points.sand_unknowns(e.other), *points[name][:2], paper_points.HELD)[:, 0]
         np.testing.assert_allclose(pull, points[name].pull, rtol=1e-6)
-    np.testing.assert_allclose(paper_points.triple(found["A"]), [32.644, 0.038088, 583316.0], rtol=1e-4)
-    np.testing.assert_allclose(paper_points.triple(found["B"]), paper_points.CONVERGED_SET, rtol=1e-6)
+    np.testing.assert_allclose(paper_points.triple(found["A"].soil), [32.644, 0.038088, 583316.0], rtol=1e-4)
+    np.testing.assert_allclose(paper_points.triple(found["B"].soil), paper_points.CONVERGED_SET, rtol=1e-6)
 
 
 def test_the_printed_set_is_no_root():
@@ -89,7 +81,7 @@ def test_the_printed_set_is_no_root():
     assert noise[1] == pytest.approx(-8.62, abs=0.01)
     shifted = points._replace(pull=points.pull * (1.0 + noise / 100.0))
     np.testing.assert_allclose(
-        paper_points.triple(paper_points.identified(shifted)), [34.27, 0.0403, 451723], rtol=1e-6
+        paper_points.triple(paper_points.identified(shifted).soil), [34.27, 0.0403, 451723], rtol=1e-6
     )
 
 
@@ -141,7 +133,7 @@ def test_plain_newton_from_near_the_root():
     points = paper_points.synthetic_points()["A"]
     path, count = paper_points.newton_path(points, (33.0, 0.038, 6e5))
     assert 0 < count < 10
-    np.testing.assert_allclose(path[-1], paper_points.triple(paper_points.identified(points)), rtol=1e-6)
+    np.testing.assert_allclose(path[-1], paper_points.triple(paper_points.identified(points).soil), rtol=1e-6)
     assert len(path) == count + 1
 
 
@@ -177,88 +169,38 @@ def test_noise_is_seeded():
 
 
 def test_which_soils_pass():
-    verdicts = {n: paper_sections._verdict(paper.traverse(k, False)) for n, k in paper.FIELD.items()}
+    verdicts = {n: page.verdict(curves.traverse(k, False)) for n, k in curves.FIELD.items()}
     assert verdicts == {
         "sandy loam": "yes", "dry sand": "yes", "snow": "no: buried at every slip", "clayey soil": "no: DP < 0",
     }  # fmt: skip
-    sand = paper.traverse("dry_sand", True)
+    sand = curves.traverse("dry_sand", True)
     assert np.nanmax(sand.torque) > paper_points.MOTOR > sand.torque[0]
 
 
 # --- the page ---------------------------------------------------------------------------------------------------------
 
 
-def test_the_committed_page_holds_the_recomputed_numbers():
-    shown = {row[0]: row for row in rows("Figs. 2, 3 and 4")}
-    for rule, pull in paper.pull_rules().items():
-        assert shown[rule][1] == f"{pull:.2f}"
-    shown = {row[0]: row for row in rows("Table 1")}
-    for name, values in paper.table_1().items():
-        assert shown[name][1:5] == [f"{v:+.2f} %" for v in values]
-    shown = {row[0]: row for row in rows("Table 3: phi")}
-    for name, points in paper_points.synthetic_points().items():
-        assert shown[f"{name}1"][3] == f"{points.pull[0]:.2f}"
-        assert shown[f"ours: points {name}"][1:4] == list(
-            paper_sections._set(paper_points.triple(paper_points.identified(points)))
-        )
-    shown = {(row[0], row[1]): row for row in rows("Figs. 8 and 9")}
-    for name, key in paper.FIELD.items():
-        for digging, label in ((False, "no"), (True, "yes")):
-            ground = paper.traverse(key, digging)
-            assert shown[name, label][2] == paper_sections._limits(ground.torque)
-            assert shown[name, label][6] == paper_sections._verdict(ground)
-
-
-def test_the_committed_page_is_complete():
-    text = PAGE.read_text(encoding="utf-8")
-    assert f"`{paper_page.COMMAND}`" in text
-    for name in re.findall(r"\(paper/(\w+\.png)\)", text):
-        assert (PAGE.parent / "paper" / name).stat().st_size > 5000
-    for title in ("Table 1", "Table 2", "Table 3", "Table 4", "Table 5", "Figs. 2, 3", "Figs. 6 and", "Figs. 8 and"):
-        assert rows(title, text)
-    assert "nan" not in re.findall(r"[a-z]+", text)
-
-
 @pytest.fixture(scope="module")
 def small():
-    return paper.compute(seed=3, draws=8, counts=(4, 4, 3))
+    return compute(seed=3, draws=8, counts=(4, 4, 3))
 
 
 def test_page_and_figures_are_written(small, tmp_path):
-    folder = tmp_path / "new" / "docs"
-    paper_page.prepare(folder)
-    paper_page.write(small, folder)
-    text = (folder / "paper.md").read_text(encoding="utf-8")
-    assert "--seed 3" in text and "8 draws" in text
-    pictures = {p.name for s in paper_page.sections(small) for p in s.pictures}
-    assert {p.stem for p in (folder / "paper").glob("*.png")} == pictures
-
-
-def test_terminal_and_page_show_the_same(small, capsys):
-    paper_page.show(small)
-    shown = capsys.readouterr().out
-    for section in paper_page.sections(small):
-        assert section.title in shown
-    assert "1050.25" in shown and "1047.22" in shown
+    page.write(small, tmp_path)
+    text = (tmp_path / "paper.md").read_text(encoding="utf-8")
+    assert "--seed 3" in text and "8 draws" in text and "1050.25" in text and "1047.22" in text
+    assert "nan" not in re.findall(r"[a-z]+", text)
+    shown = re.findall(r"\(paper/(\w+\.png)\)", text)
+    assert shown and {p.name for p in (tmp_path / "paper").glob("*.png")} == set(shown)
 
 
 # --- bad input --------------------------------------------------------------------------------------------------------
 
 
-def test_out_that_cannot_be_written(tmp_path, capsys):
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    for out in (blocked, blocked / "below"):
-        assert paper.main(["--out", str(out)]) == 2
-        printed = capsys.readouterr()
-        assert printed.out == ""
-        assert printed.err.count("\n") == 1 and str(out) in printed.err
-
-
 @pytest.mark.parametrize("seed", ["-1", "x", "1.5"])
 def test_bad_seed(seed, capsys):
     with pytest.raises(SystemExit) as stop:
-        paper.main(["--seed", seed])
+        recompute.main(["--seed", seed])
     assert stop.value.code == 2
     assert "--seed" in capsys.readouterr().err
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
+pytestmark = pytest.mark.documents
 RUNS = {  # script -> (arguments, picture, what it has to print, module it needs)
     "drive": ("--frame 40 --out wheel.png", "wheel.png", r"best_slip_identified: RUNNING at 0\.\d+ m", "gymnasium"),
     "identify_soil": ("", "identified.png", r"friction_angle_deg +31\.4\d", "scipy"),

@@ -50,7 +50,7 @@ def scene(picture):
 
 def hub(simulation):
     """Place (column, row) of the hub in `scene`."""
-    w, r = simulation.worlds.state[0], simulation.numbers.world.radius
+    w, r = simulation.wheel(0), simulation.numbers.world.wheel.radius
     up = SCALE * (1.0 - w["sinkage"] / r)
     x = rendering._WHEEL_AT[0] * rendering.SCENE[2] - up * math.sin(w["grade"])
     return x, rendering._WHEEL_AT[1] * rendering.SCENE[3] - up * math.cos(w["grade"])
@@ -146,7 +146,7 @@ def test_rut_lowers_the_ground_behind_the_wheel():
     without = scene(renderer.draw(simulation, 0))
     column = int(hub(simulation)[0] - 1.5 * SCALE)
     sky = [near(p[:, column], rendering.SKY, 6).sum() for p in (with_rut, without)]
-    expected = float(depth) / simulation.numbers.world.radius * SCALE
+    expected = float(depth) / simulation.numbers.world.wheel.radius * SCALE
     assert expected > 8.0
     assert sky[0] - sky[1] == pytest.approx(expected, abs=0.25 * expected + 3.0)
     ahead = int(hub(simulation)[0] + 1.5 * SCALE)
@@ -169,7 +169,7 @@ def test_stress_is_drawn_below_the_wheel_and_grows_with_the_load():
 def test_stresses_sum_to_the_forces_of_the_simulation(command):
     simulation, renderer = start()
     drive(simulation, renderer, 12, command)
-    w, world = simulation.worlds.state[0], simulation.numbers.world
+    w, world = simulation.wheel(0), simulation.numbers.world.wheel
     angle, normal, shear = contact_stresses(simulation, 0)
     r, area = world.radius, world.radius * world.width
     side = math.copysign(1.0, w["speed"])
@@ -232,9 +232,8 @@ def test_history_starts_anew_with_the_episode():
 @pytest.mark.parametrize("period", [0.1, 0.002])
 def test_charts_cover_thirty_seconds_whatever_the_period(period):
     simulation, renderer = start(changes={"control": {"period": period, "substep": min(period, 0.05)}})
-    w = simulation.worlds.state[0]
     for step in range(0, round(40.0 / period), 1 if period > 0.01 else 5):
-        w["steps"] = step
+        simulation.worlds.counts["steps"][0] = step
         renderer.record(simulation, 0)
     times = np.array(renderer._history)[:, 0]
     assert len(times) <= 602
@@ -255,9 +254,8 @@ def test_estimate_and_truth_are_drawn_apart():
 def test_extreme_states_are_drawn():
     for sinkage, speed, wheel_speed in ((1e-5, 0.0, 0.0), (0.225, -0.3, -3.0), (0.1, 0.5, -6.0), (0.05, 0.0, 6.0)):
         simulation, renderer = start()
-        w = simulation.worlds.state[0]
-        w["sinkage"], w["speed"], w["wheel_speed"] = sinkage, speed, wheel_speed
-        w["x"] = -0.7
+        w = simulation.worlds.state
+        w["sinkage"], w["speed"], w["wheel_speed"], w["x"] = sinkage, speed, wheel_speed, -0.7
         simulation.worlds.ids.sd[0] = 30.0
         renderer.record(simulation, 0)
         assert renderer.draw(simulation, 0).any()

@@ -7,52 +7,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from soil_env._numba.random_streams import seed_stream
 from soil_env.parameters import load_scenario, soils
-from soil_env.simulation import courses as drawing
-from soil_env.simulation import dynamics, lockstep, terrain
+from soil_env.simulation import dynamics, terrain
+from soil_env.simulation.wheel import WheelState, motor, settle, world_numbers
 from soil_env.terramechanics import reaction
+from tests.simulation.wheels import on_random_courses
 
 EASY = {"margin": [0.15, 0.25], "grade_deg": [-5.0, 10.0]}  # a course on which half the torque gets through
 
 
-def start(seed=0, mode="torque", soil=None, grade_deg=None, halts=False, course=None):
-    """(courses, state, world) of one wheel at rest on a random course, or on uniform ground; no commanded halts."""
-    scenario = load_scenario("mixed", {"control": {"action": mode}, "course": course or {}})
-    courses, world = terrain.new_courses(1, scenario), dynamics.world_numbers(scenario)
-    words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
-    mass = drawing.draw_course(0, courses, words, drawing.course_numbers(scenario))
+def start(seed=0, mode="torque", soil=None, grade_deg=None, course=None):
+    """One wheel at rest on a random course, or on uniform ground; no commanded halts."""
+    wheels = on_random_courses([seed], mode, course)
     if soil is not None:
-        courses.soils[0, :] = soils()[soil].state(world.width)
+        wheels.courses.soils[0, :] = soils()[soil].state(wheels.world.wheel.width)
     if grade_deg is not None:
-        courses.grades[0, :] = math.radians(grade_deg)
-    state = np.zeros(1, dynamics.WHEEL_STATE)
-    dynamics.settle(state, 0, mass, courses, words, world)
-    if not halts:
-        state[0]["next_halt"] = 1e9
-    return courses, state, world
-
-
-def step(courses, state, world, command):
-    """One control period."""
-    lockstep.advance_many(
-        state,
-        np.zeros(lockstep.MANY),
-        1,
-        np.full(lockstep.MANY, float(command)),
-        courses,
-        np.zeros(1, dtype=np.uint64),
-        world,
-    )
-
-
-def drive(courses, state, world, commands):
-    """Rows (x, sinkage, speed, slip) [steps, 4] after each control period."""
-    rows = []
-    for command in commands:
-        step(courses, state, world, command)
-        rows.append([state[0][name] for name in ("x", "sinkage", "speed", "slip")])
-    return np.array(rows)
+        wheels.courses.grades[0, :] = math.radians(grade_deg)
+    settle(wheels.state, wheels.counts, 0, wheels.state.mass[0], wheels.courses, wheels.streams, wheels.world)
+    wheels.state.next_halt[0] = 1e9
+    return wheels
 
 
 # --- step size --------------------------------------------------------------------------------------------------------
@@ -60,9 +33,9 @@ def drive(courses, state, world, commands):
 
 def smooth_drive(seed, refine, course=None):
     """30 s under a smooth torque, with the default substep divided by `refine`."""
-    courses, state, world = start(seed, course=course)
-    world = world._replace(substeps=world.substeps * refine)
-    return drive(courses, state, world, [0.22 + 0.06 * math.sin(0.1 * k) for k in range(300)])
+    wheels = start(seed, course=course)
+    wheels = wheels._replace(world=wheels.world._replace(substeps=wheels.world.substeps * refine))
+    return wheels.drive([0.22 + 0.06 * math.sin(0.1 * k) for k in range(300)])
 
 
 def distance(a, b):
@@ -94,20 +67,23 @@ def test_laws_of_motion(mode):
     """
     met = dynamics.TOLERANCE  # [m/s]
     assert met <= 1e-5
-    courses, state, world = start(5, mode, course=EASY)
-    world, w, rng = world._replace(substeps=1, period=0.05), state[0], np.random.default_rng(0)
+    wheels = start(5, mode, course=EASY)
+    wheels = wheels._replace(world=wheels.world._replace(substeps=1, period=0.05))
+    world, w, rng = wheels.world, wheels.now(), np.random.default_rng(0)
+    r, gravity = world.wheel.radius, world.wheel.gravity
     for k in range(200):
-        x, v, spin = float(w["x"]), float(w["speed"]), float(w["wheel_speed"])
+        before = w
         if k % 8 == 0:
             command = rng.uniform(-0.5, 1.0)
-        step(courses, state, world, command)
-        push = w["drawbar_pull"] - w["mass"] * world.gravity * math.sin(w["grade"])
-        assert w["speed"] - v == pytest.approx(push / w["mass"] * 0.05, abs=met)
-        twist = (w["motor_torque"] - w["torque"]) / world.inertia * 0.05
-        assert w["wheel_speed"] - spin == pytest.approx(twist, abs=met / world.radius)
-        assert w["travel"] == w["x"] - x == pytest.approx(0.5 * 0.05 * (v + w["speed"]), rel=1e-9, abs=1e-12)
-        assert w["motor_work"] == pytest.approx(0.05 * w["motor_torque"] * w["wheel_speed"], rel=1e-9, abs=1e-12)
-    assert w["x"] > 0.2
+        wheels.step(command)
+        w = wheels.now()
+        push = w.drawbar_pull - w.mass * gravity * math.sin(w.grade)
+        assert w.speed - before.speed == pytest.approx(push / w.mass * 0.05, abs=met)
+        twist = (w.motor_torque - w.torque) / world.inertia * 0.05
+        assert w.wheel_speed - before.wheel_speed == pytest.approx(twist, abs=met / r)
+        assert w.travel == w.x - before.x == pytest.approx(0.5 * 0.05 * (before.speed + w.speed), rel=1e-9, abs=1e-12)
+        assert w.motor_work == pytest.approx(0.05 * w.motor_torque * w.wheel_speed, rel=1e-9, abs=1e-12)
+    assert w.x > 0.2
 
 
 # --- reaction and motor -----------------------------------------------------------------------------------------------
@@ -146,8 +122,8 @@ def test_reaction_carries_the_load(seed):
 @settings(max_examples=300, deadline=None)
 @given(command=st.floats(-1.0, 1.0), share=st.floats(-3.0, 3.0), speed_command=st.booleans())
 def test_motor_stays_within_its_lines(command, share, speed_command):
-    world = dynamics.world_numbers(load_scenario("mixed"))
-    torque, _, available = dynamics.motor(command, speed_command, share * world.no_load_speed, world)
+    world = world_numbers(load_scenario("mixed"))
+    torque, _, available = motor(command, float(speed_command), share * world.no_load_speed, world)
     stall = world.stall_torque
     high = stall * min(max(1.0 - share, -1.0), 1.0)
     low = stall * min(max(-1.0 - share, -1.0), 1.0)
@@ -165,30 +141,31 @@ def test_motor_stays_within_its_lines(command, share, speed_command):
 @pytest.mark.parametrize("speed_command", [False, True])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_motor_brakes_above_the_no_load_speed(sign, speed_command):
-    world = dynamics.world_numbers(load_scenario("mixed"))
+    world = world_numbers(load_scenario("mixed"))
     for share in (1.2, 1.8):
-        brake = -sign * dynamics.motor(sign, speed_command, sign * share * world.no_load_speed, world)[0]
+        brake = -sign * motor(sign, float(speed_command), sign * share * world.no_load_speed, world)[0]
         if speed_command:  # the loop may brake harder than the line of full voltage
             assert (share - 1.0) * world.stall_torque - 1e-9 <= brake <= world.stall_torque
         else:
             assert brake == pytest.approx((share - 1.0) * world.stall_torque)
-    assert dynamics.motor(sign, speed_command, sign * 4.0 * world.no_load_speed, world)[0] == -sign * world.stall_torque
+    assert motor(sign, float(speed_command), sign * 4.0 * world.no_load_speed, world)[0] == -sign * world.stall_torque
 
 
 @pytest.mark.parametrize("speed_command", [False, True])
 def test_motor_slope(speed_command):
-    world = dynamics.world_numbers(load_scenario("mixed"))
+    world = world_numbers(load_scenario("mixed"))
     rng = np.random.default_rng(0)
     for command, w in zip(rng.uniform(-1, 1, 200), rng.uniform(-5, 5, 200), strict=True):
-        up, down = (dynamics.motor(command, speed_command, w + d, world)[0] for d in (1e-6, -1e-6))
-        assert dynamics.motor(command, speed_command, w, world)[1] == pytest.approx((up - down) / 2e-6, abs=1e-4)
+        up, down = (motor(command, float(speed_command), w + d, world)[0] for d in (1e-6, -1e-6))
+        assert motor(command, float(speed_command), w, world)[1] == pytest.approx((up - down) / 2e-6, abs=1e-4)
 
 
 def test_speed_command_is_followed():
-    courses, state, world = start(soil="lete_sand", grade_deg=0.0, mode="wheel_speed")
-    drive(courses, state, world, [0.3] * 100)
-    assert state[0]["wheel_speed"] == pytest.approx(0.3 * world.no_load_speed, rel=0.1)
-    assert state[0]["speed"] > 0.5 * state[0]["wheel_speed"] * world.radius
+    wheels = start(soil="lete_sand", grade_deg=0.0, mode="wheel_speed")
+    wheels.drive([0.3] * 100)
+    w = wheels.now()
+    assert w.wheel_speed == pytest.approx(0.3 * wheels.world.no_load_speed, rel=0.1)
+    assert w.speed > 0.5 * w.wheel_speed * wheels.world.wheel.radius
 
 
 # --- energy -----------------------------------------------------------------------------------------------------------
@@ -198,18 +175,19 @@ def test_speed_command_is_followed():
 @pytest.mark.parametrize("seed", range(6))
 def test_soil_never_gives_energy(seed, mode):
     """Motor work less the gain in kinetic energy and height is what the soil took: never less than nothing."""
-    courses, state, world = start(seed, mode)
-    world = world._replace(substeps=16)
-    rng, w = np.random.default_rng(seed), state[0]
-    scale = w["mass"] * world.gravity * world.radius  # [J]
+    wheels = start(seed, mode)
+    wheels = wheels._replace(world=wheels.world._replace(substeps=16))
+    rng, world = np.random.default_rng(seed), wheels.world
+    weight = wheels.now().mass * world.wheel.gravity
+    scale = weight * world.wheel.radius  # [J]
     kinetic = taken = 0.0
     for k in range(400):
         if k % 10 == 0:
             command = rng.uniform(-1.0, 1.0)
-        step(courses, state, world, command)
-        height = math.sin(w["grade"]) * w["travel"]
-        now = 0.5 * w["mass"] * w["speed"] ** 2 + 0.5 * world.inertia * w["wheel_speed"] ** 2
-        loss = w["motor_work"] - (now - kinetic) - w["mass"] * world.gravity * height
+        wheels.step(command)
+        w = wheels.now()
+        now = 0.5 * w.mass * w.speed**2 + 0.5 * world.inertia * w.wheel_speed**2
+        loss = w.motor_work - (now - kinetic) - weight * math.sin(w.grade) * w.travel
         assert loss > -2e-3 * scale
         taken, kinetic = taken + loss, now
     assert taken > 0.1 * scale
@@ -222,26 +200,26 @@ def test_soil_never_gives_energy(seed, mode):
 @pytest.mark.parametrize("soil", ["dry_sand", "lete_sand", "grenville_loam"])
 def test_held_wheel_stays_nearly_at_rest(soil, grade_deg):
     """Held by its speed loop on a grade the wheel creeps at most at 1 cm/s."""
-    courses, state, world = start(soil=soil, grade_deg=grade_deg, mode="wheel_speed")
-    drive(courses, state, world, [0.0] * 100)
-    assert abs(state[0]["speed"]) < 0.01
-    assert abs(state[0]["x"]) < 0.1
-    assert state[0]["x"] * grade_deg <= 0.0  # if anything, downhill
+    wheels = start(soil=soil, grade_deg=grade_deg, mode="wheel_speed")
+    wheels.drive([0.0] * 100)
+    assert abs(wheels.now().speed) < 0.01
+    assert abs(wheels.now().x) < 0.1
+    assert wheels.now().x * grade_deg <= 0.0  # if anything, downhill
 
 
 @pytest.mark.parametrize("soil", ["dry_sand", "rubicon_sandy_loam", "lunar_nominal"])
 def test_idle_wheel_stays_on_gentle_ground(soil):
     for grade_deg in (-2.0, 0.0, 2.0):
-        courses, state, world = start(soil=soil, grade_deg=grade_deg)
-        drive(courses, state, world, [0.0] * 100)
-        assert abs(state[0]["speed"]) < reaction.REST_SPEED
-        assert abs(state[0]["x"]) < 0.03
+        wheels = start(soil=soil, grade_deg=grade_deg)
+        wheels.drive([0.0] * 100)
+        assert abs(wheels.now().speed) < reaction.REST_SPEED
+        assert abs(wheels.now().x) < 0.03
 
 
 def test_idle_wheel_rolls_down_a_hill():
-    courses, state, world = start(soil="lete_sand", grade_deg=18.0)
-    drive(courses, state, world, [0.0] * 50)
-    assert state[0]["x"] < -0.5 and state[0]["wheel_speed"] < 0.0
+    wheels = start(soil="lete_sand", grade_deg=18.0)
+    wheels.drive([0.0] * 50)
+    assert wheels.now().x < -0.5 and wheels.now().wheel_speed < 0.0
 
 
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
@@ -249,9 +227,10 @@ def test_reverse_mirrors_forward_on_level_ground(mode):
     """On level fresh ground, long before any rut, backward is forward mirrored."""
     runs = []
     for sign in (1.0, -1.0):
-        courses, state, world = start(soil="lete_sand", grade_deg=0.0, mode=mode)
-        drive(courses, state, world, [sign * 0.25] * 3)
-        runs.append([state[0][name] for name in ("x", "speed", "wheel_speed", "drawbar_pull", "torque", "sinkage")])
+        wheels = start(soil="lete_sand", grade_deg=0.0, mode=mode)
+        wheels.drive([sign * 0.25] * 3)
+        names = ("x", "speed", "wheel_speed", "drawbar_pull", "torque", "sinkage")
+        runs.append([wheels.state[name][0] for name in names])
     forward, backward = np.array(runs)
     assert forward[0] > 0.0 and abs(forward[0]) < terrain.CELL
     np.testing.assert_allclose(backward, forward * [-1, -1, -1, -1, -1, 1], rtol=1e-6, atol=1e-9)
@@ -259,21 +238,21 @@ def test_reverse_mirrors_forward_on_level_ground(mode):
 
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
 def test_a_commanded_halt_stops_the_wheel_and_lets_it_go(mode):
-    courses, state, world = start(soil="lete_sand", grade_deg=0.0, mode=mode)
-    state[0]["next_halt"] = 0.3
+    wheels = start(soil="lete_sand", grade_deg=0.0, mode=mode)
+    wheels.state.next_halt[0], world = 0.3, wheels.world
     seconds_held = 0.0
     for _ in range(300):
-        step(courses, state, world, 0.25)
-        if state[0]["halt_left"] > 0.0:
+        wheels.step(0.25)
+        if wheels.now().halt_left > 0.0:
             seconds_held += world.period
-        if seconds_held > 0.0 and state[0]["halt_left"] == 0.0:
+        if seconds_held > 0.0 and wheels.now().halt_left == 0.0:
             break
-    assert abs(state[0]["speed"]) < 0.01 and 0.3 <= state[0]["x"] < 0.8
+    assert abs(wheels.now().speed) < 0.01 and 0.3 <= wheels.now().x < 0.8
     assert seconds_held == pytest.approx(world.halt_time, abs=1.5 * world.period)
-    assert world.halt_low <= state[0]["next_halt"] - 0.3 <= world.halt_high + world.radius
-    here = float(state[0]["x"])
-    drive(courses, state, world, [0.25] * 30)
-    assert state[0]["x"] > here + 0.1
+    assert world.halt_low <= wheels.now().next_halt - 0.3 <= world.halt_high + world.wheel.radius
+    here = wheels.now().x
+    wheels.drive([0.25] * 30)
+    assert wheels.now().x > here + 0.1
 
 
 # --- extremes ---------------------------------------------------------------------------------------------------------
@@ -283,49 +262,51 @@ def test_a_commanded_halt_stops_the_wheel_and_lets_it_go(mode):
 @pytest.mark.parametrize("seed", range(5))
 def test_extreme_actions_stay_finite_and_converge(seed, mode):
     """2000 periods of bang-bang commands, full reverse at full speed among them."""
-    courses, state, world = start(seed, mode)
-    rng, w = np.random.default_rng(seed), state[0]
+    wheels = start(seed, mode)
+    rng, r, gravity = np.random.default_rng(seed), wheels.world.wheel.radius, wheels.world.wheel.gravity
     failures, remaining, command = 0, 0, 0.0
     for _ in range(2000):
         if remaining == 0:
             command, remaining = float(rng.choice([-1.0, -0.3, 0.0, 0.3, 1.0, rng.uniform(-1, 1)])), rng.integers(1, 40)
         remaining -= 1
-        step(courses, state, world, command)
-        failures += 1 - w["converged"]
-        assert all(np.isfinite(w[name]) for name in dynamics.WHEEL_STATE.names)
-        assert 1e-4 * world.radius <= w["sinkage"] <= 1.5 * world.radius
-        assert -1.0 <= w["slip"] <= 1.0
-        assert w["load"] >= w["mass"] * world.gravity * math.cos(w["grade"]) * (1.0 - 1e-6)
-    assert w["steps"] == 2000
+        wheels.step(command)
+        w = wheels.now()
+        failures += 1 - w.converged
+        assert all(np.isfinite(wheels.state[0][name]) for name in WheelState.NAMES)
+        assert 1e-4 * r <= w.sinkage <= 1.5 * r
+        assert -1.0 <= w.slip <= 1.0
+        assert w.load >= w.mass * gravity * math.cos(w.grade) * (1.0 - 1e-6)
+    assert w.steps == 2000
     assert failures <= 0.002 * 2000, f"{failures} of 2000 periods did not converge"
-    assert np.all(np.isfinite(courses.modulus)) and np.all(np.isfinite(courses.rut))
+    assert np.all(np.isfinite(wheels.courses.modulus)) and np.all(np.isfinite(wheels.courses.rut))
 
 
 def test_full_reverse_at_full_speed():
-    courses, state, world = start(soil="grenville_loam", grade_deg=0.0)
-    forward = drive(courses, state, world, [1.0] * 60)
+    wheels = start(soil="grenville_loam", grade_deg=0.0)
+    forward = wheels.drive([1.0] * 60)
     assert forward[-1, 2] > 0.2
     converged = []
     for _ in range(100):
-        step(courses, state, world, -1.0)
-        converged.append(state[0]["converged"])
+        wheels.step(-1.0)
+        converged.append(wheels.now().converged)
     assert all(converged)
-    assert state[0]["speed"] < -0.2
+    assert wheels.now().speed < -0.2
 
 
 # --- rut --------------------------------------------------------------------------------------------------------------
 
 
 def test_rolling_out_and_back_finds_compacted_ground():
-    courses, state, world = start(soil="grenville_loam", grade_deg=0.0, mode="wheel_speed")
-    out = drive(courses, state, world, [0.4] * 60)
+    wheels = start(soil="grenville_loam", grade_deg=0.0, mode="wheel_speed")
+    out = wheels.drive([0.4] * 60)
     assert out[-1, 0] > 0.5
-    cells = slice(2, state[0]["cell"] - 2)
+    courses, cell = wheels.courses, wheels.now().cell
+    cells = slice(2, cell - 2)
     once = courses.modulus[0, cells].copy()
     assert once.size > 5 and np.all(once > 1.0)
     assert np.all(courses.rut[0, cells] > 0.0)
-    assert np.all(courses.modulus[0, state[0]["cell"] + 1 :] == 1.0)  # not yet driven over
-    back = drive(courses, state, world, [-0.4] * 50)
+    assert np.all(courses.modulus[0, cell + 1 :] == 1.0)  # not yet driven over
+    back = wheels.drive([-0.4] * 50)
     assert back[-1, 0] < out[-1, 0] - 0.3
     # a second pass sinks less than the first at the same place
     first = np.interp(0.4, out[:, 0], out[:, 1])
@@ -334,17 +315,17 @@ def test_rolling_out_and_back_finds_compacted_ground():
 
 
 def test_spinning_loosens():
-    courses, state, world = start(soil="lete_sand", grade_deg=14.0)
-    rows = drive(courses, state, world, [0.8] * 100)
+    wheels = start(soil="lete_sand", grade_deg=14.0)
+    rows = wheels.drive([0.8] * 100)
     assert np.median(rows[:, 3]) > 0.5
-    left = courses.modulus[0, 1 : state[0]["cell"]]
+    left = wheels.courses.modulus[0, 1 : wheels.now().cell]
     assert left.size > 5 and np.all(left < 1.0)
 
 
 def test_spinning_digs_a_wheel_in_for_good():
     """Full torque on a slope of loose sand: slip near 1, three times the sinkage, and no way on."""
-    courses, state, world = start(soil="dry_sand", grade_deg=14.0)
-    rest = float(state[0]["sinkage"])
-    rows = drive(courses, state, world, [0.8] * 200)
+    wheels = start(soil="dry_sand", grade_deg=14.0)
+    rest = wheels.now().sinkage
+    rows = wheels.drive([0.8] * 200)
     assert rows[-1, 1] > 3.0 * rest
     assert np.all(rows[20:, 3] > 0.9) and rows[-1, 0] < 0.2

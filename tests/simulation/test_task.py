@@ -112,7 +112,7 @@ def observed_again(sim, ground=None, estimate=None):
         courses = courses._replace(soils=courses.soils * ground)
     ids = worlds.ids if estimate is None else worlds.ids._replace(estimate=worlds.ids.estimate + estimate)
     reading, pitch = task.sense(worlds.state, 0, streams, numbers)
-    task.write_observation(out, worlds.state, 0, reading, pitch, courses, ids, numbers)
+    task.write_observation(out, worlds.state, worlds.counts, 0, reading, pitch, courses, ids, numbers)
     return out
 
 
@@ -162,13 +162,14 @@ def test_readings_scatter_as_stated():
     sim = simulation("blind")
     for name, value in {"slip": 0.4, "speed": 0.3, "wheel_speed": 3.3, "drawbar_pull": 20.0, "torque": 8.0}.items():
         sim.worlds.state[name] = value
-    w, n, radius = sim.worlds.state[0], sim.scenario.noise, sim.scenario.wheel.radius
+    w, n, radius = sim.wheel(0), sim.scenario.noise, sim.scenario.wheel.radius
     weight, top = sim.scenario.weight, sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
     out, rows, streams = np.zeros(11, np.float32), [], sim.worlds.streams.copy()
     for _ in range(20_000):
         reading, pitch = task.sense(sim.worlds.state, 0, streams, sim.numbers.task)
         task.write_observation(
-            out, sim.worlds.state, 0, reading, pitch, sim.worlds.courses, sim.worlds.ids, sim.numbers.task
+            out, sim.worlds.state, sim.worlds.counts, 0, reading, pitch, sim.worlds.courses, sim.worlds.ids,
+            sim.numbers.task,
         )  # fmt: skip
         rows.append(out[:8].copy())
     rows = np.array(rows, dtype=float)
@@ -192,11 +193,11 @@ def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
         sim = simulation("blind", seed, {"reward": weights, "course": {"length": 3.0}})
         rng = np.random.default_rng(seed)
         for _ in range(900):
-            x, w = float(sim.worlds.state[0]["x"]), sim.worlds.state[0]
+            x = sim.wheel(0)["x"]
             sim.step(0, 0.9 if seed % 2 else 0.1 + 0.3 * rng.random() - (0.5 if rng.random() < 0.1 else 0.0))
-            cause, terms = Cause(sim.worlds.cause[0]), sim.worlds.terms[0]
+            cause, terms, w = Cause(sim.worlds.cause[0]), sim.worlds.terms[0], sim.wheel(0)
             assert terms[0] == pytest.approx(7.0 * (w["x"] - x) / 3.0, abs=1e-12)
-            work = max(float(w["motor_work"]), 0.0)
+            work = max(w["motor_work"], 0.0)
             assert terms[1] == pytest.approx(-3.0 * work / (w["mass"] * sim.scenario.gravity * 3.0), abs=1e-12)
             stuck = cause in (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
             assert terms[2] == (-5.0 if stuck else 0.0)
@@ -294,14 +295,14 @@ STALLED = {"slip": 0.0, "speed": 0.0, "wheel_speed": 0.0, "last_action": 0.4}
 def judged(state=None, steps=1, changes=None):
     """(simulation, causes of `steps` judgements) with some state held."""
     sim = simulation("blind", changes=changes)
-    w = sim.worlds.state
+    w, counts = sim.worlds.state, sim.worlds.counts
     w["speed"], w["wheel_speed"], w["last_action"] = 0.3, 3.0, 0.3
     for name, value in (state or {}).items():
-        w[name] = value
+        (counts if name == "steps" else w)[name] = value
     causes = []
     for _ in range(steps):
-        w["steps"] += 1
-        causes.append(Cause(task.judge(w, 0, sim.numbers.task)))
+        counts.steps[0] += 1
+        causes.append(Cause(task.judge(w, counts, 0, sim.numbers.task)))
     return sim, causes
 
 
@@ -351,24 +352,24 @@ def test_time_limit():
 @pytest.mark.parametrize(("state", "clock"), [(TRAPPED, "entrapped_time"), (STALLED, "stalled_time")])
 def test_clocks_run_back_and_stand_still_in_halts(state, clock):
     sim, _ = judged(state, 30)
-    w = sim.worlds.state
+    w, counts = sim.worlds.state, sim.worlds.counts
     assert w[clock][0] == pytest.approx(3.0)
     w["halt_left"] = 0.5
     for _ in range(20):
-        assert task.judge(w, 0, sim.numbers.task) == Cause.RUNNING
+        assert task.judge(w, counts, 0, sim.numbers.task) == Cause.RUNNING
     assert w[clock][0] == pytest.approx(3.0)
     w["halt_left"] = 0.0
     for name, value in {"slip": 0.1, "speed": 0.3, "wheel_speed": 3.0}.items():
         w[name] = value
     for _ in range(10):
-        task.judge(w, 0, sim.numbers.task)
+        task.judge(w, counts, 0, sim.numbers.task)
     assert w[clock][0] == pytest.approx(2.0)
     for _ in range(50):
-        task.judge(w, 0, sim.numbers.task)
+        task.judge(w, counts, 0, sim.numbers.task)
     assert w[clock][0] == 0.0
     for name, value in state.items():
         w[name] = value
-    assert [task.judge(w, 0, sim.numbers.task) != Cause.RUNNING for _ in range(40)].index(True) == 39
+    assert [task.judge(w, counts, 0, sim.numbers.task) != Cause.RUNNING for _ in range(40)].index(True) == 39
 
 
 def test_clocks_start_at_nothing_in_a_new_episode():
@@ -387,7 +388,7 @@ def driven(command, seed=0, changes=None):
         sim.step(0, command)
         if sim.worlds.cause[0] != Cause.RUNNING:
             break
-    return Cause(sim.worlds.cause[0]), int(sim.worlds.state[0]["steps"])
+    return Cause(sim.worlds.cause[0]), sim.wheel(0)["steps"]
 
 
 def test_each_cause_can_be_driven_to():

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 import yaml
-from numba import njit
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.random_streams import seed_stream
@@ -14,15 +13,17 @@ from soil_env.parameters import Soil, SoilState, load_scenario, soils
 from soil_env.simulation import courses as drawing
 from soil_env.simulation import dynamics, terrain
 from soil_env.simulation.task import VARIANTS, sense, task_numbers
+from soil_env.simulation.wheel import WheelState
 from soil_env.simulation.worlds import Simulation
-from soil_env.terramechanics import reaction
 from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.contact import arc_nodes
 from soil_env.terramechanics.effects import NO_EFFECTS, acting, pack_effects
 from soil_env.terramechanics.model import Conditions, ModelWheel, Rim, WheelSoilModel, steady_with
+from soil_env.terramechanics.reaction import ground_under
 from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.traversability import best_working_point_with
 from soil_env.vector_env import SoilWheelVectorEnv
+from tests.simulation import wheels as bench
+from tests.terramechanics.reactions import react
 
 LUG = 0.012  # [m]
 WHEEL = ModelWheel(0.15, 0.15, LUG)
@@ -79,42 +80,33 @@ def model_of(effects, residual=(), soil=None):
     return WheelSoilModel(WHEEL, soil, effects, residual)
 
 
-def on_uniform_ground(effects, soil, grade, mode="wheel_speed", residual=(), noise=False):
-    """(courses, state, world, task) of a wheel at rest on one soil and grade, without halts and sensor noise."""
-    still = dict.fromkeys(("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "wheel_speed", "pitch"), 0.0)
-    course = {"length": 40.0, "halt_interval": [1e5, 1e5]}
-    scenario = load_scenario("mixed", {"control": {"action": mode}, "course": course, "noise": still})
+#: No sensor noise, no commanded halts, and a course that is long enough.
+STILL = {
+    "course": {"length": 40.0},
+    "noise": dict.fromkeys(
+        ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "wheel_speed", "pitch"), 0.0
+    ),
+}  # fmt: skip
+
+
+def on_uniform_ground(effects, soil, grade, mode="wheel_speed", residual=()):
+    """One wheel at rest on one soil and grade, in a world with `effects`."""
     model = None if effects is None else model_of(effects, residual)
-    courses, world = terrain.new_courses(1, scenario), dynamics.world_numbers(scenario, model)
-    courses.edges[0, :2], courses.patches[0] = (0.0, 1e3), 1
-    courses.soils[0, :], courses.grades[0, :] = soil, grade
-    state = np.zeros(1, dynamics.WHEEL_STATE)
-    dynamics.settle(state, 0, scenario.wheel.body_mass + 2.0, courses, np.zeros(1, dtype=np.uint64), world)
-    state[0]["next_halt"] = 1e9
-    return courses, state, world, task_numbers(scenario, "blind", model)
+    return bench.on_uniform_ground(soil, grade, mode, model, **STILL)
 
 
-def drive(courses, state, world, command, periods):
-    for _ in range(periods):
-        dynamics.advance(state, 0, command, courses, np.zeros(1, dtype=np.uint64), world)
+def readings(wheels, effects):
+    """What the sensors read of the wheel."""
+    model = None if effects is None else model_of(effects)
+    task = task_numbers(load_scenario("mixed", STILL), "blind", model)
+    return sense(wheels.state, 0, np.ones(1, dtype=np.uint64), task)[0]
 
 
-@njit
-def ground_of(state, soil, grade, passes, world):
-    return reaction.ground_with_effects(state[0], soil, grade, passes, world)
-
-
-@njit
-def react(ground, v, u, load, world):
-    nodes = arc_nodes(
-        ground.theta1, ground.theta2, ground.thetam, ground.soil.sinkage_exponent, ground.radius, ground.sheared_from
-    )
-    return reaction.react(nodes, ground, v, u, load, world)
-
-
-@njit
-def readings(state, task):
-    return sense(state, 0, np.ones(1, dtype=np.uint64), task)
+def ground_of(w, soil, grade, passes, world):
+    """`Ground` under a wheel as it is now."""
+    weight = w.mass * world.wheel.gravity
+    u = w.wheel_speed * world.wheel.radius
+    return ground_under(w.sinkage, w.speed, u, weight, soil, math.sin(grade), passes, world.wheel)
 
 
 # --- steady states ----------------------------------------------------------------------------------------------------
@@ -124,24 +116,24 @@ def settled(case, grade_deg):
     """(what instruments read, what `steady_with` says, the same without the effect, weight) of a wheel driven far."""
     effects = {name: dict(values) for name, values in CASES[case].items()}
     soil = SOFT._replace(dig_gain=0.0) if "apparent" in case else SOFT  # the form takes the place of the soil's digging
-    courses, state, world, task = on_uniform_ground(effects, soil, math.radians(grade_deg))
+    wheels = on_uniform_ground(effects, soil, math.radians(grade_deg))
     passes = 1.0
     if "multipass" in effects:
-        courses.rut[0, :], passes = 1e-3, 2.0
-    drive(courses, state, world, 0.35, 250)
-    w, before = state[0], float(state[0]["sinkage"])
-    drive(courses, state, world, 0.35, 5)
-    assert w["x"] > 2.0 and w["speed"] > 0.05
-    assert w["sinkage"] == pytest.approx(before, rel=1e-6)
-    read, _ = readings(state, task)
-    weight = w["mass"] * world.gravity
+        wheels.courses.rut[0, :], passes = 1e-3, 2.0
+    wheels.drive([0.35] * 250)
+    before = wheels.now().sinkage
+    wheels.drive([0.35] * 5)
+    w, read, gravity = wheels.now(), readings(wheels, effects), wheels.world.wheel.gravity
+    assert w.x > 2.0 and w.speed > 0.05
+    assert w.sinkage == pytest.approx(before, rel=1e-6)
+    weight = w.mass * gravity
     if "grousers" in effects:
         effects["grousers"]["slip_at_rim"] = 1.0  # the slip of the world is that of the rim
-    at = Conditions(w["speed"], passes, math.sin(w["grade"]))
-    wheel, gravity = Rim(world.radius, world.width, LUG), {"grade": {"share": 1.0}}
+    at = Conditions(w.speed, passes, math.sin(w.grade))
+    rim, pulled = Rim(WHEEL.radius, WHEEL.width, LUG), {"grade": {"share": 1.0}}
     stated = [
-        steady_with(read.slip, weight, soil, wheel, at, 1500.0 * world.gravity, pack_effects(fx), 0.0)
-        for fx in ({**effects, "grade": {**gravity["grade"], **effects.get("grade", {})}}, gravity)
+        steady_with(read.slip, weight, soil, rim, at, 1500.0 * gravity, pack_effects(fx), 0.0)
+        for fx in ({**effects, "grade": {**pulled["grade"], **effects.get("grade", {})}}, pulled)
     ]
     # gravity along the slope pulls at the drawbar in the table, at the wheel in the world
     found = np.array([read.sinkage / 0.15, read.drawbar_pull / weight - at.sin_grade, read.torque / weight / 0.15])
@@ -167,15 +159,16 @@ def test_a_residual_law_acts_as_it_predicts():
                 sinkage_exponent=0.8, dig_gain=1.0, dig_recovery=0.5)  # fmt: skip
     residual = (ResidualTerm("drawbar_pull", -0.05, {"load": 1}), ResidualTerm("torque", 0.2, {"load": 1, "speed": 1}))
     effects = {"penetration_rate": {"exponent": 0.4}, "grade": {"share": 1.0}}
-    courses, state, world, _ = on_uniform_ground(effects, soil.state(0.15), math.radians(-3.0), residual=residual)
-    drive(courses, state, world, 0.35, 250)
-    w, weight = state[0], float(state[0]["mass"]) * world.gravity
-    conditions = {"slip": w["slip"], "load": weight, "speed": w["speed"], "grade_deg": -3.0}
+    wheels = on_uniform_ground(effects, soil.state(0.15), math.radians(-3.0), residual=residual)
+    wheels.drive([0.35] * 250)
+    w = wheels.now()
+    weight = w.mass * wheels.world.wheel.gravity
+    conditions = {"slip": w.slip, "load": weight, "speed": w.speed, "grade_deg": -3.0}
     stated, without = (model_of(effects, law, soil).predict(conditions) for law in (residual, ()))
-    assert w["drawbar_pull"] + weight * math.sin(math.radians(3.0)) == pytest.approx(
+    assert w.drawbar_pull + weight * math.sin(math.radians(3.0)) == pytest.approx(
         stated.drawbar_pull[0], abs=1e-5 * weight
     )
-    assert w["torque"] == pytest.approx(stated.torque[0], abs=1e-5 * weight * 0.15)
+    assert w.torque == pytest.approx(stated.torque[0], abs=1e-5 * weight * 0.15)
     assert abs(stated.drawbar_pull[0] - without.drawbar_pull[0]) > 1e-3 * weight
     assert abs(stated.torque[0] - without.torque[0]) > 1e-3 * weight * 0.15
 
@@ -184,10 +177,10 @@ def test_a_wheel_at_rest_has_settled():
     """On ground that slopes weaken it starts as deep as it stays: 40 % deeper than on the level."""
     soil, starts = soils()["lete_sand"].state(0.15), []
     for grade_deg in (0.0, 6.0):
-        courses, state, world, _ = on_uniform_ground({"grade": {"weakening": 1.0}}, soil, math.radians(grade_deg))
-        starts.append(float(state[0]["sinkage"]))
-        drive(courses, state, world, 0.0, 3)
-        assert state[0]["sinkage"] == pytest.approx(starts[-1], rel=0.01)
+        wheels = on_uniform_ground({"grade": {"weakening": 1.0}}, soil, math.radians(grade_deg))
+        starts.append(wheels.now().sinkage)
+        wheels.drive([0.0] * 3)
+        assert wheels.now().sinkage == pytest.approx(starts[-1], rel=0.01)
     assert starts[1] > 1.3 * starts[0]
 
 
@@ -195,52 +188,30 @@ def test_a_wheel_at_rest_has_settled():
 
 
 @pytest.mark.parametrize("case", [*ACTING, "together"])
-def test_rates_of_the_reaction_against_central_differences(case):
-    """From rest to driving, forward and backward; what depends on slip at the start of a substep is held."""
-    effects, d = TOGETHER if case == "together" else CASES[case], 1e-7
-    soil = soils()["lete_sand"].state(0.15)
-    _, state, world, _ = on_uniform_ground(effects, soil, 0.0, residual=RESIDUAL if case == "together" else ())
-    rng, w = np.random.default_rng(0), state[0]
-    for _ in range(60):
-        v, u = rng.uniform(-1.0, 1.0, 2) * 10.0 ** rng.uniform(-3.0, 0.0)
-        if rng.random() < 0.5:
-            v = u * rng.uniform(0.2, 1.1)
-        w["speed"], w["wheel_speed"], w["sinkage"] = v, u / world.radius, rng.uniform(0.005, 0.12)
-        load, ground = rng.uniform(50.0, 250.0), ground_of(state, soil, 0.1, 2.0, world)
-
-        def forces(v, u, load=load, ground=ground):
-            return np.array(react(ground, v, u, load, world)[1:4])
-
-        by_v = (forces(v + d, u) - forces(v - d, u)) / (2.0 * d)
-        by_u = (forces(v, u + d) - forces(v, u - d)) / (2.0 * d)
-        f = react(ground, v, u, load, world)
-        size = 1e-3 * np.maximum(np.abs(by_v), np.abs(by_u)) + 1e-6
-        assert np.all(np.abs([f.dp_v, f.torque_v, f.modulus_v] - by_v) <= size)
-        assert np.all(np.abs([f.dp_u, f.torque_u, f.modulus_u] - by_u) <= size)
-
-
-@pytest.mark.parametrize("case", [*ACTING, "together"])
 def test_recorded_forces_are_those_of_the_motion(case):
     """The last iteration is taken to first order: its forces are still those of `react`, as far as speeds are known."""
     effects = TOGETHER if case == "together" else CASES[case]
     soil, h, met = soils()["lete_sand"].state(0.15), 0.05, dynamics.TOLERANCE
-    courses, state, world, _ = on_uniform_ground(effects, soil, 0.05, "torque")
-    world, w, rng = world._replace(substeps=1, period=h), state[0], np.random.default_rng(1)
-    judged = 0
+    wheels = on_uniform_ground(effects, soil, 0.05, "torque")
+    wheels = wheels._replace(world=wheels.world._replace(substeps=1, period=h))
+    courses, world, rng = wheels.courses, wheels.world, np.random.default_rng(1)
+    r, gravity, judged = world.wheel.radius, world.wheel.gravity, 0
     for k in range(200):
         if k % 8 == 0:
             command = rng.uniform(-0.5, 1.0)
-        here = terrain.stiffened(soil, courses.modulus[0, w["cell"]])
-        passes = 2.0 if courses.rut[0, w["cell"]] > 0.0 else 1.0
-        ground, v0 = ground_of(state, here, float(w["grade"]), passes, world), float(w["speed"])
-        drive(courses, state, world, command, 1)
-        load = w["mass"] * world.gravity * math.cos(w["grade"])
-        push = w["drawbar_pull"] - w["mass"] * world.gravity * math.sin(w["grade"])
-        if abs(w["speed"] - v0 - h * push / w["mass"]) > met:
+        before = wheels.now()
+        stiffer = float(courses.modulus[0, before.cell])
+        here = soil._replace(sinkage_coefficient=soil.sinkage_coefficient * stiffer)
+        passes = 2.0 if courses.rut[0, before.cell] > 0.0 else 1.0
+        wheels.step(command)
+        w = wheels.now()
+        ground, weight = ground_of(before, here, w.grade, passes, world), w.mass * gravity
+        push = w.drawbar_pull - weight * math.sin(w.grade)
+        if abs(w.speed - before.speed - h * push / w.mass) > met:
             continue  # went in several substeps
-        f = react(ground, w["speed"], w["wheel_speed"] * world.radius, load, world)
-        assert w["drawbar_pull"] - f.drawbar_pull == pytest.approx(0.0, abs=5.0 * met * w["mass"] / h)
-        assert w["torque"] - f.torque == pytest.approx(0.0, abs=5.0 * met * world.inertia / world.radius / h)
+        f = react(ground, w.speed, w.wheel_speed * r, weight * math.cos(w.grade), world.wheel)
+        assert w.drawbar_pull - f.drawbar_pull == pytest.approx(0.0, abs=5.0 * met * w.mass / h)
+        assert w.torque - f.torque == pytest.approx(0.0, abs=5.0 * met * world.inertia / r / h)
         judged += 1
     assert judged > 150
 
@@ -250,9 +221,9 @@ def test_blades_push_the_soil_between_them_whatever_the_shear_radius():
     soil = soils()["lete_sand"].state(0.15)
     thrust = []
     for share in (0.0, 0.8):
-        _, state, world, _ = on_uniform_ground({"grousers": {"blades": 3.0, "shear_share": share}}, soil, 0.0)
-        state[0]["sinkage"] = 0.02
-        thrust.append(ground_of(state, soil, 0.0, 1.0, world).blades)
+        wheels = on_uniform_ground({"grousers": {"blades": 3.0, "shear_share": share}}, soil, 0.0)
+        wheels.state.sinkage[0] = 0.02
+        thrust.append(ground_of(wheels.now(), soil, 0.0, 1.0, wheels.world).blades)
     assert thrust[0] > 1.0 and thrust[1] == thrust[0]
 
 
@@ -290,7 +261,7 @@ def trajectories(model, variant="identified", mode="torque", wheels=8, steps=250
 
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
 def test_neutral_models_change_nothing(mode):
-    """Bit for bit where no effect is on; else but for rounding, since such worlds are driven one wheel at a time."""
+    """Bit for bit where no effect is on; else but for rounding, as laws that do nothing are then computed."""
 
     def same(a, b):
         tolerance = {"rtol": 3e-7, "atol": 1e-7} if a.dtype == np.float32 else {"rtol": 1e-9, "atol": 1e-12}
@@ -320,12 +291,7 @@ def test_multipass_acts_in_the_track_only():
     """Forward over fresh ground there is no track; on the way back there is."""
     soil, runs = soils()["lete_sand"].state(0.15), []
     for effects in (None, {"multipass": {"hardening": 1.0}}):
-        courses, state, world, _ = on_uniform_ground(effects, soil, 0.0)
-        rows = []
-        for k in range(110):
-            drive(courses, state, world, 0.4 if k < 60 else -0.4, 1)
-            rows.append([float(state[0][name]) for name in ("x", "sinkage", "speed")])
-        runs.append(np.array(rows))
+        runs.append(on_uniform_ground(effects, soil, 0.0).drive([0.4] * 60 + [-0.4] * 50)[:, :3])
     base, found = runs
     assert base[59, 0] > 0.5
     turned = int(np.argmax(base[:, 0]))
@@ -353,7 +319,7 @@ def test_vector_and_single_environment_agree_bit_for_bit(variant, mode, tmp_path
                 continue
             observation, reward, terminated, truncated, _ = env.step(a[k])
             np.testing.assert_array_equal(observations[k], observation)
-            assert rewards[k] == reward and info["x"][k] == env.simulation.worlds.state[0]["x"]
+            assert rewards[k] == reward and info["x"][k] == env.simulation.worlds.state.x[0]
             done[k] = terminated or truncated
             ends += done[k]
     assert ends >= 1
@@ -380,8 +346,8 @@ def test_random_driving_stays_finite_and_converges(case):
             new = rng.random(wheels) < 0.1
             command[new] = rng.choice([-1.0, -0.3, 0.0, 0.3, 1.0, rng.uniform(-1.0, 1.0)], new.sum())
             simulation.step_all(command, np.zeros(wheels, dtype=np.int8))
-            failures += np.sum(state["converged"] == 0)
-            for name in dynamics.WHEEL_STATE.names:
+            failures += np.sum(simulation.worlds.counts.converged == 0)
+            for name in WheelState.NAMES:
                 assert np.all(np.isfinite(state[name])), name
             assert np.all(np.isfinite(simulation.worlds.observation))
             assert np.all((1e-4 * radius <= state["sinkage"]) & (state["sinkage"] <= 1.5 * radius))
@@ -396,15 +362,18 @@ def test_soil_and_drive_never_give_energy(case):
     effects, taken = TOGETHER if case == "together" else CASES[case], 0.0
     soil = soils()["lete_sand"].state(0.15)
     for mode in ("torque", "wheel_speed"):
-        courses, state, world, _ = on_uniform_ground(effects, soil, 0.05, mode)
-        world, w, rng = world._replace(substeps=16), state[0], np.random.default_rng(2)
-        scale, kinetic = w["mass"] * world.gravity * world.radius, 0.0  # [J]
+        wheels = on_uniform_ground(effects, soil, 0.05, mode)
+        wheels = wheels._replace(world=wheels.world._replace(substeps=16))
+        world, rng, kinetic = wheels.world, np.random.default_rng(2), 0.0
+        weight = wheels.now().mass * world.wheel.gravity
+        scale = weight * world.wheel.radius  # [J]
         for k in range(150):
             if k % 10 == 0:
                 command = rng.uniform(-1.0, 1.0)
-            drive(courses, state, world, command, 1)
-            now = 0.5 * w["mass"] * w["speed"] ** 2 + 0.5 * world.inertia * w["wheel_speed"] ** 2
-            loss = w["motor_work"] - (now - kinetic) - w["mass"] * world.gravity * math.sin(w["grade"]) * w["travel"]
+            wheels.step(command)
+            w = wheels.now()
+            now = 0.5 * w.mass * w.speed**2 + 0.5 * world.inertia * w.wheel_speed**2
+            loss = w.motor_work - (now - kinetic) - weight * math.sin(w.grade) * w.travel
             assert loss > -2e-3 * scale
             taken, kinetic = taken + loss / scale, now
     assert taken > 0.1
@@ -412,12 +381,9 @@ def test_soil_and_drive_never_give_energy(case):
 
 def smooth_drive(effects, refine):
     """(x, sinkage, speed) [300, 3] over 30 s of a smooth torque, with the substep divided by `refine`."""
-    courses, state, world, _ = on_uniform_ground(effects, soils()["lete_sand"].state(0.15), 0.0, "torque")
-    world, rows = world._replace(substeps=world.substeps * refine), []
-    for k in range(300):
-        drive(courses, state, world, 0.3 + 0.06 * math.sin(0.1 * k), 1)
-        rows.append([float(state[0][name]) for name in ("x", "sinkage", "speed")])
-    return np.array(rows)
+    wheels = on_uniform_ground(effects, soils()["lete_sand"].state(0.15), 0.0, "torque")
+    wheels = wheels._replace(world=wheels.world._replace(substeps=wheels.world.substeps * refine))
+    return wheels.drive([0.3 + 0.06 * math.sin(0.1 * k) for k in range(300)])[:, :3]
 
 
 @pytest.mark.parametrize("case", [*ACTING, "together"])

@@ -1,4 +1,4 @@
-"""The online solve of five unknowns against scipy, and the digging that it is told of against the law of sinkage."""
+"""The window of the online identifier: its least squares against scipy, its digging against the law of sinkage."""
 
 import math
 
@@ -6,25 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import optimize
 from scipy.integrate import solve_ivp
-from scipy.optimize import least_squares
 
-from soil_env.identification import LOWER, UPPER, Status, predict
+from soil_env._numba.compiling import root
+from soil_env.identification import LOWER, UPPER, Points, Status, predict
 from soil_env.identification import online as identifier
-from soil_env.identification.digging import DIGGING, close_point, note, roll
-from soil_env.identification.joint import GAIN, SIZE, solve_joint
-from soil_env.identification.point import (
-    DIG_RATIO,
-    DIG_RESPONSE,
-    DRAWBAR_PULL,
-    POINT_SIZE,
-    SINKAGE,
-    SLIP,
-    WEIGHTS,
-    Reading,
-    weigh,
-)
-from soil_env.identification.solver import BLOCK, prepare
+from soil_env.identification.digging import KEPT, Digging, DiggingPlaces, close_point, note, roll
+from soil_env.identification.point import Reading, weigh
+from soil_env.identification.solver import GAIN, SIZE, in_blocks, least_squares, prepare, workspace
 from soil_env.parameters import load_scenario
 from soil_env.terramechanics.effects import excavation_rate
 
@@ -33,42 +23,56 @@ READING = NUMBERS.reading
 NOISE = np.square([2.0, 2.0, 0.3])
 
 
-def predicted(x, row):
-    """(drawbar pull, load, torque) of a point for the five unknowns."""
+def predicted(x, p):
+    """(drawbar pull, load, torque) of a point (a dict) for the five unknowns."""
     out, jacobian = np.empty(3), np.empty((3, 4))
     reading = Reading(float(x[3]), READING.exponent, READING.radius, READING.width)
-    predict(np.array(x[:3]), row[SLIP], row[SINKAGE], row[DIG_RATIO] + math.exp(x[GAIN]) * row[DIG_RESPONSE], reading,
-            out, jacobian)  # fmt: skip
+    ratio = p["dig_ratio"] + math.exp(x[GAIN]) * p["dig_response"]
+    predict(np.array(x[:3]), p["slip"], p["sinkage"], ratio, reading, out, jacobian)
     return out
 
 
-def whitening(row):
-    w = row[WEIGHTS : WEIGHTS + 6]
-    return np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]])
+def measured(p):
+    return np.array([p["drawbar_pull"], p["load"], p["torque"]])
+
+
+def whitening(p):
+    return np.array([[p["w00"], 0.0, 0.0], [p["w10"], p["w11"], 0.0], [p["w20"], p["w21"], p["w22"]]])
 
 
 def window(rng, count=8):
-    """(points, true unknowns): a soil from the prior, points at random slips and digging, with noise."""
+    """(`Points`, true unknowns): a soil from the prior, points at random slips and digging, with noise."""
     truth = NUMBERS.prior + rng.standard_normal(SIZE) / np.sqrt(NUMBERS.precision)
     truth[3] = abs(truth[3])
-    points = np.zeros((identifier.WINDOW, POINT_SIZE))
-    for row in points[:count]:
-        row[[SLIP, SINKAGE, DIG_RATIO, DIG_RESPONSE]] = rng.uniform([0.02, 0.01, 0.8, 0.1], [0.7, 0.05, 1.1, 1.2])
-        row[DRAWBAR_PULL : DRAWBAR_PULL + 3] = predicted(truth, row) + np.sqrt(NOISE) * rng.standard_normal(3)
-        weigh(row, truth[:3], NOISE, 0.0, 0.0, READING, 0.0, math.exp(truth[GAIN]))
+    points = Points(identifier.WINDOW)
+    for p in range(count):
+        values = rng.uniform([0.02, 0.01, 0.8, 0.1], [0.7, 0.05, 1.1, 1.2])
+        points.slip[p], points.sinkage[p], points.dig_ratio[p], points.dig_response[p] = values
+        values = predicted(truth, points[p]) + np.sqrt(NOISE) * rng.standard_normal(3)
+        points.drawbar_pull[p], points.load[p], points.torque[p] = values
+        weigh(points, p, truth[:3], NOISE, 0.0, 0.0, READING, 0.0, math.exp(truth[GAIN]))
     return points, truth
 
 
-def solved(points, count, start=None):
-    """(x, status, covariance) by `solve_joint`."""
-    x, covariance, work = (NUMBERS.prior if start is None else start).copy(), np.zeros((SIZE, SIZE)), np.empty(BLOCK)
-    prepare(points, count, READING, work)
-    status = solve_joint(x, NUMBERS.prior, NUMBERS.precision, READING, 30, 1e-7, covariance, work)
+@root
+def solve(x, points, count, prior, precision, reading, covariance, work):
+    """`Status` of the least squares of all five unknowns, as the online identifier calls them."""
+    prepare(points, 0, count, reading, work)
+    status, _, _ = least_squares(
+        in_blocks, x, points, 0, count, prior, precision, reading, SIZE, 30, 1e-7, covariance, work
+    )
+    return status
+
+
+def solved(points, count):
+    """(x, status, covariance) from the prior."""
+    x, covariance, work = NUMBERS.prior.copy(), np.zeros((SIZE, SIZE)), workspace(identifier.WINDOW)
+    status = solve(x, points, count, NUMBERS.prior, NUMBERS.precision, READING, covariance, work)
     return x, Status(status), covariance
 
 
-def residual(x, points):
-    rows = [whitening(p) @ (predicted(x, p) - p[DRAWBAR_PULL : DRAWBAR_PULL + 3]) for p in points]
+def residual(x, points, count):
+    rows = [whitening(p) @ (predicted(x, p) - measured(p)) for p in map(points.__getitem__, range(count))]
     return np.concatenate([*rows, np.sqrt(NUMBERS.precision) * (x - NUMBERS.prior)])
 
 
@@ -83,16 +87,16 @@ def test_it_is_the_least_squares_solution_of_scipy(seed):
     bounds = np.append(LOWER, [0.0, -3.0]), np.append(UPPER, [2e5, 3.0])
     tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-12)
     start = np.clip(NUMBERS.prior, *bounds)
-    rival = least_squares(residual, start, x_scale=scale, bounds=bounds, args=(points[:count],), **tight)
-    cost = 0.5 * np.sum(residual(x, points[:count]) ** 2)
+    rival = optimize.least_squares(residual, start, x_scale=scale, bounds=bounds, args=(points, count), **tight)
+    cost = 0.5 * np.sum(residual(x, points, count) ** 2)
     assert cost <= rival.cost * (1.0 + 1e-6) + 1e-9
     np.testing.assert_allclose(x / scale, rival.x / scale, atol=2e-3)
     # covariance: inverse of J^T J by central differences
     J = np.empty((3 * count + SIZE, SIZE))
     for i in range(SIZE):
         h = 1e-5 * scale[i]
-        J[:, i] = (residual(x + h * np.eye(SIZE)[i], points[:count]) - residual(x - h * np.eye(SIZE)[i], points[:count])
-                   ) / (2.0 * h)  # fmt: skip
+        up, down = (residual(x + d * np.eye(SIZE)[i], points, count) for d in (h, -h))
+        J[:, i] = (up - down) / (2.0 * h)
     np.testing.assert_allclose(covariance / np.outer(scale, scale), np.linalg.inv(J.T @ J) / np.outer(scale, scale),
                                atol=2e-5)  # fmt: skip
 
@@ -112,7 +116,8 @@ def test_its_errors_are_as_large_as_it_says():
 
 def test_garbage_gives_a_status_and_finite_numbers():
     points, _ = window(np.random.default_rng(0))
-    points[:, DRAWBAR_PULL : DRAWBAR_PULL + 3] *= -1e5
+    for name in ("drawbar_pull", "load", "torque"):
+        points[name] *= -1e5
     x, status, covariance = solved(points, 8)
     assert status in (Status.DIVERGED, Status.AT_BOUND, Status.CONVERGED, Status.NOT_EXCITED)
     assert np.all(np.isfinite(x)) and np.all(np.isfinite(covariance))
@@ -124,20 +129,20 @@ def test_a_point_contradicts_by_its_error_and_that_of_the_estimate(seed):
     rng = np.random.default_rng(seed)
     points, truth = window(rng)
     x, _, covariance = solved(points, 7)
-    row, gain = points[7], math.exp(x[GAIN])
+    gain, pull = math.exp(x[GAIN]), points.drawbar_pull[7]
     reading = Reading(float(x[3]), READING.exponent, READING.radius, READING.width)
     for off in np.linspace(0.0, 12.0, 13):
-        moved = row.copy()
-        moved[DRAWBAR_PULL] += off
-        y = weigh(moved, x[:3], NOISE, 0.005, 0.0, reading, 0.05, gain)
+        points.drawbar_pull[7] = pull + off
+        y = weigh(points, 7, x[:3], NOISE, 0.005, 0.0, reading, 0.05, gain)
+        moved = points[7]
         W, J = whitening(moved), np.empty((3, SIZE))
         for i in range(SIZE):
             h = 1e-5 / np.sqrt(NUMBERS.precision[i]) * np.eye(SIZE)[i]
             J[:, i] = W @ (predicted(x + h, moved) - predicted(x - h, moved)) / (2.0 * h[i])
-        u = W @ (moved[DRAWBAR_PULL : DRAWBAR_PULL + 3] - predicted(x, moved))
+        u = W @ (measured(moved) - predicted(x, moved))
         chi_squared = u @ np.linalg.solve(np.eye(3) + J @ covariance @ J.T, u)
         if abs(chi_squared - identifier.CONTRADICTION) > 1e-3:
-            found = identifier.contradicts(moved, y, gain, READING.exponent, covariance)
+            found = identifier.contradicts(points, 7, y, gain, READING.exponent, covariance)
             assert found == (chi_squared > identifier.CONTRADICTION)
 
 
@@ -156,13 +161,13 @@ def drive(speeds, z0, bearing, gain):
     return out
 
 
-def observed(speeds, sinkages):
-    """(R0, R1) of one point a reading."""
-    memory, out = np.zeros(DIGGING), []
+def observed(speeds, sinkages, sinkage_sd=0.001):
+    """(R0, R1, sd) of one point a reading."""
+    memory, places, out = Digging(1), DiggingPlaces(KEPT), []
     for (speed, slip_speed), z in zip(speeds, sinkages, strict=True):
-        roll(memory, speed, slip_speed, DT, NOMINAL, RECOVERY, LENGTH)
-        note(memory)
-        out.append(close_point(memory, 1.0, z, 0.001)[:2])
+        roll(memory, 0, speed, slip_speed, DT, NOMINAL, RECOVERY, LENGTH)
+        note(memory, 0)
+        out.append(close_point(memory, places, 0, 1.0, z, sinkage_sd))
     return np.array(out)
 
 
@@ -194,11 +199,7 @@ def test_noise_of_the_sinkages_is_propagated():
     z = np.array(drive(speeds, 0.02, np.full(12, 0.02), NOMINAL))
     ratios = []
     for _ in range(4000):
-        memory, noisy = np.zeros(DIGGING), z + 3e-4 * rng.standard_normal(12)
-        for (speed, slip_speed), depth in zip(speeds, noisy, strict=True):
-            roll(memory, speed, slip_speed, DT, NOMINAL, RECOVERY, LENGTH)
-            note(memory)
-            r0, r1, sd = close_point(memory, 1.0, depth, 3e-4)
+        r0, r1, sd = observed(speeds, z + 3e-4 * rng.standard_normal(12), 3e-4)[-1]
         ratios.append((math.log(r0 + r1), sd))
     ratios = np.array(ratios)
     assert ratios[:, 0].std() == pytest.approx(ratios[:, 1].mean(), rel=0.15)

@@ -1,0 +1,65 @@
+"""Sensors: what they read of a wheel, with their noise and what they read wrongly."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._numba.compiling import inlined
+from soil_env._numba.random_streams import eight_normals
+from soil_env.identification.online import SensorReading
+from soil_env.parameters import Scenario
+from soil_env.terramechanics.effects import NO_EFFECTS, measured_slip, slip_sinkage_ratio
+from soil_env.terramechanics.model import WheelSoilModel
+
+
+class SensorErrors(NamedTuple):
+    """What sensors read wrongly: those of the `Effects`, by their names, that are not on the wheel."""
+
+    slip_bias_offset: float
+    slip_bias_radius_error: float
+    sinkage_offset_offset: float
+    slip_sinkage_gain: float  # of a sinkage that is seen, not felt
+    slip_sinkage_recovery: float
+    slip_sinkage_apparent: float
+
+
+class SensorNumbers(NamedTuple):
+    """What the sensors take from a `Scenario`."""
+
+    radius: float
+    noise: np.ndarray  # [8] sd of slip, sinkage, pull, load, torque, speed, rim speed, pitch, in their own units
+    errors: SensorErrors
+
+
+def sensor_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> SensorNumbers:
+    """Pack what `sense` needs; `model` brings what the sensors of this world read wrongly."""
+    n, r, weight = scenario.noise, scenario.wheel.radius, scenario.weight
+    effects = NO_EFFECTS if model is None else model.numbers
+    noise = [
+        n.slip, n.sinkage, n.drawbar_pull * weight, n.load * weight, n.torque * weight * r, n.speed,
+        n.wheel_speed * r, n.pitch,
+    ]  # fmt: skip
+    return SensorNumbers(r, np.array(noise), SensorErrors(*(getattr(effects, name) for name in SensorErrors._fields)))
+
+
+@inlined
+def sense(state, k, streams, sensors):
+    """Noisy readings of wheel k and its pitch [rad]: (SensorReading, pitch)."""
+    sd, slip, depth = sensors.noise, state.slip[k], state.sinkage[k]
+    a, b, c, d, e, f, g, h = eight_normals(streams, k)
+    fx = sensors.errors
+    sinkage = depth + fx.sinkage_offset_offset
+    if fx.slip_sinkage_apparent > 0.0:
+        sinkage += depth * (slip_sinkage_ratio(slip, fx.slip_sinkage_gain, fx.slip_sinkage_recovery) - 1.0)
+    reading = SensorReading(
+        min(max(measured_slip(slip, fx) + sd[0] * a, -1.0), 1.0),
+        sinkage + sd[1] * b,
+        state.drawbar_pull[k] + sd[2] * c,
+        state.load[k] + sd[3] * d,
+        state.torque[k] + sd[4] * e,
+        state.speed[k] + sd[5] * f,
+        state.wheel_speed[k] * sensors.radius + sd[6] * g,
+    )
+    return reading, state.grade[k] + sd[7] * h

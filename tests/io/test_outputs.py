@@ -1,0 +1,36 @@
+"""Commands that could not write their results: status 2 and one line that names the path, before the work."""
+
+import os
+
+import pytest
+
+from agents.sim2real import __main__ as sim2real
+from benchmarks import blind, clients, cmu, fuzz, identification, memory, throughput, training
+from soil_env.paper import recompute as paper
+from tests.agents.test_sim2real import WORLDS
+
+OUT, PAGE = ["--out", "{}"], ["--page", "{}/page.md"]
+#: command -> (module, its name in messages, arguments, what does the work)
+COMMANDS = {
+    "blind": (blind, "benchmarks.blind", OUT, "tasks"),
+    "clients": (clients, "benchmarks.clients", ["zoo", *OUT], "environment"),
+    "cmu": (cmu, "benchmarks.cmu", OUT, "study"),
+    "fuzz": (fuzz, "benchmarks.fuzz", PAGE, "run"),
+    "identification": (identification, "benchmarks.identification", OUT, "study"),
+    "memory": (memory, "benchmarks.memory", PAGE, "vector"),
+    "paper": (paper, "soil_env.paper", OUT, "compute"),
+    "sim2real": (sim2real, "agents.sim2real", ["--world", str(WORLDS / "bulldozing.yaml"), *OUT], "report"),
+    "throughput": (throughput, "benchmarks.throughput", OUT, "run"),
+    "training": (training, "benchmarks.training", OUT, "measure"),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_folder_that_cannot_be_is_refused_before_the_work(command, capsys, monkeypatch, tmp_path):
+    module, name, arguments, work = COMMANDS[command]
+    monkeypatch.setattr(module, work, lambda *args, **kw: pytest.fail("worked for nothing"))
+    (tmp_path / "file").write_text("mine")
+    assert module.main([a.format(tmp_path / "file" / "out") for a in arguments]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"{name}: ") and err.count("\n") == 1 and str(tmp_path / "file") in err, err
+    assert os.listdir(tmp_path) == ["file"]

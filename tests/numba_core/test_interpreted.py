@@ -1,0 +1,90 @@
+"""NUMBA_DISABLE_JIT=1: the same functions as Python, for a debugger, give the same numbers."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from soil_env.identification import Reading, newton_raphson
+from soil_env.parameters import Soil, load_scenario, soils
+from soil_env.simulation.worlds import Simulation
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, steady_state
+from soil_env.terramechanics.residual import ResidualTerm
+
+EFFECTS = {
+    "slip_sinkage": {"gain": 2.0, "length": 0.003}, "rear_contact": {"ratio": 0.2}, "bulldozing": {"rankine": 0.5},
+    "grousers": {"shear_share": 0.5, "blades": 2.0}, "multipass": {"hardening": 0.3}, "shear_rate": {"slope": 0.08},
+    "shear_softening": {"sharpness": 4.0}, "drivetrain_friction": {"constant": 1.0, "share": 0.3, "viscous": 0.2},
+}  # fmt: skip
+LAW = (ResidualTerm("drawbar_pull", -0.1, {"slip": 1}), ResidualTerm("torque", 0.05, {"speed": 1}))
+MODELS = {"no effects": None, "effects": WheelSoilModel(ModelWheel(0.15, 0.15, 0.012), None, EFFECTS, LAW)}
+
+
+def drive(name):
+    """Arrays by name: what is simulated, observed and identified in a few control periods on the way."""
+    simulation = Simulation(1, load_scenario("mixed"), "identified", threads=1, model=MODELS[name])
+    simulation.seed(0, np.random.default_rng(0))
+    simulation.restart(0)
+    rows = []
+    for command in (0.3, 0.5, 0.8, 1.0, -0.4, 0.0, 0.6, 0.2, 0.7, 0.3):
+        simulation.step(0, command)
+        rows.append(list(simulation.wheel(0).values()))
+    worlds = simulation.worlds
+    courses = {field: getattr(worlds.courses, field) for field in ("soils", "grades", "edges", "modulus", "rut")}
+    return {
+        "state": np.array(rows), "observation": worlds.observation, "terms": worlds.terms,
+        "estimate": worlds.ids.estimate, "sd": worlds.ids.sd, "covariance": worlds.ids.covariance, **courses,
+    }  # fmt: skip
+
+
+def identify():
+    """Three points of a steady wheel, and the soil that is identified from them."""
+    reading, slip = Reading(690.0, 0.47, 0.6274, 0.1524), (0.08, 0.22, 0.45)
+    sand = soils()["compact_sand"].state(0.1524)
+    points = np.array([steady_state(i, w, sand, 0.6274, 0.1524) for i, w in zip(slip, (7e3, 9e3, 11e3), strict=True)])
+    guess = Soil(30.0, 690.0, 0.03, 0.47, sinkage_coefficient=5e5)
+    paper = reading._replace(simpson=2, paper_resistance=True)
+    found = [
+        newton_raphson(slip, points[:, 0], points[:, 1], reading=how, guess=guess).covariance
+        for how in (reading, paper)
+    ]
+    return {"points": points, "covariance": np.array(found)}
+
+
+RUNS = {**{name: (drive, name) for name in MODELS}, "identification": (identify,)}
+
+
+@pytest.fixture(scope="module")
+def interpreted(tmp_path_factory):
+    """{run: arrays} of a process that compiles nothing."""
+    folder = tmp_path_factory.mktemp("interpreted")
+    code = (
+        "import sys, numpy as np\n"
+        "from soil_env._numba.compiling import COMPILED\n"
+        "from tests.numba_core.test_interpreted import RUNS\n"
+        "assert not COMPILED\n"
+        "for name, (run, *given) in RUNS.items():\n"
+        "    np.savez(f'{sys.argv[1]}/{name}.npz', **run(*given))\n"
+    )
+    root = Path(__file__).resolve().parents[2]
+    env = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(root)}
+    done = subprocess.run(
+        [sys.executable, "-W", "error::RuntimeWarning", "-c", code, str(folder)], env=env, cwd=root,
+        capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    return {name: dict(np.load(folder / f"{name}.npz")) for name in RUNS}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_python_gives_what_the_compiled_code_gives(interpreted, name):
+    run, *given = RUNS[name]
+    compiled = run(*given)
+    assert compiled.keys() == interpreted[name].keys()
+    for key, value in compiled.items():
+        tolerance = 1e-6 if value.dtype == np.float32 else 1e-9
+        scale = 1e-12 * np.abs(value[np.isfinite(value)]).max()
+        np.testing.assert_allclose(interpreted[name][key], value, rtol=tolerance, atol=scale, err_msg=key)

@@ -1,0 +1,179 @@
+"""Many wheels in one call of `dynamics.advance`: each as if it were alone, and as scipy solves its equations."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import root
+
+from soil_env.parameters import soils
+from soil_env.simulation import dynamics
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.reaction import REST_SPEED
+from tests.simulation.wheels import on_random_courses
+
+WHEELS = 21
+EFFECTS = {
+    "slip_sinkage": {"gain": 2.0, "length": 0.003}, "rear_contact": {"ratio": 0.2}, "bulldozing": {"rankine": 0.5},
+    "grousers": {"shear_share": 0.5, "blades": 2.0}, "multipass": {"hardening": 0.3},
+    "drivetrain_friction": {"constant": 1.0, "share": 0.3, "viscous": 0.2},
+}  # fmt: skip
+MODELS = {"no effects": None, "effects": WheelSoilModel(ModelWheel(0.15, 0.15, 0.012), None, EFFECTS)}
+
+
+def same(a, b, which=None):
+    """The same bits of everything, of the wheels `which` only if given."""
+    for (name, x), y in zip(a.numbers().items(), b.numbers().values(), strict=True):
+        np.testing.assert_array_equal(x if which is None else x[which], y if which is None else y[which], name)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
+def test_a_wheel_does_not_notice_its_neighbours(mode, model):
+    """Alone, among others, or with most of its neighbours left out: the same bits of everything."""
+    alone, among, parted = (on_random_courses(range(WHEELS), mode, model=MODELS[model]) for _ in range(3))
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        commands = rng.uniform(-0.1, 1.0, WHEELS)
+        for k in range(WHEELS):
+            alone.step(commands, [k])
+        among.step(commands)
+        order = rng.permutation(WHEELS)
+        for part in (order[:2], order[2:]):
+            parted.step(commands, part)
+    assert alone.state.x.max() > 0.4
+    same(alone, among)
+    same(alone, parted)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_place_of_a_wheel_does_not_matter(model):
+    """In another lane, in another block, and beyond the wheels of one call."""
+    count = dynamics.MANY + 11
+    seeds = np.arange(count) % WHEELS
+    wheels = on_random_courses(seeds, model=MODELS[model])
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        wheels.step(rng.uniform(-0.1, 1.0, WHEELS)[seeds])
+    for name, row in wheels.numbers().items():
+        np.testing.assert_array_equal(row, row[:WHEELS][seeds], name)
+
+
+def test_a_wheel_that_fails_goes_on_alone():
+    """A wheel in a state that no iteration gets through leaves its neighbours as they are, and goes on by itself."""
+    alone, among, free = (on_random_courses(range(WHEELS)) for _ in range(3))
+    for w in (alone, among):
+        w.state.sinkage[3], w.state.speed[3], w.state.wheel_speed[3] = 0.15, 40.0, -400.0
+        w.state.pull_by_speed[3] = 1e9
+    for k in range(WHEELS):
+        alone.step(0.4, [k])
+    for w in (among, free):
+        w.step(0.4)
+    same(alone, among)
+    rest = np.delete(np.arange(WHEELS), 3)
+    same(among, free, rest)
+    failed = among.now(3)
+    assert abs(failed.wheel_speed) < 400.0 and all(np.isfinite(list(among.state[3].values())))
+
+
+# --- judged by scipy --------------------------------------------------------------------------------------------------
+
+
+_x, _w = np.polynomial.legendre.leggauss(60)
+NODES, WEIGHTS = (0.5 * (_x + 1.0)) ** 2, 0.5 * _w * (_x + 1.0)
+
+
+def stresses(theta1, n, r):
+    """Angles [rad], weights and normal stress for S = 1 at nodes of the arc of Eqs. (7)-(9)."""
+    half = 0.5 * theta1
+    front, rear = theta1 - half * NODES, half * NODES
+    p = (r * (np.cos(front) - math.cos(theta1))) ** n
+    return np.concatenate([front, rear]), half * np.concatenate([WEIGHTS, WEIGHTS]), np.concatenate([p, p])
+
+
+def reaction(v, u, sinkage, load, soil, r, b):
+    """(drawbar pull, torque, mobilised sinkage coefficient) from Eqs. (1)-(3) and (7)-(10), written for numpy."""
+    theta1 = math.acos(1.0 - sinkage / r)
+    theta, w, p = stresses(theta1, soil.sinkage_exponent, r)
+    speed = math.hypot(u, REST_SPEED)
+    j = r * (u / speed * (theta1 - theta) - v / speed * (math.sin(theta1) - np.sin(theta)))
+    e = np.sign(j) * (1.0 - np.exp(-np.abs(j) / soil.shear_modulus))
+    direction = v / math.hypot(v, REST_SPEED)
+
+    def forces(S):
+        sigma = S * p
+        tau = (soil.cohesion + sigma * soil.tan_phi) * e
+        up = r * b * np.sum(w * (sigma * np.cos(theta) + direction * tau * np.sin(theta)))
+        pull = r * b * np.sum(w * (tau * np.cos(theta) - direction * sigma * np.sin(theta)))
+        return up, pull, r * r * b * np.sum(w * tau)
+
+    without, by_S = forces(0.0)[0], forces(1.0)[0] - forces(0.0)[0]
+    S = max((load - without) / by_S, 0.0) if by_S > 0.0 else 0.0  # 0: cohesion alone carries more than the load
+    return *forces(S)[1:], S
+
+
+def one_substep(before, command, soil, world, guess):
+    """State after one substep of implicit Euler, which `scipy.optimize.root` solves from the `guess` (V, r w)."""
+    wheel, h, weight = world.wheel, world.period, before.mass * world.wheel.gravity
+    r, b, stall = wheel.radius, wheel.width, world.stall_torque
+
+    def motor(u):
+        line = stall / world.no_load_speed * u / r
+        return min(max(command * stall, -stall - line, -stall), stall - line, stall)
+
+    def residuals(x):
+        v, u = x
+        pull, torque, _ = reaction(v, u, before.sinkage, weight * math.cos(before.grade), soil, r, b)
+        along = pull - weight * math.sin(before.grade)
+        return [
+            v - before.speed - h / before.mass * along,
+            u - before.wheel_speed * r - h * r / world.inertia * (motor(u) - torque),
+        ]
+
+    found = root(residuals, guess, tol=1e-12)
+    assert np.abs(residuals(found.x)).max() < 1e-8
+    v, u = found.x
+    pull, torque, S = reaction(v, u, before.sinkage, weight * math.cos(before.grade), soil, r, b)
+    bearing = before.sinkage * min((S / soil.sinkage_coefficient) ** (1.0 / soil.sinkage_exponent), 10.0)
+    rate = (abs(v) + soil.dig_recovery * abs(u - v)) / world.relaxation
+    digging = (abs(v) + (soil.dig_gain + soil.dig_recovery) * abs(u - v)) / world.relaxation
+    if bearing > before.sinkage:
+        rate, digging = rate + 10.0, digging + 10.0
+    goal = digging * bearing / rate
+    return {
+        "x": before.x + 0.5 * h * (before.speed + v), "speed": v, "wheel_speed": u / r, "drawbar_pull": pull,
+        "torque": torque, "motor_torque": motor(u), "motor_work": h * motor(u) * u / r,
+        "soil_work": h * (torque * u / r - pull * v), "bearing_sinkage": bearing,
+        "sinkage": goal + (before.sinkage - goal) * math.exp(-rate * h),
+    }  # fmt: skip
+
+
+def test_one_substep_as_scipy_solves_it():
+    """Driving, braking, spinning, rolling back: every number of the state, by another quadrature and solver."""
+    wheels = on_random_courses(range(40))
+    wheels = wheels._replace(world=wheels.world._replace(period=0.05, substeps=1))
+    rng, names = np.random.default_rng(3), sorted(soils())
+    ground = [soils()[str(name)].state(0.15) for name in rng.choice(names, 40)]
+    wheels.courses.soils[:], wheels.courses.grades[:] = np.array(ground)[:, None], rng.uniform(-0.2, 0.2, 40)[:, None]
+    wheels.state.speed = rng.uniform(-0.2, 0.5, 40)
+    wheels.state.wheel_speed = wheels.state.speed / 0.15 * rng.uniform(0.7, 3.0, 40)
+    wheels.state.sinkage = rng.uniform(0.01, 0.06, 40)
+    wheels.state.grade = wheels.courses.grades[:, 0]
+    wheels.state.next_halt = math.inf
+    commands, starts = rng.uniform(-0.3, 0.8, 40), [wheels.now(k) for k in range(40)]
+    wheels.step(commands)
+    judged = 0
+    for k, before in enumerate(starts):
+        if wheels.counts.converged[k] == 0:
+            continue
+        after = wheels.now(k)
+        stated = one_substep(before, commands[k], ground[k], wheels.world, (after.speed, 0.15 * after.wheel_speed))
+        scale = {
+            "drawbar_pull": before.mass * 9.81, "torque": before.mass * 9.81 * 0.15, "motor_torque": 15.0,
+            "motor_work": 1.0, "soil_work": 1.0, "wheel_speed": 1.0, "speed": 0.15, "x": 0.01,
+        }  # fmt: skip
+        for name, value in stated.items():
+            size = scale.get(name, before.sinkage)
+            assert wheels.state[name][k] == pytest.approx(value, abs=5e-4 * size), (k, name)
+        judged += 1
+    assert judged > 30

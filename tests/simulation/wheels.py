@@ -1,0 +1,80 @@
+"""Wheels for tests of the dynamics: put at rest on courses, and stepped one control period at a time."""
+
+import math
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._numba.random_streams import seed_stream
+from soil_env.parameters import load_scenario
+from soil_env.simulation import courses as drawing
+from soil_env.simulation import dynamics, terrain
+from soil_env.simulation.wheel import WheelCounts, WheelState, WorldNumbers, settle, world_numbers
+
+IDLE = 2  # anything but `dynamics.STEP`
+
+
+class Wheels(NamedTuple):
+    """Wheels with all that `dynamics.advance` takes of them."""
+
+    courses: terrain.Courses
+    state: WheelState
+    counts: WheelCounts
+    streams: np.ndarray
+    world: WorldNumbers
+
+    def step(self, commands, which=None) -> None:
+        """One control period of the wheels `which`, or of all, with one command for all or one for each wheel."""
+        wheels = len(self.state)
+        what, given = np.full(wheels, IDLE, dtype=np.int8), np.zeros(wheels)
+        what[slice(None) if which is None else which] = dynamics.STEP
+        given[:] = commands
+        for first in range(0, wheels, dynamics.MANY):
+            count = min(dynamics.MANY, wheels - first)
+            dynamics.advance(
+                self.state, self.counts, first, count, what, given, self.courses, self.streams, self.world
+            )  # fmt: skip
+
+    def now(self, k: int = 0) -> SimpleNamespace:
+        """State and counts of wheel k as they are now."""
+        return SimpleNamespace(**self.state[k], **self.counts[k])
+
+    def drive(self, commands) -> np.ndarray:
+        """Rows (x, sinkage, speed, slip) [steps, 4] of the first wheel after each control period."""
+        rows = []
+        for command in commands:
+            self.step(command)
+            rows.append([self.state[name][0] for name in ("x", "sinkage", "speed", "slip")])
+        return np.array(rows)
+
+    def numbers(self) -> dict[str, np.ndarray]:
+        """All arrays that a step changes, by name."""
+        rows = {**{n: self.state[n] for n in WheelState.NAMES}, **{n: self.counts[n] for n in WheelCounts.NAMES}}
+        return {**rows, **self.courses._asdict(), "streams": self.streams}
+
+
+def on_random_courses(seeds, mode="torque", course=None, model=None) -> Wheels:
+    """One wheel for each seed at rest at the start of its own random course."""
+    scenario = load_scenario("mixed", {"control": {"action": mode}, "course": course or {}})
+    count = len(seeds)
+    courses, world = terrain.new_courses(count, scenario), world_numbers(scenario, model)
+    streams = np.array([seed_stream(np.random.default_rng(seed)) for seed in seeds], dtype=np.uint64)
+    wheels = Wheels(courses, WheelState(count), WheelCounts(count), streams, world)
+    numbers = drawing.course_numbers(scenario, model)
+    for k in range(count):
+        mass = drawing.draw_course(k, courses, streams, numbers)
+        settle(wheels.state, wheels.counts, k, mass, courses, streams, world)
+    return wheels
+
+
+def on_uniform_ground(soil, grade=0.0, mode="torque", model=None, payload=2.0, **settings) -> Wheels:
+    """One wheel at rest on one soil (`SoilState`) and grade [rad], without commanded halts."""
+    scenario = load_scenario("mixed", {"control": {"action": mode}, **settings})
+    courses, world = terrain.new_courses(1, scenario), world_numbers(scenario, model)
+    courses.edges[0, :2], courses.patches[0] = (0.0, 1e3), 1
+    courses.soils[0, :], courses.grades[0, :] = soil, grade
+    wheels = Wheels(courses, WheelState(1), WheelCounts(1), np.zeros(1, dtype=np.uint64), world)
+    settle(wheels.state, wheels.counts, 0, scenario.wheel.body_mass + payload, courses, wheels.streams, world)
+    wheels.state.next_halt[0] = math.inf
+    return wheels
