@@ -31,7 +31,7 @@ import numpy as np  # noqa: E402
 import scipy  # noqa: E402
 from rich.console import Console  # noqa: E402
 
-from agents import engines  # noqa: E402
+from agents import studies  # noqa: E402
 from agents.progress import Bar  # noqa: E402
 from benchmarks import blind_page  # noqa: E402
 from benchmarks.blind_judge import figures  # noqa: E402
@@ -57,7 +57,7 @@ def code_version() -> str:
     files = [f for f in files if f.stem not in APART]
     for name in FOLLOWS_FROM:
         files += (package / name).glob("*.py") if (package / name).is_dir() else [package / name]
-    return engines.fingerprint(sorted(files))
+    return studies.fingerprint(sorted(files))
 
 
 def machine() -> str:
@@ -126,7 +126,7 @@ def study(options: argparse.Namespace, console: Console) -> dict:
     """Do the cases that are not done yet; the result as discrepancy.json has it."""
     local = options.engine == "local"
     workers = 2 if local and options.workers is None else options.workers
-    engine = engines.choose(options.engine, None if local and workers == 1 else workers, options.address)
+    engine = studies.choose(options.engine, None if local and workers == 1 else workers, options.address)
     make_folder(options.out)
     about = {"seed": options.seed, "smoke": options.smoke, "code": code_version()}
     path = options.records or (
@@ -204,7 +204,7 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=ROOT / "docs", metavar="OUT",
         help="folder of discrepancy.json, .md and plots (default: docs of the clone)",
     )  # fmt: skip
-    engines.add_options(p, "2; 1 is this one")
+    studies.add_options(p, "2; 1 is this one")
     p.add_argument("--records", type=Path, metavar="FILE", help="of the cases done (default runs/blind/seed-N.jsonl)")
     p.add_argument("--resume", action="store_true", help="go on with the cases that the records do not have yet")
     p.add_argument("--smoke", action="store_true", help="a case of each sort in seconds")

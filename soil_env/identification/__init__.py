@@ -22,8 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import root
-from soil_env.identification.point import Points, Reading, predict, weigh
+from soil_env.identification.point import Points, Reading, predict, weigh_all
 from soil_env.identification.solver import LOWER, UPPER, Status, normal_equations, solve
 from soil_env.identification.uniqueness import other_soil
 from soil_env.parameters import Soil
@@ -104,12 +103,6 @@ def _points(slip, sinkage, channels, dig_ratio, reading) -> Points:
     for name, column in columns.items():
         points[name] = column
     return points
-
-
-@root
-def _weigh_all(points, count, x, variances, slip_sd, sinkage_sd, reading):
-    for p in range(count):
-        weigh(points, p, x, variances, slip_sd, sinkage_sd, reading)
 
 
 def generalized_newton_raphson(
@@ -197,7 +190,7 @@ class _Found(NamedTuple):
 def _run(x, slip_sd=0.0, sinkage_sd=0.0, *, points, variances, reading, tolerance, limit, spent=0) -> _Found:
     """Least squares from x, with the weights that the noise of slip and sinkage gives the points there."""
     x = x.copy()
-    _weigh_all(points, len(points), x, variances, slip_sd, sinkage_sd, reading)
+    weigh_all(points, len(points), x, variances, slip_sd, sinkage_sd, reading)
     covariance = np.empty((3, 3))
     status, iterations, cost = solve(x, points, _NO_PRIOR, _NO_PRIOR, reading, limit, tolerance, covariance)
     return _Found(x, status, spent + iterations, cost)
