@@ -14,14 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.calibrate import GRAVITY, Problem
 from soil_env.discrepancy.data import Data
 from soil_env.measurement.table import in_radians
 from soil_env.terramechanics.model import Rows
 
 LARGE = 3.0  # [noise] rms of what the base model leaves, below which no mistake is looked for
 BETTER = 10.0  # times smaller that its mean square above the noise has to get where the table is read otherwise
-GRAVITY = 9.81
 FALLS = 0.8  # share of the groups of rows in which the drawbar pull falls with slip
 LOW_SLIP, LEAST_SPAN = 0.2, 0.15  # slip below which a group must begin, and its span, for that to say anything
 SURE = 4.0  # [sd] beyond the setup's value at which a soil parameter is not sought

@@ -35,7 +35,8 @@ SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channe
 STEP = 1e-3  # of a whitened unknown, for differences
 _FAR = 1e3  # [sd] residual where the model has no value
 _STARTS = 8
-_LEVEL = (0.0, 1.0, 0.0)  # conditions of a row: speed that does not matter, first pass, no grade
+_LEVEL = (0.0, 1.0, 0.0)  # speed, pass and grade of every row: the base model depends on none of them
+_NO_WEIGHT = 0.0  # [N/m3] of the soil, nor on its weight
 
 
 # --- least squares in whitened unknowns -------------------------------------------------------------------------------
@@ -113,7 +114,6 @@ class TableProblem:
             )
         self.bounds = tuple(np.array(b) for b in zip(*(k.bounds for k in self.unknowns), strict=True))
         self.widths = [(width == b, self._width_factor(b)) for b in np.unique(width)]
-        self.density = 1500.0 if setup.soil.density is None else setup.soil.density.value
         self._noise()
         values, needed = int(self.measured.sum()), len(self.unknowns)
         if values < needed + int(self.estimated.sum()):
@@ -159,7 +159,7 @@ class TableProblem:
         for here, factor in self.widths:
             there = soil._replace(sinkage_coefficient=soil.sinkage_coefficient * factor)
             at, values = Rows(*(column[here] for column in rows)), np.empty((int(here.sum()), 3))
-            predict_rows(*at, there, self.density * 9.81, NO_EFFECTS, np.zeros(len(values)), values)
+            predict_rows(*at, there, _NO_WEIGHT, NO_EFFECTS, np.zeros(len(values)), values)
             out[here] = values
         return np.where(self.measured, out, 0.0)
 
