@@ -54,7 +54,7 @@ def trace(
         fresh = np.array([False])
         sim.step(0, float(np.clip(action[0, 0], -1.0, 1.0)))
         s = sim.wheel(0)
-        soil, grade, _ = ground_at(w.courses, 0, s["x"], s["patch"], scenario.course.border)
+        soil, grade, _ = ground_at(w.courses, 0, s["x"], 0, scenario.course.border)
         same = sinkage_coefficient_at(soil, scenario.belief.sinkage_exponent, s["bearing_sinkage"])
         rows.append(
             (s["x"], s["slip"], 1000.0 * s["sinkage"], math.degrees(grade), math.degrees(math.atan(soil.tan_phi)),
