@@ -305,8 +305,3 @@ def _take_in_python(counter, count):
 
 #: take(counter, count): present value of counter[0] (int64), which grows by `count` at once, whatever other threads do.
 take = _take if COMPILED else _take_in_python
-
-# names until every module has moved over
-kernel = inner = part
-pasted = inlined
-Entry = FastCall

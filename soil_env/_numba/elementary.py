@@ -263,8 +263,15 @@ def power(typingctx, x, y):
 
 
 if not COMPILED:
-    from soil_env._numba.interpreted import (  # noqa: F811
+    from soil_env._numba.interpreted import (  # noqa: F401, F811
+        asin_root,
+        copysign,
         exp,
+        fma,
+        half_sin_cos,
+        log,
+        power,
+        root,
         where_less,
     )
 

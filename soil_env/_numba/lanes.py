@@ -381,4 +381,19 @@ def smallest(typingctx, a):
 
 
 if not COMPILED:
-    pass
+    from soil_env._numba.interpreted import (  # noqa: F401, F811
+        alike,
+        bits,
+        fill,
+        first,
+        from_array,
+        lane,
+        made_of,
+        smallest,
+        summed,
+        to_array,
+        total,
+        totals,
+        transposed,
+        turns,
+    )
