@@ -217,7 +217,7 @@ def test_own_soils_stand_beside_the_presets_and_before_them():
     assert load(Scenario, yaml.safe_load(yaml.safe_dump(to_dict(scenario)))) == scenario
     assert [scenario.library[n] for n in scenario.soils] == [beach, sand, parameters.soils()["snow"]]
     width = scenario.wheel.width
-    drawn = course_numbers(scenario).library
+    drawn = course_numbers(scenario).drawn.library
     assert [tuple(row) for row in drawn] == [s.state(width) for s in (beach, sand, parameters.soils()["snow"])]
     assert parameters.soils()["dry_sand"].cohesion == 1040.0
     with pytest.raises(ParameterError, match="own_soils.beach: unknown key 'phi'") as caught:

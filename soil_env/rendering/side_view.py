@@ -347,5 +347,5 @@ def _draw_course(c: Canvas, simulation, k: int, profile: _Profile, bounds) -> No
 
 def _friction_range(scenario: Scenario, simulation) -> tuple[float, float]:
     """Range of phi [deg] that the soil colours span: that of the scenario's presets and two deviations more."""
-    phi, spread = np.degrees(np.arctan(simulation.numbers.course.library[:, 0])), 2.0 * scenario.spread.friction + 0.02
+    phi, spread = np.degrees(np.arctan(simulation.numbers.drawn.library[:, 0])), 2.0 * scenario.spread.friction + 0.02
     return float(phi.min() * (1.0 - spread)), float(phi.max() * (1.0 + spread))
