@@ -1,11 +1,11 @@
 # soil_env with the CPU build of torch and the pinned versions: every command of the package, as a user without rights.
 #   docker build -t soil_env .
-#   docker run --rm soil_env agents.train --help
+#   docker run --rm soil_env soil_env_agents.train --help
 #   docker run --rm -v "$PWD":/work --user "$(id -u)" soil_env soil_env.discrepancy rig.csv --setup rig.setup.yaml --out result
 
 FROM python:3.11-slim AS build
 WORKDIR /src
-COPY pyproject.toml README.md LICENSE ./
+COPY pyproject.toml setup.py README.md LICENSE ./
 COPY soil_env soil_env
 COPY agents agents
 COPY configs configs
@@ -36,4 +36,4 @@ RUN useradd --no-create-home --home-dir /work soil \
 USER soil
 WORKDIR /work
 ENTRYPOINT ["python", "-m"]
-CMD ["agents.train", "--help"]
+CMD ["soil_env_agents.train", "--help"]

@@ -1,3 +1,8 @@
-"""Controllers, PPO agents and studies on the environment of `soil_env`."""
+"""Controllers, PPO agents and studies on the environment of `soil_env`.
 
-import soil_env  # noqa: F401  its first act lets Ctrl-C end a command that still imports
+`agents` in a clone; installed it is `soil_env_agents`, because `agents` is a package of another distribution.
+"""
+
+import soil_env  # noqa: F401  its first act is `starting.arm`
+
+PACKAGE_NAMES = ("agents", "soil_env_agents")  # of this package, in a clone and installed

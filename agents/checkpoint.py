@@ -1,4 +1,4 @@
-"""The state of a training between two rollouts, so that a resumed run goes on as if it had never been killed.
+"""State of a training between two rollouts: a resumed run gives what an undisturbed one gives.
 
 Beside the model that is the ground, the wheels and the identifiers of every environment, their random streams, the
 discounted returns of the reward normalisation, and the generators of torch and numpy. It is kept as one .npz without
@@ -17,9 +17,11 @@ from stable_baselines3 import PPO
 from soil_env._io.loading import ParameterError
 from soil_env._numba.rows import Rows
 
+from .zips import one_line
+
 
 def content(model: PPO) -> bytes:
-    """The state of a training, as the bytes of an .npz."""
+    """The state of a training as the bytes of an .npz file."""
     name, keys, position, has_gauss, cached = np.random.get_state()  # noqa: NPY002 - SB3 draws from it
     if name != "MT19937":
         raise RuntimeError(f"numpy's global generator is {name}, expected MT19937")
@@ -37,7 +39,7 @@ def content(model: PPO) -> bytes:
 
 
 def restore(model: PPO, state: bytes, where: Path) -> None:
-    """Put a training back into a state of `content`; ParameterError where it is that of another one."""
+    """Restore a state made by `content`; ParameterError where it does not fit the model."""
     try:
         with np.load(io.BytesIO(state), allow_pickle=False) as archive:
             parts = {name: archive[name] for name in archive.files}
@@ -52,8 +54,7 @@ def restore(model: PPO, state: bytes, where: Path) -> None:
         np.random.set_state(("MT19937", parts["numpy"], int(position), int(has_gauss), float(cached)))  # noqa: NPY002
         model._last_obs, model._last_episode_starts = parts["last_obs"], parts["last_episode_starts"]
     except Exception as error:  # zipfile and numpy fail in many ways
-        reason = (str(error).splitlines() or [""])[0][:200]
-        raise ParameterError(f"{where}: the state of the training cannot be restored ({reason})") from None
+        raise ParameterError(f"{where}: the state of the training cannot be restored ({one_line(error)})") from None
     model.env.unwrapped._unseeded = False
 
 

@@ -1,17 +1,12 @@
-"""What is asked of a training: the keys of train.py's YAML file and command line. Needs no torch."""
+"""Configuration of a training: the keys of train.py's YAML file and command line. Needs no torch."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from agents.controllers import checked_settings
 from soil_env._io.loading import Checked, ParameterError, load, quantity
-from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
-
-if TYPE_CHECKING:
-    from agents.guided import Guide
 
 #: Name of the PPO agent of each observation variant in tables and files.
 NAMES = {"blind": "ppo_blind", "identified": "ppo_identified", "true_soil": "ppo_true"}
@@ -91,15 +86,6 @@ class TrainConfig(Checked):
     def world(self) -> WheelSoilModel | None:
         """The model of the world's effects."""
         return WheelSoilModel.from_content(self.model, "model") if self.model else None
-
-    def made_guide(self, scenario: Scenario) -> Guide | None:
-        """The controller whose rim speed the agent trims, if there is one; ParameterError where it cannot be made."""
-        if not self.guide:
-            return None
-        from agents.guided import Guide
-
-        settings = checked_settings(self.guide, scenario, self.guide_settings, "guide_settings")
-        return Guide(scenario, self.guide, settings, self.trim, self.observation)
 
 
 def load_config(mapping: dict, where: str) -> TrainConfig:

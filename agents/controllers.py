@@ -19,13 +19,13 @@ from __future__ import annotations
 import numpy as np
 
 from soil_env._io.loading import ParameterError, number, unknown_key
-from soil_env._numba.compiling import root
-from soil_env.parameters import Scenario, SoilState
+from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
-from soil_env.terramechanics.traversability import best_working_point
+from soil_env.terramechanics.traversability import best_points
 
 _MOST_SLIP = 0.95  # that a controller can hold: the rim speed for it is V/(1 - i)
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
+_CHANGE = np.array([0.01] * 7 + [0.1])  # of soil and load, at which the best slip is computed again
 
 
 class Controller:
@@ -174,9 +174,14 @@ class BestSlipIdentified(FixedSlip):
         load = np.clip(observation[:, self.column["load"]], 0.3, 3.0) * self.scenario.weight
         if "known" not in state:
             state["known"], state["slip"] = np.zeros((len(soils), 8)), np.zeros(len(soils))
-        state["known"][state["fresh"]] = 0.0
+        known, now = state["known"], np.column_stack([soils, load])
+        known[state["fresh"]] = 0.0
+        rows = np.flatnonzero((np.abs(now - known) > _CHANGE * np.abs(known)).any(axis=1))
         wheel = self.scenario.wheel
-        _best_slips(soils, load, wheel.radius, wheel.width, wheel.stall_torque, state["known"], state["slip"])
+        best_points(
+            rows, soils, load, wheel.radius, wheel.width, wheel.stall_torque, state["slip"], np.empty(len(load))
+        )
+        known[rows] = now[rows]
         return state["slip"]
 
 
@@ -192,21 +197,6 @@ class BestSlipTrue(BestSlipIdentified):
         for i, name in ((4, "sinkage_exponent"), (6, "dig_recovery")):
             out[:, i] = observation[:, self.column[name]]
         return out
-
-
-@root(nogil=True, allocates=True)
-def _best_slips(soils, load, r, b, torque, known, slip):
-    for k in range(len(soils)):
-        changed = abs(load[k] - known[k, 7]) > 0.1 * known[k, 7]
-        for i in range(7):
-            if abs(soils[k, i] - known[k, i]) > 0.01 * abs(known[k, i]):
-                changed = True
-        if changed:
-            s = soils[k]
-            soil = SoilState(s[0], s[1], s[2], s[3], s[4], s[5], s[6])
-            slip[k] = best_working_point(load[k], soil, r, b, torque).slip
-            known[k, :7] = s
-            known[k, 7] = load[k]
 
 
 CONTROLLERS = {c.name: c for c in (FullThrottle, ConstantSpeed, FixedSlip, BestSlipIdentified, BestSlipTrue)}

@@ -1,4 +1,4 @@
-"""Packages that an extra of pip brings, asked for in one line where they are missing."""
+"""Missing optional dependencies: one line that says what to install."""
 
 from __future__ import annotations
 

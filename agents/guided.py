@@ -14,9 +14,11 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from agents.controllers import CONTROLLERS, FixedSlip, make_controller
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
+
+from .config import TrainConfig
+from .controllers import CONTROLLERS, FixedSlip, checked_settings, make_controller
 
 ENTRIES = ("guide_rim_speed", "guide_slip")
 GUIDES = tuple(name for name, cls in CONTROLLERS.items() if issubclass(cls, FixedSlip))
@@ -39,7 +41,7 @@ class Guide:
         self.settings, self.trim = settings, trim
 
     def content(self) -> dict:
-        """What is noted in the agent's zip."""
+        """Metadata for the agent's zip."""
         return {"controller": self.controller.name, "settings": self.settings, "trim": self.trim}
 
     def observe(self, observation: np.ndarray, state: dict | None, fresh: np.ndarray) -> tuple[np.ndarray, dict]:
@@ -56,6 +58,14 @@ class Guide:
         speed = state["target"] * np.exp(self.trim * np.clip(np.asarray(actions, dtype=np.float64)[:, 0], -1.0, 1.0))
         speed = np.minimum(speed, self.controller.top_speed)
         return self.controller.command(state["batch"], speed, state["memory"])
+
+
+def make_guide(config: TrainConfig, scenario: Scenario) -> Guide | None:
+    """The controller whose rim speed an agent trims, if there is one; ParameterError where it cannot be made."""
+    if not config.guide:
+        return None
+    settings = checked_settings(config.guide, scenario, config.guide_settings, "guide_settings")
+    return Guide(scenario, config.guide, settings, config.trim, config.observation)
 
 
 def spaces_of(box: spaces.Box) -> tuple[spaces.Box, spaces.Box]:

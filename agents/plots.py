@@ -10,15 +10,16 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
-from agents.evaluate import METRICS, RATES, course_rng
 from soil_env._io.files import save_figure
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel, sinkage_coefficient_at
+
+from .evaluate import METRICS, RATES, course_rng
+from .evaluate.tables import draw_intervals
 
 _PANELS = ("immobilised", "time_limit", "finished", "speed", "energy_per_metre", "slip", "return")
 
@@ -27,17 +28,11 @@ def comparison_figure(result: dict, path: Path) -> None:
     """Metrics of all controllers as points with their 95 % intervals."""
     names = list(result["controllers"])[::-1]
     figure, axes = plt.subplots(1, len(_PANELS), figsize=(2.4 * len(_PANELS), 0.45 * len(names) + 1.4), sharey=True)
+    colours = ["#d55e00" if n.startswith("ppo") else "#777777" if n.endswith("true") else "#0072b2" for n in names]
     for axis, metric in zip(axes, _PANELS, strict=True):
-        scale = 100.0 if metric in RATES else 1.0
-        for y, name in enumerate(names):
-            m = result["controllers"][name][metric]
-            value, low, high = (scale * m[key] for key in ("value", "low", "high"))
-            colour = "#d55e00" if name.startswith("ppo") else ("#777777" if name.endswith("true") else "#0072b2")
-            axis.errorbar(value, y, xerr=[[value - low], [high - value]], fmt="o", color=colour, capsize=3)
-        unit = "% of courses" if metric in RATES else METRICS[metric][0]
-        axis.set_xlabel(f"{metric.replace('_', ' ')} [{unit}]")
-        axis.xaxis.set_major_locator(MaxNLocator(3))
-        axis.grid(alpha=0.3)
+        rate = metric in RATES
+        draw_intervals(axis, [result["controllers"][n][metric] for n in names], 100.0 if rate else 1.0, colours)
+        axis.set_xlabel(f"{metric.replace('_', ' ')} [{'% of courses' if rate else METRICS[metric][0]}]")
     axes[0].set_yticks(range(len(names)), names)
     figure.suptitle(f"{result['courses']} held-out courses, scenario {result['scenario']!r}; bars: 95 % intervals")
     figure.tight_layout()

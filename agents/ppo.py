@@ -20,17 +20,18 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-from agents import checkpoint, zips
-from agents.config import NAMES, PPOConfig, TrainConfig, load_config
-from agents.guided import ENTRIES, Guide, GuidedVecEnv, spaces_of
-from agents.learner import Learner, Tanh
-from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, load, to_dict
 from soil_env.env import action_space, observation_space
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
 from soil_env.terramechanics.model import WheelSoilModel
+
+from . import checkpoint, recurrent, zips
+from .config import NAMES, PPOConfig, TrainConfig, load_config
+from .guided import ENTRIES, Guide, GuidedVecEnv, spaces_of
+from .learner import Learner, Tanh
+from .sb3 import SoilWheelVecEnv
 
 __all__ = [
     "NAMES", "Agent", "PPOConfig", "TrainConfig", "agent_of", "agent_spaces", "build", "check_layout",
@@ -46,23 +47,19 @@ def build(
     tensorboard: Path | None = None,
     world: WheelSoilModel | None = None,
     guide: Guide | None = None,
+    algorithm: str = "ppo",
 ) -> PPO:
-    """A fresh PPO agent with its normalised vector environment; `world` brings the effects that are on there.
+    """A fresh agent with its normalised vector environment; `world` brings the effects that are on there.
 
-    With a `guide` the agent trims its rim speed (`agents.guided`), from none at first.
+    With a `guide` the agent trims its rim speed (`agents.guided`), from none at first. `algorithm`: as in
+    `TrainConfig`.
     """
-    torch.set_num_threads(1)  # its tensors are too small to be shared out; `Learner` shares out whole minibatches
-    env = normalised(scenario, observation, config, seed, world, guide)
-    model = Learner(
-        "MlpPolicy",
-        env,
+    cls, policy, network = _algorithm(algorithm, config)
+    model = cls(
+        policy,
+        normalised(scenario, observation, config, seed, world, guide),
         **hyperparameters(config),
-        policy_kwargs={
-            "net_arch": [config.layer, config.layer],
-            "activation_fn": {"relu": nn.ReLU, "tanh": Tanh}[config.activation],
-            "log_std_init": config.log_std_init,
-            "optimizer_kwargs": {"fused": True},
-        },
+        policy_kwargs=network | {"log_std_init": config.log_std_init},
         tensorboard_log=None if tensorboard is None else str(tensorboard),
         seed=seed,
         device="cpu",
@@ -73,8 +70,20 @@ def build(
     return model
 
 
+def _algorithm(name: str, config: PPOConfig) -> tuple[type, str, dict]:
+    """(class, name of its policy, arguments of its network)."""
+    torch.set_num_threads(1)  # its tensors are too small to be shared out; `Learner` shares out whole minibatches
+    if name == "recurrent_ppo":
+        return recurrent.algorithm(), "MlpLstmPolicy", recurrent.network(config)
+    return Learner, "MlpPolicy", {
+        "net_arch": [config.layer, config.layer],
+        "activation_fn": {"relu": nn.ReLU, "tanh": Tanh}[config.activation],
+        "optimizer_kwargs": {"fused": True},
+    }  # fmt: skip
+
+
 def hyperparameters(config: PPOConfig) -> dict:
-    """What PPO and RecurrentPPO take from a config alike."""
+    """Keyword arguments common to PPO and RecurrentPPO."""
     same = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "ent_coef")
     return {"learning_rate": schedule(config)} | {name: getattr(config, name) for name in same}
 
@@ -95,7 +104,7 @@ def normalised(
 
 
 def schedule(config: PPOConfig):
-    """The learning rate by the share of the training that is left."""
+    """Learning rate as a function of the share of the training that is left."""
     rate = config.learning_rate
 
     def learning_rate(left: float) -> float:
@@ -108,7 +117,7 @@ _META, _STATE = "soil_env.json", "training.npz"  # members of the model's zip
 
 
 def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
-    """Save the agent to `path` (.zip), replaced in one piece: a kill in between leaves the old file whole.
+    """Save the agent to `path` (.zip) by an atomic write.
 
     `between_rollouts`: keep the state of the training too (`agents.checkpoint`), from which it goes on as if it had
     not been interrupted.
@@ -187,7 +196,7 @@ class Agent:
 
 
 def agent_of(model, meta: dict) -> Agent:
-    """The agent of a loaded model and what was noted with it."""
+    """The agent of a loaded model and its metadata."""
     guide = None
     if "guide" in meta:
         scenario = load(Scenario, meta["scenario"], "scenario")
@@ -198,7 +207,7 @@ def agent_of(model, meta: dict) -> Agent:
 
 
 def read_meta(path: Path) -> dict:
-    """What `save` noted about a model; ParameterError with one line if the file is missing, broken or not ours."""
+    """Metadata that `save` has put into a zip; ParameterError if the file is missing, broken or not ours."""
     path = Path(path)
     try:
         meta = zips.read_member(path, _META, "a model saved by train.py")
@@ -251,22 +260,13 @@ def load_agent(path: Path) -> Agent:
         path = path / "model.zip"
     meta = read_meta(path)
     check_layout(meta, path)
-    return agent_of(_load_zip(path, meta), meta)
+    return agent_of(zips.load(Learner, path, zips.without_pickles(path, *agent_spaces(meta))), meta)
 
 
 def agent_spaces(meta: dict) -> tuple:
     """Observation and action space of the network of a saved agent."""
     box = observation_space(meta["observation"])
     return spaces_of(box) if "guide" in meta else (box, action_space())
-
-
-def _load_zip(path: Path, meta: dict, objects: dict | None = None, **options) -> PPO:
-    replaced = zips.without_pickles(path, *agent_spaces(meta), **(objects or {}))
-    try:
-        return Learner.load(path, device="cpu", custom_objects=replaced, **options)
-    except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
-        reason = (str(error).splitlines() or [""])[0][:200]
-        raise ParameterError(f"{path}: cannot be loaded as a PPO model ({type(error).__name__}: {reason})") from None
 
 
 def resume(
@@ -278,22 +278,19 @@ def resume(
     log: Path | None,
     world: WheelSoilModel | None = None,
     guide: Guide | None = None,
+    algorithm: str = "ppo",
 ) -> PPO:
-    """The agent of a checkpoint, ready to go on learning.
+    """The agent of a checkpoint, ready to go on learning; arguments as of `build`.
 
-    Where the checkpoint has the state of the training, it goes on as the run would have; else, as with a guide, its
-    worlds start new courses.
+    Where the checkpoint has the state of the training, it goes on as the run would have; else, as with a guide or a
+    memory, its worlds start new courses.
     """
-    torch.set_num_threads(1)
+    cls, _, _ = _algorithm(algorithm, config)
     meta, env = reopened(path, scenario, observation, config, seed, world, guide)
     rate = schedule(config)
-    model = _load_zip(
-        Path(path),
-        meta,
-        {"learning_rate": rate, "lr_schedule": rate, "clip_range": config.clip_range},
-        env=env,
-        tensorboard_log=None if log is None else str(log),
-    )
+    known = {"learning_rate": rate, "lr_schedule": rate, "clip_range": config.clip_range}
+    objects = zips.without_pickles(path, *agent_spaces(meta), **known)
+    model = zips.load(cls, path, objects, env=env, tensorboard_log=None if log is None else str(log))
     model.update_threads = config.threads
     model.set_random_seed((seed + meta["timesteps"]) % 2**31)  # loading has set the seed of the start of the run
     state = zips.read_bytes(path, _STATE)
@@ -303,7 +300,7 @@ def resume(
 
 
 def reopened(path: Path, scenario, observation: str, config: PPOConfig, seed: int, world, guide):
-    """(what is noted in a checkpoint, the vector environment with its normalisation)."""
+    """(metadata of a checkpoint, the vector environment with its normalisation)."""
     meta = read_meta(path)
     if meta["observation"] != observation:
         raise ParameterError(f"{path}: trained with observation {meta['observation']!r}, not {observation!r}")

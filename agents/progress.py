@@ -1,4 +1,4 @@
-"""Progress of a job, on a terminal and elsewhere."""
+"""Output of the commands: tables and lines, a progress bar on a terminal, progress lines elsewhere."""
 
 from __future__ import annotations
 
@@ -6,15 +6,19 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from soil_env._io.document import Table
+
+console = Console()  # that the commands of this package print on
+
 
 class Bar:
     """Progress of one job: a live bar on a terminal, a line every tenth of the way elsewhere. Use with `with`."""
 
-    def __init__(self, title: str, total: int, unit: str, done: int, console: Console):
+    def __init__(self, title: str, total: int, unit: str, done: int = 0, on: Console | None = None):
         self.title, self.total, self.unit, self.done = title, total, unit, done
         self.printed = done
-        self.console, self.live = console, None
-        if console.is_terminal:
+        self.console, self.live = on or console, None
+        if self.console.is_terminal:
             self.live = Progress(
                 TextColumn("{task.description}"),
                 BarColumn(bar_width=20),
@@ -22,7 +26,7 @@ class Bar:
                 TextColumn("{task.fields[note]}"),
                 TimeElapsedColumn(),
                 TimeRemainingColumn(),
-                console=console,
+                console=self.console,
             )
             self.task = self.live.add_task(escape(f"{title} [{unit}]"), total=total, completed=done, note="")
 
@@ -43,3 +47,10 @@ class Bar:
         elif self.done - self.printed >= 0.1 * self.total or (self.done >= self.total > self.printed):
             self.printed = self.done
             self.console.print(f"{self.title}: {self.done:,} of {self.total:,} {self.unit} {note}", soft_wrap=True)
+
+
+def show(*parts: object) -> None:
+    """Print tables and lines; long lines are wrapped by the terminal, not cut."""
+    for part in parts:
+        text = part.text() if isinstance(part, Table) else part
+        console.print(text, soft_wrap=True, highlight=False, markup=False)

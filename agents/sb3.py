@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from agents.extras import TRAIN, lacks_train
+from .extras import TRAIN, lacks_train
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ModuleNotFoundError as error:
     if lacks_train(error):
-        raise ModuleNotFoundError(f"agents.sb3 needs {TRAIN}", name=error.name) from None
+        raise ModuleNotFoundError(f"{__name__} needs {TRAIN}", name=error.name) from None
     raise
 
 from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space

@@ -8,7 +8,7 @@ Examples:
 
 Any key of train.py's config but seed, name and runs, on the command line or in --config. OUT/seed_N is a run folder as
 train.py makes them (python train.py --resume OUT/seed_N compares that agent with the classical controllers). It appears
-in one piece when seed N is trained; the same command again trains the seeds that are not there yet. A training whose
+when seed N is trained; the same command again trains the seeds that are not there yet. A training whose
 worker is killed starts again from its seed, so that every engine gives the same agents, bit for bit.
 """
 
@@ -18,36 +18,34 @@ import argparse
 import dataclasses
 import os
 import shutil
-import sys
 import tempfile
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
-import agents
 import soil_env
-from agents import engines
-from agents.cli import check_folder, config_file, overrides
-from agents.config import TrainConfig
-from agents.extras import needing_train
-from agents.progress import Bar
-from soil_env._io.commands import leave
+from soil_env._io.commands import command_line, leave
+from soil_env._io.files import make_folder
 from soil_env._io.loading import ParameterError, merge, read_yaml
-from soil_env._io.signals import terminable
 from soil_env.parameters import Scenario, load_scenario
 
-NAME = "agents.seeds"
+from . import studies
+from .cli import config_file, manual, overrides
+from .config import NAMES, TrainConfig, load_config
+from .extras import needing_train
+from .progress import Bar, console, show
+
+NAME = f"{__package__}.seeds"
 with needing_train(NAME):
-    from agents import ppo, training
+    from . import training
 
 _SET_HERE = ("seed", "name", "runs")
 
 
 def code_version() -> str:
     """Version of soil_env, with a hash of the code that an agent follows from."""
-    here, there = (Path(package.__file__).parent for package in (soil_env, agents))
-    return engines.fingerprint([*sorted(here.rglob("*.py")), *sorted(there.glob("*.py"))])
+    here, there = Path(soil_env.__file__).parent, Path(__file__).parent
+    return studies.fingerprint([*sorted(here.rglob("*.py")), *sorted(there.glob("*.py"))])
 
 
 def folder_of(out: Path, seed: int) -> Path:
@@ -67,18 +65,18 @@ class Training:
         """{path in the run folder: content} of the model and the TensorBoard log."""
         if self.version != code_version():
             raise ParameterError(f"a worker has soil_env {code_version()}, this machine {self.version}")
-        quiet, training.console.quiet = training.console.quiet, True
+        quiet, console.quiet = console.quiet, True
         try:
             with tempfile.TemporaryDirectory() as folder:
                 training.train(Path(folder), dataclasses.replace(self.config, seed=seed), self.scenario)
                 files = [f for f in sorted(Path(folder).rglob("*")) if f.is_file()]
                 return {f.relative_to(folder).as_posix(): f.read_bytes() for f in files}
         finally:
-            training.console.quiet = quiet
+            console.quiet = quiet
 
 
 def keep(out: Path, config: TrainConfig, scenario: Scenario, seed: int, files: dict[str, bytes]) -> None:
-    """Write the run folder of a seed, in one piece."""
+    """Write the run folder of a seed; it appears only when it is complete."""
     folder = folder_of(out, seed)
     config = dataclasses.replace(config, seed=seed, name=folder.name, runs=str(out))
     partial = folder.with_name(f".{folder.name}.partial")
@@ -105,13 +103,13 @@ def missing(out: Path, config: TrainConfig, scenario: Scenario, seeds: range) ->
     return left
 
 
-def train(out: Path, config: TrainConfig, scenario: Scenario, seeds: range, engine: engines.Engine, console) -> None:
+def train(out: Path, config: TrainConfig, scenario: Scenario, seeds: range, engine: studies.Engine) -> None:
     """Train the seeds that `out` does not have yet."""
     left = missing(out, config, scenario, seeds)
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     work = Training(config, scenario, code_version())
-    with Bar("Training", len(seeds), "seeds", len(seeds) - len(left), console) as bar:
-        for seed, files in engine(work, left):
+    with Bar("Training", len(seeds), "seeds", len(seeds) - len(left)) as bar, closing(engine(work, left)) as trained:
+        for seed, files in trained:
             keep(out, config, scenario, seed, files)
             bar.update(advance=1, note=f"{folder_of(out, seed)}")
 
@@ -120,7 +118,7 @@ def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = argparse.ArgumentParser(
         f"python -m {NAME}",
-        description=__doc__,
+        description=manual(__doc__),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
         epilog="python train.py --help lists the config keys.\nExit status: 0 done, 2 bad input, 130 interrupted.",
@@ -129,45 +127,34 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--first", metavar="SEED", type=int, default=0, help="the first of them (default: 0)")
     p.add_argument("--out", metavar="OUT", type=Path, required=True, help="folder of the run folders")
     p.add_argument("--config", metavar="YAML", help="file of config keys; the command line goes over it")
-    engines.add_options(p, "one training after the other in this one")
+    studies.add_options(p, "one training after the other in this one")
     return p
 
 
-@terminable
+@command_line(
+    NAME,
+    interrupted="the same command goes on with the seeds that are left",
+    memory="smaller ppo.num_envs or ppo.n_steps",
+)
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
+    """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options, rest = parser().parse_known_args(arguments)
-    console = Console()
-    try:
-        if options.seeds < 1 or options.first < 0:
-            raise ParameterError("--seeds, --first: expected at least one seed, and none below 0")
-        check_folder(options.out)
-        engine = engines.choose(options.engine, options.workers, options.address)
-        changes = overrides(rest)
-        given = [key for key in _SET_HERE if key in changes]
-        if given:
-            raise ParameterError(f"--{given[0]}: is set for every seed; expected --seeds, --first and --out")
-        mapping = {} if options.config is None else read_yaml(config_file(options.config))
-        config = ppo.load_config(merge(mapping, changes), options.config or "command line")
-        scenario = load_scenario(config.scenario, config.changes)
-        training.check(config, scenario)
-        train(options.out, config, scenario, range(options.first, options.first + options.seeds), engine, console)
-    except ParameterError as error:
-        return _refuse(str(error))
-    except OSError as error:
-        return _refuse(f"{error.filename or options.out}: {error.strerror or error}")
-    except KeyboardInterrupt:
-        print(f"\n{NAME}: interrupted; the same command goes on with the seeds that are left", file=sys.stderr)
-        return 130
-    trained = f"{ppo.NAMES[config.observation]}={options.out}/seed_*"
-    command = f"python -m agents.evaluate --controllers 'fixed_slip,{trained}' --out {options.out}/evaluation"
-    console.print(f"Compare them: {command}", soft_wrap=True, highlight=False, markup=False)
+    if options.seeds < 1 or options.first < 0:
+        raise ParameterError("--seeds, --first: expected at least one seed, and none below 0")
+    engine = studies.choose(options.engine, options.workers, options.address)
+    changes = overrides(rest)
+    given = [key for key in _SET_HERE if key in changes]
+    if given:
+        raise ParameterError(f"--{given[0]}: is set for every seed; expected --seeds, --first and --out")
+    mapping = {} if options.config is None else read_yaml(config_file(options.config))
+    config = load_config(merge(mapping, changes), options.config or "command line")
+    scenario = load_scenario(config.scenario, config.changes)
+    training.check(config, scenario)
+    train(options.out, config, scenario, range(options.first, options.first + options.seeds), engine)
+    trained = f"{NAMES[config.observation]}={options.out}/seed_*"
+    again = f"python -m {__package__}.evaluate --controllers 'fixed_slip,{trained}' --out {options.out}/evaluation"
+    show(f"Compare them: {again}")
     return 0
-
-
-def _refuse(message: str) -> int:
-    print(f"{NAME}: {' '.join(message.split())}", file=sys.stderr)
-    return 2
 
 
 if __name__ == "__main__":

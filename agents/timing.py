@@ -1,4 +1,4 @@
-"""Where the wall time of a run goes, measured, kept in its folder as time.json and said in plain words."""
+"""Wall time of the parts of a run, kept in its folder as time.json."""
 
 from __future__ import annotations
 

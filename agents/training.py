@@ -2,36 +2,30 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import yaml
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 from stable_baselines3.common.callbacks import BaseCallback
 
-from agents import evaluate, plots, ppo, progress, recurrent, tuning
-from agents.controllers import CONTROLLERS, make_controller
-from agents.evaluate import HELD_OUT_SET, TUNING_SET
-from agents.evaluate.models import load_model
-from agents.ppo import TrainConfig
-from agents.timing import Times, Timing
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
-console = Console()
-
-
-class Bar(progress.Bar):
-    """`progress.Bar` on the console of this module."""
-
-    def __init__(self, title: str, total: int, unit: str, done: int = 0):
-        super().__init__(title, total, unit, done, console)
+from . import evaluate, plots, ppo, recurrent
+from .config import TrainConfig, load_config
+from .controllers import CONTROLLERS, make_controller
+from .evaluate import HELD_OUT_SET, TUNING_SET
+from .evaluate.models import load_model
+from .evaluate.tables import Column, metric_table, percent, points
+from .evaluate.tuning import tuned_settings
+from .guided import make_guide
+from .progress import Bar, console, show
+from .timing import Times, Timing
 
 
 class _Watch(BaseCallback):
@@ -76,7 +70,7 @@ class _Watch(BaseCallback):
 
 def check(config: TrainConfig, scenario: Scenario) -> None:
     """ParameterError with one line where a training could not begin: a guide that cannot be made, no sb3-contrib."""
-    config.made_guide(scenario)
+    make_guide(config, scenario)
     if config.algorithm == "recurrent_ppo":
         recurrent.algorithm()
 
@@ -110,7 +104,7 @@ def open_run(folder: Path) -> tuple[TrainConfig, Scenario]:
     if not folder.is_dir():
         near = sorted(p.parent.name for p in folder.parent.glob("*/config.yaml")) if folder.parent.is_dir() else []
         raise ParameterError(f"{folder}: no such run folder" + (f" (found: {', '.join(near)})" if near else ""))
-    config = ppo.load_config(read_yaml(folder / "config.yaml"), str(folder / "config.yaml"))
+    config = load_config(read_yaml(folder / "config.yaml"), str(folder / "config.yaml"))
     return config, load_scenario(folder / "scenario.yaml")
 
 
@@ -121,13 +115,12 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable =
         console.print(f"{folder} is trained already.")
         return load_model(folder / "model.zip", scenario)
     log = folder / "tensorboard"
-    maker = recurrent if config.algorithm == "recurrent_ppo" else ppo
-    rest = config.ppo, config.seed, log, config.world, config.made_guide(scenario)
+    rest = config.ppo, config.seed, log, config.world, make_guide(config, scenario), config.algorithm
     if (folder / "checkpoint.zip").is_file():
-        model = maker.resume(folder / "checkpoint.zip", scenario, config.observation, *rest)
+        model = ppo.resume(folder / "checkpoint.zip", scenario, config.observation, *rest)
         console.print(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
     else:
-        model = maker.build(scenario, config.observation, *rest)
+        model = ppo.build(scenario, config.observation, *rest)
     times = Times(folder)
     left = config.timesteps - model.num_timesteps
     if left > 0:
@@ -146,12 +139,21 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable =
     return load_model(folder / "model.zip", scenario)
 
 
+def trained(config: TrainConfig, scenario: Scenario, bar: Callable = Bar) -> Path:
+    """The model.zip of a run folder, which is begun, resumed, or done already."""
+    run = Path(config.runs) / config.name
+    if run.is_dir() and not (run / "scenario.yaml").is_file():
+        shutil.rmtree(run)  # its start was interrupted
+    if not run.is_dir():
+        make_run_folder(config, scenario)
+    if not (run / "model.zip").is_file():
+        train(run, config, scenario, bar)
+    return run / "model.zip"
+
+
 def tuned_controllers(scenario: Scenario, courses: int, world: WheelSoilModel | None = None) -> tuple[dict, dict]:
     """({name: classical controller}, settings), each tuned to finish most courses of the tuning set."""
-    with Bar("Tuning", courses * tuning.candidates_in_all(), "courses") as bar:
-        chosen, tried = tuning.tuned_settings(
-            scenario, TUNING_SET, courses, lambda count, name: bar.update(advance=count, note=name), model=world
-        )
+    chosen, tried = tuned_settings(scenario, TUNING_SET, courses, model=world)
     settings = {"tuning_courses": courses, **{name: {**chosen[name], "tried": tried[name]} for name in chosen}}
     return {name: make_controller(name, scenario, **chosen.get(name, {})) for name in CONTROLLERS}, settings
 
@@ -187,7 +189,7 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[
         plots.course_figure(scenario, HELD_OUT_SET, course, drivers, folder / "course.png", world)
     times.save()
     print_table(result)
-    console.print(str(times), soft_wrap=True, highlight=False)
+    show(str(times))
     return result
 
 
@@ -199,39 +201,24 @@ def _telling_course(runs: dict[str, evaluate.Runs], agents: list[str]) -> int:
     return int(np.argmax(tells))
 
 
-#: Column of the printed table -> (metric, heading, factor, digits)
 _COLUMNS = (
-    ("immobilised", "immobilised\n[%], 95 %", 100.0, 1),
-    ("time_limit", "out of\ntime [%]", 100.0, 1),
-    ("finished", "finished\n[%]", 100.0, 1),
-    ("distance", "distance\n[m]", 1.0, 2),
-    ("time", "time\n[s]", 1.0, 0),
-    ("energy_per_metre", "energy\n[J/m]", 1.0, 0),
-    ("slip", "slip\n[-]", 1.0, 2),
-    ("sinkage", "sinkage\n[mm]", 1.0, 0),
-    ("return", "return\n[-]", 1.0, 2),
+    Column("immobilised", "immobilised [%]", 100.0, 1),
+    Column("time_limit", "out of time [%]", 100.0, 1, bounds=False),
+    Column("finished", "finished [%]", 100.0, 1, bounds=False),
+    Column("distance", "distance [m]", bounds=False),
+    Column("time", "time [s]", digits=0, bounds=False),
+    Column("energy_per_metre", "energy [J/m]", digits=0, bounds=False),
+    Column("slip", "slip", bounds=False),
+    Column("sinkage", "sinkage [mm]", digits=0, bounds=False),
+    Column("return", "return", bounds=False),
 )
 
 
 def print_table(result: dict) -> None:
     """The comparison as a table, and how far PPO is from the references; all intervals are in comparison.json."""
-    table = Table(title=f"{result['courses']} held-out courses of scenario {result['scenario']!r}, the same for all")
-    table.add_column("controller", no_wrap=True)
-    for _, heading, _, _ in _COLUMNS:
-        table.add_column(escape(heading), justify="right", no_wrap=True)
-    for name, row in result["controllers"].items():
-        cells = [f"{factor * row[metric]['value']:.{digits}f}" for metric, _, factor, digits in _COLUMNS]
-        m = row["immobilised"]
-        cells[0] += f" [{100 * m['low']:.1f}, {100 * m['high']:.1f}]"
-        table.add_row(name, *cells)
-    Console(width=max(console.width, 124)).print(table)
-    for name in result["controllers"]:
-        if name in ppo.NAMES.values():
-            console.print(verdict(result, name), soft_wrap=True, highlight=False)
-
-
-def _percent(m: dict) -> str:
-    return f"{m['value']:.1%} [{m['low']:.1%}, {m['high']:.1%}]"
+    title = f"{result['courses']} held-out courses of scenario {result['scenario']!r}, the same for all; 95 % intervals"
+    show(metric_table(result["controllers"], _COLUMNS, title))
+    show(*(verdict(result, name) for name in result["controllers"] if name in ppo.NAMES.values()))
 
 
 def verdict(result: dict, name: str) -> str:
@@ -243,7 +230,7 @@ def verdict(result: dict, name: str) -> str:
     fair = [n for n in rows if n not in (name, "best_slip_true", "ppo_true")]
     best = min(fair, key=lambda n: rows[n]["immobilised"]["value"] + rows[n]["time_limit"]["value"])
     text = f"{name} is immobilised {_judgement(agent, fixed)} the tuned fixed slip: "
-    text += f"{_percent(agent)} against {_percent(fixed)}"
+    text += f"{percent(agent)} against {percent(fixed)}"
     gap = fixed["value"] - true["value"]
     share = (fixed["value"] - agent["value"]) / gap if gap > 0.0 else 0.0
     if 0.0 < share <= 1.0:
@@ -251,19 +238,10 @@ def verdict(result: dict, name: str) -> str:
     elif share > 1.0:
         text += f", and {true['value']:.1%} of best_slip_true, which knows the soil"
     return (
-        f"{text}. Of the others without the true soil, {best} fails least; on the same courses {name} finishes "
-        f"{points(result['paired'][name][best]['finished'])} than it. One training seed; the intervals are over "
-        "courses."
+        f"{text}. Of the others without the true soil, {best} fails least; {name} minus {best}, courses finished: "
+        f"{points(result['paired'][name][best]['finished'])} percentage points. One training seed; the intervals are "
+        "over courses."
     )
-
-
-def points(difference: dict) -> str:
-    """A difference of two rates in words: "7.5 [5.3, 9.7] percentage points more", or "fewer"."""
-    value, low, high = (100.0 * difference[key] for key in ("value", "low", "high"))
-    word = "more"
-    if value < 0.0:
-        value, low, high, word = -value, -high, -low, "fewer"
-    return f"{value:.1f} [{low:.1f}, {high:.1f}] percentage points {word}"
 
 
 def _judgement(a: dict, b: dict) -> str:

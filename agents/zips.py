@@ -1,4 +1,4 @@
-"""Models of Stable-Baselines3 opened with care.
+"""Safe loading of Stable-Baselines3 models.
 
 SB3 keeps the parts of a model that JSON cannot hold as pickles, and unpickling runs code. A zip that train.py wrote is
 loaded without: all that is pickled in it follows from its layout and its settings (`without_pickles`), and torch reads
@@ -11,11 +11,14 @@ import importlib
 import json
 import multiprocessing
 import sys
+import warnings
 import zipfile
 from functools import cache
 from pathlib import Path
 
 from soil_env._io.loading import ParameterError
+
+from . import PACKAGE_NAMES
 
 MOST_BYTES = 2_000_000_000  # of a model, unpacked
 _MOST_TEXT = 50_000_000  # of a JSON member of it
@@ -26,16 +29,11 @@ _POLICIES = {
     "stable_baselines3.common.policies": "ActorCriticPolicy",
     "sb3_contrib.common.recurrent.policies": "RecurrentActorCriticPolicy",
 }
-#: Classes that the settings of a policy may name, as SB3 writes them beside the pickle.
+#: Classes that the settings of a policy may name, as SB3 writes them beside the pickle: (module, name).
 _CLASSES = {
-    f"<class '{module}.{name}'>": (module, name)
-    for module, name in (
-        ("torch.nn.modules.activation", "Tanh"),
-        ("torch.nn.modules.activation", "ReLU"),
-        ("torch.nn.modules.activation", "ELU"),
-        ("agents.learner", "Tanh"),
-    )
-}
+    f"<class 'torch.nn.modules.activation.{name}'>": ("torch.nn.modules.activation", name)
+    for name in ("Tanh", "ReLU", "ELU")
+} | {f"<class '{package}.learner.Tanh'>": (f"{__package__}.learner", "Tanh") for package in PACKAGE_NAMES}
 
 
 def read_member(path: Path, name: str, what: str = "a model of Stable-Baselines3") -> dict:
@@ -55,8 +53,7 @@ def read_member(path: Path, name: str, what: str = "a model of Stable-Baselines3
     except (KeyError, ParameterError):
         raise
     except Exception as error:  # a broken zip fails in a dozen ways
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise ParameterError(f"{path}: not {what} ({reason})") from None
+        raise ParameterError(f"{path}: not {what} ({one_line(error) or type(error).__name__})") from None
     if not isinstance(content, dict):
         raise ParameterError(f"{path}: {name}: expected a mapping, got {type(content).__name__}")
     return content
@@ -74,8 +71,25 @@ def read_bytes(path: Path, name: str) -> bytes | None:
     except ParameterError:
         raise
     except Exception as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise ParameterError(f"{path}: {name}: cannot be read ({reason})") from None
+        raise ParameterError(f"{path}: {name}: cannot be read ({one_line(error) or type(error).__name__})") from None
+
+
+def load(cls: type, path: Path, custom_objects: dict | None, **options):
+    """SB3's `cls.load` on the CPU, its warnings left out; ParameterError in one line."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return cls.load(path, device="cpu", custom_objects=custom_objects, **options)
+    except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
+        name = "PPO" if cls.__name__ == "Learner" else cls.__name__
+        raise ParameterError(
+            f"{path}: cannot be loaded as a {name} model ({type(error).__name__}: {one_line(error)})"
+        ) from None
+
+
+def one_line(error: BaseException) -> str:
+    """The first line of an error's message, not too long."""
+    return (str(error).splitlines() or [""])[0][:200]
 
 
 def without_pickles(path: Path, observation_space, action_space, **known) -> dict:

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper, VecMonitor
 
-from agents.sb3 import SoilWheelVecEnv
+from .sb3 import SoilWheelVecEnv
 
 
 class Shifted(VecEnvWrapper):

@@ -1,6 +1,6 @@
 """Search space of PPO for Optuna studies of rl-baselines3-zoo; importing this module puts it in place of rl_zoo3's own.
 
-    python -m rl_zoo3.train --algo ppo --env SoilWheel-v0 --gym-packages soil_env agents.zoo_space ... -optimize
+    python -m rl_zoo3.train --algo ppo --env SoilWheel-v0 --gym-packages soil_env soil_env_agents.zoo_space ...
 
 rl_zoo3's own space takes rollouts of up to 4096 steps of each wheel, two million before the first update of the 512
 wheels of configs/rl_zoo3/ppo.yml, and minibatches from four rows; and it forgets the initial standard deviation.

@@ -19,7 +19,6 @@ import importlib
 import json
 import os
 import platform
-import sys
 from functools import partial
 from pathlib import Path
 
@@ -32,23 +31,23 @@ import numpy as np  # noqa: E402
 import scipy  # noqa: E402
 from rich.console import Console  # noqa: E402
 
-from agents import engines  # noqa: E402
+from agents import studies  # noqa: E402
 from agents.progress import Bar  # noqa: E402
 from benchmarks import blind_page  # noqa: E402
 from benchmarks.blind_judge import figures  # noqa: E402
 from benchmarks.blind_study import IN_ALL, Task, solve, tasks  # noqa: E402
-from soil_env._io.commands import leave  # noqa: E402
+from soil_env._io.commands import command_line, leave  # noqa: E402
 from soil_env._io.files import append_line, make_folder, replace_file  # noqa: E402
 from soil_env._io.loading import ParameterError  # noqa: E402
-from soil_env._io.signals import terminable  # noqa: E402
 
 NAME = "benchmarks.blind"
 ROOT = Path(__file__).resolve().parent.parent
-FOLLOWS_FROM = ("_io/loading.py", "_numba", "measurement", "parameters.py", "terramechanics")  # besides discrepancy
-APART = (  # modules of discrepancy and of the benchmark from which no record follows
-    "__main__", "closing", "cmu", "equations", "formulas", "page", "pictures", "report", "unlisted", "words",
-    "blind", "blind_judge", "blind_page", "blind_plots",
+FOLLOWS_FROM = (  # besides discrepancy
+    "_io/loading.py", "_numba", "identification/priors.py", "identification/weighted.py", "measurement",
+    "parameters.py", "terramechanics",
 )  # fmt: skip
+#: Modules of discrepancy (beside report/) and of the benchmark from which no record follows.
+APART = ("__main__", "cmu", "law_tests", "blind", "blind_judge", "blind_page", "blind_plots")
 
 
 def code_version() -> str:
@@ -58,7 +57,7 @@ def code_version() -> str:
     files = [f for f in files if f.stem not in APART]
     for name in FOLLOWS_FROM:
         files += (package / name).glob("*.py") if (package / name).is_dir() else [package / name]
-    return engines.fingerprint(sorted(files))
+    return studies.fingerprint(sorted(files))
 
 
 def machine() -> str:
@@ -127,7 +126,7 @@ def study(options: argparse.Namespace, console: Console) -> dict:
     """Do the cases that are not done yet; the result as discrepancy.json has it."""
     local = options.engine == "local"
     workers = 2 if local and options.workers is None else options.workers
-    engine = engines.choose(options.engine, None if local and workers == 1 else workers, options.address)
+    engine = studies.choose(options.engine, None if local and workers == 1 else workers, options.address)
     make_folder(options.out)
     about = {"seed": options.seed, "smoke": options.smoke, "code": code_version()}
     path = options.records or (
@@ -179,26 +178,13 @@ def write_result(result: dict, folder: Path) -> None:
     replace_file(folder / "discrepancy.json", text)
 
 
-@terminable
+@command_line(NAME, interrupted="go on with the same command and --resume")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = _parser().parse_args(arguments)
     console = Console()
-    try:
-        if options.page:
-            result = read_result(options.out / "discrepancy.json")
-        else:
-            result = study(options, console)
-        write_result(result, options.out)
-    except ParameterError as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"{NAME}: {error.filename or options.out}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"\n{NAME}: interrupted; go on with the same command and --resume", file=sys.stderr)
-        return 130
+    result = read_result(options.out / "discrepancy.json") if options.page else study(options, console)
+    write_result(result, options.out)
     console.print(blind_page.summary(result), markup=False, highlight=False, soft_wrap=True)
     console.print(f"Written: {options.out / 'discrepancy.md'}", markup=False, highlight=False, soft_wrap=True)
     return 0
@@ -218,7 +204,7 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=ROOT / "docs", metavar="OUT",
         help="folder of discrepancy.json, .md and plots (default: docs of the clone)",
     )  # fmt: skip
-    engines.add_options(p, "2; 1 is this one")
+    studies.add_options(p, "2; 1 is this one")
     p.add_argument("--records", type=Path, metavar="FILE", help="of the cases done (default runs/blind/seed-N.jsonl)")
     p.add_argument("--resume", action="store_true", help="go on with the cases that the records do not have yet")
     p.add_argument("--smoke", action="store_true", help="a case of each sort in seconds")

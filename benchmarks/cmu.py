@@ -15,18 +15,16 @@ import argparse
 import dataclasses
 import json
 import os
-import sys
 import tempfile
 from pathlib import Path
 
-import yaml
-
-from soil_env._io.commands import leave
-from soil_env._io.files import make_folder, replace_file
+from soil_env._io.commands import command_line, leave
+from soil_env._io.document import Table, render
+from soil_env._io.files import make_folder, replace_files
 from soil_env._io.loading import ParameterError
-from soil_env._io.signals import terminable
 from soil_env.discrepancy import cmu, run
-from soil_env.measurement.table import Prior, Setup, SetupWheel, SoilPriors, read_setup
+from soil_env.discrepancy.report import content
+from soil_env.measurement.table import Prior, Setup, SetupWheel, read_setup
 
 OTHER_SIZE = (0.0625, 0.060)  # [m] radius, width in qishuny/3D-RFT-wheel
 SOIL = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
@@ -39,7 +37,7 @@ CAUTIONS = (
 )
 
 
-@terminable
+@command_line("benchmarks.cmu")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     p = argparse.ArgumentParser(
@@ -55,20 +53,10 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--out", metavar="OUT", type=Path, default=Path("docs"), help="folder of the page (default: docs)")
     options = p.parse_args(arguments)
     home = Path(os.environ.get("SOIL_ENV_DATA", Path(__file__).parents[2] / "shared" / "data"))
-    try:
-        make_folder(options.out)
-        result = study(options.data or home / "cmu_single_wheel")
-        replace_file(options.out / "discrepancy_cmu.json", json.dumps(result, indent=1) + "\n")
-        replace_file(options.out / "discrepancy_cmu.md", page(result))
-    except ParameterError as error:
-        print(f"benchmarks.cmu: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"benchmarks.cmu: {error.filename or options.out}: {error.strerror}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nbenchmarks.cmu: interrupted", file=sys.stderr)
-        return 130
+    make_folder(options.out)
+    result = study(options.data or home / "cmu_single_wheel")
+    files = {"discrepancy_cmu.json": json.dumps(result, indent=1) + "\n", "discrepancy_cmu.md": page(result)}
+    replace_files(options.out, files)
     print(f"written: {options.out / 'discrepancy_cmu.json'} and .md")
     return 0
 
@@ -93,24 +81,7 @@ def study(data: Path) -> list[dict]:
 
 def judged(table: Path, setup: Setup) -> dict:
     """report.json of a table."""
-    with tempfile.NamedTemporaryFile("w", suffix=".yaml", delete=False) as stream:
-        yaml.safe_dump(_plain(setup), stream)
-    try:
-        return run(table, Path(stream.name), seed=0).as_dict()
-    finally:
-        os.unlink(stream.name)
-
-
-def _plain(setup: Setup) -> dict:
-    """A setup as the mapping of its YAML file."""
-    soil = {}
-    for f in dataclasses.fields(SoilPriors):
-        prior = getattr(setup.soil, f.name)
-        if prior is not None:
-            soil[f.name] = prior.value if prior.known else {"value": float(prior.value), "sd": float(prior.sd)}
-    wheel = {k: v for k, v in dataclasses.asdict(setup.wheel).items() if v is not None}
-    noise = {k: v for k, v in dataclasses.asdict(setup.noise).items() if v is not None}
-    return {"wheel": wheel, "soil": soil, "noise": noise}
+    return content(run(table, setup, seed=0))
 
 
 def resized(setup: Setup, size: tuple[float, float] | None) -> Setup:
@@ -137,16 +108,7 @@ def page(result: list[dict]) -> str:
     """The results in Markdown."""
     head = ("wheel", "radius [mm]", "soil prior", "verdict", "effects (alternatives)", "sinkage, held-out rms [mm]",
             "drawbar pull, held-out rms [N]", "gap closed")  # fmt: skip
-    lines = [
-        "# The discrepancy workflow on measured data",
-        "",
-        "Smooth and grousered wheel of the CMU single-wheel rig (Pavlov & Johnson, MIT licence), straight running,",
-        "slip 0 to 0.9, load of each row, three runs of each slip; whole slips are held out.",
-        "Made by `python -m benchmarks.cmu`.",
-        "",
-        f"| {' | '.join(head)} |",
-        "|" + "---|" * len(head),
-    ]
+    rows = []
     for r in result:
         named = "; ".join(
             e["name"] + (f" ({', '.join(e['alternatives'])})" if e["alternatives"] else "") for e in r["effects"]
@@ -156,20 +118,11 @@ def page(result: list[dict]) -> str:
             for g, scale in ((r["gap"]["sinkage"], 1e3), (r["gap"]["drawbar_pull"], 1.0))
         ]
         closed = "-" if r["closed"] is None else format(r["closed"], ".0%")
-        row = (r["wheel"], f"{radius(r):g}", r["prior"], r["verdict"], named or "-", *gaps, closed)
-        lines.append(f"| {' | '.join(row)} |")
-    lines += ["", "## In words", ""]
-    for r in result:
-        words = " ".join(f"{w['words'][0].upper()}{w['words'][1:]}." for w in r["where"] if w.get("words"))
-        lines.append(f"**{r['wheel']}, {radius(r):g} mm, soil prior: {r['prior']}.** {words}")
-        for e in r["effects"]:
-            values = ", ".join(
-                f"{k} {v['value']:.3g} [{v['low']:.3g}, {v['high']:.3g}]" for k, v in e["parameters"].items()
-            )
-            lines.append(f"Named: {e['name']}: {values}.")
-        lines.append("")
-    lines += ["## Cautions", ""] + [f"- {c}" for c in CAUTIONS]
-    return "\n".join(lines) + "\n"
+        rows.append((r["wheel"], f"{radius(r):g}", r["prior"], r["verdict"], named or "-", *gaps, closed))
+    return render(
+        "benchmarks:discrepancy_cmu.md", result=result, table=Table(head, rows), cautions=CAUTIONS,
+        radius=lambda r: f"{radius(r):g}",
+    ) + "\n"  # fmt: skip
 
 
 if __name__ == "__main__":

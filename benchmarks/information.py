@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np
 import torch
 
-from agents.controllers import _best_slips, make_controller
+from agents.controllers import make_controller
 from agents.evaluate import course_rng
 from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.document import Table
@@ -27,6 +27,7 @@ from soil_env._io.files import make_folder, write_json
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import IDLE, STEP, Simulation
+from soil_env.terramechanics.traversability import best_points
 
 COURSE_SET = 3_000_017  # neither of training, tuning nor comparison
 EVERY = 8  # control periods between two readings
@@ -74,7 +75,7 @@ def best_slip(scenario: Scenario, name: str, observation: np.ndarray) -> np.ndar
     out, wheel = np.zeros(n), scenario.wheel
     load = np.full(n, scenario.weight)
     soils = controller.soils(observation)
-    _best_slips(soils, load, wheel.radius, wheel.width, wheel.stall_torque, np.zeros((n, 8)), out)
+    best_points(np.arange(n), soils, load, wheel.radius, wheel.width, wheel.stall_torque, out, np.empty(n))
     return out
 
 

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from agents.evaluate import contestants as entries
+from agents.evaluate.contestants import parse
 from agents.evaluate.driving import HELD_OUT_SET, drive
+from agents.evaluate.loading import load
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env._io.document import Table
 from soil_env.identification.online import identifier_numbers
@@ -61,8 +62,8 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--courses", type=whole_number(1), default=200)
     options = p.parse_args(arguments)
     scenario, found = load_scenario(options.scenario), {}
-    for one in entries.parse(options.controllers).values():
-        found.setdefault(one.name, []).append(along(entries.load(one, scenario), scenario, options.courses))
+    for one in parse(options.controllers).values():
+        found.setdefault(one.name, []).append(along(load(one, scenario), scenario, options.courses))
     keys = ("mean", "highest", "gained", "distance")
     rows = [(name, *(f"{np.mean([run[key] for run in runs]):.2f}" for key in keys)) for name, runs in found.items()]
     header = ("controller", "knowledge [nat]", "at its highest", "gained in all", "distance [m]")

@@ -13,9 +13,10 @@ from soil_env._numba.compiling import FastCall, inlined, root
 from soil_env._numba.rows import Rows
 from soil_env.identification.online import SensorReading, observe
 from soil_env.parameters import load_scenario
-from soil_env.simulation.courses import draw_ahead
+from soil_env.simulation.courses import CourseNumbers, draw_ahead
 from soil_env.simulation.dynamics import MANY, advance
-from soil_env.simulation.task import Cause, judge, reward_terms, sense, write_observation
+from soil_env.simulation.sensors import sense
+from soil_env.simulation.task import Cause, judge, reward_terms, write_observation
 from soil_env.simulation.worlds import RESTART, STEP, Simulation, restart
 from soil_env.terramechanics import contact
 from soil_env.vector_env import SoilWheelVectorEnv
@@ -36,7 +37,7 @@ def _drive(worlds, numbers, what, commands):
 def _sense(worlds, numbers, what, readings):
     for k in range(what.size):
         if what[k] == STEP:
-            r, pitch = sense(worlds.state, k, worlds.streams, numbers.task)
+            r, pitch = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
             for i in range(7):
                 readings[k, i] = r[i]
             readings[k, 7] = pitch
@@ -73,7 +74,8 @@ def _ground(worlds, numbers, what):
         if what[k] == RESTART:
             restart(worlds, numbers, k)
         else:
-            draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], numbers.course)
+            course = CourseNumbers(numbers.drawn, numbers.world.wheel)
+            draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], course)
 
 
 _PARTS = {"ground": _ground, "dynamics": _drive, "sensors": _sense, "identification": _identify, "report": _report}

@@ -15,10 +15,10 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from agents.controllers import CONTROLLERS, make_controller
-from agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses, wilson
-from agents.tuning import tuned_settings
 from soil_env.parameters import load_scenario
+from soil_env_agents.controllers import CONTROLLERS, make_controller
+from soil_env_agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses, wilson
+from soil_env_agents.evaluate.tuning import tuned_settings
 
 
 def main() -> None:

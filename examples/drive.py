@@ -14,8 +14,8 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from agents.controllers import CONTROLLERS, make_controller
 from soil_env._io.loading import ParameterError
+from soil_env_agents.controllers import CONTROLLERS, make_controller
 
 
 def main() -> None:

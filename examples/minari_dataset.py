@@ -14,7 +14,7 @@ import gymnasium
 import minari
 import numpy as np
 
-from agents.controllers import CONTROLLERS, make_controller
+from soil_env_agents.controllers import CONTROLLERS, make_controller
 
 
 def record(name: str, controller: str, episodes: int, scenario: str):

@@ -15,10 +15,10 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from agents.controllers import make_controller
-from agents.evaluate import HELD_OUT_SET, run_courses
 from soil_env.parameters import load_scenario, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env_agents.controllers import make_controller
+from soil_env_agents.evaluate import HELD_OUT_SET, run_courses
 
 
 def main() -> None:

@@ -11,10 +11,10 @@ import argparse
 
 import numpy as np
 
-from agents.controllers import Controller, make_controller
-from agents.evaluate import HELD_OUT_SET
-from agents.plots import course_figure
 from soil_env.parameters import load_scenario
+from soil_env_agents.controllers import Controller, make_controller
+from soil_env_agents.evaluate import HELD_OUT_SET
+from soil_env_agents.plots import course_figure
 
 
 class Careful(Controller):

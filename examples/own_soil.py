@@ -14,9 +14,9 @@ import matplotlib.image
 import numpy as np
 import yaml
 
-from agents.controllers import make_controller
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.parameters import Soil
+from soil_env_agents.controllers import make_controller
 
 
 def main() -> None:

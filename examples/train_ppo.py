@@ -16,10 +16,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
-from agents import ppo
-from agents.controllers import make_controller
-from agents.evaluate import HELD_OUT_SET, run_courses
 from soil_env.parameters import load_scenario
+from soil_env_agents import ppo
+from soil_env_agents.controllers import make_controller
+from soil_env_agents.evaluate import HELD_OUT_SET, run_courses
 
 
 class Returns(BaseCallback):

@@ -214,10 +214,11 @@ def flat(x, path: str = "") -> dict:
 def discrepancy(csv=None, setup=None, **design) -> dict:
     """The numbers of the report of a table, its verdict and the names in it."""
     from soil_env.discrepancy import run
+    from soil_env.discrepancy.report import content
 
     with tempfile.TemporaryDirectory() as folder:
         files = (ROOT / csv, ROOT / setup) if csv else table(folder, setup=setup, **design)
-        out = flat(run(*files, seed=2, bootstrap=20).as_dict())
+        out = flat(content(run(*files, seed=2, bootstrap=20)))
     # in the large table of a file a rival that loses ends in one optimum or another as sums are rounded
     return {name: value for name, value in out.items() if not (csv and name.endswith(".score"))}
 

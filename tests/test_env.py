@@ -207,7 +207,7 @@ def test_keyword_arguments_reach_the_scenario():
     assert s.soils == {"lete_sand": 2.0} and (s.control.action, s.control.period) == ("wheel_speed", 0.2)
     default = load_scenario("mixed")
     assert s.noise.sinkage == default.noise.sinkage and s.course.border == default.course.border
-    assert env.simulation.numbers.task.length == 21.0 and env.metadata["render_fps"] == 5
+    assert env.simulation.numbers.drawn.length == 21.0 and env.metadata["render_fps"] == 5
     assert SoilWheelEnv.metadata["render_fps"] == 10
 
 

@@ -16,29 +16,29 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 
-from rich.console import Console
-
-from agents.cli import as_options, check_folder, config_file
-from agents.extras import needing_train
-from agents.progress import Bar
-from soil_env._io.commands import command, label, leave
+from soil_env._io.commands import command, command_line, label, leave
 from soil_env._io.loading import ParameterError, config_dir
-from soil_env._io.signals import terminable
 
-_NAME = "agents.ablation"
+from .. import studies
+from ..cli import as_options, config_file, go_on_with, manual
+from ..extras import needing_train
+from ..progress import Bar, console, show
+
+_NAME = __package__
 
 with needing_train(label(_NAME)):
-    from agents.ablation import page, results, study, workers
+    from . import page, results, study
 
 
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = argparse.ArgumentParser(
         command(_NAME),
-        description=__doc__,
+        description=manual(__doc__),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
         epilog="Exit status: 0 done, 2 bad input, 130 interrupted.",
@@ -59,55 +59,33 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-@terminable
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
-    options = parser().parse_args(arguments)
-    folder = options.report or options.resume or options.out
-    try:
-        _run(options, folder, Console())
-    except ParameterError as error:
-        return _refuse(str(error))
-    except OSError as error:
-        return _refuse(f"{error.filename or folder}: {error.strerror or error}")
-    except MemoryError as error:
-        return _refuse(f"not enough memory ({error}); expected a smaller ppo.num_envs or --courses")
-    except KeyboardInterrupt:
-        known = folder is not None and (folder / "study.yaml").is_file()
-        again = f"; go on with: {command(_NAME)} --resume {folder}" if known else ""
-        print(f"\n{label(_NAME)}: interrupted{again}", file=sys.stderr)
-        return 130
-    return 0
-
-
-def _refuse(message: str) -> int:
-    print(f"{label(_NAME)}: {' '.join(message.split())}", file=sys.stderr)
-    return 2
-
-
 _ASKING = ("config", "scenarios", "seeds", "steps", "courses")
 
 
-def _run(options, folder: Path | None, console: Console) -> None:
+@command_line(_NAME, memory="a smaller ppo.num_envs or --courses")
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
+    options = parser().parse_args(arguments)
     if [options.out, options.resume, options.report].count(None) != 2:
         raise ParameterError("expected one of --out, --resume and --report (see --help)")
-    if options.workers is not None and options.workers < 1:
-        raise ParameterError(f"--workers {options.workers}: expected a whole number >= 1")
-    if options.out is not None:
-        check_folder(folder)
-        asked = _asked(options)
-        study.begin(asked, folder)
-    else:
-        given = [name for name in _ASKING if getattr(options, name) is not None]
-        if given:
-            raise ParameterError(f"--{given[0]}: only with --out; {folder} has what is asked")
-        asked = study.open_study(folder)
-    if options.report is None:
-        fill(asked, folder, options.workers, console)
-    result = results.result(asked, folder)
-    written = page.write(asked, folder, result, options.page)
-    page.print_tables(result, console)
-    console.print(f"Written: {', '.join(map(str, written))}", soft_wrap=True, highlight=False)
+    engine = studies.choose("local", options.workers)
+    folder = options.report or options.resume or options.out
+    with go_on_with(_NAME, folder):
+        if options.out is not None:
+            asked = _asked(options)
+            study.begin(asked, folder)
+        else:
+            given = [name for name in _ASKING if getattr(options, name) is not None]
+            if given:
+                raise ParameterError(f"--{given[0]}: only with --out; {folder} has what is asked")
+            asked = study.open_study(folder)
+        if options.report is None:
+            fill(asked, folder, engine)
+        result = results.result(asked, folder)
+        written = page.write(asked, folder, result, options.page)
+        page.print_tables(result)
+        show(f"Written: {', '.join(map(str, written))}")
+    return 0
 
 
 def _asked(options) -> study.Ablation:
@@ -120,26 +98,21 @@ def _asked(options) -> study.Ablation:
         return asked if options.steps is None else study.with_steps(asked, int(options.steps))
 
 
-def fill(asked: study.Ablation, folder: Path, count: int | None, console: Console) -> None:
+def fill(asked: study.Ablation, folder: Path, engine: studies.Engine) -> None:
     """Do all work that is not done yet."""
     todo = [step for step in study.steps(asked) if not study.done(asked, folder, step)]
-    total = sum(study.cost(asked, step) for step in todo)
-    left = [len(todo)]
-    with Bar("Training", max(total, 1), "steps", 0, console) as bar:
+    total, left = sum(study.cost(asked, step) for step in todo), len(todo)
+    with Bar("Training", max(total, 1), "steps") as bar:
 
         def progress(count: int) -> None:
-            bar.update(advance=count, note=f"{left[0]} of {len(todo)} pieces of work left")
+            bar.update(advance=count, note=f"{left} of {len(todo)} pieces of work left")
 
-        def ended(step: study.Step) -> None:
-            left[0] -= 1
-            progress(0)
-            if not console.is_terminal:
-                console.print(f"{step}: done, {left[0]} left", soft_wrap=True, highlight=False)
-
-        if count is None:
-            workers.here(asked, folder, todo, progress, ended)
-        else:
-            workers.processes(asked, folder, todo, progress, ended, count)
+        with closing(engine(partial(study.perform, asked, folder), todo, progress)) as done:
+            for step, _ in done:
+                left -= 1
+                progress(0)
+                if not console.is_terminal:
+                    show(f"{step}: done, {left} left")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""From the driven courses of an ablation to its numbers and its three verdicts.
+"""Results of an ablation: metrics, losses on other scenarios, and three verdicts.
 
 Intervals are those of `agents.evaluate`: 95 %, over training seeds and courses, both drawn whole.
 """
@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.ablation import study as studies
-from agents.ablation.study import Ablation
-from agents.controllers import CONTROLLERS
-from agents.evaluate import results as evaluation_results
-from agents.evaluate import statistics as st
-from agents.evaluate.records import METRICS
+from ..controllers import CONTROLLERS
+from ..evaluate import results as evaluation_results
+from ..evaluate import statistics as st
+from ..evaluate.records import METRICS
+from . import study as studies
+from .study import Ablation
 
 SHOWN = (
     "immobilised", "entrapped", "stalled", "bogged", "time_limit", "finished", "distance", "time", "energy_per_metre",
@@ -105,16 +105,11 @@ def _loss(asked: Ablation, kept: dict, name: str) -> dict:
             value[key] = sign * (st.mean(b[key]) - st.mean(a[key]))
             lost = st.mean_samples(b[key], members, second.courses) - st.mean_samples(a[key], members, first.courses)
             samples[key] = sign * lost
-        out[metric] = {key: _bounds(value[key], samples[key]) for key in after}
+        out[metric] = {key: st.bounds(value[key], samples[key]) for key in after}
         for key in after:
             if agent in after and key != agent:
-                out[metric][key]["against"] = _bounds(value[agent] - value[key], samples[agent] - samples[key])
+                out[metric][key]["against"] = st.bounds(value[agent] - value[key], samples[agent] - samples[key])
     return out
-
-
-def _bounds(value: float, samples: np.ndarray) -> dict:
-    low, high = st.interval(value, samples)
-    return {"value": value, "low": low, "high": high}
 
 
 # --- the goals --------------------------------------------------------------------------------------------------------

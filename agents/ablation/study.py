@@ -1,4 +1,4 @@
-"""What an ablation asks, the folder it is kept in, and the steps that fill it.
+"""Configuration, folder and steps of an ablation.
 
     study.yaml                     what was asked, resolved; another study may not go on in this folder
     SCENARIO/tuned.json            settings of the classical controllers, tuned on this scenario
@@ -6,7 +6,7 @@
     SCENARIO/driven/NAME-SEED.json the held-out courses as driven by one controller or agent
     SCENARIO/evaluation/           evaluation.json, report.html, ... of `agents.evaluate`
 
-Every file is written in one piece, so that a study goes on after an interrupt or a kill with what is missing. Work is
+Files are written atomically, so that a study goes on after an interrupt or a kill with what is missing. Work is
 ordered by training seed: a study that is cut off has the same number of seeds for all, but for the last.
 """
 
@@ -14,35 +14,34 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import yaml
 
-from agents import training
-from agents.controllers import CONTROLLERS
-from agents.evaluate import HELD_OUT_SET, TUNING_SET
-from agents.evaluate import study as driving
-from agents.evaluate.contestants import Contestant, digest
-from agents.evaluate.records import Records
-from agents.guided import check_guide
-from agents.ppo import PPOConfig, TrainConfig
-from agents.tuning import tuned_settings
-from soil_env._io.files import is_unused
+from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict, unknown_key
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
+
+from .. import studies, training
+from ..config import PPOConfig, TrainConfig
+from ..controllers import CONTROLLERS
+from ..evaluate import HELD_OUT_SET, TUNING_SET
+from ..evaluate import study as driving
+from ..evaluate.contestants import Contestant, digest
+from ..evaluate.records import Records
+from ..evaluate.tuning import tuned_settings
+from ..guided import check_guide
 
 _NOT_COMPARED = ("seeds", "courses")  # may differ when a study goes on: more seeds, other courses
 
 
 @dataclass(frozen=True)
 class Target(Checked):
-    """A scenario to be compared on."""
+    """A scenario on which controllers are compared."""
 
     scenario: Scenario
     trained_on: str = ""  # the target whose agents and tuned controllers are compared here; empty = its own
@@ -77,7 +76,7 @@ class AgentSpec(Checked):
 
 @dataclass(frozen=True)
 class Ablation(Checked):
-    """What is asked."""
+    """Configuration of an ablation."""
 
     targets: dict[str, Target]
     agents: dict[str, AgentSpec]
@@ -166,27 +165,13 @@ def _beside(path: Path, name: str) -> Path:
 
 def begin(study: Ablation, folder: Path) -> None:
     """Write study.yaml; ParameterError where the folder holds another study, or something else."""
-    path = Path(folder) / "study.yaml"
-    if path.exists():
-        begun, asked = read_yaml(path), yaml.safe_load(yaml.safe_dump(to_dict(study)))
-        other = [k for k in asked if begun.get(k) != asked[k] and k not in _NOT_COMPARED]
-        if other:
-            raise ParameterError(
-                f"{folder}: holds another study (it differs in {', '.join(other)}); give another --out"
-            )
-    elif not is_unused(path.parent):
-        raise ParameterError(f"{folder}: is not empty and holds no study; give another --out")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    driving.replace_file(path, yaml.safe_dump(to_dict(study), sort_keys=False).encode())
+    studies.is_begun(study, folder, _NOT_COMPARED)
+    studies.save_study(study, folder)
 
 
 def open_study(folder: Path) -> Ablation:
     """The study of a folder."""
-    path = Path(folder) / "study.yaml"
-    study = load(Ablation, read_yaml(path), str(path))
-    if study.version != driving.code_version():
-        raise ParameterError(f"{path}: begun with soil_env {study.version}, this is {driving.code_version()}")
-    return study
+    return studies.load_study(Ablation, folder, driving.code_version())
 
 
 # --- steps ------------------------------------------------------------------------------------------------------------
@@ -239,7 +224,7 @@ def perform(study: Ablation, folder: Path, step: Step, progress: Callable[[int],
 
 
 def driven_file(folder: Path, target: str, name: str, seed: int) -> Path:
-    """Where the courses of one controller are kept."""
+    """File of the courses driven by one controller."""
     return Path(folder) / target / "driven" / f"{name}-{seed}.json"
 
 
@@ -250,7 +235,7 @@ def _tuned(study: Ablation, folder: Path, source: str) -> dict:
         chosen, _ = tuned_settings(
             target.scenario, TUNING_SET, study.tuning_courses, lambda count, name: None, model=target.world
         )
-        driving.replace_file(path, (json.dumps(chosen, indent=1) + "\n").encode())
+        studies.save_json(path, chosen)
     return json.loads(path.read_text(encoding="utf-8"))
 
 
@@ -268,7 +253,7 @@ class _Count:
         return None
 
     def update(self, done: int, note: str = "") -> None:
-        """Steps done in all."""
+        """Set the total of steps done."""
         self.progress(done - self.done)
         self.done = done
 
@@ -284,14 +269,7 @@ def _train(study: Ablation, folder: Path, step: Step, progress: Callable[[int], 
         name=f"{step.agent}-{step.seed}", runs=str(folder / step.source / "trained"), seed=_seed_of(step),
         timesteps=spec.timesteps, checkpoint_every=study.checkpoint_every, ppo=spec.ppo,
     )  # fmt: skip
-    run = Path(config.runs) / config.name
-    if run.is_dir() and not (run / "scenario.yaml").is_file():
-        shutil.rmtree(run)  # the start of it was interrupted
-    if not run.is_dir():
-        training.make_run_folder(config, target.scenario)
-    if not (run / "model.zip").is_file():
-        training.train(run, config, target.scenario, lambda title, total, unit, done: _Count(progress, done))
-    return run / "model.zip"
+    return training.trained(config, target.scenario, lambda title, total, unit, done: _Count(progress, done))
 
 
 def _seed_of(step: Step) -> int:
@@ -313,7 +291,7 @@ def _drive(study: Ablation, folder: Path, step: Step, contestant: Contestant) ->
         parts = [Records.from_columns(job(task)) for task in one.tasks()]
         path.parent.mkdir(parents=True, exist_ok=True)
         content = {"contestant": dataclasses.asdict(contestant), "columns": Records.join(parts).columns()}
-        driving.replace_file(path, json.dumps(content, allow_nan=False).encode())
+        replace_file(path, json.dumps(content, allow_nan=False))
 
 
 # --- what is there ----------------------------------------------------------------------------------------------------

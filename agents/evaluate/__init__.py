@@ -1,7 +1,7 @@
 """Controllers on the same courses: paired runs, rates and means with 95 % intervals; `python -m agents.evaluate`."""
 
-from agents.evaluate.comparing import comparison, paired_difference, save, summary, wilson
-from agents.evaluate.driving import (
+from .comparing import comparison, paired_difference, save, summary
+from .driving import (
     HELD_OUT_SET,
     METRICS,
     RATES,
@@ -11,8 +11,9 @@ from agents.evaluate.driving import (
     course_rng,
     drive,
     run_courses,
-    tune,
 )
+from .statistics import wilson
+from .tuning import tune, tuned_settings
 
 __all__ = [
     "HELD_OUT_SET",
@@ -29,5 +30,6 @@ __all__ = [
     "save",
     "summary",
     "tune",
+    "tuned_settings",
     "wilson",
 ]

@@ -1,4 +1,4 @@
-"""Compare controllers on the same courses, and say how sure the numbers are.
+"""Compare controllers on the same courses, with confidence intervals.
 
 CONTROLLERS is a list with commas. An entry is
   full_throttle, fixed_slip, ...   a classical controller (agents/controllers.py)
@@ -27,25 +27,19 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
 from pathlib import Path
 
-from rich.console import Console
-
-from agents import engines
-from agents.cli import as_options, check_folder, overrides
-from agents.evaluate import contestants as entries
-from agents.evaluate import report, results
-from agents.evaluate import study as studies
-from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET
-from agents.progress import Bar
-from agents.tuning import candidates_in_all, tuned_settings
-from soil_env._io.commands import command, label, leave
-from soil_env._io.files import is_unused
+from soil_env._io.commands import command, command_line, leave
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._io.signals import terminable
 from soil_env.parameters import load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
+
+from .. import studies
+from ..cli import as_options, go_on_with, manual, overrides
+from ..progress import Bar, show
+from . import contestants, report, results, study
+from .driving import HELD_OUT_SET, TUNING_SET
+from .tuning import candidates_in_all, tuned_settings
 
 _EPILOG = """further options:
   --changes.KEY VALUE        any key of the scenario, in SI units, as --changes.course.length 20 [m]
@@ -56,14 +50,15 @@ exit status:
   0 done; 2 bad input, said in one line; 130 interrupted, --resume goes on"""
 
 
+_NAME = __package__
 _TUNING_COURSES = 200  # as train.py
 
 
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = argparse.ArgumentParser(
-        command("agents.evaluate"),
-        description=__doc__,
+        command(_NAME),
+        description=manual(__doc__),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
         epilog=_EPILOG,
@@ -86,69 +81,47 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     p.add_argument("--block", metavar="N", type=int, default=100, help="courses driven side by side (default: 100)")
     p.add_argument("--resamples", metavar="N", type=int, default=2000, help="redraws of the bootstrap (default: 2000)")
-    engines.add_options(p, "one, threaded")
+    studies.add_options(p, "one, threaded")
     return p
 
 
-@terminable
+@command_line(_NAME, memory="fewer --courses or a smaller --block")
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options, rest = parser().parse_known_args(arguments)
-    console, folder = Console(), options.resume or options.out
-    try:
-        _evaluate(options, rest, folder, console)
-    except ParameterError as error:
-        return _refuse(str(error))
-    except OSError as error:
-        return _refuse(f"{error.filename or folder}: {error.strerror or error}")
-    except MemoryError as error:
-        return _refuse(f"not enough memory ({error}); expected fewer --courses or a smaller --block")
-    except KeyboardInterrupt:
-        known = folder is not None and (folder / studies.STUDY).is_file()
-        again = f"; go on with: {command('agents.evaluate')} --resume {folder}" if known else ""
-        print(f"\n{label('agents.evaluate')}: interrupted{again}", file=sys.stderr)
-        return 130
+    folder = options.resume or options.out
+    with go_on_with(_NAME, folder):
+        engine = studies.choose(options.engine, options.workers, options.address)
+        asked = _study(options, rest, folder)
+        threads = None if engine is studies.in_process else 1
+        job = study.Job(asked, threads, ship=options.engine == "ray")
+        with Bar("Driving", asked.courses * len(asked.controllers), "courses") as bar:
+            records = study.run(asked, folder, engine, job, lambda count: bar.update(advance=count))
+        result = results.result(asked, records)
+        written = report.write(asked, records, result, folder)
+        report.print_table(result)
+        show(f"Written to {folder}: {', '.join(written)}")
     return 0
 
 
-def _refuse(message: str) -> int:
-    print(f"{label('agents.evaluate')}: {' '.join(message.split())}", file=sys.stderr)
-    return 2
-
-
-def _evaluate(options, rest: list[str], folder: Path | None, console: Console) -> None:
-    engine, threads, ship = _engine(options)
-    if options.resume is not None:
-        given = [k for k in _STUDY_OPTIONS if getattr(options, k) != parser().get_default(k)]
-        if given or rest:
-            raise ParameterError(f"--resume takes only the engine; {options.resume} has the rest")
-        study = studies.load_study(folder)
-        studies.check_controllers(study)
-    else:
-        study = _asked(options, rest)
-        studies.check_controllers(study)
-        study = _begin(study, folder, console)
-    total = study.courses * len(study.controllers)
-    job = studies.Job(study, threads, ship)
-    with Bar("Driving", total, "courses", 0, console) as bar:
-        records = studies.run(study, folder, engine, job, lambda count: bar.update(advance=count))
-    result = results.result(study, records)
-    written = report.write(study, records, result, folder)
-    report.print_table(result, console)
-    console.print(report.REFERENCE, soft_wrap=True, highlight=False)
-    console.print(f"Written to {folder}: {', '.join(written)}", soft_wrap=True, highlight=False)
+def _study(options, rest: list[str], folder: Path | None) -> study.Study:
+    """The study of the command line or of a folder, its controllers checked."""
+    if options.resume is None:
+        asked = _asked(options, rest)
+        study.check_controllers(asked)
+        return _begin(asked, folder)
+    given = [k for k in _STUDY_OPTIONS if getattr(options, k) != parser().get_default(k)]
+    if given or rest:
+        raise ParameterError(f"--resume takes only the engine; {options.resume} has the rest")
+    asked = study.load_study(folder)
+    study.check_controllers(asked)
+    return asked
 
 
 _STUDY_OPTIONS = ("controllers", "out", "scenario", "model", "courses", "seed", "tuning_courses", "block", "resamples")
 
 
-def _engine(options):
-    """(engine, threads of the simulation, whether models travel with the tasks)."""
-    engine = engines.choose(options.engine, options.workers, options.address)
-    return engine, None if engine is engines.in_process else 1, options.engine == "ray"
-
-
-def _asked(options, rest: list[str]) -> studies.Study:
+def _asked(options, rest: list[str]) -> study.Study:
     """The study of the command line."""
     extra = overrides(rest)
     for key in extra:
@@ -157,7 +130,6 @@ def _asked(options, rest: list[str]) -> studies.Study:
                               "command line")  # fmt: skip
     if options.controllers is None or options.out is None:
         raise ParameterError("expected --controllers and --out, or --resume (see --help)")
-    check_folder(options.out)
     for key in ("changes", "settings"):
         if not isinstance(extra.get(key, {}), dict):
             raise ParameterError(f"--{key}: expected --{key}.KEY VALUE")
@@ -168,9 +140,9 @@ def _asked(options, rest: list[str]) -> studies.Study:
     if options.tuning_courses and options.seed == TUNING_SET:
         raise ParameterError(f"--seed {TUNING_SET}: these courses are those that controllers are tuned on")
     scenario = load_scenario(options.scenario, extra.get("changes"), "--changes")
-    controllers = entries.parse(options.controllers, settings)
+    controllers = contestants.parse(options.controllers, settings)
     with as_options():
-        return studies.Study(
+        return study.Study(
             scenario=scenario,
             controllers=controllers,
             courses=options.courses,
@@ -182,7 +154,7 @@ def _asked(options, rest: list[str]) -> studies.Study:
         )
 
 
-def _tuning_courses(options, controllers: dict[str, entries.Contestant]) -> int:
+def _tuning_courses(options, controllers: dict[str, contestants.Contestant]) -> int:
     """The option, else its default: none where only classical controllers are compared."""
     if options.tuning_courses is not None:
         return options.tuning_courses
@@ -191,36 +163,21 @@ def _tuning_courses(options, controllers: dict[str, entries.Contestant]) -> int:
     return max(0, min(_TUNING_COURSES, options.courses)) if options.seed != TUNING_SET else 0
 
 
-def _untuned(controllers: dict[str, entries.Contestant]) -> list[str]:
+def _untuned(controllers: dict[str, contestants.Contestant]) -> list[str]:
     """Names of the classical controllers that tuning is for: those without --settings and under their own name."""
     return [c.name for c in controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings]
 
 
-def _begin(study: studies.Study, folder: Path, console: Console) -> studies.Study:
-    """The study of `folder` if it is the same one, else `study`, tuned and written there."""
-    if (folder / studies.STUDY).exists():
-        begun = studies.load_study(folder)
-        other = studies.differences(begun, study)
-        if other:
-            raise ParameterError(
-                f"{folder}: holds another evaluation (it differs in {', '.join(other)}); give another --out"
-            )
-        return begun
-    if not is_unused(folder):
-        raise ParameterError(f"{folder}: is not empty and holds no evaluation; give another --out")
-    folder.mkdir(parents=True, exist_ok=True)
-    untuned = _untuned(study.controllers)
-    if study.tuning_courses and candidates_in_all(untuned):
-        studies.replace_file(folder / studies.STUDY, b"")  # can this folder be written? before the tuning
-        (folder / studies.STUDY).unlink()
-        with Bar("Tuning", study.tuning_courses * candidates_in_all(untuned), "courses", 0, console) as bar:
-            tuned, _ = tuned_settings(
-                study.scenario, TUNING_SET, study.tuning_courses,
-                lambda count, name: bar.update(advance=count, note=name), untuned, study.world,
-            )  # fmt: skip
-        study = dataclasses.replace(study, tuned=tuned)
-    studies.save_study(study, folder)
-    return study
+def _begin(asked: study.Study, folder: Path) -> study.Study:
+    """The study of `folder` if it is the same one, else `asked`, tuned and written there."""
+    if studies.is_begun(asked, folder, ignored=("tuned",)):
+        return study.load_study(folder)
+    untuned = _untuned(asked.controllers)
+    if asked.tuning_courses and candidates_in_all(untuned):
+        tuned, _ = tuned_settings(asked.scenario, TUNING_SET, asked.tuning_courses, None, untuned, asked.world)
+        asked = dataclasses.replace(asked, tuned=tuned)
+    studies.save_study(asked, folder)
+    return asked
 
 
 if __name__ == "__main__":

@@ -1,28 +1,16 @@
-"""What train.py writes: rates and means of each controller with 95 % intervals, paired differences."""
+"""Comparison that train.py writes: rates and means of each controller with 95 % intervals, paired differences."""
 
 from __future__ import annotations
 
-import csv
-import io
-import json
-import math
 from pathlib import Path
 
 import numpy as np
 
-from agents.evaluate.driving import METRICS, RATES, Runs
-from soil_env._io.files import replace_file
 from soil_env.parameters import Scenario
 
-
-def wilson(successes: float, trials: int, z: float = 1.959963985) -> tuple[float, float]:
-    """Wilson (1927) score interval of a proportion, 95 % by default."""
-    p = successes / trials
-    centre = p + z * z / (2 * trials)
-    half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
-    scale = 1 + z * z / trials
-    # the bounds against rounding: at p = 0 and p = 1 the interval touches p exactly
-    return max(0.0, min(p, (centre - half) / scale)), min(1.0, max(p, (centre + half) / scale))
+from ..studies import save_csv, save_json
+from .driving import METRICS, RATES, Runs
+from .statistics import wilson
 
 
 def summary(runs: Runs, seed: int = 0, resamples: int = 2000) -> dict[str, dict[str, float]]:
@@ -80,10 +68,8 @@ def paired_difference(a: Runs, b: Runs, metric: str, seed: int = 0, resamples: i
 def save(result: dict, folder: Path) -> None:
     """Write comparison.json and comparison.csv into `folder`."""
     folder = Path(folder)
-    replace_file(folder / "comparison.json", json.dumps(result, indent=1) + "\n")
-    text = io.StringIO(newline="")
-    writer = csv.writer(text)
-    writer.writerow(["controller", *(f"{m}{part}" for m in METRICS for part in ("", "_low", "_high"))])
+    save_json(folder / "comparison.json", result)
+    rows = [["controller", *(f"{m}{part}" for m in METRICS for part in ("", "_low", "_high"))]]
     for name, row in result["controllers"].items():
-        writer.writerow([name, *(f"{row[m][key]:.6g}" for m in METRICS for key in ("value", "low", "high"))])
-    replace_file(folder / "comparison.csv", text.getvalue())
+        rows.append([name, *(f"{row[m][key]:.6g}" for m in METRICS for key in ("value", "low", "high"))])
+    save_csv(folder / "comparison.csv", rows)

@@ -1,4 +1,4 @@
-"""What `--controllers` names, checked and loaded.
+"""Contestants of an evaluation, parsed from `--controllers`.
 
 | written | is |
 |---|---|
@@ -15,21 +15,13 @@ from __future__ import annotations
 
 import glob
 import hashlib
-import importlib
-import inspect
 import re
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
-from agents.controllers import CONTROLLERS, checked_settings, make_controller
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env.parameters import Scenario
-from soil_env.simulation.task import VARIANTS
-from soil_env.simulation.worlds import Simulation
-from soil_env.terramechanics.model import WheelSoilModel
+
+from ..controllers import CONTROLLERS
 
 
 @dataclass(frozen=True)
@@ -156,110 +148,3 @@ def model_files(path: str) -> dict[str, bytes]:
 def digest(path: str) -> str:
     """SHA-256 of a model with what belongs to it."""
     return hashlib.sha256(b"".join(model_files(path).values())).hexdigest()
-
-
-# --- loading ----------------------------------------------------------------------------------------------------------
-
-
-def load(contestant: Contestant, scenario: Scenario, files: dict[str, bytes] | None = None):
-    """The controller: an object with `predict` and `variant`. `files`: the model, if it does not lie at its source."""
-    if contestant.kind == "classical":
-        where = f"--settings.{contestant.name}"
-        settings = checked_settings(contestant.source, scenario, contestant.settings, where)
-        return make_controller(contestant.source, scenario, **settings)
-    if contestant.kind == "model":
-        from agents.evaluate.models import load_model
-
-        if files is None:
-            return load_model(Path(contestant.source), scenario)
-        with tempfile.TemporaryDirectory() as folder:
-            for name, content in files.items():
-                (Path(folder) / name).write_bytes(content)
-            return load_model(Path(folder) / "model.zip", scenario)
-    return _from_class(contestant.source, scenario)
-
-
-def _from_class(spec: str, scenario: Scenario):
-    module_name, _, attribute = spec.partition(":")
-    try:
-        thing = importlib.import_module(module_name)
-    except Exception as error:  # whatever the module does when it is imported
-        raise ParameterError(f"controllers: {spec}: cannot be imported ({describe(error)})") from None
-    for part in attribute.split("."):
-        if not hasattr(thing, part):
-            known = [n for n in vars(thing) if not n.startswith("_")] if hasattr(thing, "__dict__") else []
-            raise unknown_key(part, known[:20], f"controllers: {spec}")
-        thing = getattr(thing, part)
-    if inspect.isclass(thing) or (callable(thing) and not hasattr(thing, "predict")):
-        try:
-            thing = thing(scenario) if _takes_one(thing) else thing()
-        except Exception as error:
-            raise ParameterError(f"controllers: {spec}: cannot be made ({describe(error)})") from None
-    if not callable(getattr(thing, "predict", None)):
-        raise ParameterError(f"controllers: {spec}: has no method predict(obs, state, episode_start, deterministic)")
-    variant = getattr(thing, "variant", "identified")
-    if variant not in VARIANTS:
-        raise ParameterError(f"controllers: {spec}: variant = {variant!r}: expected one of {', '.join(VARIANTS)}")
-    return _Wrapped(thing, variant, spec)
-
-
-def _takes_one(thing) -> bool:
-    try:
-        inspect.signature(thing).bind(None)
-    except (TypeError, ValueError):
-        return False
-    return True
-
-
-@dataclass
-class _Wrapped:
-    """An object from elsewhere, whose failures are told in one line."""
-
-    thing: object
-    variant: str
-    spec: str
-
-    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """As the object's own, with a copy of the observation."""
-        try:
-            return self.thing.predict(
-                observation.copy(), state=state, episode_start=episode_start, deterministic=deterministic
-            )
-        except Exception as error:
-            raise ParameterError(f"controllers: {self.spec}: predict failed ({describe(error)})") from error
-
-
-def describe(error: BaseException) -> str:
-    """An exception in one line: its class, its message, and where it was raised."""
-    where, trace = "", error.__traceback__
-    while trace is not None:
-        file = trace.tb_frame.f_code.co_filename
-        if file not in (__file__, importlib.__file__) and not file.startswith(
-            "<frozen"
-        ):  # theirs, not how it was called
-            where = f", {Path(file).name} line {trace.tb_lineno}"
-        trace = trace.tb_next
-    message = (str(error).splitlines() or [""])[0][:200]
-    return f"{type(error).__name__}: {message}{where}"
-
-
-def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | None = None) -> None:
-    """Load a contestant and have it act once on three wheels; ParameterError if it cannot."""
-    controller = load(contestant, scenario)
-    sim = Simulation(3, scenario, controller.variant, threads=1, model=model)
-    for k in range(3):
-        sim.seed(k, np.random.default_rng(k))
-    fresh = np.ones(3, dtype=bool)
-    sim.restart_where(fresh)
-    answer = controller.predict(sim.worlds.observation, state=None, episode_start=fresh, deterministic=True)
-    where = f"controllers: {contestant.label}: predict"
-    if not (isinstance(answer, tuple) and len(answer) == 2):
-        raise ParameterError(f"{where} gave a {type(answer).__name__}: expected (action, state)")
-    try:
-        action = np.asarray(answer[0], dtype=float)
-    except (TypeError, ValueError):
-        raise ParameterError(f"{where} gave {answer[0]!r:.60}: expected actions of shape (3, 1)") from None
-    if action.shape != (3, 1) or not np.isfinite(action).all():
-        raise ParameterError(
-            f"{where} gave actions of shape {action.shape} for three wheels: expected finite numbers of shape (3, 1)"
-        )

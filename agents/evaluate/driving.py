@@ -1,9 +1,9 @@
-"""A controller driven over courses that are the same for every controller."""
+"""Drives of a controller over courses that are the same for every controller."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ _RUNNING = Cause.RUNNING.value
 
 
 class ControllerError(ParameterError):
-    """A controller gave what no wheel can be driven with."""
+    """A controller returned an action of the wrong shape, or one that is not finite."""
 
 
 #: Metric -> (unit, what it is). Rates carry Wilson intervals, means bootstrap intervals over courses.
@@ -70,6 +70,11 @@ class Runs:
             "return": self.returns,
         }[name]
 
+    @classmethod
+    def join(cls, parts: Sequence[Runs]) -> Runs:
+        """The courses of all parts, in their order."""
+        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
+
 
 def course_rng(seed: int, course: int) -> np.random.Generator:
     """The Generator of one course of the set `seed`; no environment seeded with a single number ever gets it."""
@@ -94,34 +99,45 @@ def run_courses(
     """
     parts = []
     for start in range(first, first + courses, batch):
-        count = min(batch, first + courses - start)
-        parts.append(_run_batch(controller, scenario, seed, start, count, model))
+        totals = Totals(min(batch, first + courses - start))
+        for worlds, alive in drive(controller, scenario, seed, start, totals.count, model=model):
+            totals.add(worlds, alive)
+        parts.append(Runs(**totals.runs(worlds, scenario)))
         if progress is not None:
-            progress(count)
-    names = Runs.__dataclass_fields__
-    return Runs(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
+            progress(totals.count)
+    return Runs.join(parts)
 
 
-def _run_batch(controller, scenario, seed, start, count, model):
-    total = {name: np.zeros(count) for name in ("energy", "slip", "driving", "sinkage", "returns", "steps")}
-    for w, alive in drive(controller, scenario, seed, start, count, model=model):
-        driving = alive & (w.state["halt_left"] == 0.0)
-        total["energy"] += np.where(alive, np.maximum(w.state["motor_work"], 0.0), 0.0)
-        total["slip"] += np.where(driving, w.state["slip"], 0.0)
-        total["driving"] += driving
-        total["sinkage"] += np.where(alive, w.state["sinkage"], 0.0)
-        total["returns"] += np.where(alive, w.reward, 0.0)
-        total["steps"] += alive
-    steps = total["steps"]
-    return Runs(
-        w.cause.copy(),
-        w.state["best_x"].copy(),
-        steps * scenario.control.period,
-        total["energy"],
-        total["slip"] / np.maximum(total["driving"], 1.0),
-        total["sinkage"] / steps,
-        total["returns"],
-    )
+class Totals:
+    """Sums over the time of `count` courses side by side."""
+
+    def __init__(self, count: int):
+        self.count = count
+        self.energy, self.slip, self.driving, self.sinkage, self.returns, self.steps = np.zeros((6, count))
+
+    def add(self, worlds: Worlds, alive: np.ndarray) -> np.ndarray:
+        """Take in one control period; which of the `alive` courses were driving, that is not at a halt [count]."""
+        s = worlds.state
+        driving = alive & (s["halt_left"] == 0.0)
+        self.energy += np.where(alive, np.maximum(s["motor_work"], 0.0), 0.0)
+        self.slip += np.where(driving, s["slip"], 0.0)
+        self.driving += driving
+        self.sinkage += np.where(alive, s["sinkage"], 0.0)
+        self.returns += np.where(alive, worlds.reward, 0.0)
+        self.steps += alive
+        return driving
+
+    def runs(self, worlds: Worlds, scenario: Scenario) -> dict[str, np.ndarray]:
+        """The fields of `Runs`, at the end."""
+        return {
+            "cause": worlds.cause.copy(),
+            "distance": worlds.state["best_x"].copy(),
+            "time": self.steps * scenario.control.period,
+            "energy": self.energy,
+            "slip": self.slip / np.maximum(self.driving, 1.0),
+            "sinkage": self.sinkage / self.steps,
+            "returns": self.returns,
+        }
 
 
 def drive(
@@ -165,17 +181,3 @@ def drive(
         what[ended] = IDLE
         if not alive.any():
             return
-
-
-def tune(make, candidates: list[dict], scenario: Scenario, seed: int, courses: int, progress=None, model=None):
-    """The settings whose controller `make(**settings)` finishes most courses of set `seed`, the return breaking ties.
-
-    Returns (settings, [{**settings, "finished": share, "return": mean return} for each candidate]).
-    """
-    tried = []
-    for settings in candidates:
-        runs = run_courses(make(**settings), scenario, seed, courses, progress=progress, model=model)
-        score = {"finished": float(runs.metric("finished").mean()), "return": float(runs.returns.mean())}
-        tried.append({**settings, **score})
-    best = max(range(len(tried)), key=lambda k: (tried[k]["finished"], tried[k]["return"]))
-    return candidates[best], tried

@@ -5,10 +5,11 @@ from __future__ import annotations
 import io
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from agents.evaluate.records import METRICS, RATES
+from .records import METRICS, RATES
+from .tables import draw_intervals
 
 _PANELS = ("immobilised", "finished", "speed", "energy_per_metre", "tractive_efficiency", "return")
 _CAUSES = {"entrapped": "#d55e00", "stalled": "#e69f00", "bogged": "#7b3f00", "time_limit": "#999999",
@@ -22,17 +23,10 @@ def metrics(result: dict) -> Figure:
     figure = Figure(figsize=(2.3 * len(_PANELS), 0.4 * len(names) + 1.2), layout="constrained")
     for k, metric in enumerate(_PANELS):
         axis = figure.add_subplot(1, len(_PANELS), k + 1)
-        scale = 100.0 if metric in RATES else 1.0
-        for y, name in enumerate(names):
-            m = result["controllers"][name]["metrics"][metric]
-            if m["value"] is not None:
-                value, low, high = (scale * m[key] for key in ("value", "low", "high"))
-                axis.errorbar(value, y, xerr=[[value - low], [high - value]], fmt="o", color=_LINES[0], capsize=3)
+        rate = metric in RATES
+        draw_intervals(axis, [result["controllers"][n]["metrics"][metric] for n in names], 100.0 if rate else 1.0)
         axis.set_yticks(range(len(names)), names if k == 0 else [""] * len(names))
-        axis.set_ylim(-0.6, len(names) - 0.4)
-        axis.set_xlabel(f"{metric.replace('_', ' ')} [{'%' if metric in RATES else METRICS[metric][0]}]")
-        axis.xaxis.set_major_locator(MaxNLocator(3))
-        axis.grid(alpha=0.3)
+        axis.set_xlabel(f"{metric.replace('_', ' ')} [{'%' if rate else METRICS[metric][0]}]")
     return figure
 
 
@@ -59,17 +53,21 @@ def profiles(result: dict) -> Figure:
     figure = Figure(figsize=(6 * len(scores), 4), layout="constrained")
     for k, score in enumerate(scores):
         axis = figure.add_subplot(1, len(scores), k + 1)
-        for i, (name, entry) in enumerate(result["controllers"].items()):
-            p = entry["profile"][score]
-            line = {"color": _LINES[i % len(_LINES)], "ls": "-" if i < len(_LINES) else "--"}
-            axis.plot(p["threshold"], p["share"], lw=1.4, label=name, **line)
-            axis.fill_between(p["threshold"], p["low"], p["high"], color=line["color"], alpha=0.15, lw=0)
+        draw_profiles(axis, {name: entry["profile"][score] for name, entry in result["controllers"].items()})
         axis.set_xlabel(f"{score} [{METRICS[score][0]}]")
         axis.set_ylabel("share of runs above")
-        axis.set_ylim(0, 1)
-        axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
     return figure
+
+
+def draw_profiles(axis: Axes, profiles: dict[str, dict]) -> None:
+    """Performance profiles {controller: {"threshold", "share", "low", "high"}} with their bands."""
+    for i, (name, p) in enumerate(profiles.items()):
+        line = {"color": _LINES[i % len(_LINES)], "ls": "-" if i < len(_LINES) else "--"}
+        axis.plot(p["threshold"], p["share"], lw=1.4, label=name, **line)
+        axis.fill_between(p["threshold"], p["low"], p["high"], color=line["color"], alpha=0.15, lw=0)
+    axis.set_ylim(0, 1)
+    axis.grid(alpha=0.3)
 
 
 def improvement(result: dict) -> Figure:

@@ -1,24 +1,24 @@
-"""Models of Stable-Baselines3 and sb3-contrib, whichever algorithm made them."""
+"""Loading of Stable-Baselines3 and sb3-contrib models of any algorithm."""
 
 from __future__ import annotations
 
 import importlib
 import pickle
-import warnings
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.evaluate.contestants import VECNORMALIZE
 from soil_env._io.loading import ParameterError
 from soil_env.env import observation_space
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS
 
+from .contestants import VECNORMALIZE
+
 try:
     import torch
 
-    from agents import ppo, zips
+    from .. import ppo, zips
 except ImportError:  # reported in one line where a model is loaded
     torch = ppo = zips = None
 
@@ -84,20 +84,13 @@ def _load(path: Path, data: dict, meta: dict | None):
         cls = getattr(importlib.import_module(package), algorithm)
     except ImportError:
         raise ParameterError(f"controllers: {path}: a {algorithm} model needs {package.replace('_', '-')}") from None
-    objects = None
     if meta is None:
         zips.warn(str(path))
-    else:
-        objects = zips.without_pickles(path, *ppo.agent_spaces(meta))
+    objects = None if meta is None else zips.without_pickles(path, *ppo.agent_spaces(meta))
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return cls.load(path, device="cpu", custom_objects=objects)
-    except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
-        reason = (str(error).splitlines() or [""])[0][:200]
-        raise ParameterError(
-            f"controllers: {path}: cannot be loaded as a {algorithm} model ({type(error).__name__}: {reason})"
-        ) from None
+        return zips.load(cls, path, objects)
+    except ParameterError as error:
+        raise ParameterError(f"controllers: {error}") from None
 
 
 def _variant(model, path: Path) -> str:

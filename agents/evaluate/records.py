@@ -1,4 +1,4 @@
-"""What is kept of every course, and the metrics that follow from it."""
+"""Detailed records of driven courses, and their metrics."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from agents.evaluate import driving
-from agents.evaluate.driving import Runs, drive
-from agents.evaluate.warning import Warnings
 from soil_env.env import IMMOBILISED
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
+
+from . import driving
+from .driving import Runs, Totals, drive
+from .warning import Warnings
 
 #: Metric -> (unit, what it is). A course on which a metric is not defined is left out of it.
 METRICS = {
@@ -60,7 +61,7 @@ class Records(Runs):
         return super().metric(name)
 
     def columns(self) -> dict[str, list]:
-        """{field: values}, plain numbers and None where not defined: ready for JSON, and back by `from_columns`."""
+        """{field: values} for JSON: plain numbers, None where not defined."""
         return {
             f.name: [None if isinstance(x, float) and math.isnan(x) else x for x in getattr(self, f.name).tolist()]
             for f in fields(self)
@@ -68,7 +69,7 @@ class Records(Runs):
 
     @classmethod
     def from_columns(cls, columns: dict[str, list]) -> Records:
-        """The records of which `columns` are; KeyError, TypeError or ValueError if they are not such."""
+        """Rebuild records from columns."""
         n = len(columns["cause"])
         out = {}
         for f in fields(cls):
@@ -78,13 +79,7 @@ class Records(Runs):
                 raise ValueError(f"{f.name}: {len(out[f.name])} values, expected {n}")
         return cls(**out)
 
-    @classmethod
-    def join(cls, parts: list[Records]) -> Records:
-        """The courses of all parts, in their order."""
-        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
 
-
-_SUMS = ("energy", "slip", "driving", "sinkage", "returns", "steps", "drawbar_work", "drive_work")
 _OWN = {f.name for f in fields(Records)} - {f.name for f in fields(Runs)}
 
 
@@ -102,22 +97,14 @@ def record(
     The same arguments give the same records, bit for bit, whatever the number of threads. For a neural network the
     last bits may depend on how many courses are driven side by side.
     """
-    warnings = Warnings(scenario, count)
-    total = {n: np.zeros(count) for n in _SUMS}
+    warnings, totals = Warnings(scenario, count), Totals(count)
+    drawbar_work, drive_work = np.zeros((2, count))
     slips, depths, drove = [], [], []
     for w, alive in drive(controller, scenario, seed, first, count, threads, model):
-        s = w.state
-        on = alive & (s["halt_left"] == 0.0)
-        work = np.maximum(s["motor_work"], 0.0)
-        total["energy"] += np.where(alive, work, 0.0)
-        total["slip"] += np.where(on, s["slip"], 0.0)
-        total["driving"] += on
-        total["sinkage"] += np.where(alive, s["sinkage"], 0.0)
-        total["returns"] += np.where(alive, w.reward, 0.0)
-        total["steps"] += alive
+        s, on = w.state, totals.add(w, alive)
         pulling = on & (s["drawbar_pull"] > 0.0) & (s["motor_work"] > 0.0)
-        total["drawbar_work"] += np.where(pulling, np.maximum(s["drawbar_pull"] * s["travel"], 0.0), 0.0)
-        total["drive_work"] += np.where(pulling, work, 0.0)
+        drawbar_work += np.where(pulling, np.maximum(s["drawbar_pull"] * s["travel"], 0.0), 0.0)
+        drive_work += np.where(pulling, s["motor_work"], 0.0)
         slips.append(s["slip"].copy())
         depths.append(s["sinkage"].copy())
         drove.append(on)
@@ -127,18 +114,12 @@ def record(
     slip_p50, slip_p95 = _percentiles(np.array(slips), np.array(drove))
     sinkage_p50, sinkage_p95 = _percentiles(np.array(depths), np.array(drove))
     return Records(
-        cause=w.cause.copy(),
-        distance=w.state["best_x"].copy(),
-        time=total["steps"] * scenario.control.period,
-        energy=total["energy"],
-        slip=total["slip"] / np.maximum(total["driving"], 1.0),
-        sinkage=total["sinkage"] / total["steps"],
-        returns=total["returns"],
+        **totals.runs(w, scenario),
         slip_p50=slip_p50,
         slip_p95=slip_p95,
         sinkage_p50=sinkage_p50,
         sinkage_p95=sinkage_p95,
-        tractive_efficiency=_ratio(total["drawbar_work"], total["drive_work"]),
+        tractive_efficiency=_ratio(drawbar_work, drive_work),
         warning_distance=lead[:, 0],
         warning_time=lead[:, 1],
         false_warning=np.where(stuck, math.nan, _ratio(warnings.under, warnings.driven)),

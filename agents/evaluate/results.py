@@ -1,22 +1,19 @@
-"""From the records of a study to its numbers, and the files that hold them."""
+"""Results of an evaluation: metrics with intervals, paired differences, score distributions, and their files."""
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import math
 from pathlib import Path
 
 import numpy as np
 
-from agents.controllers import make_controller
-from agents.evaluate import statistics as st
-from agents.evaluate.comparing import wilson
-from agents.evaluate.records import METRICS, RATES, Records
-from agents.evaluate.study import Study
-from soil_env._io.files import replace_file
 from soil_env.simulation.task import Cause
+
+from ..controllers import make_controller
+from ..studies import save_csv
+from . import statistics as st
+from .records import METRICS, RATES, Records
+from .study import Study
 
 #: Differences on the same courses, and higher = better scores whose distribution over runs is looked at.
 PAIRED = ("immobilised", "finished", "return")
@@ -82,29 +79,20 @@ def _origin(study: Study, name: str) -> dict:
     return out
 
 
-def _bounds(value: float, samples: np.ndarray) -> dict:
-    low, high = st.interval(value, samples)
-    return {"value": value, "low": low, "high": high}
-
-
 def _metric(name: str, scores: np.ndarray, members: np.ndarray, draws: st.Draws) -> dict:
     runs = int(np.isfinite(scores).sum())
     if runs == 0:
         return {"value": None, "low": None, "high": None, "runs": 0}
-    value = st.mean(scores)
-    out = _bounds(value, st.mean_samples(scores, members, draws.courses))
+    value, samples = st.mean(scores), st.mean_samples(scores, members, draws.courses)
     if name in RATES:
-        # several training seeds on one course are not independent trials: courses are counted, not runs
-        trials = runs / len(scores)
-        low, high = wilson(value * trials, trials)
-        alone = len(scores) == 1
-        out["low"] = low if alone else min(low, out["low"])
-        out["high"] = high if alone else max(high, out["high"])
+        out = st.rate_bounds(value, samples, runs / len(scores), len(scores))
+    else:
+        out = st.bounds(value, samples)
     return {**out, "runs": runs}
 
 
 def _iqm(scores, members, draws) -> dict:
-    out = _bounds(st.iqm(scores), st.iqm_samples(scores, members, draws.courses))
+    out = st.bounds(st.iqm(scores), st.iqm_samples(scores, members, draws.courses))
     if len(scores) > 1:
         samples = st.stratified_samples(scores, st.iqm, len(draws.courses), np.random.default_rng([draws.seed, 2]))
         out["stratified"] = dict(zip(("low", "high"), st.interval(out["value"], samples), strict=True))
@@ -125,21 +113,16 @@ def _profile(scores, thresholds, members, draws) -> dict:
 
 def _paired(scores, means, a, b, metric) -> dict:
     value = st.mean(scores[a][metric]) - st.mean(scores[b][metric])
-    return _bounds(value, means[a][metric] - means[b][metric])
+    return st.bounds(value, means[a][metric] - means[b][metric])
 
 
 def _improvement(scores, members, draws, a, b) -> dict:
     x, y = scores[a]["return"], scores[b]["return"]
     value = st.probability_of_improvement(x, y)
-    return _bounds(value, st.improvement_samples(x, y, members[a], members[b], draws.courses))
+    return st.bounds(value, st.improvement_samples(x, y, members[a], members[b], draws.courses))
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
-
-
-def save_json(content: dict, path: Path) -> None:
-    """Strict JSON, written in one piece."""
-    replace_file(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
 def save_table(content: dict, path: Path) -> None:
@@ -148,7 +131,7 @@ def save_table(content: dict, path: Path) -> None:
     for name, entry in content["controllers"].items():
         values = [entry["metrics"][m][key] for m in METRICS for key in ("value", "low", "high")]
         rows.append([name, entry["members"], *("" if v is None else f"{v:.6g}" for v in values)])
-    _save_csv(rows, path)
+    save_csv(path, rows)
 
 
 def save_courses(records: dict[str, list[Records]], path: Path) -> None:
@@ -161,10 +144,4 @@ def save_courses(records: dict[str, list[Records]], path: Path) -> None:
             for course, (cause, row) in enumerate(zip(part.cause, values, strict=True)):
                 cells = ("" if math.isnan(v) else f"{v:.6g}" for v in row)
                 rows.append([name, member, course, Cause(cause).name, *cells])
-    _save_csv(rows, path)
-
-
-def _save_csv(rows, path):
-    text = io.StringIO(newline="")
-    csv.writer(text).writerows(rows)
-    replace_file(path, text.getvalue().encode())
+    save_csv(path, rows)

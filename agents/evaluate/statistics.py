@@ -18,6 +18,7 @@ All are computed from weights: how often a member and a course were drawn.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,6 +55,34 @@ def interval(value: float, samples: np.ndarray) -> tuple[float, float]:
         return value, value
     low, high = np.quantile(samples, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
     return float(min(low, value)), float(max(high, value))
+
+
+def wilson(successes: float, trials: int, z: float = 1.959963985) -> tuple[float, float]:
+    """Wilson (1927) score interval of a proportion, 95 % by default."""
+    p = successes / trials
+    centre = p + z * z / (2 * trials)
+    half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
+    scale = 1 + z * z / trials
+    # the bounds against rounding: at p = 0 and p = 1 the interval touches p exactly
+    return max(0.0, min(p, (centre - half) / scale)), min(1.0, max(p, (centre + half) / scale))
+
+
+def bounds(value: float, samples: np.ndarray) -> dict[str, float]:
+    """{"value", "low", "high"} with the `interval` of bootstrap samples."""
+    low, high = interval(value, samples)
+    return {"value": value, "low": low, "high": high}
+
+
+def rate_bounds(value: float, samples: np.ndarray, trials: int, members: int) -> dict[str, float]:
+    """`bounds` of a rate: the Wilson interval of one member; the wider of both of several.
+
+    `trials` counts courses: several training seeds on one course are not independent trials.
+    """
+    low, high = wilson(value * trials, trials)
+    if members > 1:
+        by_draws = interval(value, samples)
+        low, high = min(low, by_draws[0]), max(high, by_draws[1])
+    return {"value": value, "low": low, "high": high}
 
 
 def mean(scores: np.ndarray) -> float:

@@ -1,50 +1,40 @@
-"""One evaluation: what is compared on which courses, the folder it is kept in, and driving what is not driven yet.
+"""Configuration of an evaluation, its tasks, and the log of the courses that are driven.
 
-The folder holds study.yaml (the whole task, resolved) and courses.jsonl: one line a block of courses of one controller,
-written whole and flushed to the disk when the block is done. A line cut off by a crash is dropped when the study goes
-on. Blocks are cut the same way by every engine, so that all engines and any number of interruptions give the same
-lines, in another order at most.
+The folder holds study.yaml (the whole task, resolved) and courses.jsonl: one line a block of courses of one controller.
+Blocks are cut the same way by every engine, so that all engines and any number of interruptions give the same lines, in
+another order at most.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-import json
-import os
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import yaml
-
-import agents
 import soil_env
-from agents import engines
-from agents.evaluate import contestants as entries
-from agents.evaluate.contestants import Contestant
-from agents.evaluate.driving import HELD_OUT_SET
-from agents.evaluate.records import Records, record
-from soil_env._io.files import replace_file
-from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict
+from soil_env._io.loading import Checked, ParameterError, quantity
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
-try:
-    import fcntl
-except ImportError:  # no POSIX: two evaluations in one folder are then not told from each other
-    fcntl = None
+from .. import studies
+from . import loading
+from .contestants import Contestant, digest, model_files
+from .driving import HELD_OUT_SET
+from .records import Records, record
 
-STUDY, LOG = "study.yaml", "courses.jsonl"
+LOG = "courses.jsonl"
 
 
 @functools.cache
 def code_version() -> str:
     """Version of soil_env, with a hash of the code that results follow from (not of its compiled form)."""
-    here, there = (Path(package.__file__).parent for package in (soil_env, agents))
+    here, there = Path(soil_env.__file__).parent, Path(__file__).parents[1]
     files = sorted(here.rglob("*.py")) + [there / "controllers.py"]
     files += [there / "evaluate" / name for name in ("driving.py", "records.py", "warning.py")]
-    return engines.fingerprint(files)
+    return studies.fingerprint(files)
 
 
 @dataclass(frozen=True)
@@ -94,38 +84,17 @@ class Task:
     count: int
 
 
-def save_study(study: Study, folder: Path) -> None:
-    """Write study.yaml, in one piece."""
-    replace_file(Path(folder) / STUDY, yaml.safe_dump(to_dict(study), sort_keys=False).encode())
-
-
 def load_study(folder: Path) -> Study:
     """The study of a folder."""
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise ParameterError(f"{folder}: no such folder; expected one that an evaluation has written")
-    path = folder / STUDY
-    study = load(Study, read_yaml(path), str(path))
-    if study.version != code_version():
-        raise ParameterError(
-            f"{path}: begun with soil_env {study.version}, this is {code_version()}: give another --out"
-        )
-    return study
-
-
-def differences(a: Study, b: Study) -> list[str]:
-    """What two studies differ in, tuning results aside."""
-    return [f.name for f in dataclasses.fields(Study) if f.name != "tuned" and getattr(a, f.name) != getattr(b, f.name)]
+    return studies.load_study(Study, folder, code_version())
 
 
 def check_controllers(study: Study) -> None:
     """Load and try every controller; ParameterError for the first that cannot be used."""
     for contestant in study.contestants().values():
-        if contestant.kind == "model":
-            digest = entries.digest(contestant.source)
-            if digest != contestant.digest:
-                raise ParameterError(f"controllers: {contestant.label}: the model has changed since the study began")
-        entries.check(contestant, study.scenario, study.world)
+        if contestant.kind == "model" and digest(contestant.source) != contestant.digest:
+            raise ParameterError(f"controllers: {contestant.label}: the model has changed since the study began")
+        loading.check(contestant, study.scenario, study.world)
 
 
 # --- what is driven ---------------------------------------------------------------------------------------------------
@@ -141,9 +110,7 @@ class Job:
         self.scenario, self.seed, self.version = study.scenario, study.seed, study.version
         self.controllers = study.contestants()
         self.threads, self.world = threads, study.world
-        self.files = {
-            key: entries.model_files(c.source) for key, c in self.controllers.items() if ship and c.kind == "model"
-        }
+        self.files = {key: model_files(c.source) for key, c in self.controllers.items() if ship and c.kind == "model"}
         self._loaded: dict[str, object] = {}
 
     def __getstate__(self):
@@ -156,7 +123,7 @@ class Job:
         contestant = self.controllers[task.controller]
         controller = self._loaded.get(task.controller)
         if controller is None:
-            controller = entries.load(contestant, self.scenario, self.files.get(task.controller))
+            controller = loading.load(contestant, self.scenario, self.files.get(task.controller))
             if contestant.kind != "class":  # a class may keep things in itself: a new one for every block
                 self._loaded[task.controller] = controller
         try:
@@ -170,85 +137,31 @@ class Job:
             ) from None
 
 
-class Log:
-    """courses.jsonl of a study, held by one process at a time. Use with `with`."""
+def log_of(study: Study, folder: Path) -> studies.ResultLog:
+    """courses.jsonl of a study: {task: its records}."""
+    known = set(study.tasks())
 
-    def __init__(self, study: Study, folder: Path):
-        self.study, self.path = study, Path(folder) / LOG
-        self.blocks: dict[Task, Records] = {}
+    def parse(content: dict) -> tuple[Task, Records]:
+        task = Task(str(content["controller"]), int(content["first"]), int(content["count"]))
+        records = Records.from_columns(content["columns"])
+        if task not in known or records.cause.size != task.count:
+            raise ValueError(f"{task} with {records.cause.size} courses is not in the study")
+        return task, records
 
-    def __enter__(self):
-        self.file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            if fcntl is not None:
-                fcntl.flock(self.file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self._read()
-        except BlockingIOError:
-            os.close(self.file)
-            raise ParameterError(f"{self.path}: another evaluation is writing it") from None
-        except BaseException:
-            os.close(self.file)
-            raise
-        return self
-
-    def __exit__(self, *error):
-        os.close(self.file)
-
-    def _read(self) -> None:
-        with open(self.path, "rb") as stream:
-            content = stream.read()
-        whole = content.rfind(b"\n") + 1
-        known = set(self.study.tasks())
-        for number, line in enumerate(content[:whole].splitlines(), 1):
-            try:
-                entry = json.loads(line)
-                task = Task(str(entry["controller"]), int(entry["first"]), int(entry["count"]))
-                records = Records.from_columns(entry["columns"])
-                if task not in known or task in self.blocks or records.cause.size != task.count:
-                    raise ValueError(f"{task} is not to be here")
-            except (ValueError, KeyError, TypeError) as error:
-                raise ParameterError(
-                    f"{self.path}: line {number} is damaged ({error}); delete the line to have it driven again"
-                ) from None
-            self.blocks[task] = records
-        os.ftruncate(self.file, whole)
-
-    def append(self, task: Task, columns: dict[str, list]) -> None:
-        """Keep a finished block; OSError leaves the file as it was."""
-        if task in self.blocks:
-            raise ValueError(f"{task} is driven already")
-        records = Records.from_columns(columns)
-        line = json.dumps({**dataclasses.asdict(task), "columns": columns}, allow_nan=False).encode() + b"\n"
-        size = os.fstat(self.file).st_size
-        try:
-            rest = memoryview(line)
-            os.lseek(self.file, size, os.SEEK_SET)
-            while rest:
-                rest = rest[os.write(self.file, rest) :]
-            os.fsync(self.file)
-        except OSError as error:
-            os.ftruncate(self.file, size)
-            raise OSError(error.errno, error.strerror, str(self.path)) from None
-        self.blocks[task] = records
-
-    def missing(self) -> list[Task]:
-        """Tasks that are not driven yet."""
-        return [task for task in self.study.tasks() if task not in self.blocks]
-
-    def records(self) -> dict[str, list[Records]]:
-        """{algorithm: the records of each of its members}, over all courses."""
-        out: dict[str, list[Records]] = {name: [] for name in self.study.names}
-        for key, contestant in self.study.controllers.items():
-            parts = [self.blocks[t] for t in self.study.tasks() if t.controller == key]
-            out[contestant.name].append(Records.join(parts))
-        return out
+    return studies.ResultLog(Path(folder) / LOG, parse)
 
 
-def run(study: Study, folder: Path, engine: engines.Engine, job: Job, progress: Callable[[int], None]) -> dict:
+def run(study: Study, folder: Path, engine: studies.Engine, job: Job, progress: Callable[[int], None]) -> dict:
     """Drive what is missing in `folder`; {algorithm: [Records of each member]}. `progress` is told courses done."""
-    with Log(study, folder) as log:
-        progress(sum(task.count for task in log.blocks))
-        for task, columns in engine(job, log.missing()):
-            log.append(task, columns)
-            progress(task.count)
-        return log.records()
+    with log_of(study, folder) as log:
+        progress(sum(task.count for task in log.results))
+        missing = [task for task in study.tasks() if task not in log.results]
+        with closing(engine(job, missing)) as driven:
+            for task, columns in driven:
+                log.add({**dataclasses.asdict(task), "columns": columns})
+                progress(task.count)
+        out: dict[str, list[Records]] = {name: [] for name in study.names}
+        for key, contestant in study.controllers.items():
+            blocks = [log.results[task] for task in study.tasks() if task.controller == key]
+            out[contestant.name].append(Records.join(blocks))
+        return out

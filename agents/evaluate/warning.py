@@ -1,4 +1,4 @@
-"""When could the vehicle have known? Warnings of a coming immobilisation, from sensors and the identified soil only.
+"""Warnings of a coming immobilisation, from sensors and the identified soil.
 
 The criterion of the source paper (Hutangkabodee et al. 2006, Sec. 5) applied while driving. In a control period the
 ground *looks impassable* where
@@ -25,19 +25,18 @@ Autonomous Vehicles and Systems 2(3) 031001 (2022). Other conditions: not a figu
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from soil_env._numba.compiling import root
-from soil_env.parameters import Scenario, SoilState
+from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
 from soil_env.simulation.worlds import Worlds
-from soil_env.terramechanics.traversability import best_working_point
+from soil_env.terramechanics.traversability import best_points
 
 SLIP_MARGIN = 0.5  # [-]
 HOLD = 0.5  # [s]
 RELEASE = 1.0  # [s]
+# Change of phi [rad], ln K, ln S, strength by cohesion [of the load], ln of the gain of digging.
+_STEP = np.array([0.002, 0.01, 0.01, 0.002, 0.01])
 
 _LOAD, _PITCH, _SLIP = (
     next(i for i, entry in enumerate(layout("blind")) if entry.name == name) for name in ("load", "pitch", "slip")
@@ -90,30 +89,30 @@ class Warnings:
         return np.where(bogged[:, None], self._lead(worlds), self.mobile_lead)
 
     def _looks_impassable(self, worlds, alive):
-        belief, wheel = self.scenario.belief, self.scenario.wheel
         load = np.maximum(worlds.observation[:, _LOAD].astype(float), 0.05) * self.scenario.weight
-        _renew(
-            worlds.ids.estimate, load, alive, belief.sinkage_exponent, belief.dig_gain, belief.dig_recovery,
-            wheel.radius, wheel.width, wheel.stall_torque, self.known, self.best_slip, self.best_pull,
-        )  # fmt: skip
+        self._renew(worlds.ids.estimate, load, alive)
         grade = np.tan(worlds.observation[:, _PITCH].astype(float))
         unstable = self.best_slip + SLIP_MARGIN * (1.0 - self.best_slip)
         return (self.best_pull <= grade) | (worlds.observation[:, _SLIP] > unstable)
 
+    def _renew(self, x, load, alive):
+        """Best working points, computed again where the estimate has moved by 1 % (phi: 0.002 rad) or the load by 10 %.
 
-@root(nogil=True, allocates=True)
-def _renew(estimate, load, alive, n, dig_gain, dig_recovery, r, b, torque, known, slip, pull):
-    """Best working points, computed again where the estimate has moved by 1 % (phi: 0.002 rad) or the load by 10 %.
-
-    Cohesion counts by the change that it makes to the strength under the load.
-    """
-    for k in range(load.size):
-        x, old = estimate[k], known[k]
-        moved = abs(x[0] - old[0]) > 0.002 or abs(x[1] - old[1]) > 0.01 or abs(x[2] - old[2]) > 0.01
-        moved = moved or abs(x[4] - old[4]) > 0.01 or abs(x[3] - old[3]) * r * b > 0.002 * load[k]
-        if alive[k] and (moved or abs(load[k] - old[5]) > 0.1 * old[5]):
-            gain = min(dig_gain * math.exp(x[4]), 20.0)
-            soil = SoilState(math.tan(x[0]), x[3], math.exp(x[1]), min(math.exp(x[2]), 1e13), n, gain, dig_recovery)
-            best = best_working_point(load[k], soil, r, b, torque)
-            slip[k], pull[k] = best.slip, best.drawbar_pull / load[k]
-            old[:5], old[5] = x, load[k]
+        Cohesion counts by the change that it makes to the strength under the load. `x` [n, 5]: phi, ln K, ln S, c, ln
+        of the gain of digging.
+        """
+        belief, wheel, known = self.scenario.belief, self.scenario.wheel, self.known
+        step = np.abs(x[:, :5] - known[:, :5])
+        step[:, 3] *= wheel.radius * wheel.width / load
+        moved = (step > _STEP).any(axis=1) | (np.abs(load - known[:, 5]) > 0.1 * known[:, 5])
+        rows = np.flatnonzero(alive & moved)
+        soils = np.empty((len(load), 7))
+        phi, log_k, log_s, cohesion, log_gain = x[rows, :5].T
+        soils[rows] = np.column_stack([
+            np.tan(phi), cohesion, np.exp(log_k), np.minimum(np.exp(log_s), 1e13),
+            np.full(rows.size, belief.sinkage_exponent), np.minimum(belief.dig_gain * np.exp(log_gain), 20.0),
+            np.full(rows.size, belief.dig_recovery),
+        ])  # fmt: skip
+        best_points(rows, soils, load, wheel.radius, wheel.width, wheel.stall_torque, self.best_slip, self.best_pull)
+        self.best_pull[rows] /= load[rows]
+        known[rows] = np.column_stack([x[rows, :5], load[rows]])

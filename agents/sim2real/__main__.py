@@ -15,21 +15,19 @@ sim2real.png, and for each world its table, the report of the workflow and the c
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
-from agents.cli import as_options, check_folder
-from agents.extras import needing_train
-from soil_env._io.commands import command, label, leave
-from soil_env._io.loading import ParameterError
-from soil_env._io.signals import terminable
+from soil_env._io.commands import command, command_line, label, leave
 from soil_env.parameters import load_scenario
 
-_NAME = "agents.sim2real"
+from ..cli import as_options, manual
+from ..extras import needing_train
+from ..progress import show
+
+_NAME = __package__
 
 with needing_train(label(_NAME)):
-    from agents.sim2real import report, study
-    from agents.training import console
+    from . import report, study
 
 _EPILOG = """files:
   YAML               model.yaml of a hidden world: `effects:` of the catalogue, `wheel:`; configs/worlds has five
@@ -46,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     default = {f: study.Study.__dataclass_fields__[f].default for f in _NUMBERS}
     p = argparse.ArgumentParser(
-        command(_NAME), description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
+        command(_NAME), description=manual(__doc__), formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False, epilog=_EPILOG,
     )  # fmt: skip
     p.add_argument("--world", metavar="YAML", nargs="+", required=True, help="model.yaml of each hidden world")
@@ -67,37 +65,21 @@ _NUMBERS = {
 }
 
 
-@terminable
+@command_line(_NAME, interrupted="go on with the same command", memory="fewer --courses")
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options = parser().parse_args(arguments)
-    try:
-        scenario = load_scenario(options.scenario)
-        check_folder(options.out)
-        worlds = study.read_worlds(options.world, scenario)
-        with as_options():
-            asked = study.Study(scenario=scenario, worlds=worlds, **{name: getattr(options, name) for name in _NUMBERS})
-        study.begin(asked, options.out)
-        study.run(asked, options.out, lambda text: console.print(text, soft_wrap=True, highlight=False))
-        result = report.result(asked, options.out)
-        written = report.write(asked, result, options.out)
-        report.print_table(result, console)
-        console.print(f"Written to {options.out}: {', '.join(written)}", soft_wrap=True, highlight=False)
-    except ParameterError as error:
-        return _refuse(str(error))
-    except OSError as error:
-        return _refuse(f"{error.filename or options.out}: {error.strerror or error}")
-    except MemoryError as error:
-        return _refuse(f"not enough memory ({error}); expected fewer --courses")
-    except KeyboardInterrupt:
-        print(f"\n{label(_NAME)}: interrupted; go on with the same command", file=sys.stderr)
-        return 130
+    scenario = load_scenario(options.scenario)
+    worlds = study.read_worlds(options.world, scenario)
+    with as_options():
+        asked = study.Study(scenario=scenario, worlds=worlds, **{name: getattr(options, name) for name in _NUMBERS})
+    study.begin(asked, options.out)
+    study.run(asked, options.out, show)
+    result = report.result(asked, options.out)
+    written = report.write(asked, result, options.out)
+    report.print_table(result)
+    show(f"Written to {options.out}: {', '.join(written)}")
     return 0
-
-
-def _refuse(message: str) -> int:
-    print(f"{label(_NAME)}: {' '.join(message.split())}", file=sys.stderr)
-    return 2
 
 
 if __name__ == "__main__":

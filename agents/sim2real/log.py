@@ -1,4 +1,4 @@
-"""What the rover logs: commissioning drives in a world it does not know, and the measurement table made of them.
+"""Commissioning drives in a hidden world, and the measurement table made of their log.
 
 The drives go over one bed of a known kind of soil, prepared uniformly: a preset, scattered once as the soils of the
 scenario scatter (its digging stays that of the preset, and counts as known). Each drive has one payload and one grade,
@@ -12,9 +12,7 @@ the soil gives at the wheel, perpendicular to and along the ground: the weight a
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,14 +21,16 @@ import numpy as np
 import yaml
 from scipy.stats import chi2
 
-from agents.controllers import ConstantSpeed
-from agents.evaluate.study import replace_file
+from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, quantity
 from soil_env.measurement.table import Prior
 from soil_env.parameters import Scenario, Soil, load_scenario, soils
 from soil_env.simulation.task import Cause
 from soil_env.simulation.worlds import IDLE, STEP, Simulation
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+
+from ..controllers import ConstantSpeed
+from ..studies import save_csv
 
 _RUNNING = Cause.RUNNING.value
 CHANNELS = ("sinkage", "drawbar_pull", "torque")
@@ -41,7 +41,7 @@ READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed")
 
 @dataclass(frozen=True)
 class Commissioning(Checked):
-    """The commissioning drives, and what counts as steady in them."""
+    """Plan of the commissioning drives, and limits of steady driving."""
 
     soil: str = "lunar_simulant_hit_lss1"  # preset of the bed
     scatter: float = quantity("of the scenario's spread, of the bed about its preset", 0.0, 3.0, default=0.5)
@@ -123,7 +123,7 @@ def drive_all(scenario: Scenario, world: WheelSoilModel, plan: Commissioning, se
 
 
 def drives_in_all(plan: Commissioning) -> int:
-    """How many drives the plan has."""
+    """Number of drives of the plan."""
     return len(plan.payloads) * len(plan.grades_deg) * plan.repeats
 
 
@@ -268,9 +268,7 @@ def write_table(points: list[Steady], path: Path) -> None:
         values.append([known.get(c) or f"{p.mean[c]:.6g}" for c in COLUMNS])
         errors.append([f"{p.run}", f"{p.start:.1f}", f"{p.time:.1f}", *(f"{p.error[c]:.3g}" for c in READINGS)])
     for rows, to in ((values, path), (errors, path.with_suffix(".errors.csv"))):
-        text = io.StringIO(newline="")
-        csv.writer(text).writerows(rows)
-        replace_file(to, text.getvalue().encode())
+        save_csv(to, rows)
 
 
 def setup(scenario: Scenario, wheel: ModelWheel, plan: Commissioning, points: list[Steady]) -> dict:
@@ -340,4 +338,4 @@ def repeat_noise(plan: Commissioning, points: list[Steady]) -> dict[str, float]:
 
 def write_setup(content: dict, path: Path) -> None:
     """Write setup.yaml."""
-    replace_file(path, yaml.safe_dump(content, sort_keys=False).encode())
+    replace_file(path, yaml.safe_dump(content, sort_keys=False))

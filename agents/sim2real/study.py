@@ -1,4 +1,4 @@
-"""The steps of a study, each kept in a file of the output folder and skipped where that file exists.
+"""Configuration and steps of a study; each step is kept in a file and skipped where that file exists.
 
 study.yaml                       what was asked, resolved; another study may not go on in this folder
 uncorrected/                     controllers tuned and PPO trained on the scenario without effects, for all worlds
@@ -20,22 +20,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import yaml
 
-from agents import training
-from agents.controllers import make_controller
-from agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses
-from agents.evaluate.study import code_version
-from agents.ppo import PPOConfig, TrainConfig, load_agent
-from agents.sim2real import log
-from agents.sim2real.log import Commissioning
-from agents.training import Bar
-from agents.tuning import candidates_in_all, tuned_settings
-from soil_env._io.files import is_unused, replace_file
-from soil_env._io.loading import Checked, ParameterError, quantity, read_yaml, to_dict
+from soil_env._io.files import replace_file
+from soil_env._io.loading import Checked, ParameterError, quantity
 from soil_env.discrepancy import run as find_discrepancy
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
+
+from .. import studies, training
+from ..config import PPOConfig, TrainConfig
+from ..controllers import make_controller
+from ..evaluate import HELD_OUT_SET, TUNING_SET, run_courses
+from ..evaluate.study import code_version
+from ..evaluate.tuning import tuned_settings
+from ..ppo import load_agent
+from ..progress import Bar
+from . import log
+from .log import Commissioning
 
 CLASSICAL = ("constant_speed", "fixed_slip", "best_slip_identified")
 PPO = "ppo_identified"
@@ -46,7 +47,7 @@ METRICS = ("immobilised", "finished", "return")
 
 @dataclass(frozen=True)
 class Study(Checked):
-    """What is asked."""
+    """Configuration of a study."""
 
     scenario: Scenario
     worlds: dict = field(default_factory=dict)  # name -> content of its model.yaml
@@ -66,7 +67,7 @@ class Study(Checked):
 
 
 def read_worlds(paths: list[Path], scenario: Scenario) -> dict[str, dict]:
-    """{name: content of model.yaml} of the hidden worlds; `ParameterError` for one that cannot be such."""
+    """{name: content of model.yaml} of the hidden worlds; `ParameterError` for an unsuitable one."""
     out = {}
     for path in map(Path, paths):
         model, w = WheelSoilModel.load(path), scenario.wheel
@@ -86,24 +87,13 @@ def read_worlds(paths: list[Path], scenario: Scenario) -> dict[str, dict]:
 
 
 def begin(study: Study, folder: Path) -> None:
-    """Write study.yaml, or check that the folder holds the same study."""
-    path, content = Path(folder) / "study.yaml", yaml.safe_dump(to_dict(study), sort_keys=False)
-    if path.exists():
-        begun, asked = read_yaml(path), yaml.safe_load(content)
-        other = [k for k in asked if begun.get(k) != asked[k]]
-        if other:
-            raise ParameterError(
-                f"{folder}: holds another study (it differs in {', '.join(other)}); give another --out"
-            )
-        return
-    if not is_unused(path.parent):
-        raise ParameterError(f"{folder}: is not empty and holds no study; give another --out")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(path, content.encode())
+    """Write study.yaml; ParameterError where the folder holds another study, or something else."""
+    if not studies.is_begun(study, folder):
+        studies.save_study(study, folder)
 
 
 def run(study: Study, folder: Path, say: Callable[[str], None]) -> None:
-    """Do what is not done yet; `say` is told each step."""
+    """Do the steps that are missing; `say` is called with a line for each."""
     folder = Path(folder)
     base = Arm(study, folder / UNCORRECTED, None, say)
     base.prepare()
@@ -176,12 +166,8 @@ class Arm:
         self.folder.mkdir(parents=True, exist_ok=True)
         path, study = self.folder / "tuned.json", self.study
         if not path.is_file():
-            with Bar("Tuning", study.tuning_courses * candidates_in_all(CLASSICAL), "courses") as bar:
-                chosen, _ = tuned_settings(
-                    study.scenario, TUNING_SET, study.tuning_courses,
-                    lambda count, name: bar.update(advance=count, note=name), CLASSICAL, self.model,
-                )  # fmt: skip
-            replace_file(path, (json.dumps(chosen, indent=1) + "\n").encode())
+            chosen, _ = tuned_settings(study.scenario, TUNING_SET, study.tuning_courses, None, CLASSICAL, self.model)
+            studies.save_json(path, chosen)
         for k in range(study.training_seeds):
             self._train(k)
 
@@ -192,13 +178,7 @@ class Arm:
             scenario=study.scenario.name, name=f"ppo_{k}", runs=str(self.folder), seed=study.seed + k,
             model=self.model.content() if self.model else {}, timesteps=study.timesteps, ppo=study.ppo,
         )  # fmt: skip
-        run = self.folder / config.name
-        if run.is_dir() and not (run / "scenario.yaml").is_file():
-            shutil.rmtree(run)  # the start of it was interrupted
-        if not run.is_dir():
-            training.make_run_folder(config, study.scenario)
-        if not (run / "model.zip").is_file():
-            training.train(run, config, study.scenario)
+        training.trained(config, study.scenario)
 
     def members(self, name: str) -> list:
         """The controllers of that name."""
@@ -223,7 +203,7 @@ class Arm:
                     for member in self.members(name)
                 ]  # fmt: skip
                 scores = {metric: [r.metric(metric).tolist() for r in runs] for metric in METRICS}
-                replace_file(to / f"{name}.json", json.dumps(scores).encode())
+                replace_file(to / f"{name}.json", json.dumps(scores))
 
 
 def scores(folder: Path, name: str) -> dict[str, np.ndarray]:

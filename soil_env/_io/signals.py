@@ -17,7 +17,7 @@ from pathlib import Path
 from types import FrameType
 
 INTERRUPTED, TERMINATED = 130, 143  # exit statuses, 128 + the number of the signal
-PACKAGES = ("soil_env", "agents")  # whose modules are commands of `python -m`
+PACKAGES = ("soil_env", "soil_env_agents", "agents")  # whose modules are commands of `python -m`
 _CLONE = Path(__file__).resolve().parents[2]
 _LATER = 0.02  # [s] after which a signal that came inside LLVM is sent again
 

@@ -1,5 +1,6 @@
-"""The discrepancy workflow: where simulation and measurement disagree, which effect is missing, and the gap closed."""
+"""The discrepancy workflow: where simulation and measurement disagree, and which effect is missing."""
 
-from soil_env.discrepancy.workflow import Report, run
+from soil_env.discrepancy.result import Report
+from soil_env.discrepancy.workflow import run
 
 __all__ = ["Report", "run"]

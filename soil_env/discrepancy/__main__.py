@@ -39,7 +39,6 @@ setup.yaml:
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -48,54 +47,36 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from soil_env._io.commands import INTERRUPTED, leave
-from soil_env._io.loading import ParameterError
-from soil_env._io.signals import terminable
+from soil_env._io.commands import command_line, leave
 from soil_env.discrepancy.report import FILES, show
-from soil_env.discrepancy.words import check_first, summary
-from soil_env.discrepancy.workflow import MOST_DRAWS, Report, run
+from soil_env.discrepancy.report.words import check_first, summary
+from soil_env.discrepancy.workflow import MOST_DRAWS, run
 
 NAME = "soil_env.discrepancy"
 
 
-@terminable
+@command_line(NAME, interrupted="nothing written")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    try:
-        options = _parser().parse_args(arguments)
-        with _progress(options.quiet) as say:
-            report = run(
-                options.data, options.setup, options.out, seed=options.seed, bootstrap=options.bootstrap, progress=say
-            )
-    except ParameterError as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"{NAME}: interrupted, nothing written", file=sys.stderr)
-        return INTERRUPTED
-    try:
-        _tell(report, Path(options.out), options.quiet)
-    except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes again at its end
-        print(f"{NAME}: the conclusion cannot be printed ({error.strerror}); it is in {options.out}", file=sys.stderr)
-        return 2
-    return 0
-
-
-def _tell(report: Report, folder: Path, quiet: bool) -> None:
-    if quiet:
+    options = _parser().parse_args(arguments)
+    with _progress(options.quiet) as say:
+        report = run(
+            options.data, options.setup, options.out, seed=options.seed, bootstrap=options.bootstrap, progress=say
+        )
+    if options.quiet:
         first = check_first(report)
         print(f"{report.verdict}: {'CHECK FIRST: ' + ' '.join(first) + ' ' if first else ''}{summary(report)}")
     else:
         show(report, Console(width=None if sys.stdout.isatty() else 110))
         for name in FILES:
-            print(f"written: {folder / name}")
+            print(f"written: {Path(options.out) / name}")
     sys.stdout.flush()
+    return 0
 
 
 @contextmanager
 def _progress(quiet: bool):
-    """What `run` tells its progress to: a spinner on a terminal, a line for each stage elsewhere (stderr)."""
+    """Shows the progress of `run`: a spinner on a terminal, a line for each stage elsewhere (stderr)."""
     if quiet:
         yield lambda text: None
     elif sys.stderr.isatty():

@@ -1,11 +1,12 @@
 """Fit of the model, with or without effects, to a measurement table: the most probable parameters under the priors.
 
-Unknowns are whitened, u = (x - mean) / sd with the prior's mean and sd, so that the objective is
+Priors of the soil and the least squares are those of `soil_env.identification` (`priors`, `weighted`), with slip and
+load exact: the objective is
 
     J(u) = sum ((y - f(u)) / sigma)^2 + |u|^2
 
-minimised by SciPy's trust-region reflective least squares within bounds. Priors of the setup are widened
-(`PRIOR_WIDTH`), since a soil a little off its prior must not be taken for a missing effect.
+of the whitened unknowns u. Priors of the setup are widened (`PRIOR_WIDTH`), since a soil a little off its prior must
+not be taken for a missing effect.
 
 No published law of an effect is exact. A model with effects therefore carries *slack*: what an effect adds to a channel
 may be off by a smooth factor 1 + a_0 + a_1 s + a_2 l + ... of the conditions with a ~ N(0, SLACK^2), which enters the
@@ -19,9 +20,17 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from soil_env.discrepancy.data import CHANNELS, Data, Noise, find_noise
+from soil_env.discrepancy.data import CHANNELS, Data
+from soil_env.discrepancy.noise import NoiseEstimate, find_noise
+from soil_env.identification.priors import (
+    USUAL_SINKAGE,
+    Unknown,
+    known_digging,
+    soil_state,
+    soil_unknowns,
+)
+from soil_env.identification.weighted import differences, finite, most_probable
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.effects import NO_EFFECTS, Effects, sliding_speed
@@ -31,27 +40,6 @@ PRIOR_WIDTH = 1.5
 SLACK = 0.01
 SLACK_LIMIT = 2.5  # [SLACK] largest form error of any one kind
 GRAVITY = 9.81
-_STEP = 1e-3  # of a whitened unknown, for differences
-
-
-class Unknown(NamedTuple):
-    """One unknown in the coordinate it is fitted in: itself, or its logarithm."""
-
-    name: str
-    mean: float
-    sd: float
-    low: float
-    high: float
-    log: bool
-
-    def value(self, u: float) -> float:
-        """The parameter at the whitened unknown u."""
-        x = self.mean + self.sd * u
-        return math.exp(min(x, 700.0)) if self.log else x
-
-    def at(self, value: float) -> float:
-        """The whitened unknown of a value."""
-        return ((math.log(value) if self.log else value) - self.mean) / self.sd
 
 
 class Choice(NamedTuple):
@@ -113,18 +101,8 @@ class Fit:
         return np.concatenate([self.jacobian, np.eye(x.size)])[:, free], np.concatenate([self.residual, -x])
 
 
-#: Where the setup says nothing of a soil parameter: mean and sd, in the coordinate of the fit.
-_BROAD = {
-    "friction_angle_deg": (31.0, 8.0, 2.0, 65.0, False),
-    "cohesion": (2e3, 4e3, 0.0, 1e5, False),
-    "shear_modulus": (math.log(0.018), 0.9, math.log(2e-4), math.log(0.3), True),
-    "sinkage_coefficient": (math.nan, 3.0, math.log(10.0), math.log(1e13), True),
-    "sinkage_exponent": (0.95, 0.3, 0.05, 2.5, False),
-}
 #: Parameters about a value that the table sets.
 _CENTRED = ("shear_softening_length", "shear_rate_onset_speed")
-_LEAST = {"friction_angle_deg": 0.05, "cohesion": 1.0, "shear_modulus": 1e-3, "sinkage_coefficient": 1e-3,
-          "sinkage_exponent": 1e-3}  # fmt: skip
 
 
 @dataclass(eq=False)
@@ -141,7 +119,10 @@ class Problem:
     offset: np.ndarray | None = None  # [N, 3] added to the model, a residual law
 
     def __post_init__(self):
-        self._soil_unknowns()
+        setup = self.data.setup
+        self.soil, self.known = soil_unknowns(setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH)
+        self.density = 1500.0 if setup.soil.density is None else setup.soil.density.value
+        self.digging = known_digging(setup)
         self._effect_scales()
         varied, one = self.data.varied, np.ones(self.data.rows.slip.size)
         common = [one, varied["slip"].scaled]
@@ -154,41 +135,12 @@ class Problem:
             for e in CATALOGUE.values()
         }
 
-    def _soil_unknowns(self) -> None:
-        priors, width = self.data.setup.soil, self.data.wheel.width
-        unknowns, known = [], {}
-        for name, (mean, sd, low, high, log) in _BROAD.items():
-            prior = priors.lumped(width) if name == "sinkage_coefficient" else getattr(priors, name)
-            if prior is not None and prior.known:
-                known[name] = prior.value
-                continue
-            if prior is not None:
-                value = max(prior.value, 1e-12) if log else prior.value
-                mean = math.log(value) if log else value
-                sd = PRIOR_WIDTH * (math.log1p(prior.sd / value) if log else prior.sd)
-                sd = max(sd, _LEAST[name] if not log else 1e-4)
-            unknowns.append(Unknown(name, mean, sd, low, high, log))
-        for k, unknown in enumerate(unknowns):
-            if unknown.name == "sinkage_coefficient" and math.isnan(unknown.mean):
-                n = known.get("sinkage_exponent", next((q.mean for q in unknowns if q.name == "sinkage_exponent"), 1.0))
-                unknowns[k] = unknown._replace(mean=self._plain_coefficient(n))
-        self.soil, self.known = tuple(unknowns), known
-        self.density = 1500.0 if priors.density is None else priors.density.value
-
-    def _plain_coefficient(self, n: float) -> float:
-        """ln S of a flat plate that carries the median load at the median sinkage."""
-        r, b = self.data.wheel.radius, self.data.wheel.width
-        z = self.data.y[:, 0]
-        z = float(np.nanmedian(z)) if np.any(np.isfinite(z)) else 0.08 * r
-        z = min(max(z, 0.01 * r), r)
-        return math.log(float(np.median(self.data.rows.load)) / (b * math.sqrt(2.0 * r * z) * 0.6 * z**n))
-
     def _effect_scales(self) -> None:
         """Prior scales in the units of this rig, and reference speeds that the data set."""
         rows, r = self.data.rows, self.data.wheel.radius
         load, speed = float(np.median(rows.load)), rows.conditions[:, 0]
         z = self.data.y[:, 0]
-        z = float(np.nanmedian(np.abs(z))) if np.any(np.isfinite(z)) else 0.08 * r
+        z = float(np.nanmedian(np.abs(z))) if np.any(np.isfinite(z)) else USUAL_SINKAGE * r
         torque, turning = 0.3 * load * r, max(float(np.median(speed)) / r, 1e-6)
         self.scales = {
             "drivetrain_friction_constant": (0.3 * torque, 0.0, 4.0 * torque),
@@ -233,19 +185,9 @@ class Problem:
                 out.append(Unknown(full, mean, sd, low, high, False))
         return tuple(out)
 
-    @property
-    def digging(self) -> tuple[float, float]:
-        """(gain, recovery) of the digging that the setup knows the soil to have; (0, 0.5) where it says nothing."""
-        gain, recovery = self.data.setup.soil.dig_gain, self.data.setup.soil.dig_recovery
-        return (gain.value if gain else 0.0, recovery.value if recovery else 0.5)
-
     def state(self, values: dict[str, float]) -> SoilState:
         """The soil of a set of parameters."""
-        v = {**self.known, **values}
-        return SoilState(
-            math.tan(math.radians(v["friction_angle_deg"])), v["cohesion"], v["shear_modulus"],
-            v["sinkage_coefficient"], v["sinkage_exponent"], *self.digging,
-        )  # fmt: skip
+        return soil_state(self.known | values, self.digging)
 
     def effects(self, choices: tuple[Choice, ...], values: dict[str, float]) -> Effects:
         """The effects of a set of parameters."""
@@ -289,8 +231,7 @@ class Problem:
         if prior_width != 1.0:
             soil = len(self.soil)
             unknowns = tuple(k._replace(sd=k.sd * prior_width) for k in unknowns[:soil]) + unknowns[soil:]
-        low = np.array([(k.low - k.mean) / k.sd for k in unknowns])
-        high = np.array([(k.high - k.mean) / k.sd for k in unknowns])
+        low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
         u = np.array([k.at(start[k.name]) if start and k.name in start else self._first(k) for k in unknowns])
         u = np.clip(u, low + 1e-6 * np.minimum(high - low, 1.0), high - 1e-6 * np.minimum(high - low, 1.0))
         guess = np.zeros(self.data.rows.slip.size)
@@ -313,22 +254,20 @@ class Problem:
         return 0.3 if bounded else 0.0
 
     def _minimise(self, unknowns, choices, start, low, high, guess, slack):
-        target, p = self.whiten(self.data.y), len(unknowns)
+        p = len(unknowns)
 
-        def residual(x):
+        def model(x):
             out, added = self.parts(unknowns, x[:p], choices, guess, slack)
-            e = target - self.whiten(self.with_slack(choices, out, added, x[p:]))
-            return np.concatenate([np.where(np.isfinite(e), e, 1e3), x])
+            return self.whiten(self.with_slack(choices, out, added, x[p:]))
 
-        def jacobian(x):
-            return np.concatenate([-self.derivatives(unknowns, x[:p], x[p:], choices, guess), np.eye(x.size)])
+        def derivatives(x):
+            return self.derivatives(unknowns, x[:p], x[p:], choices, guess)
 
-        if start.size == 0:
-            return start, True  # everything is known
-        found = least_squares(
-            residual, start, jacobian, bounds=(low, high), x_scale=1.0, ftol=1e-5, xtol=1e-4, gtol=1e-4, max_nfev=25
-        )
-        return found.x, found.status > 0
+        found, _, converged = most_probable(
+            self.whiten(self.data.y), model, derivatives, start, (low, high), ftol=1e-5, xtol=1e-4, gtol=1e-4,
+            max_nfev=25,
+        )  # fmt: skip
+        return found, converged
 
     def parts(self, unknowns, u, choices, guess, slack=True) -> tuple[np.ndarray, list[np.ndarray]]:
         """(output [N, 3], what each effect adds to it [N, 3]); the second is empty without `slack`."""
@@ -352,23 +291,21 @@ class Problem:
     def derivatives(self, unknowns, u, eta, choices, guess) -> np.ndarray:
         """[M, p + q] of the whitened output by whitened unknowns (forward differences) and slack (exact)."""
         slack = eta.size > 0
+
+        def model(x):
+            there = self.parts(unknowns, x, choices, guess.copy(), slack)
+            return self.whiten(self.with_slack(choices, *there, eta))
+
         out, added = self.parts(unknowns, u, choices, guess, slack)
         base = self.whiten(self.with_slack(choices, out, added, eta))
-        columns = []
-        for k, unknown in enumerate(unknowns):
-            step = _STEP if unknown.mean + unknown.sd * (u[k] + _STEP) < unknown.high else -_STEP
-            moved = u.copy()
-            moved[k] += step
-            there = self.parts(unknowns, moved, choices, guess.copy(), slack)
-            columns.append((self.whiten(self.with_slack(choices, *there, eta)) - base) / step)
+        columns = differences(model, u, unknowns, base)
         for choice, a in zip(choices, added, strict=False):
             for j in range(3):
                 for v in self.slack_basis[choice.effect].T:
                     column = np.zeros_like(a)
                     column[:, j] = SLACK * a[:, j] * v
                     columns.append(self.whiten(column))
-        j = np.stack(columns, axis=1) if columns else np.zeros((base.size, 0))
-        return np.where(np.isfinite(j), j, 0.0)
+        return finite(columns, base.size)
 
     def _finish(self, unknowns, choices, u, eta, guess, ok) -> Fit:
         output, added = self.parts(unknowns, u, choices, guess, eta.size > 0)
@@ -383,7 +320,7 @@ class Problem:
                    -0.5 * objective - 0.5 * logdet, ok, eta.size)  # fmt: skip
 
 
-def calibrate(data: Data) -> tuple[Problem, Noise]:
+def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
     """`Problem` with its noise found and its outliers left out."""
     spread = np.array([np.nanstd(data.y[:, j]) if data.measured[:, j].any() else 1.0 for j in range(3)])
     rough = np.array([

@@ -34,18 +34,15 @@ import argparse
 import csv
 import io
 import math
-import os
-import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat
 
-from soil_env._io.commands import INTERRUPTED, leave
+from soil_env._io.commands import command_line, leave
+from soil_env._io.files import check_outputs, replace_files
 from soil_env._io.loading import ParameterError
-from soil_env._io.signals import terminable
 
 REPOSITORY = "github.com/robomechanics/3d-terramechanics"
 FILES = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}
@@ -260,17 +257,16 @@ soil:
 def convert(path: Path, out: Path, braking: bool = False) -> dict[str, list[Run]]:
     """Read the files under `path`, write tables and setups into `out`; the runs by wheel.
 
-    Raises `ParameterError`, with nothing written, for anything that cannot be read or written.
+    Raises `ParameterError` for what cannot be read and `OSError` for what cannot be written, with nothing written.
     """
+    names = [f"{wheel}{ending}" for wheel in FILES for ending in (".csv", ".setup.yaml")]
+    check_outputs(out, names)
     folder = _folder(Path(path))
     runs = {wheel: read_runs(folder / name, wheel, braking) for wheel, name in FILES.items()}
     fits = folder / FITS
     prior = plate_prior(fits) if fits.exists() else PUBLISHED
-    files = {}
-    for wheel in FILES:
-        files[f"{wheel}.csv"] = table_text(runs[wheel])
-        files[f"{wheel}.setup.yaml"] = setup_text(wheel, prior)
-    _write(Path(out), files)
+    texts = [text for wheel in FILES for text in (table_text(runs[wheel]), setup_text(wheel, prior))]
+    replace_files(out, dict(zip(names, texts, strict=True)))
     return runs
 
 
@@ -285,24 +281,6 @@ def _folder(path: Path) -> Path:
         if len(missing) < len(FILES):
             raise ParameterError(f"{folder}: {missing[0]} not found: expected {' and '.join(FILES.values())}")
     raise ParameterError(f"{path}: expected {' and '.join(FILES.values())} there or in raw-data-processing/")
-
-
-def _write(out: Path, files: dict[str, str]) -> None:
-    """All files or none: written beside their place, then renamed."""
-    if out.exists() and not out.is_dir():
-        raise ParameterError(f"{out}: is a file: expected a folder")
-    blocked = [name for name in files if (out / name).is_dir()]
-    if blocked:
-        raise ParameterError(f"{out / blocked[0]}: is a folder: expected a place for a file")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=out, prefix=".part") as part:
-            for name, text in files.items():
-                (Path(part) / name).write_text(text, encoding="utf-8")
-            for name in files:
-                os.replace(Path(part) / name, out / name)
-    except OSError as error:
-        raise ParameterError(f"{out}: cannot be written ({error.strerror})") from None
 
 
 # --- command line -----------------------------------------------------------------------------------------------------
@@ -322,7 +300,7 @@ examples:
   python -m soil_env.discrepancy tables/smooth.csv --setup tables/smooth.setup.yaml --out smooth"""
 
 
-@terminable
+@command_line("soil_env.discrepancy.cmu", interrupted="nothing written")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     parser = argparse.ArgumentParser(
@@ -342,14 +320,7 @@ def main(arguments: list[str] | None = None) -> int:
         help="also the runs with a rim slower than the travel, slip < 0 (default: driving only)",
     )  # fmt: skip
     options = parser.parse_args(arguments)
-    try:
-        runs = convert(options.path, options.out, options.braking)
-    except ParameterError as error:
-        print(f"soil_env.discrepancy.cmu: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nsoil_env.discrepancy.cmu: interrupted, nothing written", file=sys.stderr)
-        return INTERRUPTED
+    runs = convert(options.path, options.out, options.braking)
     for wheel, of_wheel in runs.items():
         slips = len({run.rim_command for run in of_wheel})
         print(f"written: {options.out / wheel}.csv ({len(of_wheel)} runs, {slips} rim speeds) and {wheel}.setup.yaml")

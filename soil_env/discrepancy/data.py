@@ -1,13 +1,7 @@
-"""A measurement table made ready for the search: conditions, noise, outliers, groups to hold out.
-
-The reference for noise and outliers is a *smooth surface* through the data: the calibrated base model plus polynomials
-of the conditions in every channel. Whatever effect is missing, it is smooth in the conditions; single values that leave
-the surface are not an effect.
-"""
+"""A measurement table made ready for the search: its conditions as factors with levels, groups to hold out."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -19,20 +13,17 @@ from soil_env.terramechanics.model import ModelWheel, Rows, rows_of
 
 CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
-OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
 LEAST_PRESSURE, MOST_PRESSURE = 20.0, 1e7  # [Pa] load over radius times width, beyond which the unit is wrong
 MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which the unit is wrong
-LEAST_NOISE = 1e-5  # scatter over the size of the values below which they are rounded or computed, not measured
-REPEAT_SLIP = 0.02  # largest difference of slip within repeats
-REPEAT_LOAD = 0.2  # largest difference of load within repeats, over their mean
+LOGARITHMIC = ("load", "speed", "pass")  # conditions that are compared by their ratio
 _SAME = 0.02  # relative difference below which two values of a condition are one level
 _SAME_SLIP = 0.005
 _SAME_GRADE = 0.1  # [deg]
 
 
 @dataclass(frozen=True, eq=False)
-class Conditions:
-    """A condition that varies in the table: its values [N], levels [N] int, and values scaled to [-1, 1]."""
+class Factor:
+    """A condition that varies in the table: its values [N], its levels [N] int, its values scaled to [-1, 1]."""
 
     name: str
     value: np.ndarray
@@ -54,13 +45,25 @@ class Data:
     wheel: ModelWheel
     rows: Rows
     y: np.ndarray  # [N, 3] measured, nan where not
-    varied: dict[str, Conditions]  # slip first
+    varied: dict[str, Factor]  # slip first
     cell: np.ndarray  # [N] int, rows of one cell are repeats
 
     @property
     def measured(self) -> np.ndarray:
         """[N, 3] True where a value was measured."""
         return np.isfinite(self.y)
+
+    @property
+    def conditions(self) -> dict[str, np.ndarray]:
+        """Conditions [N] by the columns of a table; a speed of 0 is not known."""
+        return conditions_of(self.rows)
+
+
+def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
+    """Conditions [N] of rows by the columns of a table."""
+    speed, passes, sine = rows.conditions.T
+    grade = np.round(np.degrees(np.arcsin(sine)), 6)
+    return {"slip": rows.slip, "load": rows.load, "speed": speed, "pass": passes, "grade_deg": grade}
 
 
 def prepare(table: Table, setup: Setup) -> Data:
@@ -80,14 +83,8 @@ def prepare(table: Table, setup: Setup) -> Data:
     y = np.stack([getattr(table, name) for name in CHANNELS], axis=1)
     _refuse_units(table, rows, y)
     varied = {}
-    for name, value, log in (
-        ("slip", rows.slip, False),
-        ("load", rows.load, True),
-        ("speed", rows.conditions[:, 0], True),
-        ("pass", rows.conditions[:, 1], True),
-        ("grade_deg", np.degrees(np.arcsin(rows.conditions[:, 2])), False),
-    ):
-        found = _condition(name, value, log)
+    for name, value in conditions_of(rows).items():
+        found = _factor(name, value, name in LOGARITHMIC)
         if found.levels > 1:
             varied[name] = found
     if "slip" not in varied:
@@ -127,7 +124,7 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
     )
 
 
-def _condition(name: str, value: np.ndarray, log: bool) -> Conditions:
+def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
     """Levels by gaps: values closer than 2 % of the span (or of themselves) are one level."""
     x = np.log(np.maximum(value, 1e-9)) if log else value
     span = float(np.ptp(x))
@@ -141,27 +138,7 @@ def _condition(name: str, value: np.ndarray, log: bool) -> Conditions:
         bins = min(8, x.size // 6)
         level[order] = np.arange(x.size) * max(bins, 2) // x.size
     scaled = (x - 0.5 * (x.min() + x.max())) / (0.5 * span) if span > gap else np.zeros_like(x)
-    return Conditions(name, value, level, scaled)
-
-
-def smooth_basis(data: Data) -> np.ndarray:
-    """[N, B] polynomials of the varied conditions: up to the third power of slip, second of the others, and products.
-
-    Never more columns than half the cells.
-    """
-    s = data.varied["slip"].scaled
-    columns = [np.ones_like(s), s]
-    if data.varied["slip"].levels > 2:
-        columns.append(s * s)
-    if data.varied["slip"].levels > 4:
-        columns.append(s**3)
-    others = [c for name, c in data.varied.items() if name != "slip"]
-    columns += [c.scaled for c in others]
-    columns += [s * c.scaled for c in others]
-    columns += [c.scaled**2 for c in others if c.levels > 2]
-    columns += [a.scaled * b.scaled for i, a in enumerate(others) for b in others[i + 1 :]]
-    cells = int(data.cell.max()) + 1
-    return np.stack(columns[: max(2, cells // 2)], axis=1)
+    return Factor(name, value, level, scaled)
 
 
 def folds(data: Data) -> list[list[np.ndarray]]:
@@ -177,112 +154,3 @@ def folds(data: Data) -> list[list[np.ndarray]]:
         if label.max() >= 2:
             ways.append([label == k for k in range(int(label.max()) + 1)])
     return ways
-
-
-def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(sd [3], degrees of freedom [3]) of the scatter of measured minus `model` [N, 3] within cells.
-
-    The model takes up the small differences of slip and load that repeats have; cells with larger ones do not count.
-    """
-    left, total, freedom = data.y - model, np.zeros(3), np.zeros(3)
-    for k in range(int(data.cell.max()) + 1):
-        inside = data.cell == k
-        load = data.rows.load[inside]
-        if inside.sum() < 2 or np.ptp(data.rows.slip[inside]) > REPEAT_SLIP or np.ptp(load) > REPEAT_LOAD * load.mean():
-            continue
-        for j in range(3):
-            v = left[inside, j]
-            v = v[np.isfinite(v)]
-            if v.size > 1:
-                total[j] += np.sum((v - v.mean()) ** 2)
-                freedom[j] += v.size - 1
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.sqrt(total / freedom), freedom
-
-
-@dataclass(frozen=True, eq=False)
-class Noise:
-    """Noise of the channels and the values that count."""
-
-    sd: np.ndarray  # [3]
-    freedom: np.ndarray  # [3] of the estimate; inf where the setup gives it
-    origin: tuple[str, ...]  # [3] "setup", "repeats", "scatter" or "" where not measured
-    used: np.ndarray  # [N, 3] bool
-    outliers: int  # values that were left out
-
-
-def find_noise(data: Data, model: np.ndarray) -> Noise:
-    """`Noise` from the setup, else from repeats, else from the scatter about the smooth surface through the data.
-
-    `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Values further than `OUTLIER` sd
-    from the surface are left out one after the other.
-    """
-    given = [getattr(data.setup.noise, name) for name in CHANNELS]
-    sd, freedom = repeat_noise(data, model)
-    basis = smooth_basis(data)
-    used, out_sd, out_freedom, origin = data.measured.copy(), np.ones(3), np.full(3, math.inf), [""] * 3
-    for j, name in enumerate(CHANNELS):
-        if not used[:, j].any():
-            continue
-        e = data.y[:, j] - model[:, j]
-        if given[j] is not None:
-            out_sd[j], origin[j] = given[j], "setup"
-        elif freedom[j] >= 6:
-            origin[j] = "repeats"
-        else:
-            origin[j] = "scatter"
-        spare = int(used[:, j].sum()) - basis.shape[1]
-        if origin[j] == "scatter" and spare < 3:
-            raise ParameterError(
-                f"{data.table.source}: noise of {name}: cannot be told from {int(used[:, j].sum())} values without "
-                "repeats; expected noise in the setup, or repeated points"
-            )
-        if spare < 3:
-            out_sd[j] = out_sd[j] if origin[j] == "setup" else sd[j]
-            continue
-        keep = used[:, j].copy()
-        for _ in range(max(1, int(0.06 * keep.sum())) + 1):
-            left, leverage = _surface(basis, e, keep)
-            scale = out_sd[j]
-            if origin[j] != "setup":
-                median = float(np.median(np.abs(left[keep]) / np.sqrt(np.maximum(1.0 - leverage[keep], 0.05))))
-                scale = max(1.4826 * median, 1e-12)
-            far = np.abs(left) / (scale * np.sqrt(np.maximum(1.0 - leverage, 0.05)))
-            far[~keep | (leverage > 0.8)] = 0.0
-            worst = int(np.argmax(far))
-            if far[worst] <= OUTLIER:
-                break
-            keep[worst] = False
-        # values that a first outlier had masked come back
-        left, leverage = _surface(basis, e, keep)
-        if origin[j] == "setup":
-            back = used[:, j] & (np.abs(left) <= OUTLIER * out_sd[j] * np.sqrt(1.0 + leverage))
-            keep |= back
-        used[:, j] = keep
-        if origin[j] == "scatter":
-            left, _ = _surface(basis, e, keep)
-            out_freedom[j] = keep.sum() - basis.shape[1]
-            out_sd[j] = math.sqrt(float(np.sum(left[keep] ** 2)) / out_freedom[j])
-    if "repeats" in origin:
-        cleaned = dataclasses.replace(data, y=np.where(used, data.y, math.nan))
-        sd, freedom = repeat_noise(cleaned, model)
-        for j in range(3):
-            if origin[j] == "repeats":
-                out_sd[j], out_freedom[j] = sd[j], freedom[j]
-    for j, name in enumerate(CHANNELS):
-        size = float(np.sqrt(np.mean(data.y[used[:, j], j] ** 2))) if used[:, j].any() else 0.0
-        flat = used[:, j].any() and np.ptp(data.y[used[:, j], j]) == 0.0
-        if origin[j] in ("repeats", "scatter") and (flat or out_sd[j] <= LEAST_NOISE * size):
-            raise ParameterError(
-                f"{data.table.source}: noise of {name}: the values hardly scatter, so it cannot be "
-                "taken from them; expected noise in the setup"
-            )
-    return Noise(np.maximum(out_sd, 1e-12), out_freedom, tuple(origin), used, int(data.measured.sum() - used.sum()))
-
-
-def _surface(basis, e, keep):
-    """(residual [N], leverage [N]) of the least-squares surface through the kept values."""
-    coefficients, *_ = np.linalg.lstsq(basis[keep], e[keep], rcond=1e-10)
-    inverse = np.linalg.pinv(basis[keep].T @ basis[keep], rcond=1e-12)
-    leverage = np.einsum("nb,bc,nc->n", basis, inverse, basis)
-    return e - basis @ coefficients, np.where(keep, np.minimum(leverage, 1.0), leverage)

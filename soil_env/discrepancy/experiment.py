@@ -1,4 +1,4 @@
-"""The test that would tell apart what a table cannot.
+"""Design of the next tests: the conditions that discriminate best between the remaining candidates.
 
 Every candidate predicts a grid of feasible conditions, with its uncertainty: the covariance C = (I + J'J)^-1 of its
 parameters, form error included, carried to the grid. A single extra run separates candidates a and b in a channel by
@@ -20,11 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.calibrate import Problem
-from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.locate import TITLES
-from soil_env.discrepancy.search import TOLD, Candidate, Finding
+from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC
+from soil_env.discrepancy.search import RULED_OUT, Candidate, Finding
 from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.model import Rows
+from soil_env.terramechanics.model import rows_of
 
 MOST = 4  # tests proposed
 LEAST = 1.0  # [sd] below which a test separates nothing
@@ -40,13 +39,16 @@ _NEAR = 0.7  # distance, in half spans, of tests that are much the same
 
 @dataclass(frozen=True)
 class NextTest:
-    """One run to make: the conditions, and the two models that it separates."""
+    """One run to make: the conditions, and the two models or hypotheses that it separates."""
 
     conditions: dict[str, float]  # slip, load [N] and what else matters, as the columns of a table
     channel: str
     separates: tuple[str, str]
     expected_sigma: float  # difference over noise and uncertainty of the two predictions
-    words: str
+    purpose: str = (
+        "separate"  # "repeat" the run with the largest misfit, or go beyond the table in one "extend"ed condition
+    )
+    extended: str = ""  # that condition
 
 
 class Grid(NamedTuple):
@@ -72,7 +74,7 @@ def undecided(finding: Finding) -> tuple[Candidate, ...]:
     if finding.verdict == "ambiguous":
         other = {name for named in finding.named for name in named.alternatives}
         rest = [c for c in rest if len(c.names) == len(first.names) and other & set(c.names)]
-        near = [c for c in rest if c.score > first.score - TOLD]
+        near = [c for c in rest if c.score > first.score - RULED_OUT]
         rest = near or rest
     else:  # a model without one effect of a named pair is no rival to it
         rest = [c for c in rest if c.score > first.score - RUNNER_UP and not set(c.names) < set(first.names)]
@@ -107,8 +109,7 @@ def separating(problem: Problem, candidates: Sequence[Candidate]) -> tuple[NextT
         p, g, j = np.unravel_index(int(np.argmax(score)), score.shape)
         pair = (names[pairs[p][0]], names[pairs[p][1]])
         point = {name: float(grid.value[name][g]) for name in grid.told}
-        out.append(NextTest(point, CHANNELS[j], pair, float(sigma[p, g, j]),
-                            in_words(point, CHANNELS[j], pair, float(sigma[p, g, j]))))  # fmt: skip
+        out.append(NextTest(point, CHANNELS[j], pair, float(sigma[p, g, j])))
         same = np.linalg.norm(grid.scaled - grid.scaled[g], axis=1) < _NEAR
         score[p] *= 0.5
         score[p, same] = 0.0
@@ -124,9 +125,8 @@ def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
 
     What no candidate knows is the middle speed, the first pass and the least grade of the table.
     """
-    rows, varied = problem.data.rows, problem.data.varied
-    speed, passes, sine = rows.conditions.T
-    column = {"slip": rows.slip, "load": rows.load, "speed": speed, "pass": passes, "grade_deg": _degrees(sine)}
+    column, varied = problem.data.conditions, problem.data.varied
+    speed, passes, grade = column["speed"], column["pass"], column["grade_deg"]
     choices = [choice for c in candidates for choice in c.fit.choices]
     known = {CATALOGUE[c.effect].varies for c in choices}
     if any("drivetrain_friction_viscous" in c.free for c in choices):
@@ -135,9 +135,9 @@ def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
     if not timed:
         known.discard("speed")
     levels = {name: [float(np.median(x))] for name, x in column.items()}
-    levels["pass"], grade = [float(passes.min())], column["grade_deg"]
+    levels["pass"] = [float(passes.min())]
     levels["grade_deg"] = [min(max(0.0, float(grade.min())), float(grade.max()))]
-    levels["slip"], levels["load"] = list(SLIPS), _around(rows.load, 0.5, 2.0)
+    levels["slip"], levels["load"] = list(SLIPS), _around(column["load"], 0.5, 2.0)
     if "speed" in known:
         levels["speed"] = _around(speed, 0.3, 3.0)
     if "pass" in known:
@@ -149,7 +149,7 @@ def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
     scaled = []
     for k, name in enumerate(levels):
         x, t = points[:, k], column[name]
-        if name in ("load", "speed", "pass"):
+        if name in LOGARITHMIC:
             x, t = np.log(np.maximum(x, 1e-9)), np.log(np.maximum(t, 1e-9))
         scaled.append((x - 0.5 * (t.min() + t.max())) / max(0.5 * np.ptp(t), _HALF_SPAN[name]))
     return Grid(dict(zip(levels, points.T, strict=True)), tuple(told), np.stack(scaled, axis=1))
@@ -167,20 +167,10 @@ def _round(x: float) -> float:
     return float(f"{x:.2g}")
 
 
-def _degrees(sine: np.ndarray) -> np.ndarray:
-    return np.round(np.degrees(np.arcsin(sine)), 6)
-
-
 def _problem_at(problem: Problem, grid: Grid) -> Problem:
     """The problem with the grid for rows, every channel in use; the form error is that of the nearest row."""
-    data, v = problem.data, grid.value
-    count, wheel = v["slip"].size, data.wheel
-    rows = Rows(
-        v["slip"],
-        v["load"],
-        np.tile([wheel.radius, wheel.width, wheel.grouser_height], (count, 1)),
-        np.stack([v["speed"], v["pass"], np.sin(np.radians(v["grade_deg"]))], axis=1),
-    )
+    data, count = problem.data, grid.value["slip"].size
+    rows = rows_of(grid.value, data.wheel)
     there = copy.copy(problem)
     there.data = dataclasses.replace(data, rows=rows)
     there.used, there.offset = np.ones((count, 3), dtype=bool), None
@@ -207,24 +197,3 @@ def predicted(there: Problem, candidate: Candidate) -> tuple[np.ndarray, np.ndar
     j = there.derivatives(fit.unknowns, fit.u, fit.slack, fit.choices, guess)
     covariance = np.linalg.inv(np.eye(fit.jacobian.shape[1]) + fit.jacobian.T @ fit.jacobian)
     return mean, np.sum((j @ covariance) * j, axis=1).reshape(-1, 3), feasible
-
-
-# --- words ------------------------------------------------------------------------------------------------------------
-
-
-def in_words(point: dict[str, float], channel: str, pair: tuple[str, str], sigma: float) -> str:
-    """The test in a sentence."""
-    extra = [f"{point['speed']:.3g} m/s"] if "speed" in point else []
-    extra += [f"pass {point['pass']:g}"] if point.get("pass", 1.0) != 1.0 else []
-    extra += [f"a grade of {point['grade_deg']:.3g} deg"] if point.get("grade_deg", 0.0) != 0.0 else []
-    where = [f"load {point['load']:.3g} N", *extra]
-    at = where[0] if len(where) == 1 else f"{', '.join(where[:-1])} and {where[-1]}"
-    return (
-        f"slip {point['slip']:.2g} at {at}: {title(pair[0])} against {title(pair[1])}, expected to differ by "
-        f"{sigma:.1f} sd in {TITLES[channel]}"
-    )
-
-
-def title(name: str) -> str:
-    """Effects in words."""
-    return " and ".join(CATALOGUE[n].title if n in CATALOGUE else n for n in name.split(" and "))

@@ -1,6 +1,6 @@
-"""What a finding is worth: intervals, the gap on held-out data, how probable each name is and how sure the named one.
+"""Statistics of a finding: intervals, the gap on held-out data, probabilities of the candidates, bootstrap of the name.
 
-All of it is linearised about the fits that the search made, so it costs no further fits.
+All are linearised about the fits of the search and need no further ones.
 """
 
 from __future__ import annotations
@@ -17,20 +17,23 @@ from soil_env.discrepancy.data import CHANNELS, folds
 from soil_env.discrepancy.misfit import log_bound, probability
 from soil_env.discrepancy.search import (
     CHANCE,
-    TOLD,
-    TRIED,
+    LOOKS,
+    RULED_OUT,
     Candidate,
     Finding,
     acceptable,
-    held_out,
+    groups,
     possible,
+    predictive,
     strengths,
 )
 
 REFUSED = 1e-4  # p value of the lack of fit that a model which the search refuses has at most
 LISTED = 20.0  # prior odds that what is missing is in the catalogue
-LEAST = 1e-12  # probability below which 0 is told
+LEAST = 1e-12  # probability that is reported as 0
 _SURE = 1.959964  # [sd] of a 95 % interval
+_CLOSED_DRAWS = 2000  # of the groups, for the interval of `closed`
+_LEAST_GAP = 0.5  # share of those draws with a gap to close below which no interval is told
 
 
 class Interval(NamedTuple):
@@ -58,7 +61,7 @@ class Rank(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Sureness:
+class Bootstrap:
     """Shares of bootstrap draws: of the named effects being found again, and of what was found instead."""
 
     share: float
@@ -110,9 +113,32 @@ def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
     return None if before <= 0.0 else 1.0 - after / before
 
 
-def predictions(problem: Problem, fit: Fit) -> np.ndarray:
-    """Held-out predictions [N, 3], NaN where no value is in use."""
-    return np.where(problem.used, held_out(problem, fit)[1], math.nan)
+def closed_interval(
+    problem: Problem, before: np.ndarray, after: np.ndarray, rng: np.random.Generator
+) -> tuple[float, float] | None:
+    """95 % interval of `closed`, from held-out predictions [N, 3]; None where hardly any draw has a gap.
+
+    Values of one slip share the error of that slip, and values of one combination of the other conditions share
+    another: both are drawn with replacement, and a row counts as often as its slip times as often as its combination
+    (pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1:386-411; conservative). The models are not refitted, since
+    each value was predicted without its own group.
+    """
+    weight = np.ones((_CLOSED_DRAWS, problem.data.rows.slip.size))
+    for way in folds(problem.data):
+        group = np.argmax(np.stack(way), axis=0)
+        weight *= rng.multinomial(len(way), np.full(len(way), 1.0 / len(way)), size=_CLOSED_DRAWS)[:, group]
+    total = []
+    for held in (before, after):
+        square = np.where(problem.used, ((problem.data.y - held) / problem.noise) ** 2, 0.0)
+        count = weight @ problem.used  # [draws, 3]
+        mean = (weight @ square) / np.maximum(count, 1.0)
+        total.append(np.sum(count * np.maximum(mean - 1.0, 0.0), axis=1))
+    gap = total[0] > 0.0
+    if np.mean(gap) < _LEAST_GAP:
+        return None
+    share = 1.0 - total[1][gap] / total[0][gap]
+    low, high = np.quantile(share, (0.025, 0.975))
+    return float(low), float(high)
 
 
 # --- names ------------------------------------------------------------------------------------------------------------
@@ -121,11 +147,11 @@ def predictions(problem: Problem, fit: Fit) -> np.ndarray:
 def ranking(problem: Problem, finding: Finding) -> tuple[tuple[Rank, ...], dict[str, float]]:
     """(all candidates, the named ones first; probability of "none" and of "unlisted").
 
-    Nothing missing has the prior 1/2 and the listed effects share the rest, so each has the prior odds
-    LISTED/(1 + LISTED)/count against nothing, times the mean of its gain of held-out likelihood and of evidence (a
-    second effect costs `TOLD` nats), and at most the odds that the chance of its gain allows: B(chance)/B(`CHANCE`)
-    with the bound B(p) = 1/(-e p ln p) for p < 1/e, else 1 (Sellke, Bayarri & Berger 2001, Am. Stat. 55:62-71), so that
-    the search and the odds turn to an effect at the same chance. Something unlisted has 1/`LISTED` of the odds of each
+    Nothing missing has the prior 1/2 and the listed effects share the rest, so each has the prior odds LISTED/(1 +
+    LISTED)/count against nothing, times the mean of its gain of held-out likelihood and of evidence (a second effect
+    costs `RULED_OUT` nats), and at most the odds that the chance of its gain allows: B(chance)/B(`CHANCE`) with the
+    bound B(p) = 1/(-e p ln p) for p < 1/e, else 1 (Sellke, Bayarri & Berger 2001, Am. Stat. 55:62-71), so that the
+    search and the odds turn to an effect at the same chance. Something unlisted has 1/`LISTED` of the odds of each
     model times B(p value of its lack of fit); a model with a significant gain that the search refuses, for an
     implausible soil or, where it names nothing, for its lack of fit, has a p value of `REFUSED` at most. Where the
     search finds nothing, no effect has more than even odds, pairs do not count, and only what the base model lacks
@@ -149,34 +175,34 @@ def ranking(problem: Problem, finding: Finding) -> tuple[tuple[Rank, ...], dict[
     share = weight * fits
     total = share.sum() + lacking.sum()
     share = share / total
-    other = {"none": _told(share[0]), "unlisted": _told(lacking.sum() / total)}
+    other = {"none": _reported(share[0]), "unlisted": _reported(lacking.sum() / total)}
     named = [n.name for n in finding.named]
     out = []
     for c in finding.singles:
         name = c.names[0]
         score = max([p.score for p in finding.pairs if name in p.names] + [c.score]) if len(named) == 2 else c.score
         out.append(
-            Rank(name, float(score), _told(sum(s for s, m in zip(share, models, strict=True) if name in m.names)))
+            Rank(name, float(score), _reported(sum(s for s, m in zip(share, models, strict=True) if name in m.names)))
         )
     out.sort(key=lambda r: (named.index(r.name) if r.name in named else len(named), -r.probability, -r.score))
     return tuple(out), other
 
 
-def _told(p: float) -> float:
+def _reported(p: float) -> float:
     return 0.0 if p < LEAST else min(float(p), 1.0)
 
 
 def chance_of(problem: Problem, base: Candidate, c: Candidate) -> float:
     """Chance that noise alone would let any of the candidates gain as much as this one does."""
     p = probability(base.fit.objective - c.fit.objective, strengths(c.fit.choices), problem.freedom)
-    return 1.0 if p >= 1.0 else -math.expm1(TRIED * math.log1p(-p))
+    return 1.0 if p >= 1.0 else -math.expm1(LOOKS * math.log1p(-p))
 
 
 def _log_odds(problem: Problem, base: Candidate, c: Candidate, count: int) -> float:
     """Logarithm of the odds of a model against the base model."""
     if not c.names:
         return 0.0
-    gain = 0.5 * (c.score + c.fit.evidence - base.fit.evidence) - TOLD * (len(c.names) - 1)
+    gain = 0.5 * (c.score + c.fit.evidence - base.fit.evidence) - RULED_OUT * (len(c.names) - 1)
     chance = chance_of(problem, base, c)
     most = log_bound(chance) - log_bound(CHANCE) if chance > CHANCE else math.inf
     return min(gain + math.log(LISTED / (1.0 + LISTED) / count), most)
@@ -190,13 +216,13 @@ def _listed(problem: Problem, base: Candidate, c: Candidate, enough: bool) -> fl
     return 1.0 / (1.0 + math.exp(log_bound(p)) / LISTED)
 
 
-def sureness(
+def bootstrap(
     problem: Problem, finding: Finding, draws: int, rng: np.random.Generator, say: Callable[[str], None]
-) -> Sureness | None:
+) -> Bootstrap | None:
     """How often the same names would be found, were they true: a parametric bootstrap; None where nothing is named.
 
     Noise is drawn about the named model; every rival with as many effects is refitted to first order and judged as in
-    the search: within `TOLD` of the best held-out likelihood, then by likelihood and evidence together.
+    the search: within `RULED_OUT` of the best held-out likelihood, then by likelihood and evidence together.
     """
     if not finding.named or draws < 1:
         return None
@@ -212,11 +238,11 @@ def sureness(
         off = truth - problem.whiten(c.fit.slackened)
         score[k], evidence = _refitted(problem, c.fit, off[:, None] + noise)
         total[k] = score[k] + evidence
-    near = score > score.max(axis=0) - TOLD
+    near = score > score.max(axis=0) - RULED_OUT
     winner = np.argmax(np.where(near, total, -math.inf), axis=0)
     share = np.bincount(winner, minlength=len(rivals)) / draws
     order = sorted((k for k in range(len(rivals)) if k != own and share[k] > 0.0), key=lambda k: -share[k])
-    return Sureness(float(share[own]), draws, {rivals[k].names: float(share[k]) for k in order})
+    return Bootstrap(float(share[own]), draws, {rivals[k].names: float(share[k]) for k in order})
 
 
 def _refitted(problem: Problem, fit: Fit, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -227,15 +253,5 @@ def _refitted(problem: Problem, fit: Fit, e: np.ndarray) -> tuple[np.ndarray, np
     whole = np.concatenate([e, np.repeat(-x[:, None], e.shape[1], axis=1)])
     left = whole - a @ np.linalg.solve(normal, a.T @ whole)
     evidence = fit.evidence + 0.5 * fit.objective - 0.5 * np.sum(left**2, axis=0)
-    rows = np.nonzero(problem.used)[0]
-    ways, total, r = folds(problem.data), np.zeros(e.shape[1]), left[: e.shape[0]]
-    all_rows = np.linalg.slogdet(normal)[1]
-    for group in (g for way in ways for g in way):
-        out = group[rows]
-        if not out.any():
-            continue
-        jo, ro = j[out], r[out]
-        rest = normal - jo.T @ jo
-        off = ro + jo @ np.linalg.solve(rest, jo.T @ ro)
-        total += -0.5 * np.sum(off * ro, axis=0) - 0.5 * (all_rows - np.linalg.slogdet(rest)[1])  # as in `held_out`
-    return total / len(ways), evidence
+    member, ways = groups(problem)
+    return predictive(member, j, normal, left[: e.shape[0]]) / ways, evidence

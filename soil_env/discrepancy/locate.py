@@ -1,4 +1,4 @@
-"""Where a table and a fitted model disagree: the channel, the region of the conditions, the size, the chance of it.
+"""Location of disagreements between a table and a fitted model: channel, region of the conditions, size, p value.
 
 Every box of one or two conditions (intervals of levels of one, half-lines of two) is looked at in every channel. What
 the fit's own parameters would absorb is projected out, so under the null the statistic of a box is standard normal
@@ -22,16 +22,12 @@ from scipy.stats import t as student
 from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.data import CHANNELS
 
-SIGNIFICANT = 0.01  # p value above which a disagreement is not told
-MOST = 4  # disagreements told
+SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
+MOST = 4  # disagreements reported
 LEAST_VALUES = 3  # in a box
 _TAIL = 0.95  # quantile of the simulated maxima at which the number of independent looks is read off
 _SHOWS = 2.0  # least |t| of the plain mean residual of a box
 _OPEN = 0.02  # share of a box's variance that the parameters must leave for it to be looked at
-
-UNITS = {"sinkage": ("mm", 1e3), "drawbar_pull": ("N", 1.0), "torque": ("N m", 1.0)}
-TITLES = {"sinkage": "sinkage", "drawbar_pull": "drawbar pull", "torque": "torque"}
-_MORE = {"sinkage": ("deeper", "shallower"), "drawbar_pull": ("higher", "lower"), "torque": ("higher", "lower")}
 
 
 @dataclass(frozen=True)
@@ -43,18 +39,6 @@ class Disagreement:
     size: float  # [m, N or N m] mean of measured - model in the box
     size_sd: float  # the same in standard deviations of the noise of one value
     p_value: float  # of anything as large anywhere
-    words: str
-
-
-@dataclass(frozen=True)
-class Gap:
-    """A channel as a whole."""
-
-    channel: str
-    rms: float  # [m, N or N m] of measured - model
-    noise: float
-    values: int
-    words: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,66 +148,12 @@ def _p_value(t: float, looks: float, freedom: float) -> float:
     return -math.expm1(looks * math.log1p(-alone)) if alone < 1.0 else 1.0
 
 
-# --- words ------------------------------------------------------------------------------------------------------------
-
-
 def _disagreement(problem: Problem, fit: Fit, channel: str, found: Boxes, box: int, p: float) -> Disagreement:
     j, varied = CHANNELS.index(channel), problem.data.varied
     inside = found.member[box] & problem.used[:, j]
     size = float(np.mean((problem.data.y - fit.slackened)[inside, j]))
-    region, parts = {}, []
+    region = {}
     for name, (a, b) in found.limits[box].items():
-        c = varied[name]
-        value = c.value[(c.level >= a) & (c.level <= b)]
+        value = varied[name].value[(varied[name].level >= a) & (varied[name].level <= b)]
         region[name] = (float(value.min()), float(value.max()))
-        parts.append(_limit(name, region[name], a == 0, b == c.levels - 1))
-    others = [name for name in varied if name not in region]
-    parts += [f"every {_listed([_NAMES[name] for name in others])}"] if others else []
-    unit, scale = UNITS[channel]
-    sd = size / problem.noise[j]
-    words = (
-        f"measured {TITLES[channel]} is on average {figure(abs(size) * scale)} {unit} "
-        f"{_MORE[channel][size < 0.0]} than the model's ({abs(sd):.1f} times the noise) at {', '.join(parts)}"
-    )
-    return Disagreement(channel, region, size, float(sd), p, words)
-
-
-def figure(x: float) -> str:
-    """Two digits, without an exponent where the number is large."""
-    return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
-
-
-_NAMES = {"slip": "slip", "load": "load", "speed": "speed", "pass": "pass", "grade_deg": "grade"}
-_SUFFIX = {"slip": "", "load": " N", "speed": " m/s", "pass": "", "grade_deg": " deg"}
-
-
-def _limit(name: str, limits: tuple[float, float], lowest: bool, highest: bool) -> str:
-    low, high = (f"{x:.3g}" for x in limits)
-    if low == high:
-        return f"{_NAMES[name]} {low}{_SUFFIX[name]}"
-    if highest:
-        return f"{_NAMES[name]} {low}{_SUFFIX[name]} and above"
-    if lowest:
-        return f"{_NAMES[name]} {high}{_SUFFIX[name]} and below"
-    return f"{_NAMES[name]} {low} to {high}{_SUFFIX[name]}"
-
-
-def _listed(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def describe(problem: Problem, fit: Fit) -> tuple[Gap, ...]:
-    """Root mean square of measured - model against the noise, for each measured channel."""
-    out = []
-    for j, channel in enumerate(CHANNELS):
-        inside = problem.used[:, j]
-        if not inside.any():
-            continue
-        rms = float(np.sqrt(np.mean((problem.data.y - fit.slackened)[inside, j] ** 2)))
-        noise, (unit, scale) = float(problem.noise[j]), UNITS[channel]
-        words = (
-            f"{TITLES[channel]}: measured and model differ by {rms * scale:.3g} {unit} rms, {rms / noise:.2f} times "
-            f"the noise of {noise * scale:.3g} {unit} ({int(inside.sum())} values)"
-        )
-        out.append(Gap(channel, rms, noise, int(inside.sum()), words))
-    return tuple(out)
+    return Disagreement(channel, region, size, float(size / problem.noise[j]), p)

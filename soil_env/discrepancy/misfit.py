@@ -1,6 +1,6 @@
-"""Whether a fit leaves more than noise: tests of what is left along smooth and along physical directions.
+"""Tests for lack of fit: residuals along smooth and along physical directions.
 
-Two things are looked for, with what the fit's own unknowns explain taken out of both:
+What the fit's own unknowns explain is taken out of both:
 
 - *smooth*: polynomials of the conditions, in each channel on its own;
 - *physical*: an input of the model (a soil parameter, the load on the wheel, its radius, its slip) that is not the
@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 from soil_env.discrepancy.calibrate import Fit, Problem
-from soil_env.discrepancy.data import smooth_basis
+from soil_env.discrepancy.noise import smooth_basis
 
 LEAST_LEFT = 0.05  # of the length of a direction, below which the unknowns explain it anyway
 _STEP = 1e-3  # relative change of an input, for differences

@@ -1,8 +1,8 @@
-"""Mistakes of sign and unit that no effect should be sought in: told before the search, or refused.
+"""Checks of a table for mistakes of sign and unit, before the search for effects.
 
-Two things speak for one: the table read otherwise (the drawbar pull with its sign turned, the load as kilograms ...)
-is fitted far better by the base model, and the table as it is breaks what a wheel on soil can do. Where both hold the
-table is refused; one of them alone is a doubt that a report says first.
+Two things speak for a mistake: the table read otherwise (the drawbar pull with its sign turned, the load as kilograms
+...) is fitted far better by the base model, and the table as it is breaks what a wheel on soil can do. Where both hold
+the table is refused; one of them alone is a doubt that a report says first.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SURE = 4.0  # [sd] beyond the setup's value at which a soil parameter is not sou
 STEEPEST = 50.0  # [deg] friction angle where the setup says nothing
 
 
-class Reading(NamedTuple):
+class Reinterpretation(NamedTuple):
     """The table read otherwise."""
 
     name: str
@@ -44,7 +44,7 @@ def examine(problem: Problem) -> tuple[str, ...]:
     if rms < LARGE:
         return grades
     found = []
-    for reading in _readings(problem):
+    for reading in _reinterpretations(problem):
         other = _rms(reading.problem)
         if BETTER * (other**2 - 1.0) < rms**2 - 1.0:
             found.append((other, reading))
@@ -78,14 +78,14 @@ def _rms(problem: Problem) -> float:
     return math.sqrt(float(np.mean(fit.residual**2)))
 
 
-def _readings(problem: Problem) -> list[Reading]:
+def _reinterpretations(problem: Problem) -> list[Reinterpretation]:
     data, rows = problem.data, problem.data.rows
     out = []
 
     def add(name, words, remedy, **changes):
         noise = problem.noise * changes.pop("scale", np.ones(3))
         there = dataclasses.replace(data, **changes)
-        out.append(Reading(name, words, remedy, Problem(there, noise, problem.used, problem.freedom)))
+        out.append(Reinterpretation(name, words, remedy, Problem(there, noise, problem.used, problem.freedom)))
 
     if problem.used[:, 1].any():
         add("pull", "With the sign of drawbar_pull turned",

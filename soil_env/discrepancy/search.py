@@ -1,4 +1,4 @@
-"""Which named effects are missing: every candidate refitted jointly with the soil, judged on what was held out.
+"""Search for the missing effects: every candidate is refitted jointly with the soil and judged on held-out conditions.
 
 The steps, for the conclusion `Finding`:
 
@@ -13,6 +13,7 @@ The steps, for the conclusion `Finding`:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import combinations
@@ -28,8 +29,8 @@ CHANCE = 0.004  # probability of a false alarm over everything that is tried
 LEAST_FIT = (3e-3, 0.02)  # p value of the lack of fit below which one effect, two effects, are not enough: where
 # -e p ln p (Sellke et al. 2001) meets prior odds of 20, of 5, that what is missing is in the catalogue
 SECOND = 1e-4  # the same for a second effect beside one that is enough: B(p) of it against prior odds of 20 is again 20
-TOLD = 4.6  # [nats] of held-out likelihood by which a candidate must lose to be ruled out
-TRIED = 20  # independent looks that the candidates amount to
+RULED_OUT = 4.6  # [nats] of held-out likelihood by which a candidate must be behind to be ruled out
+LOOKS = 20  # independent tests that the candidates amount to
 IMPLAUSIBLE = 4.0  # [widened prior sd] of a soil that no candidate may need
 LEADING = 10.0  # [nats] by which a pair must lead to be named with a fit down to LEAST_FIT of one effect, and by which
 # what is named may not be behind a model that does not fit
@@ -58,32 +59,49 @@ class Candidate:
 # --- judgement of one fit ---------------------------------------------------------------------------------------------
 
 
-def held_out(problem: Problem, fit: Fit) -> tuple[float, np.ndarray]:
-    """(log-likelihood, predictions [N, 3]) of what is held out, fold by fold, averaged over the conditions.
+def groups(problem: Problem) -> tuple[np.ndarray, int]:
+    """([F, M] which of the values in use each held-out group has, number of ways to cut the table into groups)."""
+    ways, rows = folds(problem.data), np.nonzero(problem.used)[0]
+    return np.stack([group[rows] for way in ways for group in way]), len(ways)
+
+
+def predictive(member: np.ndarray, top: np.ndarray, normal: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """Log-likelihood of groups of values, `member` [F, M], each predicted from the others, of a linear model.
+
+    With the residuals r [M] or [M, B] of the fit to all, J the rows of the Jacobian `top` [M, p] that are held out and
+    N = A'A of the whole problem: the predictive covariance of what is held out is
+    S = (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J', and its error S r.
+    """
+    whole, total = np.linalg.slogdet(normal)[1], 0.0
+    for out in member:
+        j, held = top[out], r[out]
+        rest, pull = normal - j.T @ j, j.T @ held
+        quadratic = np.sum(held**2, axis=0) + np.sum(pull * np.linalg.solve(rest, pull), axis=0)
+        total = total - 0.5 * quadratic - 0.5 * (whole - np.linalg.slogdet(rest)[1])
+    return total
+
+
+def held_out(problem: Problem, fit: Fit) -> float:
+    """Log-likelihood of what is held out, group by group, averaged over the ways to cut the table.
 
     Refits are linearised about the fit of all rows, and exact as far as the model is linear there; the predictive
     covariance includes that of the parameters.
     """
-    rows = np.nonzero(problem.used)[0]
-    a, e = fit.linearised()
-    m = fit.residual.size
-    top, normal = a[:m], a.T @ a
-    whole = np.linalg.slogdet(normal)[1]
-    channel = np.nonzero(problem.used)[1]
-    predicted, ways, total = np.zeros_like(problem.data.y), folds(problem.data), 0.0
-    for fold in (group for way in ways for group in way):
-        out = fold[rows]
-        if not out.any():
-            continue
-        j, r = top[out], e[:m][out]
-        rest = normal - j.T @ j
-        left = r + j @ np.linalg.solve(rest, j.T @ r)  # the gradient vanishes over all rows
-        # its covariance is S = I + J rest^-1 J^T: left = S r, and ln det S = ln det normal - ln det rest
-        total += -0.5 * float(left @ r) - 0.5 * (whole - np.linalg.slogdet(rest)[1])
-        there = channel[out]
-        value = problem.data.y[rows[out], there] - left * problem.noise[there]
-        predicted[rows[out], there] += value / len(ways)
-    return total / len(ways), predicted
+    (a, _), (member, ways) = fit.linearised(), groups(problem)
+    return float(predictive(member, a[: fit.residual.size], a.T @ a, fit.residual)) / ways
+
+
+def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
+    """Predictions [N, 3] of each value from the groups without it, the mean over the ways; NaN where not in use."""
+    (a, _), (member, ways) = fit.linearised(), groups(problem)
+    top, normal, r = a[: fit.residual.size], a.T @ a, fit.residual
+    error = np.zeros(r.size)
+    for out in member:
+        j = top[out]
+        error[out] += (r[out] + j @ np.linalg.solve(normal - j.T @ j, j.T @ r[out])) / ways
+    predicted = np.full(problem.used.shape, math.nan)
+    predicted[problem.used] = problem.data.y[problem.used] - error * problem.noise[np.nonzero(problem.used)[1]]
+    return predicted
 
 
 # --- the search -------------------------------------------------------------------------------------------------------
@@ -126,11 +144,11 @@ def forms(problem: Problem, name: str) -> list[int]:
 
 def judge(problem: Problem, fit: Fit, base_score: float = 0.0) -> Candidate:
     """`Candidate` of a fit."""
-    return Candidate(fit, held_out(problem, fit)[0] - base_score, lack_of_fit(problem, fit))
+    return Candidate(fit, held_out(problem, fit) - base_score, lack_of_fit(problem, fit))
 
 
 def strengths(choices: Iterable[Choice]) -> int:
-    """Unknowns that effects bring."""
+    """Number of unknowns of effects."""
     return sum(len(c.free) for c in choices)
 
 
@@ -195,14 +213,14 @@ class Finding:
     singles: tuple[Candidate, ...]  # best first
     pairs: tuple[Candidate, ...]
     untestable: dict[str, str]
-    chance: float  # p value of everything there is to see being chance
+    chance: float  # p value that all disagreement is noise
 
 
 def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> Finding:
     """Find the missing effects; `say` is told what is being done."""
     say("base model")
     fit = problem.fit()
-    base_score = held_out(problem, fit)[0]
+    base_score = held_out(problem, fit)
     base = Candidate(fit, 0.0, lack_of_fit(problem, fit))
     names, untestable = candidates(problem)
     singles = []
@@ -242,7 +260,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     pairs = two_effects(problem, singles, names, base_score, say)
     needed = [c for c in pairs if both_needed(problem, c, singles)]
     enough_pairs = not_behind([c for c in needed if acceptable(problem, base, c)], needed, problem, base)
-    if enough and (not enough_pairs or enough_pairs[0].score < enough[0].score + TOLD):
+    if enough and (not enough_pairs or enough_pairs[0].score < enough[0].score + RULED_OUT):
         return conclude_one(enough, pairs)
     if not enough_pairs and pairs:
         ahead = pairs[0].score - (pairs[1].score if len(pairs) > 1 else 0.0)
@@ -267,9 +285,9 @@ def undecided(enough: list[Candidate], others: list[Candidate]) -> tuple[Candida
 
     The first is one that fits; another is ruled out by the held-out likelihood and its lack of fit together.
     """
-    least = max(c.score for c in enough) - TOLD
+    least = max(c.score for c in enough) - RULED_OUT
     first = max((c for c in enough if c.score > least), key=lambda c: c.score + c.fit.evidence)
-    least = max(c.worth for c in enough) - TOLD
+    least = max(c.worth for c in enough) - RULED_OUT
     near = [c for c in others if c.worth > least and c is not first]
     return first, sorted(near, key=lambda c: -(c.worth + c.fit.evidence))
 
@@ -288,7 +306,7 @@ def _instead(name: str, best: Candidate, near: list[Candidate]) -> tuple[str, ..
 
 
 def _family(p: float) -> float:
-    return 1.0 - (1.0 - p) ** TRIED
+    return 1.0 - (1.0 - p) ** LOOKS
 
 
 def _p_gain(problem: Problem, base: Candidate, c: Candidate) -> float:
@@ -302,7 +320,7 @@ def possible(problem: Problem, base: Candidate, c: Candidate) -> bool:
     for unknown, x, without in zip(problem.soil, c.fit.u, base.fit.u, strict=False):
         if getattr(priors, unknown.name, None) and abs(x) > max(IMPLAUSIBLE, abs(without) + 1.0):
             return False
-    return c.score > TOLD and _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
+    return c.score > RULED_OUT and _family(_p_gain(problem, base, c)) < 5.0 * CHANCE
 
 
 def acceptable(problem: Problem, base: Candidate, c: Candidate, least: float | None = None) -> bool:
@@ -322,7 +340,7 @@ def second(problem: Problem, first: Candidate, names: list[str], base_score: flo
         fit = fit_effect(problem, name, first.fit.choices)
         p = probability(first.fit.objective - fit.objective, strengths(fit.choices[-1:]), problem.freedom)
         c = judge(problem, fit, base_score)
-        if _family(p) < SECOND and c.score > first.score + TOLD and (best is None or c.score > best.score):
+        if _family(p) < SECOND and c.score > first.score + RULED_OUT and (best is None or c.score > best.score):
             best = c
     return best
 
@@ -333,7 +351,7 @@ def both_needed(problem: Problem, pair: Candidate, singles: list[Candidate]) -> 
         if c.names[0] in pair.names:
             rest = [k for k in pair.fit.choices if k.effect != c.names[0]]
             p = probability(c.fit.objective - pair.fit.objective, strengths(rest), problem.freedom)
-            if _family(p) > CHANCE or pair.score < c.score + 0.5 * TOLD:
+            if _family(p) > CHANCE or pair.score < c.score + 0.5 * RULED_OUT:
                 return False
     return True
 

@@ -1,4 +1,4 @@
-"""A misfit that no listed effect explains, as the simplest law in dimensionless groups.
+"""Symbolic regression of a misfit that no listed effect explains, in dimensionless groups.
 
 The law is a sum of at most `TERMS` products of powers of the groups of `residual.py`, in any channel. Terms are chosen
 one after the other, each fitted jointly with the fit's own parameters (to first order, so that the soil may move): a
@@ -14,16 +14,18 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from itertools import combinations, product
+from typing import NamedTuple
 
 import numpy as np
 
 from soil_env.discrepancy.calibrate import GRAVITY, Fit, Problem
-from soil_env.discrepancy.data import CHANNELS, folds
-from soil_env.discrepancy.locate import TITLES
+from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.search import groups, predictive
 from soil_env.terramechanics.model import add_residual
 from soil_env.terramechanics.residual import GROUPS, ResidualTerm, dimensionless_groups, residual_law
 
 TERMS = 3
+SURE = 1.959964  # [sd] of a 95 % interval
 POWERS = (1.0, 2.0, 0.5, -1.0, -0.5, 3.0)
 POWERS_OF_THREE = (1.0, 2.0, 0.5)  # where three groups are multiplied
 LEAST_SPREAD = 0.05  # relative spread of a group below which it does not vary
@@ -34,14 +36,13 @@ _ROUNDS = 5  # of law and soil in turn
 _HELD_OUT = 24  # terms whose held-out likelihood is looked at
 _CLOSE = 0.02  # [noise sd] largest change of the law at which the turns end
 
-_OVER = {"sinkage": "radius", "drawbar_pull": "load", "torque": "load times radius"}
-_MEANING = {
-    "grip": "1 - slip",
-    "sinkage": "z/r",
-    "load": "W/(S b r^(n+1))",
-    "speed": "V/sqrt(g r)",
-    "grade": "sin(grade)",
-}
+
+class Coefficient(NamedTuple):
+    """A coefficient of the law with its 95 % interval, the soil refitted with it."""
+
+    value: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +53,21 @@ class ResidualFit:
     fit: Fit  # soil refitted with the law; the coefficients, in prior sd, are the last of its slack
     offset: np.ndarray  # [N, 3] what the law adds, as `Problem.offset` takes it
     gain: float  # fall of the objective beyond the price of the terms
-    words: str
+
+    def covariance(self) -> np.ndarray:
+        """[T, T] of the coefficients (Laplace; the soil moves with them)."""
+        fit, count = self.fit, len(self.terms)
+        whole = np.linalg.inv(np.eye(fit.columns) + fit.jacobian.T @ fit.jacobian)[-count:, -count:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            width = np.array([t.coefficient for t in self.terms]) / fit.slack[-count:]  # prior sd of each
+        width = np.where(np.isfinite(width), width, 0.0)
+        return whole * np.outer(width, width)
+
+    def coefficients(self) -> list[Coefficient]:
+        """The coefficients of the terms, in their order."""
+        sd = np.sqrt(np.diag(self.covariance())) if self.terms else ()
+        return [Coefficient(t.coefficient, *sorted((t.coefficient - SURE * s, t.coefficient + SURE * s)))
+                for t, s in zip(self.terms, sd, strict=True)]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +87,7 @@ class Library:
 
 def symbolic(problem: Problem, fit: Fit) -> ResidualFit:
     """The simplest law for what `fit` leaves, with the soil refitted to it."""
-    best = ResidualFit((), fit, np.zeros_like(problem.data.y), 0.0, "no simple law explains what is left")
+    best = ResidualFit((), fit, np.zeros_like(problem.data.y), 0.0)
     at, offset = fit, best.offset
     for _ in range(2):  # the second choice starts where the first has moved the soil
         chosen = choose(problem, at, offset, library(problem, at, offset))
@@ -188,11 +203,10 @@ def _next(problem: Problem, fit: Fit, offset: np.ndarray, found: Library, picked
     best = best[worth[best] > 0.0]
     if not best.size:
         return None
-    ways, row = folds(problem.data), np.nonzero(problem.used)[0]
-    member = np.stack([group[row] for way in ways for group in way])
+    member, ways = groups(problem)
     base = held_out(member, a, e)
     gain = [
-        2.0 / len(ways) * (held_out(member, *_with_terms(problem, fit, offset, found.column[:, [*picked, k]])) - base)
+        2.0 / ways * (held_out(member, *_with_terms(problem, fit, offset, found.column[:, [*picked, k]])) - base)
         - found.price[k]
         for k in best
     ]
@@ -218,18 +232,9 @@ def _with_terms(problem: Problem, fit: Fit, offset: np.ndarray, column: np.ndarr
 
 
 def held_out(member: np.ndarray, a: np.ndarray, e: np.ndarray) -> float:
-    """Log-likelihood of groups of values, `member` [F, M], each predicted from the others, of a linear model.
-
-    With residuals r of the fit to all, J the rows of A held out, N = A'A: the predictive covariance of what is held out
-    is (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J', and its error that times r.
-    """
-    normal = a.T @ a
-    r = (e - a @ np.linalg.solve(normal, a.T @ e))[: member.shape[1]]
-    top = a[: member.shape[1]]
-    rest = normal - np.stack([top[out].T @ top[out] for out in member])
-    pull = (member * r) @ top
-    quadratic = np.sum(pull * np.linalg.solve(rest, pull[:, :, None])[:, :, 0]) + np.sum(member @ r**2)
-    return 0.5 * float(np.sum(np.linalg.slogdet(rest)[1] - np.linalg.slogdet(normal)[1]) - quadratic)
+    """`search.predictive` of the linear model A [M + p, k] with the right side e, fitted to all."""
+    normal, m = a.T @ a, member.shape[1]
+    return float(predictive(member, a[:m], normal, (e - a @ np.linalg.solve(normal, a.T @ e))[:m]))
 
 
 # --- refit ------------------------------------------------------------------------------------------------------------
@@ -258,7 +263,7 @@ def refit(problem: Problem, base: Fit, at: Fit, offset: np.ndarray, chosen: Libr
                               evidence=-0.5 * objective - 0.5 * logdet)  # fmt: skip
     price = float(np.sum(chosen.price)) + math.log(at.residual.size) * len(terms)
     gain = float(_likelihood(problem, np.array(base.objective - objective))) - price
-    return ResidualFit(terms, fit, offset, gain, in_words(terms)), at
+    return ResidualFit(terms, fit, offset, gain), at
 
 
 def _terms(problem: Problem, fit: Fit, offset: np.ndarray, here: Library, coefficient) -> tuple[ResidualTerm, ...]:
@@ -278,16 +283,3 @@ def law_offset(problem: Problem, fit: Fit, offset: np.ndarray, terms: tuple[Resi
     add_residual(residual_law(terms), rows.slip, rows.load, rows.wheels, rows.conditions,
                  problem.state(fit.parameters()), GRAVITY, out)  # fmt: skip
     return out - plain
-
-
-def in_words(terms: tuple[ResidualTerm, ...]) -> str:
-    """The law in a sentence, the meaning of its groups behind it."""
-    parts = []
-    for t in terms:
-        product = "".join(f" {g}" if p == 1.0 else f" {g}^{p:g}" for g, p in t.powers.items())
-        up, down = ("rises", "falls") if product else ("is higher", "is lower")
-        way = down if t.coefficient < 0.0 else up
-        parts.append(f"{TITLES[t.channel]} over {_OVER[t.channel]} {way} by {abs(t.coefficient):.2g}{product}")
-    meaning = {g: _MEANING[g] for t in terms for g in t.powers if g in _MEANING}
-    legend = ", ".join(f"{g} = {text}" for g, text in meaning.items())
-    return "; ".join(parts) + (f", where {legend}" if legend else "")

@@ -1,34 +1,27 @@
-"""The whole workflow: from a measurement table and its setup to the missing effect, the corrected model, a report."""
+"""The whole workflow: from a measurement table and its setup to the missing effect and the corrected model."""
 
 from __future__ import annotations
 
 import hashlib
-import math
 import os
-import platform
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import scipy
 from threadpoolctl import threadpool_limits
 
-from soil_env import __version__
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import judgement, mistakes
 from soil_env.discrepancy.calibrate import GRAVITY, Choice, Fit, Problem, calibrate
-from soil_env.discrepancy.closing import closed_interval
-from soil_env.discrepancy.data import CHANNELS, Noise, prepare
-from soil_env.discrepancy.equations import SYMBOLS
-from soil_env.discrepancy.experiment import NextTest, next_tests
-from soil_env.discrepancy.formulas import as_json, blocks
-from soil_env.discrepancy.judgement import Gap, Interval, Rank, Sureness
-from soil_env.discrepancy.locate import Disagreement, locate
-from soil_env.discrepancy.search import Finding, search
-from soil_env.discrepancy.symbolic import ResidualFit, symbolic
-from soil_env.discrepancy.unlisted import coefficients, law_tests
-from soil_env.discrepancy.words import cautions, check_first, summary
+from soil_env.discrepancy.data import prepare
+from soil_env.discrepancy.experiment import next_tests
+from soil_env.discrepancy.judgement import Interval
+from soil_env.discrepancy.law_tests import law_tests
+from soil_env.discrepancy.locate import locate
+from soil_env.discrepancy.result import EffectFound, Report, Settings
+from soil_env.discrepancy.search import Finding, held_out_predictions, search
+from soil_env.discrepancy.symbolic import symbolic
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.catalogue import CATALOGUE
@@ -36,144 +29,6 @@ from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.validity import seen
 
 MOST_DRAWS = 100_000  # of the noise
-
-
-@dataclass(frozen=True)
-class EffectFound:
-    """A named effect as it is fitted."""
-
-    name: str
-    form: str
-    parameters: dict[str, Interval]  # low = high = value where the form or the table sets it
-    alternatives: tuple[str, ...]  # that these data cannot tell from it
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What a run depends on besides the program."""
-
-    data: str
-    setup: str
-    seed: int
-    bootstrap: int
-    data_sha256: str | None  # None where no file was read
-    setup_sha256: str | None
-
-
-@dataclass(frozen=True, eq=False)
-class Report:
-    """Everything that a run found. `as_dict` is report.json."""
-
-    finding: Finding
-    problem: Problem
-    noise: Noise
-    where: tuple[Disagreement, ...]
-    effects: tuple[EffectFound, ...]
-    law: ResidualFit | None  # where something unlisted is missing
-    soil: dict[str, Interval]
-    ranking: tuple[Rank, ...]
-    other: dict[str, float]  # probability that nothing is missing, and that something unlisted is
-    sureness: Sureness | None
-    gap: dict[str, Gap]
-    closed: float | None  # None where nothing was added
-    closed_interval: tuple[float, float] | None  # 95 %
-    next_tests: tuple[NextTest, ...]
-    fit: Fit  # of `model`, whose soil is `soil`
-    base_model: WheelSoilModel
-    model: WheelSoilModel
-    held_before: np.ndarray  # [N, 3] held-out predictions of the base model, NaN where no value is in use
-    held_after: np.ndarray  # [N, 3] of the corrected model
-    doubts: tuple[str, ...]  # mistakes of sign or unit that the table looks like
-    settings: Settings
-
-    @property
-    def verdict(self) -> str:
-        """named, none, ambiguous or unlisted."""
-        return self.finding.verdict
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Measured channels."""
-        return tuple(name for j, name in enumerate(CHANNELS) if self.problem.used[:, j].any())
-
-    def as_dict(self) -> dict:
-        """Plain values for JSON, null where there is no number; every key is always present."""
-        sure, law = self.sureness, self.law
-        shown = [as_json(block) for block in blocks(self)]
-        return _plain({
-            "verdict": self.verdict,
-            "summary": summary(self),
-            "effects": [
-                {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
-                 "alternatives": e.alternatives, "symbols": SYMBOLS[e.name], **block}
-                for e, block in zip(self.effects, shown, strict=False)
-            ],
-            "where": [
-                {"channel": d.channel, "region": d.region, "size": d.size, "size_sd": d.size_sd,
-                 "p_value": d.p_value, "words": d.words}
-                for d in self.where
-            ],
-            "ranking": [r._asdict() for r in self.ranking],
-            "gap": {name: g._asdict() for name, g in self.gap.items()},
-            "closed": self.closed,
-            "closed_interval": self.closed_interval,
-            "untestable": [{"name": k, "reason": v} for k, v in self.finding.untestable.items()],
-            "next_tests": [
-                {"conditions": t.conditions, "channel": t.channel, "separates": t.separates,
-                 "expected_sigma": t.expected_sigma, "words": t.words}
-                for t in self.next_tests
-            ],
-            "residual": None if law is None else {
-                "terms": [str(t) for t in self.model.residual], "words": law.words,
-                "coefficients": [
-                    {"channel": t.channel, "powers": t.powers, "ranges": t.ranges, **c._asdict()}
-                    for t, c in zip(law.terms, coefficients(law), strict=True)
-                ],
-                **(shown[-1] if self.model.residual else {}),
-            },
-            "probability": self.other,
-            "chance": self.finding.chance,
-            "confidence": None if sure is None else {
-                "share": sure.share, "draws": sure.draws,
-                "instead": [{"names": names, "share": share} for names, share in sure.instead.items()],
-            },
-            "soil": {name: v._asdict() | {"known": self.known(name)} for name, v in self.soil.items()},
-            "noise": {
-                name: {"sd": self.noise.sd[CHANNELS.index(name)], "origin": self.noise.origin[CHANNELS.index(name)]}
-                for name in self.channels
-            },
-            "left_out": [{"row": row, "channel": name} for row, name in self.left_out],
-            "check_first": check_first(self),
-            "cautions": cautions(self),
-            "validity": {name: list(pair) for name, pair in self.model.validity.items()},
-            "rows": len(self.problem.data.table),
-            "settings": vars(self.settings),
-            "versions": {"soil_env": __version__, "python": platform.python_version(), "numpy": np.__version__,
-                         "scipy": scipy.__version__},
-        })  # fmt: skip
-
-    def known(self, name: str) -> bool:
-        """Whether the setup gives a soil parameter as known."""
-        return name in self.problem.known or (name == "density" and self.problem.data.setup.soil.density is not None)
-
-    @property
-    def left_out(self) -> list[tuple[int, str]]:
-        """(line of the file, channel) of the values that were taken for outliers."""
-        at = np.argwhere(self.problem.data.measured & ~self.problem.used)
-        return [(int(self.problem.data.table.row[k]), CHANNELS[j]) for k, j in at]
-
-
-def _plain(x):
-    """Nested plain values; what is not finite becomes None."""
-    if isinstance(x, Mapping):
-        return {str(k): _plain(v) for k, v in x.items()}
-    if isinstance(x, (list, tuple)):
-        return [_plain(v) for v in x]
-    if isinstance(x, np.generic):
-        x = x.item()
-    if isinstance(x, float):
-        return x + 0.0 if math.isfinite(x) else None  # -0.0 + 0.0 is 0.0
-    return x
 
 
 def run(
@@ -189,12 +44,12 @@ def run(
 
     Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html and model.yaml,
     written at the end, all of them or none; `seed` of the simulated null distributions and the bootstrap; `bootstrap`,
-    draws of the noise from which the sureness of the name is told, 0 for none; `progress` is told what is being done,
+    draws of the noise that say how sure the name is, 0 for none; `progress` is called with what is being done,
     "stage: step".
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """
-    from soil_env.discrepancy.report import check_folder, write  # takes time: it draws
+    from soil_env.discrepancy.report import check_folder, write  # matplotlib takes time to load
 
     say = progress or (lambda text: None)
     if out is not None:
@@ -235,7 +90,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     base = finding.base.fit
     say("locating the disagreement")
     where = locate(problem, base, settings.seed) if finding.verdict != "none" else ()
-    final, law, terms = base, None, ()
+    final, law = base, None
     if finding.named:
         # without the form error that the search grants: model.yaml cannot have it
         best = finding.best.fit
@@ -243,30 +98,41 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     elif finding.verdict == "unlisted":
         say("looking for a law of what is left")
         law = symbolic(problem, base)
-        final, terms = law.fit, tuple(law.terms)
+        final = law.fit
     say("predicting what was held out")
-    held = judgement.predictions(problem, base)
-    held_after = held if final is base else judgement.predictions(problem, final)
-    gap = judgement.gaps(problem, held, held_after)
-    rng = np.random.default_rng(settings.seed)
-    sureness = judgement.sureness(problem, finding, settings.bootstrap, rng, say)
+    before = held_out_predictions(problem, base)
+    after = before if final is base else held_out_predictions(problem, final)
+    gap = judgement.gaps(problem, before, after)
+    closed = None if final is base else judgement.closed(problem, gap)
+    rng = np.random.default_rng([settings.seed, 1])
+    redraws = judgement.bootstrap(problem, finding, settings.bootstrap, np.random.default_rng(settings.seed), say)
     ranking, other = judgement.ranking(problem, finding)
     say("choosing the next tests")
-    corrected = model_of(problem, final, terms)
-    if finding.verdict == "unlisted":
-        tests = law_tests(problem, base, law, corrected)
-    else:
-        tests = next_tests(problem, finding)
-    spread = final if not finding.named else finding.best.fit
-    told = judgement.intervals(spread, final.parameters())
-    share = None if final is base else judgement.closed(problem, gap)
-    again = np.random.default_rng([settings.seed, 1])  # the draws above stay the same
-    interval = None if share is None else closed_interval(problem, held, held_after, again)
+    model = model_of(problem, final, () if law is None else tuple(law.terms))
+    intervals = judgement.intervals(finding.best.fit if finding.named else final, final.parameters())
     return Report(
-        finding, problem, noise, where, _effects(problem, finding, told), law, _soil(problem, told), ranking, other,
-        sureness, gap, share, interval, tests, final, model_of(problem, base), corrected, held,
-        held_after, doubts, settings,
-    )  # fmt: skip
+        finding=finding,
+        problem=problem,
+        noise=noise,
+        where=where,
+        effects=_effects(problem, finding, intervals),
+        law=law,
+        soil=_soil(problem, intervals),
+        ranking=ranking,
+        other=other,
+        bootstrap=redraws,
+        gap=gap,
+        closed=closed,
+        closed_interval=None if closed is None else judgement.closed_interval(problem, before, after, rng),
+        next_tests=next_tests(problem, finding) if law is None else law_tests(problem, base, law, model),
+        fit=final,
+        base_model=model_of(problem, base),
+        model=model,
+        held_before=before,
+        held_after=after,
+        doubts=doubts,
+        settings=settings,
+    )
 
 
 # --- the model --------------------------------------------------------------------------------------------------------

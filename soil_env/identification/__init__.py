@@ -1,4 +1,4 @@
-"""Identification of friction angle phi, shear modulus K and sinkage coefficient S from what a wheel measures.
+"""Identification of friction angle phi, shear deformation modulus K and sinkage coefficient S from wheel measurements.
 
 The unknowns are x = (phi, ln K, ln S); cohesion, sinkage exponent and the law of slip-sinkage are held at the values
 of a belief. A measured point is (slip, sinkage) with drawbar pull, load and torque; what was not measured has no
@@ -9,18 +9,20 @@ weight.
 
 Both are one safeguarded iteration on analytic derivatives (`solve`): a step that would leave the bounds or that does
 not reduce the weighted residual is shortened, and damped after Levenberg & Marquardt. The outcome is data,
-`Estimate`. The online identifier (`identifier.py`) calls the same compiled `solve`.
+`Estimate`. The online identifier (`online.py`) calls the same compiled `solve`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import root
-from soil_env.identification.point import Points, Reading, predict, weigh
+from soil_env.identification.point import Points, Reading, predict, weigh_all
 from soil_env.identification.solver import LOWER, UPPER, Status, normal_equations, solve
 from soil_env.identification.uniqueness import other_soil
 from soil_env.parameters import Soil
@@ -40,6 +42,7 @@ __all__ = [
 
 CHANNELS = ("drawbar_pull", "load", "torque")
 _REWEIGHTINGS = 5
+_NO_PRIOR = np.zeros(3)
 
 
 @dataclass(frozen=True)
@@ -102,12 +105,6 @@ def _points(slip, sinkage, channels, dig_ratio, reading) -> Points:
     return points
 
 
-@root
-def _weigh_all(points, count, x, variances, slip_sd, sinkage_sd, reading):
-    for p in range(count):
-        weigh(points, p, x, variances, slip_sd, sinkage_sd, reading)
-
-
 def generalized_newton_raphson(
     slip,
     sinkage,
@@ -141,53 +138,76 @@ def generalized_newton_raphson(
     """
     channels = (drawbar_pull, load, torque)
     points = _points(slip, sinkage, channels, dig_ratio, reading)
-    variances = np.full(3, np.inf)
-    for i, (channel, s) in enumerate(zip(channels, sd, strict=True)):
-        if not s > 0.0:
-            raise ValueError(f"sd = {sd}: expected positive standard deviations")
-        if channel is not None:
-            variances[i] = s * s
+    if not all(s > 0.0 for s in sd):
+        raise ValueError(f"sd = {sd}: expected positive standard deviations")
     if not (slip_sd >= 0.0 and sinkage_sd >= 0.0):
         raise ValueError(f"slip_sd = {slip_sd}, sinkage_sd = {sinkage_sd}: expected standard deviations >= 0")
     measured = len(points) * sum(c is not None for c in channels)
     if measured < 3:
         return Estimate(None, np.zeros((3, 3)), Status.NO_DATA, 0, math.nan, math.inf)
-    start = [guess.friction_angle_deg * math.pi / 180.0, guess.shear_modulus, guess.lumped(reading.width)]
-    x = np.clip([start[0], math.log(start[1]), math.log(start[2])], LOWER, UPPER)
-    covariance, no_prior = np.zeros((3, 3)), np.zeros(3)
-
-    def run(x, noise_of_slip, noise_of_sinkage, limit=max_iterations):
-        _weigh_all(points, len(points), x, variances, noise_of_slip, noise_of_sinkage, reading)
-        return solve(x, points, no_prior, no_prior, reading, limit, tolerance, covariance)
-
-    status, iterations, cost = run(x, 0.0, 0.0)
-    allowed = _misfit_allowed(measured)
-    if restarts and slip_sd == sinkage_sd == 0.0 and (status != Status.CONVERGED or cost > allowed):
-        for other in _spread_starts():
-            other_status, more, other_cost = run(other, 0.0, 0.0, min(max_iterations, 40))
-            iterations += more
-            better = other_cost < cost or (status != Status.CONVERGED and other_status == Status.CONVERGED)
-            if other_status == Status.CONVERGED and better:
-                x, status, cost = other, other_status, other_cost
-            if status == Status.CONVERGED and cost <= allowed:
-                break
+    variances = np.array([math.inf if c is None else s * s for c, s in zip(channels, sd, strict=True)])
+    start = [
+        math.radians(guess.friction_angle_deg),
+        math.log(guess.shear_modulus),
+        math.log(guess.lumped(reading.width)),
+    ]
+    run = partial(_run, points=points, variances=variances, reading=reading, tolerance=tolerance)
+    found = run(np.clip(start, LOWER, UPPER), limit=max_iterations)
     if slip_sd > 0.0 or sinkage_sd > 0.0:
         for _ in range(_REWEIGHTINGS):
-            before = x.copy()
-            status, more, cost = run(x, slip_sd, sinkage_sd)
-            iterations += more
-            if np.max(np.abs(x - before)) < 1e-4:
+            before, found = found, run(found.x, slip_sd, sinkage_sd, limit=max_iterations, spent=found.iterations)
+            if np.max(np.abs(found.x - before.x)) < 1e-4:
                 break
-    cost, matrix, _ = normal_equations(x, points, no_prior, no_prior, reading)
+    elif restarts:
+        found = _restarted(found, _misfit_allowed(measured), partial(run, limit=min(max_iterations, 40)))
+    return _estimate(found, points, measured, reading)
+
+
+def _estimate(found: _Found, points: Points, measured: int, reading: Reading) -> Estimate:
+    """`Estimate` at the end of an iteration."""
+    cost, matrix, _ = normal_equations(found.x, points, _NO_PRIOR, _NO_PRIOR, reading)
     eigenvalues = np.linalg.eigvalsh(matrix)
     singular = not np.linalg.det(matrix) > 1e-14 * np.prod(np.diagonal(matrix))
     covariance = np.zeros((3, 3)) if singular else np.linalg.inv(matrix)
     condition = math.sqrt(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0.0 else math.inf
-    second, other = np.empty(3), None
-    if measured == 3 and status == Status.CONVERGED and other_soil(x, points, reading, second):
+    status, second, other = found.status, np.empty(3), None
+    if measured == 3 and status == Status.CONVERGED and other_soil(found.x, points, reading, second):
         status, other = Status.AMBIGUOUS, _soil(second, reading)
     residual = math.sqrt(cost / measured)
-    return Estimate(_soil(x, reading), covariance, Status(status), iterations, residual, condition, other)
+    soil = _soil(found.x, reading)
+    return Estimate(soil, covariance, Status(status), found.iterations, residual, condition, other)
+
+
+class _Found(NamedTuple):
+    """The end of an iteration."""
+
+    x: np.ndarray  # [3] phi [rad], ln K, ln S
+    status: int
+    iterations: int
+    cost: float
+
+
+def _run(x, slip_sd=0.0, sinkage_sd=0.0, *, points, variances, reading, tolerance, limit, spent=0) -> _Found:
+    """Least squares from x, with the weights that the noise of slip and sinkage gives the points there."""
+    x = x.copy()
+    weigh_all(points, len(points), x, variances, slip_sd, sinkage_sd, reading)
+    covariance = np.empty((3, 3))
+    status, iterations, cost = solve(x, points, _NO_PRIOR, _NO_PRIOR, reading, limit, tolerance, covariance)
+    return _Found(x, status, spent + iterations, cost)
+
+
+def _restarted(found: _Found, allowed: float, run: Callable[..., _Found]) -> _Found:
+    """`found`, or the best end of further starts until one has a misfit that noise allows."""
+    iterations = found.iterations
+    for start in _spread_starts():
+        if found.status == Status.CONVERGED and found.cost <= allowed:
+            break
+        other = run(start)
+        iterations += other.iterations
+        better = other.cost < found.cost or found.status != Status.CONVERGED
+        if other.status == Status.CONVERGED and better:
+            found = other
+    return found._replace(iterations=iterations)
 
 
 def _soil(x, reading: Reading) -> Soil:

@@ -1,9 +1,9 @@
 """Identify a soil from the measurements of a wheel.
 
 Reads a table of steady points (slip, load, sinkage and drawbar pull or torque) and what is known beforehand about
-wheel, soil and sensors; fits friction angle, shear modulus K, sinkage coefficient S, sinkage exponent n and cohesion,
-as far as they are not known; prints the estimates with 95 % intervals, their correlations, and in words what the data
-cannot tell.
+wheel, soil and sensors; fits friction angle, shear deformation modulus K, sinkage coefficient S, sinkage exponent n and
+cohesion, as far as they are not known; prints the estimates with 95 % intervals, their correlations, and in words what
+the data cannot tell.
 
 DATA.csv (SI units; a cell is left empty where nothing was measured):
 
@@ -43,61 +43,44 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table as Grid
+from rich.text import Text
 
-from soil_env._io.commands import INTERRUPTED, drop_output, leave
+from soil_env._io.commands import command_line, leave
+from soil_env._io.document import Table
 from soil_env._io.files import check_outputs, replace_files
 from soil_env._io.loading import ParameterError
-from soil_env._io.signals import terminable
-from soil_env.identification.table import Fit, TableEstimate, identify_table
+from soil_env.identification.table import SYMBOLS, ChannelFit, TableEstimate, identify_table
 from soil_env.measurement.table import read_setup, read_table
 
+NAME = "soil_env.identification"
 FILES = ("identification.json", "identification.png")
-NAMES = {
+LABELS = {
     "friction_angle_deg": "friction angle",
-    "shear_modulus": "shear modulus K",
+    "shear_modulus": "shear deformation modulus K",
     "sinkage_coefficient": "sinkage coefficient S",
     "sinkage_exponent": "sinkage exponent n",
     "cohesion": "cohesion c",
 }
 
 
-@terminable
+@command_line(NAME)
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    try:
-        return _run(_parser().parse_args(arguments))
-    except ParameterError as error:
-        print(f"soil_env.identification: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nsoil_env.identification: interrupted", file=sys.stderr)
-        return INTERRUPTED
-
-
-def _run(options: argparse.Namespace) -> int:
+    options = _parser().parse_args(arguments)
     if options.out == "":
         raise ParameterError("--out is empty: expected a folder")
-    folder = None if options.out is None else Path(options.out)
     setup = read_setup(options.setup)
     table = read_table(options.data, setup.wheel)
-    try:
-        if folder is not None:
-            check_outputs(folder, FILES)
-        estimate = identify_table(table, setup)
-        if folder is not None:
-            replace_files(folder, _files(estimate))
-    except OSError as error:
-        raise ParameterError(f"{error.filename}: {error.strerror}") from None
-    try:
-        show(estimate, Console(width=None if sys.stdout.isatty() else 110))
-        for name in FILES if folder is not None else ():
-            print(f"written: {folder / name}")
-        sys.stdout.flush()
-    except OSError as error:
-        drop_output()
-        where = "" if folder is None else f"; it is in {folder}"
-        raise ParameterError(f"the result cannot be printed ({error.strerror}){where}") from None
+    if options.out is not None:
+        check_outputs(options.out, FILES)
+    estimate = identify_table(table, setup)
+    if options.out is not None:
+        contents = (json.dumps(report_of(estimate), indent=2, allow_nan=False) + "\n", picture(estimate))
+        replace_files(options.out, dict(zip(FILES, contents, strict=True)))
+    Console(width=None if sys.stdout.isatty() else 110).print(Text(text_of(estimate)))
+    for name in FILES if options.out is not None else ():
+        print(f"written: {Path(options.out) / name}")
+    sys.stdout.flush()
     return 0
 
 
@@ -117,7 +100,7 @@ examples:
 def _parser() -> argparse.ArgumentParser:
     description, _, files = __doc__.partition("\n\nDATA.csv")
     p = argparse.ArgumentParser(
-        prog="python -m soil_env.identification",
+        prog=f"python -m {NAME}",
         description=description,
         epilog="files:\n\nDATA.csv" + files + _EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -140,65 +123,49 @@ def _parser() -> argparse.ArgumentParser:
 # --- on the terminal --------------------------------------------------------------------------------------------------
 
 
-def show(estimate: TableEstimate, console: Console) -> None:
-    """Print estimates, channels, correlations and warnings."""
-    grid = Grid(title="Soil", title_justify="left", title_style="bold")
-    for title, align in (("parameter", "left"), ("estimate", "right"), ("95 % interval", "right"), ("unit", "left")):
-        grid.add_column(title, justify=align, no_wrap=True)
-    grid.add_column("sd / prior sd", justify="right")
-    for key, label in NAMES.items():
-        p = estimate.parameters[key]
-        fixed = p.known and p.low == p.high
-        interval = "" if fixed else f"{p.low:.4g} .. {p.high:.4g}"
-        told = "known" if p.known else f"{p.told:.3f}"
-        grid.add_row(label, f"{p.value:.4g}", interval, p.unit, told)
-    p = estimate.parameters["reference_pressure"]
-    label = f"S z^n at z = {1e3 * estimate.reference_sinkage:.3g} mm"
-    grid.add_row(label, f"{p.value:.4g}", "" if p.low == p.high else f"{p.low:.4g} .. {p.high:.4g}", p.unit, "")
-    console.print(grid)
-
-    grid = Grid(title="Fit", title_justify="left", title_style="bold")
-    for title in ("channel", "points", "noise (1 sd)", "rms residual", "rms / noise"):
-        grid.add_column(title, justify="left" if title == "channel" else "right", no_wrap=True)
-    for name, fit in estimate.fits.items():
-        rms = _rms(fit)
-        grid.add_row(
-            name.replace("_", " "),
-            str(int(np.sum(np.isfinite(fit.measured)))),
-            f"{fit.noise:.3g} {fit.unit}" + (" (estimated)" if fit.estimated else ""),
-            f"{rms:.3g} {fit.unit}",
-            f"{rms / fit.noise:.2f}",
-        )
-    console.print(grid)
+def text_of(estimate: TableEstimate) -> str:
+    """Estimates, channels, correlations and warnings."""
+    parts = ["Soil", _soil(estimate).text(2), "", "Fit", _channels(estimate).text(2)]
     if estimate.exact:
         keys = ", ".join(f"noise.{name}" for name in estimate.exact)
-        console.print(f"{' and '.join(estimate.exact)} taken as exact ({keys} not given)", highlight=False)
-
+        parts.append(f"{' and '.join(estimate.exact)} taken as exact ({keys} not given)")
     if len(estimate.free) > 1:
-        grid = Grid(title="Correlation", title_justify="left", title_style="bold")
-        grid.add_column("")
-        for label in estimate.free:
-            grid.add_column(label, justify="right")
-        for label, line in zip(estimate.free, estimate.correlation, strict=True):
-            grid.add_row(label, *(f"{c:+.3f}" for c in line))
-        console.print(grid)
-    text = f"{estimate.values} measured values, condition number {estimate.condition:.3g}"
-    console.print(text + (" (hardly told apart)" if estimate.condition > 1e3 else ""), highlight=False)
-    for warning in estimate.warnings:
-        console.print(f"! {warning}", style="yellow", highlight=False)
+        rows = zip(estimate.free, estimate.correlation, strict=True)
+        grid = Table(
+            ("", *(SYMBOLS[label] for label in estimate.free)),
+            [(label, *(f"{c:+.3f}" for c in line)) for label, line in rows],
+        )
+        parts += ["", "Correlation", grid.text(2)]
+    hardly = " (hardly told apart)" if estimate.condition > 1e3 else ""
+    parts += ["", f"{estimate.values} measured values, condition number {estimate.condition:.3g}{hardly}"]
+    return "\n".join([*parts, *(f"! {warning}" for warning in estimate.warnings)])
 
 
-def _rms(fit: Fit) -> float:
+def _soil(estimate: TableEstimate) -> Table:
+    labels = LABELS | {"reference_pressure": f"S z^n at z = {1e3 * estimate.reference_sinkage:.3g} mm"}
+    rows = []
+    for key, label in labels.items():
+        p = estimate.parameters[key]
+        interval = "" if p.low == p.high else f"{p.low:.4g} .. {p.high:.4g}"
+        told = "" if key == "reference_pressure" else "known" if p.known else f"{p.told:.3f}"
+        rows.append((label, f"{p.value:.4g}", interval, p.unit, told))
+    return Table(("parameter", "estimate", "95 % interval", "unit", "sd / prior sd"), rows)
+
+
+def _channels(estimate: TableEstimate) -> Table:
+    rows = []
+    for name, fit in estimate.fits.items():
+        noise = f"{fit.noise:.3g} {fit.unit}" + (" (estimated)" if fit.estimated else "")
+        rms, count = _rms(fit), int(np.sum(np.isfinite(fit.measured)))
+        rows.append((name.replace("_", " "), count, noise, f"{rms:.3g} {fit.unit}", f"{rms / fit.noise:.2f}"))
+    return Table(("channel", "points", "noise (1 sd)", "rms residual", "rms / noise"), rows)
+
+
+def _rms(fit: ChannelFit) -> float:
     return math.sqrt(float(np.nanmean((fit.measured - fit.fitted) ** 2)))
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
-
-
-def _files(estimate: TableEstimate) -> dict[str, bytes]:
-    """Content of the files by name, complete before the first is written."""
-    report = json.dumps(report_of(estimate), indent=2, allow_nan=False) + "\n"
-    return dict(zip(FILES, (report.encode(), picture(estimate)), strict=True))
 
 
 def report_of(estimate: TableEstimate) -> dict:

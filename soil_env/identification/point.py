@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import inlined, part, root
 from soil_env._numba.rows import rows
 from soil_env.terramechanics.contact import (
     JANOSI,
@@ -179,6 +179,13 @@ def weigh(points, p, x, variances, slip_sd, sinkage_sd, reading, ratio_sd=0.0, g
         v = _with_error(v, _times(sinkage_sd / h, (z.pull - y.pull, z.load - y.load, z.torque - y.torque)))
     _whiten(points, p, variances, v)
     return y
+
+
+@root
+def weigh_all(points, count, x, variances, slip_sd, sinkage_sd, reading):
+    """`weigh` the first `count` points."""
+    for p in range(count):
+        weigh(points, p, x, variances, slip_sd, sinkage_sd, reading)
 
 
 @inlined

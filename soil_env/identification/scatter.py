@@ -4,9 +4,9 @@ With the noise sigma of every estimated channel flat in its logarithm (Jeffreys)
 solution, the parameters under a given sigma are normal with mean and covariance of weighted least squares, and sigma
 has the restricted likelihood (Patterson & Thompson 1971, Biometrika 58:545-554)
 
-    -2 ln L = ln|V| + ln|H| + e' V^-1 e + d' d - g' H^-1 g,   H = J' V^-1 J + D' D,   g = J' V^-1 e + D' d
+    -2 ln L = ln|V| + ln|H| + e' V^-1 e + u'u - g' H^-1 g,   H = J' V^-1 J + I,   g = J' V^-1 e - u
 
-with e, J and V of `weighted.Problem` and d, D of its priors. With one channel the mixture over sigma is Student's t;
+with e, V and J = df/du of `weighted.TableProblem`. With one channel the mixture over sigma is Student's t;
 with several it allows for weights that are themselves uncertain, which plugging in estimates of sigma does not. Where
 drawbar pull and torque are both of unknown noise, that of each is flat in sigma (Gelman 2006, Bayesian Analysis
 1:515-534) instead: by chance either of them can seem free of noise, and draws all weight.
@@ -18,6 +18,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from soil_env.identification.weighted import TableProblem
+
 _ROUNDS = (1500, 1500, 3000)  # samples of ln sigma, each round drawn from what the last has found
 _TAIL = 4.0  # degrees of freedom of the Student t they are drawn from
 _HIGHEST = 30.0  # noise, as a multiple of the first guess
@@ -25,38 +27,34 @@ FEW = 40.0  # degrees of freedom of a channel from which on its noise counts as 
 
 
 class Scatter:
-    """Samples of the unknown noise with weights [M], and the parameters under each: shift [M, p], covariance."""
+    """Samples of the unknown noise with weights [M], and the unknowns under each: shift [M, p], covariance."""
 
-    def __init__(self, problem, x):
+    def __init__(self, problem: TableProblem, u: np.ndarray):
         self.channels = np.flatnonzero(problem.estimated)
-        e, J, _ = problem.misfit(x)
-        d, D = problem.prior(x)
-        self.e, self.J = e, J[:, :, problem.free]
-        self.d, self.D = d[problem.free], D[np.ix_(problem.free, problem.free)]
-        B = np.concatenate([-problem.F, np.broadcast_to(np.eye(3), (problem.rows, 3, 3))], axis=2)
-        B[:, :, 2:] *= problem.measured[:, None, :]
-        self.parts = np.einsum("kcj,kdj->jkcd", B, B)[self.channels]
+        self.u, self.e, self.J = u, problem.residual(u), problem.by_unknowns(u)
+        unit = problem.measured[:, None, :] * np.eye(3)  # [N, 3, 3]
+        self.parts = np.stack([unit * np.eye(3)[j - 2] for j in self.channels])
         known = np.where(problem.estimated, 0.0, problem.noise) ** 2
-        self.rest = np.einsum("kcj,j,kdj->kcd", B, known, B)
-        self.rest += np.einsum("kc,cd->kcd", ~problem.measured, np.eye(3))
+        self.rest = np.einsum("kcj,j,kdj->kcd", problem.F, known[:2], problem.F) + unit * known[2:]
+        self.rest += ~problem.measured[:, None, :] * np.eye(3)
         self._sample(problem)
 
     def _evaluate(self, ln_sd):
-        """ln L [M], shift [M, p] of the parameters and their covariance [M, p, p] at ln sigma [M, channels]."""
+        """ln L [M], shift [M, p] of the unknowns and their covariance [M, p, p] at ln sigma [M, channels]."""
         V = self.rest + np.einsum("mj,jkcd->mkcd", np.exp(2.0 * ln_sd), self.parts)
         scale = np.sqrt(np.einsum("mkcc->mkc", V))  # whitened first, the channels differ by powers of ten
         L = np.linalg.cholesky(V / (scale[..., :, None] * scale[..., None, :]) + 1e-12 * np.eye(3))
         WJ = np.linalg.solve(L, self.J / scale[..., None])
         We = np.linalg.solve(L, (self.e / scale)[..., None])[..., 0]
-        H = np.einsum("mkcp,mkcq->mpq", WJ, WJ) + self.D.T @ self.D
-        g = np.einsum("mkcp,mkc->mp", WJ, We) + self.D.T @ self.d
+        H = np.einsum("mkcp,mkcq->mpq", WJ, WJ) + np.eye(self.u.size)
+        g = np.einsum("mkcp,mkc->mp", WJ, We) - self.u
         covariance = np.linalg.inv(H)
-        shift = -np.einsum("mpq,mq->mp", covariance, g)
+        shift = np.einsum("mpq,mq->mp", covariance, g)
         logs = 2.0 * np.sum(np.log(scale), axis=(1, 2)) + 2.0 * np.sum(np.log(np.einsum("mkcc->mkc", L)), axis=(1, 2))
-        square = np.einsum("mkc,mkc->m", We, We) + self.d @ self.d + np.einsum("mp,mp->m", g, shift)
+        square = np.einsum("mkc,mkc->m", We, We) + self.u @ self.u - np.einsum("mp,mp->m", g, shift)
         return -0.5 * (logs + np.linalg.slogdet(H)[1] + square), shift, covariance
 
-    def _sample(self, problem) -> None:
+    def _sample(self, problem: TableProblem) -> None:
         """Adaptive importance sampling (Oh & Berger 1992), started all over the box of the noise."""
         rng, k = np.random.default_rng(0), self.channels.size
         forces = self.channels >= 3  # drawbar pull and torque, as in `weighted.SOURCES`
@@ -89,7 +87,7 @@ class Scatter:
         return np.exp(self.weights @ self.ln_sd)
 
     def interval(self, gradient, share: float = 0.95) -> tuple[float, float]:
-        """Bounds of a linear function of the free parameters, from its value at the solution."""
+        """Bounds of a linear function of the unknowns, from its value at the solution."""
         mean = self.shift @ gradient
         sd = np.sqrt(np.einsum("p,mpq,q->m", gradient, self.covariance, gradient))
         low, high = float(np.min(mean - 40.0 * sd)), float(np.max(mean + 40.0 * sd))

@@ -1,8 +1,8 @@
 """Identification of a soil from a measurement table: the most probable parameters under the setup's priors.
 
-Of friction angle phi, shear modulus K, sinkage coefficient S, exponent n and cohesion c, those are fitted that the
-setup does not give as known. `weighted.py` has the equations; here the solution is turned into intervals, and into
-words on what the data cannot tell.
+Of friction angle phi, shear deformation modulus K, sinkage coefficient S, exponent n and cohesion c, those are fitted
+that the setup does not give as known. `weighted.py` has the equations; here the solution is turned into intervals, and
+into words on what the data cannot tell.
 """
 
 from __future__ import annotations
@@ -15,10 +15,13 @@ from scipy.stats import chi2, t
 from scipy.stats import f as f_distribution
 
 from soil_env.identification.scatter import FEW, Scatter
-from soil_env.identification.weighted import COHESION, EXPONENT, LN_K, LN_P, PHI, SOURCES, Problem
+from soil_env.identification.weighted import SOURCES, TableProblem
 from soil_env.measurement.table import UNITS, Setup, Table
 
-LABELS = ("friction angle", "shear modulus", "stiffness S z^n", "sinkage exponent", "cohesion")  # in messages
+NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "sinkage_exponent", "cohesion")
+PHI, LN_K, LN_S, EXPONENT, COHESION = range(5)  # in these coordinates, the angle in degrees
+LABELS = ("friction angle", "shear deformation modulus", "stiffness S z^n", "sinkage exponent", "cohesion")
+SYMBOLS = dict(zip(LABELS, ("phi", "K", "S z^n", "n", "c"), strict=True))
 UNTOLD = 0.7  # share of the prior sd above which the data do not tell a parameter
 TIED = 0.98  # correlation above which two parameters are tied
 SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows
@@ -40,8 +43,8 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Fit:
-    """One channel: measured and fitted values [N] at the most probable slip and sinkage, and its noise."""
+class ChannelFit:
+    """One channel: measured and fitted values [N] at the most probable slip and load, and its noise."""
 
     measured: np.ndarray  # nan where not measured
     fitted: np.ndarray
@@ -67,7 +70,7 @@ class TableEstimate:
     correlation: np.ndarray  # [p, p]
     condition: float  # of the whitened Jacobian in units of the prior sd
     reference_sinkage: float  # z_ref [m], the median
-    fits: dict[str, Fit]  # sinkage, drawbar_pull, torque, and load if it has noise
+    fits: dict[str, ChannelFit]  # sinkage, drawbar_pull, torque, and load if it has noise
     row: np.ndarray  # [N] lines of the table
     slip: np.ndarray  # [N]
     load: np.ndarray  # [N]
@@ -83,50 +86,65 @@ def identify_table(table: Table, setup: Setup, *, max_passes: int = _PASSES) -> 
     Base model: smooth rim on level, fresh soil, and no slip-sinkage but the sinkage that was measured.
     Raises `ParameterError` if there is no sinkage, nothing to fit, or fewer measured values than fitted parameters.
     """
-    problem = Problem(table, setup)
-    x, converged = _settle(problem, problem.search(), max_passes)
+    problem = TableProblem(table, setup)
+    u, converged = _settle(problem, problem.search(), max_passes)
     if not (np.any(problem.estimated) and np.min(problem.freedom) < FEW):
-        return _summary(problem, x, converged, None)
+        return _summary(problem, u, converged, None)
     for _ in range(max_passes):
-        scatter = Scatter(problem, x)
+        scatter = Scatter(problem, u)
         problem.noise[problem.estimated] = scatter.noise()
-        before, (x, converged) = x, _settle(problem, x, max_passes, False)
-        if np.max(np.abs(x - before)[problem.free] / problem.scale[problem.free]) < 1e-3:
+        before, (u, converged) = u, _settle(problem, u, max_passes, False)
+        if np.max(np.abs(u - before)) < 1e-3:
             break
-    return _summary(problem, x, converged, Scatter(problem, x))
+    return _summary(problem, u, converged, Scatter(problem, u))
 
 
-def _settle(problem: Problem, x, max_passes: int, guess: bool = True) -> tuple[np.ndarray, bool]:
-    """The solution from x with conditions and, with `guess`, noise renewed until they no longer change; whether so."""
-    free, guessed, converged = problem.free, problem.estimated & guess, False
+def _settle(problem: TableProblem, u, max_passes: int, guess: bool = True) -> tuple[np.ndarray, bool]:
+    """The solution from u with conditions and, with `guess`, noise renewed until they no longer change; whether so."""
+    guessed, converged = problem.estimated & guess, False
     share, last = 1.0, math.inf  # of each move; lessened where they go in circles, as when the model does not fit
+    problem.weigh(problem.by_conditions(u))
     for count in range(max_passes):
         noise = problem.noise.copy()
-        move = problem.minimise(x)[0] - x
-        size = float(np.max(np.abs(move[free]) / problem.scale[free]))
+        move = problem.minimise(u)[0] - u
+        size = float(np.max(np.abs(move)))
         share, last = max(0.2, 0.6 * share) if count > max_passes // 4 and size > 0.9 * last else share, size
-        x = x + share * move
-        problem.correct(x)
+        u = u + share * move
         if guess:
-            problem.update_noise(x)
+            problem.update_noise(u)
+        problem.correct(u)
         converged = bool(size < 1e-4 and np.all(np.abs(problem.noise - noise)[guessed] < 1e-3 * noise[guessed]))
         if converged:
             break
-    return x, converged
+    return u, converged
 
 
-def _summary(problem: Problem, x, converged: bool, scatter: Scatter | None) -> TableEstimate:
-    free = problem.free
-    covariance = problem.covariance(x)
-    sd = np.sqrt(np.diag(covariance))
+# --- what is told of the solution -------------------------------------------------------------------------------------
+
+
+def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
+    """(d(phi, ln K, ln S, n, c)/du [5, p], which of the five are free)."""
+    order = {name: k for k, name in enumerate(NAMES)}
+    out = np.zeros((5, len(problem.unknowns)))
+    for j, unknown in enumerate(problem.unknowns):
+        out[order[unknown.name], j] = unknown.sd
+    return out, np.any(out > 0.0, axis=1)
+
+
+def _summary(problem: TableProblem, u, converged: bool, scatter: Scatter | None) -> TableEstimate:
+    scaling, free = _scaling(problem)
+    told = np.eye(5)  # (phi [rad], ln K, ln S z_ref^n, n, c) by (phi [deg], ln K, ln S, n, c)
+    told[PHI, PHI], told[LN_S, EXPONENT] = math.radians(1.0), math.log(problem.z_ref)
+    by_u = (told @ scaling)[free]
+    covariance = by_u @ problem.covariance(u) @ by_u.T
+    sd, prior_sd = np.sqrt(np.diag(covariance)), np.sqrt(np.sum(by_u**2, axis=1))
     correlation = covariance / np.outer(sd, sd)
-    fits = _fits(problem, x)
+    singular = np.linalg.svd(problem.derivatives(u) @ np.linalg.inv(by_u) * prior_sd, compute_uv=False)
+    fits = _fits(problem, u)
     labels = tuple(label for label, f in zip(LABELS, free, strict=True) if f)
-    parameters = _parameters(problem, x, covariance, scatter)
-    whitened = problem.stacked(x)[1][: -int(free.sum())] * problem.scale[free]
-    singular = np.linalg.svd(whitened, compute_uv=False)
+    parameters = _parameters(problem, u, scaling, scatter)
     warnings = _units(problem, parameters, fits) + _untold(parameters, labels, correlation)
-    warnings += _doubts(problem, x, fits, converged)
+    warnings += _doubts(problem, u, fits, converged)
     return TableEstimate(
         parameters=parameters,
         free=labels,
@@ -136,8 +154,8 @@ def _summary(problem: Problem, x, converged: bool, scatter: Scatter | None) -> T
         reference_sinkage=problem.z_ref,
         fits=fits,
         row=problem.table.row[problem.use],
-        slip=problem.conditions[:, 0],
-        load=problem.y[:, 0],
+        slip=problem.rows.slip,
+        load=problem.rows.load,
         values=int(problem.measured.sum()),
         exact=_exact(problem),
         converged=converged,
@@ -145,77 +163,70 @@ def _summary(problem: Problem, x, converged: bool, scatter: Scatter | None) -> T
     )
 
 
-def _parameters(problem: Problem, x, covariance, scatter: Scatter | None) -> dict[str, Parameter]:
+def _parameters(problem: TableProblem, u, scaling, scatter: Scatter | None) -> dict[str, Parameter]:
     """Estimates and 95 % intervals; those of K, S and p_ref are computed in the logarithm.
 
     Where noise is estimated, Student's t with the degrees of freedom of the channel that has fewest; from few points
     the noise is integrated out too (`scatter`), and the wider of the two taken on either side.
     """
     reach = t.ppf(0.975, max(1.0, float(np.min(problem.freedom))))
-    full = np.zeros((5, 5))
-    full[np.ix_(problem.free, problem.free)] = covariance
-    y = problem.complete(x)
-    to_p = np.eye(5)[LN_P] if problem.free[LN_P] else problem.by_exponent * np.eye(5)[EXPONENT]
-    to_s = to_p - math.log(problem.z_ref) * np.eye(5)[EXPONENT]  # ln S = ln p_ref - n ln z_ref
-    prior = np.where(problem.free, problem.scale, math.nan)
-    ln_s = float(y[LN_P] - math.log(problem.z_ref) * y[EXPONENT])
+    covariance, values = problem.covariance(u), problem.values(u)
+    to_pressure = scaling[LN_S] + math.log(problem.z_ref) * scaling[EXPONENT]
+    ln_s, n = math.log(values["sinkage_coefficient"]), values["sinkage_exponent"]
     out = {}
-    for name, k, value, gradient, unit in (
-        ("friction_angle_deg", PHI, math.degrees(y[PHI]), math.degrees(1.0) * np.eye(5)[PHI], "deg"),
-        ("shear_modulus", LN_K, y[LN_K], np.eye(5)[LN_K], "m"),
-        ("sinkage_coefficient", LN_P, ln_s, to_s, "N/m^(n+2)"),
-        ("sinkage_exponent", EXPONENT, y[EXPONENT], np.eye(5)[EXPONENT], ""),
-        ("cohesion", COHESION, y[COHESION], np.eye(5)[COHESION], "Pa"),
-        ("reference_pressure", LN_P, y[LN_P], to_p, "Pa"),
+    for name, value, by_u, unit in (
+        ("friction_angle_deg", values["friction_angle_deg"], scaling[PHI], "deg"),
+        ("shear_modulus", math.log(values["shear_modulus"]), scaling[LN_K], "m"),
+        ("sinkage_coefficient", ln_s, scaling[LN_S], "N/m^(n+2)"),
+        ("sinkage_exponent", n, scaling[EXPONENT], ""),
+        ("cohesion", values["cohesion"], scaling[COHESION], "Pa"),
+        ("reference_pressure", ln_s + n * math.log(problem.z_ref), to_pressure, "Pa"),
     ):
-        half = reach * math.sqrt(gradient @ full @ gradient)
-        below, above = (0.0, 0.0) if scatter is None else scatter.interval(gradient[problem.free])
+        half = reach * math.sqrt(by_u @ covariance @ by_u)
+        below, above = (0.0, 0.0) if scatter is None else scatter.interval(by_u)
         bounds = [float(value), float(value + min(below, -half)), float(value + max(above, half))]
-        if k in (LN_K, LN_P):
+        if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
             bounds = [math.exp(min(b, 700.0)) for b in bounds]
         else:
             bounds[1] = max(bounds[1], 0.0)
             bounds[0] = 0.0 if abs(bounds[0]) < 1e-9 * half else bounds[0]
-        told = math.sqrt(full[k, k]) / prior[k]
-        if name == "sinkage_coefficient" and problem.by_exponent:  # the prior is one of S
-            told = math.sqrt(to_s @ full @ to_s) / prior[k]
-        out[name] = Parameter(*bounds, unit=unit, known=not problem.free[k], told=told)
+        prior_sd = math.sqrt(by_u @ by_u)
+        known = prior_sd == 0.0
+        told = math.nan if known else half / reach / prior_sd
+        out[name] = Parameter(*bounds, unit=unit, known=known, told=told)
     return out
 
 
-def _fits(problem: Problem, x) -> dict[str, Fit]:
-    errors, left = problem.errors(x)
-    out, _ = problem.model(x)
-    fits = {}
+def _fits(problem: TableProblem, u) -> dict[str, ChannelFit]:
+    errors, left = problem.errors(u)
+    out, fits = problem.predict(u), {}
     for j, name in enumerate(SOURCES):
-        k = problem.counted[:, j]
-        if name == "slip" or (name == "load" and problem.load_exact) or not np.any(k):
+        k = problem.measured[:, j - 2] if j >= 2 else np.full(len(out), name == "load" and problem.noise[1] > 0.0)
+        if not np.any(k):
             continue
-        measured, fitted = (
-            (problem.conditions[:, j], problem.corrected[:, j]) if j < 2 else (problem.y[:, j - 2], out[:, j - 2])
-        )
-        p = low = math.nan
+        columns = (problem.y[:, j - 2], out[:, j - 2]) if j >= 2 else (problem.rows.load, problem.corrected.load)
+        noise, p, low = float(problem.noise[j]), math.nan, math.nan
         if not problem.estimated[j]:
-            share = np.maximum(left[k, j], 1e-3 * problem.noise[j] ** 2)
-            freedom = float(np.sum(share)) / problem.noise[j] ** 2
-            square = float(np.sum(errors[k, j] ** 2)) / problem.noise[j] ** 2
-            p = float(chi2.sf(square, max(freedom, 0.5)))
-            low = float(chi2.cdf(square, max(freedom, 0.5))) if square < SMALL**2 * freedom else 1.0
-        fits[name] = Fit(measured, fitted, float(problem.noise[j]), bool(problem.estimated[j]), p, low, UNITS[name])
-    return fits
+            share = np.maximum(left[k, j], 1e-3 * noise**2)
+            freedom = max(float(np.sum(share)) / noise**2, 0.5)
+            square = float(np.sum(errors[k, j] ** 2)) / noise**2
+            p = float(chi2.sf(square, freedom))
+            low = float(chi2.cdf(square, freedom)) if square < SMALL**2 * freedom else 1.0
+        fits[name] = ChannelFit(*columns, noise, bool(problem.estimated[j]), p, low, UNITS[name])
+    return {name: fits[name] for name in ("sinkage", "load", "drawbar_pull", "torque") if name in fits}
 
 
 # --- in words ---------------------------------------------------------------------------------------------------------
 
 
-def _exact(problem: Problem) -> tuple[str, ...]:
+def _exact(problem: TableProblem) -> tuple[str, ...]:
     return tuple(name for name in ("slip", "load") if getattr(problem.setup.noise, name) is None)
 
 
-def _units(problem: Problem, parameters: dict[str, Parameter], fits: dict[str, Fit]) -> list[str]:
+def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]) -> list[str]:
     """What looks like a wrong unit in setup and table."""
     words = problem.setup.doubts()
-    load, S = float(np.median(problem.y[:, 0])), parameters["sinkage_coefficient"]
+    load, S = float(np.median(problem.rows.load)), parameters["sinkage_coefficient"]
     if load < LIGHT:
         words.append(
             f"The median load is {load:.3g} N: expected newtons; if it is kN, multiply forces and torque by 1000."
@@ -235,11 +246,10 @@ def _units(problem: Problem, parameters: dict[str, Parameter], fits: dict[str, F
 
 
 def _untold(parameters: dict[str, Parameter], labels, correlation) -> list[str]:
-    names = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "sinkage_exponent", "cohesion")
     words = [
         f"The data cannot tell the {label}: what is reported is mostly its prior "
         f"(standard deviation {100 * parameters[name].told:.0f} % of the prior's)."
-        for name, label in zip(names, LABELS, strict=True)
+        for name, label in zip(NAMES, LABELS, strict=True)
         if parameters[name].told > UNTOLD
     ]
     for i in range(len(labels)):
@@ -252,16 +262,21 @@ def _untold(parameters: dict[str, Parameter], labels, correlation) -> list[str]:
     return words
 
 
-def _doubts(problem: Problem, x, fits: dict[str, Fit], converged: bool) -> list[str]:
+def _doubts(problem: TableProblem, u, fits: dict[str, ChannelFit], converged: bool) -> list[str]:
     words = []
-    edge = 1e-6 * np.minimum(problem.scale, problem.high - problem.low)
-    names = [LABELS[k] for k in np.flatnonzero(problem.free)
-             if x[k] <= problem.low[k] + edge[k] or x[k] >= problem.high[k] - edge[k]]  # fmt: skip
-    if names:
-        words.append(f"At the end of its admissible range: {', '.join(names)}; its interval is not reliable.")
-    for label, d, given in zip(LABELS, problem.prior(x)[0], problem.given, strict=True):
-        if given and abs(d) > 3.0:
-            words.append(f"The {label} came out {abs(d):.1f} standard deviations from its prior: one of them is wrong.")
+    (low, high), label = problem.bounds, dict(zip(NAMES, LABELS, strict=True))
+    edge = 1e-6 * np.minimum(1.0, high - low)
+    at_end = (u <= low + edge) | (u >= high - edge)
+    if np.any(at_end):
+        names = ", ".join(label[k.name] for k, at in zip(problem.unknowns, at_end, strict=True) if at)
+        words.append(f"At the end of its admissible range: {names}; its interval is not reliable.")
+    soil = problem.setup.soil
+    for unknown, d in zip(problem.unknowns, u, strict=True):
+        s = unknown.name == "sinkage_coefficient"
+        given = soil.lumped(problem.setup.wheel.width) if s else getattr(soil, unknown.name)
+        if given is not None and abs(d) > 3.0:
+            off = f"{abs(d):.1f} standard deviations"
+            words.append(f"The {label[unknown.name]} came out {off} from its prior: one of them is wrong.")
     exact = " and ".join(_exact(problem))
     first = f"Check first whether {exact} can be taken as exact (noise: in the setup); else an" if exact else "An"
     for name, fit in fits.items():
@@ -271,7 +286,7 @@ def _doubts(problem: Problem, x, fits: dict[str, Fit], converged: bool) -> list[
                 f"The base model does not fit the {name.replace('_', ' ')} to its noise: residuals are {rms:.1f} times "
                 f"the given standard deviation, so the intervals are too narrow. {first} effect may be missing."
             )
-        elif fit.estimated and _follows(problem.conditions[:, 0], problem.y[:, 0], fit.residual):
+        elif fit.estimated and _follows(problem.rows.slip, problem.rows.load, fit.residual):
             words.append(
                 f"The residuals of {name.replace('_', ' ')} follow slip and load instead of scattering: the base model "
                 f"does not fit, and its error counts here as noise. {first} effect may be missing."
@@ -293,7 +308,7 @@ def _doubts(problem: Problem, x, fits: dict[str, Fit], converged: bool) -> list[
     grousers = table.grouser_height[used]
     if np.any(np.where(np.isnan(grousers), problem.setup.wheel.grouser_height or 0.0, grousers) > 0.0):
         words.append("The grousers are not modelled: the rim is taken as smooth at wheel radius.")
-    if np.ptp(problem.width) > 0.0 and problem.setup.soil.k_c is None:
+    if np.ptp(problem.rows.wheels[:, 1]) > 0.0 and problem.setup.soil.k_c is None:
         words.append("Wheels of several widths share one S: give k_c and k_phi to tell them apart.")
     if not converged:
         words.append("The weights had not settled when the iteration stopped: take the intervals as rough.")

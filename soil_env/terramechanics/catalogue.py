@@ -1,6 +1,7 @@
 """The catalogue of named effects: parameters with bounds and prior scale, source, and the channels each one moves.
 
-The laws themselves are in `effects.py`, in the one compiled model. An effect may have several published forms; a form
+The laws themselves are in `effects.py`, in the one compiled model; as text, they stand in
+`soil_env/discrepancy/report/equations.py`. An effect may have several published forms; a form
 is the set of parameters that it uses, the others staying neutral. The prior of a parameter is normal about its neutral
 value (log-normal about `centre` where `positive`), with the standard deviation `scale`: the size the literature and
 rigs show, not more than an order of magnitude.
@@ -44,7 +45,6 @@ class Effect:
 
     name: str
     title: str
-    equation: str
     moves: tuple[str, ...]  # channels that it changes directly
     parameters: tuple[EffectParameter, ...]
     forms: tuple[Form, ...]
@@ -60,7 +60,6 @@ _LIST = (
     Effect(
         "slip_sinkage",
         "slip-sinkage",
-        "z = z_w [1 + g i/(1 - i + h i)] + l i/(1 - i), or exponent n + n1 i",
         (SINKAGE, PULL, TORQUE),
         (
             P("gain", "", 0.0, 0.0, 10.0, 1.5, "digging g"),
@@ -79,7 +78,6 @@ _LIST = (
     Effect(
         "rear_contact",
         "contact behind the lowest point",
-        "theta2 = -l theta1",
         (SINKAGE, PULL, TORQUE),
         (
             P("ratio", "", 0.0, 0.0, 0.95, 0.35, "exit angle over entry angle l"),
@@ -98,7 +96,6 @@ _LIST = (
     Effect(
         "stress_peak_shift",
         "moving stress peak",
-        "thetam = (1/2 + a + c i) theta1",
         (SINKAGE, PULL, TORQUE),
         (
             P("offset", "", 0.0, -0.4, 0.4, 0.1, "a"),
@@ -109,7 +106,6 @@ _LIST = (
     Effect(
         "grousers",
         "grousers",
-        "shear at r + l h; or b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt Kp) for each lug in the ground",
         (SINKAGE, PULL, TORQUE),
         (
             P("shear_share", "", 0.0, 0.0, 2.0, 0.6, "l, share of the height added to the shear radius"),
@@ -146,7 +142,6 @@ _LIST = (
     Effect(
         "bulldozing",
         "bulldozing",
-        "DP - f b (1/2 gamma z^2 Kp + 2 c z sqrt Kp)",
         (PULL,),
         (
             P("rankine", "", 0.0, 0.0, 6.0, 1.0, "factor f on Rankine's passive pressure"),
@@ -160,7 +155,6 @@ _LIST = (
     Effect(
         "multipass",
         "multipass",
-        "S N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-i/k1)) + p (N - 1)], K N^-k, tan(phi) N^f, c N^h",
         (SINKAGE, PULL, TORQUE),
         (
             P("hardening", "", 0.0, -1.0, 3.0, 0.4, "a, power of the pass number"),
@@ -195,7 +189,6 @@ _LIST = (
     Effect(
         "penetration_rate",
         "rate of penetration",
-        "S (V/V0)^m, or S [1 + a ln(V/V0)]",
         (SINKAGE, PULL, TORQUE),
         (
             P("exponent", "", 0.0, -0.5, 1.0, 0.12, "m"),
@@ -211,7 +204,6 @@ _LIST = (
     Effect(
         "shear_rate",
         "rate of shear",
-        "(c, tan phi) (v/v0)^m, or (c, tan phi) [1 + a ln(v/v0)], or c [1 + d ln(1 + v/v1)], v = |r w - V|",
         (SINKAGE, PULL, TORQUE),
         (
             P("exponent", "", 0.0, -0.3, 0.6, 0.07, "m"),
@@ -230,7 +222,6 @@ _LIST = (
     Effect(
         "shear_softening",
         "peak and residual strength",
-        "tau/tau_peak = (1 - x)(1 + s x)/peak, x = exp(-j/(k K)); or (1 - x)(1 - d + d exp(-(j - j0)/L))",
         (SINKAGE, PULL, TORQUE),
         (
             P("sharpness", "", 0.0, 0.0, 30.0, 4.0, "s, off below 1; the residual share is 4 s/(1 + s)^2"),
@@ -257,7 +248,6 @@ _LIST = (
     Effect(
         "grade",
         "grade",
-        "normal load W cos(b), DP - W sin(b); S (1 - |b|/phi)^(2 w)",
         (SINKAGE, PULL, TORQUE),
         (
             P("share", "", 0.0, -0.5, 2.0, 1.0, "share of the weight that acts along the slope"),
@@ -272,7 +262,6 @@ _LIST = (
     Effect(
         "drivetrain_friction",
         "friction of the drivetrain",
-        "T + T0 + e |T| + v w",
         (TORQUE,),
         (
             P("constant", "N m", 0.0, 0.0, 1e6, 0.0, "T0, Coulomb friction"),
@@ -294,7 +283,6 @@ _LIST = (
     Effect(
         "slip_bias",
         "bias of the measured slip",
-        "i = i_measured + d, or i_measured + e (1 - i_measured)",
         (SINKAGE, PULL, TORQUE),
         (
             P("offset", "", 0.0, -0.3, 0.3, 0.03, "d"),
@@ -308,7 +296,6 @@ _LIST = (
     Effect(
         "sinkage_offset",
         "offset of the measured sinkage",
-        "z + d",
         (SINKAGE,),
         (P("offset", "m", 0.0, -0.3, 0.3, 0.0, "d"),),
         (Form("offset", ("offset",), "zero of the sinkage sensor"),),

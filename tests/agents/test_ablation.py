@@ -6,18 +6,17 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
-from agents.ablation import page, results, study, workers
+from agents.ablation import page, results, study
 from agents.ablation.__main__ import main
 from agents.controllers import CONTROLLERS
 from agents.evaluate import HELD_OUT_SET, run_courses
 from agents.evaluate.models import load_model
-from soil_env._io.loading import ParameterError, config_dir
+from soil_env._io.loading import config_dir
 from soil_env.terramechanics.model import WheelSoilModel
 
 SHORT = {"course": {"length": 2.0}, "control": {"time_limit": 6.0}}
@@ -187,39 +186,6 @@ def test_a_killed_study_goes_on_from_its_checkpoints(tmp_path):
     study.perform(asked, out, study.Step("mixed", "ppo_true", 0), told.append)
     assert read_meta(run / "model.zip")["timesteps"] == steps + 64
     assert sum(told) == steps + 64  # what the checkpoint had counts as done
-
-
-def test_a_worker_that_dies_is_replaced(done, tmp_path, monkeypatch):
-    """Its step is begun again; one that dies every time ends the study with one line."""
-    asked = study.open_study(done)
-    steps = [step for step in study.steps(asked) if step.agent]
-    ended = []
-    monkeypatch.setattr(workers, "_serve", _die_once)
-    workers.processes(asked, tmp_path, steps, lambda count: None, ended.append, 2)
-    assert sorted(map(str, ended)) == sorted(map(str, steps))
-    monkeypatch.setattr(workers, "_serve", _die)
-    with pytest.raises(ParameterError, match="died 3 times"):
-        workers.processes(asked, tmp_path, steps, lambda count: None, ended.append, 1)
-
-
-def _die(channel, asked, folder):
-    """A worker that is killed at whatever it is given."""
-    import os
-
-    channel.recv()
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def _die_once(channel, asked, folder):
-    """A worker that is killed at the first try of each step and does nothing at the second."""
-    import os
-
-    while (step := channel.recv()) is not None:
-        mark = Path(folder) / f"{step.agent}-{step.seed}"
-        if not mark.exists():
-            mark.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        channel.send(("ended", None))
 
 
 # --- bad input --------------------------------------------------------------------------------------------------------

@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from agents.controllers import CONTROLLERS, Controller, FixedSlip, make_controller
+from agents.controllers import FixedSlip, make_controller
 from agents.evaluate import run_courses
 from agents.sb3 import SoilWheelVecEnv
-from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation.task import VARIANTS, Cause, layout
 from soil_env.simulation.worlds import Simulation
@@ -77,22 +76,6 @@ def observations(variant, n=6, seed=0, scenario="mixed"):
 
 
 # --- the registry -----------------------------------------------------------------------------------------------------
-
-
-def test_the_names_and_variants_are_those_promised():
-    assert tuple(CONTROLLERS) == NAMES
-    assert {name: c.variant for name, c in CONTROLLERS.items()} == VARIANT
-    scenario = load_scenario()
-    for name in NAMES:
-        controller = make_controller(name, scenario)
-        assert controller.name == name and isinstance(controller, Controller)
-
-
-@pytest.mark.parametrize("given, near", [("fixd_slip", "fixed_slip"), ("fullthrottle", "full_throttle")])
-def test_an_unknown_name_gives_the_nearest(given, near):
-    with pytest.raises(ParameterError, match=f"did you mean '{near}'") as error:
-        make_controller(given, load_scenario())
-    assert given in str(error.value) and "\n" not in str(error.value)
 
 
 def test_settings_reach_the_controller():

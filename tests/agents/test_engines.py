@@ -5,12 +5,13 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from agents import engines, ppo
+from agents import ppo, studies
 from agents.evaluate.__main__ import main
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario
@@ -72,19 +73,53 @@ def always_die(x):
 
 def test_a_killed_process_loses_nothing(tmp_path, importable):
     tasks = [(k, str(tmp_path / "mark") if k == 3 else "") for k in range(8)]
-    done = list(engines.processes(double, tasks, 2))
+    done = list(studies.processes(double, tasks, workers=2))
     assert sorted(done) == [(task, 2 * task[0]) for task in tasks]
     assert (tmp_path / "mark").exists()
 
 
 def test_processes_that_always_die_are_given_up(importable):
-    with pytest.raises(ParameterError, match="died 4 times in a row"):
-        list(engines.processes(always_die, [(0, "")], 1))
+    with pytest.raises(ParameterError, match="died 4 times"):
+        list(studies.processes(always_die, [(0, "")], workers=1))
+
+
+def telling(x, tell):
+    """Work that tells its progress."""
+    tell(x)
+    return 2 * x
+
+
+def test_progress_within_tasks_is_told(importable):
+    told = []
+    assert sorted(studies.processes(telling, [1, 2, 3], told.append, workers=2)) == [(1, 2), (2, 4), (3, 6)]
+    assert sorted(told) == [1, 2, 3]
+
+
+def waiting(name):
+    """Work "long" that writes a file when it is interrupted, as a training its checkpoint, and "short" beside it."""
+    if name == "short":
+        while not Path("begun").exists():
+            time.sleep(0.01)
+        return
+    try:
+        Path("begun").touch()
+        time.sleep(60.0)
+    except KeyboardInterrupt:
+        Path("interrupted").touch()
+        raise
+
+
+def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = studies.processes(waiting, ["long", "short"], workers=2)
+    assert next(done) == ("short", None)
+    done.close()
+    assert (tmp_path / "interrupted").exists()
 
 
 def test_bad_input_found_in_a_process_comes_back(importable):
     with pytest.raises(ParameterError, match="no 5"):
-        list(engines.processes(refuse, [(5, "")], 1))
+        list(studies.processes(refuse, [(5, "")], workers=1))
 
 
 def test_ray_that_is_absent_is_said_in_one_line(capsys, monkeypatch, tmp_path):
@@ -109,7 +144,7 @@ def where(x):
 
 
 def test_ray_uses_both_nodes(connected):
-    nodes = {node for _, node in engines.on_ray(where, range(8))}
+    nodes = {node for _, node in studies.on_ray(where, range(8))}
     assert len(nodes) == 2
 
 
@@ -126,21 +161,21 @@ def test_ray_gives_what_one_process_gives(cluster, controllers, local, tmp_path)
 
 def test_a_killed_ray_worker_loses_nothing(connected, tmp_path):
     tasks = [(k, str(tmp_path / "mark") if k == 3 else "") for k in range(8)]
-    done = list(engines.on_ray(double, tasks))
+    done = list(studies.on_ray(double, tasks))
     assert sorted(done) == [(task, 2 * task[0]) for task in tasks]
     assert (tmp_path / "mark").exists()
 
 
 def test_bad_input_found_by_ray_comes_back(connected):
     with pytest.raises(ParameterError, match="^no 5$"):
-        list(engines.on_ray(refuse, [(5, "")]))
+        list(studies.on_ray(refuse, [(5, "")]))
 
 
 def test_an_evaluation_survives_the_loss_of_a_node(cluster, controllers, local, tmp_path):
     """The node is taken away after the first results, and the evaluation still has every block once."""
     import ray
 
-    from agents.evaluate import study as studies
+    from agents.evaluate import study as evaluation
 
     node = cluster.add_node(num_cpus=2)
     cluster.wait_for_nodes()
@@ -148,17 +183,17 @@ def test_an_evaluation_survives_the_loss_of_a_node(cluster, controllers, local, 
     try:
         out = tmp_path / "out"
         out.mkdir()
-        study = studies.load_study(local)
+        study = evaluation.load_study(local)
         studies.save_study(study, out)
         taken = []
 
         def engine(job, tasks):
-            for result in engines.on_ray(job, tasks):
+            for result in studies.on_ray(job, tasks):
                 if not taken:
                     taken.append(cluster.remove_node(node, allow_graceful=False))
                 yield result
 
-        studies.run(study, out, engine, studies.Job(study, 1, ship=True), lambda count: None)
+        evaluation.run(study, out, engine, evaluation.Job(study, 1, ship=True), lambda count: None)
     finally:
         ray.shutdown()
     assert taken
@@ -188,7 +223,7 @@ def test_without_an_address_ray_starts_here(monkeypatch, environment, given, exp
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     with pytest.raises(ParameterError, match="no cluster at"):
-        list(engines.on_ray(double, [], **given))
+        list(studies.on_ray(double, [], **given))
     assert asked == [expected]
 
 

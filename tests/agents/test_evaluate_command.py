@@ -14,7 +14,7 @@ from agents.controllers import make_controller
 from agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses, study, summary
 from agents.evaluate.__main__ import _asked, main, parser
 from agents.evaluate.records import METRICS, RATES
-from agents.tuning import tuned_settings
+from agents.evaluate.tuning import tuned_settings
 from soil_env.parameters import load_scenario
 from tests.agents.evaluating import CLASSES, FILES, evaluate, make_done, make_models, result_of
 
@@ -154,20 +154,6 @@ def test_tuning_is_kept_and_not_done_again(tmp_path, capsys):
     assert rows["constant_speed"]["settings"] == {"speed": 0.3}
     assert evaluate(tmp_path / "out", names, *more) == 0
     assert "Tuning" not in capsys.readouterr().out
-
-
-def test_help_explains_the_entries(capsys):
-    with pytest.raises(SystemExit) as status:
-        main(["--help"])
-    assert status.value.code == 0
-    text = capsys.readouterr().out
-    for part in ("path/to/model.zip", "my.module:Thing", "NAME=...", "--resume", "--engine", "Only what you trust"):
-        assert part.lower() in text.lower()
-    assert max(map(len, parser().format_help().splitlines())) <= 121
-
-
-def test_the_default_courses_are_the_held_out_set():
-    assert parser().get_default("seed") == HELD_OUT_SET
 
 
 # --- what the classical controllers are set to ------------------------------------------------------------------------

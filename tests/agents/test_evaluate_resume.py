@@ -1,12 +1,12 @@
 """`python -m agents.evaluate` interrupted, killed, out of disk: it goes on where it was, with the same results."""
 
-import errno
 import json
 import os
 import resource
 import shutil
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -118,9 +118,9 @@ def test_kill_9_and_resume_give_the_same_table(tmp_path):
 def test_two_evaluations_do_not_write_one_folder(capsys, tmp_path, done):
     out = tmp_path / "copy"
     shutil.copytree(done, out)
-    with study.Log(study.load_study(out), out):
+    with study.log_of(study.load_study(out), out):
         assert main(["--resume", str(out)]) == 2
-    assert "another evaluation is writing it" in capsys.readouterr().err
+    assert "another process is writing it" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -185,28 +185,28 @@ def test_the_version_follows_the_code(monkeypatch):
     assert study.code_version.__wrapped__() == version
 
 
-def test_disk_full_while_driving_keeps_whole_blocks(capsys, tmp_path, monkeypatch, done, models):
+def test_disk_full_while_driving_keeps_whole_blocks(capsys, tmp_path, done, models):
+    """A limit on the size of files in the middle of the fourth block."""
     out, controllers = tmp_path / "out", everything(models)
-    written, write = [], os.write
-
-    def full(file, data):
-        if len(written) == 3:
-            write(file, data[:100])
-            written.append(0)
-        if len(written) > 3:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        written.append(1)
-        return write(file, data)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(study.os, "write", full)
+    lines = (done / "courses.jsonl").read_bytes().splitlines(keepends=True)
+    with limited_files(sum(map(len, lines[:3])) + 100):
         assert evaluate(out, controllers, "--settings.fixed_slip.slip=0.2") == 2
     error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "courses.jsonl: No space left on device" in error
-    assert len((out / "courses.jsonl").read_bytes().splitlines()) == 3
-    assert (out / "courses.jsonl").read_bytes().endswith(b"\n")
+    assert error.count("\n") == 1 and "courses.jsonl: File too large" in error
+    assert (out / "courses.jsonl").read_bytes() == b"".join(lines[:3])
     assert main(["--resume", str(out)]) == 0
     same(out, done)
+
+
+@contextmanager
+def limited_files(size):
+    """No file can be longer than `size` bytes: writes end there, as on a full disk."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 def test_disk_full_while_writing_results_leaves_no_half_file(capsys, tmp_path, done):
@@ -215,13 +215,8 @@ def test_disk_full_while_writing_results_leaves_no_half_file(capsys, tmp_path, d
     shutil.copytree(done, out)
     for name in FILES - {"courses.jsonl", "study.yaml"}:
         (out / name).unlink()
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
-    try:
-        status = main(["--resume", str(out)])
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert status == 2
+    with limited_files(100_000):
+        assert main(["--resume", str(out)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "File too large" in error
     assert "report.html" not in {p.name for p in out.iterdir()}

@@ -8,7 +8,7 @@ from agents import ppo
 from agents.controllers import make_controller
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
-from agents.guided import GUIDES, Guide, GuidedVecEnv
+from agents.guided import GUIDES, Guide, GuidedVecEnv, make_guide
 from agents.ppo import PPOConfig, TrainConfig, build, load_agent, resume, save
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
@@ -118,8 +118,8 @@ def test_guides_that_cannot_be(scenario):
     for name, variant in (("full_throttle", "blind"), ("best_slip_true", "identified"), ("nobody", "blind")):
         with pytest.raises(ParameterError, match="guide"):
             Guide(scenario, name, {}, 1.0, variant)
-    assert TrainConfig().made_guide(scenario) is None
-    made = TrainConfig(guide="fixed_slip", guide_settings={"slip": 0.1}, trim=0.3).made_guide(scenario)
+    assert make_guide(TrainConfig(), scenario) is None
+    made = make_guide(TrainConfig(guide="fixed_slip", guide_settings={"slip": 0.1}, trim=0.3), scenario)
     assert made.content() == {"controller": "fixed_slip", "settings": {"slip": 0.1}, "trim": 0.3}
 
 

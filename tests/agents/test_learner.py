@@ -1,7 +1,6 @@
 """The shorter update learns what SB3's own learns; wall time is booked where it was spent."""
 
 import copy
-import json
 import time
 
 import numpy as np
@@ -163,16 +162,3 @@ def test_times_are_kept_and_gone_on_with(tmp_path):
 def test_a_broken_file_of_times_is_forgotten(tmp_path, content):
     (tmp_path / FILE).write_text(content)
     assert Times(tmp_path).seconds == dict.fromkeys(PARTS, 0.0)
-
-
-def test_times_are_said_in_plain_words(tmp_path):
-    seconds = {"env": 12.0, "policy": 36.0, "update": 72.0, "tuning": 20.4, "comparison": 8.0, "figures": 2.0}
-    (tmp_path / FILE).write_text(json.dumps({"seconds": seconds}))
-    words = str(Times(tmp_path)).splitlines()
-    assert words[0] == "Wall time 2 min 30 s:"
-    assert [line.split(maxsplit=4) for line in words[1:3]] == [
-        ["2", "min", "0", "s", "training, of which"],
-        ["10%", "environment"],
-    ]
-    assert "30%  policy" in words[3] and "60%  updates" in words[4]
-    assert words[5].split() == ["20.4", "s", "tuning", "the", "classical", "controllers"]

@@ -1,7 +1,6 @@
 """PPO agents: what is saved is what is loaded, training goes on where it stopped, bad files are refused in one line."""
 
 import os
-import shutil
 import struct
 import zipfile
 
@@ -68,11 +67,6 @@ def refused(action, *parts):
 # --- building ---------------------------------------------------------------------------------------------------------
 
 
-def test_names_of_the_variants():
-    assert NAMES == {"blind": "ppo_blind", "identified": "ppo_identified", "true_soil": "ppo_true"}
-    assert tuple(NAMES) == VARIANTS
-
-
 def test_build_takes_the_config(scenario):
     config = PPOConfig(num_envs=4, n_steps=24, batch_size=12, n_epochs=3, learning_rate=2e-3, gamma=0.9, gae_lambda=0.8,
                        clip_range=0.13, ent_coef=0.01, layer=5, log_std_init=-1.1)  # fmt: skip
@@ -84,12 +78,6 @@ def test_build_takes_the_config(scenario):
     widths = {p.shape[0] for name, p in model.policy.named_parameters() if "mlp_extractor" in name}
     assert widths == {5}
     assert isinstance(model.get_env(), VecNormalize) and model.get_env().gamma == 0.9
-
-
-def test_learning_rate_falls_linearly_to_five_percent(scenario):
-    model = build(scenario, "blind", TINY, seed=0)
-    for left, share in ((1.0, 1.0), (0.5, 0.5), (0.2, 0.2), (0.05, 0.05), (0.01, 0.05), (0.0, 0.05)):
-        assert model.lr_schedule(left) == pytest.approx(share * TINY.learning_rate)
 
 
 def test_learning_rate_is_used_by_the_optimizer(scenario):
@@ -133,28 +121,11 @@ def test_loaded_agent_acts_on_raw_observations_as_the_trained_model(scenario, va
     assert agent.timesteps == model.num_timesteps == 3 * ROLLOUT
 
 
-def test_predict_has_the_interface_of_a_controller(saved, scenario):
-    agent = load_agent(saved)
-    raw = raw_observations(scenario, "identified", 5)
-    actions, state = agent.predict(raw, state=None, episode_start=np.ones(5, dtype=bool), deterministic=True)
-    assert actions.shape == (5, 1) and actions.dtype == np.float32 and np.abs(actions).max() <= 1.0
-    assert state is None
-    assert agent.predict(raw[0])[0].shape == (1,)
-
-
 def test_zip_and_run_folder_name_the_same_agent(saved, scenario):
     raw = raw_observations(scenario, "identified")
     expected = load_agent(saved).predict(raw)[0]
     for where in (str(saved), saved.parent, str(saved.parent)):
         np.testing.assert_array_equal(load_agent(where).predict(raw)[0], expected)
-
-
-def test_a_zip_of_any_name_is_loaded(saved, scenario):
-    raw = raw_observations(scenario, "identified")
-    expected = load_agent(saved).predict(raw)[0]
-    other = saved.rename(saved.with_name("best.of.all.zip"))
-    np.testing.assert_array_equal(load_agent(other).predict(raw)[0], expected)
-    refused(lambda: load_agent(saved.parent), "model.zip")
 
 
 def test_the_zip_describes_the_agent(saved, model, scenario):
@@ -191,12 +162,6 @@ def test_loading_does_not_need_the_training_environment(saved, scenario, monkeyp
 
 
 # --- whole files or none ----------------------------------------------------------------------------------------------
-
-
-def test_saving_leaves_just_the_one_file(saved, model):
-    assert [p.name for p in saved.parent.iterdir()] == ["model.zip"]
-    save(model, saved)
-    assert [p.name for p in saved.parent.iterdir()] == ["model.zip"]
 
 
 def test_leftovers_of_a_killed_save_are_ignored_and_replaced(saved, scenario, model):
@@ -282,10 +247,6 @@ def test_resume_goes_on_with_everything(saved, model, scenario):
 def test_resume_goes_on_with_the_learning_rate(saved, scenario):
     """After 3 of 6 rollouts the rate is halved already; the schedule does not start over."""
     again = resume(saved, scenario, "identified", TINY, 0, None)
-    again.learn(3 * ROLLOUT, reset_num_timesteps=False)
-    rate = again.policy.optimizer.param_groups[0]["lr"]
-    assert rate == pytest.approx(0.05 * TINY.learning_rate)
-    again = resume(saved, scenario, "identified", TINY, 0, None)
     rates = []
     update = again.train
 
@@ -360,12 +321,6 @@ def test_resume_refuses_another_observation(saved, scenario):
     refused(lambda: resume(saved, scenario, "blind", TINY, 0, None), "identified", "blind")
 
 
-@pytest.mark.parametrize("key", ["timesteps", "count", "return_mean", "return_var", "return_count"])
-def test_resume_names_a_missing_key(saved, scenario, key):
-    edit(saved, **{key: None})
-    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), key)
-
-
 # --- files that cannot be used ----------------------------------------------------------------------------------------
 
 
@@ -383,11 +338,6 @@ def test_another_layout_is_refused_and_the_difference_named(saved):
 def test_resume_refuses_another_layout_too(saved, scenario):
     edit(saved, observation_names=["slip"], mean=[0.0], var=[1.0])
     refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "layout", "sinkage")
-
-
-def test_an_unknown_variant_is_refused(saved):
-    edit(saved, observation="identifed")
-    refused(lambda: load_agent(saved), "identifed", "identified")
 
 
 def test_missing_zip(saved, scenario):
@@ -411,11 +361,6 @@ def test_a_normalisation_without_its_model(saved, scenario):
         archive.writestr(META, meta)
     refused(lambda: load_agent(saved), "model.zip")
     refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip")
-
-
-def test_missing_folder(tmp_path):
-    refused(lambda: load_agent(tmp_path / "nowhere" / "model.zip"), "nowhere")
-    refused(lambda: load_agent(tmp_path / "nowhere"), "nowhere")
 
 
 @pytest.mark.parametrize("content", [b"", b"no zip at all", b"PK\x03\x04 cut off"])
@@ -446,30 +391,16 @@ def test_a_zip_with_damaged_bytes(saved, member, where):
     refused(lambda: load_agent(saved), "model.zip")
 
 
-def test_a_zip_of_something_else(saved, tmp_path):
-    (tmp_path / "stuff").mkdir()
-    (tmp_path / "stuff" / "a.txt").write_text("hello")
-    shutil.make_archive(str(saved.with_suffix("")), "zip", tmp_path / "stuff")
-    refused(lambda: load_agent(saved), "model.zip")
-
-
-@pytest.mark.parametrize("content", [b"", b"{", b"not json", b"[]", b"3", b"null", b'"text"', b"\xff\xfe\x00binary"])
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"\xff\xfe\x00binary"])
 def test_a_json_that_is_none(saved, content):
     rewrite(saved, content)
     refused(lambda: load_agent(saved), "model.zip")
 
 
-@pytest.mark.parametrize("key", ["observation", "observation_names", "mean", "var", "clip"])
-def test_a_json_with_a_missing_key(saved, key):
-    edit(saved, **{key: None})
-    refused(lambda: load_agent(saved), "model.zip", "soil_env.json", key)
-
-
 @pytest.mark.parametrize(
     "key, value",
-    [("mean", 3.0), ("mean", "abc"), ("mean", [0.0] * 5), ("mean", ["a"] * 22), ("var", [1.0] * 5), ("var", "abc"),
-     ("var", [[1.0]] * 22), ("clip", "ten"), ("observation_names", 5), ("observation", 5), ("timesteps", "many"),
-     ("timesteps", 1.5), ("count", "1"), ("return_var", [1.0])],
+    [("mean", None), ("mean", [0.0] * 5), ("mean", ["a"] * 22), ("var", [[1.0]] * 22), ("clip", "ten"),
+     ("observation_names", 5), ("observation", "identifed"), ("timesteps", 1.5), ("return_var", [1.0])],
 )  # fmt: skip
 def test_a_json_with_a_value_of_the_wrong_kind(saved, scenario, key, value):
     edit(saved, **{key: value})
@@ -477,29 +408,7 @@ def test_a_json_with_a_value_of_the_wrong_kind(saved, scenario, key, value):
     refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip", "soil_env.json", key)
 
 
-def test_rewriting_alone_does_no_harm(saved, scenario):
-    """What the tests above use to break a file leaves it usable when it changes nothing."""
-    raw = raw_observations(scenario, "identified")
-    expected = load_agent(saved).predict(raw)[0]
-    edit(saved)
-    np.testing.assert_array_equal(load_agent(saved).predict(raw)[0], expected)
-    resume(saved, scenario, "identified", TINY, 0, None)
-
-
 # --- config -----------------------------------------------------------------------------------------------------------
-
-
-def test_config_is_strict():
-    refused(lambda: load_config({"timestep": 5}, "x.yaml"), "x.yaml", "timestep", "did you mean 'timesteps'")
-    refused(lambda: load_config({"ppo": {"gama": 0.9}}, "x.yaml"), "gama", "did you mean 'gamma'")
-    refused(lambda: load_config({"ppo": {"gamma": 1.5}}, "x.yaml"), "gamma", "1.5", "[0.5, 1]")
-    refused(lambda: load_config({"ppo": {"gamma": "high"}}, "x.yaml"), "gamma", "high", "number")
-    refused(lambda: load_config({"seed": 1.5}, "x.yaml"), "seed", "1.5", "whole number")
-    refused(lambda: load_config({"seed": True}, "x.yaml"), "seed", "True", "number")
-    refused(lambda: load_config({"observation": "seen"}, "x.yaml"), "observation", "seen", "true_soil")
-    refused(lambda: load_config({"ppo": 5}, "x.yaml"), "ppo", "5")
-    refused(lambda: load_config({"courses": 0}, "x.yaml"), "courses", "0")
-    refused(lambda: load_config({"scenario": 5}, "x.yaml"), "scenario", "5", "text")
 
 
 def test_config_defaults_and_conversions():
@@ -515,11 +424,6 @@ def test_a_batch_that_does_not_divide_the_rollout_is_refused(num_envs, n_steps, 
     ppo_keys = {"num_envs": num_envs, "n_steps": n_steps, "batch_size": batch_size}
     refused(lambda: PPOConfig(**ppo_keys), "batch_size", batch_size, num_envs * n_steps)
     refused(lambda: load_config({"ppo": ppo_keys}, "x.yaml"), "x.yaml", "batch_size", batch_size, num_envs * n_steps)
-
-
-@pytest.mark.parametrize("batch_size", [8, 10, 20, 40])
-def test_a_batch_that_divides_the_rollout_is_taken(batch_size):
-    assert PPOConfig(num_envs=4, n_steps=10, batch_size=batch_size).batch_size == batch_size
 
 
 def test_an_observation_of_another_layout_is_refused(tmp_path):

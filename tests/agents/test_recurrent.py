@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from agents import ppo, recurrent
+from agents import ppo
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
 from agents.guided import Guide
@@ -25,17 +25,18 @@ def scenario():
 def test_without_sb3_contrib_one_line_says_what_is_missing(scenario, monkeypatch):
     monkeypatch.setitem(sys.modules, "sb3_contrib", None)
     with pytest.raises(ParameterError, match=r"soil_env\[recurrent\]"):
-        recurrent.build(scenario, "blind", TINY, 0)
+        ppo.build(scenario, "blind", TINY, 0, algorithm="recurrent_ppo")
 
 
 @pytest.mark.parametrize("guided", [False, True])
 def test_a_saved_agent_drives_with_its_memory_and_goes_on(tmp_path, scenario, guided):
     pytest.importorskip("sb3_contrib")
     guide = Guide(scenario, "fixed_slip", {}, 1.4, "blind") if guided else None
-    model = recurrent.build(scenario, "blind", TINY, 0, guide=guide)
+    model = ppo.build(scenario, "blind", TINY, 0, guide=guide, algorithm="recurrent_ppo")
     model.learn(64)
-    ppo.save(model, tmp_path / "model.zip")
-    agent = load_model(tmp_path / "model.zip", scenario)
+    path = tmp_path / "model.zip"
+    ppo.save(model, path)
+    agent = load_model(path, scenario)
     x = np.linspace(-0.1, 0.1, 33).reshape(3, 11)
     first, state = agent.predict(x, episode_start=np.ones(3, dtype=bool))
     second, _ = agent.predict(x, state, np.zeros(3, dtype=bool))
@@ -44,7 +45,7 @@ def test_a_saved_agent_drives_with_its_memory_and_goes_on(tmp_path, scenario, gu
     np.testing.assert_allclose(afresh, first, atol=1e-6)  # a new course: nothing is remembered
     runs = run_courses(agent, scenario, 3, 4)
     assert np.isfinite(runs.returns).all()
-    again = recurrent.resume(tmp_path / "model.zip", scenario, "blind", TINY, 0, None, guide=guide)
+    again = ppo.resume(path, scenario, "blind", TINY, 0, None, guide=guide, algorithm="recurrent_ppo")
     again.learn(64, reset_num_timesteps=False)
     assert again.num_timesteps == 128
 

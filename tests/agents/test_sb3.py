@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from gymnasium.wrappers import TimeLimit
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.env import SoilWheelEnv
-from soil_env.simulation.task import VARIANTS, layout
+from soil_env.simulation.task import VARIANTS
 
 SHORT = {"control": {"time_limit": 3.0}}  # 30 steps
 QUICK_END = {"limits": {"entrapped_time": 0.5, "stalled_time": 0.5}}
@@ -23,16 +22,6 @@ def drive(env, steps, actions):
 
 def random_actions(steps, wheels, low=-0.2, high=1.0, seed=3):
     return np.random.default_rng(seed).uniform(low, high, (steps, wheels, 1)).astype(np.float32)
-
-
-def test_is_a_vec_env_with_the_spaces_of_the_scalar_env():
-    for variant in VARIANTS:
-        env, one = SoilWheelVecEnv(2, observation=variant), SoilWheelEnv(observation=variant)
-        assert isinstance(env, VecEnv)
-        assert env.observation_space == one.observation_space
-        assert env.action_space == one.action_space
-        assert env.observation_names == tuple(e.name for e in layout(variant))
-        assert env.reset().shape == (2, len(layout(variant)))
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -75,14 +64,6 @@ def test_time_limit_is_truncation_at_the_scenario_s_last_step():
     assert [i["cause"] for i in infos] == ["TIME_LIMIT"] * 4
 
 
-def test_agrees_with_gymnasium_s_time_limit_wrapper():
-    """The scenario's own limit truncates in the same step as gymnasium's TimeLimit(30) over an unlimited env would."""
-    env = TimeLimit(SoilWheelEnv(), 30)
-    env.reset(seed=0)
-    truncations = [env.step(np.zeros(1, dtype=np.float32))[3] for _ in range(30)]
-    assert truncations == [False] * 29 + [True]
-
-
 def test_finished_and_stuck_wheels_are_not_truncated():
     stuck = {"ENTRAPPED", "STALLED", "BOGGED"}
     for changes, action, expected in ((FINISH, 0.5, {"FINISHED"}), (QUICK_END, 1.0, stuck)):
@@ -116,21 +97,6 @@ def test_episode_info_equals_the_sums_of_rewards_and_steps():
             returns[k], lengths[k] = 0.0, 0
             ends += 1
     assert ends >= wheels * (steps // 30)
-
-
-def test_episode_info_agrees_with_vec_monitor():
-    env = VecMonitor(SoilWheelVecEnv(3, **SHORT))
-    env.seed(4)
-    env.reset()
-    inner = SoilWheelVecEnv(3, **SHORT)
-    inner.seed(4)
-    inner.reset()
-    for action in random_actions(30, 3):
-        _, _, _, infos = env.step(action)
-        _, _, _, own = inner.step(action)
-    for monitor, mine in zip(infos, own, strict=True):
-        assert monitor["episode"]["l"] == mine["episode"]["l"] == 30
-        assert monitor["episode"]["r"] == pytest.approx(mine["episode"]["r"], rel=1e-5, abs=1e-5)
 
 
 def test_a_finished_wheel_starts_a_new_course_at_rest():
@@ -198,11 +164,6 @@ def test_seed_fixes_the_run_and_other_seeds_differ():
     np.testing.assert_array_equal(ra, rb)
     assert np.abs(a - c).max() > 1e-3
     np.testing.assert_array_equal(a[0, 1:], c[0, :-1])  # wheel k has seed + k
-
-
-def test_unseeded_runs_differ():
-    firsts = {SoilWheelVecEnv(1).reset().tobytes() for _ in range(3)}
-    assert len(firsts) == 3
 
 
 def test_a_second_reset_goes_on_and_the_same_seed_starts_over():
@@ -279,15 +240,6 @@ def test_attributes_and_methods_come_once_a_wheel():
     assert env.has_attr("scenario") and not env.has_attr("no_such_thing")
 
 
-def test_bad_settings_are_refused():
-    with pytest.raises(ParameterError, match="course"):
-        SoilWheelVecEnv(2, cource={"length": 5})
-    with pytest.raises(ParameterError, match="identified"):
-        SoilWheelVecEnv(2, observation="identifed")
-    with pytest.raises(ParameterError, match="mixed"):
-        SoilWheelVecEnv(2, scenario="mixd")
-
-
 def test_works_inside_vec_normalize():
     env = VecNormalize(SoilWheelVecEnv(16, **SHORT), gamma=0.99)
     env.seed(0)
@@ -307,12 +259,6 @@ def test_works_inside_vec_normalize():
     late = np.concatenate(observations[60:])
     assert np.abs(late.mean(axis=0)).max() < 1.0 and np.abs(late).max() <= env.clip_obs
     assert env.get_attr("observation_names") == [env.venv.observation_names] * 16
-
-
-@pytest.mark.parametrize("count", [0, -1, "x", 1.5, True])
-def test_the_number_of_wheels_is_checked(count):
-    with pytest.raises(ParameterError, match=f"num_envs = {count!r}: expected a whole number >= 1"):
-        SoilWheelVecEnv(count)
 
 
 def test_a_misspelt_keyword_is_named():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from agents import engines, ppo, seeds
+from agents import ppo, seeds, studies
 from agents.ppo import PPOConfig, TrainConfig, load_agent
 from soil_env.parameters import load_scenario
 
@@ -61,14 +61,14 @@ def test_the_same_command_trains_what_is_missing(local, tmp_path, monkeypatch, c
     trained = []
 
     def interrupted(work, tasks):
-        for task, result in engines.in_process(work, tasks):
+        for task, result in studies.in_process(work, tasks):
             trained.append(task)
             yield task, result
             raise KeyboardInterrupt
 
     command = ["--seeds=3", f"--out={tmp_path}/out", *TINY]
     with monkeypatch.context() as patch:
-        patch.setattr(engines, "choose", lambda *a: interrupted)
+        patch.setattr(studies, "choose", lambda *a: interrupted)
         assert seeds.main(command) == 130 and trained == [0]
     assert seeds.main(command) == 0
     same(local, tmp_path / "out")
@@ -115,7 +115,7 @@ def test_ray_trains_the_same_agents_though_a_worker_is_killed(local, connected, 
     mark, done = tmp_path / "mark", []
 
     def engine(work, tasks):
-        for task, result in engines.on_ray(functools.partial(dying, str(mark), work), tasks):
+        for task, result in studies.on_ray(functools.partial(dying, str(mark), work), tasks):
             done.append(task)
             yield task, result
 

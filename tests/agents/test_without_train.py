@@ -15,7 +15,11 @@ COMMANDS = {
 }
 BARE = """
 import contextlib, importlib, io, json, sys
-sys.modules.update(dict.fromkeys(("torch", "stable_baselines3", "sb3_contrib", "tensorboard", "tqdm")))  # not there
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("torch", "stable_baselines3", "sb3_contrib", "tensorboard", "tqdm"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Absent())
 said = {}
 for name, (module, arguments) in {**json.loads(sys.argv[1]), "help": ("agents.train", ["--help"])}.items():
     sys.argv[0] = "soil-env-train" if name == "help" else name

@@ -49,13 +49,15 @@ def test_the_hyperparameters_are_those_of_train(given):
         "activation_fn": {"relu": nn.ReLU, "tanh": nn.Tanh}[config.activation],
         "log_std_init": config.log_std_init,
     }
-    assert given["vec_env_wrapper"] == [{"agents.zoo.native": {"initial_action": config.initial_action}}]
+    assert given["vec_env_wrapper"] == [{"soil_env_agents.zoo.native": {"initial_action": config.initial_action}}]
 
 
 def test_the_hyperparameters_build_an_agent(given, tmp_path):
     """As rl_zoo3 does it: its own keys taken out, the rest arguments of SB3's PPO."""
     ((wrapper, options),) = given.pop("vec_env_wrapper")[0].items()
-    made = pydoc.locate(wrapper)(wheels(4, seed=1, monitor_dir=str(tmp_path)), **options)
+    made = pydoc.locate(wrapper.replace("soil_env_agents", "agents"))(
+        wheels(4, seed=1, monitor_dir=str(tmp_path)), **options
+    )
     env = VecNormalize(made, gamma=given["gamma"], **given.pop("normalize"))
     assert given.pop("n_timesteps") >= 1e6 and given.pop("n_envs") * given["n_steps"] % given["batch_size"] == 0
     model = PPO(given.pop("policy"), env, seed=0, **given | {"learning_rate": 1e-3, "n_steps": 8, "batch_size": 32})

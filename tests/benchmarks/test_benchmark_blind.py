@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents import engines
+from agents import studies
 from benchmarks import blind, blind_page, blind_study
 from benchmarks.blind_forms import EFFECTS, FORMS
 from benchmarks.blind_judge import figures, gap_of, judged, share
@@ -315,11 +315,11 @@ def test_ray_gives_the_same_cases_though_a_worker_is_killed(whole, connected, tm
     mark, done = str(tmp_path / "mark"), []
 
     def engine(work, tasks):
-        for task, record in engines.on_ray(functools.partial(_dying, mark, work), tasks):
+        for task, record in studies.on_ray(functools.partial(_dying, mark, work), tasks):
             done.append(task)
             yield task, record
 
-    monkeypatch.setattr(engines, "choose", lambda *options: engine)
+    monkeypatch.setattr(studies, "choose", lambda *options: engine)
     assert blind.main(["--smoke", "--engine", "ray", "--seed", "7", "--out", str(tmp_path)]) == 0
     assert os.path.exists(mark) and sorted(done) == sorted(tasks(IN_ALL, smoke=True))
     assert timeless(tmp_path / "discrepancy.json") == timeless(whole / "discrepancy.json")

@@ -19,6 +19,7 @@ soil:
   density: 1600
 noise: {sinkage: 0.0006, drawbar_pull: 0.8, torque: 0.1}
 """
+PLANTED = {"slip_sinkage": {"gain": 1.5}}
 SLIPS = (0.05, 0.12, 0.2, 0.3, 0.42, 0.55)
 
 

@@ -10,32 +10,19 @@ import numpy as np
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import Data, prepare
 from soil_env.measurement.table import read_setup, read_table
-from soil_env.parameters import Soil
-from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from tests.discrepancy.files import SETUP, SLIPS, world
 
 NOISE = np.array([0.0009, 1.5, 0.2])
-WHEEL = ModelWheel(0.15, 0.12, 0.01)
-SOIL = Soil(friction_angle_deg=31, cohesion=3500, shear_modulus=0.028, sinkage_coefficient=740000,
-            sinkage_exponent=0.64, dig_gain=0, density=1600)  # fmt: skip
-SLIPS, LOADS = (0.05, 0.12, 0.2, 0.3, 0.42, 0.55), (100.0, 150.0, 220.0)
-_SETUP = """wheel: {radius: 0.15, width: 0.12, grouser_height: 0.01}
-soil:
-  friction_angle_deg: {value: 30, sd: 1.5}
-  cohesion: {value: 3700, sd: 700}
-  shear_modulus: {value: 0.03, sd: 0.006}
-  sinkage_coefficient: {value: 770000, sd: 88000}
-  sinkage_exponent: {value: 0.63, sd: 0.025}
-  density: 1600
-noise: {sinkage: 0.0009, drawbar_pull: 1.5, torque: 0.2}
-"""
+WHEEL, SOIL = world({}).wheel, world({}).soil
+LOADS = (100.0, 150.0, 220.0)
+_SETUP = SETUP.split("noise:")[0] + "noise: {sinkage: 0.0009, drawbar_pull: 1.5, torque: 0.2}\n"
 
 
 def table(effects=None, slips=SLIPS, loads=LOADS, speeds=(0.06,), passes=(1,), grades=(0.0,), repeats=1) -> Data:
     """The noise-free table of every combination of the conditions, as the workflow reads it."""
     c = np.array(list(itertools.product(slips, loads, speeds, passes, grades)) * repeats)
     names = ("slip", "load", "speed", "pass", "grade_deg")
-    model = WheelSoilModel(WHEEL, SOIL, effects or {})
-    values = model.predict(dict(zip(names, c.T, strict=True)))
+    values = world(effects or {}).predict(dict(zip(names, c.T, strict=True)))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder)
         lines = [",".join(("run", *names, "sinkage", "drawbar_pull", "torque"))]

@@ -13,7 +13,6 @@ from soil_env.discrepancy.experiment import (
     LEAST,
     SLIPS,
     conditions,
-    in_words,
     next_tests,
     separating,
     undecided,
@@ -170,7 +169,7 @@ def test_speed_that_is_not_known_is_not_asked_for(case):
     p = copy.copy(p)
     rows = p.data.rows
     p.data = dataclasses.replace(p.data, rows=rows._replace(conditions=rows.conditions * [0.0, 1.0, 1.0]))
-    assert all("speed" not in t.conditions and "m/s" not in t.words for t in separating(p, candidates))
+    assert all("speed" not in t.conditions for t in separating(p, candidates))
 
 
 def test_channel_that_was_not_measured_is_not_asked_for(case):
@@ -199,16 +198,3 @@ def test_who_is_left():
     assert undecided(finding("named", Named("bulldozing", ()))) == (a, b)  # the third is beaten for good
     assert undecided(finding("unlisted")) == (a, b)
     assert separating(p, (a,)) == ()
-
-
-def test_words():
-    words = in_words(
-        {"slip": 0.6, "load": 220.0, "speed": 0.2, "pass": 2.0, "grade_deg": 0.0},
-        "drawbar_pull",
-        ("grousers", "bulldozing"),
-        4.14,
-    )
-    assert words == (
-        "slip 0.6 at load 220 N, 0.2 m/s and pass 2: grousers against bulldozing, expected to differ by 4.1 sd in "
-        "drawbar pull"
-    )

@@ -1,10 +1,10 @@
-"""Where a table and a model disagree: planted boxes are found, chance is not, and the words say what the numbers do."""
+"""Where a table and a model disagree: planted boxes are found, chance is not."""
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from soil_env.discrepancy.locate import SIGNIFICANT, boxes, describe, locate
+from soil_env.discrepancy.locate import SIGNIFICANT, boxes, locate
 from tests.discrepancy.tables import NOISE, problem, table
 
 SPEEDS = (0.02, 0.06, 0.2)
@@ -37,15 +37,15 @@ def test_chance_with_estimated_noise():
 
 
 @pytest.mark.parametrize(
-    ("channel", "size", "box", "word"),
+    ("channel", "size", "box"),
     [
-        (0, 6e-3, {"slip": (0.42, 0.55)}, "6 mm deeper than"),
-        (0, -6e-3, {"slip": (0.42, 0.55)}, "6 mm shallower than"),
-        (1, -9.0, {"load": (220.0, 220.0), "speed": (0.06, 0.2)}, "N lower than"),
-        (2, 1.5, {"speed": (0.02, 0.02)}, "N m higher than"),
+        (0, 6e-3, {"slip": (0.42, 0.55)}),
+        (0, -6e-3, {"slip": (0.42, 0.55)}),
+        (1, -9.0, {"load": (220.0, 220.0), "speed": (0.06, 0.2)}),
+        (2, 1.5, {"speed": (0.02, 0.02)}),
     ],
 )
-def test_planted_box_is_found(channel, size, box, word):
+def test_planted_box_is_found(channel, size, box):
     data = table(speeds=SPEEDS)
     inside = np.ones(data.rows.slip.size, dtype=bool)
     for name, (low, high) in box.items():
@@ -64,22 +64,6 @@ def test_planted_box_is_found(channel, size, box, word):
     assert first.size_sd == pytest.approx(first.size / NOISE[channel])
     assert first.size * size > 0.0
     assert first.p_value < 1e-6
-    assert word.split(" ", 1)[-1] in first.words
-    assert "every" in first.words
-
-
-def test_words_of_the_issue():
-    data = table(speeds=SPEEDS)
-    added = np.where((data.rows.slip > 0.35)[:, None] & (np.arange(3) == 0), 6e-3, 0.0)
-    p = problem(data, np.random.default_rng(6), added)
-    p.known = dict(friction_angle_deg=31.0, cohesion=3500.0, sinkage_coefficient=7.4e5, sinkage_exponent=0.64)
-    p.soil = tuple(k for k in p.soil if k.name not in p.known)  # K alone absorbs hardly anything
-    found = locate(p, p.fit())
-    assert len(found) == 1
-    assert found[0].words == (
-        "measured sinkage is on average 5.7 mm deeper than the model's (6.3 times the noise) at slip 0.42 and above, "
-        "every load and speed"
-    )
 
 
 def test_boxes_of_one_channel_do_not_overlap():
@@ -143,20 +127,7 @@ def test_channel_that_was_not_measured():
         data, np.random.default_rng(10), np.where(np.arange(3) == 0, 4e-3, 0.0) * (data.rows.slip > 0.4)[:, None]
     )
     fit = p.fit()
-    assert [g.channel for g in describe(p, fit)] == ["sinkage", "drawbar_pull"]
     assert {d.channel for d in locate(p, fit)} <= {"sinkage", "drawbar_pull"}
-
-
-def test_overall_line():
-    data = table()
-    p = problem(data, np.random.default_rng(11))
-    fit = p.fit()
-    gap = describe(p, fit)[1]
-    assert gap.rms == pytest.approx(np.sqrt(np.mean((p.data.y - fit.output)[:, 1] ** 2)))
-    assert gap.words == (
-        f"drawbar pull: measured and model differ by {gap.rms:.3g} N rms, {gap.rms / 1.5:.2f} times the noise of "
-        "1.5 N (18 values)"
-    )
 
 
 def test_same_seed_same_answer():

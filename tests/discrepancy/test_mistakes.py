@@ -114,6 +114,6 @@ def test_doubts_come_first_everywhere(tmp_path, capsys):
 
 
 def test_the_largest_disagreement_is_looked_at_only_beyond_the_noise(tmp_path, monkeypatch):
-    monkeypatch.setattr(mistakes, "_readings", lambda problem: pytest.fail("looked"))
+    monkeypatch.setattr(mistakes, "_reinterpretations", lambda problem: pytest.fail("looked"))
     assert examined(tmp_path, table_text({"slip_sinkage": {"gain": 0.3}})) == ()
     assert np.isfinite(mistakes.LARGE)

@@ -11,7 +11,7 @@ from soil_env.discrepancy.calibrate import GRAVITY, Choice
 from soil_env.discrepancy.data import folds
 from soil_env.parameters import Soil
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.terramechanics.residual import GROUPS, ResidualTerm
+from soil_env.terramechanics.residual import GROUPS
 from tests.discrepancy.tables import NOISE, SLIPS, WHEEL, problem, table
 
 SPEEDS, PASSES = (0.02, 0.06, 0.2), (1, 2, 3)
@@ -206,15 +206,3 @@ def test_offset_is_added_to_the_model(rich):
     values = {k.name: k.value(0.0) for k in p.soil}
     before, after = (x.predict(values, (), np.zeros(len(rich.table))) for x in (p, q))
     assert after == pytest.approx(before + 0.25)
-
-
-def test_words():
-    terms = (
-        ResidualTerm("drawbar_pull", -0.21, {"slip": 2.0, "speed": 0.5}),
-        ResidualTerm("sinkage", 0.1, {"pass": 1.0}),
-        ResidualTerm("torque", 0.02, {}),
-    )
-    assert symbolic.in_words(terms) == (
-        "drawbar pull over load falls by 0.21 slip^2 speed^0.5; sinkage over radius rises by 0.1 pass; "
-        "torque over load times radius is higher by 0.02, where speed = V/sqrt(g r)"
-    )

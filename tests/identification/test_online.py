@@ -14,7 +14,7 @@ from soil_env.identification.online import SensorReading
 from soil_env.identification.point import weigh
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation.dynamics import STEP, advance
-from soil_env.simulation.task import sense
+from soil_env.simulation.sensors import sense
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import steady_state
 
@@ -307,7 +307,7 @@ def test_only_readings_enter(hide):
     for k in range(80):
         commands = np.array([0.4 + 0.35 * math.sin(0.7 * k)])
         advance(w.state, w.counts, 0, 1, what, commands, w.courses, w.streams, n.world)
-        readings, _ = sense(w.state, 0, w.streams, n.task)
+        readings, _ = sense(w.state, 0, w.streams, n.task.sensors)
         identifier.observe(other, 0, readings, n.identifier)
         kept = w.courses.soils.copy(), w.state.copy()
         if hide:

@@ -294,17 +294,19 @@ def test_a_cohesion_of_nothing_is_zero(tmp_path):
 
 
 def line(x, y, sd):
-    """What `Scatter` takes of a problem: a straight line through one channel (the last), its noise not known."""
-    count = len(x)
+    """What `Scatter` takes of a problem: a straight line through one channel (the last), its noise not known.
+
+    The unknowns have priors a thousand times wider than what the line tells of them.
+    """
+    count, wide = len(x), 1e3
     J = np.zeros((count, 3, 2))
-    J[:, 2] = -np.stack([np.ones(count), x], axis=1)
+    J[:, 2] = wide * np.stack([np.ones(count), x], axis=1)
     e = np.zeros((count, 3))
     e[:, 2] = y
     return SimpleNamespace(
-        estimated=np.arange(5) == 4, free=np.ones(2, dtype=bool), rows=count, F=np.zeros((count, 3, 2)),
-        measured=np.tile([False, False, True], (count, 1)), noise=np.full(5, sd), floor=np.full(5, 1e-3 * sd),
-        misfit=lambda x: (e, J, None), prior=lambda x: (np.zeros(2), np.zeros((2, 2))),
-    )  # fmt: skip
+        estimated=np.arange(5) == 4, F=np.zeros((count, 3, 2)), measured=np.tile([False, False, True], (count, 1)),
+        noise=np.full(5, sd), floor=np.full(5, 1e-3 * sd), residual=lambda u: e, by_unknowns=lambda u: J,
+    ), wide  # fmt: skip
 
 
 @pytest.mark.parametrize("count", [4, 6, 12])
@@ -312,7 +314,8 @@ def test_intervals_from_one_channel_are_students(count):
     """With one channel and no prior, integrating its noise out gives the interval of linear regression."""
     x, rng = np.linspace(0.0, 1.0, count), np.random.default_rng(count)
     y = 1.0 + 2.0 * x + rng.normal(size=count)
-    low, high = Scatter(line(x, y, 1.0), None).interval(np.array([0.0, 1.0]))
+    problem, wide = line(x, y, 1.0)
+    low, high = Scatter(problem, np.zeros(2)).interval(np.array([0.0, wide]))
     found = linregress(x, y)
     half = t.ppf(0.975, count - 2) * found.stderr
     assert (low, high) == pytest.approx((found.slope - half, found.slope + half), abs=0.05 * half)

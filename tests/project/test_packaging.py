@@ -1,12 +1,14 @@
-"""What a wheel and an sdist hold, and that what a wheel holds runs away from the clone."""
+"""Contents of wheel and sdist, and what is installed by them: names, commands, no collision with openai-agents."""
 
 import importlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tarfile
 import tomllib
+import venv
 import zipfile
 from pathlib import Path
 
@@ -17,50 +19,134 @@ import soil_env
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+ALLOWED = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+
+
+def build(kind, source, target):
+    """A wheel or an sdist of the sources in `source`, without network."""
+    pytest.importorskip("setuptools", "77", reason="setuptools is in the extra test")
+    program = f"from setuptools import build_meta; build_meta.build_{kind}({str(target)!r})"
+    done = subprocess.run([sys.executable, "-c", program], cwd=source, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "is absent from the `packages` configuration" not in done.stderr
+    return next(target.iterdir())
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    builders = pytest.importorskip("hatchling.builders.wheel", reason="hatchling is in the extra test")
-    return Path(next(builders.WheelBuilder(str(ROOT)).build(directory=str(tmp_path_factory.mktemp("wheel")),
-                                                             versions=["standard"])))  # fmt: skip
+    """Built from a copy of what the Dockerfile copies: a build leaves its products beside the sources."""
+    source = tmp_path_factory.mktemp("source")
+    for name in ALLOWED:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(ROOT / name, source)
+    return build("wheel", source, tmp_path_factory.mktemp("wheel"))
 
 
-def sources(*folders, pattern):
-    return {p.relative_to(ROOT).as_posix() for f in folders for p in (ROOT / f).rglob(pattern)}
+def sources(folder, pattern="*.*"):
+    found = (p.relative_to(ROOT / folder).as_posix() for p in (ROOT / folder).rglob(pattern) if p.is_file())
+    return {name for name in found if "__pycache__" not in name}
 
 
 def test_the_wheel_holds_the_packages_and_the_configs_and_nothing_else(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = {n for n in archive.namelist() if ".dist-info/" not in n}
         scripts = next(archive.read(n).decode() for n in archive.namelist() if n.endswith("entry_points.txt"))
-    configs = {f"soil_env/{name}" for name in sources("configs", pattern="*.*")}
-    assert names == sources("soil_env", "agents", pattern="*.py") | configs
-    assert "soil_env/configs/scenarios/mixed.yaml" in names and "agents/evaluate/__main__.py" in names
+    folders = {"soil_env": "soil_env", "agents": "soil_env_agents", "configs": "soil_env/configs"}
+    assert names == {f"{there}/{name}" for here, there in folders.items() for name in sources(here)}
+    assert "soil_env/configs/scenarios/mixed.yaml" in names and "soil_env_agents/evaluate/__main__.py" in names
     assert set(re.findall(r"^(\S+) = ", scripts, re.MULTILINE)) == set(PROJECT["scripts"])
 
 
+@pytest.mark.slow
 def test_the_sdist_holds_what_a_contributor_needs(tmp_path):
-    builders = pytest.importorskip("hatchling.builders.sdist", reason="hatchling is in the extra test")
-    path = next(builders.SdistBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"]))
-    with tarfile.open(path) as archive:
+    ignored = shutil.ignore_patterns(".*", "__pycache__", "runs", "site", "dist", "build", "*.egg-info")
+    shutil.copytree(ROOT, tmp_path / "source", ignore=ignored)
+    for name in (".ci", ".dockerignore"):
+        (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, tmp_path / "source" / name)
+    (tmp_path / "dist").mkdir()
+    with tarfile.open(build("sdist", tmp_path / "source", tmp_path / "dist")) as archive:
         names = {n.partition("/")[2] for n in archive.getnames()}
     needed = {"pyproject.toml", "README.md", "LICENSE", "Makefile", "constraints.txt", "train.py", "mkdocs.yml"}
-    assert needed | {".ci/run", "docs/index.md", "examples/drive.py"} <= names
-    assert sources("soil_env", "agents", "tests", "benchmarks", pattern="*.py") <= names
-    left = ("runs", "site", "dist", "build")
-    assert not {n for n in names if n.split("/")[0] in left or n.endswith((".pyc", ".nbi"))}
+    assert needed | {".ci/run", "docs/index.md", "examples/drive.py", "configs/soils.yaml", "setup.py"} <= names
+    for folder in ("soil_env", "agents", "tests", "benchmarks"):
+        assert {f"{folder}/{name}" for name in sources(folder, "*.py")} <= names
+    assert not {n for n in names if n.endswith((".pyc", ".nbi", ".nbc"))}
 
 
 def test_the_console_commands_exist():
     for name, target in PROJECT["scripts"].items():
-        module, _, function = target.partition(":")
+        module, _, function = target.replace("soil_env_agents", "agents").partition(":")
         assert callable(getattr(importlib.import_module(module), function)), name
 
 
-def test_the_versions_agree():
+def test_the_version_of_the_citation_is_that_of_the_package():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert soil_env.__version__ == PROJECT["version"] == citation["version"]
+    assert soil_env.__version__ == citation["version"]
+
+
+def environment(folder):
+    """Python of a new virtual environment that also sees the packages of this one."""
+    venv.create(folder, with_pip=False, symlinks=os.name != "nt")
+    python = next(folder.glob("[bS]*/python*"))
+    site = subprocess.run([python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"],
+                          capture_output=True, text=True, check=True).stdout.strip()  # fmt: skip
+    # a line of a .pth file puts a folder on the path; the .pth files in that folder are not read
+    paths = [p for p in sys.path if "site-packages" in p or "dist-packages" in p]
+    Path(site, "base.pth").write_text("\n".join(paths))
+    return python, Path(site)
+
+
+def pip(python, *arguments):
+    """pip of this environment, installing into another one."""
+    command = [sys.executable, "-m", "pip", "--python", str(python), "--disable-pip-version-check", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+def run(python, *arguments, cwd):
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run([python, *arguments], cwd=cwd, env=env, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_it_is_installed_beside_openai_agents(wheel, tmp_path):
+    """That distribution owns the name `agents`; neither overwrites a file of the other, and both run."""
+    pytest.importorskip("pip")
+    python, site = environment(tmp_path / "both")
+    got = pip(python, "install", "--no-compile", "--retries", "0", "--timeout", "10", "openai-agents")
+    if got.returncode:
+        pytest.skip(f"no package index can be reached: {got.stderr.strip().splitlines()[-1][:100]}")
+    theirs = {p.relative_to(site): p.read_bytes() for p in (site / "agents").rglob("*.py")}
+    done = pip(python, "install", "--no-deps", str(wheel))
+    assert done.returncode == 0, done.stderr
+    assert {p.relative_to(site): p.read_bytes() for p in (site / "agents").rglob("*.py")} == theirs
+    assert run(python, "-c", "import agents; print(agents.Agent(name='its own').name)", cwd=tmp_path) == "its own\n"
+    command = python.parent / "soil-env-evaluate"
+    assert run(command, "--help", cwd=tmp_path).startswith("usage: soil-env-evaluate ")
+    said = run(python, "-m", "soil_env_agents.evaluate", "--help", cwd=tmp_path)
+    assert said.startswith("usage: python -m soil_env_agents.evaluate ")
+
+
+@pytest.mark.slow
+def test_an_editable_install_has_the_same_names(tmp_path):
+    """...and no others: neither `agents` nor `configs` is importable outside the clone."""
+    pytest.importorskip("pip")
+    source = tmp_path / "clone"
+    source.mkdir()
+    for name in ALLOWED:
+        (source / name).symlink_to(ROOT / name)
+    python, _ = environment(tmp_path / "environment")
+    done = pip(python, "install", "--no-deps", "--no-build-isolation", "-e", str(source))
+    assert done.returncode == 0, done.stderr
+    program = (
+        "import importlib.util as u, soil_env_agents.controllers as c; from soil_env.parameters import scenario_names;"
+        "print(c.__file__, u.find_spec('agents'), u.find_spec('configs'), len(scenario_names()) > 3)"
+    )
+    said = run(python, "-c", program, cwd=tmp_path)
+    assert said.split() == [str(ROOT / "agents" / "controllers.py"), "None", "None", "True"]
 
 
 def test_an_unpacked_wheel_runs_from_elsewhere(wheel, tmp_path):
@@ -70,25 +156,24 @@ def test_an_unpacked_wheel_runs_from_elsewhere(wheel, tmp_path):
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(home)
     program = (
-        "import agents, soil_env, sys; from soil_env.parameters import load_scenario, scenario_names;"
-        "print(soil_env.__file__, agents.__file__); [load_scenario(n) for n in scenario_names()];"
+        "import soil_env_agents, soil_env, sys; from soil_env.parameters import load_scenario, scenario_names;"
+        "print(soil_env.__file__, soil_env_agents.__file__); [load_scenario(n) for n in scenario_names()];"
         "from soil_env.discrepancy.__main__ import main; main(['--help'])"
     )
     environment = {**os.environ, "PYTHONPATH": str(home)}
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, cwd=elsewhere, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr[-2000:]
-    assert done.stdout.startswith(f"{home / 'soil_env' / '__init__.py'} {home / 'agents' / '__init__.py'}")
+    assert done.stdout.startswith(f"{home / 'soil_env' / '__init__.py'} {home / 'soil_env_agents' / '__init__.py'}")
     assert "usage: python -m soil_env.discrepancy" in done.stdout
 
 
 def test_the_image_is_made_of_what_the_dockerignore_lets_in():
     """Every COPY of the Dockerfile is let through, and every source of it exists."""
-    allowed = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     copied = set()
     for line in re.findall(r"^COPY (?!--from)(.+)$", (ROOT / "Dockerfile").read_text(), re.MULTILINE):
         copied |= set(line.split()[:-1])
-    assert copied == allowed
+    assert copied == ALLOWED
     assert all((ROOT / name).exists() for name in copied)
 
 
@@ -99,10 +184,10 @@ def test_what_the_dockerfile_names_exists():
     assert len(pins) == 1 and r"s/^\(torch==[^ ]*\).*/\1/p" in text
     extras = re.search(r"\.whl\)\[(\w+)\]", text)[1]
     assert extras in PROJECT["optional-dependencies"]
-    modules = set(re.findall(r"\b(?:agents|soil_env)\.\w+\b", text))
-    assert modules >= {"agents.train", "soil_env.discrepancy"}
+    modules = set(re.findall(r"\b(?:soil_env|soil_env_agents)\.\w+\b", text))
+    assert modules >= {"soil_env_agents.train", "soil_env.discrepancy"}
     for module in modules:
-        importlib.import_module(module)
+        importlib.import_module(module.replace("soil_env_agents", "agents"))
     programs = re.findall(r'python -c "(.+)"', text)
     assert len(programs) == 2
     for program in programs:

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 OUTSIDE = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / "examples" / "README.md"]
-PACKAGES = ("soil_env", "agents", "benchmarks")
+PACKAGES = ("soil_env", "agents", "soil_env_agents", "benchmarks")  # soil_env_agents: agents/ as it is installed
 REFERENCE = re.compile(r"\[`([\w/]+\.py): ([\w.]+)`\]\s*\[([\w.]+)\]")
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
@@ -73,7 +73,7 @@ def test_python_and_commands_of_a_page_are_real(page):
             for node in ast.walk(ast.parse(block)):
                 if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] in PACKAGES:
                     for alias in node.names:
-                        resolve_name(f"{node.module}.{alias.name}")
+                        resolve_name(f"{node.module}.{alias.name}".replace("soil_env_agents.", "agents."))
         elif language in ("sh", "bash"):
             for line in block.replace("\\\n", " ").splitlines():
                 check_command(shlex.split(line, comments=True))
@@ -83,7 +83,7 @@ def check_command(words: list[str]) -> None:
     """The module or file that python runs exists, and so does the make target."""
     for k, word in enumerate(words[:-1]):
         if word == "python" and words[k + 1] == "-m" and words[k + 2].split(".")[0] in PACKAGES:
-            module = importlib.util.find_spec(words[k + 2])
+            module = importlib.util.find_spec(words[k + 2].replace("soil_env_agents.", "agents."))
             assert module is not None, words
             assert not module.submodule_search_locations or importlib.util.find_spec(f"{module.name}.__main__"), words
         elif word == "python" and words[k + 1].endswith(".py"):

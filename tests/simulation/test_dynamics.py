@@ -86,37 +86,7 @@ def test_laws_of_motion(mode):
     assert w.x > 0.2
 
 
-# --- reaction and motor -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_reaction_rates_against_central_differences(seed):
-    rng = np.random.default_rng(seed)
-    soil = soils()[str(rng.choice(sorted(soils())))].state(0.15)
-    sinkage, load = rng.uniform(0.005, 0.12), rng.uniform(50.0, 250.0)
-    scale = 10.0 ** rng.uniform(-3.0, 0.0)  # from rest to driving
-    v, u = rng.uniform(-1.0, 1.0, 2) * scale
-
-    def forces(v, u):
-        return np.array(reaction.reaction(v, u, sinkage, load, soil, 0.15, 0.15)[1:3])
-
-    d = 1e-7
-    by_v = (forces(v + d, u) - forces(v - d, u)) / (2 * d)
-    by_u = (forces(v, u + d) - forces(v, u - d)) / (2 * d)
-    found = reaction.reaction(v, u, sinkage, load, soil, 0.15, 0.15)
-    size = np.abs([by_v, by_u]).max()
-    np.testing.assert_allclose([found.dp_v, found.torque_v], by_v, rtol=1e-4, atol=1e-4 * size)
-    np.testing.assert_allclose([found.dp_u, found.torque_u], by_u, rtol=1e-4, atol=1e-4 * size)
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_reaction_carries_the_load(seed):
-    rng = np.random.default_rng(seed)
-    soil = soils()["lete_sand"].state(0.15)
-    v, u = rng.uniform(-0.5, 0.5, 2)
-    found = reaction.reaction(v, u, 0.03, 120.0, soil, 0.15, 0.15)
-    assert found.modulus > 0.0
-    assert found.load == pytest.approx(120.0, rel=1e-9)
+# --- motor ------------------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=300, deadline=None)

@@ -9,7 +9,7 @@ import pytest
 from soil_env.env import SoilWheelEnv
 from soil_env.identification import Status
 from soil_env.parameters import ParameterError, load_scenario, soils
-from soil_env.simulation import task
+from soil_env.simulation import sensors, task
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.simulation.worlds import Simulation
 
@@ -111,7 +111,7 @@ def observed_again(sim, ground=None, estimate=None):
     if ground is not None:
         courses = courses._replace(soils=courses.soils * ground)
     ids = worlds.ids if estimate is None else worlds.ids._replace(estimate=worlds.ids.estimate + estimate)
-    reading, pitch = task.sense(worlds.state, 0, streams, numbers)
+    reading, pitch = sensors.sense(worlds.state, 0, streams, numbers.sensors)
     task.write_observation(out, worlds.state, worlds.counts, 0, reading, pitch, courses, ids, numbers)
     return out
 
@@ -166,7 +166,7 @@ def test_readings_scatter_as_stated():
     weight, top = sim.scenario.weight, sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
     out, rows, streams = np.zeros(11, np.float32), [], sim.worlds.streams.copy()
     for _ in range(20_000):
-        reading, pitch = task.sense(sim.worlds.state, 0, streams, sim.numbers.task)
+        reading, pitch = sensors.sense(sim.worlds.state, 0, streams, sim.numbers.task.sensors)
         task.write_observation(
             out, sim.worlds.state, sim.worlds.counts, 0, reading, pitch, sim.worlds.courses, sim.worlds.ids,
             sim.numbers.task,

@@ -131,7 +131,9 @@ def test_cells_are_cleared_with_their_patch():
 def test_where_no_soil_is_passable_the_patch_before_goes_on(scenario):
     courses, mass, numbers = started(3, scenario)
     p = courses.patches[0]
-    mud = numbers._replace(library=numbers.library * [1.0, 1.0, 1.0, 1e-3, 1.0, 1.0, 1.0])
+    mud = numbers._replace(
+        drawn=numbers.drawn._replace(library=numbers.drawn.library * [1.0, 1.0, 1.0, 1e-3, 1.0, 1.0, 1.0])
+    )
     assert not drawing.extend_course(0, courses, mass, np.inf, mud)
     n = courses.patches[0]
     assert n > p and courses.edges[0, n] >= scenario.course.length

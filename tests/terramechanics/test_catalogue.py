@@ -57,7 +57,7 @@ def test_names_in_order():
 
 @pytest.mark.parametrize("effect", CATALOGUE.values(), ids=NAMES)
 def test_entries_are_complete(effect):
-    assert effect.title and effect.equation and effect.forms and effect.parameters
+    assert effect.title and effect.forms and effect.parameters
     assert effect.moves and set(effect.moves) <= {SINKAGE, PULL, TORQUE}
     assert len({f.name for f in effect.forms}) == len(effect.forms)
     assert len({p.name for p in effect.parameters}) == len(effect.parameters)

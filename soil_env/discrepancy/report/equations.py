@@ -1,17 +1,29 @@
-"""The effects of the catalogue as equations, one for each published form, to be printed with the fitted numbers in.
+"""Equations as text: every published form of the effects of the catalogue, and laws without a name.
 
-A template holds {parameter} where the catalogue has its parameter; everything else is a symbol of `MEANING`. The laws
-are those that `soil_env.terramechanics.effects` computes; `catalogue.py` has the source of each form.
+This is the one place that writes the effects' equations as text. A template holds {parameter} where the catalogue has
+its parameter; everything else is a symbol of `MEANING`. `soil_env.terramechanics.effects` computes the laws, and
+`catalogue.py` has the source of each form.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+from soil_env.discrepancy.report.words import TITLES
 from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.residual import ResidualTerm
+
+
+class Term(NamedTuple):
+    """A symbol and what it stands for."""
+
+    symbol: str
+    meaning: str
+
 
 _POWERS = "K_N = K N^(-{stiffening}); "
 _HUMP = "tau = tau_max 4 {sharpness} (1 - x) (1 + {sharpness} x)/(1 + {sharpness})^2; "
@@ -111,8 +123,8 @@ MEANING = MappingProxyType({
     "S_V": "sinkage coefficient at the speed V",
     "S_b": "sinkage coefficient on the slope",
     "N": "pass number",
-    "K": "shear modulus",
-    "K_N": "shear modulus on pass N",
+    "K": "shear deformation modulus",
+    "K_N": "shear deformation modulus on pass N",
     "c": "cohesion",
     "c_N": "cohesion on pass N",
     "c_v": "cohesion at the sliding speed v",
@@ -135,13 +147,6 @@ _OWN = MappingProxyType({
     "multipass": {"N": "pass number, 1 = fresh soil; the laws hold from N = 2"},
 })  # fmt: skip
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)?")
-
-
-class Term(NamedTuple):
-    """A symbol and what it stands for."""
-
-    symbol: str
-    meaning: str
 
 
 def plain(x: float, digits: int = 3) -> str:
@@ -179,3 +184,58 @@ def legend(name: str, form: str) -> list[Term]:
     words = set(_WORD.findall(re.sub(r"\{\w+\}", "", EQUATIONS[name, form])))
     own = _OWN.get(name, {})
     return [Term(s, own.get(s, m)) for s, m in (MEANING | own).items() if s in words]
+
+
+# --- a law without a name ---------------------------------------------------------------------------------------------
+
+_LEFT = MappingProxyType({"sinkage": "(z - z_0)/r", "drawbar_pull": "(DP - DP_0)/W", "torque": "(T - T_0)/(W r)"})
+_SYMBOL = MappingProxyType({
+    "slip": "i", "grip": "(1 - i)", "sinkage": "Z", "load": "L", "speed": "Fr", "pass": "N", "grade": "sin(b)",
+})  # fmt: skip
+_GROUP = MappingProxyType({
+    "slip": Term("i", "slip"),
+    "grip": Term("1 - i", "travel over rim speed"),
+    "sinkage": Term("Z", "z_0/r, sinkage over radius"),
+    "load": Term("L", "W/(S b r^(n+1)), load over bearing strength"),
+    "speed": Term("Fr", "V/sqrt(g r), Froude number"),
+    "pass": Term("N", "pass number"),
+    "grade": Term("sin(b)", "sine of the grade"),
+})  # fmt: skip
+_VALUES = MappingProxyType({"sinkage": "z", "drawbar_pull": "DP", "torque": "T"})
+
+
+def formulas(terms: tuple[ResidualTerm, ...], digits: int = 3) -> dict[str, str]:
+    """{channel: equation} of the law."""
+    out: dict[str, str] = {}
+    for term in terms:
+        size = f"{plain(abs(term.coefficient), digits)}{product(term.powers)}"
+        minus = term.coefficient < 0.0
+        if term.channel in out:
+            out[term.channel] += f" {'-' if minus else '+'} {size}"
+        else:
+            out[term.channel] = f"{_LEFT[term.channel]} = {'-' if minus else ''}{size}"
+    return out
+
+
+def product(powers: Mapping[str, float]) -> str:
+    """The groups of a term with their powers, each behind a space."""
+    parts = ""
+    for group, p in powers.items():
+        power = "" if p == 1.0 else f"^{p:g}" if p > 0.0 else f"^({p:g})"
+        parts += f" {_SYMBOL[group]}{power}"
+    return parts
+
+
+def law_legend(terms: tuple[ResidualTerm, ...]) -> list[tuple[str, str, tuple[float, float] | None]]:
+    """(symbol, meaning, range in the table) of what the formulas name; no range for what is no group."""
+    out: list[tuple[str, str, tuple[float, float] | None]] = []
+    for channel in dict.fromkeys(t.channel for t in terms):
+        symbol = _VALUES[channel]
+        out.append((f"{symbol}, {symbol}_0", f"{TITLES[channel]} with and without the law", None))
+    for term in terms:
+        for group in term.powers:
+            low, high = term.ranges.get(group, (math.nan, math.nan))
+            row = (*_GROUP[group], (float(low), float(high)) if math.isfinite(low) else None)
+            if row[0] not in [r[0] for r in out]:
+                out.append(row)
+    return out

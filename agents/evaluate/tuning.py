@@ -1,13 +1,15 @@
-"""Settings of the classical controllers, tuned on courses of their own."""
+"""Tuning of the classical controllers on courses that no comparison uses."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from agents import evaluate
-from agents.controllers import make_controller
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
+
+from ..controllers import make_controller
+from ..progress import Bar
+from .driving import run_courses
 
 _STARTS = (0.055, 0.11, 0.17, 0.24, 0.3)  # beyond, a slip controller is a constant speed
 _CANDIDATES = {  # settings each classical controller is tuned over; speeds are shares of the top rim speed
@@ -27,15 +29,20 @@ def tuned_settings(
     scenario: Scenario,
     seed: int,
     courses: int,
-    progress: Callable[[int, str], None],
+    progress: Callable[[int, str], None] | None = None,
     names: Iterable[str] = tuple(_CANDIDATES),
     model: WheelSoilModel | None = None,
 ) -> tuple[dict[str, dict], dict[str, list[dict]]]:
     """({controller: best settings}, {controller: what was tried}) over the first `courses` courses of set `seed`.
 
-    `progress` is called with a number of courses and the name of the controller that has driven them. Controllers
-    without settings are left out. `model` brings the effects that are on in the world.
+    `progress` is called with a number of courses and the name of the controller that has driven them; without it a bar
+    is shown. Controllers without settings are left out. `model` brings the effects that are on in the world.
     """
+    if progress is None:
+        with Bar("Tuning", courses * candidates_in_all(names), "courses") as bar:
+            return tuned_settings(
+                scenario, seed, courses, lambda count, name: bar.update(advance=count, note=name), names, model
+            )
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
     chosen, tried = {}, {}
     for name in names:
@@ -44,7 +51,7 @@ def tuned_settings(
             continue
         if name == "constant_speed":
             candidates = [{"speed": round(c["speed"] * top, 4)} for c in candidates]
-        chosen[name], tried[name] = evaluate.tune(
+        chosen[name], tried[name] = tune(
             lambda name=name, **values: make_controller(name, scenario, **values),
             candidates,
             scenario,
@@ -54,3 +61,17 @@ def tuned_settings(
             model,
         )
     return chosen, tried
+
+
+def tune(make, candidates: list[dict], scenario: Scenario, seed: int, courses: int, progress=None, model=None):
+    """The settings whose controller `make(**settings)` finishes most courses of set `seed`, the return breaking ties.
+
+    Returns (settings, [{**settings, "finished": share, "return": mean return} for each candidate]).
+    """
+    tried = []
+    for settings in candidates:
+        runs = run_courses(make(**settings), scenario, seed, courses, progress=progress, model=model)
+        score = {"finished": float(runs.metric("finished").mean()), "return": float(runs.returns.mean())}
+        tried.append({**settings, **score})
+    best = max(range(len(tried)), key=lambda k: (tried[k]["finished"], tried[k]["return"]))
+    return candidates[best], tried

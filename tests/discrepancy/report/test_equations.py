@@ -2,10 +2,11 @@
 
 import math
 import re
+from pathlib import Path
 
 import pytest
 
-from soil_env.discrepancy import equations
+from soil_env.discrepancy.report import equations
 from soil_env.parameters import SoilState
 from soil_env.terramechanics import effects as laws
 from soil_env.terramechanics.catalogue import CATALOGUE
@@ -132,3 +133,12 @@ def test_signs_and_units_of_the_numbers():
     assert equations.fitted("slip_sinkage", "excavation", {"length": 0.0061}) == "z = z_w + (0.0061 m) i/(1 - i)"
     text = equations.fitted("multipass", "power", {"hardening": -0.1, "stiffening": -0.2, "strength": 0.05})
     assert text == "S_N = S N^(-0.1); K_N = K N^(0.2); tan(phi_N) = tan(phi) N^0.05"
+
+
+def test_the_page_of_the_effects_has_every_form_and_parameter():
+    """docs/physics/effects.md typesets the same laws."""
+    page = (Path(__file__).resolve().parents[3] / "docs" / "physics" / "effects.md").read_text(encoding="utf-8")
+    sections = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL))
+    for name, form in FORMS:
+        assert form.name in sections[name] or len(CATALOGUE[name].forms) == 1, (name, form.name)
+        assert all(f"`{p}`" in sections[name] for p in form.free), (name, form.name)

@@ -1,10 +1,9 @@
-"""The plots of a report, as SVG that is the same for the same report."""
+"""The plots of a report, as SVG; the same report gives the same bytes."""
 
 from __future__ import annotations
 
 import io
 import re
-from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
@@ -12,16 +11,21 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.locate import TITLES, UNITS
-from soil_env.discrepancy.words import corrected, fixed, title
+from soil_env.discrepancy.report.words import TITLES, UNITS, fixed, title
+from soil_env.discrepancy.result import Report
 from soil_env.terramechanics.catalogue import CATALOGUE
-
-if TYPE_CHECKING:
-    from soil_env.discrepancy.workflow import Report
 
 BEFORE, AFTER, MEASURED = "#c2571a", "#1f6f8b", "#222222"
 MANY = 1200  # points of a plot above which they are drawn as an image
 CURVES = 4  # groups of rows whose curves over slip are drawn
+CAPTIONS = {
+    "predicted": "Held-out predictions against the measured values; grey: twice the noise.",
+    "slip": "Measured values and models over slip, in a few groups of rows that differ in slip alone, from where "
+    "the base model does best (top) to where it does worst. A red cross was left out as an outlier.",
+    "residual": "Held-out residuals over slip in standard deviations of the noise; grey: twice the noise.",
+    "ranking": "Gain of held-out likelihood by each candidate over the base model. Dark: named; light: its "
+    "alternatives; grey: neither.",
+}
 _STYLE = {"font.size": 9, "axes.titlesize": 10, "axes.spines.top": False, "axes.spines.right": False,
           "axes.edgecolor": "#888888", "axes.linewidth": 0.7, "svg.hashsalt": "soil_env"}  # fmt: skip
 
@@ -75,8 +79,8 @@ def _predicted(report: Report) -> Figure:
 
 def _both(report: Report, before, after):
     """What is drawn for each model; only the base model where nothing was added."""
-    yield before, BEFORE, "base model" if corrected(report) else "calibrated model"
-    if corrected(report):
+    yield before, BEFORE, "base model" if report.corrected else "calibrated model"
+    if report.corrected:
         yield after, AFTER, "corrected model"
 
 
@@ -122,12 +126,14 @@ def _slip(report: Report) -> Figure:
         axis.set_xlabel("slip")
     for (label, rows), line in zip(picked, axes, strict=False):
         slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
-        middle = rows[len(rows) // 2]
-        at = {"slip": slip, "load": data.rows.load[rows].mean(), "speed": data.rows.conditions[middle, 0],
-              "pass": data.rows.conditions[middle, 1],
-              "grade_deg": np.degrees(np.arcsin(data.rows.conditions[rows, 2].mean())),
-              "wheel_radius": data.rows.wheels[middle, 0], "wheel_width": data.rows.wheels[middle, 1],
-              "grouser_height": data.rows.wheels[middle, 2]}  # fmt: skip
+        middle = data.rows.wheels[rows[len(rows) // 2]]
+        at = {name: float(np.median(column[rows])) for name, column in data.conditions.items()}
+        at |= {
+            "slip": slip,
+            "load": data.rows.load[rows].mean(),
+            "grade_deg": data.conditions["grade_deg"][rows].mean(),
+        }
+        at |= dict(zip(("wheel_radius", "wheel_width", "grouser_height"), middle, strict=True))
         curves = _both(report, report.base_model.predict(at), report.model.predict(at))
         lines = [(np.stack(p[:3], axis=1), color, text) for p, color, text in curves]
         for name, ax in zip(report.channels, line, strict=True):

@@ -1,0 +1,155 @@
+"""Noise of the channels and outliers, before any effect is known.
+
+The reference is a *smooth surface* through the data: the calibrated base model plus polynomials of the conditions in
+every channel. Whatever effect is missing, it is smooth in the conditions; single values that leave the surface are not
+an effect. (`soil_env.identification.weighted` estimates noise from what its own fit leaves: there the model is taken to
+be right, here it is in question.)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError
+from soil_env.discrepancy.data import CHANNELS, Data
+
+OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
+LEAST_NOISE = 1e-5  # scatter over the size of the values below which they are rounded or computed, not measured
+REPEAT_SLIP = 0.02  # largest difference of slip within repeats
+REPEAT_LOAD = 0.2  # largest difference of load within repeats, over their mean
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseEstimate:
+    """Noise of the channels and the values that count."""
+
+    sd: np.ndarray  # [3]
+    freedom: np.ndarray  # [3] of the estimate; inf where the setup gives it
+    origin: tuple[str, ...]  # [3] "setup", "repeats", "scatter" or "" where not measured
+    used: np.ndarray  # [N, 3] bool
+    outliers: int  # values that were left out
+
+
+def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
+    """`NoiseEstimate` from the setup, else from repeats, else from the scatter about the surface through the data.
+
+    `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Values further than `OUTLIER` sd
+    from the surface are left out one after the other.
+    """
+    given = [getattr(data.setup.noise, name) for name in CHANNELS]
+    repeat_sd, repeat_freedom = repeat_noise(data, model)
+    basis = smooth_basis(data)
+    used, sd, freedom, origin = data.measured.copy(), np.ones(3), np.full(3, math.inf), [""] * 3
+    for j, name in enumerate(CHANNELS):
+        if not used[:, j].any():
+            continue
+        origin[j] = "setup" if given[j] is not None else "repeats" if repeat_freedom[j] >= 6 else "scatter"
+        sd[j] = given[j] if given[j] is not None else repeat_sd[j]
+        values = int(used[:, j].sum())
+        if values - basis.shape[1] < 3:
+            if origin[j] == "scatter":
+                raise ParameterError(
+                    f"{data.table.source}: noise of {name}: cannot be told from {values} values without repeats; "
+                    "expected noise in the setup, or repeated points"
+                )
+            continue
+        e = data.y[:, j] - model[:, j]
+        used[:, j] = _without_outliers(basis, e, used[:, j], given[j])
+        if origin[j] == "scatter":
+            left, _ = _surface(basis, e, used[:, j])
+            freedom[j] = used[:, j].sum() - basis.shape[1]
+            sd[j] = math.sqrt(float(np.sum(left[used[:, j]] ** 2)) / freedom[j])
+    if "repeats" in origin:
+        repeats = [text == "repeats" for text in origin]
+        cleaned = dataclasses.replace(data, y=np.where(used, data.y, math.nan))
+        repeat_sd, repeat_freedom = repeat_noise(cleaned, model)
+        sd[repeats], freedom[repeats] = repeat_sd[repeats], repeat_freedom[repeats]
+    _refuse_no_scatter(data, used, sd, origin)
+    return NoiseEstimate(np.maximum(sd, 1e-12), freedom, tuple(origin), used, int(data.measured.sum() - used.sum()))
+
+
+def _without_outliers(basis: np.ndarray, e: np.ndarray, used: np.ndarray, sd: float | None) -> np.ndarray:
+    """[N] which of the values `used` of a channel stay; their noise is `sd`, or taken from their scatter."""
+    keep = used.copy()
+    for _ in range(max(1, int(0.06 * keep.sum())) + 1):
+        left, leverage = _surface(basis, e, keep)
+        scale = sd
+        if sd is None:
+            median = float(np.median(np.abs(left[keep]) / np.sqrt(np.maximum(1.0 - leverage[keep], 0.05))))
+            scale = max(1.4826 * median, 1e-12)
+        far = np.abs(left) / (scale * np.sqrt(np.maximum(1.0 - leverage, 0.05)))
+        far[~keep | (leverage > 0.8)] = 0.0
+        worst = int(np.argmax(far))
+        if far[worst] <= OUTLIER:
+            break
+        keep[worst] = False
+    if sd is not None:  # values that a first outlier had masked come back
+        left, leverage = _surface(basis, e, keep)
+        keep |= used & (np.abs(left) <= OUTLIER * sd * np.sqrt(1.0 + leverage))
+    return keep
+
+
+def _refuse_no_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: list[str]) -> None:
+    """`ParameterError` where noise was to be taken from values that are rounded or computed."""
+    for j, name in enumerate(CHANNELS):
+        if origin[j] not in ("repeats", "scatter"):
+            continue
+        y = data.y[used[:, j], j]
+        if np.ptp(y) == 0.0 or sd[j] <= LEAST_NOISE * float(np.sqrt(np.mean(y**2))):
+            raise ParameterError(
+                f"{data.table.source}: noise of {name}: the values hardly scatter, so it cannot be taken from them; "
+                "expected noise in the setup"
+            )
+
+
+def smooth_basis(data: Data) -> np.ndarray:
+    """[N, B] polynomials of the varied conditions: up to the third power of slip, second of the others, and products.
+
+    Never more columns than half the cells.
+    """
+    s = data.varied["slip"].scaled
+    columns = [np.ones_like(s), s]
+    if data.varied["slip"].levels > 2:
+        columns.append(s * s)
+    if data.varied["slip"].levels > 4:
+        columns.append(s**3)
+    others = [c for name, c in data.varied.items() if name != "slip"]
+    columns += [c.scaled for c in others]
+    columns += [s * c.scaled for c in others]
+    columns += [c.scaled**2 for c in others if c.levels > 2]
+    columns += [a.scaled * b.scaled for i, a in enumerate(others) for b in others[i + 1 :]]
+    cells = int(data.cell.max()) + 1
+    return np.stack(columns[: max(2, cells // 2)], axis=1)
+
+
+def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(sd [3], degrees of freedom [3]) of the scatter of measured minus `model` [N, 3] within cells.
+
+    The model takes up the small differences of slip and load that repeats have; cells with larger ones do not count.
+    """
+    left, total, freedom = data.y - model, np.zeros(3), np.zeros(3)
+    for k in range(int(data.cell.max()) + 1):
+        inside = data.cell == k
+        load = data.rows.load[inside]
+        if inside.sum() < 2 or np.ptp(data.rows.slip[inside]) > REPEAT_SLIP or np.ptp(load) > REPEAT_LOAD * load.mean():
+            continue
+        for j in range(3):
+            v = left[inside, j]
+            v = v[np.isfinite(v)]
+            if v.size > 1:
+                total[j] += np.sum((v - v.mean()) ** 2)
+                freedom[j] += v.size - 1
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.sqrt(total / freedom), freedom
+
+
+def _surface(basis, e, keep):
+    """(residual [N], leverage [N]) of the least-squares surface through the kept values."""
+    coefficients, *_ = np.linalg.lstsq(basis[keep], e[keep], rcond=1e-10)
+    inverse = np.linalg.pinv(basis[keep].T @ basis[keep], rcond=1e-12)
+    leverage = np.einsum("nb,bc,nc->n", basis, inverse, basis)
+    return e - basis @ coefficients, np.where(keep, np.minimum(leverage, 1.0), leverage)

@@ -1,0 +1,91 @@
+"""report.json: the result as plain values and sentences."""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections.abc import Mapping
+
+import numpy as np
+import scipy
+
+from soil_env import __version__
+from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.report import words
+from soil_env.discrepancy.report.blocks import blocks
+from soil_env.discrepancy.report.equations import SYMBOLS
+from soil_env.discrepancy.result import Report
+
+
+def content(report: Report) -> dict:
+    """Plain values for JSON, null where there is no number; every key is always present."""
+    shown = [block.content() for block in blocks(report)]
+    first = words.check_first(report)
+    noise = {name: CHANNELS.index(name) for name in report.channels}
+    return plain({
+        "verdict": report.verdict,
+        "summary": words.summary(report),
+        "effects": [
+            {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
+             "alternatives": e.alternatives, "symbols": SYMBOLS[e.name], **block}
+            for e, block in zip(report.effects, shown, strict=False)
+        ],
+        "where": [
+            {"channel": d.channel, "region": d.region, "size": d.size, "size_sd": d.size_sd, "p_value": d.p_value,
+             "words": words.disagreement(report, d)}
+            for d in report.where
+        ],
+        "ranking": [r._asdict() for r in report.ranking],
+        "gap": {name: g._asdict() for name, g in report.gap.items()},
+        "closed": report.closed,
+        "closed_interval": report.closed_interval,
+        "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],
+        "next_tests": [
+            {"conditions": t.conditions, "channel": t.channel, "separates": t.separates,
+             "expected_sigma": t.expected_sigma, "words": words.next_test(report, t)}
+            for t in report.next_tests
+        ],
+        "residual": _law(report, shown),
+        "probability": report.other,
+        "chance": report.finding.chance,
+        "confidence": None if report.bootstrap is None else {
+            "share": report.bootstrap.share, "draws": report.bootstrap.draws,
+            "instead": [{"names": names, "share": share} for names, share in report.bootstrap.instead.items()],
+        },
+        "soil": {name: v._asdict() | {"known": report.known(name)} for name, v in report.soil.items()},
+        "noise": {name: {"sd": report.noise.sd[j], "origin": report.noise.origin[j]} for name, j in noise.items()},
+        "left_out": [{"row": row, "channel": name} for row, name in report.left_out],
+        "check_first": first,
+        "cautions": [*first, *words.cautions(report)],
+        "validity": {name: list(pair) for name, pair in report.model.validity.items()},
+        "rows": len(report.problem.data.table),
+        "settings": vars(report.settings),
+        "versions": {"soil_env": __version__, "python": platform.python_version(), "numpy": np.__version__,
+                     "scipy": scipy.__version__},
+    })  # fmt: skip
+
+
+def _law(report: Report, shown: list[dict]) -> dict | None:
+    if report.law is None:
+        return None
+    return {
+        "terms": [str(t) for t in report.model.residual],
+        "coefficients": [
+            {"channel": t.channel, "powers": t.powers, "ranges": t.ranges, **c._asdict()}
+            for t, c in zip(report.law.terms, report.law.coefficients(), strict=True)
+        ],
+        **(shown[-1] if report.model.residual else {}),
+    }
+
+
+def plain(x):
+    """Nested plain values; what is not finite becomes None."""
+    if isinstance(x, Mapping):
+        return {str(k): plain(v) for k, v in x.items()}
+    if isinstance(x, (list, tuple)):
+        return [plain(v) for v in x]
+    if isinstance(x, np.generic):
+        x = x.item()
+    if isinstance(x, float):
+        return x + 0.0 if math.isfinite(x) else None  # -0.0 + 0.0 is 0.0
+    return x

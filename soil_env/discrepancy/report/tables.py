@@ -1,0 +1,62 @@
+"""Tables of a report."""
+
+from __future__ import annotations
+
+from soil_env._io.document import Table
+from soil_env.discrepancy.judgement import Interval
+from soil_env.discrepancy.report.words import SOIL, TITLES, amount, figures, fixed, not_tiny, title
+from soil_env.discrepancy.result import Report
+from soil_env.terramechanics.catalogue import CATALOGUE
+
+
+def effects(report: Report) -> Table:
+    """Every parameter of the named effects."""
+    rows = []
+    for e in report.effects:
+        label = f"{title(e.name)} ({e.name})"
+        label += f", or {', '.join(title(a) for a in e.alternatives)}" if e.alternatives else ""
+        for name, p in e.parameters.items():
+            unit = CATALOGUE[e.name].parameter(name).unit
+            rows.append((label, name.replace("_", " "), figures(p.value), _interval(p) or "set", unit))
+            label = ""
+    return Table(("effect", "parameter", "value", "95 % interval", "unit"), rows)
+
+
+def soil(report: Report) -> Table:
+    """The soil of the corrected model."""
+    rows = []
+    for name, p in report.soil.items():
+        label, unit = SOIL[name]
+        origin = _interval(p) or ("given" if report.known(name) else "assumed")
+        rows.append((label, figures(not_tiny(p.value)), origin, unit))
+    return Table(("parameter", "value", "95 % interval", "unit"), rows)
+
+
+def _interval(p: Interval) -> str:
+    """The 95 % interval; empty where the value was not fitted."""
+    return "" if p.low == p.high else f"{figures(p.low)} .. {figures(p.high)}"
+
+
+def gap(report: Report) -> Table:
+    """Held-out error of each channel; without the column of the corrected model where nothing was added."""
+    rows = []
+    for name, g in report.gap.items():
+        before, after, noise = (amount(name, x, 3) for x in g)
+        over = [f"{x / g.noise_floor:.2f}" for x in (g.before, g.after)]
+        if report.corrected:
+            rows.append((TITLES[name], before, after, noise, " -> ".join(over)))
+        else:
+            rows.append((TITLES[name], before, noise, over[0]))
+    models = ("base model", "corrected") if report.corrected else ("calibrated model",)
+    return Table(("channel", *models, "noise", "over the noise"), rows)
+
+
+def ranking(report: Report, most: int | None = None) -> Table:
+    """The candidates, the first `most` of them."""
+    rows = [(title(r.name), fixed(r.score, 1), fixed(r.probability, 3)) for r in report.ranking[:most]]
+    return Table(("effect", "held-out gain [nats]", "probability"), rows)
+
+
+def untestable(report: Report) -> Table:
+    """The effects that the table cannot show, and why."""
+    return Table(("effect", "reason"), [(title(k), v) for k, v in report.finding.untestable.items()])

@@ -1,0 +1,378 @@
+"""Sentences of a report: the summary, disagreements, next tests, and what a reader should be wary of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from soil_env.discrepancy.calibrate import PRIOR_WIDTH
+from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.experiment import NextTest
+from soil_env.discrepancy.judgement import LISTED, chance_of
+from soil_env.discrepancy.locate import Disagreement
+from soil_env.discrepancy.result import Report
+from soil_env.discrepancy.search import RULED_OUT
+from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.model import DEEPEST
+from soil_env.terramechanics.validity import in_words
+
+FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
+ABSURD = 8.0, 10.0  # [sd of the setup] of a soil parameter, [noise] of a held-out error: a mistake in the table
+FEW = 6  # conditions below which hardly anything can be told
+WORSE = 0.1  # rise of a held-out error that is worth a caution
+WEAK = 0.05  # chance below which an effect that is not named is mentioned
+LEFT = 1.5  # [noise] of a held-out error after the correction that is worth a caution
+SOIL = {
+    "friction_angle_deg": ("friction angle", "deg"),
+    "cohesion": ("cohesion c", "Pa"),
+    "shear_modulus": ("shear deformation modulus K", "m"),
+    "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2)"),
+    "sinkage_exponent": ("sinkage exponent n", ""),
+    "density": ("density", "kg/m3"),
+}
+UNITS = {"sinkage": ("mm", 1e3), "drawbar_pull": ("N", 1.0), "torque": ("N m", 1.0)}
+TITLES = {"sinkage": "sinkage", "drawbar_pull": "drawbar pull", "torque": "torque"}
+#: What the groups of a law without a name are about.
+GROUPS = {"slip": "slip", "grip": "slip", "sinkage": "sinkage", "load": "load", "speed": "speed", "pass": "pass number",
+          "grade": "grade"}  # fmt: skip
+_MORE = {"sinkage": ("deeper", "shallower"), "drawbar_pull": ("higher", "lower"), "torque": ("higher", "lower")}
+_CONDITIONS = {"slip": ("slip", ""), "load": ("load", " N"), "speed": ("speed", " m/s"), "pass": ("pass", ""),
+               "grade_deg": ("grade", " deg")}  # fmt: skip
+
+
+# --- parts ------------------------------------------------------------------------------------------------------------
+
+
+def listed(names: Iterable[str], last: str = "and") -> str:
+    """Names with commas and a last word between the last two."""
+    *first, final = names
+    return f"{', '.join(first)} {last} {final}" if first else final
+
+
+def title(names: str) -> str:
+    """What an effect, or two joined by " and ", is called in a sentence."""
+    return " and ".join(CATALOGUE[n].title if n in CATALOGUE else n for n in names.split(" and "))
+
+
+def figure(x: float) -> str:
+    """Two digits, without an exponent where the number is large."""
+    return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
+
+
+def figures(value: float, digits: int = 4) -> str:
+    """A number for a table; empty where there is none."""
+    return "" if value is None or not math.isfinite(value) else f"{value + 0.0:.{digits}g}"
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number with a fixed number of decimals, never -0."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+
+
+def p_value(p: float) -> str:
+    """A p value in a table."""
+    return "< 1e-6" if p < 1e-6 else f"{p:.2g}"
+
+
+def amount(channel: str, value: float, digits: int = 2) -> str:
+    """A value of a channel in its unit."""
+    unit, scale = UNITS[channel]
+    return f"{figure(scale * value) if digits == 2 else figures(scale * value, digits)} {unit}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
+
+
+def _plural(count: int, word: str) -> str:
+    return f"{count} {word}" + ("" if count == 1 else "s")
+
+
+def _first_upper(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+# --- disagreements and tests ------------------------------------------------------------------------------------------
+
+
+def disagreement(report: Report, d: Disagreement) -> str:
+    """Where the base model leaves the table, and by how much."""
+    varied = report.problem.data.varied
+    parts = [_limit(name, limits, varied[name].value) for name, limits in d.region.items()]
+    others = [_CONDITIONS[name][0] for name in varied if name not in d.region]
+    parts += [f"every {listed(others)}"] if others else []
+    return (
+        f"measured {TITLES[d.channel]} is on average {amount(d.channel, abs(d.size))} "
+        f"{_MORE[d.channel][d.size < 0.0]} than the model's ({abs(d.size_sd):.1f} times the noise) at "
+        f"{', '.join(parts)}"
+    )
+
+
+def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
+    (low, high), (label, unit) = (f"{x:.3g}" for x in limits), _CONDITIONS[name]
+    if low == high:
+        return f"{label} {low}{unit}"
+    if limits[1] >= values.max():
+        return f"{label} {low}{unit} and above"
+    if limits[0] <= values.min():
+        return f"{label} {high}{unit} and below"
+    return f"{label} {low} to {high}{unit}"
+
+
+def next_test(report: Report, t: NextTest) -> str:
+    """A test in a sentence."""
+    at, sd = _place(t.conditions), f"{t.expected_sigma:.1f} sd"
+    if t.purpose == "repeat":
+        size = amount(t.channel, t.expected_sigma * report.problem.noise[CHANNELS.index(t.channel)])
+        most = "the law adds most here" if report.model.residual else "the model misses most here"
+        return f"{at}, three times again: {most}, {size} of {TITLES[t.channel]} ({sd})"
+    if t.purpose == "extend":
+        moved = _CONDITIONS[t.extended][0]
+        said = f"{moved} alone beyond the table: {t.separates[0]}, or {t.separates[1]}"
+        return f"{at}, {said}, expected to differ by {sd} in {TITLES[t.channel]}"
+    against = f"{title(t.separates[0])} against {title(t.separates[1])}"
+    return f"{at}: {against}, expected to differ by {sd} in {TITLES[t.channel]}"
+
+
+def _place(point: Mapping[str, float]) -> str:
+    """The conditions of a test."""
+    parts = [f"load {point['load']:.4g} N"] if "load" in point else []
+    parts += [f"{point['speed']:.3g} m/s"] if "speed" in point else []
+    parts += [f"pass {point['pass']:g}"] if point.get("pass", 1.0) != 1.0 else []
+    parts += [f"a grade of {point['grade_deg']:.3g} deg"] if point.get("grade_deg", 0.0) != 0.0 else []
+    return f"slip {point['slip']:.2g} at {listed(parts)}"
+
+
+# --- the conclusion ---------------------------------------------------------------------------------------------------
+
+
+def summary(report: Report) -> str:
+    """One or two sentences: what is missing, how sure that is, and how far the gap closes."""
+    return {"none": _nothing, "unlisted": _unlisted, "ambiguous": _ambiguous, "named": _named}[report.verdict](report)
+
+
+def _nothing(report: Report) -> str:
+    unseen = len(report.finding.untestable)
+    return (
+        f"Nothing is missing that these {int(report.problem.used.sum())} values could show: the calibrated model fits "
+        f"to the noise.{_weak_signs(report)}"
+    ) + (f" {_plural(unseen, 'effect')} cannot be seen in this table." if unseen else "")
+
+
+def _unlisted(report: Report) -> str:
+    text = "Something is missing that no listed effect explains"
+    text += f": {disagreement(report, report.where[0])}." if report.where else "."
+    if report.model.residual:
+        groups = list(dict.fromkeys(GROUPS[g] for t in report.model.residual for g in t.powers))
+        by = f", of {listed(groups)}," if groups else ""
+        text += f" A law without a name{by} stands in for it. With it, {_shrinks(report)}."
+    return text
+
+
+def _ambiguous(report: Report) -> str:
+    first = listed(title(e.name) for e in report.effects)
+    either = "; ".join(
+        listed([title(e.name), *(title(a) for a in e.alternatives)], "or") for e in report.effects if e.alternatives
+    )
+    sure = ", ".join(title(e.name) for e in report.effects if not e.alternatives)
+    text = f"Missing from the model: {sure}, and" if sure else "Missing from the model:"
+    return f"{text} {either}; these data cannot tell which. With {first}, {_shrinks(report)}."
+
+
+def _named(report: Report) -> str:
+    one = len(report.effects) == 1
+    first = listed(title(e.name) for e in report.effects)
+    text = f"Missing from the model: {first}. With {'it' if one else 'them'}, {_shrinks(report)}."
+    if report.bootstrap is not None:
+        share = f"{_percent(report.bootstrap.share)} of {report.bootstrap.draws} redraws of the noise"
+        text += f" The {'name is' if one else 'names are'} found again in {share}."
+    return text
+
+
+def _weak_signs(report: Report) -> str:
+    """The effect that is nearest to being named, or a misfit, where either is unlikely to be chance."""
+    finding = report.finding
+    if finding.chance >= WEAK:
+        return ""
+    found = [(chance_of(report.problem, finding.base, c), title(c.names[0])) for c in finding.singles]
+    chance, name = min(found, default=(1.0, ""))
+    if chance >= WEAK:
+        return f" There are weak signs of a misfit (chance {finding.chance:.2g}), and no effect accounts for them."
+    return f" There are weak signs of {name} (chance {chance:.2g}), not enough to name it."
+
+
+def _shrinks(report: Report) -> str:
+    """How the gap shrinks, on the channel in which it shrinks most."""
+    name = max(report.gap, key=lambda k: (report.gap[k].before - report.gap[k].after) / report.gap[k].noise_floor)
+    gap = report.gap[name]
+    text = (
+        f"the held-out error of {TITLES[name]} goes from {gap.before / gap.noise_floor:.2f} to "
+        f"{gap.after / gap.noise_floor:.2f} times the noise"
+    )
+    if report.closed is not None and report.closed > 0.0:
+        text += f", and {_percent(report.closed)} of the gap above the noise is closed"
+        if report.closed_interval is not None:
+            low, high = (f"{100.0 * x:.0f}" for x in report.closed_interval)
+            text += f" (95 % interval {low} to {high} %)"
+    return text
+
+
+def rule(report: Report) -> str:
+    """When an effect is named, and what the probabilities and the redraws rest on."""
+    prior = f"{LISTED / (1.0 + LISTED):.3f} = {LISTED:.0f}/{1.0 + LISTED:.0f}"
+    text = (
+        f"An effect is named only where every rival that fits the table, with a plausible soil, falls {RULED_OUT} nats "
+        "of held-out likelihood behind; otherwise the verdict is ambiguous. A listed effect reaches a probability of "
+        f"at most {prior}, the prior that what is missing is in the catalogue."
+    )
+    if report.bootstrap is not None:
+        text += " The redraws of the noise assume the named model: they do not see a wrong form."
+    return text
+
+
+def bootstrap(report: Report) -> str:
+    """How often the names are found again, and what is found instead; empty where nothing was drawn."""
+    sure = report.bootstrap
+    if sure is None:
+        return ""
+    names = listed(title(e.name) for e in report.effects)
+    text = f"With the noise drawn again {sure.draws} times about the corrected model, {names} "
+    text += f"{'is' if len(report.effects) == 1 else 'are'} found again in {100.0 * sure.share:.1f} %"
+    instead = [f"{title(' and '.join(k))} in {100.0 * share:.1f} %" for k, share in list(sure.instead.items())[:4]]
+    return f"{text}; instead {', '.join(instead)}." if instead else f"{text}."
+
+
+def validity(report: Report) -> str:
+    """The conditions that the corrected model has seen."""
+    return f"Fitted to {in_words(report.model.validity)}; beyond, model.yaml is an extrapolation and warns of it."
+
+
+# --- cautions ---------------------------------------------------------------------------------------------------------
+
+
+def check_first(report: Report) -> list[str]:
+    """What to check before anything else is read: signs and units."""
+    out = list(report.doubts)
+    far = max((abs(x) for x in _from_priors(report).values()), default=0.0)
+    large = [g for g in report.gap.values() if g.before > ABSURD[1] * g.noise_floor]
+    explained = bool(report.effects) and all(g.after < 0.5 * g.before for g in large)
+    if far > ABSURD[0] or (large and not explained):
+        out.append("So large a disagreement is usually a unit or a sign: check the columns and the setup.")
+    return out
+
+
+def cautions(report: Report) -> list[str]:
+    """What a reader should be wary of beside `check_first`; of the fit that model.yaml holds."""
+    return [*_of_table(report), *_of_fit(report), *_of_gap(report), *_of_model(report)]
+
+
+def _from_priors(report: Report) -> dict[str, float]:
+    """Distance of each soil parameter with a prior from the setup's value, in standard deviations of the setup."""
+    widened = {k.name: k for k in report.problem.soil}
+    priors = report.problem.data.setup.soil
+    return {
+        k.name: PRIOR_WIDTH * widened[k.name].at(float(k.value(u)))
+        for k, u in zip(report.fit.unknowns, report.fit.u, strict=True)
+        if getattr(priors, k.name, None) is not None
+    }
+
+
+def _of_table(report: Report) -> list[str]:
+    problem, noise, out = report.problem, report.noise, []
+    conditions = len(np.unique(problem.data.cell))
+    if conditions < FEW:
+        out.append(f"{conditions} conditions can hardly show a misfit.")
+    values, unknowns = int(problem.used.sum()), len(report.fit.unknowns)
+    if values < unknowns:
+        out.append(f"{values} values for {unknowns} unknowns: the priors decide much of this.")
+    missing = [TITLES[name] for name in CHANNELS if name not in report.channels]
+    if missing:
+        out.append(f"{_first_upper(listed(missing))} not measured: effects that move nothing else cannot be seen.")
+    for j, name in enumerate(CHANNELS):
+        if noise.origin[j] == "scatter":
+            out.append(
+                f"The noise of {TITLES[name]} ({amount(name, noise.sd[j])}) is neither given nor measured by repeats; "
+                "it was taken from the scatter about a smooth surface."
+            )
+    if report.left_out:
+        rows = ", ".join(f"{TITLES[name]} in row {row}" for row, name in report.left_out[:8])
+        more = ", ..." if len(report.left_out) > 8 else ""
+        out.append(
+            f"{_plural(len(report.left_out), 'value')} left out as outliers: {rows}{more}.{_with_outliers(report)}"
+        )
+    return out
+
+
+def _with_outliers(report: Report) -> str:
+    """How the final model compares with the values that were left out."""
+    problem, fit = report.problem, report.fit
+    far = np.abs(problem.data.y - fit.output) / problem.noise
+    dropped = problem.data.measured & ~problem.used
+    ordinary, out = int(np.sum(far[dropped] <= 3.0)), ""
+    if ordinary:
+        out += f" By the final model {ordinary} of them {'is' if ordinary == 1 else 'are'} ordinary."
+    for j, name in enumerate(CHANNELS):
+        if dropped[:, j].any():
+            kept = math.sqrt(float(np.mean(far[problem.used[:, j], j] ** 2)))
+            whole = math.sqrt(float(np.mean(far[problem.data.measured[:, j], j] ** 2)))
+            if whole > 1.2 * kept:
+                out += (
+                    f" With them it misses {TITLES[name]} by {whole:.2g} times the noise instead of {kept:.2g}: where "
+                    "their repeats agree, that is lack of fit."
+                )
+    return out
+
+
+def _of_fit(report: Report) -> list[str]:
+    fit, out, far = report.fit, [], _from_priors(report)
+    for unknown, u in zip(fit.unknowns, fit.u, strict=True):
+        label = SOIL.get(unknown.name, (unknown.name.replace("_", " "), ""))[0]
+        value, x = float(unknown.value(u)), unknown.mean + unknown.sd * float(u)
+        if min(x - unknown.low, unknown.high - x) <= 1e-4 * unknown.sd:
+            out.append(f"{_first_upper(label)} is at a bound of its range ({not_tiny(value):.4g}).")
+        elif abs(far.get(unknown.name, 0.0)) > FAR:
+            off = abs(far[unknown.name])
+            out.append(f"{_first_upper(label)} is {off:.1f} standard deviations from the setup's value.")
+    if not fit.converged:
+        out.append("The fit did not converge: take the numbers as rough.")
+    buried = int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * report.problem.data.wheel.radius))
+    if buried:
+        out.append(f"The fitted soil does not carry the load in {_plural(buried, 'row')}.")
+    return out
+
+
+def not_tiny(value: float) -> float:
+    """0 for what a bound at 0 leaves of a soil parameter."""
+    return value if abs(value) > 1e-6 else 0.0
+
+
+def _of_gap(report: Report) -> list[str]:
+    out = []
+    for name, g in report.gap.items():
+        if report.verdict != "none" and g.after > LEFT * g.noise_floor:
+            out.append(
+                f"The held-out error of {TITLES[name]} stays at {g.after / g.noise_floor:.1f} times the noise: "
+                "something is left, or the held-out conditions lie too far from the others."
+            )
+        if report.effects and g.after > (1.0 + WORSE) * g.before:
+            rise, effects = _percent(g.after / g.before - 1.0), "effect" if len(report.effects) == 1 else "effects"
+            out.append(f"The held-out error of {TITLES[name]} rises by {rise} with the named {effects}.")
+    return out
+
+
+def _of_model(report: Report) -> list[str]:
+    out, height = [], report.problem.data.setup.wheel.grouser_height
+    if height is None and "grousers" in report.model.effects:
+        h = report.model.wheel.grouser_height
+        out.append(
+            f"The setup gives no grouser_height: {1e3 * h:.3g} mm was taken, so only the product with it is told."
+        )
+    if height:
+        out.append("The base model has no grousers: those of the setup are tried as an effect.")
+    if report.model.residual:
+        out.append("The law without a name holds only within the conditions of this table.")
+    if report.finding.untestable and report.verdict != "none":
+        out.append(f"This table cannot show {listed(title(name) for name in report.finding.untestable)}.")
+    return out

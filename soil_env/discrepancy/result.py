@@ -1,0 +1,91 @@
+"""The result of the workflow: what is missing, how sure that is, the corrected model, and what they follow from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from soil_env.discrepancy.calibrate import Fit, Problem
+from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.experiment import NextTest
+from soil_env.discrepancy.judgement import Bootstrap, Gap, Interval, Rank
+from soil_env.discrepancy.locate import Disagreement
+from soil_env.discrepancy.noise import NoiseEstimate
+from soil_env.discrepancy.search import Finding
+from soil_env.discrepancy.symbolic import ResidualFit
+from soil_env.terramechanics.model import WheelSoilModel
+
+
+@dataclass(frozen=True)
+class EffectFound:
+    """A named effect as it is fitted."""
+
+    name: str
+    form: str
+    parameters: dict[str, Interval]  # low = high = value where the form or the table sets it
+    alternatives: tuple[str, ...]  # that these data cannot tell from it
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a run depends on besides the program."""
+
+    data: str
+    setup: str
+    seed: int
+    bootstrap: int
+    data_sha256: str | None  # None where no file was read
+    setup_sha256: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """Everything that a run found. `soil_env.discrepancy.report` draws it."""
+
+    finding: Finding
+    problem: Problem
+    noise: NoiseEstimate
+    where: tuple[Disagreement, ...]
+    effects: tuple[EffectFound, ...]
+    law: ResidualFit | None  # where something unlisted is missing
+    soil: dict[str, Interval]
+    ranking: tuple[Rank, ...]
+    other: dict[str, float]  # probability that nothing is missing, and that something unlisted is
+    bootstrap: Bootstrap | None
+    gap: dict[str, Gap]
+    closed: float | None  # None where nothing was added
+    closed_interval: tuple[float, float] | None  # 95 %
+    next_tests: tuple[NextTest, ...]
+    fit: Fit  # of `model`, whose soil is `soil`
+    base_model: WheelSoilModel
+    model: WheelSoilModel
+    held_before: np.ndarray  # [N, 3] held-out predictions of the base model, NaN where no value is in use
+    held_after: np.ndarray  # [N, 3] of the corrected model
+    doubts: tuple[str, ...]  # mistakes of sign or unit that the table looks like
+    settings: Settings
+
+    @property
+    def verdict(self) -> str:
+        """named, none, ambiguous or unlisted."""
+        return self.finding.verdict
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Measured channels."""
+        return tuple(name for j, name in enumerate(CHANNELS) if self.problem.used[:, j].any())
+
+    @property
+    def corrected(self) -> bool:
+        """Whether anything was added to the base model."""
+        return bool(self.model.effects or self.model.residual)
+
+    def known(self, name: str) -> bool:
+        """Whether the setup gives a soil parameter as known."""
+        return name in self.problem.known or (name == "density" and self.problem.data.setup.soil.density is not None)
+
+    @property
+    def left_out(self) -> list[tuple[int, str]]:
+        """(line of the file, channel) of the values that were taken for outliers."""
+        at = np.argwhere(self.problem.data.measured & ~self.problem.used)
+        return [(int(self.problem.data.table.row[k]), CHANNELS[j]) for k, j in at]

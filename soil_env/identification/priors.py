@@ -1,0 +1,103 @@
+"""Unknowns of a fit to a measurement table, and what is known of a soil before it.
+
+Every unknown is fitted as u = (x - mean)/sd with the mean and standard deviation of its prior, x being the parameter
+or, for K and S, its logarithm: in u every prior is the standard normal, and parameters of any unit have one scale.
+"""
+
+from __future__ import annotations
+
+import math
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.measurement.setup import Setup
+from soil_env.parameters import SoilState
+
+#: Where the setup says nothing of a soil parameter: mean, sd, lower and upper bound, of the parameter or its logarithm.
+#: Ours, wide enough for every preset soil of configs/soils.yaml, clays with 69 kPa among them. The mean of ln S is that
+#: of a plate that carries the median load at the median sinkage.
+BROAD = MappingProxyType({
+    "friction_angle_deg": (30.0, 15.0, 2.0, 65.0, False),
+    "cohesion": (5e3, 3e4, 0.0, 1e5, False),
+    "shear_modulus": (math.log(0.02), 1.2, math.log(2e-4), math.log(0.3), True),
+    "sinkage_coefficient": (math.nan, 3.0, math.log(10.0), math.log(1e13), True),
+    "sinkage_exponent": (0.8, 0.5, 0.05, 2.5, False),
+})  # fmt: skip
+USUAL_SINKAGE = 0.08  # [radii] where none was measured
+#: Smallest standard deviations of priors that are given, in the coordinate of the fit.
+_LEAST_SD = {"friction_angle_deg": 0.05, "cohesion": 1.0, "shear_modulus": 1e-4, "sinkage_coefficient": 1e-4,
+             "sinkage_exponent": 1e-3}  # fmt: skip
+
+
+class Unknown(NamedTuple):
+    """One unknown in the coordinate it is fitted in: itself, or its logarithm."""
+
+    name: str
+    mean: float
+    sd: float
+    low: float
+    high: float
+    log: bool
+
+    def value(self, u: float) -> float:
+        """The parameter at the whitened unknown u."""
+        x = self.mean + self.sd * u
+        return math.exp(min(x, 700.0)) if self.log else x
+
+    def at(self, value: float) -> float:
+        """The whitened unknown of a value."""
+        return ((math.log(value) if self.log else value) - self.mean) / self.sd
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Bounds of the whitened unknown."""
+        return (self.low - self.mean) / self.sd, (self.high - self.mean) / self.sd
+
+
+def soil_unknowns(
+    setup: Setup, load: np.ndarray, sinkage: np.ndarray, widened: float = 1.0
+) -> tuple[tuple[Unknown, ...], dict[str, float]]:
+    """(unknowns of the soil, values of what the setup knows) of a table with loads [N] and sinkages [N], nan allowed.
+
+    `widened` multiplies the standard deviations of the setup's priors.
+    """
+    unknowns, known = [], {}
+    for name, (mean, sd, low, high, log) in BROAD.items():
+        prior = setup.soil.lumped(setup.wheel.width) if name == "sinkage_coefficient" else getattr(setup.soil, name)
+        if prior is not None and prior.known:
+            known[name] = prior.value
+            continue
+        if prior is not None:
+            value = max(prior.value, 1e-12) if log else prior.value
+            mean = math.log(value) if log else value
+            sd = widened * (math.log1p(prior.sd / value) if log else prior.sd)
+            low, high = min(low, mean), max(high, mean)
+            sd = min(max(sd, _LEAST_SD[name]), high - low)  # a wider prior tells no less
+        unknowns.append(Unknown(name, mean, sd, low, high, log))
+    n = known.get("sinkage_exponent", next((k.mean for k in unknowns if k.name == "sinkage_exponent"), 1.0))
+    usual = math.log(plate_coefficient(setup, load, sinkage, n))
+    return tuple(k._replace(mean=usual) if math.isnan(k.mean) else k for k in unknowns), known
+
+
+def plate_coefficient(setup: Setup, load: np.ndarray, sinkage: np.ndarray, exponent: float) -> float:
+    """S [N/m^(n+2)] of a flat plate that carries the median load at the median sinkage."""
+    r = setup.wheel.radius
+    z = float(np.nanmedian(sinkage)) if np.any(np.isfinite(sinkage)) else USUAL_SINKAGE * r
+    z = min(max(z, 0.01 * r), r)
+    return float(np.median(load)) / (setup.wheel.width * math.sqrt(2.0 * r * z) * 0.6 * z**exponent)
+
+
+def known_digging(setup: Setup) -> tuple[float, float]:
+    """(gain, recovery) of the slip-sinkage that the setup knows the soil to have; (0, 0.5) where it says nothing."""
+    gain, recovery = setup.soil.dig_gain, setup.soil.dig_recovery
+    return (gain.value if gain else 0.0, recovery.value if recovery else 0.5)
+
+
+def soil_state(values: dict[str, float], digging: tuple[float, float]) -> SoilState:
+    """The soil of a set of parameters by name."""
+    return SoilState(
+        math.tan(math.radians(values["friction_angle_deg"])), values["cohesion"], values["shear_modulus"],
+        values["sinkage_coefficient"], values["sinkage_exponent"], *digging,
+    )  # fmt: skip

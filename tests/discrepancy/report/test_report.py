@@ -1,0 +1,216 @@
+"""The report of a result: sentences, tables, equations, report.json and the page."""
+
+import dataclasses
+import html.parser
+import json
+import math
+
+import numpy as np
+import pytest
+
+from soil_env.discrepancy import judgement, run
+from soil_env.discrepancy import report as drawn
+from soil_env.discrepancy.calibrate import PRIOR_WIDTH
+from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.experiment import NextTest
+from soil_env.discrepancy.locate import Disagreement
+from soil_env.discrepancy.report import blocks, tables, words
+from soil_env.discrepancy.report.content import plain
+from soil_env.discrepancy.report.pictures import pictures
+from soil_env.terramechanics.catalogue import CATALOGUE
+from tests.discrepancy.files import SETUP, table_text, write_files
+
+KEYS = ("verdict", "effects", "where", "ranking", "gap", "closed", "untestable", "next_tests")
+
+
+# --- report.json ------------------------------------------------------------------------------------------------------
+
+
+def test_report_json_has_the_keys_of_the_contract(planted_files):
+    report, folder = planted_files
+    content = json.loads((folder / "report.json").read_text(), parse_constant=pytest.fail)
+    assert content == json.loads(json.dumps(drawn.content(report), allow_nan=False))
+    assert set(KEYS) <= set(content) and content["verdict"] == "named"
+    for effect in content["effects"]:
+        assert {"name", "parameters", "alternatives"} <= set(effect) and effect["name"] in CATALOGUE
+        for p in effect["parameters"].values():
+            assert set(p) == {"value", "low", "high"} and p["low"] <= p["value"] <= p["high"]
+    for d in content["where"]:
+        assert {"channel", "region", "size", "p_value"} <= set(d) and d["channel"] in CHANNELS
+    assert all(set(r) == {"name", "score", "probability"} for r in content["ranking"])
+    assert set(content["gap"]) == set(CHANNELS)
+    assert all(set(g) == {"before", "after", "noise_floor"} for g in content["gap"].values())
+    assert all(set(u) == {"name", "reason"} for u in content["untestable"])
+    tried = {r["name"] for r in content["ranking"]} | {u["name"] for u in content["untestable"]}
+    assert tried == set(CATALOGUE) and content["ranking"][0]["name"] == "slip_sinkage"
+    assert sum(r["probability"] for r in content["ranking"]) <= 1.0 + 1e-9
+
+
+def test_every_key_is_there_when_nothing_is_missing(nothing):
+    content = drawn.content(nothing)
+    assert set(KEYS) <= set(content)
+    assert content["verdict"] == "none" and content["effects"] == [] and content["where"] == []
+    assert content["closed"] is None and content["confidence"] is None and content["next_tests"] == []
+    assert all(g["before"] == g["after"] for g in content["gap"].values())
+    json.dumps(content, allow_nan=False)
+
+
+def test_numbers_that_are_none_in_json():
+    given = {"a": np.float64(math.nan), "b": (math.inf, np.int64(1)), 3: [True, "x"]}
+    assert plain(given) == {"a": None, "b": [None, 1], "3": [True, "x"]}
+    assert math.copysign(1.0, plain({"x": -0.0})["x"]) == 1.0
+
+
+# --- the page ---------------------------------------------------------------------------------------------------------
+
+
+class Page(html.parser.HTMLParser):
+    """Sources, open tags and text of a page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.sources, self.open, self.tags, self.words = [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.sources += [v for k, v in attributes if k in ("src", "href", "srcset", "data", "action")]
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+def test_the_page_stands_alone(planted_files):
+    report, folder = planted_files
+    text = (folder / "report.html").read_text()
+    page = Page(text)
+    assert page.open == [] and page.tags.count("img") == 4
+    assert all(source.startswith("data:image/svg+xml;base64,") for source in page.sources)
+    assert not {"script", "link", "iframe"} & set(page.tags) and "url(" not in text and "@import" not in text
+    said = " ".join(page.words)
+    parts = [words.summary(report), words.rule(report), words.bootstrap(report), *words.cautions(report)]
+    parts += [words.next_test(report, t) for t in report.next_tests]
+    parts += [words.disagreement(report, d) for d in report.where]
+    assert all(part in said for part in parts)
+
+
+def test_pictures_need_nothing_from_elsewhere(planted):
+    for name, svg in pictures(planted).items():
+        text = svg.decode()
+        assert "<svg" in text and "<!DOCTYPE" not in text and "<metadata" not in text, name
+        links = [part.split('"')[1] for part in text.split("href=")[1:]]
+        assert all(link.startswith(("#", "data:")) for link in links), name
+
+
+def test_the_page_escapes_what_a_file_name_brings(tmp_path):
+    folder = tmp_path / "<b>&"
+    folder.mkdir()
+    files = write_files(folder, table_text({}, loads=(100,), slips=(0.1, 0.3, 0.5)))
+    run(*files, tmp_path / "out", bootstrap=0)
+    text = (tmp_path / "out" / "report.html").read_text()
+    assert "<b>" not in text and "&lt;b&gt;&amp;" in text
+
+
+def test_a_named_effect_is_shown_as_an_equation(planted_files):
+    report, folder = planted_files
+    content = json.loads((folder / "report.json").read_text())
+    (effect,), (block,) = content["effects"], blocks.blocks(report)
+    terminal, page = drawn.text(report), (folder / "report.html").read_text()
+    for name, value in effect["parameters"].items():
+        if name in effect["symbols"]:
+            said = f"{effect['symbols'][name]} = {value['value']:.3g}"
+            assert said in terminal and f"{value['value']:.3g}" in effect["fitted"]
+    assert all(line in terminal for line in (*block.equation, *block.fitted, block.source))
+    assert all(blocks.mathematics(line) in page for line in (*block.equation, *block.fitted))
+    assert effect["source"] and effect["where"]["i"] == "slip"
+    low, high = content["closed_interval"]
+    assert low <= content["closed"] <= high
+    assert report.model.validity == {k: tuple(v) for k, v in content["validity"].items()}
+
+
+@pytest.mark.parametrize(
+    "text, shown",
+    [
+        ("z = z_w + (0.0061 m) i/(1 - i)", "<i>z</i> = <i>z</i><sub>w</sub> + (0.0061 m) <i>i</i>/(1 − <i>i</i>)"),
+        ("theta2 = -0.3 theta1", "<i>θ</i><sub>2</sub> = −0.3 <i>θ</i><sub>1</sub>"),
+        ("K_N = K N^(-0.2)", "<i>K</i><sub>N</sub> = <i>K</i> <i>N</i><sup>−0.2</sup>"),
+        ("tan(phi) z^2", "tan(<i>φ</i>) <i>z</i><sup>2</sup>"),
+        ("a < b", "<i>a</i> &lt; <i>b</i>"),
+    ],
+)
+def test_equations_as_html(text, shown):
+    assert blocks.mathematics(text) == shown
+
+
+# --- sentences and tables ---------------------------------------------------------------------------------------------
+
+
+def test_a_disagreement_names_its_box(planted):
+    load, slip = (planted.problem.data.varied[name].value for name in ("load", "slip"))
+    d = Disagreement("sinkage", {"slip": (0.42, float(slip.max()))}, 0.006, 10.0, 1e-9)
+    said = words.disagreement(planted, d)
+    assert "6 mm deeper" in said and "10.0 times the noise" in said and "slip 0.42 and above, every load" in said
+    d = Disagreement("torque", {"load": (float(load.min()), 150.0), "slip": (0.2, 0.3)}, -1.0, -5.0, 1e-9)
+    said = words.disagreement(planted, d)
+    assert "1 N m lower" in said and "load 150 N and below" in said and "slip 0.2 to 0.3" in said
+
+
+def test_a_next_test_names_its_conditions_and_rivals(planted):
+    conditions = {"slip": 0.6, "load": 220.0, "speed": 0.2, "pass": 2.0, "grade_deg": 0.0}
+    said = words.next_test(planted, NextTest(conditions, "drawbar_pull", ("grousers", "slip_bias"), 4.14))
+    assert said.startswith("slip 0.6 at load 220 N, 0.2 m/s and pass 2: grousers against bias of the measured slip")
+    said = words.next_test(planted, NextTest(conditions, "torque", ("a", "b"), 4.0, "extend", "grade_deg"))
+    assert "grade alone beyond the table: a, or b" in said and "4.0 sd in torque" in said
+
+
+def test_weak_signs_are_told(nothing):
+    c, base = nothing.finding.singles[0], nothing.finding.base
+    gain = 15.0 if len(c.fit.choices[0].free) > 1 else 12.0
+    weak = dataclasses.replace(c, fit=dataclasses.replace(c.fit, objective=base.fit.objective - gain))
+    chance = judgement.chance_of(nothing.problem, base, weak)
+    assert 0.004 < chance < 0.05
+    finding = dataclasses.replace(nothing.finding, singles=(weak,), chance=chance)
+    said = words.summary(dataclasses.replace(nothing, finding=finding))
+    assert f"weak signs of {words.title(c.names[0])} (chance {chance:.2g})" in said
+    assert "weak signs" not in words.summary(nothing)
+    finding = dataclasses.replace(nothing.finding, chance=0.01)
+    assert "weak signs of a misfit" in words.summary(dataclasses.replace(nothing, finding=finding))
+
+
+def test_cautions_are_of_the_soil_that_is_shown(planted):
+    """Moved to 3.5 and 9 standard deviations of the setup, in the fit of the corrected model alone."""
+    k = [u.name for u in planted.fit.unknowns].index("cohesion")
+    for far, mistake in ((3.5, False), (9.0, True)):
+        u = planted.fit.u.copy()
+        u[k] = (-far if far * 700 < 3700 else far) / PRIOR_WIDTH
+        moved = dataclasses.replace(planted, fit=dataclasses.replace(planted.fit, u=u))
+        assert any("Cohesion c" in text and f" {far} " in text for text in words.cautions(moved))
+        assert bool(words.check_first(moved)) == mistake
+    assert not any("standard deviations" in text for text in words.cautions(planted))
+
+
+def test_the_headline_quotes_the_channel_that_gains_most(planted):
+    gap = {"sinkage": judgement.Gap(9.0, 8.9, 1.0), "torque": judgement.Gap(0.5, 0.1, 0.1)}
+    gap["drawbar_pull"] = judgement.Gap(1.0, 1.2, 1.0)
+    changed = dataclasses.replace(planted, gap=gap)
+    assert "torque goes from 5.00 to 1.00 times the noise" in words.summary(changed)
+    assert any("drawbar pull rises by 20 %" in text for text in words.cautions(changed))
+    assert words.check_first(changed) == []
+    gap["sinkage"] = judgement.Gap(10.1, 8.9, 1.0)
+    assert words.check_first(changed)
+
+
+def test_a_density_that_is_given_is_known(nothing, tmp_path):
+    assert nothing.known("density")
+    setup = SETUP.replace("  density: 1600\n", "")
+    report = run(*write_files(tmp_path, table_text({}, loads=(100,), slips=(0.1, 0.3)), setup), bootstrap=0)
+    assert not report.known("density") and tables.soil(report).rows[-1][2] == "assumed"
+
+
+def test_numbers_in_tables():
+    assert words.fixed(-0.04, 1) == "0.0" and words.fixed(-0.06, 1) == "-0.1" and words.figures(-0.0) == "0"

@@ -1,0 +1,88 @@
+"""The formula of a law without a name, and the tests that it asks for."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.law_tests import law_tests
+from soil_env.discrepancy.report import equations
+from soil_env.discrepancy.symbolic import ResidualFit
+from soil_env.discrepancy.workflow import model_of
+from soil_env.terramechanics.residual import ResidualTerm
+from tests.discrepancy.tables import NOISE, table
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return Problem(table(speeds=(0.03, 0.1)), NOISE.copy(), np.ones((36, 3), dtype=bool))
+
+
+TERMS = (
+    ResidualTerm("sinkage", -0.21, {"slip": 2.0, "load": 0.5}, {"slip": [0.05, 0.55], "load": [0.01, 0.03]}),
+    ResidualTerm("sinkage", 0.03, {"grip": -1.0}, {"grip": [0.45, 0.95]}),
+    ResidualTerm("torque", 2400.0, {"speed": 1.0}, {"speed": [0.02, 0.08]}),
+)
+
+
+@pytest.fixture(scope="module")
+def law(problem):
+    """A law with known coefficients: whitened value 2 and unit information, so the sd is value / 2 / sqrt 2."""
+    fit = problem.fit()
+    count = len(TERMS)
+    jacobian = np.zeros((fit.jacobian.shape[0], fit.jacobian.shape[1] + count))
+    jacobian[:, :-count] = fit.jacobian
+    for k in range(count):
+        jacobian[k, fit.jacobian.shape[1] + k] = 1.0
+    jacobian[:count, : fit.jacobian.shape[1]] = 0.0
+    fit = dataclasses.replace(fit, slack=np.full(count, 2.0), jacobian=jacobian)
+    offset = np.zeros_like(problem.data.y)
+    offset[7] = [-5 * NOISE[0], 0.0, 0.0]
+    return ResidualFit(TERMS, fit, offset, 10.0)
+
+
+def test_the_formula_of_a_law():
+    text = equations.formulas(TERMS)
+    assert text == {
+        "sinkage": "(z - z_0)/r = -0.21 i^2 L^0.5 + 0.03 (1 - i)^(-1)",
+        "torque": "(T - T_0)/(W r) = 2400 Fr",
+    }
+    rows = equations.law_legend(TERMS)
+    assert ("L", "W/(S b r^(n+1)), load over bearing strength", (0.01, 0.03)) in rows
+    assert [r[0] for r in rows] == ["z, z_0", "T, T_0", "i", "L", "1 - i", "Fr"]
+    assert equations.formulas((ResidualTerm("sinkage", -0.02),)) == {"sinkage": "(z - z_0)/r = -0.02"}
+
+
+def test_the_intervals_of_a_law(law):
+    for term, c in zip(TERMS, law.coefficients(), strict=True):
+        half = 1.959964 * abs(term.coefficient) / 2.0 / np.sqrt(2.0)
+        assert (c.low, c.high) == pytest.approx((term.coefficient - half, term.coefficient + half))
+
+
+def test_the_tests_of_a_law_repeat_its_largest_and_go_beyond_the_table(problem, law):
+    base = problem.fit()
+    quiet = tuple(dataclasses.replace(t, coefficient=c) for t, c in zip(TERMS, (-0.4, 0.01, 0.4), strict=True))
+    law = dataclasses.replace(law, terms=quiet)
+    model = model_of(problem, base, quiet)
+    first, *rest = law_tests(problem, base, law, model)
+    assert first.separates == ("the law", "the base model") and first.channel == "sinkage"
+    assert first.conditions["slip"] == pytest.approx(problem.data.rows.slip[7])
+    assert first.expected_sigma == pytest.approx(5.0) and first.purpose == "repeat"
+    assert 1 <= len(rest) <= 3
+    for t in rest:
+        moved = [k for k, v in t.conditions.items() if v != first.conditions[k]]
+        assert len(moved) == 1 and t.expected_sigma >= 1.0
+        low, high = model.validity[moved[0]]
+        assert not low <= t.conditions[moved[0]] <= high
+        assert set(t.conditions) == set(first.conditions)
+
+
+def test_without_a_law_the_test_is_the_largest_misfit(problem):
+    shifted = dataclasses.replace(problem.data, y=problem.data.y + 0.0)
+    shifted.y[20, 2] += 8 * NOISE[2]
+    p = Problem(shifted, NOISE.copy(), problem.used)
+    fit = p.fit()
+    found = law_tests(p, fit, ResidualFit((), fit, np.zeros_like(shifted.y), 0.0), model_of(p, fit))
+    assert len(found) == 1 and found[0].channel == "torque"
+    assert found[0].conditions["slip"] == pytest.approx(shifted.rows.slip[20])

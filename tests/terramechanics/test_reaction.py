@@ -1,0 +1,214 @@
+"""The reaction with effects: its derivatives, lanes against floats, and each added force against its own equation."""
+
+import math
+
+import numpy as np
+import pytest
+
+from soil_env.parameters import SoilState, soils
+from soil_env.terramechanics import contact, effects, reaction
+from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import NO_EFFECTS, acting, pack_effects
+from soil_env.terramechanics.residual import ResidualTerm, residual_law
+from soil_env.terramechanics.steady import Rim
+from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER
+from tests.terramechanics.reactions import ground_in_lanes, react, react_in_lanes
+
+R, GRAVITY = 0.15, 9.81
+EVERY = [*ACTING, "together", "none"]
+
+
+def wheel_with(case):
+    """`Interaction` of the rover's wheel with the effects of a case, and a residual law beside them all."""
+    fx = {"together": TOGETHER, "none": {}}.get(case) or CASES.get(case, {})
+    law = residual_law(RESIDUAL if case == "together" else ())
+    rim = Rim(R, R, 0.0 if case == "none" else LUG)
+    return reaction.interaction(rim, acting(pack_effects(fx)), law, GRAVITY, 1500.0 * GRAVITY)
+
+
+def motion(rng):
+    """(v, u) [m/s] from rest to driving, forward and backward."""
+    v, u = rng.uniform(-1.0, 1.0, 2) * 10.0 ** rng.uniform(-3.0, 0.0)
+    return (u * rng.uniform(0.2, 1.1) if rng.random() < 0.5 else v), u
+
+
+# --- derivatives ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", EVERY)
+def test_rates_of_the_reaction_against_central_differences(case):
+    """What depends on slip at the start of a substep is held."""
+    wheel, d = wheel_with(case), 1e-7
+    names, rng = sorted(soils()), np.random.default_rng(0)
+    for _ in range(90):
+        soil = soils()[str(rng.choice(names))].state(R)
+        v, u = motion(rng)
+        sinkage, load = rng.uniform(0.005, 0.12), rng.uniform(50.0, 250.0)
+        ground = reaction.ground_under(sinkage, v, u, 160.0, soil, math.sin(0.1), 2.0, wheel)
+
+        def forces(v, u, load=load, ground=ground):
+            return np.array(react(ground, v, u, load, wheel)[1:4])
+
+        by_v = (forces(v + d, u) - forces(v - d, u)) / (2.0 * d)
+        by_u = (forces(v, u + d) - forces(v, u - d)) / (2.0 * d)
+        f = react(ground, v, u, load, wheel)
+        size = 1e-3 * np.maximum(np.abs(by_v), np.abs(by_u)) + 1e-6
+        assert np.all(np.abs([f.dp_v, f.torque_v, f.modulus_v] - by_v) <= size)
+        assert np.all(np.abs([f.dp_u, f.torque_u, f.modulus_u] - by_u) <= size)
+
+
+@pytest.mark.parametrize("name", sorted(soils()))
+def test_the_rates_are_exact_where_the_quadrature_is_smooth(name):
+    """Driving forward j keeps its sign: there `reaction_from` meets differences of higher order to seven digits."""
+    soil, rng, r = soils()[name].state(R), np.random.default_rng(1), R
+    for _ in range(20):
+        u = rng.uniform(0.05, 0.6)
+        v, sinkage, load = u * rng.uniform(0.1, 0.9), rng.uniform(0.01, 0.06), rng.uniform(80.0, 250.0)
+
+        def forces(v, u, sinkage=sinkage, load=load):
+            return np.array(reaction.reaction(v, u, sinkage, load, soil, r, r)[:4])
+
+        def slope(f, h=2e-4):
+            return (8.0 * (f(h) - f(-h)) - (f(2.0 * h) - f(-2.0 * h))) / (12.0 * h)
+
+        f = reaction.reaction(v, u, sinkage, load, soil, r, r)
+        if f.modulus == 0.0:
+            continue  # cohesion alone carries more than the load
+        by_v = slope(lambda h, v=v, u=u, forces=forces: forces(v + h, u))
+        by_u = slope(lambda h, v=v, u=u, forces=forces: forces(v, u + h))
+        scale = np.abs([by_v, by_u]).max(axis=0) + 1e-9
+        found = np.array([[0.0, f.dp_v, f.torque_v, f.modulus_v], [0.0, f.dp_u, f.torque_u, f.modulus_u]])
+        assert np.all(np.abs(found - [by_v, by_u])[:, 1:] <= 2e-7 * scale[1:])
+        assert f.load == pytest.approx(load, rel=1e-12)  # whatever the motion
+
+
+def test_a_reaction_moved_is_its_tangent():
+    soil, wheel = soils()["lete_sand"].state(R), wheel_with("together")
+    ground = reaction.ground_under(0.02, 0.2, 0.35, 160.0, soil, 0.0, 1.0, wheel)
+    f, errors = react(ground, 0.2, 0.35, 160.0, wheel), []
+    for h in (1e-2, 1e-3, 1e-4):
+        there, ahead = react(ground, 0.2 + h, 0.35 - 2.0 * h, 160.0, wheel), reaction.moved(f, h, -2.0 * h)
+        errors.append(np.abs(np.array(ahead[1:4]) - there[1:4]) / np.abs(there[1:4]))
+        assert ahead[4:] == f[4:]
+    assert np.all(errors[1] < 0.02 * errors[0]) and np.all(errors[2] < 0.02 * errors[1])
+
+
+# --- added forces -----------------------------------------------------------------------------------------------------
+
+
+FLAT = reaction.Reaction(160.0, 20.0, 8.0, 1e6, -50.0, 30.0, -7.0, 4.0, 0.0, 0.0)
+
+
+def axle(case, v=0.3, u=0.4, bulldozing=0.0, blades=0.0, pull=0.0, torque=0.0, f=FLAT):
+    return reaction.at_the_axle(f, bulldozing, blades, pull, torque, v, u, wheel_with(case))
+
+
+def test_without_effects_nothing_is_added():
+    assert axle("none") == FLAT
+
+
+@pytest.mark.parametrize(("v", "sign"), [(0.3, 1.0), (-0.3, -1.0), (0.0, 0.0)])
+def test_bulldozing_resists_the_travel(v, sign):
+    found = axle("none", v=v, bulldozing=12.0)
+    assert found.drawbar_pull == pytest.approx(FLAT.drawbar_pull - 12.0 * sign, abs=1e-3)
+    assert found.torque == FLAT.torque
+    if v == 0.0:
+        assert found.dp_v == pytest.approx(FLAT.dp_v - 12.0 / reaction.REST_SPEED)  # the slope of V/sqrt(V^2 + rest^2)
+
+
+@pytest.mark.parametrize(("v", "u", "slip"), [
+    (0.3, 0.4, 0.25), (0.4, 0.3, -0.25), (-0.3, -0.4, -0.25), (0.3, 0.3, 0.0), (0.0, 0.3, 1.0), (-0.2, 0.4, 1.0),
+])  # fmt: skip
+def test_blades_push_with_the_slip_at_their_lever(v, u, slip):
+    """A wheel in reverse that spins pushes itself backward; at no slip the blades do nothing."""
+    found, wheel = axle("grousers-blades", v=v, u=u, blades=30.0), wheel_with("grousers-blades")
+    thrust = 30.0 * math.tanh(slip / effects.BLADE_SLIP)
+    assert found.drawbar_pull == pytest.approx(FLAT.drawbar_pull + thrust)
+    assert found.torque == pytest.approx(FLAT.torque + thrust * (R + 0.5 * LUG))
+    assert wheel.rim_ratio == wheel.shear_ratio == 1.0
+
+
+@pytest.mark.parametrize(("case", "u"), [
+    ("drivetrain_friction-coulomb", 0.4), ("drivetrain_friction-coulomb_and_load", -0.4),
+    ("drivetrain_friction-coulomb_and_viscous", 0.4), ("together", 0.4),
+])  # fmt: skip
+def test_friction_of_the_drivetrain_is_that_of_the_steady_state(case, u):
+    """`drive_torque` of the torque at the axle, here and in `steady_with`; it never gives energy."""
+    wheel = wheel_with(case)
+    at_axle = wheel.shear_ratio * FLAT.torque
+    expected = effects.drive_torque(at_axle, u / R, reaction.REST_SPEED / R, wheel.effects)
+    found = axle(case, u=u)
+    assert found.torque == pytest.approx(expected)
+    assert (found.torque - at_axle) * u > 0.0
+
+
+def test_the_residual_law_is_added_as_it_is():
+    found = axle("none", pull=-3.0, torque=0.7)
+    assert found.drawbar_pull == FLAT.drawbar_pull - 3.0 and found.torque == FLAT.torque + 0.7
+
+
+def test_a_base_reaction_is_that_of_the_whole_without_effects():
+    soil, wheel, rng = soils()["lete_sand"].state(R), wheel_with("none"), np.random.default_rng(3)
+    for _ in range(50):
+        (v, u), sinkage, load = motion(rng), rng.uniform(0.005, 0.12), rng.uniform(50.0, 250.0)
+        ground = reaction.ground_under(sinkage, v, u, load, soil, 0.0, 1.0, wheel)
+        assert ground[2:] == (0.0,) * 5 and ground.arc == contact.smooth_arc(sinkage, R)
+        assert react(ground, v, u, load, wheel) == pytest.approx(
+            reaction.reaction(v, u, sinkage, load, soil, R, R), rel=1e-12
+        )
+
+
+# --- lanes and floats -------------------------------------------------------------------------------------------------
+
+
+def eight(seed):
+    """(x [13, 8] as `ground_in_lanes` takes it, speeds [3, 8]) of eight wheels in all kinds of motion."""
+    rng, names = np.random.default_rng(seed), sorted(soils())
+    ground = np.array([soils()[str(name)].state(R) for name in rng.choice(names, 8)]).T
+    pairs = np.array([motion(rng) for _ in range(8)]).T
+    x = np.vstack([
+        rng.uniform(0.004, 0.12, 8), pairs, rng.uniform(50.0, 250.0, 8), rng.uniform(-0.3, 0.3, 8),
+        rng.choice([1.0, 2.0], 8), ground,
+    ])  # fmt: skip
+    return np.ascontiguousarray(x), np.vstack([pairs * rng.uniform(0.9, 1.1, (2, 8)), rng.uniform(50.0, 250.0, 8)])
+
+
+def ground_of(x, k, wheel):
+    return reaction.ground_under(*(float(v) for v in x[:4, k]), SoilState(*map(float, x[6:, k])), float(x[4, k]),
+                                 float(x[5, k]), wheel)  # fmt: skip
+
+
+@pytest.mark.parametrize("case", EVERY)
+def test_the_ground_is_the_same_in_lanes(case):
+    """Soil in contact, arc, digging, bulldozing, blades, residual law."""
+    wheel, out = wheel_with(case), np.empty((16, 8))
+    for seed in range(6):
+        x, _ = eight(seed)
+        ground_in_lanes(x, wheel, out)
+        for k in range(8):
+            g = ground_of(x, k, wheel)
+            expected = [*g.soil, *g.arc[:4], *g[2:]]
+            np.testing.assert_allclose(out[:, k], expected, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("case", EVERY)
+def test_the_reaction_is_the_same_in_lanes(case):
+    """But for the order of sums over the nodes: relative to the load, and to the largest derivative of the kind."""
+    wheel, out = wheel_with(case), np.empty((10, 8))
+    for seed in range(6):
+        x, speeds = eight(seed)
+        react_in_lanes(x, speeds, wheel, out)
+        for k in range(8):
+            v, u, load = map(float, speeds[:, k])
+            f = react(ground_of(x, k, wheel), v, u, load, wheel)
+            steep = max(map(abs, f[4:8])) + 1.0
+            size = np.array([load, load, load, f.modulus, *[steep] * 4, *[abs(f.modulus_v) + abs(f.modulus_u)] * 2])
+            if f.modulus > 0.0:
+                size *= max(1.0, f.modulus * x[0, k] ** x[10, k] * R * R / load)  # where shear lifts against the stress
+            assert np.all(np.abs(out[:, k] - f) <= 1e-13 * size + 1e-13), (seed, k)
+
+
+def test_every_effect_is_seen_by_these_tests():
+    assert {case.split("-")[0] for case in ACTING} | {"slip_bias", "sinkage_offset"} == set(CATALOGUE)
+    assert wheel_with("none").effects == NO_EFFECTS and not wheel_with("none").on
+    assert isinstance(RESIDUAL[0], ResidualTerm)
