@@ -54,6 +54,7 @@ HIGHEST = np.array([math.radians(89.5), math.log(0.3) - 1e-9, math.log(1e13) - 1
 LOWER, UPPER = LOWEST[:SOIL], HIGHEST[:SOIL]
 _FARTHEST = np.array([0.35, 1.5, 1.5, 2e5, 2.0])  # in one iteration
 _MAX_DAMPINGS = 12
+_RIDGE = 1e-12  # of the trace of the normal matrix
 
 # --- points, eight at a time ------------------------------------------------------------------------------------------
 
@@ -313,6 +314,10 @@ def _damped_step(x, systems, damping, free, vectors):
     held, trial = SIZE, 2 * SIZE
     for i in range(SYSTEM):
         systems[SYSTEM + i] = systems[i]
+    if free == SOIL:  # no prior keeps the matrix regular
+        trace = systems[_place(0, 0)] + systems[_place(1, 1)] + systems[_place(2, 2)]
+        for i in range(SOIL):
+            systems[SYSTEM + _place(i, i)] += _RIDGE * trace
     for i in range(SIZE):
         v = systems[i]
         pressed = i >= free or (x[i] <= LOWEST[i] and v < 0.0) or (x[i] >= HIGHEST[i] and v > 0.0)
