@@ -21,13 +21,16 @@ from soil_env._numba.lanes import COUNT, INTEGERS, VECTOR, call, lanes, numbers,
 
 
 class _Emitted:
-    """Lanes in code that is being emitted: arithmetic on it emits more."""
+    """Lanes, or a float, in code that is being emitted: arithmetic on it emits more."""
 
     def __init__(self, builder, value):
         self.builder, self.value = builder, value
+        self.kind = "v8f64" if value.type == VECTOR else "f64"
 
     def _with(self, other):
-        return other.value if isinstance(other, _Emitted) else numbers(*[other] * COUNT)
+        if isinstance(other, _Emitted):
+            return other.value
+        return numbers(*[other] * COUNT) if self.kind == "v8f64" else ir.Constant(ir.DoubleType(), float(other))
 
     def __add__(self, other):
         return _Emitted(self.builder, self.builder.fadd(self.value, self._with(other)))
@@ -49,7 +52,7 @@ class _Emitted:
     def fma(self, b, c):
         """self b + c, fused where the machine can."""
         arguments = [self.value, self._with(b), self._with(c)]
-        return _Emitted(self.builder, call(self.builder, "llvm.fmuladd.v8f64", arguments))
+        return _Emitted(self.builder, call(self.builder, f"llvm.fmuladd.{self.kind}", arguments))
 
     def where_less(self, limit, x, y):
         """x where self < limit, else y."""
@@ -65,7 +68,7 @@ class _Emitted:
 
     def function(self, name):
         """An LLVM intrinsic of one argument."""
-        return _Emitted(self.builder, call(self.builder, f"llvm.{name}.v8f64", [self.value]))
+        return _Emitted(self.builder, call(self.builder, f"llvm.{name}.{self.kind}", [self.value]))
 
 
 def _of_one(polynomial, name):
@@ -196,11 +199,7 @@ def asin_root(typingctx, t):
     """asin(sqrt(t)), t cut to [0, 1], of a float or of lanes, by the same polynomial."""
 
     def emit(context, builder, sig, args):
-        wide = args[0] if sig.args[0] == lanes else spread(builder, args[0])
-        value = _asin_root(_Emitted(builder, wide)).value
-        if sig.args[0] == lanes:
-            return value
-        return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
+        return _asin_root(_Emitted(builder, args[0])).value
 
     return (lanes(lanes) if t == lanes else types.float64(types.float64)), emit
 

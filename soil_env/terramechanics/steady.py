@@ -16,7 +16,7 @@ from soil_env.terramechanics.contact import (
     bearing_share,
     entry_angle,
     forces,
-    integrals_of,
+    integrals_alone,
     mobilised_modulus,
     motion_from_slip,
     smooth_arc,
@@ -111,7 +111,7 @@ def sheared(rim, soil, fx, wheel):
 def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
     """`Forces` of a smooth wheel at a given sinkage [m] with sinkage coefficient S, contact up to the lowest point."""
     arc = smooth_arc(sinkage, r)
-    q, _, _ = integrals_of(arc, rim, travel, soil.shear_modulus, soil.sinkage_exponent, JANOSI)
+    q = integrals_alone(arc, rim, travel, soil.shear_modulus, soil.sinkage_exponent, JANOSI)
     return forces(q, S, soil.tan_phi, soil.cohesion, r, b, direction)
 
 
@@ -162,7 +162,7 @@ def _misfit(x, p, wheel, fx):
     z, soil, b = math.exp(x), p.soil, wheel.width
     n = soil.sinkage_exponent
     arc = arc_of(z, p.slip, fx, wheel)
-    q, _, _ = integrals_of(arc, p.rim, p.travel, soil.shear_modulus, n, p.law)
+    q = integrals_alone(arc, p.rim, p.travel, soil.shear_modulus, n, p.law)
     s = mobilised_modulus(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
     available = p.strength + (n * math.log(1.0 - p.lift / z) if p.lift != 0.0 else 0.0)
     f = min(max(math.log(max(s, 1e-300)) - available, -2.0), 50.0)
@@ -239,12 +239,13 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     i, r, b = true_slip(slip, fx), wheel.radius, wheel.width
     p, ground, apparent = _balance(i, load, soil, wheel, conditions, fx)
     x, w, floating = _solve_balance(p, wheel, fx, guess)
-    z = math.exp(x)
-    arc = arc_of(z, i, fx, wheel)
-    blade = blade_force(arc.theta1, z, i, ground, unit_weight, b, wheel.grouser_height, fx)
+    z, outer, blade = math.exp(x), contact_radius(fx, wheel), 0.0
+    if fx.grousers_blades != 0.0:
+        theta1 = entry_angle(z, outer)
+        blade = blade_force(theta1, z, i, ground, unit_weight, b, wheel.grouser_height, fx)
     pull = w.drawbar_pull + blade - bulldozing_resistance(z, ground, unit_weight, b, fx)
     pull -= fx.grade_share * load * conditions.sin_grade
-    q = shear_radius_ratio(arc.radius, wheel.grouser_height, fx)
+    q = shear_radius_ratio(outer, wheel.grouser_height, fx)
     torque = q * w.torque + blade * (r + 0.5 * wheel.grouser_height)
     speed = max(conditions.speed, 1e-9)  # a wheel whose speed is not known turns all the same
     wheel_speed = (speed + sliding_speed(i, speed) * (1.0 if i > 0.0 else -1.0)) / r
