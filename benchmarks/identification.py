@@ -28,7 +28,9 @@ from soil_env._io.commands import command_line, command_parser, folder, leave, w
 from soil_env._io.files import check_outputs, make_folder, write_json
 from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict
 from soil_env.identification.point import Points, weigh
-from soil_env.identification.solver import solve
+from soil_env.identification.solver import (
+    solve,
+)
 from soil_env.identification.uniqueness import other_soil
 from soil_env.parameters import Soil, SoilState, soils
 from soil_env.terramechanics.model import steady_state

@@ -18,6 +18,7 @@ from soil_env.simulation.dynamics import MANY, advance
 from soil_env.simulation.sensors import sense
 from soil_env.simulation.task import Cause, judge, reward_terms, write_observation
 from soil_env.simulation.worlds import RESTART, STEP, Simulation, restart
+from soil_env.terramechanics import arc_integrals as quadrature
 from soil_env.terramechanics import contact
 from soil_env.vector_env import SoilWheelVectorEnv
 
@@ -200,10 +201,10 @@ _RATES = {"exp": (_many_exp, 4), "log": (_many_log, 4), "sin_cos": (_many_sin_co
 #: Operations in lanes, counted in the code, of what a wheel cannot do without. The lanes are eight wheels, eight points
 #: of the identifier, or the eight nodes of one arc; "scalar": functions of the C library.
 WORK = {
-    "nodes of eight": {"sin_cos": 18, "log": 8, "exp": 8, "fma": 8 * 20},  # contact.store_nodes
-    "shear of eight": {"exp": 16, "fma": 8 * 59 + 190},  # contact.shear_integrals, the reaction, a step of Newton
+    "nodes of eight": {"sin_cos": 18, "log": 8, "exp": 8, "fma": 8 * 20},  # quadrature.store_nodes
+    "shear of eight": {"exp": 16, "fma": 8 * 59 + 190},  # quadrature.shear_integrals, the reaction, a step of Newton
     "rest of a substep of eight": {"sin_cos": 1, "log": 1, "exp": 2, "fma": 80},
-    "shear of eight points": {"exp": 16, "fma": 8 * 45 + 80},  # contact.shear_integrals_by_modulus
+    "shear of eight points": {"exp": 16, "fma": 8 * 45 + 80},  # quadrature.shear_integrals_by_modulus
     "nodes of one": {"sin_cos": 3, "log": 1, "exp": 1, "fma": 34, "scalar": 1},
     "shear of one": {"exp": 2, "fma": 101},  # 46 products and sums, 55 for the 20 sums over lanes
     "noise": {"log": 1, "sin_cos": 1, "fma": 10},
@@ -268,7 +269,7 @@ def accuracy(count: int) -> dict:
         r, theta1, n = 10.0 ** rng.uniform(-1.5, 0.3), rng.uniform(0.1, 1.5), rng.uniform(0.1, 1.6)
         K, slip, tan_phi = r * 10.0 ** rng.uniform(-2.0, 0.0), rng.uniform(), math.tan(rng.uniform(0.1, 0.8))
         S, c = 10.0 ** rng.uniform(4.5, 7.0), 10.0 ** rng.uniform(1.0, 4.5)
-        q, _, _ = contact.arc_integrals(theta1, 0.0, 0.5 * theta1, 1.0, 1.0 - slip, K, n, r)
+        q, _, _ = quadrature.arc_integrals(theta1, 0.0, 0.5 * theta1, 1.0, 1.0 - slip, K, n, r)
         found = contact.forces(q, S, tan_phi, c, r, 1.0, 1.0)
         theta = np.concatenate([theta1 - 0.5 * theta1 * u, 0.5 * theta1 * u])
         w = np.concatenate([0.5 * theta1 * du] * 2)

@@ -23,7 +23,13 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.identification.point import Points, Reading, predict, weigh_all
-from soil_env.identification.solver import LOWER, UPPER, Status, normal_equations, solve
+from soil_env.identification.solver import (
+    LOWER,
+    UPPER,
+    Status,
+    normal_equations,
+    solve,
+)
 from soil_env.identification.uniqueness import other_soil
 from soil_env.parameters import Soil
 

@@ -23,21 +23,26 @@ from soil_env._numba.compiling import inlined, part
 from soil_env._numba.lanes import COUNT, fill, first, from_array, lane, smallest
 from soil_env._numba.rows import copy_column, rows, scratch_rows, zero_column
 from soil_env.identification.digging import KEPT, Digging, DiggingPlaces, close_point, note, roll
-from soil_env.identification.point import Points, Reading, weigh, weights, whitened
-from soil_env.identification.solver import (
+from soil_env.identification.normal_equations import (
     COHESION,
     GAIN,
     SIZE,
     Prepared,
-    Status,
     Workspace,
     gain_share,
     in_blocks,
-    least_squares,
     prepare,
 )
+from soil_env.identification.point import Points, Reading, weigh, weights, whitened
+from soil_env.identification.solver import (
+    Status,
+    least_squares,
+)
 from soil_env.parameters import Scenario
-from soil_env.terramechanics.contact import NODE_COLUMNS, Nodes
+from soil_env.terramechanics.arc_integrals import (
+    NODE_COLUMNS,
+    Nodes,
+)
 
 _prepared, _nodes = scratch_rows(Prepared, COUNT), scratch_rows(Nodes, NODE_COLUMNS)
 WINDOW = COUNT  # points: one block of lanes

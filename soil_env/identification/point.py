@@ -9,15 +9,17 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part, root
 from soil_env._numba.rows import rows
+from soil_env.terramechanics.arc_integrals import (
+    integrals_of,
+    shear_modulus_rates,
+    simpson_integrals,
+)
 from soil_env.terramechanics.contact import (
     JANOSI,
     compaction_resistance,
     forces,
-    integrals_of,
     motion_from_slip,
     shear_forces,
-    shear_modulus_rates,
-    simpson_integrals,
     smooth_arc,
 )
 

@@ -14,7 +14,10 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part, root
 from soil_env.identification.point import Points, Reading, channels_at, weights
-from soil_env.identification.solver import LOWER, UPPER
+from soil_env.identification.solver import (
+    LOWER,
+    UPPER,
+)
 
 _CELLS = 64  # of ln K within its bounds, each searched for one root
 _QUARTER = math.pi / 4.0  # tan(phi) = 1

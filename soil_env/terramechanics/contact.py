@@ -16,8 +16,7 @@ For a given shear deformation modulus and sinkage exponent every force is linear
 integrals over the arc (`ArcIntegrals`), which `forces` combines. The same integrals serve the simulated world, the
 steady prediction and the identifier's Jacobian.
 
-Every function takes floats (one wheel) or lanes (eight wheels, `_numba.lanes`). The nodes of one wheel's arc are
-themselves in lanes; those of eight wheels' arcs are taken one after the other (`lanes.over_eight`).
+Every function takes floats (one wheel) or lanes (eight wheels, `_numba.lanes`). The integrals are in `arc_integrals`.
 """
 
 from __future__ import annotations
@@ -25,30 +24,17 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import (
     asin_root,
     copysign,
     exp,
-    fma,
-    half_sin_cos,
     larger,
-    power,
     root,
     smaller,
     where_less,
 )
-from soil_env._numba.lanes import COUNT, alike, fill, from_array, over_eight, summed, to_array, turns
-from soil_env._numba.rows import rows, scratch_rows
-
-#: Gauss-Legendre nodes per zone of the contact arc (front and rear nodes share the normal stress).
-NODES_PER_ZONE = 8
-_x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
-NODE_DEPTHS = (0.5 * (_x + 1.0)) ** 2  # u^2: relative distance of the node from the end of the arc
-NODE_WEIGHTS = 0.5 * _w * 2.0 * (0.5 * (_x + 1.0))  # weight times d(u^2)/du
-_depth, _weight = over_eight(NODE_DEPTHS), over_eight(NODE_WEIGHTS)
+from soil_env._numba.lanes import alike
 
 
 class ShearLaw(NamedTuple):
@@ -207,231 +193,6 @@ def shear_displacement(theta, theta1, sin1, rim, travel, r):
     """(j, dj/d(rim), dj/d(travel)) [m] of Eq. (10) at one angle; sin1 = sin(theta1)."""
     by_rim, by_travel = r * (theta1 - theta), -r * (sin1 - math.sin(theta))
     return rim * by_rim + travel * by_travel, by_rim, by_travel
-
-
-# --- integrals over the arc -------------------------------------------------------------------------------------------
-
-#: Nodes of contact arcs: COUNT columns a node, NODE_COLUMNS for eight wheels. Stress for S = 1 times the node's weight,
-#: cosine and sine of the front node, and of the rear node times the length of its zone over that of the front zone.
-Nodes = rows("Nodes", "stress", "cos_front", "sin_front", "cos_rear", "sin_rear")
-NODE_COLUMNS = COUNT * NODES_PER_ZONE
-_ShearAtNodes = rows("_ShearAtNodes", "e_front", "e_rear", "x_front", "x_rear", "y_front", "y_rear")
-_shear_at_nodes = scratch_rows(_ShearAtNodes, NODE_COLUMNS)
-_one_arc = scratch_rows(Nodes, COUNT)
-
-
-class ArcFrame(NamedTuple):
-    """What the nodes of an arc have in common, beside what `store_nodes` writes."""
-
-    theta1: float  # [rad]
-    front: float  # [rad] length of the front zone
-    ratio: float  # length of the rear zone over it
-    lever_front: float  # [m] dj/d(rim) at the entry
-    lever_rear: float  # [m] dj/d(rim) at the exit
-    lever_sin: float  # [m] r sin(sheared_from)
-    p_cos: float  # as in `ArcIntegrals`
-    p_sin: float
-
-
-@inlined
-def store_nodes(arc, n, nodes, at):
-    """What the quadrature nodes of an `Arc` need whatever the motion and K, into columns at.. of `Nodes`; `ArcFrame`.
-
-    Gauss-Legendre nodes at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind, which
-    removes the singularity (theta1 - theta)^n at both ends; by Eq. (8) the two nodes have the same normal stress.
-    """
-    front, rear = arc.theta1 - arc.thetam, arc.thetam - arc.theta2
-    ratio = where_less(0.0, front, rear / front, 1.0)
-    sin_half1, _ = half_sin_cos(fill(arc.theta1))
-    rise1 = sin_half1 * sin_half1
-    p_cos, p_sin = fill(0.0), fill(0.0)
-    for k in range(turns(arc.theta1)):
-        depth, i = _depth(arc.theta1, k), at + k * COUNT
-        sin_half, cos_half = half_sin_cos(arc.theta1 - front * depth)
-        sin_half2, cos_half2 = half_sin_cos(arc.theta2 + rear * depth)
-        stress = _weight(arc.theta1, k) * power((2.0 * arc.radius) * (rise1 - sin_half * sin_half), n)
-        c, s = fma(-2.0 * sin_half, sin_half, 1.0), 2.0 * sin_half * cos_half
-        c2, s2 = ratio * fma(-2.0 * sin_half2, sin_half2, 1.0), (2.0 * ratio) * (sin_half2 * cos_half2)
-        p_cos, p_sin = fma(stress, c + c2, p_cos), fma(stress, s + s2, p_sin)
-        to_array(stress, nodes.stress, i)
-        to_array(c, nodes.cos_front, i)
-        to_array(s, nodes.sin_front, i)
-        to_array(c2, nodes.cos_rear, i)
-        to_array(s2, nodes.sin_rear, i)
-    sin_half, cos_half = half_sin_cos(fill(arc.sheared_from))
-    r = arc.radius
-    return ArcFrame(
-        arc.theta1,
-        front,
-        ratio,
-        r * (arc.sheared_from - arc.theta1),
-        r * (arc.sheared_from - arc.theta2),
-        (2.0 * r) * (sin_half * cos_half),
-        summed(front * p_cos, arc.theta1),
-        summed(front * p_sin, arc.theta1),
-    )
-
-
-@inlined
-def _levers(frame, nodes, i, k, r):
-    """dj/d(rim) and dj/d(travel) [m] at the front node, then at the rear node: Eq. (10) split by the motion."""
-    depth = _depth(frame.theta1, k)
-    ahead = (r * frame.front) * depth
-    return (
-        frame.lever_front + ahead,
-        fma(r, from_array(nodes.sin_front, i), -frame.lever_sin),
-        frame.lever_rear - frame.ratio * ahead,
-        fma(r / frame.ratio, from_array(nodes.sin_rear, i), -frame.lever_sin),
-    )
-
-
-@inlined
-def _sums(frame, nodes, at, in_front, behind):
-    """Six sums over an arc of values at its nodes: with the stress times cos, sin and 1, and without the stress.
-
-    One value at a time, as the sums of all of them do not fit into the registers.
-    """
-    o, pattern = fill(0.0), frame.theta1
-    p_cos, p_sin, p, cos_, sin_, plain = o, o, o, o, o, o
-    for k in range(turns(pattern)):
-        i = at + k * COUNT
-        stress, w = from_array(nodes.stress, i), _weight(pattern, k)
-        e, e2 = from_array(in_front, k * COUNT), from_array(behind, k * COUNT)
-        ec = fma(e, from_array(nodes.cos_front, i), e2 * from_array(nodes.cos_rear, i))
-        es = fma(e, from_array(nodes.sin_front, i), e2 * from_array(nodes.sin_rear, i))
-        e = fma(e2, frame.ratio, e)
-        p_cos, p_sin, p = fma(stress, ec, p_cos), fma(stress, es, p_sin), fma(stress, e, p)
-        cos_, sin_, plain = fma(w, ec, cos_), fma(w, es, sin_), fma(w, e, plain)
-    front = frame.front
-    return ArcRates(
-        summed(front * p_cos, pattern), summed(front * p_sin, pattern), summed(front * p, pattern),
-        summed(front * cos_, pattern), summed(front * sin_, pattern), summed(front * plain, pattern),
-    )  # fmt: skip
-
-
-@inlined
-def _integrals(frame, e):
-    """`ArcIntegrals` from the six sums `e` of the mobilised share."""
-    return ArcIntegrals(frame.p_cos, frame.p_sin, e.pe_cos, e.pe_sin, e.pe, e.e_cos, e.e_sin, e.e)
-
-
-@inlined
-def shear_integrals(frame, nodes, at, rim, travel, K, r, law):
-    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of the nodes of `store_nodes` at one motion."""
-    shear = _shear_at_nodes()
-    for k in range(turns(frame.theta1)):
-        i = k * COUNT
-        a, z, a2, z2 = _levers(frame, nodes, at + i, k, r)
-        e, g = mobilised(fma(rim, a, travel * z), K, law)
-        e2, g2 = mobilised(fma(rim, a2, travel * z2), K, law)
-        to_array(e, shear.e_front, i)
-        to_array(e2, shear.e_rear, i)
-        to_array(g * a, shear.x_front, i)
-        to_array(g2 * a2, shear.x_rear, i)
-        to_array(g * z, shear.y_front, i)
-        to_array(g2 * z2, shear.y_rear, i)
-    e = _sums(frame, nodes, at, shear.e_front, shear.e_rear)
-    by_rim = _sums(frame, nodes, at, shear.x_front, shear.x_rear)
-    return _integrals(frame, e), by_rim, _sums(frame, nodes, at, shear.y_front, shear.y_rear)
-
-
-@inlined
-def integrals_alone(arc, rim, travel, K, n, law):
-    """`ArcIntegrals` of one wheel's `Arc`, without derivatives."""
-    nodes, shear, r = _one_arc(), _shear_at_nodes(), arc.radius
-    frame = store_nodes(arc, n, nodes, 0)
-    for k in range(turns(frame.theta1)):
-        a, z, a2, z2 = _levers(frame, nodes, k * COUNT, k, r)
-        to_array(mobilised(fma(rim, a, travel * z), K, law)[0], shear.e_front, k * COUNT)
-        to_array(mobilised(fma(rim, a2, travel * z2), K, law)[0], shear.e_rear, k * COUNT)
-    return _integrals(frame, _sums(frame, nodes, 0, shear.e_front, shear.e_rear))
-
-
-@inlined
-def shear_integrals_by_modulus(frame, nodes, at, rim, travel, K, r, law):
-    """(ArcIntegrals, ArcRates by K [1/m]) of the nodes of `store_nodes`: de/dK = -(j/K) de/dj (Janosi's law)."""
-    shear, rate = _shear_at_nodes(), -1.0 / K
-    for k in range(turns(frame.theta1)):
-        i = k * COUNT
-        a, z, a2, z2 = _levers(frame, nodes, at + i, k, r)
-        j, j2 = fma(rim, a, travel * z), fma(rim, a2, travel * z2)
-        e, g = mobilised(j, K, law)
-        e2, g2 = mobilised(j2, K, law)
-        to_array(e, shear.e_front, i)
-        to_array(e2, shear.e_rear, i)
-        to_array((rate * j) * g, shear.x_front, i)
-        to_array((rate * j2) * g2, shear.x_rear, i)
-    e = _sums(frame, nodes, at, shear.e_front, shear.e_rear)
-    return _integrals(frame, e), _sums(frame, nodes, at, shear.x_front, shear.x_rear)
-
-
-@inlined
-def integrals_of(arc, rim, travel, K, n, law):
-    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of one wheel's `Arc`, by the rule of `store_nodes`."""
-    nodes = _one_arc()
-    frame = store_nodes(arc, n, nodes, 0)
-    return shear_integrals(frame, nodes, 0, rim, travel, K, arc.radius, law)
-
-
-@part
-def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
-    """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
-
-    Rule and nodes: `store_nodes`. Relative error about 1e-5 when driving; when braking j changes sign within the arc,
-    and it is 5e-4 for K = 0.07 r. The derivative by K needs no further integrals: see `shear_modulus_rates`.
-    """
-    return integrals_of(Arc(theta1, theta2, thetam, theta1, r), rim, travel, K, n, law)
-
-
-@part
-def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
-    """`arc_integrals` by the paper's rule: composite Simpson with 2m subintervals in each zone, Eq. (18)."""
-    sin1, cos1 = math.sin(theta1), math.cos(theta1)
-    p_cos = p_sin = 0.0
-    e_sums = by_rim = by_travel = ArcRates(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for zone in range(2):
-        low, high = (theta2, thetam) if zone == 0 else (thetam, theta1)
-        h = (high - low) / (2 * m)
-        for k in range(2 * m + 1):
-            w = h / 3.0 * (1.0 if k == 0 or k == 2 * m else (4.0 if k % 2 == 1 else 2.0))
-            theta = low + k * h
-            p = relative_stress(r * (math.cos(mirror_angle(theta, theta1, theta2, thetam)) - cos1), n)
-            j, lever_rim, lever_travel = shear_displacement(theta, theta1, sin1, rim, travel, r)
-            e, g = mobilised(j, K, JANOSI)
-            wc, ws = w * math.cos(theta), w * math.sin(theta)
-            p_cos, p_sin = p_cos + p * wc, p_sin + p * ws
-            e_sums = _with_node(e_sums, e, p, w, wc, ws)
-            by_rim = _with_node(by_rim, g * lever_rim, p, w, wc, ws)
-            by_travel = _with_node(by_travel, g * lever_travel, p, w, wc, ws)
-    s = e_sums
-    return ArcIntegrals(p_cos, p_sin, s.pe_cos, s.pe_sin, s.pe, s.e_cos, s.e_sin, s.e), by_rim, by_travel
-
-
-@inlined
-def _with_node(t, value, p, w, wc, ws):
-    """The six sums `t` with one more node."""
-    return ArcRates(
-        t.pe_cos + p * value * wc,
-        t.pe_sin + p * value * ws,
-        t.pe + p * value * w,
-        t.e_cos + value * wc,
-        t.e_sin + value * ws,
-        t.e + value * w,
-    )
-
-
-@inlined
-def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
-    """`ArcRates` by K [1/m]: de/dK = -(j/K) de/dj with j linear in (rim, travel)."""
-    x, y = -rim / K, -travel / K
-    return ArcRates(
-        x * by_rim.pe_cos + y * by_travel.pe_cos,
-        x * by_rim.pe_sin + y * by_travel.pe_sin,
-        x * by_rim.pe + y * by_travel.pe,
-        x * by_rim.e_cos + y * by_travel.e_cos,
-        x * by_rim.e_sin + y * by_travel.e_sin,
-        x * by_rim.e + y * by_travel.e,
-    )
 
 
 # --- forces -----------------------------------------------------------------------------------------------------------

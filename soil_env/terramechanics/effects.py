@@ -17,7 +17,10 @@ from soil_env._numba.elementary import asin_root, exp, larger, log, power, root,
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.contact import ShearLaw, smoothed_sign
+from soil_env.terramechanics.contact import (
+    ShearLaw,
+    smoothed_sign,
+)
 
 #: All parameters of all effects, `<effect>_<parameter>`, as the kernels take them.
 Effects = namedtuple("Effects", [f"{effect.name}_{p.name}" for effect in CATALOGUE.values() for p in effect.parameters])

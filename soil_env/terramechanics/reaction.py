@@ -11,13 +11,15 @@ from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import larger, root, tanh, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
+from soil_env.terramechanics.arc_integrals import (
+    integrals_of,
+)
 from soil_env.terramechanics.contact import (
     JANOSI,
     Arc,
     ShearLaw,
     bearing_share,
     forces,
-    integrals_of,
     mobilised_modulus,
     motion_from_speeds,
     shear_forces,

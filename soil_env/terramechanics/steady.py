@@ -8,6 +8,9 @@ from typing import NamedTuple
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import asin_root
 from soil_env.parameters import SoilState
+from soil_env.terramechanics.arc_integrals import (
+    integrals_alone,
+)
 from soil_env.terramechanics.contact import (
     JANOSI,
     Arc,
@@ -16,7 +19,6 @@ from soil_env.terramechanics.contact import (
     bearing_share,
     entry_angle,
     forces,
-    integrals_alone,
     mobilised_modulus,
     motion_from_slip,
     smooth_arc,

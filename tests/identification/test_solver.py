@@ -17,7 +17,9 @@ from soil_env.identification import (
     predict,
 )
 from soil_env.parameters import Soil
-from soil_env.terramechanics.contact import entry_angle
+from soil_env.terramechanics.contact import (
+    entry_angle,
+)
 from tests.terramechanics import reference
 
 R, B, N, C = 0.6274, 0.1524, 0.47, 690.0  # the wheel and soil of the source paper

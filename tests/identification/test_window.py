@@ -13,8 +13,17 @@ from soil_env._numba.compiling import root
 from soil_env.identification import LOWER, UPPER, Points, Status, predict
 from soil_env.identification import online as identifier
 from soil_env.identification.digging import KEPT, Digging, DiggingPlaces, close_point, note, roll
+from soil_env.identification.normal_equations import (
+    GAIN,
+    SIZE,
+    in_blocks,
+    prepare,
+    workspace,
+)
 from soil_env.identification.point import Reading, weigh
-from soil_env.identification.solver import GAIN, SIZE, in_blocks, least_squares, prepare, workspace
+from soil_env.identification.solver import (
+    least_squares,
+)
 from soil_env.parameters import load_scenario
 from soil_env.terramechanics.effects import excavation_rate
 

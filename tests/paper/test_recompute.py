@@ -14,7 +14,9 @@ from soil_env.identification import Status
 from soil_env.paper import curves, page, recompute
 from soil_env.paper import points as paper_points
 from soil_env.paper.results import compute
-from soil_env.terramechanics.contact import entry_angle
+from soil_env.terramechanics.contact import (
+    entry_angle,
+)
 from tests.terramechanics import reference
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -4,13 +4,15 @@ from soil_env._numba.compiling import root
 from soil_env._numba.lanes import from_array, to_array
 from soil_env._numba.rows import scratch_rows
 from soil_env.parameters import SoilState
-from soil_env.terramechanics.contact import (
+from soil_env.terramechanics.arc_integrals import (
     NODE_COLUMNS,
     Nodes,
     integrals_of,
-    motion_from_speeds,
     shear_integrals,
     store_nodes,
+)
+from soil_env.terramechanics.contact import (
+    motion_from_speeds,
 )
 from soil_env.terramechanics.reaction import REST_SPEED, at_the_axle, ground_under, reaction_from
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from soil_env.terramechanics import arc_integrals as quadrature
 from soil_env.terramechanics import contact
 from tests.terramechanics import reference
 
@@ -24,7 +25,7 @@ def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
     """`contact.Forces` of a wheel travelling forward at the given slip."""
     thetam = 0.5 * (theta1 + theta2) if thetam is None else thetam
     motion = contact.motion_from_slip(slip)
-    q = contact.arc_integrals(theta1, theta2, thetam, *motion, soil.shear_modulus, soil.sinkage_exponent, r)[0]
+    q = quadrature.arc_integrals(theta1, theta2, thetam, *motion, soil.shear_modulus, soil.sinkage_exponent, r)[0]
     return contact.forces(q, soil.sinkage_coefficient, tan_phi(soil), soil.cohesion, r, b, 1.0)
 
 
@@ -79,7 +80,7 @@ def test_simpson_converges_to_the_quadrature():
     errors = []
     for m in (2, 4, 8, 16):
         motion = contact.motion_from_slip(0.3)
-        q = contact.simpson_integrals(theta1, 0.0, 0.45, *motion, soil.shear_modulus, 1.0, r, m)[0]
+        q = quadrature.simpson_integrals(theta1, 0.0, 0.45, *motion, soil.shear_modulus, 1.0, r, m)[0]
         w = contact.forces(q, soil.sinkage_coefficient, tan_phi(soil), soil.cohesion, r, b, 1.0)
         errors.append(relative_error(w, judge, r))
     assert all(fine < coarse / 8.0 for coarse, fine in zip(errors[:-1], errors[1:], strict=True)), errors
@@ -100,7 +101,7 @@ def test_simpson_shrinks_slowly_on_the_papers_soil():
 def simpson_integrals(m):
     r, k, n = PAPER_WHEEL["r"], PAPER_SOIL.shear_modulus, PAPER_SOIL.sinkage_exponent
     motion = contact.motion_from_slip(PAPER_SLIP)
-    return contact.simpson_integrals(PAPER_ENTRY, 0.0, 0.5 * PAPER_ENTRY, *motion, k, n, r, m)[0]
+    return quadrature.simpson_integrals(PAPER_ENTRY, 0.0, 0.5 * PAPER_ENTRY, *motion, k, n, r, m)[0]
 
 
 def simpson_forces(m):
@@ -121,7 +122,7 @@ def test_golden_drawbar_pull_exact():
     w = forces(PAPER_SOIL, PAPER_SLIP, PAPER_ENTRY, **PAPER_WHEEL)
     k, n, r = PAPER_SOIL.shear_modulus, PAPER_SOIL.sinkage_exponent, PAPER_WHEEL["r"]
     motion = contact.motion_from_slip(PAPER_SLIP)
-    q = contact.arc_integrals(PAPER_ENTRY, 0.0, 0.5 * PAPER_ENTRY, *motion, k, n, r)[0]
+    q = quadrature.arc_integrals(PAPER_ENTRY, 0.0, 0.5 * PAPER_ENTRY, *motion, k, n, r)[0]
     assert w.drawbar_pull == pytest.approx(1318.17, abs=0.1)
     assert with_compaction_resistance(w, q) == pytest.approx(1095.15, abs=0.1)
     judge = reference.forces(PAPER_SOIL, PAPER_SLIP, PAPER_ENTRY, **PAPER_WHEEL)
@@ -142,14 +143,14 @@ def test_golden_drawbar_pull_by_the_papers_rule():
 
 def test_resting_wheel_has_no_shear():
     """Neither rim nor travel: no displacement, so no torque, and the normal stress alone carries the load."""
-    q = contact.arc_integrals(0.8, 0.0, 0.4, 0.0, 0.0, 0.01, 1.0, 0.15)[0]
+    q = quadrature.arc_integrals(0.8, 0.0, 0.4, 0.0, 0.0, 0.01, 1.0, 0.15)[0]
     assert q.p_cos > 0.0
     assert (q.pe_cos, q.pe_sin, q.pe, q.e_cos, q.e_sin, q.e) == (0.0,) * 6
 
 
 @pytest.mark.parametrize(("slip", "sign"), [(1.0, 1.0), (0.5, 1.0), (-1.0, -1.0)])
 def test_small_shear_modulus_mobilises_everything(slip, sign):
-    q = contact.arc_integrals(0.8, 0.0, 0.4, *contact.motion_from_slip(slip), 1e-9, 1.0, 0.15)[0]
+    q = quadrature.arc_integrals(0.8, 0.0, 0.4, *contact.motion_from_slip(slip), 1e-9, 1.0, 0.15)[0]
     assert q.e == pytest.approx(sign * 0.8, rel=1e-6)
     assert q.pe_cos == pytest.approx(sign * q.p_cos, rel=1e-6)
     assert q.pe_sin == pytest.approx(sign * q.p_sin, rel=1e-6)
@@ -167,12 +168,12 @@ def test_locked_wheel_drags():
 def test_spinning_wheel_shears_over_the_whole_arc():
     """At slip 1 the shear displacement is r (theta1 - theta): Int e has a closed form."""
     k, r, theta1 = 0.03, 0.15, 0.8
-    q = contact.arc_integrals(theta1, 0.0, 0.4, *contact.motion_from_slip(1.0), k, 1.0, r)[0]
+    q = quadrature.arc_integrals(theta1, 0.0, 0.4, *contact.motion_from_slip(1.0), k, 1.0, r)[0]
     assert q.e == pytest.approx(theta1 - k / r * (1.0 - math.exp(-r * theta1 / k)), rel=1e-6)
 
 
 def test_exponent_zero_is_constant_stress():
-    q = contact.arc_integrals(0.8, 0.0, 0.4, 1.0, 0.8, 0.01, 0.0, 0.15)[0]
+    q = quadrature.arc_integrals(0.8, 0.0, 0.4, 1.0, 0.8, 0.01, 0.0, 0.15)[0]
     assert q.p_cos == pytest.approx(math.sin(0.8), rel=1e-9)
     assert q.p_sin == pytest.approx(1.0 - math.cos(0.8), rel=1e-9)
     assert contact.relative_stress(0.0, 0.0) == 1.0 and contact.relative_stress(0.0, 0.5) == 0.0
@@ -209,7 +210,7 @@ speeds = st.floats(-5.0, 5.0)
 def test_reversal_mirrors_the_forces(rim_speed, speed, theta1, k):
     def at(sign):
         rim, travel, direction = contact.motion_from_speeds(sign * rim_speed, sign * speed, 0.005)
-        q = contact.arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, k, 0.9, 0.15)[0]
+        q = quadrature.arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, k, 0.9, 0.15)[0]
         return np.array(contact.forces(q, 1e6, 0.6, 500.0, 0.15, 0.15, direction))
 
     np.testing.assert_allclose(at(-1.0), at(1.0) * [1.0, -1.0, -1.0], rtol=1e-12, atol=1e-9)
@@ -229,8 +230,8 @@ def test_reversal_mirrors_the_forces(rim_speed, speed, theta1, k):
 )
 def test_everything_is_finite(theta1, back, rim, travel, k, n, r):
     theta2 = back * theta1
-    out = contact.arc_integrals(theta1, theta2, 0.5 * (theta1 + theta2), rim, travel, k, n, r)
-    for values in (*out, contact.shear_modulus_rates(out[1], out[2], rim, travel, k)):
+    out = quadrature.arc_integrals(theta1, theta2, 0.5 * (theta1 + theta2), rim, travel, k, n, r)
+    for values in (*out, quadrature.shear_modulus_rates(out[1], out[2], rim, travel, k)):
         assert np.all(np.isfinite(values)), values
 
 
@@ -239,13 +240,13 @@ def test_rates_against_central_differences(seed):
     rng = np.random.default_rng(seed)
     theta1, k, n, r = rng.uniform(0.2, 1.3), rng.uniform(0.02, 0.2), rng.uniform(0.2, 1.5), 0.3
     rim, travel = rng.uniform(-1.0, 1.0), rng.uniform(-1.5, 1.5)
-    for rule, extra in ((contact.arc_integrals, ()), (contact.simpson_integrals, (3,))):
+    for rule, extra in ((quadrature.arc_integrals, ()), (quadrature.simpson_integrals, (3,))):
 
         def shear(rim, travel, k, rule=rule, extra=extra):
             return np.array(rule(theta1, -0.1, 0.4 * theta1, rim, travel, k, n, r, *extra)[0])[2:]
 
         _, by_rim, by_travel = rule(theta1, -0.1, 0.4 * theta1, rim, travel, k, n, r, *extra)
-        by_k = contact.shear_modulus_rates(by_rim, by_travel, rim, travel, k)
+        by_k = quadrature.shear_modulus_rates(by_rim, by_travel, rim, travel, k)
         d = 1e-6
         for rates, up, down in (
             (by_rim, shear(rim + d, travel, k), shear(rim - d, travel, k)),
@@ -258,12 +259,12 @@ def test_rates_against_central_differences(seed):
 @pytest.mark.parametrize("slip", [-0.9, -0.2, 0.0, 0.3, 1.0])
 @pytest.mark.parametrize("cohesion", [0.0, 2000.0])
 def test_mobilised_modulus_inverts_the_balance(slip, cohesion):
-    q = contact.arc_integrals(0.8, 0.0, 0.4, *contact.motion_from_slip(slip), 0.02, 0.8, 0.15)[0]
+    q = quadrature.arc_integrals(0.8, 0.0, 0.4, *contact.motion_from_slip(slip), 0.02, 0.8, 0.15)[0]
     load = contact.forces(q, 7e5, 0.5, cohesion, 0.15, 0.15, 1.0).load
     assert contact.mobilised_modulus(q, load, 0.5, cohesion, 0.15, 0.15, 1.0) == pytest.approx(7e5, rel=1e-9)
 
 
 def test_mobilised_modulus_is_never_negative():
     """A load that cohesion alone would carry needs no normal stress."""
-    q = contact.arc_integrals(0.8, 0.0, 0.4, 1.0, 0.0, 0.01, 0.8, 0.15)[0]
+    q = quadrature.arc_integrals(0.8, 0.0, 0.4, 1.0, 0.0, 0.01, 0.8, 0.15)[0]
     assert contact.mobilised_modulus(q, 1.0, 0.5, 1e5, 0.15, 0.15, 1.0) == 0.0

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from soil_env.terramechanics import arc_integrals as quadrature
 from soil_env.terramechanics import contact, effects
 from soil_env.terramechanics.effects import NO_EFFECTS, pack_effects
 
@@ -155,8 +156,8 @@ def test_slope_of_a_general_shear_law_in_lanes(law):
     motion, step = np.array([1.0, 0.6]), 1e-6
 
     def shear(motion):
-        return np.array(contact.arc_integrals(0.8, -0.2, 0.35, *motion, 0.03, 0.9, 0.2, law)[0])[2:]
+        return np.array(quadrature.arc_integrals(0.8, -0.2, 0.35, *motion, 0.03, 0.9, 0.2, law)[0])[2:]
 
-    _, by_rim, by_travel = contact.arc_integrals(0.8, -0.2, 0.35, *motion, 0.03, 0.9, 0.2, law)
+    _, by_rim, by_travel = quadrature.arc_integrals(0.8, -0.2, 0.35, *motion, 0.03, 0.9, 0.2, law)
     for rates, d in ((by_rim, np.array([step, 0.0])), (by_travel, np.array([0.0, step]))):
         np.testing.assert_allclose(rates, (shear(motion + d) - shear(motion - d)) / (2.0 * step), rtol=1e-6, atol=1e-9)

@@ -10,7 +10,9 @@ from soil_env.discrepancy.report import equations
 from soil_env.parameters import SoilState
 from soil_env.terramechanics import effects as laws
 from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.contact import mobilised
+from soil_env.terramechanics.contact import (
+    mobilised,
+)
 from soil_env.terramechanics.effects import NO_EFFECTS, pack_effects
 
 FORMS = [(e.name, f) for e in CATALOGUE.values() for f in e.forms]

@@ -1,0 +1,401 @@
+"""Newton's method for the speeds of a substep: implicit Euler for travel and rotation, eight wheels at a time in lanes.
+
+    V = V0 + h/m (DP - m g sin(grade)),   u = u0 + h r/J (T_motor - T),   u = r w
+
+with the analytic derivatives of the reaction. Newton's method takes one wheel longer than another: a lane whose wheel
+has converged goes on with the next of up to `MANY`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._numba.compiling import inlined
+from soil_env._numba.elementary import below, chosen, half_sin_cos, larger, smaller
+from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
+from soil_env._numba.rows import copy_column, rows, scratch_rows
+from soil_env.parameters import SoilState
+from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.wheel import (
+    motor,
+)
+from soil_env.terramechanics.arc_integrals import (
+    NODE_COLUMNS,
+    ArcFrame,
+    Nodes,
+    shear_integrals,
+    store_nodes,
+)
+from soil_env.terramechanics.contact import (
+    motion_from_speeds,
+)
+from soil_env.terramechanics.reaction import (
+    REST_SPEED,
+    Reaction,
+    at_the_axle,
+    ground_under,
+    moved,
+    reaction_from,
+)
+
+MANY = 16 * COUNT  # wheels that `advance` takes at most
+TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
+_SHORT = 0.1  # share of the rim speed up to which the first step goes by the last reaction
+_FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
+_PASSES = 60  # evaluations of the reaction in a substep, at most
+_TRIES = 8  # of them at most along one step of Newton's method
+_HUGE = 1e300
+
+# --- scratch, a column a wheel ----------------------------------------------------------------------------------------
+
+#: A control period.
+Period = rows("Period", "start", "command", "by_speed", "left", "alive", "clean")
+#: The ground in a substep: a `SoilState`, first undisturbed and then as the wheel meets it.
+Footing = rows("Footing", *SoilState._fields, "grade", "passes", "lift")
+#: The equations of a substep; the last two are the speeds to try next.
+_Equations = rows(
+    "_Equations", "speed0", "rim0", "gain_v", "weight_along", "load", "tan_phi", "cohesion", "shear_modulus",
+    "command", "by_speed", *ArcFrame._fields, "bulldozing", "blades", "pull", "twist", "try_v", "try_u",
+)  # fmt: skip
+#: Newton's method on them: the best so far with its `Reaction`, then the state of the iteration.
+_Newton = rows(
+    "_Newton", "v", "u", *Reaction._fields, "converged",
+    "f1", "f2", "motor_slope", "norm", "before", "share", "tries", "passes",
+)  # fmt: skip
+_footing = scratch_rows(Footing, MANY)
+# The last block is that of the wheels that take longer.
+_equations, _newton = scratch_rows(_Equations, MANY + COUNT), scratch_rows(_Newton, MANY + COUNT)
+_nodes = scratch_rows(Nodes, (MANY // COUNT + 1) * NODE_COLUMNS)
+_Queue = rows("_Queue", "wheel", kind=np.int64)
+_queue, _occupants = scratch_rows(_Queue, MANY), scratch_rows(_Queue, COUNT)
+
+
+class Substep(NamedTuple):
+    """Scratch of a substep."""
+
+    footing: object
+    equations: object
+    nodes: object
+    newton: object
+
+
+@inlined
+def scratch_of_substep():
+    """`Substep` on the stack of the caller."""
+    return Substep(_footing(), _equations(), _nodes(), _newton())
+
+
+@inlined
+def load_reaction(n, i):
+    return Reaction(
+        from_array(n.load, i), from_array(n.drawbar_pull, i), from_array(n.torque, i), from_array(n.modulus, i),
+        from_array(n.dp_v, i), from_array(n.dp_u, i), from_array(n.torque_v, i), from_array(n.torque_u, i),
+        from_array(n.modulus_v, i), from_array(n.modulus_u, i),
+    )  # fmt: skip
+
+
+@inlined
+def _store_reaction(f, n, i):
+    to_array(f.load, n.load, i)
+    to_array(f.drawbar_pull, n.drawbar_pull, i)
+    to_array(f.torque, n.torque, i)
+    to_array(f.modulus, n.modulus, i)
+    to_array(f.dp_v, n.dp_v, i)
+    to_array(f.dp_u, n.dp_u, i)
+    to_array(f.torque_v, n.torque_v, i)
+    to_array(f.torque_u, n.torque_u, i)
+    to_array(f.modulus_v, n.modulus_v, i)
+    to_array(f.modulus_u, n.modulus_u, i)
+
+
+@inlined
+def _chosen_reaction(mask, f, g):
+    return Reaction(
+        chosen(mask, f.load, g.load), chosen(mask, f.drawbar_pull, g.drawbar_pull), chosen(mask, f.torque, g.torque),
+        chosen(mask, f.modulus, g.modulus), chosen(mask, f.dp_v, g.dp_v), chosen(mask, f.dp_u, g.dp_u),
+        chosen(mask, f.torque_v, g.torque_v), chosen(mask, f.torque_u, g.torque_u),
+        chosen(mask, f.modulus_v, g.modulus_v), chosen(mask, f.modulus_u, g.modulus_u),
+    )  # fmt: skip
+
+
+# --- the equations of a substep ---------------------------------------------------------------------------------------
+
+
+@inlined
+def newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
+    """(dV, du) of Newton's method for the residuals of implicit Euler; `net_u` = d(T - T_motor)/du."""
+    a11, a12 = 1.0 - cv * dp_v, -cv * dp_u
+    a21, a22 = cu * torque_v, 1.0 + cu * net_u
+    det = a11 * a22 - a12 * a21
+    det = chosen(below(1e-12, abs(det)), det, 1e-12)
+    return -(a22 * f1 - a12 * f2) / det, -(a11 * f2 - a21 * f1) / det
+
+
+@inlined
+def gather_ground(state, counts, first, block, period, g, courses, world, h):
+    """The undisturbed ground under eight wheels in the middle of the substep, with the rut left by earlier passes."""
+    for i in range(block, block + COUNT):
+        k = first + i
+        if period.alive[i] == 0.0:  # nobody there
+            g.tan_phi[i] = g.cohesion[i] = g.shear_modulus[i] = g.sinkage_coefficient[i] = g.sinkage_exponent[i] = 1.0
+            g.dig_gain[i] = g.dig_recovery[i] = g.grade[i] = g.passes[i] = 0.0
+            continue
+        x, cell = state.x[k] + 0.5 * h * state.speed[k], counts.cell[k]
+        soil, grade, patch = ground_at(courses, k, x, counts.patch[k], world.border)
+        counts.patch[k] = patch
+        g.tan_phi[i], g.cohesion[i], g.shear_modulus[i] = soil.tan_phi, soil.cohesion, soil.shear_modulus
+        g.sinkage_coefficient[i] = soil.sinkage_coefficient * courses.modulus[k, cell]
+        g.sinkage_exponent[i] = soil.sinkage_exponent
+        g.dig_gain[i], g.dig_recovery[i], g.grade[i] = soil.dig_gain, soil.dig_recovery, grade
+        g.passes[i] = 2.0 if courses.rut[k, cell] > 0.0 else 1.0
+
+
+@inlined
+def soil_in_lanes(g, i):
+    """`SoilState` of eight wheels, in lanes."""
+    return SoilState(
+        from_array(g.tan_phi, i), from_array(g.cohesion, i), from_array(g.shear_modulus, i),
+        from_array(g.sinkage_coefficient, i), from_array(g.sinkage_exponent, i), from_array(g.dig_gain, i),
+        from_array(g.dig_recovery, i),
+    )  # fmt: skip
+
+
+@inlined
+def _first_try(state, k, speed0, u0, cv, cu, weight_along, command, by_speed, world):
+    """Speeds to try first: a Newton step by the reaction of the last substep to first order, where it is short."""
+    torque, torque_w, _ = motor(command, by_speed, u0 / world.wheel.radius, world)
+    dv, du = newton_step(
+        -cv * (from_array(state.drawbar_pull, k) - weight_along), -cu * (torque - from_array(state.torque, k)), cv, cu,
+        from_array(state.pull_by_speed, k), from_array(state.pull_by_rim, k), from_array(state.torque_by_speed, k),
+        from_array(state.torque_by_rim, k) - torque_w / world.wheel.radius,
+    )  # fmt: skip
+    short = below(larger(abs(dv), abs(du)), _SHORT * (abs(u0) + REST_SPEED))
+    return speed0 + short * dv, u0 + short * du
+
+
+@inlined
+def set_up(state, first, i, period, sub, world, h):
+    """The equations of a substep of the eight wheels from column i on, and where Newton's method starts."""
+    wheel, e, g = world.wheel, sub.equations, sub.footing
+    k = first + i
+    mass, speed0 = from_array(state.mass, k), from_array(state.speed, k)
+    u0, sinkage = wheel.radius * from_array(state.wheel_speed, k), from_array(state.sinkage, k)
+    command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
+    sin_half, cos_half = half_sin_cos(from_array(g.grade, i))
+    sine, weight = 2.0 * sin_half * cos_half, wheel.gravity * mass
+    ground = ground_under(sinkage, speed0, u0, weight, soil_in_lanes(g, i), sine, from_array(g.passes, i), wheel)
+    cv, cu = h / mass, h * wheel.radius / world.inertia
+    v1, u1 = _first_try(state, k, speed0, u0, cv, cu, weight * sine, command, by_speed, world)
+    soil = ground.soil
+    frame = store_nodes(ground.arc, soil.sinkage_exponent, sub.nodes, (i // COUNT) * NODE_COLUMNS)
+    _store_frame(frame, e, i)
+    to_array(speed0, e.speed0, i)
+    to_array(u0, e.rim0, i)
+    to_array(cv, e.gain_v, i)
+    to_array(weight * sine, e.weight_along, i)
+    to_array(weight * (1.0 - 2.0 * sin_half * sin_half), e.load, i)
+    to_array(soil.tan_phi, e.tan_phi, i)
+    to_array(soil.cohesion, e.cohesion, i)
+    to_array(soil.shear_modulus, e.shear_modulus, i)
+    to_array(command, e.command, i)
+    to_array(by_speed, e.by_speed, i)
+    to_array(v1, e.try_v, i)
+    to_array(u1, e.try_u, i)
+    if wheel.on:
+        to_array(ground.bulldozing, e.bulldozing, i)
+        to_array(ground.blades, e.blades, i)
+        to_array(ground.pull, e.pull, i)
+        to_array(ground.torque, e.twist, i)
+        to_array(ground.lift, g.lift, i)
+        to_array(soil.sinkage_coefficient, g.sinkage_coefficient, i)
+        to_array(soil.sinkage_exponent, g.sinkage_exponent, i)
+        to_array(soil.dig_gain, g.dig_gain, i)
+        to_array(soil.dig_recovery, g.dig_recovery, i)
+
+
+@inlined
+def _store_frame(frame, e, i):
+    to_array(frame.theta1, e.theta1, i)
+    to_array(frame.front, e.front, i)
+    to_array(frame.ratio, e.ratio, i)
+    to_array(frame.lever_front, e.lever_front, i)
+    to_array(frame.lever_rear, e.lever_rear, i)
+    to_array(frame.lever_sin, e.lever_sin, i)
+    to_array(frame.p_cos, e.p_cos, i)
+    to_array(frame.p_sin, e.p_sin, i)
+
+
+@inlined
+def _load_frame(e, i):
+    return ArcFrame(
+        from_array(e.theta1, i), from_array(e.front, i), from_array(e.ratio, i), from_array(e.lever_front, i),
+        from_array(e.lever_rear, i), from_array(e.lever_sin, i), from_array(e.p_cos, i), from_array(e.p_sin, i),
+    )  # fmt: skip
+
+
+@inlined
+def _reaction_at(v, u, sub, i, wheel):
+    """`Reaction` at the axle of eight wheels at travel speeds v and rim speeds u [m/s]."""
+    e, rim = sub.equations, wheel.rim_ratio * u
+    motion = motion_from_speeds(rim, v, REST_SPEED)
+    integrals = shear_integrals(
+        _load_frame(e, i), sub.nodes, (i // COUNT) * NODE_COLUMNS, motion[0], motion[1],
+        from_array(e.shear_modulus, i), wheel.contact_radius, wheel.law,
+    )  # fmt: skip
+    f = reaction_from(
+        integrals, motion, v, rim, from_array(e.load, i), from_array(e.tan_phi, i), from_array(e.cohesion, i),
+        wheel.contact_radius, wheel.width,
+    )  # fmt: skip
+    if wheel.on:
+        f = at_the_axle(
+            f, from_array(e.bulldozing, i), from_array(e.blades, i), from_array(e.pull, i), from_array(e.twist, i),
+            v, u, wheel,
+        )  # fmt: skip
+    return f
+
+
+@inlined
+def _residual(v, u, f, e, i, cu, world):
+    """(f1, f2, d motor torque/dw): the residuals of implicit Euler [m/s] at speeds v, u with the `Reaction` f."""
+    torque, slope, _ = motor(from_array(e.command, i), from_array(e.by_speed, i), u / world.wheel.radius, world)
+    along = f.drawbar_pull - from_array(e.weight_along, i)
+    f1 = v - from_array(e.speed0, i) - from_array(e.gain_v, i) * along
+    return f1, u - from_array(e.rim0, i) - cu * (torque - f.torque), slope
+
+
+# --- Newton's method --------------------------------------------------------------------------------------------------
+
+
+@inlined
+def _begin(e, n, i):
+    """Newton's state of the eight wheels from column i on, at the start of a substep."""
+    zero, huge = fill(0.0), fill(_HUGE)
+    to_array(from_array(e.speed0, i), n.v, i)
+    to_array(from_array(e.rim0, i), n.u, i)
+    _store_reaction(Reaction(zero, zero, zero, zero, zero, zero, zero, zero, zero, zero), n, i)
+    to_array(zero, n.converged, i)
+    to_array(zero, n.f1, i)
+    to_array(zero, n.f2, i)
+    to_array(zero, n.motor_slope, i)
+    to_array(huge, n.norm, i)
+    to_array(huge, n.before, i)
+    to_array(fill(1.0), n.share, i)
+    to_array(zero, n.tries, i)
+    to_array(zero, n.passes, i)
+
+
+@inlined
+def _accept(sub, i, cu, world):
+    """Evaluate the speeds to try and keep them where they are better: (better, failed), 1 or 0 in each lane."""
+    e, n = sub.equations, sub.newton
+    zero, one = fill(0.0), fill(1.0)
+    v1, u1 = from_array(e.try_v, i), from_array(e.try_u, i)
+    trial = _reaction_at(v1, u1, sub, i, world.wheel)
+    g1, g2, slope = _residual(v1, u1, trial, e, i, cu, world)
+    reached = larger(abs(g1), abs(g2))
+    share, tries, norm = from_array(n.share, i), from_array(n.tries, i), from_array(n.norm, i)
+    last = below(_TRIES - 1.5, tries)
+    better = below(reached, norm * chosen(last, one, 1.0 - 0.1 * share))
+    first_before = chosen(below(norm, 0.5 * _HUGE), norm, 0.1 * reached)  # nothing is foretold by the first residual
+    to_array(chosen(better, first_before, from_array(n.before, i)), n.before, i)
+    to_array(chosen(better, reached, norm), n.norm, i)
+    to_array(chosen(better, v1, from_array(n.v, i)), n.v, i)
+    to_array(chosen(better, u1, from_array(n.u, i)), n.u, i)
+    to_array(chosen(better, g1, from_array(n.f1, i)), n.f1, i)
+    to_array(chosen(better, g2, from_array(n.f2, i)), n.f2, i)
+    to_array(chosen(better, slope, from_array(n.motor_slope, i)), n.motor_slope, i)
+    _store_reaction(_chosen_reaction(better, trial, load_reaction(n, i)), n, i)
+    to_array(chosen(better, one, 0.4 * share), n.share, i)
+    to_array(chosen(better, zero, tries + 1.0), n.tries, i)
+    return better, last * (1.0 - better)
+
+
+@inlined
+def _iterate(sub, i, world, h):
+    """One pass of Newton's method on the eight wheels from column i on; 1 where it has ended.
+
+    Newton's residual falls quadratically: once it is foretold to fall far below the tolerance, by the last two
+    residuals or by the change of shear that the step makes, the step is taken with the reaction to first order instead
+    of being computed once more.
+    """
+    e, n, r = sub.equations, sub.newton, world.wheel.radius
+    cu = h * r / world.inertia
+    better, failed = _accept(sub, i, cu, world)
+    v, u, norm, f = from_array(n.v, i), from_array(n.u, i), from_array(n.norm, i), load_reaction(n, i)
+    dv, du = newton_step(
+        from_array(n.f1, i), from_array(n.f2, i), from_array(e.gain_v, i), cu, f.dp_v, f.dp_u, f.torque_v,
+        f.torque_u - from_array(n.motor_slope, i) / r,
+    )  # fmt: skip
+    curvature = 1.0 + r * from_array(e.theta1, i) / from_array(e.shear_modulus, i)  # change of shear over that of speed
+    by_shear = larger(abs(dv), abs(du)) * curvature / (abs(u) + REST_SPEED)
+    foretold = norm * smaller(norm / from_array(n.before, i), by_shear)
+    ahead = moved(f, dv, du)
+    g1, g2, _ = _residual(v + dv, u + du, ahead, e, i, cu, world)
+    seen = below(foretold, _FORETOLD * TOLERANCE) * below(larger(abs(g1), abs(g2)), 0.1 * TOLERANCE)
+    seen = seen * below(0.0, ahead.modulus) * better
+    there = larger(seen, better * below(norm, TOLERANCE))
+    passes, share = from_array(n.passes, i) + 1.0, from_array(n.share, i)
+    to_array(passes, n.passes, i)
+    to_array(v + share * dv, e.try_v, i)
+    to_array(u + share * du, e.try_u, i)
+    to_array(chosen(seen, v + dv, v), n.v, i)
+    to_array(chosen(seen, u + du, u), n.u, i)
+    _store_reaction(_chosen_reaction(seen, ahead, f), n, i)
+    to_array(larger(failed * below(norm, 1e-4), there), n.converged, i)
+    return larger(larger(failed, there), below(_PASSES - 0.5, passes))
+
+
+@inlined
+def _copy_wheel(sub, source, target):
+    """A wheel with its state of Newton's method from one column to another."""
+    copy_column(sub.equations, source, sub.equations, target)
+    copy_column(sub.newton, source, sub.newton, target)
+    a, b = (source // COUNT) * NODE_COLUMNS + source % COUNT, (target // COUNT) * NODE_COLUMNS + target % COUNT
+    for node in range(0, NODE_COLUMNS, COUNT):
+        copy_column(sub.nodes, a + node, sub.nodes, b + node)
+
+
+@inlined
+def solve_speeds(sub, period, begin, end, world, h):
+    """The speeds and reactions at the end of a substep of the wheels in columns begin .. end - 1, into `sub.newton`.
+
+    One pass for all, on the spot; those that have not ended go on in the last block, where a lane takes the next as
+    soon as its wheel has ended.
+    """
+    queue, occupants = _queue(), _occupants()
+    block, queued, following, working = begin, 0, 0, 0
+    while True:
+        filling = block < end
+        if filling:
+            _begin(sub.equations, sub.newton, block)
+        ended = bits(_iterate(sub, block, world, h))
+        if filling:
+            for i in range(COUNT):
+                if ended >> i & 1 == 0 and period.alive[block + i] > 0.0:
+                    queue.wheel[queued] = block + i
+                    queued += 1
+            block += COUNT
+            if block < end:
+                continue
+            block, ended = MANY, (1 << COUNT) - 1
+            for i in range(COUNT):
+                occupants.wheel[i] = -1
+        for i in range(COUNT):
+            if ended >> i & 1 == 0:
+                continue
+            k = occupants.wheel[i]
+            if k >= 0:
+                copy_column(sub.newton, block + i, sub.newton, k)
+                occupants.wheel[i] = -1
+                working -= 1
+            if following < queued or (filling and queued > 0):  # no lane without a wheel, if only another's
+                k = queue.wheel[min(following, queued - 1)]
+                _copy_wheel(sub, k, block + i)
+                if following < queued:
+                    occupants.wheel[i] = k
+                    working += 1
+                following += 1
+        if working == 0:
+            return
