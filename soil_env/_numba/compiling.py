@@ -21,6 +21,7 @@ import importlib
 import multiprocessing
 import os
 import sys
+import threading
 from functools import cache, update_wrapper
 from pathlib import Path
 
@@ -297,9 +298,13 @@ def _take(typingctx, counter, count):
     return types.int64(counter, types.int64), emit
 
 
+_TAKING = threading.Lock()
+
+
 def _take_in_python(counter, count):
-    taken = int(counter[0])
-    counter[0] += count
+    with _TAKING:
+        taken = int(counter[0])
+        counter[0] += count
     return taken
 
 
