@@ -218,6 +218,11 @@ def inlined(function):
     return Part(function, True) if COMPILED else function
 
 
+def uncompiled(function):
+    """The Python function of a part, for one call that is not worth compiling; it must call no other part."""
+    return getattr(function, "py_func", function)
+
+
 def root(function=None, *, nogil=False, allocates=False):
     """A compiled function that Python calls. `nogil`: without the interpreter's lock; `allocates`: may make arrays."""
     if function is None:
