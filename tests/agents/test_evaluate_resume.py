@@ -60,15 +60,6 @@ def test_an_interrupt_keeps_what_is_done(capsys, tmp_path, monkeypatch, done, mo
     same(out, done)
 
 
-def test_a_finished_evaluation_is_told_again_without_driving(monkeypatch, tmp_path, done):
-    out = tmp_path / "copy"
-    shutil.copytree(done, out)
-    (out / "report.html").unlink()
-    monkeypatch.setattr(study, "record", lambda *args, **kw: pytest.fail("driven again"))
-    assert main(["--resume", str(out)]) == 0
-    same(out, done)
-
-
 def test_a_line_cut_off_by_a_crash_is_driven_again(tmp_path, done):
     out = tmp_path / "copy"
     shutil.copytree(done, out)
@@ -172,19 +163,6 @@ def test_a_worker_with_other_code_is_refused(monkeypatch, done):
         job(own.tasks()[0])
 
 
-def test_the_version_follows_the_code(monkeypatch):
-    version = study.code_version()
-    original = Path.read_bytes
-
-    def edited(path):
-        return original(path) + (b"# edited" if path.name == "contact.py" else b"")
-
-    monkeypatch.setattr(Path, "read_bytes", edited)
-    assert study.code_version.__wrapped__() != version
-    monkeypatch.undo()
-    assert study.code_version.__wrapped__() == version
-
-
 def test_disk_full_while_driving_keeps_whole_blocks(capsys, tmp_path, done, models):
     """A limit on the size of files in the middle of the fourth block."""
     out, controllers = tmp_path / "out", everything(models)
@@ -207,25 +185,3 @@ def limited_files(size):
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-
-def test_disk_full_while_writing_results_leaves_no_half_file(capsys, tmp_path, done):
-    """A limit on the size of files, which the report does not keep."""
-    out = tmp_path / "out"
-    shutil.copytree(done, out)
-    for name in FILES - {"courses.jsonl", "study.yaml"}:
-        (out / name).unlink()
-    with limited_files(100_000):
-        assert main(["--resume", str(out)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "File too large" in error
-    assert "report.html" not in {p.name for p in out.iterdir()}
-    assert not [p.name for p in out.iterdir() if p.name.startswith(".")]
-    assert main(["--resume", str(out)]) == 0
-    same(out, done)
-
-
-def test_too_little_memory_gives_one_line(capsys, tmp_path, monkeypatch):
-    interrupted_after(monkeypatch, 0, MemoryError)
-    assert evaluate(tmp_path / "out", "full_throttle") == 2
-    assert "not enough memory" in capsys.readouterr().err
