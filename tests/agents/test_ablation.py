@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from agents.ablation import page, results, study
+from agents.ablation import results, study
 from agents.ablation.__main__ import main
 from agents.controllers import CONTROLLERS
 from agents.evaluate import HELD_OUT_SET, run_courses
@@ -75,7 +75,6 @@ def test_every_controller_is_compared_everywhere(done):
         for key, c in entry["controllers"].items():
             assert c["members"] == len(c["by_seed"]["immobilised"]) == (2 if key.startswith("ppo") else 1)
     assert result["scenarios"]["mixed"]["controllers"]["fixed_slip"]["settings"].keys() == {"slip", "start"}
-
 
 
 def test_agents_are_judged_as_they_drive(done):

@@ -1,16 +1,13 @@
 """Paired runs, intervals and the files of a comparison."""
 
-import csv
-import json
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from agents import evaluate, plots
+from agents import plots
 from agents.controllers import CONTROLLERS, make_controller
-from agents.evaluate import METRICS, RATES, Runs, course_rng, run_courses, summary, tune, wilson
+from agents.evaluate import Runs, course_rng, run_courses, summary, tune, wilson
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import Simulation

@@ -4,7 +4,6 @@ import csv
 import re
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import yaml
@@ -71,6 +70,20 @@ def test_values_are_means_over_the_courses_that_are_listed(done):
             expected = binomtest(len(stuck), 7).proportion_ci(0.95, method="wilson")
             m = entry["metrics"]["immobilised"]
             assert (m["low"], m["high"]) == pytest.approx((expected.low, expected.high), abs=1e-9)
+
+
+def test_the_table_is_the_json(done):
+    result = result_of(done)
+    with open(done / "evaluation.csv", newline="") as file:
+        rows = {row["controller"]: row for row in csv.DictReader(file)}
+    assert list(rows) == list(result["controllers"])
+    for name, row in rows.items():
+        for metric, m in result["controllers"][name]["metrics"].items():
+            for part, key in (("", "value"), ("_low", "low"), ("_high", "high")):
+                if m[key] is None:
+                    assert row[metric + part] == ""
+                else:
+                    assert float(row[metric + part]) == pytest.approx(m[key], rel=1e-5, abs=1e-9)
 
 
 def test_paired_differences_and_probabilities_are_consistent(done):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agents.controllers import make_controller
-from agents.evaluate import RATES, ControllerError, Runs, course_rng, run_courses
+from agents.evaluate import ControllerError, Runs, course_rng, run_courses
 from agents.evaluate.records import METRICS, Records, record
 from agents.evaluate.warning import HOLD, RELEASE, Warnings
 from soil_env.env import SoilWheelEnv

@@ -14,7 +14,7 @@ import pytest
 from agents.evaluate import study
 from agents.evaluate.__main__ import main
 from soil_env._io.loading import ParameterError
-from tests.agents.evaluating import FILES, SHORT, evaluate, everything, make_done, make_models, same
+from tests.agents.evaluating import SHORT, evaluate, everything, make_done, make_models, same
 
 
 @pytest.fixture(scope="module")

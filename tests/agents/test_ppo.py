@@ -10,7 +10,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents import ppo
-from agents.ppo import NAMES, PPOConfig, TrainConfig, build, load_agent, load_config, read_meta, resume, save
+from agents.ppo import NAMES, PPOConfig, build, load_agent, load_config, resume, save
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario
@@ -236,6 +236,8 @@ def test_resume_starts_new_courses_not_those_of_the_beginning(saved, scenario):
     np.testing.assert_array_equal(again, repeat)  # still reproducible
     assert np.abs(start).max(axis=1).min() > 0.1  # these are observations
     assert apart(start, again) > 1e-3
+    edit(saved, timesteps=5_000_000_000)  # other courses at each checkpoint, and the seeds do not run out
+    assert apart(again, first_observations(resume(saved, scenario, "identified", TINY, 0, None))) > 1e-3
 
 
 def test_resume_draws_other_actions_than_at_the_beginning(saved, scenario):

@@ -5,14 +5,12 @@ import dataclasses
 import io
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import pytest
 import yaml
 from rich.console import Console

@@ -1,12 +1,7 @@
 """`python -m soil_env.discrepancy`: exit status, messages, files, and nothing half written."""
 
-import csv
 import json
 import re
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest

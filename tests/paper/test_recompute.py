@@ -1,11 +1,7 @@
 """The recomputed source paper: golden values, its page, bad input."""
 
 import math
-import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +12,6 @@ from soil_env.paper import points as paper_points
 from soil_env.paper.results import compute
 from soil_env.terramechanics.contact import entry_angle
 from tests.terramechanics import reference
-
-
 
 R, B = paper_points.R, paper_points.B
 
