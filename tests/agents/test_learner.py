@@ -156,9 +156,3 @@ def test_times_are_kept_and_gone_on_with(tmp_path):
     with again.part("tuning"):
         pass
     assert again.seconds["tuning"] < 9.0  # measured anew, not added
-
-
-@pytest.mark.parametrize("content", ["", "{", "[]", '{"seconds": 5}', '{"seconds": {"env": "x"}}'])
-def test_a_broken_file_of_times_is_forgotten(tmp_path, content):
-    (tmp_path / FILE).write_text(content)
-    assert Times(tmp_path).seconds == dict.fromkeys(PARTS, 0.0)

@@ -22,12 +22,6 @@ def scenario():
     return load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 5.0}})
 
 
-def test_without_sb3_contrib_one_line_says_what_is_missing(scenario, monkeypatch):
-    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    with pytest.raises(ParameterError, match=r"soil_env\[recurrent\]"):
-        ppo.build(scenario, "blind", TINY, 0, algorithm="recurrent_ppo")
-
-
 @pytest.mark.parametrize("guided", [False, True])
 def test_a_saved_agent_drives_with_its_memory_and_goes_on(tmp_path, scenario, guided):
     pytest.importorskip("sb3_contrib")

@@ -269,19 +269,6 @@ def test_blade_force_is_tangential_at_half_the_entry_angle():
 # --- every form -------------------------------------------------------------------------------------------------------
 
 
-def test_the_catalogue_is_complete():
-    names = {
-        "slip_sinkage", "rear_contact", "stress_peak_shift", "grousers", "bulldozing", "multipass", "penetration_rate",
-        "shear_rate", "shear_softening", "grade", "drivetrain_friction", "slip_bias", "sinkage_offset",
-    }  # fmt: skip
-    assert set(EFFECTS) == names
-    assert len({f.effect for f in UNLISTED}) >= 6
-    assert not {f.effect for f in UNLISTED} & names
-    assert len({f.name for f in ALL_FORMS}) == len(ALL_FORMS)
-    for form in ALL_FORMS:
-        assert len(form.source) > 20, form.name
-
-
 @pytest.mark.parametrize("form", ALL_FORMS, ids=lambda f: f.name)
 def test_strength_zero_is_the_base_world(form):
     effect = Hidden(form, 0.0, form.side(np.random.default_rng(1), BENCH.context))

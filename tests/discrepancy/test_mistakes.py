@@ -111,9 +111,3 @@ def test_doubts_come_first_everywhere(tmp_path, capsys):
     report = json.loads((out / "report.json").read_text())
     assert report["cautions"][: len(report["check_first"])] == report["check_first"] != []
     assert "kilogram metres" in report["check_first"][0]
-
-
-def test_the_largest_disagreement_is_looked_at_only_beyond_the_noise(tmp_path, monkeypatch):
-    monkeypatch.setattr(mistakes, "_reinterpretations", lambda problem: pytest.fail("looked"))
-    assert examined(tmp_path, table_text({"slip_sinkage": {"gain": 0.3}})) == ()
-    assert np.isfinite(mistakes.LARGE)

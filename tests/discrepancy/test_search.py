@@ -97,12 +97,6 @@ def test_what_the_table_cannot_show_is_untestable(tmp_path):
     assert not set(names) & set(reasons)
 
 
-def test_four_points_without_noise_are_refused_in_one_line(tmp_path):
-    rows = "slip,load,sinkage\n0.1,80,0.02\n0.2,80,0.021\n0.3,80,0.021\n0.4,80,0.022\n"
-    with pytest.raises(ParameterError, match="noise of sinkage: cannot be told from 4 values"):
-        run(*write_files(tmp_path, rows, SMALL))
-
-
 @pytest.mark.parametrize(
     "rows", ["0.1,80,0.02,1\n0.4,80,0.06,30\n", "0.1,80,0.02,1\n0.3,80,0.05,20\n0.5,80,0.002,-30\n"]
 )
