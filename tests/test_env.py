@@ -353,5 +353,3 @@ def test_true_soil_is_that_of_the_course():
         ("friction", "cohesion", "shear_modulus", "stiffness", "dig_gain", "exponent"), 0.0))  # fmt: skip
     env.reset(seed=0)
     np.testing.assert_allclose(env.true_soil(), soils()["lete_sand"].state(env.scenario.wheel.width), rtol=1e-9)
-
-

@@ -1,7 +1,6 @@
 """Presets, strict loading and its one-line errors."""
 
 import copy
-import dataclasses
 import math
 
 import pytest
@@ -9,7 +8,7 @@ import yaml
 
 from soil_env import parameters
 from soil_env._io.loading import check, config_dir, load, merge, read_yaml, to_dict
-from soil_env.parameters import ParameterError, Scenario, Soil, SoilSpread, Wheel, load_scenario
+from soil_env.parameters import ParameterError, Scenario, Soil, SoilSpread, load_scenario
 
 SOIL = {"friction_angle_deg": 30, "cohesion": 500, "shear_modulus": 0.02, "sinkage_exponent": 1.0}
 SOIL_S = SOIL | {"sinkage_coefficient": 1e6}

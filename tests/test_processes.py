@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv

@@ -10,7 +10,7 @@ from stable_baselines3 import PPO
 
 from agents.learner import Learner, Tanh
 from agents.ppo import PPOConfig, build
-from agents.timing import FILE, PARTS, Times, Timing
+from agents.timing import PARTS, Times, Timing
 from soil_env.parameters import load_scenario
 
 CONFIG = {"num_envs": 16, "n_steps": 16, "layer": 8, "learning_rate": 1e-2, "clip_range": 0.02}

@@ -13,11 +13,10 @@ pytest.importorskip("stable_baselines3")
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from agents import zoo
-from agents.ppo import PPOConfig
 from agents.sb3 import SoilWheelVecEnv
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -335,4 +335,3 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     (tmp_path / "some.jsonl").write_text("slip,load\n")
     assert blind.main(["--smoke", "--resume", "--records", str(tmp_path / "some.jsonl"), "--out", str(tmp_path)]) == 2
     assert "is not a file of records" in capsys.readouterr().err
-

@@ -10,8 +10,6 @@ from scipy.optimize import brentq
 
 from benchmarks import blind_limits
 from benchmarks.blind_effect import Hidden
-from benchmarks.blind_forms import EFFECTS
-from benchmarks.blind_unlisted import UNLISTED
 from benchmarks.blind_world import Contact, Ground, predict
 from tests.benchmarks.blind_bench import ALL_FORMS, BENCH, GROUND, NAMES, WHEEL, grid, hidden, table
 from tests.terramechanics import reference

@@ -3,7 +3,6 @@
 import csv
 import re
 
-import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import run
 from soil_env.discrepancy.calibrate import Choice, Problem, calibrate
 from soil_env.discrepancy.data import folds, prepare

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import judgement, run
 from soil_env.discrepancy.calibrate import Choice, Problem
 from soil_env.discrepancy.data import CHANNELS, prepare

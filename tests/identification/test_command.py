@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import identification as benchmark
 from soil_env._io.files import replace_files
 from soil_env.identification.__main__ import main
 from tests.identification.test_table import EXAMPLE, NAMES
@@ -69,6 +68,3 @@ def test_the_python_of_the_page_prints_what_it_says(monkeypatch):
     assert len(blocks) == 2 and len(said) == 2
     assert shown.getvalue().splitlines()[-2:] == said
     assert f"{names['found'].other.sinkage_coefficient:.2e}" == "5.40e+06"
-
-
-

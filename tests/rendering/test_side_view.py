@@ -4,7 +4,6 @@ import math
 import os
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from soil_env.parameters import load_scenario
 from soil_env.rendering import charts
 from soil_env.rendering import side_view as rendering
 from soil_env.rendering.side_view import Renderer, contact_stresses
-from soil_env.simulation.task import Cause
 from soil_env.simulation.worlds import Simulation
 
 SCALE = rendering.SCENE[2] / rendering._VIEW  # units of the design per wheel radius

@@ -8,7 +8,7 @@ import pytest
 
 from soil_env.env import SoilWheelEnv
 from soil_env.identification import Status
-from soil_env.parameters import ParameterError, load_scenario, soils
+from soil_env.parameters import load_scenario, soils
 from soil_env.simulation import sensors, task
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.simulation.worlds import Simulation

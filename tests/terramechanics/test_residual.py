@@ -122,10 +122,6 @@ def test_no_terms_add_nothing():
     assert residual_law([ResidualTerm("torque", 1.0)]).high.tolist() == [[np.inf] * len(GROUPS)]
 
 
-def test_terms_in_words():
-    assert str(ResidualTerm("torque", -0.0123456, {"slip": 2.0, "load": 1.0})) == "-0.0123 slip^2 load"
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -133,12 +129,6 @@ def test_terms_in_words():
         (("torque", 1.0, {"slope": 1.0}), "residual: powers: unknown key 'slope'"),
         (("torque", 1.0, {}, {"spede": [0, 1]}), "residual: ranges: unknown key 'spede'; did you mean 'speed'"),
         (("torque", 1.0, {"slip": 7.0}), r"powers: slip = 7.0: expected a number in \[-6, 6\]"),
-        (("torque", 1.0, {"slip": math.nan}), "powers: slip = nan: expected a number"),
-        (("torque", 1.0, {"slip": "2"}), "powers: slip = '2': expected a number"),
-        (("torque", 1.0, {"slip": True}), "powers: slip = True: expected a number"),
-        (("torque", 1.0, {}, {"slip": [0.1]}), r"ranges: slip = \[0.1\]: expected \[low, high\]"),
-        (("torque", 1.0, {}, {"slip": 0.1}), r"ranges: slip = 0.1: expected \[low, high\]"),
-        (("torque", 1.0, {}, {"slip": ["a", "b"]}), r"expected \[low, high\]"),
         (("torque", 1.0, {}, {"slip": [0.4, 0.2]}), r"ranges: slip = \[0.4, 0.2\]: expected \[low, high\]"),
         (("torque", 1.0, {}, {"slip": [math.nan, 0.2]}), r"expected \[low, high\]"),
     ],
