@@ -15,17 +15,7 @@ from agents.evaluate.__main__ import _asked, main, parser
 from agents.evaluate.records import METRICS, RATES
 from agents.evaluate.tuning import tuned_settings
 from soil_env.parameters import load_scenario
-from tests.agents.evaluating import CLASSES, FILES, evaluate, make_done, make_models, result_of
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory):
-    return make_models(tmp_path_factory.mktemp("models"))
-
-
-@pytest.fixture(scope="module")
-def done(models, tmp_path_factory):
-    return make_done(models, tmp_path_factory.mktemp("done") / "made" / "here")
+from tests.agents.evaluating import CLASSES, FILES, evaluate, result_of
 
 
 def test_the_folder_holds_what_is_promised(done):

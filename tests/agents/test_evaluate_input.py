@@ -5,13 +5,8 @@ import shutil
 import pytest
 
 from agents.evaluate.__main__ import main
-from tests.agents.evaluating import SHORT, evaluate, make_models
+from tests.agents.evaluating import SHORT, evaluate
 from tests.agents.saved import edit, rewrite
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory):
-    return make_models(tmp_path_factory.mktemp("models"))
 
 
 @pytest.mark.parametrize(

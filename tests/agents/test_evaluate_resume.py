@@ -14,17 +14,7 @@ import pytest
 from agents.evaluate import study
 from agents.evaluate.__main__ import main
 from soil_env._io.loading import ParameterError
-from tests.agents.evaluating import SHORT, evaluate, everything, make_done, make_models, same
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory):
-    return make_models(tmp_path_factory.mktemp("models"))
-
-
-@pytest.fixture(scope="module")
-def done(models, tmp_path_factory):
-    return make_done(models, tmp_path_factory.mktemp("done") / "made" / "here")
+from tests.agents.evaluating import SHORT, evaluate, everything, same
 
 
 def interrupted_after(monkeypatch, blocks, error=KeyboardInterrupt):
