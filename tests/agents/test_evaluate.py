@@ -122,12 +122,6 @@ def test_the_variant_that_is_observed_does_not_change_the_world(scenario):
             np.testing.assert_array_equal(getattr(results[0], field), getattr(other, field), err_msg=field)
 
 
-def test_other_sets_have_other_courses(scenario):
-    controller = make_controller("fixed_slip", scenario)
-    a, b = (run_courses(controller, scenario, seed, 4) for seed in (SEED, SEED + 1))
-    assert (a.returns != b.returns).all()
-
-
 # --- metrics against a plain loop -------------------------------------------------------------------------------------
 
 
@@ -163,17 +157,6 @@ def test_runs_equal_a_loop_over_one_wheel(scenario, runs, name):
         assert got.returns[course] == pytest.approx(returns, rel=1e-9)
         assert got.sinkage[course] == pytest.approx(sinkage / steps, rel=1e-9)
         assert got.slip[course] == pytest.approx(slip / max(driving, 1), rel=1e-9)
-
-
-def test_return_is_that_of_the_reward_terms(scenario, runs):
-    """progress 10 x/L - energy/(weight x L) - 10 if immobilised, from the other metrics alone."""
-    got = runs["full_throttle"]  # never rolls back far, so that the furthest point is the last
-    stuck = got.metric("immobilised")
-    upper = 10.0 * got.distance / scenario.course.length
-    low, high = (mass * scenario.gravity * scenario.course.length for mass in (15.0, 19.0))
-    assert (got.returns <= upper - 10.0 * stuck - got.energy / high + 1e-6).all()
-    assert (got.returns >= upper - 10.0 * stuck - got.energy / low - 1.0).all()
-    assert 0.0 < stuck.mean() <= 1.0
 
 
 def test_return_is_compared_without_the_information_that_an_agent_was_paid_for(scenario, runs):

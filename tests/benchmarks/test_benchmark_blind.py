@@ -1,17 +1,12 @@
 """The blind benchmark: what it counts as right, that it can be interrupted, and that its page says what was counted."""
 
-import functools
 import json
 import math
-import os
-import signal
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from agents import studies
 from benchmarks import blind, blind_page, blind_study
 from benchmarks.blind_forms import EFFECTS, FORMS
 from benchmarks.blind_judge import figures, gap_of, judged, share
@@ -289,30 +284,6 @@ def test_an_interrupt_loses_nothing(whole, tmp_path, monkeypatch, capsys):
     assert len(done) == len(again) == 2 and done + again == wanted
     ours, theirs = timeless(tmp_path / "discrepancy.json"), timeless(whole / "discrepancy.json")
     assert len(ours) == 4 and ours.items() <= theirs.items()
-
-
-def _dying(mark, work, task):
-    """Do a case, but die once on the way at a certain one."""
-    record = work(task)
-    if task.group == "none" and not os.path.exists(mark):
-        Path(mark).write_text("killed")
-        os.kill(os.getpid(), signal.SIGKILL)
-    return record
-
-
-def test_ray_gives_the_same_cases_though_a_worker_is_killed(whole, connected, tmp_path, monkeypatch):
-    mark, done = str(tmp_path / "mark"), []
-
-    def engine(work, tasks):
-        for task, record in studies.on_ray(functools.partial(_dying, mark, work), tasks):
-            done.append(task)
-            yield task, record
-
-    monkeypatch.setattr(studies, "choose", lambda *options: engine)
-    assert blind.main(["--smoke", "--engine", "ray", "--seed", "7", "--out", str(tmp_path)]) == 0
-    assert os.path.exists(mark) and sorted(done) == sorted(tasks(IN_ALL, smoke=True))
-    assert timeless(tmp_path / "discrepancy.json") == timeless(whole / "discrepancy.json")
-    assert len((tmp_path / "cases.jsonl").read_text().splitlines()) == 1 + len(done)
 
 
 def test_other_code_on_a_worker_is_refused():

@@ -1,11 +1,8 @@
 """`python -m soil_env.identification`; the code of docs/identify.md."""
 
-import io
 import json
-import re
 import subprocess
 import sys
-from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -54,17 +51,3 @@ def test_writes_both_files_or_none(tmp_path, capsys, blocked):
     with pytest.raises(OSError, match="no.folder"):
         replace_files(tmp_path, {"old": b"new", "no/folder": b""})
     assert (tmp_path / "old").read_text() == "old" and len(list(tmp_path.iterdir())) == 2
-
-
-def test_the_python_of_the_page_prints_what_it_says(monkeypatch):
-    """docs/identify.md: every block of Python, in order; a comment after a print is what it prints."""
-    monkeypatch.chdir(ROOT)
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "identify.md").read_text(encoding="utf-8"), re.DOTALL)
-    names, shown = {}, io.StringIO()
-    with redirect_stdout(shown):
-        for block in blocks:
-            exec(compile(block, "identify.md", "exec"), names)
-    said = re.findall(r"^print\(.*\)  # (.+)$", "\n".join(blocks), re.MULTILINE)
-    assert len(blocks) == 2 and len(said) == 2
-    assert shown.getvalue().splitlines()[-2:] == said
-    assert f"{names['found'].other.sinkage_coefficient:.2e}" == "5.40e+06"

@@ -195,18 +195,6 @@ def test_history_starts_anew_with_the_episode():
     renderer.draw(simulation, 0)
 
 
-@pytest.mark.parametrize("period", [0.1, 0.002])
-def test_charts_cover_thirty_seconds_whatever_the_period(period):
-    simulation, renderer = start(changes={"control": {"period": period, "substep": min(period, 0.05)}})
-    for step in range(0, round(40.0 / period), 1 if period > 0.01 else 5):
-        simulation.worlds.counts["steps"][0] = step
-        renderer.record(simulation, 0)
-    times = np.array(renderer._history)[:, 0]
-    assert len(times) <= 602
-    assert times[-1] - times[0] >= charts.SPAN - 0.2
-    renderer.draw(simulation, 0)
-
-
 def test_estimate_and_truth_are_drawn_apart():
     simulation, renderer = start()
     drive(simulation, renderer, 150)
