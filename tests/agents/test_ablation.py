@@ -189,6 +189,8 @@ def test_a_killed_study_goes_on_from_its_checkpoints(tmp_path):
     [
         ({"scenarios": {"mixd": {}}}, "mixd"),
         ({"scenarios": {"mixed": {}, "unseen": {"trained_on": "stiky"}}}, "stiky"),
+        ({"agents": {}}, "agent"),
+        ({"agents": {"a-b": {"observation": "blind"}}}, "a-b"),
         ({"agents": {"fixed_slip": {"observation": "blind"}}}, "fixed_slip"),
         ({"agents": {"a": {"observation": "blind", "guide": "nobody"}}}, "nobody"),
         ({"agents": {"a": {"observation": "blind", "guide": "best_slip_true"}}}, "best_slip_true"),

@@ -1,4 +1,4 @@
-"""The shorter update learns what SB3's own learns; wall time is booked where it was spent."""
+"""The shorter update learns what SB3's own learns; wall times are kept."""
 
 import copy
 

@@ -1,4 +1,4 @@
-"""Training seeds: every engine gives the same agents, and a training that is killed is done again."""
+"""Training seeds: each an agent of its own, that of train.py; what is missing is trained (engines: test_engines)."""
 
 import numpy as np
 import pytest
@@ -91,6 +91,3 @@ def test_bad_input_is_one_line(given, said, tmp_path, capsys):
 def test_other_code_on_a_worker_is_refused(tmp_path):
     with pytest.raises(seeds.ParameterError, match="a worker has soil_env"):
         seeds.Training(TrainConfig(), load_scenario(), "0.0.0+other")(0)
-
-
-# --- Ray --------------------------------------------------------------------------------------------------------------

@@ -208,6 +208,22 @@ def test_bad_worlds_are_refused_in_one_line(content, expected, tmp_path, capsys)
     assert not (tmp_path / "out").exists()
 
 
+def test_bad_input_is_refused_in_one_line(tmp_path, capsys):
+    world, out = str(WORLDS / "bulldozing.yaml"), ["--out", str(tmp_path / "out")]
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "notes.txt").write_text("mine")
+    for arguments, expected in (
+        (["--world", "no_such.yaml", *out], "no_such.yaml"),
+        (["--world", world, "--timesteps", "0", *out], "timesteps"),
+        (["--world", world, world, *out], "second world"),
+        (["--world", world, "--out", str(tmp_path / "other")], "not empty"),
+    ):
+        assert command.main(arguments) == 2
+        err = capsys.readouterr().err
+        assert err.startswith("agents.sim2real: ") and err.count("\n") == 1 and expected in err
+    assert [p.name for p in tmp_path.rglob("*")] == ["other", "notes.txt"]
+
+
 # --- the model on its way through training and evaluation -------------------------------------------------------------
 
 

@@ -1,5 +1,6 @@
 """`python -m soil_env.discrepancy`: exit status, messages, files, and nothing half written."""
 
+import csv
 import json
 import re
 from pathlib import Path
@@ -49,8 +50,27 @@ def test_files_of_an_earlier_run_are_replaced_and_others_kept(tmp_path):
     assert json.loads((tmp_path / "out" / "report.json").read_text())["verdict"] == "none"
 
 
+def times(name: str, factor: float) -> str:
+    """The table with one column times a factor."""
+    lines = list(csv.reader(TABLE.splitlines()))
+    k = lines[0].index(name)
+    for line in lines[1:]:
+        line[k] = str(factor * float(line[k]))
+    return "".join(",".join(line) + "\n" for line in lines)
+
+
 # what every reader of tables and setups refuses is in tests/measurement
 BAD = {
+    "load in kN": (times("load", 1e-3), SETUP, r"load is 0.\d+ N .* expected newtons \(if it is kN"),
+    "sinkage upward": (times("sinkage", -1.0), SETUP, r"sinkage is negative in every row: .* positive downward"),
+    "torque backward": (times("torque", -1.0), SETUP, r"torque is negative in every row with slip > 0.05"),
+    "torque in N mm": (times("torque", 1e3), SETUP, r"torque is \d+ times load times radius .* newton metres"),
+    "pull in mN": (times("drawbar_pull", 1e3), SETUP, r"drawbar_pull is [\d.]+ times the load .* newtons"),
+    "speed partly empty": (
+        "slip,load,speed,torque\n0.1,100,0.1,2\n0.2,100,,3\n",
+        SETUP,
+        r"row 3, speed is empty",
+    ),
     "unknown column": (TABLE.replace("drawbar_pull", "drawbar_pul", 1), SETUP, r"'drawbar_pul'; .*'drawbar_pull'"),
     "misspelt key": (TABLE, SETUP.replace("cohesion:", "cohesoin:", 1), r"'cohesoin'; did you mean 'cohesion'\?"),
     "no scatter": (

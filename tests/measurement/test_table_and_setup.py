@@ -74,6 +74,7 @@ def test_reads_a_full_table(tmp_path):
         ([*GOOD, "0.10,100,0.02,5"], ["row 5 repeats row 2"]),
         ([HEADER, "0.1,100,0.02,5", "0.1,120,0.02,6"], ["slip = 0.1 in every row"]),
         ([HEADER, "0.1,100,,"], ["row 2: nothing measured"]),
+        ([HEADER], ["no rows"]),
         ([""], ["empty file"]),
         ([HEADER, "0.1,100,0.02"], ["row 2 has 3 cells: expected 4"]),
         (["# rig 3", *GOOD], ["row 1 is a comment"]),
