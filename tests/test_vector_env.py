@@ -206,7 +206,8 @@ def test_make_vec():
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    ({"num_envs": 0}, "num_envs = 0: expected a whole number >= 1"), ({"max_episode_steps": 0}, "max_episode_steps = 0"),
+    ({"num_envs": 0}, "num_envs = 0: expected a whole number >= 1"),
+    ({"max_episode_steps": 0}, "max_episode_steps = 0"),
     ({"autoreset_mode": "Sometimes"}, "autoreset_mode = 'Sometimes': expected one of 'NextStep'"),
     ({"render_mode": "rgb_array"}, "render_mode"),
     ({"thread": 1}, "keyword: unknown key 'thread'; did you mean 'threads'?"),

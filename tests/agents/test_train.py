@@ -2,7 +2,6 @@
 
 import csv
 import dataclasses
-import io
 import json
 import signal
 import subprocess
@@ -12,7 +11,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-from rich.console import Console
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import train
@@ -20,7 +18,6 @@ from agents import cli, ppo, training
 from agents.controllers import CONTROLLERS
 from agents.evaluate import METRICS
 from agents.ppo import PPOConfig, TrainConfig, load_agent, load_config, read_meta
-from agents.progress import Bar
 from soil_env._io.loading import to_dict
 from soil_env.parameters import load_scenario
 
@@ -198,20 +195,6 @@ def test_the_verdict_follows_from_the_intervals(agent, best, words, share):
     text = training.verdict({"controllers": rows, "paired": paired}, "ppo_blind")
     assert words in text
     assert "of the way" not in text if share is None else f"{share} of the way" in text
-
-
-# --- progress ---------------------------------------------------------------------------------------------------------
-
-
-def test_progress_without_a_terminal_is_a_line_every_tenth():
-    out = io.StringIO()
-    with Bar("Driving", 1000, "courses", 700, Console(file=out, force_terminal=False, width=20)) as bar:
-        for done in range(700, 1001, 8):
-            bar.update(done, note=f"at {done}")
-        bar.update(advance=30)
-    lines = out.getvalue().splitlines()
-    assert lines[0] == "Driving: 804 of 1,000 courses at 804"
-    assert [line.split()[1] for line in lines] == ["804", "908", "1,026"]
 
 
 # --- the command line -------------------------------------------------------------------------------------------------

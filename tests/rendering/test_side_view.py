@@ -105,21 +105,6 @@ def test_wheel_is_drawn_where_it_is_and_nowhere_else():
         drive(simulation, renderer, 25)
 
 
-def test_spokes_turn_with_the_wheel_only():
-    simulation, renderer = start()
-    drive(simulation, renderer, 20)
-    first = renderer.draw(simulation, 0)
-    renderer._angle += 0.3  # rad
-    turned = renderer.draw(simulation, 0)
-    changed = (first != turned).any(axis=-1)
-    rows, columns = np.nonzero(scene(changed))
-    x, y = hub(simulation)
-    assert 100 < changed.sum() == rows.size
-    assert np.hypot(columns - x, rows - y).max() < 1.02 * SCALE
-    dot = [np.argwhere(near(scene(p), rendering.ORANGE, 4)).mean(axis=0)[1] for p in (first, turned)]
-    assert dot[0] != dot[1]
-
-
 def test_rut_lowers_the_ground_behind_the_wheel():
     simulation, renderer = start()
     drive(simulation, renderer, 60)
