@@ -68,7 +68,7 @@ def test_the_page_escapes_what_a_file_name_brings(tmp_path):
     run(*files, tmp_path / "out", bootstrap=0)
     text = (tmp_path / "out" / "report.html").read_text()
     assert "<b>" not in text and "&lt;b&gt;&amp;" in text
-    assert not re.search(r"<(script|link|iframe)|@import|(?:src|href)=['\"]?(?!data:|#)", text)  # it stands alone
+    assert not re.search(r"<(script|link|iframe)|@import|(?:src|href)=.(?!data:|#)", text)  # it stands alone
 
 
 def test_a_named_effect_is_shown_as_an_equation(planted_files):
