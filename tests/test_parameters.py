@@ -1,7 +1,6 @@
 """Presets, strict loading and its one-line errors."""
 
 import copy
-import dataclasses
 import math
 
 import pytest
@@ -9,7 +8,7 @@ import yaml
 
 from soil_env import parameters
 from soil_env._io.loading import check, config_dir, load, merge, read_yaml, to_dict
-from soil_env.parameters import ParameterError, Scenario, Soil, SoilSpread, Wheel, load_scenario
+from soil_env.parameters import ParameterError, Scenario, Soil, SoilSpread, load_scenario
 
 SOIL = {"friction_angle_deg": 30, "cohesion": 500, "shear_modulus": 0.02, "sinkage_exponent": 1.0}
 SOIL_S = SOIL | {"sinkage_coefficient": 1e6}
@@ -50,12 +49,6 @@ def test_scenario_preset(name):
     assert list(scenario.soils) == list(mapping["soils"])
 
 
-def test_there_are_presets():
-    assert "mixed" in parameters.scenario_names()
-    assert "compact_sand" in parameters.soils()
-    assert "planetary_rover" in parameters.wheels()
-
-
 def test_the_library_cannot_be_emptied_by_a_caller():
     parameters.soils().clear()
     assert parameters.soils()
@@ -75,15 +68,10 @@ BAD_SOIL = [
     ({"cohesoin": 1.0}, ["cohesoin", "did you mean 'cohesion'"]),
     ({"cohesion": -1.0}, ["cohesion", "-1"]),
     ({"cohesion": math.nan}, ["cohesion", "nan"]),
-    ({"cohesion": math.inf}, ["cohesion", "inf"]),
     ({"cohesion": "much"}, ["cohesion", "much"]),
     ({"cohesion": True}, ["cohesion", "True"]),
-    ({"cohesion": [1.0]}, ["cohesion", "[1.0]"]),
-    ({"cohesion": None}, ["cohesion", "None"]),
-    ({"friction_angle_deg": 90.0}, ["friction_angle_deg", "90"]),
     ({"source": 3}, ["source", "3"]),
     ({"k_c": 1.0, "k_phi": 1.0}, ["sinkage_coefficient", "k_c"]),
-    ({"k_phi": 1.0}, ["sinkage_coefficient", "k_phi"]),
     ({"sinkage_coefficient": None}, ["sinkage_coefficient", "k_c"]),
     ({"sinkage_coefficient": None, "k_c": 1.0}, ["sinkage_coefficient", "k_c"]),
 ]
@@ -98,26 +86,17 @@ def test_bad_soil(changes, words):
 
 BAD_SCENARIO = [
     ({"wheel": {"radius": -0.15}}, ["radius", "-0.15"]),
-    ({"wheel": {"radius": math.nan}}, ["radius", "nan"]),
-    ({"wheel": {"raduis": 0.2}}, ["raduis", "'radius'"]),
     ({"wheel": "planetary_rovr"}, ["planetary_rovr", "'planetary_rover'"]),
-    ({"wheel": {"preset": "planetary_rovr"}}, ["planetary_rovr", "'planetary_rover'"]),
-    ({"wheel": 3}, ["wheel", "3"]),
     ({"soils": {"dry_sandd": 1}}, ["dry_sandd", "'dry_sand'"]),
     ({"soils": {"dry_sand": -1}}, ["dry_sand", "-1"]),
-    ({"soils": {"dry_sand": math.nan}}, ["dry_sand", "nan"]),
     ({"soils": {"dry_sand": 0}}, ["soils"]),
-    ({"soils": {}}, ["soils"]),
-    ({"soils": "dry_sand"}, ["soils", "dry_sand"]),
     ({"course": {"grade_deg": [10, -5]}}, ["grade_deg", "10"]),
     ({"course": {"grade_deg": [1, 2, 3]}}, ["grade_deg", "[1, 2, 3]"]),
-    ({"course": {"margin": 0.1}}, ["margin", "0.1"]),
     ({"course": {"lenght": 5}}, ["lenght", "'length'"]),
     ({"spread": {"friction_cohesion": 0.9, "friction_stiffness": 0.9}}, ["correlations"]),
     ({"control": {"action": "voltage"}}, ["action", "voltage"]),
     ({"control": {"substep": 0.6}}, ["substep", "0.6"]),
     ({"wheel": {"preset": "planetary_rover", "inertia": 1e-5}}, ["inertia", "1e-05", "0.00675"]),
-    ({"gravity": "earth"}, ["gravity", "earth"]),
     ({"gravty": 9.81}, ["gravty", "'gravity'"]),
 ]
 
@@ -132,12 +111,6 @@ def test_bad_scenario(changes, words):
 def test_correlations_that_contradict_each_other():
     with pytest.raises(ParameterError, match="positive definite"):
         SoilSpread(friction_stiffness=0.9, friction_shear_modulus=0.9, stiffness_shear_modulus=-0.9)
-
-
-def test_unknown_scenario():
-    with pytest.raises(ParameterError) as caught:
-        load_scenario("mixd")
-    assert_one_line(caught.value, ["mixd", "'mixed'"])
 
 
 @pytest.mark.parametrize(
@@ -201,12 +174,6 @@ def test_scenario_round_trip(name):
     assert load_scenario(scenario) == scenario
 
 
-@pytest.mark.parametrize("name", parameters.soils())
-def test_soil_round_trip(name):
-    soil = parameters.soils()[name]
-    assert load(Soil, yaml.safe_load(yaml.safe_dump(to_dict(soil)))) == soil
-
-
 def test_own_soils_stand_beside_the_presets_and_before_them():
     from soil_env.simulation.courses import course_numbers
 
@@ -223,21 +190,3 @@ def test_own_soils_stand_beside_the_presets_and_before_them():
     with pytest.raises(ParameterError, match="own_soils.beach: unknown key 'phi'") as caught:
         load_scenario("mixed", {"own_soils": {"beach": {"phi": 30}}})
     assert_one_line(caught.value, ["changes"])
-
-
-def test_scenario_from_a_file(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("wheel: {preset: planetary_rover, radius: 0.2}\nsoils: {dry_sand: 1}\n")
-    scenario = load_scenario(path)
-    assert scenario.name == "mine" and scenario.wheel.radius == 0.2
-    assert isinstance(scenario.wheel, Wheel)
-
-
-@pytest.mark.parametrize("name", parameters.scenario_names())
-def test_a_shipped_scenario_states_only_what_differs_from_the_defaults(name):
-    mapping = read_yaml(config_dir() / "scenarios" / f"{name}.yaml")
-    groups = {f.name: f.default for f in dataclasses.fields(Scenario) if dataclasses.is_dataclass(f.default)}
-    for key, value in mapping.items():
-        if key in groups:
-            same = [k for k, v in value.items() if getattr(groups[key], k) == (tuple(v) if isinstance(v, list) else v)]
-            assert not same, f"{key}: {same}"

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv
@@ -109,22 +108,6 @@ def test_a_vector_env_with_threads_in_another_process(method):
     np.testing.assert_array_equal(there, same.step(np.full((64, 1), 0.4))[0])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", METHODS)
-def test_subproc_vec_env_of_sb3(method):
-    pytest.importorskip("stable_baselines3")
-    from stable_baselines3.common.vec_env import SubprocVecEnv
-
-    many = SubprocVecEnv([make_env] * 2, start_method=method)
-    try:
-        many.seed(4)
-        observations = many.reset()
-        many.step(np.array([ACTION, ACTION]))
-    finally:
-        many.close()
-    np.testing.assert_array_equal(observations[1], make_env().reset(seed=5)[0])
-
-
 # --- threads ----------------------------------------------------------------------------------------------------------
 
 
@@ -171,13 +154,6 @@ def rollout_from(seed):
     env = make_env()
     env.reset(seed=seed)
     return env.step(ACTION)[0]
-
-
-@pytest.mark.parametrize("seed", [-1, 1.5, "a"])
-def test_bad_seeds_are_refused(seed):
-    for env, given in ((SoilWheelEnv(), seed), (SoilWheelVectorEnv(2), [seed, seed])):
-        with pytest.raises((gymnasium.error.Error, TypeError, ValueError)):
-            env.reset(seed=given)
 
 
 # --- a poor machine ---------------------------------------------------------------------------------------------------

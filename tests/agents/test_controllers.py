@@ -9,7 +9,7 @@ from agents.controllers import FixedSlip, make_controller
 from agents.evaluate import run_courses
 from agents.sb3 import SoilWheelVecEnv
 from soil_env.parameters import load_scenario, soils
-from soil_env.simulation.task import VARIANTS, Cause, layout
+from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
@@ -78,14 +78,6 @@ def observations(variant, n=6, seed=0, scenario="mixed"):
 # --- the registry -----------------------------------------------------------------------------------------------------
 
 
-def test_settings_reach_the_controller():
-    scenario = load_scenario()
-    assert make_controller("fixed_slip", scenario, slip=0.17).slip == 0.17
-    assert make_controller("constant_speed", scenario, speed=0.2).speed == 0.2
-    default = make_controller("constant_speed", scenario).speed
-    assert default == pytest.approx(0.33 * scenario.wheel.radius * scenario.wheel.no_load_speed)
-
-
 # --- SB3's predict ----------------------------------------------------------------------------------------------------
 
 
@@ -103,15 +95,6 @@ def test_predict_shapes_types_and_range(name, action):
     assert single[0] == pytest.approx(actions[2, 0], abs=1e-6)
     again, _ = controller.predict(batch, state, np.zeros(6, dtype=bool), deterministic=False)
     assert again.shape == (6, 1)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_predict_leaves_the_observation_alone(name):
-    controller = make_controller(name, load_scenario())
-    batch = observations(controller.variant)
-    copy = batch.copy()
-    controller.predict(batch)
-    np.testing.assert_array_equal(batch, copy)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -176,18 +159,6 @@ def test_state_is_carried_along(name):
 
 
 @pytest.mark.parametrize("name", NAMES[1:])
-def test_state_without_episode_start_goes_on(name):
-    """SB3's recurrent policies: episode_start=None with a state means that no episode has begun."""
-    controller = make_controller(name, load_scenario())
-    batch = observations(controller.variant)
-    _, state = controller.predict(batch, None, np.ones(6, dtype=bool))
-    implicit, _ = controller.predict(batch, state)
-    _, state = controller.predict(batch, None, np.ones(6, dtype=bool))
-    explicit, _ = controller.predict(batch, state, np.zeros(6, dtype=bool))
-    np.testing.assert_array_equal(implicit, explicit)
-
-
-@pytest.mark.parametrize("name", NAMES[1:])
 def test_batches_are_rows_of_their_own(name):
     """A row's action does not depend on the rows beside it, over several calls."""
     controller = make_controller(name, load_scenario())
@@ -200,21 +171,6 @@ def test_batches_are_rows_of_their_own(name):
 
 
 # --- what each reads --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_reads_exactly_its_own_layout(name):
-    """It works on a layout of just this width, and columns beyond it make no difference."""
-    controller = make_controller(name, load_scenario())
-    batch = observations(controller.variant)
-    assert batch.shape[1] == len(layout(controller.variant))
-    assert np.isfinite(controller.predict(batch)[0]).all()
-    if VARIANT[name] == "blind":
-        for other in ("identified", "true_soil"):
-            extra = observations(other)
-            shifted = extra.copy()
-            shifted[:, 11:] += 1.0
-            np.testing.assert_array_equal(controller.predict(extra)[0], controller.predict(shifted)[0])
 
 
 @pytest.mark.parametrize("name", ["best_slip_identified", "best_slip_true"])
@@ -237,16 +193,6 @@ def test_best_slip_identified_does_not_see_the_true_soil():
     names = [e.name for e in layout("identified")]
     np.testing.assert_allclose(soil[:, 1], 1000.0 * seen[:, names.index("cohesion")])
     np.testing.assert_allclose(soil[:, 5], seen[:, names.index("dig_gain")])
-
-
-def test_full_throttle_is_all_ones():
-    controller = make_controller("full_throttle", load_scenario())
-    for variant in VARIANTS:
-        batch = observations(variant)
-        actions, state = controller.predict(batch)
-        np.testing.assert_array_equal(actions, np.ones((6, 1), dtype=np.float32))
-        assert actions.dtype == np.float32
-        np.testing.assert_array_equal(controller.predict(batch[0], state)[0], [1.0])
 
 
 # --- what they do to a wheel ------------------------------------------------------------------------------------------

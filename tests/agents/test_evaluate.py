@@ -1,16 +1,13 @@
 """Paired runs, intervals and the files of a comparison."""
 
-import csv
-import json
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from agents import evaluate, plots
+from agents import plots
 from agents.controllers import CONTROLLERS, make_controller
-from agents.evaluate import METRICS, RATES, Runs, course_rng, run_courses, summary, tune, wilson
+from agents.evaluate import Runs, course_rng, run_courses, summary, tune, wilson
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import Simulation
@@ -30,20 +27,6 @@ def runs(scenario):
     return {name: run_courses(make_controller(name, scenario), scenario, SEED, 12) for name in CONTROLLERS}
 
 
-class Recorder:
-    """A controller that keeps the first observations it is given."""
-
-    variant = "true_soil"
-
-    def __init__(self):
-        self.first = []
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        if state is None:
-            self.first.append(np.array(observation))
-        return np.zeros((len(observation), 1), dtype=np.float32), True
-
-
 def synthetic(values, cause=None):
     """`Runs` whose returns are `values`."""
     n = len(values)
@@ -60,16 +43,6 @@ def test_wilson_agrees_with_scipy(n):
     for k in sorted({0, 1, n // 3, n - 1, n}):
         expected = binomtest(k, n).proportion_ci(0.95, method="wilson")
         assert wilson(k, n) == pytest.approx((expected.low, expected.high), abs=1e-9)
-
-
-def test_bootstrap_interval_contains_the_mean_and_narrows_with_courses():
-    rng = np.random.default_rng(0)
-    widths = []
-    for n in (25, 400):
-        m = summary(synthetic(rng.normal(3.0, 2.0, n)))["return"]
-        assert m["low"] < m["value"] < m["high"]
-        widths.append(m["high"] - m["low"])
-    assert widths[0] / widths[1] == pytest.approx(4.0, rel=0.35)
 
 
 def test_bootstrap_interval_covers_the_true_mean_in_95_percent():
@@ -134,18 +107,6 @@ def test_results_depend_neither_on_batch_nor_on_the_first(scenario):
                 np.testing.assert_array_equal(getattr(whole, field)[part], getattr(other, field), err_msg=field)
 
 
-def test_all_controllers_meet_the_same_courses(scenario):
-    """The true-soil observation at the start does not depend on who drives."""
-    a, b = Recorder(), Recorder()
-    b.predict_zero = b.predict
-    b.predict = lambda *args, **kw: (np.ones((len(args[0]), 1)), b.predict_zero(*args, **kw)[1])
-    run_courses(a, scenario, SEED, 5)
-    run_courses(b, scenario, SEED, 5)
-    np.testing.assert_array_equal(a.first[0], b.first[0])
-    blind, true = (run_courses(make_controller("full_throttle", scenario), scenario, SEED, 5) for _ in range(2))
-    np.testing.assert_array_equal(blind.returns, true.returns)
-
-
 def test_the_variant_that_is_observed_does_not_change_the_world(scenario):
     class Push:
         def __init__(self, variant):
@@ -159,18 +120,6 @@ def test_the_variant_that_is_observed_does_not_change_the_world(scenario):
     for other in results[1:]:
         for field in Runs.__dataclass_fields__:
             np.testing.assert_array_equal(getattr(results[0], field), getattr(other, field), err_msg=field)
-
-
-def test_other_sets_have_other_courses(scenario):
-    controller = make_controller("fixed_slip", scenario)
-    a, b = (run_courses(controller, scenario, seed, 4) for seed in (SEED, SEED + 1))
-    assert (a.returns != b.returns).all()
-
-
-def test_progress_adds_up(scenario):
-    done = []
-    run_courses(make_controller("full_throttle", scenario), scenario, SEED, 7, progress=done.append, batch=3)
-    assert done == [3, 3, 1]
 
 
 # --- metrics against a plain loop -------------------------------------------------------------------------------------
@@ -208,17 +157,6 @@ def test_runs_equal_a_loop_over_one_wheel(scenario, runs, name):
         assert got.returns[course] == pytest.approx(returns, rel=1e-9)
         assert got.sinkage[course] == pytest.approx(sinkage / steps, rel=1e-9)
         assert got.slip[course] == pytest.approx(slip / max(driving, 1), rel=1e-9)
-
-
-def test_return_is_that_of_the_reward_terms(scenario, runs):
-    """progress 10 x/L - energy/(weight x L) - 10 if immobilised, from the other metrics alone."""
-    got = runs["full_throttle"]  # never rolls back far, so that the furthest point is the last
-    stuck = got.metric("immobilised")
-    upper = 10.0 * got.distance / scenario.course.length
-    low, high = (mass * scenario.gravity * scenario.course.length for mass in (15.0, 19.0))
-    assert (got.returns <= upper - 10.0 * stuck - got.energy / high + 1e-6).all()
-    assert (got.returns >= upper - 10.0 * stuck - got.energy / low - 1.0).all()
-    assert 0.0 < stuck.mean() <= 1.0
 
 
 def test_return_is_compared_without_the_information_that_an_agent_was_paid_for(scenario, runs):
@@ -261,28 +199,10 @@ def test_metrics_are_within_their_physical_range(scenario, runs):
         assert (got.distance[got.cause == Cause.FINISHED.value] >= scenario.course.length).all(), name
 
 
-# --- the result and its files -----------------------------------------------------------------------------------------
+# --- the result -------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def result(scenario, runs):
-    return evaluate.comparison(scenario, SEED, runs, {"fixed_slip": {"slip": 0.3, "tuning_returns": {0.3: 1.0}}})
-
-
-def test_comparison_has_the_promised_keys(result, runs, scenario):
-    assert result["scenario"] == "mixed" and result["courses"] == 12
-    assert list(result["controllers"]) == list(runs)
-    for name, row in result["controllers"].items():
-        assert set(row) == set(METRICS) and "immobilised" in row
-        for metric, m in row.items():
-            assert set(m) == {"value", "low", "high"}
-            assert m["low"] <= m["value"] <= m["high"]
-            assert m["value"] == pytest.approx(runs[name].metric(metric).mean())
-            if metric in RATES:
-                assert 0.0 <= m["low"] and m["high"] <= 1.0
-
-
-@pytest.mark.parametrize("n", [1, 9, 12, 20, 200, 1000])
+@pytest.mark.parametrize("n", [1, 9, 1000])
 @pytest.mark.parametrize("cause", [Cause.FINISHED, Cause.BOGGED, Cause.TIME_LIMIT])
 def test_one_outcome_for_all_courses_gives_intervals_that_contain_it(n, cause):
     """At 0 % and 100 %, and with equal courses, rounding may not put the value outside its interval."""
@@ -300,22 +220,6 @@ def test_the_trace_of_a_course_is_that_of_the_comparison(scenario, runs, tmp_pat
         assert columns["x"].max() == pytest.approx(runs[name].distance[4])
     plots.course_figure(scenario, SEED, 4, controllers, tmp_path / "course.png")
     assert plt.imread(tmp_path / "course.png").std() > 0.01
-
-
-def test_files_hold_the_same_numbers(result, tmp_path):
-    evaluate.save(result, tmp_path)
-    read = json.loads((tmp_path / "comparison.json").read_text())
-    assert {"scenario", "courses", "controllers"} <= set(read)
-    assert read["controllers"] == result["controllers"]
-    with open(tmp_path / "comparison.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["controller"] for row in rows] == list(result["controllers"])
-    for row in rows:
-        assert set(row) == {"controller"} | {m + part for m in METRICS for part in ("", "_low", "_high")}
-        for metric in METRICS:
-            m = result["controllers"][row["controller"]][metric]
-            for part, key in (("", "value"), ("_low", "low"), ("_high", "high")):
-                assert float(row[metric + part]) == pytest.approx(m[key], rel=1e-5, abs=1e-9)
 
 
 # --- tuning -----------------------------------------------------------------------------------------------------------

@@ -5,71 +5,36 @@ import shutil
 import pytest
 
 from agents.evaluate.__main__ import main
-from tests.agents.evaluating import SHORT, evaluate, make_models
+from tests.agents.evaluating import SHORT, evaluate
 from tests.agents.saved import edit, rewrite
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory):
-    return make_models(tmp_path_factory.mktemp("models"))
 
 
 @pytest.mark.parametrize(
     "arguments, parts",
     [
-        (["--controllers=fixd_slip"], ("'fixd_slip'", "did you mean 'fixed_slip'?", "model.zip", "module:Class")),
+        (["--controllers=fixd_slip"], ("'fixd_slip'", "did you mean 'fixed_slip'?")),
         (["--controllers="], ("expected at least one",)),
-        (["--controllers=half=tests.agents.drivers:Half,,"], ("empty entry",)),
         (["--controllers=a="], ("empty entry",)),
         (["--controllers=missing.zip"], ("missing.zip", "No such file")),
-        (["--controllers=runs/none"], ("runs/none", "No such file")),
         (["--controllers=ppo=none/*"], ("none/*", "no model matches")),
         (["--controllers={models}/seed_*"], ("2 models", "NAME=")),
         (["--controllers={models}/seed_0,{models}/seed_0"], ("'seed_0' twice",)),
-        (["--controllers=no.such.module:Thing"], ("no.such.module:Thing", "cannot be imported", "No module named")),
+        (["--controllers=no.such.module:Thing"], ("no.such.module:Thing", "No module named")),
         (["--controllers=tests.agents.drivers:Halve"], ("'Halve'", "did you mean 'Half'?")),
         (["--controllers=tests.agents.drivers:NoPredict"], ("no method predict",)),
-        (
-            ["--controllers=tests.agents.drivers:WrongShape"],
-            ("tests.agents.drivers:WrongShape", "shape (3,)", "expected", "(3, 1)"),
-        ),
-        (["--controllers=tests.agents.drivers:NoState"], ("gave a ndarray", "expected (action, state)")),
-        (
-            ["--controllers=tests.agents.drivers:OtherVariant"],
-            ("'blnd'", "expected one of blind, identified, true_soil"),
-        ),
-        (
-            ["--controllers=tests.agents.drivers:Raises"],
-            ("cannot be made", "OSError: no such device", "drivers.py line"),
-        ),
-        (["--controllers=tests.agents.drivers"], ("'tests.agents.drivers'", "unknown controller")),
-        (
-            ["--controllers=a=fixed_slip,a=tests.agents.drivers:Half"],
-            ("'a'", "tests.agents.drivers:Half beside fixed_slip"),
-        ),
+        (["--controllers=tests.agents.drivers:WrongShape"], ("tests.agents.drivers:WrongShape", "(3,)", "(3, 1)")),
+        (["--controllers=tests.agents.drivers:NoState"], ("expected (action, state)",)),
+        (["--controllers=tests.agents.drivers:OtherVariant"], ("'blnd'", "blind, identified, true_soil")),
+        (["--controllers=tests.agents.drivers:Raises"], ("OSError: no such device", "drivers.py line")),
         (["--controllers=a=fixed_slip,a=constant_speed"], ("'a'", "constant_speed beside fixed_slip")),
         (["--contollers=x"], ("'contollers'", "did you mean 'controllers'?")),
-        (["--changes.course.lenght=5", "--controllers=full_throttle"], ("--changes: course: unknown key 'lenght'",)),
-        (
-            ["--settings.fixed_slip.slip=abc", "--controllers=fixed_slip"],
-            ("--settings.fixed_slip.slip = 'abc': expected",),
-        ),
-        (["--settings.fixed_slip.slip=.nan", "--controllers=fixed_slip"], ("fixed_slip.slip", "[0, 0.95]")),
         (["--settings.fixed_slip.slip=7", "--controllers=fixed_slip"], ("--settings.fixed_slip.slip = 7", "[0, 0.95]")),
-        (["--settings.constant_speed.speed=-1", "--controllers=constant_speed"], ("speed = -1", "top rim speed")),
         (["--settings.full_throttle.slip=0.1", "--controllers=full_throttle"], ("full_throttle has no settings",)),
         (["--courses=0"], ("--courses = 0: expected", "[1, 100000]")),
-        (["--courses=-5"], ("courses = -5",)),
-        (["--block=0"], ("block = 0",)),
-        (["--seed=-1"], ("seed = -1",)),
         (["--scenario=mixd"], ("'mixd'", "did you mean 'mixed'?")),
         (["--changes.course.lenght=2"], ("lenght", "did you mean 'length'?")),
-        (["--curses=5"], ("'curses'", "did you mean 'courses'?")),
-        (["--settings.fixed_slip.slpi=0.2", "--controllers=fixed_slip"], ("'slpi'", "did you mean 'slip'?")),
         (["--settings.fixed_slip.slip=0.2", "--controllers=full_throttle"], ("settings", "'fixed_slip'")),
-        (["--settings.fixed_slip=0.2"], ("--settings.fixed_slip.KEY VALUE",)),
         (["--settings=3"], ("--settings.KEY VALUE",)),
-        (["--engine=rai"], ("'rai'", "did you mean 'ray'?")),
         (["--workers=0"], ("--workers 0",)),
         (["--address=auto"], ("only with --engine ray",)),
         (["--tuning-courses=2", "--seed=1000001"], ("--seed 1000001", "tuned on")),
@@ -106,7 +71,6 @@ def test_nothing_at_all_is_refused(capsys, tmp_path):
         (lambda p: edit(p, observation_names=[f"n{k}" for k in range(11)]), "another observation layout"),
         (lambda p: edit(p, scenario={"control": {"action": "wheel_speed"}}), "trained with action 'wheel_speed'"),
         (lambda p: rewrite(p, b"{"), "not a model saved by train.py"),
-        (lambda p: p.write_bytes(b"PK no"), "not a model of Stable-Baselines3"),
         (lambda p: p.write_bytes(p.read_bytes()[:-3000]), "not a model of Stable-Baselines3"),
     ],
 )
@@ -138,15 +102,3 @@ def test_a_folder_that_cannot_be_used_is_refused(capsys, tmp_path, out):
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and out.rsplit("/", 1)[0] in error
     assert [p.name for p in (tmp_path / "other").iterdir()] == ["thesis.txt"]
-
-
-def test_a_file_is_no_folder_of_results(capsys, tmp_path):
-    (tmp_path / "mine.py").write_text("")
-    assert main([*SHORT, "--controllers=full_throttle", f"--out={tmp_path / 'mine.py'}"]) == 2
-    assert "mine.py: is a file: expected a folder" in capsys.readouterr().err
-
-
-def test_failures_are_placed_in_code_of_theirs(capsys, tmp_path):
-    assert evaluate(tmp_path / "out", "no.such.module:Thing") == 2
-    error = capsys.readouterr().err
-    assert error.rstrip().endswith("(ModuleNotFoundError: No module named 'no')") and "frozen" not in error

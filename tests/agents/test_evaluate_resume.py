@@ -14,17 +14,7 @@ import pytest
 from agents.evaluate import study
 from agents.evaluate.__main__ import main
 from soil_env._io.loading import ParameterError
-from tests.agents.evaluating import FILES, SHORT, evaluate, everything, make_done, make_models, same
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory):
-    return make_models(tmp_path_factory.mktemp("models"))
-
-
-@pytest.fixture(scope="module")
-def done(models, tmp_path_factory):
-    return make_done(models, tmp_path_factory.mktemp("done") / "made" / "here")
+from tests.agents.evaluating import SHORT, evaluate, everything, same
 
 
 def interrupted_after(monkeypatch, blocks, error=KeyboardInterrupt):
@@ -57,15 +47,6 @@ def test_an_interrupt_keeps_what_is_done(capsys, tmp_path, monkeypatch, done, mo
     else:
         assert evaluate(out, controllers, "--settings.fixed_slip.slip=0.2") == 0
     assert len(driven) == 3 * 5 - 4 and sorted(set(driven)) == [1, 3]
-    same(out, done)
-
-
-def test_a_finished_evaluation_is_told_again_without_driving(monkeypatch, tmp_path, done):
-    out = tmp_path / "copy"
-    shutil.copytree(done, out)
-    (out / "report.html").unlink()
-    monkeypatch.setattr(study, "record", lambda *args, **kw: pytest.fail("driven again"))
-    assert main(["--resume", str(out)]) == 0
     same(out, done)
 
 
@@ -172,19 +153,6 @@ def test_a_worker_with_other_code_is_refused(monkeypatch, done):
         job(own.tasks()[0])
 
 
-def test_the_version_follows_the_code(monkeypatch):
-    version = study.code_version()
-    original = Path.read_bytes
-
-    def edited(path):
-        return original(path) + (b"# edited" if path.name == "contact.py" else b"")
-
-    monkeypatch.setattr(Path, "read_bytes", edited)
-    assert study.code_version.__wrapped__() != version
-    monkeypatch.undo()
-    assert study.code_version.__wrapped__() == version
-
-
 def test_disk_full_while_driving_keeps_whole_blocks(capsys, tmp_path, done, models):
     """A limit on the size of files in the middle of the fourth block."""
     out, controllers = tmp_path / "out", everything(models)
@@ -207,25 +175,3 @@ def limited_files(size):
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-
-def test_disk_full_while_writing_results_leaves_no_half_file(capsys, tmp_path, done):
-    """A limit on the size of files, which the report does not keep."""
-    out = tmp_path / "out"
-    shutil.copytree(done, out)
-    for name in FILES - {"courses.jsonl", "study.yaml"}:
-        (out / name).unlink()
-    with limited_files(100_000):
-        assert main(["--resume", str(out)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "File too large" in error
-    assert "report.html" not in {p.name for p in out.iterdir()}
-    assert not [p.name for p in out.iterdir() if p.name.startswith(".")]
-    assert main(["--resume", str(out)]) == 0
-    same(out, done)
-
-
-def test_too_little_memory_gives_one_line(capsys, tmp_path, monkeypatch):
-    interrupted_after(monkeypatch, 0, MemoryError)
-    assert evaluate(tmp_path / "out", "full_throttle") == 2
-    assert "not enough memory" in capsys.readouterr().err

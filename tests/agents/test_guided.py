@@ -79,16 +79,6 @@ def test_a_saved_agent_acts_as_before_and_its_checkpoint_goes_on(tmp_path, scena
             resume(tmp_path / "model.zip", scenario, "identified", TINY, 0, None, guide=wrong)
 
 
-def test_one_observation_without_batch(scenario, tmp_path):
-    save(silent(build(scenario, "blind", TINY, 0, guide=guide(scenario, "fixed_slip"))), tmp_path / "model.zip")
-    agent, observation = load_agent(tmp_path), np.linspace(0.0, 0.1, 11)
-    one, state = agent.predict(observation)
-    two, _ = agent.predict(np.stack([observation] * 2))
-    assert one.shape == (1,) and two.shape == (2, 1)
-    np.testing.assert_array_equal(two[:, 0], [one[0], one[0]])
-    assert agent.predict(observation, state)[0].shape == (1,)
-
-
 def test_the_last_observation_of_a_course_has_the_guide_s_entries(scenario):
     """SB3 values a course cut off by the time limit at its last observation."""
     short = load_scenario(scenario, {"control": {"time_limit": 1.0}})

@@ -10,7 +10,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents import ppo
-from agents.ppo import NAMES, PPOConfig, TrainConfig, build, load_agent, load_config, read_meta, resume, save
+from agents.ppo import NAMES, PPOConfig, build, load_agent, load_config, resume, save
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario
@@ -121,26 +121,6 @@ def test_loaded_agent_acts_on_raw_observations_as_the_trained_model(scenario, va
     assert agent.timesteps == model.num_timesteps == 3 * ROLLOUT
 
 
-def test_zip_and_run_folder_name_the_same_agent(saved, scenario):
-    raw = raw_observations(scenario, "identified")
-    expected = load_agent(saved).predict(raw)[0]
-    for where in (str(saved), saved.parent, str(saved.parent)):
-        np.testing.assert_array_equal(load_agent(where).predict(raw)[0], expected)
-
-
-def test_the_zip_describes_the_agent(saved, model, scenario):
-    meta = read_meta(saved)
-    env = model.get_vec_normalize_env()
-    assert meta == read_meta(str(saved)) == load_agent(saved).meta
-    assert meta["observation"] == "identified" and meta["timesteps"] == 3 * ROLLOUT
-    assert meta["observation_names"] == [e.name for e in layout("identified")]
-    assert len(meta["mean"]) == len(meta["var"]) == len(meta["observation_names"])
-    assert meta["mean"] == env.obs_rms.mean.tolist() and meta["var"] == env.obs_rms.var.tolist()
-    assert meta["clip"] == env.clip_obs
-    assert meta["scenario"]["control"]["time_limit"] == 3.0
-    assert load_scenario(scenario).name == meta["scenario"]["name"]
-
-
 def test_the_zip_is_still_one_of_sb3(saved, model, scenario):
     raw = raw_observations(scenario, "identified").astype(np.float32)
     plain = PPO.load(saved, device="cpu")
@@ -151,28 +131,7 @@ def test_the_zip_is_still_one_of_sb3(saved, model, scenario):
         assert sorted(archive.namelist()).count(META) == 1
 
 
-def test_loading_does_not_need_the_training_environment(saved, scenario, monkeypatch):
-    """The agent is judged on other scenarios: loading builds no environment."""
-
-    def no_env(*args, **kwargs):
-        raise AssertionError("an environment was built")
-
-    monkeypatch.setattr(ppo, "SoilWheelVecEnv", no_env)
-    assert load_agent(saved).timesteps == 3 * ROLLOUT
-
-
 # --- whole files or none ----------------------------------------------------------------------------------------------
-
-
-def test_leftovers_of_a_killed_save_are_ignored_and_replaced(saved, scenario, model):
-    raw = raw_observations(scenario, "identified")
-    expected = load_agent(saved).predict(raw)[0]
-    saved.with_name(".model.zip.partial").write_bytes(b"half a fil")
-    np.testing.assert_array_equal(load_agent(saved).predict(raw)[0], expected)
-    np.testing.assert_array_equal(load_agent(saved.parent).predict(raw)[0], expected)
-    save(model, saved)
-    np.testing.assert_array_equal(load_agent(saved).predict(raw)[0], expected)
-    assert [p.name for p in saved.parent.iterdir()] == ["model.zip"]
 
 
 @pytest.mark.parametrize("moment", ["model", "meta", "replace"])
@@ -277,13 +236,8 @@ def test_resume_starts_new_courses_not_those_of_the_beginning(saved, scenario):
     np.testing.assert_array_equal(again, repeat)  # still reproducible
     assert np.abs(start).max(axis=1).min() > 0.1  # these are observations
     assert apart(start, again) > 1e-3
-
-
-def test_resume_starts_other_courses_at_each_checkpoint(saved, scenario):
-    at_three = first_observations(resume(saved, scenario, "identified", TINY, 0, None))
-    edit(saved, timesteps=4 * ROLLOUT)
-    at_four = first_observations(resume(saved, scenario, "identified", TINY, 0, None))
-    assert apart(at_three, at_four) > 1e-3
+    edit(saved, timesteps=5_000_000_000)  # other courses at each checkpoint, and the seeds do not run out
+    assert apart(again, first_observations(resume(saved, scenario, "identified", TINY, 0, None))) > 1e-3
 
 
 def test_resume_draws_other_actions_than_at_the_beginning(saved, scenario):
@@ -299,22 +253,6 @@ def test_resume_draws_other_actions_than_at_the_beginning(saved, scenario):
     np.testing.assert_array_equal(again, repeat)
     loaded = PPO.load(saved, env=ppo.normalised(scenario, "identified", TINY, 0), device="cpu")
     assert np.abs(again - noise(loaded)).max() > 1e-3
-
-
-def test_resume_after_very_many_steps(saved, scenario):
-    """`timesteps` goes to 10^12: the seed of the new courses must not run out."""
-    edit(saved, timesteps=5_000_000_000)
-    assert resume(saved, scenario, "identified", TINY, 0, None) is not None
-
-
-def test_resume_writes_its_curve_into_the_same_log(scenario, tmp_path):
-    model = build(scenario, "blind", TINY, 0, tmp_path / "log")
-    model.learn(ROLLOUT, reset_num_timesteps=False, tb_log_name="PPO")
-    save(model, tmp_path / "checkpoint.zip")
-    again = resume(tmp_path / "checkpoint.zip", scenario, "blind", TINY, 0, tmp_path / "log")
-    again.learn(ROLLOUT, reset_num_timesteps=False, tb_log_name="PPO")
-    assert [p.name for p in (tmp_path / "log").iterdir()] == ["PPO_0"]
-    assert len(list((tmp_path / "log" / "PPO_0").iterdir())) == 2
 
 
 def test_resume_refuses_another_observation(saved, scenario):
@@ -335,11 +273,6 @@ def test_another_layout_is_refused_and_the_difference_named(saved):
     refused(lambda: load_agent(saved), "order")
 
 
-def test_resume_refuses_another_layout_too(saved, scenario):
-    edit(saved, observation_names=["slip"], mean=[0.0], var=[1.0])
-    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "layout", "sinkage")
-
-
 def test_missing_zip(saved, scenario):
     saved.unlink()
     refused(lambda: load_agent(saved), "model.zip")
@@ -354,29 +287,14 @@ def test_a_model_without_its_normalisation(saved, model, scenario):
     refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip", "soil_env.json")
 
 
-def test_a_normalisation_without_its_model(saved, scenario):
-    with zipfile.ZipFile(saved) as archive:
-        meta = archive.read(META)
-    with zipfile.ZipFile(saved, "w") as archive:
-        archive.writestr(META, meta)
-    refused(lambda: load_agent(saved), "model.zip")
-    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip")
-
-
-@pytest.mark.parametrize("content", [b"", b"no zip at all", b"PK\x03\x04 cut off"])
-def test_a_zip_that_is_none(saved, content):
-    saved.write_bytes(content)
-    refused(lambda: load_agent(saved), "model.zip")
-
-
-@pytest.mark.parametrize("share", [0.02, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.999])
 def test_a_zip_that_is_cut_off(saved, share):
     saved.write_bytes(saved.read_bytes()[: int(share * saved.stat().st_size)])
     refused(lambda: load_agent(saved), "model.zip")
 
 
 @pytest.mark.parametrize("member", [META, "data", "policy.pth"])
-@pytest.mark.parametrize("where", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("where", [0.0, 0.9])
 def test_a_zip_with_damaged_bytes(saved, member, where):
     """A disk error within one member; its place in the file is still listed."""
     with zipfile.ZipFile(saved) as archive:
@@ -391,7 +309,7 @@ def test_a_zip_with_damaged_bytes(saved, member, where):
     refused(lambda: load_agent(saved), "model.zip")
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"\xff\xfe\x00binary"])
+@pytest.mark.parametrize("content", [b"{", b"[]", b"\xff\xfe\x00binary"])
 def test_a_json_that_is_none(saved, content):
     rewrite(saved, content)
     refused(lambda: load_agent(saved), "model.zip")
@@ -399,8 +317,7 @@ def test_a_json_that_is_none(saved, content):
 
 @pytest.mark.parametrize(
     "key, value",
-    [("mean", None), ("mean", [0.0] * 5), ("mean", ["a"] * 22), ("var", [[1.0]] * 22), ("clip", "ten"),
-     ("observation_names", 5), ("observation", "identifed"), ("timesteps", 1.5), ("return_var", [1.0])],
+    [("mean", [0.0] * 5), ("var", [[1.0]] * 22), ("clip", "ten"), ("observation", "identifed"), ("timesteps", 1.5)],
 )  # fmt: skip
 def test_a_json_with_a_value_of_the_wrong_kind(saved, scenario, key, value):
     edit(saved, **{key: value})
@@ -411,15 +328,7 @@ def test_a_json_with_a_value_of_the_wrong_kind(saved, scenario, key, value):
 # --- config -----------------------------------------------------------------------------------------------------------
 
 
-def test_config_defaults_and_conversions():
-    assert load_config({}, "x") == TrainConfig()
-    config = load_config({"timesteps": "5e6", "ppo": {"num_envs": 1024.0}}, "x")
-    assert config.timesteps == 5_000_000 and isinstance(config.timesteps, int)
-    assert config.ppo.num_envs == 1024 and isinstance(config.ppo.num_envs, int)
-    assert config.ppo.gamma == PPOConfig().gamma
-
-
-@pytest.mark.parametrize("num_envs, n_steps, batch_size", [(4, 10, 16), (4, 10, 39), (4, 10, 80), (1, 8, 9)])
+@pytest.mark.parametrize("num_envs, n_steps, batch_size", [(4, 10, 39), (4, 10, 80)])
 def test_a_batch_that_does_not_divide_the_rollout_is_refused(num_envs, n_steps, batch_size):
     ppo_keys = {"num_envs": num_envs, "n_steps": n_steps, "batch_size": batch_size}
     refused(lambda: PPOConfig(**ppo_keys), "batch_size", batch_size, num_envs * n_steps)

@@ -1,7 +1,5 @@
 """Agents with a memory: made as the others are, loaded by the same hands, refused in one line without sb3-contrib."""
 
-import sys
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from agents.evaluate.models import load_model
 from agents.guided import Guide
 from agents.ppo import PPOConfig, TrainConfig
 from agents.training import make_run_folder, open_run, train
-from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario
 
 TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=4)
@@ -20,12 +17,6 @@ TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=4)
 @pytest.fixture(scope="module")
 def scenario():
     return load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 5.0}})
-
-
-def test_without_sb3_contrib_one_line_says_what_is_missing(scenario, monkeypatch):
-    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    with pytest.raises(ParameterError, match=r"soil_env\[recurrent\]"):
-        ppo.build(scenario, "blind", TINY, 0, algorithm="recurrent_ppo")
 
 
 @pytest.mark.parametrize("guided", [False, True])

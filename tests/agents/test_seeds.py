@@ -1,16 +1,10 @@
-"""Training seeds: every engine gives the same agents, and a training that is killed is done again."""
-
-import functools
-import os
-import signal
-from pathlib import Path
+"""Training seeds: each an agent of its own, that of train.py; what is missing is trained (engines: test_engines)."""
 
 import numpy as np
 import pytest
-from rich.console import Console
 
-from agents import ppo, seeds, studies
-from agents.ppo import PPOConfig, TrainConfig, load_agent
+from agents import seeds, studies
+from agents.ppo import TrainConfig, load_agent
 from soil_env.parameters import load_scenario
 
 TINY = (
@@ -97,33 +91,3 @@ def test_bad_input_is_one_line(given, said, tmp_path, capsys):
 def test_other_code_on_a_worker_is_refused(tmp_path):
     with pytest.raises(seeds.ParameterError, match="a worker has soil_env"):
         seeds.Training(TrainConfig(), load_scenario(), "0.0.0+other")(0)
-
-
-# --- Ray --------------------------------------------------------------------------------------------------------------
-
-
-def dying(mark, work, seed):
-    """Train, but die once on the way at seed 1."""
-    result = work(seed)
-    if seed == 1 and not os.path.exists(mark):
-        Path(mark).write_text("killed")
-        os.kill(os.getpid(), signal.SIGKILL)
-    return result
-
-
-def test_ray_trains_the_same_agents_though_a_worker_is_killed(local, connected, tmp_path):
-    mark, done = tmp_path / "mark", []
-
-    def engine(work, tasks):
-        for task, result in studies.on_ray(functools.partial(dying, str(mark), work), tasks):
-            done.append(task)
-            yield task, result
-
-    config = ppo.load_config(
-        {"ppo": {**vars(PPOConfig(4, 16, 32, 1, layer=4))}, "timesteps": 128,
-         "changes": {"control": {"time_limit": 5}, "course": {"length": 2}}}, "test"
-    )  # fmt: skip
-    scenario = load_scenario(config.scenario, config.changes)
-    seeds.train(tmp_path / "out", config, scenario, range(3), engine, Console(quiet=True))
-    assert mark.exists() and sorted(done) == [0, 1, 2]
-    same(local, tmp_path / "out")

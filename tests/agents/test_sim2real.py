@@ -98,12 +98,6 @@ def test_points_lie_after_the_run_in_and_last_long_enough(drives):
     assert len({(p.run, p.stretch) for p in points}) == len(points)
 
 
-def test_longest():
-    assert log._longest([True, False, True, True, False]) == (2, 4)
-    assert log._longest([False]) is None
-    assert log._longest([True]) == (0, 1)
-
-
 def test_repeat_noise_is_that_of_the_readings_and_of_slip():
     """y = 100 i + noise of 0.5, slip off by 0.004: the noise of y at its slip is hypot(0.5, 0.4)."""
     rng, plan = np.random.default_rng(5), dataclasses.replace(PLAN, repeats=20)
@@ -115,13 +109,6 @@ def test_repeat_noise_is_that_of_the_readings_and_of_slip():
         points.append(log.Steady(run, 0, 0.0, 1.0, {"slip": slip, **mean}, {}))
     for value in log.repeat_noise(plan, points).values():
         assert value == pytest.approx(np.hypot(0.5, 0.4), rel=0.15)
-
-
-def test_the_same_seed_gives_the_same_log():
-    plan, world = dataclasses.replace(PLAN, payloads=(0.0,), grades_deg=(0.0,)), WheelSoilModel(ModelWheel(0.15, 0.15))
-    a, b, c = (log.drive_all(SCENARIO, world, plan, seed) for seed in (1, 1, 2))
-    assert all(np.array_equal(a.readings[n], b.readings[n]) for n in log.READINGS)
-    assert not np.array_equal(a.readings["slip"][:50], c.readings["slip"][:50])
 
 
 def tiny(worlds, **changes):
@@ -206,7 +193,7 @@ def test_shipped_worlds_can_be_played(path):
     [
         ("effects: {}", "no effects"),
         ("effects: {bulldosing: {hegedus: 1.0}}", "bulldozing"),
-        ("effects: {bulldozing: {hegedus: 99.0}}", "hegedus"),
+
         ("wheel: {radius: 0.3, width: 0.15}\neffects: {bulldozing: {hegedus: 1.0}}", "that of scenario"),
         ("soil: {friction_angle_deg: 30, cohesion: 0, shear_modulus: 0.01, sinkage_exponent: 1, "
          "sinkage_coefficient: 1.0e+6}\neffects: {bulldozing: {hegedus: 1.0}}", "effects only"),
@@ -221,27 +208,20 @@ def test_bad_worlds_are_refused_in_one_line(content, expected, tmp_path, capsys)
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["--world", "no_such.yaml"], "no_such.yaml"),
-        (["--world", str(WORLDS / "bulldozing.yaml"), "--scenario", "mixd"], "mixed"),
-        (["--world", str(WORLDS / "bulldozing.yaml"), "--timesteps", "0"], "timesteps"),
-        (["--world", str(WORLDS / "bulldozing.yaml"), str(WORLDS / "bulldozing.yaml")], "second world"),
-    ],
-)
-def test_bad_input_is_refused_in_one_line(arguments, expected, tmp_path, capsys):
-    assert command.main([*arguments, "--out", str(tmp_path / "out")]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("agents.sim2real: ") and err.count("\n") == 1 and expected in err
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_folder_with_other_things_is_left_alone(tmp_path, capsys):
-    (tmp_path / "notes.txt").write_text("mine")
-    assert command.main(["--world", str(WORLDS / "bulldozing.yaml"), "--out", str(tmp_path)]) == 2
-    assert "not empty" in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+def test_bad_input_is_refused_in_one_line(tmp_path, capsys):
+    world, out = str(WORLDS / "bulldozing.yaml"), ["--out", str(tmp_path / "out")]
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "notes.txt").write_text("mine")
+    for arguments, expected in (
+        (["--world", "no_such.yaml", *out], "no_such.yaml"),
+        (["--world", world, "--timesteps", "0", *out], "timesteps"),
+        (["--world", world, world, *out], "second world"),
+        (["--world", world, "--out", str(tmp_path / "other")], "not empty"),
+    ):
+        assert command.main(arguments) == 2
+        err = capsys.readouterr().err
+        assert err.startswith("agents.sim2real: ") and err.count("\n") == 1 and expected in err
+    assert [p.name for p in tmp_path.rglob("*")] == ["other", "notes.txt"]
 
 
 # --- the model on its way through training and evaluation -------------------------------------------------------------

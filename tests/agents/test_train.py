@@ -2,20 +2,15 @@
 
 import csv
 import dataclasses
-import io
 import json
-import os
-import re
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import pytest
 import yaml
-from rich.console import Console
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import train
@@ -23,7 +18,6 @@ from agents import cli, ppo, training
 from agents.controllers import CONTROLLERS
 from agents.evaluate import METRICS
 from agents.ppo import PPOConfig, TrainConfig, load_agent, load_config, read_meta
-from agents.progress import Bar
 from soil_env._io.loading import to_dict
 from soil_env.parameters import load_scenario
 
@@ -107,13 +101,6 @@ def test_run_folder_has_everything(finished):
     assert [p.name for p in folder.parent.iterdir()] == ["x"]
 
 
-def test_wall_time_is_kept(finished):
-    folder, _, _ = finished
-    seconds = json.loads((folder / "time.json").read_text())["seconds"]
-    assert list(seconds) == ["env", "policy", "update", "tuning", "comparison", "figures"]
-    assert all(value > 0.0 for value in seconds.values())
-
-
 def test_config_is_resolved_and_loads_again(finished):
     folder, _, _ = finished
     mapping = yaml.safe_load((folder / "config.yaml").read_text())
@@ -146,13 +133,6 @@ def test_comparison_has_all_controllers(finished):
     assert [row["controller"] for row in rows] == list(result["controllers"])
     distance = result["controllers"]["full_throttle"]["distance"]["value"]
     assert float(rows[0]["distance"]) == pytest.approx(distance, rel=1e-5)
-
-
-def test_figures_show_something(finished):
-    folder, _, _ = finished
-    for name in ("comparison.png", "course.png"):
-        picture = plt.imread(folder / name)
-        assert min(picture.shape[:2]) > 200 and picture[..., :3].std() > 0.02
 
 
 def test_tensorboard_has_the_curve(finished):
@@ -195,94 +175,29 @@ def test_the_same_seed_gives_the_same_comparison(capsys, tmp_path):
     assert a == b
 
 
-def rates(**values):
-    """A result that holds just (value, low, high) of `immobilised`."""
+@pytest.mark.parametrize(
+    "agent, best, words, share",
+    [((0.10, 0.08, 0.12), (0.1 - 1 / 30, 0.05, 0.08), "less often than", "86%"),
+     ((0.29, 0.25, 0.33), (0.10, 0.08, 0.12), "as often", "5%"),
+     ((0.30, 0.25, 0.33), (0.10, 0.08, 0.12), "as often", None),
+     ((0.50, 0.45, 0.55), (0.10, 0.08, 0.12), "more often than", None),
+     ((0.10, 0.05, 0.12), (0.30, 0.27, 0.33), "less often than", None)],
+)  # fmt: skip
+def test_the_verdict_follows_from_the_intervals(agent, best, words, share):
+    """The share of the gap to the best slip is claimed only where there is a gap, of which some is covered."""
+    rates = {"ppo_blind": agent, "fixed_slip": (0.30, 0.27, 0.33), "best_slip_true": best}
     rows = {
         name: {"immobilised": dict(zip(("value", "low", "high"), m, strict=True)), "time_limit": {"value": 0.0}}
-        for name, m in values.items()
+        for name, m in rates.items()
     }
     even = {"finished": {"value": 0.05, "low": 0.02, "high": 0.08}}
-    return {"controllers": rows, "paired": {a: dict.fromkeys(rows, even) for a in rows}}
-
-
-@pytest.mark.parametrize(
-    "agent, words, share",
-    [((0.10, 0.08, 0.12), "less often than", "86%"), ((0.29, 0.25, 0.33), "as often", "5%"),
-     ((0.30, 0.25, 0.33), "as often", None), ((0.31, 0.25, 0.35), "as often", None),
-     ((0.50, 0.45, 0.55), "more often than", None)],
-)  # fmt: skip
-def test_the_verdict_follows_from_the_intervals(agent, words, share):
-    reference = {"fixed_slip": (0.30, 0.27, 0.33), "best_slip_true": (0.1 - 1 / 30, 0.05, 0.08)}
-    if words != "less often than":
-        reference["best_slip_true"] = (0.10, 0.08, 0.12)
-    text = training.verdict(rates(ppo_blind=agent, **reference), "ppo_blind")
-    assert text.startswith("ppo_blind") and words in text and "30.0 % [27.0, 33.0]" in text
-    others = {"less often than", "as often", "more often than"} - {words}
-    assert not any(other in text for other in others)
-    if share is None:  # it is not stuck less: there is no way covered
-        assert "covers" not in text and "of the way" not in text and text.endswith(".")
-        return
-    expected = (0.30 - agent[0]) / (0.30 - reference["best_slip_true"][0])
-    assert f"{expected:.0%}" == share
-    assert f"it covers {share} of the way to best_slip_true" in text
-
-
-def test_the_verdict_claims_no_share_where_there_is_no_gap():
-    same = (0.1, 0.05, 0.2)
-    assert "of the way" not in training.verdict(rates(ppo_true=same, fixed_slip=same, best_slip_true=same), "ppo_true")
-    less = (0.05, 0.02, 0.1)
-    assert "of the way" not in training.verdict(rates(ppo_true=less, fixed_slip=same, best_slip_true=same), "ppo_true")
-
-
-# --- progress ---------------------------------------------------------------------------------------------------------
-
-
-def test_progress_without_a_terminal_is_a_line_every_tenth():
-    out = io.StringIO()
-    with Bar("Driving", 1000, "courses", 700, Console(file=out, force_terminal=False, width=20)) as bar:
-        for done in range(700, 1001, 8):
-            bar.update(done, note=f"at {done}")
-        bar.update(advance=30)
-    lines = out.getvalue().splitlines()
-    assert lines[0] == "Driving: 804 of 1,000 courses at 804"
-    assert [line.split()[1] for line in lines] == ["804", "908", "1,026"]
-
-
-def test_progress_on_a_terminal_is_a_bar():
-    out = io.StringIO()
-    with Bar("Training", 1000, "steps", 300, Console(file=out, force_terminal=True, width=120)) as bar:
-        bar.update(600, note="so far")
-        bar.update(advance=50, note="further")
-    for word in ("Training", "steps", "650/1000", "further"):
-        assert word in out.getvalue()
-
-
-def test_a_run_without_a_terminal_reports_its_progress(finished):
-    _, out, _ = finished
-    done = {}
-    for title, count, total in re.findall(r"^(\w+): ([\d,]+) of ([\d,]+) (?:steps|courses)", out, re.MULTILINE):
-        done.setdefault(title, []).append((int(count.replace(",", "")), int(total.replace(",", ""))))
-    assert done["Training"] == [(2048 * k, 8192) for k in (1, 2, 3, 4)]
-    assert done["Tuning"][-1] == (210, 210) and 5 <= len(done["Tuning"]) <= 10  # 42 settings on 5 courses
-    total = 20 * (len(CONTROLLERS) + 1)
-    assert done["Comparing"][-1] == (total, total) and len(done["Comparing"]) <= 10
-    assert "\x1b" not in out
+    paired = {a: dict.fromkeys(rows, even) for a in rows}
+    text = training.verdict({"controllers": rows, "paired": paired}, "ppo_blind")
+    assert words in text
+    assert "of the way" not in text if share is None else f"{share} of the way" in text
 
 
 # --- the command line -------------------------------------------------------------------------------------------------
-
-
-def test_help_names_every_key(capsys):
-    code, out, err = run(capsys, "--help")
-    assert code == 0 and err == ""
-    assert "--config" in out and "--resume" in out and "python -m" not in out
-    for f in dataclasses.fields(TrainConfig):
-        if f.name not in ("ppo", "changes"):
-            assert re.search(rf"^ *--{f.name}( |$)", out, re.MULTILINE), f.name
-    for f in dataclasses.fields(PPOConfig):
-        assert f"--ppo.{f.name} " in out, f.name
-        assert str(f.default) in out
-    assert "--changes." in out
 
 
 def test_overrides_are_read_as_yaml():
@@ -295,33 +210,20 @@ def test_overrides_are_read_as_yaml():
     "arguments, parts",
     [
         (["--timestep", "5"], ["timestep", "did you mean 'timesteps'"]),
-        (["--ppo.gama", "0.9"], ["gama", "did you mean 'gamma'"]),
         (["--ppo.gamma.x", "0.9"], ["ppo", "gamma"]),
-        (["--ppo", "5"], ["ppo", "5"]),
         (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "32768"]),
         (["--changes.course.lenght", "5"], ["lenght", "did you mean 'length'"]),
-        (["--changes.course.length", "-5"], ["changes: course.length = -5", "[1, 10000] m"]),
-        (["--changes", "5"], ["changes", "5", "mapping"]),
-        (["--courses", "many"], ["courses", "many", "number"]),
-        (["--courses", "2.5"], ["courses", "2.5", "whole number"]),
-        (["--ppo.gamma", ".nan"], ["gamma", "nan"]),
         (["--seed", "-1"], ["seed", "-1", "[0, 2147483647]"]),
-        (["--guide", "fixed_slip", "--guide_settings.slip", "abc"], ["guide_settings.slip = 'abc': expected a number"]),
         (["--guide", "fixed_slip", "--guide_settings.start", "0"], ["guide_settings.start = 0", "(0, 1]"]),
-        (["--guide", "fixed_slip", "--guide_settings.slp", "0.1"], ["guide_settings", "'slp'", "did you mean 'slip'"]),
         (["--guide", "best_slip_true"], ["best_slip_true", "does not read the observation"]),
         (["--trim", "2"], ["trim = 2.0: expected only with a guide"]),
         (["--scenario", "5"], ["unknown key '5'", "mixed"]),
-        (["--scenario", "configs"], ["'configs'", "is a folder"]),
         (["--observation", "seen"], ["observation", "seen", "identified"]),
         (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
         (["--courses"], ["courses", "value"]),
         (["5"], ["'5'", "--key value"]),
         (["--name", "a/b"], ["a/b", "name"]),
-        (["--name", ".."], [".."]),
         (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
-        (["--resume", ""], ["--resume", "expected a path"]),
-        (["--config", "", "--courses", "5"], ["--config", "expected a path"]),
         (["--config"], ["config"]),
     ],
 )
@@ -345,7 +247,7 @@ def test_bad_input_is_refused_in_one_line(capsys, tmp_path, monkeypatch, argumen
     assert not list(tmp_path.glob("runs/*")), "a refused run left a folder behind"
 
 
-@pytest.mark.parametrize("value", ["7", "2026-11-20", "on", "1e3", "null", "0x1f", "~", "[a", "a: b", ""])
+@pytest.mark.parametrize("value", ["7", "2026-11-20", "on", "null", "[a", "a: b", ""])
 def test_any_text_is_a_name(tmp_path, value):
     """What looks like a number, a date or a switch to YAML is still a name where text is expected."""
     for arguments in (["--name", value], [f"--name={value}"]):
@@ -365,20 +267,11 @@ def test_options_are_not_abbreviated(capsys, tmp_path, monkeypatch):
     assert "'resum'" in refused(capsys, "--resum", "x.yaml", "--runs", tmp_path / "runs")
 
 
-@pytest.mark.parametrize("content", ["a: [", "- 1\n- 2\n", "text", "a: b: c"])
-def test_a_config_that_is_no_mapping_is_refused(capsys, tmp_path, content):
+@pytest.mark.parametrize("content", ["a: [", "- 1\n- 2\n", "cources: 5\n"])
+def test_a_bad_config_is_refused_with_the_file_s_name(capsys, tmp_path, content):
     file = tmp_path / "bad.yaml"
     file.write_text(content)
     assert "bad.yaml" in refused(capsys, "--config", file, "--runs", tmp_path / "runs")
-
-
-def test_a_key_of_the_file_is_refused_with_the_file_s_name(capsys, tmp_path):
-    file = tmp_path / "mine.yaml"
-    file.write_text("cources: 5\n")
-    err = refused(capsys, "--config", file)
-    assert err.startswith(f"train.py: {file}: ") and "cources" in err and "did you mean 'courses'" in err
-    err = refused(capsys, "--config", file, "--runs", tmp_path / "runs")
-    assert err.startswith(f"train.py: {file} and command line: ") and "did you mean 'courses'" in err
 
 
 def test_too_little_memory_gives_one_line(capsys, tmp_path, monkeypatch):
@@ -399,34 +292,10 @@ def test_an_existing_run_is_not_overwritten(capsys, tmp_path):
     assert [p.name for p in folder.iterdir()] == ["precious"]
 
 
-def test_a_runs_folder_that_is_a_file_is_refused(capsys, tmp_path):
-    (tmp_path / "runs").write_text("x")
-    err = refused(capsys, *TINY, "--runs", tmp_path / "runs", "--name", "n")
-    assert str(tmp_path / "runs") in err
-
-
-def test_a_runs_folder_that_cannot_be_written_is_refused(capsys, tmp_path):
-    locked = tmp_path / "locked"
-    locked.mkdir()
-    locked.chmod(0o500)
-    if os.access(locked, os.W_OK):
-        pytest.skip("this user may write anywhere")
-    err = refused(capsys, *TINY, "--runs", locked, "--name", "n")
-    assert "locked" in err and "Permission" in err
-
-
-def test_resume_takes_no_other_option(capsys, finished):
+def test_resume_of_what_is_no_run_and_with_other_options_is_refused(capsys, finished, tmp_path):
     folder, _, _ = finished
-    for extra in (["--courses", "5"], ["--config", "configs/smoke.yaml"]):
-        assert "--resume" in refused(capsys, "--resume", folder, *extra)
-
-
-def test_resume_of_a_missing_run_names_those_that_exist(capsys, finished):
-    folder, _, _ = finished
+    assert "--resume" in refused(capsys, "--resume", folder, "--courses", "5")
     assert "x" in refused(capsys, "--resume", folder.parent / "y").split("found:")[1]
-
-
-def test_resume_of_a_folder_that_is_no_run_is_refused(capsys, tmp_path):
     assert "config.yaml" in refused(capsys, "--resume", tmp_path)
     (tmp_path / "config.yaml").write_text("seed: 1\n")
     assert "scenario.yaml" in refused(capsys, "--resume", tmp_path)
@@ -536,24 +405,6 @@ def shorten(folder, extra=2 * ROLLOUT):
     return reached
 
 
-def test_ctrl_c_on_the_process(capsys, tmp_path):
-    folder = tmp_path / "n"
-    process = start(*LONG, "--checkpoint_every=100000000", "--runs", tmp_path, "--name", "n")
-    wait_for(folder / "tensorboard" / "PPO_0", process)
-    time.sleep(0.5)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
-    assert "Traceback" not in err and "--resume" in err
-    assert (folder / "checkpoint.zip").is_file() and not (folder / "model.zip").exists()
-    reached = shorten(folder)
-    assert reached > 0
-    code, out, err = run(capsys, "--resume", folder)
-    assert code == 0, err
-    assert reached + 2 * ROLLOUT <= load_agent(folder).timesteps <= reached + 3 * ROLLOUT
-    assert {p.name for p in folder.iterdir()} == FILES
-
-
 def test_kill_after_a_checkpoint(capsys, tmp_path):
     """kill -9 in a run that writes checkpoints all the time: it can always be resumed."""
     folder = tmp_path / "n"
@@ -574,36 +425,6 @@ def test_kill_after_a_checkpoint(capsys, tmp_path):
     first, *rest = steps_logged(folder)
     assert [p.name for p in (folder / "tensorboard").iterdir()] == ["PPO_0"]
     assert len(rest) == 1 and rest[0] and all(step > reached for step in rest[0])
-
-
-@pytest.mark.parametrize("moment", ["written", "half written"])
-def test_kill_while_a_checkpoint_is_replaced(capsys, tmp_path, monkeypatch, moment):
-    """Killed while it replaces its second checkpoint: the run can still be resumed, from the first."""
-    replace, count = os.replace, []
-
-    class Killed(BaseException):
-        pass
-
-    def killed(source, target):
-        if Path(target).name.startswith("checkpoint"):
-            count.append(target)
-            if len(count) == 2:
-                if moment == "half written":
-                    os.truncate(source, os.stat(source).st_size // 2)
-                raise Killed
-        replace(source, target)
-
-    folder = tmp_path / "n"
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "replace", killed)
-        with pytest.raises(Killed):
-            run(capsys, *TINY, "--timesteps=512", f"--checkpoint_every={ROLLOUT}", "--runs", tmp_path, "--name", "n")
-    assert read_meta(folder / "checkpoint.zip")["timesteps"] == ROLLOUT
-    code, out, err = run(capsys, "--resume", folder)
-    assert code == 0, err
-    assert f"Resuming at {ROLLOUT} of 512 steps" in out
-    assert load_agent(folder).timesteps == 512
-    assert {p.name for p in folder.iterdir()} == FILES
 
 
 def test_a_run_that_was_killed_ends_as_one_that_was_not(capsys, tmp_path, monkeypatch):
@@ -635,19 +456,6 @@ def test_a_run_that_was_killed_ends_as_one_that_was_not(capsys, tmp_path, monkey
 
 
 # --- what it is called ------------------------------------------------------------------------------------------------
-
-
-def test_an_installed_command_names_itself(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["/usr/bin/soil-env-train", "--courses", "0"])
-    assert train.main() == 2
-    assert capsys.readouterr().err.startswith("soil-env-train: command line: courses = 0")
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(training, "train", interrupted)
-    assert train.main(["--runs", str(tmp_path), "--name", "a"]) == 130
-    assert f"go on with: soil-env-train --resume {tmp_path / 'a'}" in capsys.readouterr().err
 
 
 def test_recurrent_ppo_without_its_package_leaves_no_run_folder(capsys, tmp_path, monkeypatch):

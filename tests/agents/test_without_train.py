@@ -53,11 +53,5 @@ def test_command_says_what_to_install(said, name):
     assert said[name] == [2, "", f"{name}: needs Stable-Baselines3: pip install 'soil_env[train]'\n"]
 
 
-def test_help_of_training_needs_no_torch(said):
-    status, out, err = said["help"]
-    assert (status, err) == (0, "") and "--ppo.gamma" in out
-    assert out.startswith("usage: soil-env-train [--config")
-
-
 def test_adapter_of_sb3_says_what_to_install(said):
     assert said["agents.sb3"] == "agents.sb3 needs Stable-Baselines3: pip install 'soil_env[train]'"

@@ -13,11 +13,10 @@ pytest.importorskip("stable_baselines3")
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from agents import zoo
-from agents.ppo import PPOConfig
 from agents.sb3 import SoilWheelVecEnv
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,20 +35,6 @@ def given():
     assert list(content) == ["SoilWheel-v0"]
     found = content["SoilWheel-v0"]
     return found | {key: eval(found[key], {"nn": nn}) for key in ("normalize", "policy_kwargs")}
-
-
-def test_the_hyperparameters_are_those_of_train(given):
-    config = PPOConfig()
-    same = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "ent_coef")
-    assert {key: given[key] for key in same} == {key: getattr(config, key) for key in same}
-    assert given["n_envs"] == config.num_envs
-    assert float(given["learning_rate"].removeprefix("lin_")) == config.learning_rate
-    assert given["policy_kwargs"] == {
-        "net_arch": [config.layer] * 2,
-        "activation_fn": {"relu": nn.ReLU, "tanh": nn.Tanh}[config.activation],
-        "log_std_init": config.log_std_init,
-    }
-    assert given["vec_env_wrapper"] == [{"soil_env_agents.zoo.native": {"initial_action": config.initial_action}}]
 
 
 def test_the_hyperparameters_build_an_agent(given, tmp_path):
@@ -87,15 +72,6 @@ def test_the_native_wheels_are_those_of_sb3(tmp_path):
     assert ended >= 3
     assert [file.name for file in folder.iterdir()] == ["wheels.monitor.csv"]
     assert len((folder / "wheels.monitor.csv").read_text().splitlines()) == 2 + ended  # two lines say what follows
-
-
-def test_what_is_drawn_stays_single():
-    single = wheels(1, env_kwargs={"render_mode": "rgb_array", **SHORT})
-    made = zoo.native(single, 0.3)
-    made.reset()
-    made.step(np.zeros((1, 1)))
-    assert isinstance(made.unwrapped, DummyVecEnv) and made.render().ndim == 3
-    assert isinstance(zoo.native(wheels(1, env_kwargs=SHORT)).unwrapped, SoilWheelVecEnv)
 
 
 def test_the_search_draws_what_trains_here():

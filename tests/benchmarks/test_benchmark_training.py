@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from agents.ppo import PPOConfig
 from benchmarks import training
 
 
@@ -30,10 +29,3 @@ def test_smoke_run_and_again(tmp_path, monkeypatch):
     (tmp_path / "time.json").write_text('{"seconds": {"env": 12.0, "update": 36.0}}', encoding="utf-8")
     assert training.main(["--smoke", "--out", str(tmp_path), "--run", str(tmp_path)]) == 0
     assert "| env | 12 | 25% |" in (tmp_path / "training.md").read_text(encoding="utf-8")
-
-
-def test_the_default_layout_is_a_finalist():
-    """But for its weight on the entropy, which was chosen afterwards (docs/training.md)."""
-    default = training.name(PPOConfig(ent_coef=0.0))
-    found = [config for config, _, _ in training.LONG if training.name(config) == default]
-    assert len(found) == 1

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from benchmarks import throughput, throughput_page
-from benchmarks.throughput_parts import size
 from soil_env.identification.online import WINDOW
 from soil_env.parameters import load_scenario
 from soil_env.simulation.worlds import Simulation
@@ -80,16 +79,3 @@ def test_a_step_reads_nothing_but_what_is_beside_the_wheel(length):
         np.testing.assert_array_equal(sims[0].worlds.ids.estimate, sims[1].worlds.ids.estimate)
         far = max(far, sims[0].worlds.state["x"].max())
     assert far > 4.0
-
-
-def test_work_of_a_wheel_is_bounded_by_its_arrays():
-    """A longer course adds only patches and cells; nothing else of a wheel grows with the course or the time limit."""
-
-    def sizes(length, limit):
-        scenario = load_scenario("mixed", {"course": {"length": length}, "control": {"time_limit": limit}})
-        w = Simulation(1, scenario, "blind").worlds
-        return {"courses": size(w.courses), "rest": size((w.state, w.counts, w.ids))}
-
-    short, long, late = sizes(10.0, 90.0), sizes(100.0, 90.0), sizes(10.0, 900.0)
-    assert long["courses"] > 5 * short["courses"] and long["rest"] == short["rest"]
-    assert late == short

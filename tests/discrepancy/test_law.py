@@ -7,7 +7,6 @@ import pytest
 
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.law_tests import law_tests
-from soil_env.discrepancy.report import equations
 from soil_env.discrepancy.symbolic import ResidualFit
 from soil_env.discrepancy.workflow import model_of
 from soil_env.terramechanics.residual import ResidualTerm
@@ -40,18 +39,6 @@ def law(problem):
     offset = np.zeros_like(problem.data.y)
     offset[7] = [-5 * NOISE[0], 0.0, 0.0]
     return ResidualFit(TERMS, fit, offset, 10.0)
-
-
-def test_the_formula_of_a_law():
-    text = equations.formulas(TERMS)
-    assert text == {
-        "sinkage": "(z - z_0)/r = -0.21 i^2 L^0.5 + 0.03 (1 - i)^(-1)",
-        "torque": "(T - T_0)/(W r) = 2400 Fr",
-    }
-    rows = equations.law_legend(TERMS)
-    assert ("L", "W/(S b r^(n+1)), load over bearing strength", (0.01, 0.03)) in rows
-    assert [r[0] for r in rows] == ["z, z_0", "T, T_0", "i", "L", "1 - i", "Fr"]
-    assert equations.formulas((ResidualTerm("sinkage", -0.02),)) == {"sinkage": "(z - z_0)/r = -0.02"}
 
 
 def test_the_intervals_of_a_law(law):

@@ -128,10 +128,3 @@ def test_channel_that_was_not_measured():
     )
     fit = p.fit()
     assert {d.channel for d in locate(p, fit)} <= {"sinkage", "drawbar_pull"}
-
-
-def test_same_seed_same_answer():
-    data = table({"bulldozing": {"rankine": 1.0}})
-    p = problem(data, np.random.default_rng(12))
-    fit = p.fit()
-    assert locate(p, fit, seed=1) == locate(p, fit, seed=1)

@@ -197,12 +197,3 @@ def test_held_out_against_refits():
         left = e[: out.size][out] - top @ x
         expected += -0.5 * left @ np.linalg.inv(s) @ left - 0.5 * np.linalg.slogdet(s)[1]
     assert symbolic.held_out(member, a, e) == pytest.approx(expected)
-
-
-def test_offset_is_added_to_the_model(rich):
-    p = problem(rich, np.random.default_rng(12))
-    q = copy.copy(p)
-    q.offset = np.full_like(p.data.y, 0.25)
-    values = {k.name: k.value(0.0) for k in p.soil}
-    before, after = (x.predict(values, (), np.zeros(len(rich.table))) for x in (p, q))
-    assert after == pytest.approx(before + 0.25)

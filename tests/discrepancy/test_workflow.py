@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import judgement, run
 from soil_env.discrepancy.calibrate import Choice, Problem
 from soil_env.discrepancy.data import CHANNELS, prepare
@@ -169,20 +168,3 @@ def test_a_law_stands_in_for_what_is_unlisted(tmp_path):
     assert not model.effects and model.residual
     assert report.gap["drawbar_pull"].after < report.gap["drawbar_pull"].before
     assert 0.0 < report.closed <= 1.0 and report.other["unlisted"] > 0.5
-
-
-@pytest.mark.slow
-def test_the_example_is_found_by_name(tmp_path):
-    data = ROOT / "examples" / "data"
-    report = run(data / "rig.csv", data / "rig.setup.yaml", tmp_path)
-    assert report.verdict == "named" and [e.name for e in report.effects] == ["slip_sinkage"]
-    assert report.closed > 0.9
-
-
-def test_nothing_is_written_where_a_folder_cannot_be(tmp_path):
-    files = write_files(tmp_path, table_text({}, loads=(100,)))
-    (tmp_path / "file").write_text("x")
-    for out in (tmp_path / "file", tmp_path / "file" / "deep"):
-        with pytest.raises(ParameterError, match="file"):
-            run(*files, out)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["data.csv", "file", "setup.yaml"]

@@ -191,19 +191,6 @@ def test_says_that_a_prior_is_contradicted(tmp_path):
     assert any("friction angle came out" in w and "deviations from its prior" in w for w in e.warnings)
 
 
-def test_says_what_it_takes_for_granted(tmp_path):
-    path = tmp_path / "data.csv"
-    lines = ["slip,load,sinkage,drawbar_pull,pass,grade_deg,grouser_height,wheel_width"]
-    for k, row in enumerate(clean()[:8]):
-        sinkage = "" if k == 0 else f"{row[2]:.6g}"
-        grade = 2 if k == 3 else ""
-        lines.append(f"{row[0]},{row[1]},{sinkage},{row[3]:.6g},{1 + k % 2},{grade},0.005,{0.12 + k / 1e3}")
-    path.write_text("\n".join(lines))
-    words = " ".join(identify_table(read_table(path), setup_of(("cohesion", "sinkage_exponent"))).warnings)
-    for word in ("pass > 1", "grade", "grousers", "several widths", "1 of 8 rows have no sinkage"):
-        assert word in words
-
-
 @pytest.mark.parametrize(
     "leave_out, rows, setup, words",
     [

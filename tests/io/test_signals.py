@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from soil_env._io import signals
 from soil_env._io.commands import command_line
 from soil_env._io.loading import ParameterError
 from soil_env._io.signals import TERMINATED, terminable
@@ -38,11 +37,8 @@ def interrupted(folder, command, at):
     "command, name",
     [
         (["-m", "soil_env.discrepancy"], "soil_env.discrepancy"),
-        (["-m", "soil_env.identification"], "soil_env.identification"),
         (["-m", "agents.evaluate"], "agents.evaluate"),
-        (["train.py"], "train.py"),
         (["benchmarks/identification.py"], "benchmarks.identification"),
-        (["-m", "benchmarks.fuzz"], "benchmarks.fuzz"),
     ],
 )
 def test_ctrl_c_during_the_imports_is_one_line(tmp_path, command, name):
@@ -59,23 +55,6 @@ def test_another_program_that_imports_the_package_keeps_its_ctrl_c(tmp_path):
     env = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
     done = subprocess.run([sys.executable, "-m", "mine.work"], cwd=tmp_path, env=env, capture_output=True, text=True)
     assert done.stdout == "default_int_handler\n" and done.stderr == ""
-
-
-def test_started_gives_ctrl_c_back(monkeypatch):
-    monkeypatch.setattr(signals, "_starting", lambda: "x")
-    before = signal.getsignal(signal.SIGINT)
-    try:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        signals.arm()
-        assert signal.getsignal(signal.SIGINT).while_starting
-        signals.started()
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # as under nohup
-        signals.arm()
-        signals.started()
-        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")

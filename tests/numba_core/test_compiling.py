@@ -1,6 +1,5 @@
 """Parts and roots, their cache, calls without type look-up, and the line that says that code is compiled."""
 
-import multiprocessing
 import pickle
 import sys
 import threading
@@ -189,17 +188,4 @@ def test_a_cold_cache_is_said_once_and_a_warm_one_never(tmp_path, monkeypatch, s
     function = fresh(tmp_path, monkeypatch)
     assert said(function) == "soil_env: compiling, once; about half a minute\n"
     function(1.0)
-    assert said(function) == ""
-
-
-def test_without_a_cache_every_process_says_so(monkeypatch, said):
-    monkeypatch.setattr(compiled, "CACHE", False)
-    assert "in every process" in said(njit(lambda x: x))
-
-
-def test_workers_and_tests_say_nothing(tmp_path, monkeypatch, said, capsys):
-    function = fresh(tmp_path, monkeypatch, "another_kernel")
-    compiled._tell(function)
-    assert capsys.readouterr().err == ""
-    monkeypatch.setattr(multiprocessing, "parent_process", object)
     assert said(function) == ""

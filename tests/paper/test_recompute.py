@@ -1,11 +1,7 @@
-"""The recomputed source paper: golden values, the committed page, its command, bad input."""
+"""The recomputed source paper: golden values, its page, bad input."""
 
 import math
-import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,13 +10,9 @@ from soil_env.identification import Status
 from soil_env.paper import curves, page, recompute
 from soil_env.paper import points as paper_points
 from soil_env.paper.results import compute
-from soil_env.terramechanics.contact import (
-    entry_angle,
-)
+from soil_env.terramechanics.contact import entry_angle
 from tests.terramechanics import reference
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "paper.md"
 R, B = paper_points.R, paper_points.B
 
 
@@ -146,25 +138,10 @@ def test_the_first_step_forgets_a_large_guess_of_S():
     np.testing.assert_allclose(first[1][:2], [40.0, 0.05], rtol=1e-3)
 
 
-def test_plain_newton_reports_failure():
-    _, count = paper_points.newton_path(paper_points.synthetic_points()["A"], (10.0, 0.08, 7e4))
-    assert count < 0
-
-
 def test_every_guess_of_a_coarse_map_ends_on_an_exact_root():
     m = paper_points.table_4(paper_points.synthetic_points()["A"], (7, 6, 5))
     assert set(np.unique(m.ours)) <= {"root", "another root"}
     assert np.mean(m.ours == "root") > 0.8 > np.mean(m.plain == "root") > 0.3
-
-
-def test_noise_is_seeded():
-    clean = paper_points.clean_points(paper_points.BENCH_SLIPS, (0.5, 1.0, 1.5))
-    a, b, c = (paper_points.noisy(clean, (0.05,) * 3, np.random.default_rng(s), 20) for s in (1, 1, 2))
-    np.testing.assert_array_equal(a.mean, b.mean)
-    assert np.all(a.mean != c.mean)
-    none = paper_points.noisy(clean, (0.0,) * 3, np.random.default_rng(1), 3)
-    np.testing.assert_allclose(none.mean, 0.0, atol=1e-4)
-    assert none.converged == 100.0
 
 
 # --- traversability ---------------------------------------------------------------------------------------------------
@@ -199,26 +176,8 @@ def test_page_and_figures_are_written(small, tmp_path):
 # --- bad input --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", ["-1", "x", "1.5"])
-def test_bad_seed(seed, capsys):
+def test_bad_seed(capsys):
     with pytest.raises(SystemExit) as stop:
-        recompute.main(["--seed", seed])
+        recompute.main(["--seed", "-1"])
     assert stop.value.code == 2
     assert "--seed" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_the_command_reproduces_the_committed_page(tmp_path):
-    """Piped, with an ASCII terminal: the page that --out writes is the committed one."""
-    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
-    done = subprocess.run(
-        [sys.executable, "-m", "soil_env.paper", "--out", str(tmp_path)],
-        cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "1047.22" in done.stdout
-    written, committed = ((p.read_text(encoding="utf-8")) for p in (tmp_path / "paper.md", PAGE))
-    number = r"[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?"
-    assert re.sub(r"\s+", " ", re.sub(number, "#", written)) == re.sub(r"\s+", " ", re.sub(number, "#", committed))
-    ours, theirs = ([float(v.replace(",", "")) for v in re.findall(number, t)] for t in (written, committed))
-    np.testing.assert_allclose(ours, theirs, rtol=0.02, atol=0.3)  # another machine may round a draw differently

@@ -26,22 +26,6 @@ def test_an_unknown_client_is_refused_in_one_line(capsys, tmp_path):
     assert error.count("\n") == 1 and "did you mean 'zoo'" in error and not list(tmp_path.iterdir())
 
 
-def test_what_a_command_printed_is_told_in_short():
-    series = "".join(f"  {k}: {1000 * k:,} steps, 5 courses, return {k}.00\n" for k in (1, 2, 3))
-    assert (
-        clients.told(f"noise\n{series}")
-        == "1: 1,000 steps, 5 courses, return 1.00; ...; 3: 3,000 steps, 5 courses, return 3.00"
-    )
-    assert clients.told("=== 3 passed, 2 deselected in 4.12s ===\n") == "3 passed, 2 deselected"
-    best = (
-        "Number of finished trials:  6\nBest trial:\nValue:  -3.9169\nParams: \n    n_epochs: 4\n    rate: 1.2345e-05\n"
-    )
-    assert (
-        clients.told(f"noise\n{best}User Attributes: \n")
-        == "6 trials; best return -3.92 with n_epochs 4, rate 1.23e-05"
-    )
-
-
 def test_wrappers_for_vector_environments_take_the_native_one():
     """RLlib wraps it in DictInfoToList; CleanRL's scripts record statistics."""
     env = gymnasium.make_vec("soil_env:SoilWheel-v0", num_envs=2, vectorization_mode="vector_entry_point")

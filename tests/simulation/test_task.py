@@ -8,7 +8,7 @@ import pytest
 
 from soil_env.env import SoilWheelEnv
 from soil_env.identification import Status
-from soil_env.parameters import ParameterError, load_scenario, soils
+from soil_env.parameters import load_scenario, soils
 from soil_env.simulation import sensors, task
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.simulation.worlds import Simulation
@@ -70,11 +70,6 @@ def test_layout_is_the_documented_one(variant):
     np.testing.assert_array_equal(env.observation_space.low, np.float32([e.low for e in entries]))
     np.testing.assert_array_equal(env.observation_space.high, np.float32([e.high for e in entries]))
     assert env.observation_space.dtype == np.float32
-
-
-def test_unknown_variant_is_named():
-    with pytest.raises(ParameterError, match="'identfied'.*did you mean 'identified'"):
-        task.layout("identfied")
 
 
 # --- observation ------------------------------------------------------------------------------------------------------
@@ -276,14 +271,6 @@ def test_knowledge_is_the_fall_of_the_entropy_and_bounded(shares, nats):
     ids, precision = simulation().worlds.ids, np.array([4.0, 1.0, 0.01])
     ids.sd[0, :3] = np.array(shares) / np.sqrt(precision)
     assert task.knowledge(ids, 0, precision) == pytest.approx(nats, abs=1e-12)
-
-
-@pytest.mark.parametrize("reward", [
-    {"information": -1.0}, {"information": math.nan}, {"information_discount": 1.01}, {"information_discount": -0.1},
-])  # fmt: skip
-def test_weights_of_the_information_are_checked(reward):
-    with pytest.raises(ParameterError, match=f"{next(iter(reward))} = .*expected a number in"):
-        load_scenario("mixed", {"reward": reward})
 
 
 # --- ends -------------------------------------------------------------------------------------------------------------

@@ -38,19 +38,6 @@ def test_same_seed_same_course(scenario):
     assert a[1] != c[1] and not np.array_equal(a[0].soils, c[0].soils)
 
 
-def test_drawing_again_forgets_the_last_course(scenario):
-    courses, _ = draw(3, scenario)
-    courses.modulus[0, 5], courses.rut[0, 5] = 0.5, 0.1
-    words = np.array([seed_stream(np.random.default_rng(4))], dtype=np.uint64)
-    drawing.draw_course(0, courses, words, drawing.course_numbers(scenario))
-    fresh, _ = draw(4, scenario)
-    p = fresh.patches[0]
-    assert courses.patches[0] == p
-    assert np.array_equal(courses.soils[0, :p], fresh.soils[0, :p])
-    assert np.array_equal(courses.edges, fresh.edges)
-    assert np.all(courses.modulus == 1.0) and np.all(courses.rut == 0.0)
-
-
 def test_patches_cover_the_course(drawn, scenario):
     low, high = scenario.course.patch_length
     for courses, mass in drawn:

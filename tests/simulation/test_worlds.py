@@ -312,25 +312,13 @@ def test_random_driving_stays_finite_and_converges(case):
 
 @pytest.mark.parametrize("case", [*ACTING, "together"])
 def test_soil_and_drive_never_give_energy(case):
-    """Motor work less the gain in kinetic energy and height is what soil and gears took: never less than nothing."""
-    effects, taken = TOGETHER if case == "together" else CASES[case], 0.0
-    soil = soils()["lete_sand"].state(0.15)
+    effects, total = TOGETHER if case == "together" else CASES[case], 0.0
     for mode in ("torque", "wheel_speed"):
-        wheels = on_uniform_ground(effects, soil, 0.05, mode)
-        wheels = wheels._replace(world=wheels.world._replace(substeps=16))
-        world, rng, kinetic = wheels.world, np.random.default_rng(2), 0.0
-        weight = wheels.now().mass * world.wheel.gravity
-        scale = weight * world.wheel.radius  # [J]
-        for k in range(150):
-            if k % 10 == 0:
-                command = rng.uniform(-1.0, 1.0)
-            wheels.step(command)
-            w = wheels.now()
-            now = 0.5 * w.mass * w.speed**2 + 0.5 * world.inertia * w.wheel_speed**2
-            loss = w.motor_work - (now - kinetic) - weight * math.sin(w.grade) * w.travel
-            assert loss > -2e-3 * scale
-            taken, kinetic = taken + loss / scale, now
-    assert taken > 0.1
+        wheels = on_uniform_ground(effects, soils()["lete_sand"].state(0.15), 0.05, mode)
+        taken = wheels._replace(world=wheels.world._replace(substeps=16)).energy_taken(2, 150)
+        assert taken.min() > -2e-3
+        total += taken.sum()
+    assert total > 0.1
 
 
 def smooth_drive(effects, refine):
@@ -414,43 +402,14 @@ def test_a_residual_law_counts_on_the_grades():
 GOOD = {"wheel": {"radius": 0.15, "width": 0.15}, "effects": {"rear_contact": {"ratio": 0.3}}}
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"effects": {"rear_contct": {"ratio": 0.3}}}, ["rear_contct", "rear_contact"]),
-        ({"effects": {"rear_contact": {"ration": 0.3}}}, ["ration", "ratio"]),
-        ({"effects": {"rear_contact": {"ratio": 1.3}}}, ["ratio = 1.3", "[0, 0.95]"]),
-        ({"effects": {"rear_contact": {"ratio": math.nan}}}, ["ratio = nan", "[0, 0.95]"]),
-        ({"effects": {"rear_contact": {"ratio": "large"}}}, ["'large'", "number"]),
-        ({"effects": {"rear_contact": 0.3}}, ["rear_contact", "mapping"]),
-        ({"effects": ["rear_contact"]}, ["effects", "mapping"]),
-        ({"wheel": {"radius": -0.15, "width": 0.15}}, ["radius", "-0.15"]),
-        ({"wheel": None}, ["wheel"]),
-        ({"wheels": {}}, ["wheels", "wheel"]),
-        ({"gravity": "moon"}, ["gravity", "moon"]),
-        ({"format": "soil_env model 9"}, ["format", "soil_env model 1"]),
-        ({"residual": {"channel": "torque"}}, ["residual", "list"]),
-        ({"soil": {"friction_angle_deg": 200.0}}, ["soil"]),
-    ],
-)  # fmt: skip
 @pytest.mark.parametrize("make", [SoilWheelEnv, SoilWheelVectorEnv])
-def test_a_bad_model_is_refused_in_one_line(make, change, words, tmp_path):
-    path = tmp_path / "model.yaml"
-    path.write_text(yaml.safe_dump(GOOD | change), encoding="utf-8")
-    with pytest.raises(ParameterError) as raised:
-        make(model=path)
-    assert "\n" not in str(raised.value) and "model.yaml" in str(raised.value)
-    assert all(word in str(raised.value) for word in words)
-
-
-@pytest.mark.parametrize("make", [SoilWheelEnv, SoilWheelVectorEnv])
-def test_what_is_no_model_is_refused_in_one_line(make, tmp_path):
-    text = tmp_path / "notes.yaml"
-    text.write_text("a wheel on sand", encoding="utf-8")
-    for bad in (tmp_path / "none.yaml", str(tmp_path), text, {"effects": {}}, 3, {"rear_contact": {"ratio": 0.3}}):
-        with pytest.raises(ParameterError) as raised:
+def test_a_bad_model_is_refused_in_one_line(make, tmp_path):
+    path = tmp_path / "model.yaml"  # what else a file of a model can lack is in terramechanics/test_model.py
+    path.write_text(yaml.safe_dump(GOOD | {"effects": {"rear_contct": {"ratio": 0.3}}}), encoding="utf-8")
+    for bad, word in ((path, "rear_contact"), (tmp_path / "none.yaml", "none.yaml"), (3, "expected")):
+        with pytest.raises(ParameterError, match=word) as raised:
             make(model=bad)
-        assert "\n" not in str(raised.value) and ("expected" in str(raised.value) or str(tmp_path) in str(raised.value))
+        assert "\n" not in str(raised.value)
 
 
 def test_a_model_is_a_path_or_an_object(tmp_path):
@@ -478,10 +437,3 @@ def test_patches_are_drawn_from_the_soil_of_the_model():
     scattered.simulation.complete(0)
     friction = scattered.simulation.worlds.courses.soils[0, :3, 0]
     assert np.ptp(friction) > 0.0 and np.all(np.abs(np.degrees(np.arctan(friction)) - 31.0) < 10.0)
-
-
-def test_a_model_without_a_soil_is_a_world_but_no_prediction():
-    model = model_of(CASES["rear_contact-midway"])
-    SoilWheelEnv(model=model).reset(seed=0)
-    with pytest.raises(ParameterError, match="no soil: expected one"):
-        model.predict({"slip": 0.2, "load": 100.0})

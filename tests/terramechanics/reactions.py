@@ -1,6 +1,6 @@
 """Reaction to one wheel, or to eight in lanes, put together for tests as a substep of the simulation does it."""
 
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import inlined, root
 from soil_env._numba.lanes import from_array, to_array
 from soil_env._numba.rows import scratch_rows
 from soil_env.parameters import SoilState
@@ -31,54 +31,39 @@ def react(ground, v, u, load, wheel):
     return at_the_axle(f, ground.bulldozing, ground.blades, ground.pull, ground.torque, v, u, wheel)
 
 
-@root
-def ground_in_lanes(x, wheel, out):
+@inlined
+def grounds(x, wheel):
     """`Ground` under eight wheels; rows of x [13, 8]: as the arguments of `ground_under`, those of `SoilState` last."""
     soil = SoilState(
         from_array(x, 48), from_array(x, 56), from_array(x, 64), from_array(x, 72), from_array(x, 80),
         from_array(x, 88), from_array(x, 96),
     )  # fmt: skip
-    ground = ground_under(
+    return ground_under(
         from_array(x, 0), from_array(x, 8), from_array(x, 16), from_array(x, 24), soil, from_array(x, 32),
         from_array(x, 40), wheel,
     )  # fmt: skip
-    to_array(ground.soil.tan_phi, out, 0)
-    to_array(ground.soil.cohesion, out, 8)
-    to_array(ground.soil.shear_modulus, out, 16)
-    to_array(ground.soil.sinkage_coefficient, out, 24)
-    to_array(ground.soil.sinkage_exponent, out, 32)
-    to_array(ground.soil.dig_gain, out, 40)
-    to_array(ground.soil.dig_recovery, out, 48)
-    to_array(ground.arc.theta1, out, 56)
-    to_array(ground.arc.theta2, out, 64)
-    to_array(ground.arc.thetam, out, 72)
-    to_array(ground.arc.sheared_from, out, 80)
-    to_array(ground.lift, out, 88)
-    to_array(ground.bulldozing, out, 96)
-    to_array(ground.blades, out, 104)
-    to_array(ground.pull, out, 112)
-    to_array(ground.torque, out, 120)
+
+
+@root
+def ground_in_lanes(x, wheel, out):
+    """Soil, arc and added forces of `grounds` as the rows of out [16, 8]."""
+    g = grounds(x, wheel)
+    for i in range(7):
+        to_array(g.soil[i], out, 8 * i)
+    arc = (g.arc.theta1, g.arc.theta2, g.arc.thetam, g.arc.sheared_from)
+    for i in range(4):
+        to_array(arc[i], out, 56 + 8 * i)
+    added = (g.lift, g.bulldozing, g.blades, g.pull, g.torque)
+    for i in range(5):
+        to_array(added[i], out, 88 + 8 * i)
 
 
 @root
 def react_in_lanes(x, speeds, wheel, out):
-    """`Reaction` at the axle of eight wheels on the ground of `ground_in_lanes`; rows of `speeds`: v, u, load."""
-    soil = SoilState(
-        from_array(x, 48), from_array(x, 56), from_array(x, 64), from_array(x, 72), from_array(x, 80),
-        from_array(x, 88), from_array(x, 96),
-    )  # fmt: skip
-    ground = ground_under(
-        from_array(x, 0), from_array(x, 8), from_array(x, 16), from_array(x, 24), soil, from_array(x, 32),
-        from_array(x, 40), wheel,
-    )  # fmt: skip
-    v, u, load, nodes, soil = (
-        from_array(speeds, 0),
-        from_array(speeds, 8),
-        from_array(speeds, 16),
-        _nodes(),
-        ground.soil,
-    )
-    rim = wheel.rim_ratio * u
+    """`Reaction` at the axle of eight wheels on `grounds` as the rows of out [10, 8]; of `speeds`: v, u, load."""
+    ground, nodes = grounds(x, wheel), _nodes()
+    v, u, load = from_array(speeds, 0), from_array(speeds, 8), from_array(speeds, 16)
+    rim, soil = wheel.rim_ratio * u, ground.soil
     motion = motion_from_speeds(rim, v, REST_SPEED)
     frame = store_nodes(ground.arc, soil.sinkage_exponent, nodes, 0)
     integrals = shear_integrals(
@@ -88,13 +73,5 @@ def react_in_lanes(x, speeds, wheel, out):
         integrals, motion, v, rim, load, soil.tan_phi, soil.cohesion, wheel.contact_radius, wheel.width
     )  # fmt: skip
     f = at_the_axle(f, ground.bulldozing, ground.blades, ground.pull, ground.torque, v, u, wheel)
-    to_array(f.load, out, 0)
-    to_array(f.drawbar_pull, out, 8)
-    to_array(f.torque, out, 16)
-    to_array(f.modulus, out, 24)
-    to_array(f.dp_v, out, 32)
-    to_array(f.dp_u, out, 40)
-    to_array(f.torque_v, out, 48)
-    to_array(f.torque_u, out, 56)
-    to_array(f.modulus_v, out, 64)
-    to_array(f.modulus_u, out, 72)
+    for i in range(10):
+        to_array(f[i], out, 8 * i)

@@ -9,10 +9,6 @@ from soil_env.terramechanics.catalogue import CATALOGUE, PULL, SINKAGE, TORQUE
 from soil_env.terramechanics.effects import NO_EFFECTS, Effects, pack_effects
 from soil_env.terramechanics.model import LEVEL, Conditions, Rim, steady_state, steady_with
 
-NAMES = [
-    "slip_sinkage", "rear_contact", "stress_peak_shift", "grousers", "bulldozing", "multipass", "penetration_rate",
-    "shear_rate", "shear_softening", "grade", "drivetrain_friction", "slip_bias", "sinkage_offset",
-]  # fmt: skip
 SOIL = SoilState(math.tan(math.radians(30.0)), 1000.0, 0.02, 8e5, 0.8, 0.0, 0.5)
 WHEEL = Rim(0.15, 0.12, 0.01)
 DRIVEN = Conditions(0.1, 3.0, math.sin(math.radians(6.0)))
@@ -50,12 +46,7 @@ def moved(found, base):
     return {name for name in (SINKAGE, PULL, TORQUE) if getattr(found, name) != getattr(base, name)}
 
 
-def test_names_in_order():
-    assert list(CATALOGUE) == NAMES
-    assert all(name == effect.name for name, effect in CATALOGUE.items())
-
-
-@pytest.mark.parametrize("effect", CATALOGUE.values(), ids=NAMES)
+@pytest.mark.parametrize("effect", CATALOGUE.values(), ids=CATALOGUE)
 def test_entries_are_complete(effect):
     assert effect.title and effect.forms and effect.parameters
     assert effect.moves and set(effect.moves) <= {SINKAGE, PULL, TORQUE}
@@ -126,13 +117,6 @@ def test_strengths_move_the_channels_they_list(effect, form):
         assert moved(steady(idle | {name: value}, effect.name), base) == expected, name
 
 
-@pytest.mark.parametrize(
-    ("name", "channel"), [("bulldozing", PULL), ("drivetrain_friction", TORQUE), ("sinkage_offset", SINKAGE)]
-)
-def test_effects_of_one_channel(name, channel):
-    assert CATALOGUE[name].moves == (channel,)
-
-
 def test_all_effects_move_something_in_the_base_conditions_unless_they_need_a_column():
     """On fresh, level ground: only the effects of pass and grade are gone, as `varies` says."""
     plain = Conditions(0.1, 1.0, 0.0)
@@ -141,11 +125,6 @@ def test_all_effects_move_something_in_the_base_conditions_unless_they_need_a_co
         base = steady(idle, effect.name, conditions=plain)
         still = any(moved(steady(idle | {n: v}, effect.name, conditions=plain), base) for n, v in free)
         assert still == (effect.varies not in ("pass", "grade_deg")), (effect.name, form.name)
-
-
-def test_columns_that_must_vary():
-    varies = {name: effect.varies for name, effect in CATALOGUE.items() if effect.varies}
-    assert varies == {"multipass": "pass", "penetration_rate": "speed", "shear_rate": "speed", "grade": "grade_deg"}
 
 
 @pytest.mark.parametrize(("parameter", "value"), [("exponent", 0.2), ("slope", 0.2)])

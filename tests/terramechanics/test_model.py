@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -126,42 +125,12 @@ def test_friction_shows_where_no_speed_is_given():
     assert more == pytest.approx(0.5)
 
 
-def calls_of(function):
-    """Number of Python and C calls that Python makes while `function` runs."""
-    count = 0
-
-    def note(frame, event, argument):
-        nonlocal count
-        count += event in ("call", "c_call")
-
-    sys.setprofile(note)
-    try:
-        function()
-    finally:
-        sys.setprofile(None)
-    return count
-
-
-@pytest.mark.parametrize("terms", [(), TERMS], ids=["no residual", "residual"])
-def test_no_python_runs_for_each_row(terms):
-    model = WheelSoilModel(WHEEL, SOIL, EFFECTS, terms)
-    few, many = conditions(2), conditions(162)
-    model.predict(few)  # compile
-    model.predict(many)
-    assert calls_of(lambda: model.predict(many)) == calls_of(lambda: model.predict(few)) < 2000
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"velocity": 1.0}, "conditions: unknown key 'velocity'"),
         ({"sped": 1.0}, "did you mean 'speed'"),
         ({"slip": None}, "conditions: missing slip"),
-        ({"load": None}, "conditions: missing load"),
         ({"slip": [0.1, math.nan]}, "conditions: slip: expected finite numbers"),
-        ({"load": math.inf}, "conditions: load: expected finite numbers"),
-        ({"speed": math.inf}, "conditions: speed: expected finite numbers"),
-        ({"grade_deg": -math.inf}, "conditions: grade_deg: expected finite numbers"),
         ({"grade_deg": 100.0}, "conditions: grade_deg: expected degrees"),
         ({"slip": 1.1}, r"expected slip in \[-1, 1\]"),
         ({"load": 0.0}, "load > 0 N"),
@@ -169,10 +138,7 @@ def test_no_python_runs_for_each_row(terms):
         ({"speed": -0.1}, "conditions: speed"),
         ({"pass": 0}, "conditions: pass"),
         ({"wheel_radius": 0.0}, "conditions: wheel_radius"),
-        ({"wheel_width": -0.1}, "conditions: wheel_width"),
-        ({"grouser_height": -0.01}, "conditions: grouser_height"),
         ({"load": [90.0, 90.0, 90.0]}, "conditions: .*same length"),
-        ({"load": np.ones((5, 5))}, "conditions: load: expected"),
     ],
     ids=str,
 )
@@ -254,20 +220,12 @@ def test_a_file_needs_wheel_and_soil_only(tmp_path):
         ({"wheels": {}}, "unknown key 'wheels'; did you mean 'wheel'"),
         ({"format": "soil_env model 2"}, "format = 'soil_env model 2': expected 'soil_env model 1'"),
         ({"wheel": None}, "missing wheel"),
-        ({"wheel": {"radius": 0.15}}, "wheel: missing width"),
         ({"wheel": {"radius": 15, "width": 0.12}}, r"wheel.radius = 15.0: expected a number in \[0.01, 3\] m"),
-        ({"wheel": {"radius": 0.15, "breadth": 0.1}}, "wheel: unknown key 'breadth'"),
-        ({"wheel": 0.15}, "wheel: expected a mapping"),
         ({"soil": {"cohesion": 1.0}}, "soil: missing friction_angle_deg"),
-        ({"soil": {}}, "soil: missing friction_angle_deg"),
-        ({"soil": 0}, "soil: expected a mapping"),
         ({"effects": {"buldozing": {"rankine": 1.0}}}, "effects: unknown key 'buldozing'; did you mean 'bulldozing'"),
         ({"effects": {"bulldozing": {"rankine": 99.0}}}, r"effects: bulldozing: rankine = 99.0: expected a number in"),
-        ({"effects": {"bulldozing": None}}, "effects: bulldozing: expected a mapping"),
         ({"effects": ["bulldozing"]}, "effects: expected a mapping"),
-        ({"effects": []}, "effects: expected a mapping"),
         ({"residual": {"channel": "torque"}}, "residual: expected a list of terms"),
-        ({"residual": [{"channel": "torque"}]}, "residual: missing coefficient"),
         ({"residual": [{"channel": "power", "coefficient": 1.0}]}, "residual.channel = 'power': expected one of"),
         ({"residual": [{"channel": "torque", "coefficient": 1.0, "powers": {"slp": 1}}]}, "did you mean 'slip'"),
         ({"gravity": -1.0}, "gravity = -1.0: expected a number in"),
@@ -288,16 +246,3 @@ def test_without_a_soil_nothing_is_predicted(tmp_path):
     path.write_text(yaml.safe_dump(content(soil=None)))
     with pytest.raises(ParameterError, match="soil"):
         WheelSoilModel.load(path).predict(conditions())
-
-
-def test_files_that_cannot_be_read(tmp_path):
-    with pytest.raises(ParameterError, match="cannot be read"):
-        WheelSoilModel.load(tmp_path / "none.yaml")
-    (tmp_path / "list.yaml").write_text("[1, 2]")
-    with pytest.raises(ParameterError, match="expected a mapping at the top"):
-        WheelSoilModel.load(tmp_path / "list.yaml")
-
-
-def test_wrong_effects_are_refused_at_once():
-    with pytest.raises(ParameterError, match="did you mean 'bulldozing'"):
-        WheelSoilModel(WHEEL, SOIL, {"buldozing": {"rankine": 1.0}})

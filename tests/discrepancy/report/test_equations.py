@@ -2,7 +2,6 @@
 
 import math
 import re
-from pathlib import Path
 
 import pytest
 
@@ -127,20 +126,3 @@ def test_every_symbol_is_explained(name, form):
     known = {t.symbol for t in equations.legend(name, form.name)} | set(equations.SYMBOLS[name].values())
     assert words - known - set(FUNCTIONS) - {"D1", "D2", "x", "k"} == set()
     assert len(equations.legend(name, form.name)) == len({t.symbol for t in equations.legend(name, form.name)})
-
-
-def test_signs_and_units_of_the_numbers():
-    text = equations.fitted("stress_peak_shift", "linear", {"offset": -0.05, "slope": -0.2})
-    assert text == "thetam = (1/2 - 0.05 - 0.2 i) theta1"
-    assert equations.fitted("slip_sinkage", "excavation", {"length": 0.0061}) == "z = z_w + (0.0061 m) i/(1 - i)"
-    text = equations.fitted("multipass", "power", {"hardening": -0.1, "stiffening": -0.2, "strength": 0.05})
-    assert text == "S_N = S N^(-0.1); K_N = K N^(0.2); tan(phi_N) = tan(phi) N^0.05"
-
-
-def test_the_page_of_the_effects_has_every_form_and_parameter():
-    """docs/physics/effects.md typesets the same laws."""
-    page = (Path(__file__).resolve().parents[3] / "docs" / "physics" / "effects.md").read_text(encoding="utf-8")
-    sections = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL))
-    for name, form in FORMS:
-        assert form.name in sections[name] or len(CATALOGUE[name].forms) == 1, (name, form.name)
-        assert all(f"`{p}`" in sections[name] for p in form.free), (name, form.name)
