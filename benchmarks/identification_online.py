@@ -31,20 +31,22 @@ from time import perf_counter
 import numpy as np
 
 from agents.controllers import ConstantSpeed
+from benchmarks.common import study_parser
 from benchmarks.identification_contenders import (
     CONTENDERS,
     PARAMETERS,
     Contender,
+    called,
     make,
     replay,
     replay_compiled,
 )
 from benchmarks.identification_kalman import UnscentedKalman
 from benchmarks.identification_online_figure import figure
-from soil_env._io.commands import command_line, command_parser, folder, leave, whole_number
+from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.files import make_folder, plain, write_json
 from soil_env._numba.compiling import root
-from soil_env.identification.online import SensorReading, identifier_numbers, new_identifiers
+from soil_env.identification.online import identifier_numbers, new_identifiers
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
@@ -119,15 +121,10 @@ def record(scenario: Scenario, courses: int, seed: int, stream: int = _DRIVE_STR
     logs = []
     for k in range(courses):
         t = int(running[:, k].sum())
-        logs.append(
-            {
-                "readings": np.ascontiguousarray(readings[:t, k]),
-                "truth": truth[:t, k, :3].copy(),
-                "since": truth[:t, k, 3].copy(),
-                "patch": truth[:t, k, 4].astype(int),
-                "halted": truth[:t, k, 5] > 0.5,
-            }
-        )
+        logs.append({
+            "readings": np.ascontiguousarray(readings[:t, k]), "truth": truth[:t, k, :3].copy(),
+            "since": truth[:t, k, 3].copy(), "patch": truth[:t, k, 4].astype(int), "halted": truth[:t, k, 5] > 0.5,
+        })  # fmt: skip
     slip = np.concatenate([log["readings"][~log["halted"], 0] for log in logs])
     causes = [Cause(c).name.lower() for c in w.cause]
     drive = {
@@ -290,13 +287,7 @@ def run(courses: int = 200, seed: int = 0, progress=None, contenders=CONTENDERS,
 
 def _timed(contender: Contender, readings: np.ndarray):
     """(seconds a reading, median seconds of a reading that solved) of one contender called from Python."""
-    seconds, solved = np.empty(len(readings)), np.zeros(len(readings), dtype=bool)
-    for t, q in enumerate(readings.tolist()):
-        reading, before = SensorReading(*q), contender.elsewhere
-        began = perf_counter()
-        contender.update(reading)
-        seconds[t] = perf_counter() - began - (contender.elsewhere - before)
-        solved[t] = contender.solved
+    *_, seconds, solved = called(contender, readings)
     return float(seconds.mean()), float(np.median(seconds[solved])) if solved.any() else math.nan
 
 
@@ -334,11 +325,6 @@ def compare_times(scenario: Scenario, logs: list[dict], contenders=CONTENDERS, r
     return out
 
 
-def smoke(seed: int = 0) -> dict:
-    """`run` on two courses."""
-    return run(2, seed, draws=50)
-
-
 def tune_ukf(courses: int = 30, seed: int = 0, progress=print, base=UnscentedKalman) -> dict:
     """Root mean square of the errors over the prior sd for a grid of (walk, inflation), on courses of their own."""
     scenario = load_scenario("mixed")
@@ -349,42 +335,28 @@ def tune_ukf(courses: int = 30, seed: int = 0, progress=print, base=UnscentedKal
             kind = type("Tuned", (base,), {"walk": walk, "inflation": inflation})
             replays = []
             for log in logs:
-                contender, T = kind(scenario), len(log["readings"])
-                estimate = np.array([contender.update(SensorReading(*q))[0] for q in log["readings"].tolist()])
-                replays.append((estimate, np.ones((T, 3)), np.ones(T, dtype=bool), None))
+                estimate, *_ = called(kind(scenario), log["readings"])
+                replays.append((estimate, np.ones_like(estimate), np.ones(len(estimate), dtype=bool), None))
             over = measure(logs, replays, scenario, seed, draws=10)["rms_over_prior_sd"]
             scores[walk, inflation] = math.sqrt(np.mean(np.square(list(over.values()))))
             progress(f"walk {walk:g}, inflation {inflation:g}: {scores[walk, inflation]:.3f}")
     return scores
 
 
-_EPILOG = """files:
-  OUT/online.json, OUT/online.png
-
-exit status:
-  0 done; 2 a folder that cannot be written; 130 interrupted
-
-examples:
-  python -m benchmarks.identification_online --smoke --out /tmp/online"""
-
-
 @command_line("benchmarks.identification_online")
 def main(arguments: list[str] | None = None) -> int:
     """Run it alone: the result as JSON and its figure; returns the exit status."""
-    p = command_parser(
+    p = study_parser(
         "python -m benchmarks.identification_online",
-        "Compare online identifiers on the same courses and readings: soil_env's window and others.", _EPILOG,
-    )  # fmt: skip
+        "Compare online identifiers on the same courses and readings: soil_env's window and others.",
+        "online.json and online.png",
+        Path("runs/identification_online"),
+    )
     p.add_argument("--courses", metavar="N", type=whole_number(1), default=200, help="courses (default 200)")
     p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the courses (default 0)")
-    p.add_argument(
-        "--out", metavar="OUT", type=folder, default=Path("runs/identification_online"),
-        help="folder of the results (default runs/identification_online)",
-    )  # fmt: skip
-    p.add_argument("--smoke", action="store_true", help="two courses, numbers without meaning")
     options = p.parse_args(arguments)
     make_folder(options.out)
-    result = smoke(options.seed) if options.smoke else run(options.courses, options.seed, print)
+    result = run(2, options.seed, draws=50) if options.smoke else run(options.courses, options.seed, print)
     write_json(options.out / "online.json", result)
     figure(result, options.out / "online.png")
     return 0

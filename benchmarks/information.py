@@ -21,7 +21,8 @@ import torch
 
 from agents.controllers import make_controller
 from agents.evaluate import course_rng
-from soil_env._io.commands import command_line, command_parser, folder, leave
+from benchmarks.common import study_parser
+from soil_env._io.commands import command_line, leave
 from soil_env._io.document import Table
 from soil_env._io.files import make_folder, write_json
 from soil_env.parameters import Scenario, load_scenario
@@ -139,10 +140,8 @@ def study(name: str, courses: int, epochs: int) -> dict:
 @command_line("benchmarks.information")
 def main(arguments: list[str] | None = None) -> int:
     """Run the study and write information.json; returns the exit status."""
-    p = command_parser("python benchmarks/information.py", __doc__)
-    p.add_argument("--out", type=folder, required=True, metavar="DIR", help="folder of information.json")
+    p = study_parser("python benchmarks/information.py", __doc__, "information.json", None)
     p.add_argument("--scenarios", default="mixed,loose_slopes,sticky", metavar="A,B")
-    p.add_argument("--smoke", action="store_true", help="a few courses only")
     options = p.parse_args(arguments)
     make_folder(options.out)
     torch.set_num_threads(1)

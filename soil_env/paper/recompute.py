@@ -23,9 +23,6 @@ _EPILOG = """files:
   DIR/paper.md       the page, with everything that is printed
   DIR/paper/*.png    its figures
 
-exit status:
-  0 done; 2 bad input or a folder that cannot be written, said in one line; 130 interrupted
-
 examples:
   python -m soil_env.paper
   python -m soil_env.paper --out docs"""
