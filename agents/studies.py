@@ -91,11 +91,6 @@ def load_study(cls, folder: Path, version: str):
     return study
 
 
-def save_json(path: Path, content: object) -> None:
-    """Strict JSON."""
-    replace_file(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
-
-
 def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
     """A table as CSV; the first row is its heading."""
     text = io.StringIO(newline="")
