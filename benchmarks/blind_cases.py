@@ -22,17 +22,7 @@ import yaml
 from benchmarks.blind_effect import Form, Hidden
 from benchmarks.blind_forms import EFFECTS, forms_of
 from benchmarks.blind_limits import SOIL, Bench, Imitation, detection_limit, gap, imitation, noncentrality
-from benchmarks.blind_plan import (
-    DESIGNS,
-    KINDS,
-    MULTIPLES,
-    NOISES,
-    PRIOR_ERRORS,
-    PRIOR_SD,
-    SCALES,
-    Options,
-    draw_bench,
-)
+from benchmarks.blind_plan import DESIGNS, KINDS, MULTIPLES, NOISES, PRIOR_ERRORS, PRIOR_SD, SCALES, Options, draw_bench
 from benchmarks.blind_unlisted import UNLISTED
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env._io.loading import ParameterError

@@ -9,16 +9,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from soil_env._numba.compiling import root
-from soil_env.identification.normal_equations import (
-    gain_share,
-)
+from soil_env.identification.normal_equations import gain_share
 from soil_env.identification.online import SensorReading, forget, identifier_numbers, new_identifiers, observe
 from soil_env.identification.point import Reading, channels_at, predict, weights, whitened
-from soil_env.identification.solver import (
-    LOWER,
-    UPPER,
-    Status,
-)
+from soil_env.identification.solver import LOWER, UPPER, Status
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.effects import excavation_rate
 

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from soil_env._io.files import plain
 from soil_env.discrepancy import judgement, run
 from soil_env.discrepancy import report as drawn
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
@@ -15,7 +16,6 @@ from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.experiment import NextTest
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.report import blocks, tables, words
-from soil_env.discrepancy.report.content import plain
 from soil_env.discrepancy.report.pictures import pictures
 from soil_env.terramechanics.catalogue import CATALOGUE
 from tests.discrepancy.files import SETUP, table_text, write_files
