@@ -21,6 +21,7 @@ import importlib
 import multiprocessing
 import os
 import sys
+import threading
 from functools import cache, update_wrapper
 from pathlib import Path
 
@@ -217,6 +218,11 @@ def inlined(function):
     return Part(function, True) if COMPILED else function
 
 
+def uncompiled(function):
+    """The Python function of a part, for one call that is not worth compiling; it must call no other part."""
+    return getattr(function, "py_func", function)
+
+
 def root(function=None, *, nogil=False, allocates=False):
     """A compiled function that Python calls. `nogil`: without the interpreter's lock; `allocates`: may make arrays."""
     if function is None:
@@ -297,9 +303,13 @@ def _take(typingctx, counter, count):
     return types.int64(counter, types.int64), emit
 
 
+_TAKING = threading.Lock()
+
+
 def _take_in_python(counter, count):
-    taken = int(counter[0])
-    counter[0] += count
+    with _TAKING:
+        taken = int(counter[0])
+        counter[0] += count
     return taken
 
 

@@ -37,6 +37,7 @@ from soil_env._numba.lanes import COUNT
 class Rows:
     """Named rows of `count` numbers each; made by a class that `rows` returns."""
 
+    __slots__ = ("_memory", "count", "data")
     NAMES: tuple[str, ...] = ()
     KIND = np.float64
 
@@ -86,7 +87,8 @@ class Rows:
 
 def rows(name: str, *names: str, kind=np.float64) -> type[Rows]:
     """A class of `Rows` with these names; `kind`: float64 or int64."""
-    return type(name, (Rows,), {"NAMES": names, "KIND": kind, "__module__": sys._getframe(1).f_globals["__name__"]})
+    module = sys._getframe(1).f_globals["__name__"]
+    return type(name, (Rows,), {"__slots__": (), "NAMES": names, "KIND": kind, "__module__": module})
 
 
 # --- in compiled code -------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import inlined, part, uncompiled
 from soil_env._numba.elementary import larger, root, tanh, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
@@ -29,6 +29,7 @@ from soil_env.terramechanics.contact import (
 )
 from soil_env.terramechanics.effects import (
     BLADE_SLIP,
+    NO_EFFECTS,
     Effects,
     blade_thrust,
     bulldozing_resistance,
@@ -128,13 +129,10 @@ class Interaction(NamedTuple):
 
 def interaction(wheel: Rim, effects: Effects, residual: ResidualLaw, gravity: float, unit_weight: float) -> Interaction:
     """`Interaction` of a wheel with the effects that act on it."""
-    from soil_env.terramechanics.effects import NO_EFFECTS
-
-    python = lambda f: getattr(f, "py_func", f)  # noqa: E731  not compiled for one call
-    r = python(contact_radius)(effects, wheel)
-    ratio = python(shear_radius_ratio)(r, wheel.grouser_height, effects)
+    r = uncompiled(contact_radius)(effects, wheel)
+    ratio = uncompiled(shear_radius_ratio)(r, wheel.grouser_height, effects)
     on = effects != NO_EFFECTS or residual.coefficient.size > 0
-    law = python(shear_law)(effects)
+    law = uncompiled(shear_law)(effects)
     return Interaction(
         wheel.radius, wheel.width, wheel.grouser_height, r, ratio, ratio * r / wheel.radius, law, gravity, unit_weight,
         on, effects, residual,

@@ -55,6 +55,8 @@ def test_an_unknown_name_is_an_error():
         _ = state["sped"]
     with pytest.raises(ValueError):
         state["sped"] = 1.0
+    with pytest.raises(AttributeError):
+        state.sped = 1.0  # a row that is misspelt must not become something else
 
 
 @pytest.mark.parametrize("made", [Rows.copy, copy.deepcopy, copy.copy, lambda s: pickle.loads(pickle.dumps(s))])
