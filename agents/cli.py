@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,13 +10,18 @@ from pathlib import Path
 
 import yaml
 
-from soil_env._io.commands import command
+from soil_env._io.commands import command, command_parser
 from soil_env._io.loading import ParameterError, config_dir, merge, parse_yaml
 
 
 def manual(text: str) -> str:
     """The text of --help, with this package under the name that it has here."""
     return text.replace("python -m agents.", f"python -m {__package__}.")
+
+
+def manual_parser(prog: str, description: str, epilog: str = "", **options) -> argparse.ArgumentParser:
+    """`command_parser` whose texts name this package as it is named here; options are not abbreviated."""
+    return command_parser(prog, manual(description), manual(epilog), allow_abbrev=False, **options)
 
 
 @contextmanager

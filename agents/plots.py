@@ -15,10 +15,9 @@ from soil_env._io.files import save_figure
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
-from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel, sinkage_coefficient_at
 
-from .evaluate import METRICS, RATES, course_rng
+from .evaluate import METRICS, RATES, drive
 from .evaluate.tables import draw_intervals
 
 _PANELS = ("immobilised", "time_limit", "finished", "speed", "energy_per_metre", "slip", "return")
@@ -44,16 +43,9 @@ def trace(
     controller, scenario: Scenario, seed: int, course: int, model: WheelSoilModel | None = None
 ) -> tuple[dict[str, np.ndarray], str]:
     """One course driven by `controller`: arrays over time, and the cause of its end."""
-    sim = Simulation(1, scenario, controller.variant, threads=1, model=model)
-    sim.seed(0, course_rng(seed, course))
-    sim.restart(0)
-    w = sim.worlds
-    rows, memory, fresh = [], None, np.array([True])
-    while w.cause[0] == Cause.RUNNING.value:
-        action, memory = controller.predict(w.observation, state=memory, episode_start=fresh, deterministic=True)
-        fresh = np.array([False])
-        sim.step(0, float(np.clip(action[0, 0], -1.0, 1.0)))
-        s = sim.wheel(0)
+    rows = []
+    for w, _ in drive(controller, scenario, seed, course, 1, threads=1, model=model):
+        s = {name: float(w.state[name][0]) for name in ("x", "slip", "sinkage", "bearing_sinkage")}
         soil, grade, _ = ground_at(w.courses, 0, s["x"], 0, scenario.course.border)
         same = sinkage_coefficient_at(soil, scenario.belief.sinkage_exponent, s["bearing_sinkage"])
         rows.append(

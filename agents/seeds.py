@@ -30,7 +30,7 @@ from soil_env._io.loading import ParameterError, merge, read_yaml
 from soil_env.parameters import Scenario, load_scenario
 
 from . import studies
-from .cli import config_file, manual, overrides
+from .cli import config_file, manual_parser, overrides
 from .config import NAMES, TrainConfig, load_config
 from .extras import needing_train
 from .progress import Bar, console, show
@@ -116,13 +116,7 @@ def train(out: Path, config: TrainConfig, scenario: Scenario, seeds: range, engi
 
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
-    p = argparse.ArgumentParser(
-        f"python -m {NAME}",
-        description=manual(__doc__),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-        epilog="python train.py --help lists the config keys.\nExit status: 0 done, 2 bad input, 130 interrupted.",
-    )
+    p = manual_parser(f"python -m {NAME}", __doc__, "python train.py --help lists the config keys.")
     p.add_argument("--seeds", metavar="N", type=int, default=5, help="how many (default: 5)")
     p.add_argument("--first", metavar="SEED", type=int, default=0, help="the first of them (default: 0)")
     p.add_argument("--out", metavar="OUT", type=Path, required=True, help="folder of the run folders")

@@ -91,11 +91,6 @@ def load_study(cls, folder: Path, version: str):
     return study
 
 
-def save_json(path: Path, content: object) -> None:
-    """Strict JSON."""
-    replace_file(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
-
-
 def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
     """A table as CSV; the first row is its heading."""
     text = io.StringIO(newline="")
@@ -110,7 +105,8 @@ class ResultLog:
     """Results of tasks in a file, a line of JSON each, held by one process at a time. Use with `with`.
 
     A line is on the disk when `add` returns. One that a crash has cut off is dropped when the log is opened. `parse`
-    makes (task, result) of the content of a line; KeyError, TypeError or ValueError where it cannot.
+    makes (task, result) of the content of a line; KeyError, TypeError or ValueError where it cannot,
+    ParameterError where the file is that of another study.
     """
 
     def __init__(self, path: Path, parse: Callable[[dict], tuple]):
@@ -141,6 +137,8 @@ class ResultLog:
                 task, result = self.parse(json.loads(line))
                 if task in self.results:
                     raise ValueError(f"{task} is there already")
+            except ParameterError:
+                raise
             except (ValueError, KeyError, TypeError) as error:
                 raise ParameterError(
                     f"{self.path}: line {number} is damaged ({error}); delete the line to have it done again"

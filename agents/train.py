@@ -23,7 +23,7 @@ from soil_env._io.commands import command, command_line, label, leave
 from soil_env._io.loading import ParameterError, merge, read_yaml
 from soil_env.parameters import load_scenario
 
-from .cli import config_file, manual, overrides
+from .cli import config_file, manual_parser, overrides
 from .config import PPOConfig, TrainConfig, load_config
 from .extras import needing_train
 
@@ -39,8 +39,6 @@ The run folder, runs/NAME, holds
   time.json                    where the wall time went, in seconds
 
 Interrupted with Ctrl-C, a run leaves a checkpoint and says how to go on; killed, it goes on from the last checkpoint.
-
-Exit status: 0 done, 2 bad input (one line on stderr says what, where, and what was expected), 130 interrupted.
 """
 
 
@@ -66,13 +64,11 @@ def _about(f: dataclasses.Field) -> str:
 def parser() -> argparse.ArgumentParser:
     """Options of the command; the keys of the config are listed from `TrainConfig` itself."""
     typed = command(*_STARTED_AS)
-    p = argparse.ArgumentParser(
+    p = manual_parser(
         label(*_STARTED_AS),
+        __doc__.replace("python -m agents.train", typed),
+        _keys() + "\n" + _FILES,
         usage=f"{typed} [--config YAML] [--KEY VALUE ...]\n       {typed} --resume RUN",
-        description=__doc__.replace("python -m agents.train", typed),
-        epilog=manual(_keys() + "\n" + _FILES),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     p.add_argument(
         "--config",

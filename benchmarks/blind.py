@@ -18,17 +18,14 @@ import argparse
 import importlib
 import json
 import os
-import platform
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 
 if __name__ == "__main__":
     for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(_name, "1")  # before numpy is loaded: the cores are taken by the workers
 
-import numba  # noqa: E402
-import numpy as np  # noqa: E402
-import scipy  # noqa: E402
 from rich.console import Console  # noqa: E402
 
 from agents import studies  # noqa: E402
@@ -36,12 +33,13 @@ from agents.progress import Bar  # noqa: E402
 from benchmarks import blind_page  # noqa: E402
 from benchmarks.blind_judge import figures  # noqa: E402
 from benchmarks.blind_study import IN_ALL, Task, solve, tasks  # noqa: E402
-from soil_env._io.commands import command_line, leave  # noqa: E402
-from soil_env._io.files import append_line, make_folder, replace_file  # noqa: E402
+from benchmarks.common import ROOT, machine, machine_text  # noqa: E402
+from soil_env._io.commands import command_line, command_parser, leave, whole_number  # noqa: E402
+from soil_env._io.files import make_folder, replace_file  # noqa: E402
 from soil_env._io.loading import ParameterError  # noqa: E402
 
 NAME = "benchmarks.blind"
-ROOT = Path(__file__).resolve().parent.parent
+ABOUT = None  # key of the line of the records that says what they are of
 FOLLOWS_FROM = (  # besides discrepancy
     "_io/loading.py", "_numba", "identification/priors.py", "identification/weighted.py", "measurement",
     "parameters.py", "terramechanics",
@@ -60,63 +58,24 @@ def code_version() -> str:
     return studies.fingerprint(sorted(files))
 
 
-def machine() -> str:
-    """What it ran on."""
-    name = platform.processor() or platform.machine()
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        name = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        pass
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    versions = f"Python {platform.python_version()}, numpy {np.__version__}, scipy {scipy.__version__}"
-    return f"{name}, {cores} cores; {versions}, numba {numba.__version__}"
+def log_of(path: Path, about: dict, resume: bool) -> studies.ResultLog:
+    """The cases that are done by (group, index), and what they are of by `ABOUT`, the first line of the file."""
+    if path.exists() and path.stat().st_size and not resume:
+        raise ParameterError(f"{path}: holds cases already; expected --resume to go on, or another --records")
 
-
-# --- records ----------------------------------------------------------------------------------------------------------
-
-
-class Records:
-    """The cases that are done, one line each after a line that says what they are of."""
-
-    def __init__(self, path: Path, about: dict, resume: bool):
-        self.path, self.about = path, about
-        self.done: dict[tuple[str, int], dict] = {}
-        if path.exists() and path.stat().st_size:
-            if not resume:
-                raise ParameterError(f"{path}: holds cases already; expected --resume to go on, or another --records")
-            self._read()
-        else:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(path, json.dumps(about) + "\n")
-
-    def _read(self) -> None:
-        raw = self.path.read_bytes()
-        whole = raw[: raw.rfind(b"\n") + 1]
-        if len(whole) < len(raw):  # cut off in the middle of a line
-            with self.path.open("r+b") as stream:
-                stream.truncate(len(whole))
-        try:
-            first, *lines = (json.loads(line) for line in whole.splitlines())
-            self.done = {(r["group"], r["index"]): r for r in lines}
-        except (ValueError, KeyError, TypeError):
-            raise ParameterError(f"{self.path}: is not a file of records; expected another --records") from None
-        other = [key for key in self.about if first.get(key) != self.about[key]]
+    def parse(content: dict) -> tuple:
+        if "group" in content:
+            return (content["group"], content["index"]), content
+        other = [key for key in about if content[key] != about[key]]
         if other:
             raise ParameterError(
-                f"{self.path}: holds cases of another {' and '.join(other)} ({first.get(other[0])}, now "
-                f"{self.about[other[0]]}); expected another --records"
+                f"{path}: holds cases of another {' and '.join(other)} ({content[other[0]]}, now {about[other[0]]}); "
+                "expected another --records"
             )
+        return ABOUT, content
 
-    def add(self, record: dict) -> None:
-        """Keep a case on the disk."""
-        append_line(self.path, json.dumps(record, allow_nan=False))
-        self.done[record["group"], record["index"]] = record
-
-    def of(self, wanted: list[Task]) -> list[dict]:
-        """Records of tasks that are done, in the order of group and index."""
-        found = (self.done.get((t.group, t.index)) for t in wanted)
-        return sorted((r for r in found if r), key=lambda r: (r["group"], r["index"]))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return studies.ResultLog(path, parse)
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
@@ -132,20 +91,23 @@ def study(options: argparse.Namespace, console: Console) -> dict:
     path = options.records or (
         options.out / "cases.jsonl" if options.smoke else ROOT / "runs" / "blind" / f"seed-{options.seed}.jsonl"
     )
-    records = Records(path, about, options.resume)
     wanted = tasks(options.cases, options.smoke)
-    left = [t for t in wanted if (t.group, t.index) not in records.done]
-    done = engine(partial(_solve, options.seed, about["code"]), left)
-    with Bar("Blind cases", len(wanted), "cases", len(wanted) - len(left), console) as bar:
-        for task, record in done:
-            records.add(record)
-            bar.update(advance=1, note=task.group)
-    cases = records.of(wanted)
+    with log_of(path, about, options.resume) as log:
+        if ABOUT not in log.results:
+            log.add(about)
+        left = [t for t in wanted if (t.group, t.index) not in log.results]
+        done = engine(partial(_solve, options.seed, about["code"]), left)
+        with Bar("Blind cases", len(wanted), "cases", len(wanted) - len(left), console) as bar:
+            for task, record in done:
+                log.add(record)
+                bar.update(advance=1, note=task.group)
+    cases = [log.results[key] for key in sorted((t.group, t.index) for t in wanted)]
+    ran_on = machine_text(machine() | {"load": None, "scipy": version("scipy")}, "numpy", "scipy", "numba")
     asked = "" if options.cases == IN_ALL else f" --cases {options.cases}"
     return {
         "command": f"python -m {NAME} --seed {options.seed}" + (" --smoke" if options.smoke else asked),
         **about,
-        "machine": f"{machine()}; {f'{workers} workers' if local else 'Ray'}",
+        "machine": f"{ran_on}; {f'{workers} workers' if local else 'Ray'}",
         "figures": figures(cases),
         "cases": cases,
     }
@@ -191,15 +153,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(
-        prog=f"python -m {NAME}",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  OUT/discrepancy.json, .md and discrepancy_*.png; every case as a line of FILE\n\n"
-        "exit status:\n  0 done; 2 bad input, said in one line; 130 interrupted, --resume goes on",
+    p = command_parser(f"python -m {NAME}", __doc__)
+    p.add_argument(
+        "--cases", type=whole_number(1), default=IN_ALL, metavar="N", help=f"cases in all, about (default {IN_ALL})"
     )
-    p.add_argument("--cases", type=_count, default=IN_ALL, metavar="N", help=f"cases in all, about (default {IN_ALL})")
-    p.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the cases, >= 0 (default 0)")
+    p.add_argument("--seed", type=whole_number(), default=0, metavar="N", help="of the cases, >= 0 (default 0)")
     p.add_argument(
         "--out", type=Path, default=ROOT / "docs", metavar="OUT",
         help="folder of discrepancy.json, .md and plots (default: docs of the clone)",
@@ -210,18 +168,6 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--smoke", action="store_true", help="a case of each sort in seconds")
     p.add_argument("--page", action="store_true", help="no cases: page and plots from discrepancy.json in --out")
     return p
-
-
-def _count(text: str) -> int:
-    if not (text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 1")
-    return int(text)
-
-
-def _seed(text: str) -> int:
-    if not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 0")
-    return int(text)
 
 
 if __name__ == "__main__":

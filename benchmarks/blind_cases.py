@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -23,18 +22,10 @@ import yaml
 from benchmarks.blind_effect import Form, Hidden
 from benchmarks.blind_forms import EFFECTS, forms_of
 from benchmarks.blind_limits import SOIL, Bench, Imitation, detection_limit, gap, imitation, noncentrality
-from benchmarks.blind_plan import (
-    DESIGNS,
-    KINDS,
-    MULTIPLES,
-    NOISES,
-    PRIOR_ERRORS,
-    PRIOR_SD,
-    SCALES,
-    Options,
-    draw_bench,
-)
+from benchmarks.blind_plan import DESIGNS, KINDS, MULTIPLES, NOISES, PRIOR_ERRORS, PRIOR_SD, SCALES, Options, draw_bench
 from benchmarks.blind_unlisted import UNLISTED
+from soil_env._io.commands import command_line, command_parser, leave, whole_number
+from soil_env._io.loading import ParameterError
 
 CHANNELS = ("sinkage", "drawbar_pull", "torque")
 ATTEMPTS = 60
@@ -202,16 +193,15 @@ def _measure(rng, bench: Bench, runs, soil: str, found: _Found, want: Options, r
         "soil": asdict(bench.ground),
         "noise_levels": dict(zip(CHANNELS, bench.noise, strict=True)),
         "gap": gap(bench, clean) if effects else 0.0,  # of all effects together
-        "effects": [
-            _described(bench, clean, effects, k, found.limits[k], found.rivals[k]) for k in range(len(effects))
-        ],
+        "effects": [_described(bench, clean, found, k) for k in range(len(effects))],
     }
     return Case(columns, setup, truth, clean, bench, effects)
 
 
-def _described(bench: Bench, clean, effects, k: int, limit: float, rival: Imitation) -> dict:
+def _described(bench: Bench, clean, found: _Found, k: int) -> dict:
     """Truth about one effect; `multiple` is of strengths, `shown` and `named` are roots of gap over noncentrality."""
-    effect, others = effects[k], effects[:k] + effects[k + 1 :]
+    effect, limit, rival = found.effects[k], found.limits[k], found.rivals[k]
+    others = found.effects[:k] + found.effects[k + 1 :]
     wanted = noncentrality(effect.form.freedom)
     return {
         "name": effect.form.effect,
@@ -257,60 +247,48 @@ def write_case(case: Case, folder: Path, truth_file: Path) -> None:
     truth_file.write_text(json.dumps(case.truth, indent=1, allow_nan=False), encoding="utf-8")
 
 
+@command_line("benchmarks.blind_cases")
 def main(arguments=None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.blind_cases",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  OUT/cases/0000/    table and setup.yaml, all that the workflow may see\n  OUT/truth/0000.json"
-        "  what was hidden\n\nexit status:\n  0 done; 2 bad input or no such case\n\nexamples:\n"
-        "  python -m benchmarks.blind_cases --effect bulldozing --multiple 2 8 --out /tmp/cases",
-    )
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the cases (default 0)")
-    parser.add_argument("--count", metavar="N", type=int, default=1, help="cases (default 1)")
-    parser.add_argument("--kind", choices=KINDS, default="one", help="what is hidden (default one)")
-    parser.add_argument("--design", choices=DESIGNS, default="rich", help="of the experiment (default rich)")
-    parser.add_argument("--noise", choices=NOISES, default="given", help="what the setup says of it (default given)")
-    parser.add_argument(
-        "--scale", choices=SCALES, default="detection", help="what the multiple refers to (default detection)"
-    )
-    parser.add_argument(
-        "--prior-error", choices=PRIOR_ERRORS, default="normal", help="of the setup's priors (default normal)"
-    )
-    parser.add_argument("--outliers", action="store_true", help="2 %% of the cells off by 5 to 15 sigma")
-    parser.add_argument("--effect", action="append", default=[], help="effect to hide (twice for two), else drawn")
-    parser.add_argument(
-        "--multiple",
-        type=float,
-        nargs=2,
-        default=MULTIPLES,
-        metavar=("LOW", "HIGH"),
-        help="size of the effect in multiples of the limit, drawn between; HIGH may be inf (default 2 8)",
-    )
-    parser.add_argument("--out", metavar="OUT", type=Path, required=True, help="folder of the cases; required")
-    a = parser.parse_args(arguments)
-    for number in range(a.count):
-        rng = np.random.default_rng([a.seed, number])
+    """The command line; returns the exit status."""
+    options = _parser().parse_args(arguments)
+    wanted = {key: getattr(options, key) for key in ("noise", "scale", "prior_error", "outliers")}
+    for number in range(options.count):
+        rng = np.random.default_rng([options.seed, number])
         try:
-            case = draw_case(
-                rng,
-                a.kind,
-                a.design,
-                names=tuple(a.effect),
-                noise=a.noise,
-                scale=a.scale,
-                prior_error=a.prior_error,
-                outliers=a.outliers,
-                multiple=tuple(a.multiple),
-            )
-            write_case(case, a.out / "cases" / f"{number:04d}", a.out / "truth" / f"{number:04d}.json")
-        except (ValueError, RuntimeError, OSError) as error:
-            print(f"blind_cases: {error}", file=sys.stderr)
-            return 2
+            case = draw_case(rng, options.kind, options.design, names=tuple(options.effect),
+                             multiple=tuple(options.multiple), **wanted)  # fmt: skip
+        except (ValueError, RuntimeError) as error:
+            raise ParameterError(str(error)) from None
+        write_case(case, options.out / "cases" / f"{number:04d}", options.out / "truth" / f"{number:04d}.json")
         names = ", ".join(f"{e['name']} ({e['form']}, {e['multiple']:.1f}x)" for e in case.truth["effects"])
-        print(f"{number:04d} {a.kind} {a.design}: {names or 'no effect'}")
+        print(f"{number:04d} {options.kind} {options.design}: {names or 'no effect'}")
     return 0
 
 
+def _parser() -> argparse.ArgumentParser:
+    p = command_parser("python -m benchmarks.blind_cases", __doc__)
+    p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the cases (default 0)")
+    p.add_argument("--count", metavar="N", type=whole_number(), default=1, help="cases (default 1)")
+    for option, known, default, text in (
+        ("--kind", KINDS, "one", "what is hidden"),
+        ("--design", DESIGNS, "rich", "of the experiment"),
+        ("--noise", NOISES, "given", "what the setup says of it"),
+        ("--scale", SCALES, "detection", "what the multiple refers to"),
+        ("--prior-error", PRIOR_ERRORS, "normal", "of the setup's priors"),
+    ):
+        p.add_argument(option, choices=known, default=default, help=f"{text} (default {default})")
+    p.add_argument("--outliers", action="store_true", help="2 %% of the cells off by 5 to 15 sigma")
+    p.add_argument("--effect", action="append", default=[], help="effect to hide (twice for two), else drawn")
+    p.add_argument(
+        "--multiple", type=float, nargs=2, default=MULTIPLES, metavar=("LOW", "HIGH"),
+        help="size of the effect in multiples of the limit, drawn between; HIGH may be inf (default 2 8)",
+    )  # fmt: skip
+    p.add_argument(
+        "--out", metavar="OUT", type=Path, required=True,
+        help="folder of cases/0000/, all that the workflow may see, and truth/0000.json, what was hidden; required",
+    )  # fmt: skip
+    return p
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

@@ -60,8 +60,7 @@ class Judged(NamedTuple):
 def judged(record: dict) -> Judged:
     """`Judged` of a record of `blind_study.solve`."""
     verdict, kind = record["verdict"], record["kind"]
-    truth = [e["name"] for e in record["truth"]]
-    names = [e["name"] for e in record["named"]]
+    truth, names = _names(record), [e["name"] for e in record["named"]]
     wrong = verdict == "named" and (kind == "unlisted" or any(n not in truth for n in names))
     if verdict == "error":
         return Judged(False, False, False, "error")
@@ -120,7 +119,7 @@ def figures(records: list[dict]) -> dict:
         "rich_cases": sum(GROUPS[r["group"]].design == "rich" for r in records),
         "errors": sum(r["verdict"] == "error" for r in records),
         "drawn": sum(r["drawn"] for r in records),
-        "targets": {t.key: _target(t, [r for g in t.groups for r in by[g]]) for t in TARGETS},
+        "targets": {t.key: share(getattr(judged(r), t.what) for g in t.groups for r in by[g]) for t in TARGETS},
         "groups": {name: _group(chosen) for name, chosen in by.items() if chosen},
         "size": _bins(rich, SHOWN, lambda r: r["truth"][0]["shown"]),
         "told": _bins(by["one"], TOLD, lambda r: r["truth"][0]["named"]),
@@ -137,10 +136,6 @@ def figures(records: list[dict]) -> dict:
 
 def _names(record: dict) -> list[str]:
     return [e["name"] for e in record["truth"]]
-
-
-def _target(target: Target, records: list[dict]) -> dict | None:
-    return share(getattr(judged(r), target.what) for r in records)
 
 
 def _group(records: list[dict]) -> dict:
@@ -178,10 +173,8 @@ def _bins(records: list[dict], edges: tuple[float, ...], size: Callable[[dict], 
         if inside:
             middle = float(np.exp(np.mean([np.log(max(size(r), 1e-3)) for r in inside])))
             none = share(r["verdict"] == "none" for r in inside)
-            edge = None if math.isinf(high) else high
-            out.append(
-                {"from": low, "to": edge, "middle": middle, "none": none, "ideal": _ideal(inside)} | _group(inside)
-            )
+            shown = {"from": low, "to": None if math.isinf(high) else high, "middle": middle, "none": none}
+            out.append(shown | {"ideal": _ideal(inside)} | _group(inside))
     return out
 
 

@@ -45,14 +45,7 @@ class Group:
 
     def options(self) -> dict:
         """Keywords of `draw_case` but for the effects."""
-        return {
-            "kind": self.kind,
-            "design": self.design,
-            "multiple": self.multiple,
-            "noise": self.noise,
-            "outliers": self.outliers,
-            "prior_error": self.prior_error,
-        }
+        return {key: value for key, value in vars(self).items() if key not in ("name", "count", "words")}
 
     def effects(self, index: int) -> dict:
         """Effects and forms of case `index`: all in turn, or left to be drawn (a poor design cannot show every one)."""

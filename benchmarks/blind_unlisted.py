@@ -142,10 +142,7 @@ def pore_pressure(contact, s, side):
 @_unlisted(
     "gain of S over the campaign [-]",
     0.8,
-    side=lambda rng, ctx: {
-        "time": float(max(ctx.rows.time.max(), 1.0)),
-        "cohesion": float(rng.uniform(0.0, 1.0)),
-    },
+    side=lambda rng, ctx: {"time": float(max(ctx.rows.time.max(), 1.0)), "cohesion": float(rng.uniform(0.0, 1.0))},
     signs=(1, -1),
 )
 def drying(contact, s, side):

@@ -151,7 +151,7 @@ def page(result: dict) -> str:
 @command_line(NAME)
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    p = command_parser(f"python -m {NAME}", __doc__)
+    p = command_parser(f"python -m {NAME}", __doc__, status="")
     p.add_argument("clients", nargs="*", metavar="CLIENT", help=f"of {', '.join(CLIENTS)} (default: all)")
     p.add_argument("--envs", type=Path, default=ROOT / ".venv-clients", help="folder of the environments")
     p.add_argument("--out", type=folder, default=ROOT / "docs", help="folder of clients.json and clients.md")

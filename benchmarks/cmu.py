@@ -11,14 +11,13 @@ $SOIL_ENV_DATA/cmu_single_wheel, else ../shared/data/cmu_single_wheel. Writes di
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 import os
 import tempfile
 from pathlib import Path
 
-from soil_env._io.commands import command_line, leave
+from soil_env._io.commands import command_line, command_parser, leave
 from soil_env._io.document import Table, render
 from soil_env._io.files import make_folder, replace_files
 from soil_env._io.loading import ParameterError
@@ -40,13 +39,7 @@ CAUTIONS = (
 @command_line("benchmarks.cmu")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    p = argparse.ArgumentParser(
-        prog="python -m benchmarks.cmu",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="files:\n  OUT/discrepancy_cmu.json and .md\n\nexit status:\n  0 done; 2 bad input, said in one line\n\n"
-        "examples:\n  python -m benchmarks.cmu --data 3d-terramechanics/raw-data-processing --out docs",
-    )
+    p = command_parser("python -m benchmarks.cmu", __doc__)
     p.add_argument(
         "--data", metavar="FOLDER", type=Path, help="folder with all_smooth_data.mat and all_grouser_data.mat"
     )
@@ -64,24 +57,25 @@ def main(arguments: list[str] | None = None) -> int:
 def study(data: Path) -> list[dict]:
     """What the workflow says of each table: one dict a run, with the keys of report.json."""
     out = []
+
+    def judged(wheel: str, prior: str, size, table: Path, setup: Setup) -> dict:
+        found = content(run(table, setup, seed=0))
+        out.append({"wheel": wheel, "prior": prior, "size": size, **found})
+        return found
+
     with tempfile.TemporaryDirectory() as folder:
         if cmu.main([str(data), "--out", folder]) != 0:
             raise ParameterError(f"{data}: expected the CMU data (see --help)")
         folder = Path(folder)
         for size in (None, OTHER_SIZE):
-            smooth = judged(folder / "smooth.csv", resized(read_setup(folder / "smooth.setup.yaml"), size))
-            out.append({"wheel": "smooth", "prior": "plate tests", "size": size, **smooth})
-            grousered = resized(read_setup(folder / "grouser.setup.yaml"), size)
-            out.append({"wheel": "grousered", "prior": "plate tests", "size": size,
-                        **judged(folder / "grouser.csv", grousered)})  # fmt: skip
-            out.append({"wheel": "grousered", "prior": "of the smooth wheel", "size": size,
-                        **judged(folder / "grouser.csv", with_soil(grousered, smooth["soil"]))})  # fmt: skip
+            smooth, grousered = (
+                resized(read_setup(folder / f"{name}.setup.yaml"), size) for name in ("smooth", "grouser")
+            )
+            found = judged("smooth", "plate tests", size, folder / "smooth.csv", smooth)
+            judged("grousered", "plate tests", size, folder / "grouser.csv", grousered)
+            own = with_soil(grousered, found["soil"])
+            judged("grousered", "of the smooth wheel", size, folder / "grouser.csv", own)
     return out
-
-
-def judged(table: Path, setup: Setup) -> dict:
-    """report.json of a table."""
-    return content(run(table, setup, seed=0))
 
 
 def resized(setup: Setup, size: tuple[float, float] | None) -> Setup:

@@ -1,7 +1,8 @@
-"""What several benchmarks share: the machine, rounds of a measurement, pages with marked parts."""
+"""What several benchmarks share: the machine, rounds of a measurement, options, pages with marked parts."""
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 from collections.abc import Mapping
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from soil_env._io.commands import command_parser, folder
 from soil_env._io.document import renewed
 from soil_env._io.files import make_folder, replace_file
 
@@ -41,6 +43,24 @@ def machine() -> dict:
         "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "python": platform.python_version(),
     } | {name: version(name) for name in ("numpy", "numba", "llvmlite")}
+
+
+def machine_text(machine: dict, *packages: str, also: str = "") -> str:
+    """`machine` as text, with the versions of `packages`."""
+    load = "" if machine["load"] is None else f", load average {machine['load']:.1f} at the start"
+    versions = "".join(f", {name} {machine[name]}" for name in packages)
+    return f"{machine['processor']}, {machine['cores']} cores{also}{load}; Python {machine['python']}{versions}"
+
+
+def study_parser(name: str, description: str, files: str, out: Path | None = ROOT / "docs") -> argparse.ArgumentParser:
+    """Parser with --smoke, and --out for the folder of `files`, which is required where `out` is None."""
+    p = command_parser(name, description)
+    p.add_argument("--smoke", action="store_true", help="every part in seconds, numbers without meaning")
+    p.add_argument(
+        "--out", metavar="OUT", type=folder, default=out, required=out is None,
+        help=f"folder of {files}" + (f" (default: {out})" if out else ""),
+    )  # fmt: skip
+    return p
 
 
 def check_page(page: Path, *names: str) -> None:

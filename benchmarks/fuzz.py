@@ -245,10 +245,10 @@ def summary(tally: Tally, seed: int) -> str:
 
 @command_line("benchmarks.fuzz")
 def main(arguments: list[str] | None = None) -> int:
-    """The command line; returns the exit status: 0, 1 if something was broken, 2 bad input, 130 interrupted."""
+    """The command line; returns the exit status."""
     p = command_parser(
         "python -m benchmarks.fuzz", __doc__,
-        "exit status: 0 all held, 1 something was broken, 2 bad input, 130 interrupted.",
+        status="exit status: 0 all held, 1 something was broken, 2 bad input, 130 interrupted.",
     )  # fmt: skip
     p.add_argument("--steps", type=whole_number(1), default=10**6, help="in all (default 1e6)")
     p.add_argument("--seed", type=whole_number(), default=0, help="of the cases (default 0)")

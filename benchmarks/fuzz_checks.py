@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import root
-from soil_env.simulation.dynamics import REST_SPEED
+from soil_env.simulation.newton import REST_SPEED
 from soil_env.simulation.terrain import ground_at
 from soil_env.simulation.wheel import WheelState
 

@@ -24,13 +24,12 @@ from scipy.integrate import quad
 from scipy.optimize import root
 
 from benchmarks import identification_online, identification_page
-from soil_env._io.commands import command_line, command_parser, folder, leave, whole_number
+from benchmarks.common import study_parser
+from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.files import check_outputs, make_folder, write_json
 from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict
 from soil_env.identification.point import Points, weigh
-from soil_env.identification.solver import (
-    solve,
-)
+from soil_env.identification.solver import solve
 from soil_env.identification.uniqueness import other_soil
 from soil_env.parameters import Soil, SoilState, soils
 from soil_env.terramechanics.model import steady_state
@@ -321,28 +320,13 @@ def study(seed: int, smoke: bool) -> dict:
     return result
 
 
-_EPILOG = """files:
-  OUT/identification.md, identification.json, identification/*.png
-
-exit status:
-  0 done; 2 a folder that cannot be written; 130 interrupted
-
-examples:
-  python benchmarks/identification.py --smoke --out /tmp/identification"""
-
-
 @command_line("benchmarks.identification", interrupted="nothing written")
 def main(arguments: list[str] | None = None) -> int:
     """Run the study and write its page."""
-    p = command_parser("python benchmarks/identification.py", __doc__, _EPILOG)
-    p.add_argument(
-        "--out", metavar="OUT", type=folder, default=Path("docs"),
-        help="folder of identification.json, .md and plots (default: docs)",
-    )  # fmt: skip
+    p = study_parser("python benchmarks/identification.py", __doc__, "identification.json, .md and plots", Path("docs"))
     p.add_argument(
         "--seed", metavar="N", type=whole_number(), default=0, help="of everything random, >= 0 (default: 0)"
     )
-    p.add_argument("--smoke", action="store_true", help="seconds instead of minutes, numbers without meaning")
     options = p.parse_args(arguments)
     check_outputs(options.out, ("identification.json", "identification.md", "identification/x.png"))
     make_folder(options.out)

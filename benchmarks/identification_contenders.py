@@ -9,16 +9,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from soil_env._numba.compiling import root
-from soil_env.identification.normal_equations import (
-    gain_share,
-)
+from soil_env.identification.normal_equations import gain_share
 from soil_env.identification.online import SensorReading, forget, identifier_numbers, new_identifiers, observe
 from soil_env.identification.point import Reading, channels_at, predict, weights, whitened
-from soil_env.identification.solver import (
-    LOWER,
-    UPPER,
-    Status,
-)
+from soil_env.identification.solver import LOWER, UPPER, Status
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.effects import excavation_rate
 
@@ -342,24 +336,27 @@ def replay(name: str, scenario: Scenario, readings: np.ndarray):
 
     `ours` runs compiled, and its seconds are the mean of the loop; the others are called from Python.
     """
-    T = len(readings)
-    estimate, sd = np.full((T, 3), np.nan), np.full((T, 3), np.nan)
-    valid, seconds = np.zeros(T, dtype=bool), np.zeros(T)
     if name == "ours":
-        numbers, ids = identifier_numbers(scenario), new_identifiers(1)
+        T, numbers, ids = len(readings), identifier_numbers(scenario), new_identifiers(1)
+        estimate, sd, valid = np.empty((T, 3)), np.empty((T, 3)), np.empty(T, dtype=bool)
         replay_compiled(readings[:1], ids, numbers, estimate, sd, valid)
         began = perf_counter()
         replay_compiled(readings, ids, numbers, estimate, sd, valid)
-        seconds[:] = (perf_counter() - began) / T
-        return estimate, sd, valid, seconds
-    contender = make(name, scenario)
+        return estimate, sd, valid, np.full(T, (perf_counter() - began) / T)
+    return called(make(name, scenario), readings)[:4]
+
+
+def called(contender: Contender, readings: np.ndarray):
+    """As `replay`, of a contender called from Python, and which updates [T] solved."""
+    T = len(readings)
+    estimate, sd = np.full((2, T, 3), np.nan)
+    valid, solved, seconds = np.zeros(T, dtype=bool), np.zeros(T, dtype=bool), np.zeros(T)
     for t, q in enumerate(readings.tolist()):
-        reading = SensorReading(*q)
-        before = contender.elsewhere
+        reading, before = SensorReading(*q), contender.elsewhere
         began = perf_counter()
-        x, s, valid[t] = contender.update(reading)
+        estimate[t], s, valid[t] = contender.update(reading)
         seconds[t] = perf_counter() - began - (contender.elsewhere - before)
-        estimate[t] = x
+        solved[t] = contender.solved
         if s is not None:
             sd[t] = s
-    return estimate, sd, valid, seconds
+    return estimate, sd, valid, seconds, solved

@@ -110,10 +110,7 @@ def coverage(case: Case, draws: int, rng: np.random.Generator) -> tuple[dict[str
 @command_line("benchmarks.identification_coverage")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    p = command_parser(
-        "python -m benchmarks.identification_coverage", __doc__,
-        "files:\n  none; the table goes to the terminal\n\nexit status:\n  0 done; 2 bad options; 130 interrupted",
-    )  # fmt: skip
+    p = command_parser("python -m benchmarks.identification_coverage", __doc__)
     p.add_argument(
         "--draws", metavar="N", type=whole_number(1), default=400, help="tables drawn for each row (default: 400)"
     )

@@ -11,10 +11,7 @@ from soil_env.identification.digging import KEPT, DiggingPlaces, close_point, no
 from soil_env.identification.digging import Digging as DiggingMemory
 from soil_env.identification.online import RATIO_ERROR
 from soil_env.identification.point import Points, Reading, predict, weigh, weights
-from soil_env.identification.solver import (
-    LOWER,
-    UPPER,
-)
+from soil_env.identification.solver import LOWER, UPPER
 
 
 class UnscentedKalman(Contender):

@@ -31,31 +31,32 @@ from time import perf_counter
 import numpy as np
 
 from agents.controllers import ConstantSpeed
+from agents.evaluate import TUNING_SET, drive
+from benchmarks.common import study_parser
 from benchmarks.identification_contenders import (
     CONTENDERS,
     PARAMETERS,
     Contender,
+    called,
     make,
     replay,
     replay_compiled,
 )
 from benchmarks.identification_kalman import UnscentedKalman
 from benchmarks.identification_online_figure import figure
-from soil_env._io.commands import command_line, command_parser, folder, leave, whole_number
+from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.files import make_folder, plain, write_json
 from soil_env._numba.compiling import root
-from soil_env.identification.online import SensorReading, identifier_numbers, new_identifiers
+from soil_env.identification.online import identifier_numbers, new_identifiers
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
-from soil_env.simulation.worlds import IDLE, STEP, Simulation
 
 #: Distance since the last border [m]: edges of the bins of the error curves.
 BINS = (0.0, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 #: Excitation: the rim speed goes up and down by this share, with this period [s].
 SWING, SWING_PERIOD = 0.3, 6.0
 _UNIT = np.array([math.degrees(1.0), 1.0, 1.0])
-_DRIVE_STREAM, _TUNE_STREAM = 1, 2
 
 
 # --- record -----------------------------------------------------------------------------------------------------------
@@ -87,29 +88,17 @@ def _log_truth(state, counts, courses, border, exponent, out):
         out[k, 5] = 1.0 if state.halt_left[k] > 0.0 else 0.0
 
 
-def record(scenario: Scenario, courses: int, seed: int, stream: int = _DRIVE_STREAM) -> tuple[list[dict], dict]:
+def record(scenario: Scenario, courses: int, seed: int) -> tuple[list[dict], dict]:
     """Drive the courses: a log for each and what the drive was like.
 
     A log has `readings` [T, 7] (columns of `SensorReading`), all that a contender sees, and for the judge `truth`
     [T, 3], `since` [T] m since the last border or the start, `patch` [T] and `halted` [T].
     """
-    sim = Simulation(courses, scenario, "blind", threads=2)
-    for k in range(courses):
-        sim.seed(k, np.random.default_rng([seed, k, stream]))
-        sim.restart(k)
-    w, task = sim.worlds, sim.numbers.task
-    force = task.weight
-    scale = np.array([1.0, task.radius, force, force, force * task.radius, task.top_speed, task.top_speed])
     controller = SwingingSpeed(scenario)
-    memory, fresh = None, np.ones(courses, dtype=bool)
+    force, radius, top_speed = scenario.weight, scenario.wheel.radius, controller.top_speed
+    scale = np.array([1.0, radius, force, force, force * radius, top_speed, top_speed])
     readings, truth, running = [], [], []
-    while True:
-        alive = w.cause == Cause.RUNNING.value
-        if not alive.any():
-            break
-        action, memory = controller.predict(w.observation, state=memory, episode_start=fresh)
-        fresh = np.zeros(courses, dtype=bool)
-        sim.step_all(action[:, 0].astype(np.float64), np.where(alive, STEP, IDLE).astype(np.int8))
+    for w, alive in drive(controller, scenario, seed, 0, courses, threads=2):
         row = np.empty((courses, 6))
         _log_truth(w.state, w.counts, w.courses, scenario.course.border, scenario.belief.sinkage_exponent, row)
         readings.append(w.observation[:, :7] * scale)
@@ -119,18 +108,13 @@ def record(scenario: Scenario, courses: int, seed: int, stream: int = _DRIVE_STR
     logs = []
     for k in range(courses):
         t = int(running[:, k].sum())
-        logs.append(
-            {
-                "readings": np.ascontiguousarray(readings[:t, k]),
-                "truth": truth[:t, k, :3].copy(),
-                "since": truth[:t, k, 3].copy(),
-                "patch": truth[:t, k, 4].astype(int),
-                "halted": truth[:t, k, 5] > 0.5,
-            }
-        )
+        logs.append({
+            "readings": np.ascontiguousarray(readings[:t, k]), "truth": truth[:t, k, :3].copy(),
+            "since": truth[:t, k, 3].copy(), "patch": truth[:t, k, 4].astype(int), "halted": truth[:t, k, 5] > 0.5,
+        })  # fmt: skip
     slip = np.concatenate([log["readings"][~log["halted"], 0] for log in logs])
     causes = [Cause(c).name.lower() for c in w.cause]
-    drive = {
+    driven = {
         "controller": f"rim speed {controller.speed:.3f} m/s +-{SWING:.0%}, sine of {SWING_PERIOD:g} s",
         "readings": int(running.sum()),
         "patches": int(sum(np.unique(log["patch"]).size for log in logs)),
@@ -138,7 +122,7 @@ def record(scenario: Scenario, courses: int, seed: int, stream: int = _DRIVE_STR
         "slip_percentiles_5_50_95": [float(v) for v in np.percentile(slip, [5, 50, 95])],
         "ends": {c: causes.count(c) for c in sorted(set(causes))},
     }
-    return logs, drive
+    return logs, driven
 
 
 # --- measure ----------------------------------------------------------------------------------------------------------
@@ -267,10 +251,10 @@ def run(courses: int = 200, seed: int = 0, progress=None, contenders=CONTENDERS,
     """Record, replay, measure: one JSON-serialisable dict. `progress`, where given, is called with lines of text."""
     say = progress or (lambda line: None)
     scenario = load_scenario("mixed")
-    logs, drive = record(scenario, courses, seed)
-    say(f"{courses} courses: {drive['readings']} readings over {drive['distance_m']:.0f} m")
+    logs, driven = record(scenario, courses, seed)
+    say(f"{courses} courses: {driven['readings']} readings over {driven['distance_m']:.0f} m")
     result = {
-        "scenario": scenario.name, "courses": courses, "seed": seed, "drive": drive, "bins_m": list(BINS),
+        "scenario": scenario.name, "courses": courses, "seed": seed, "drive": driven, "bins_m": list(BINS),
         "contenders": {},
     }  # fmt: skip
     prior = identifier_numbers(scenario).prior[:3]
@@ -290,13 +274,7 @@ def run(courses: int = 200, seed: int = 0, progress=None, contenders=CONTENDERS,
 
 def _timed(contender: Contender, readings: np.ndarray):
     """(seconds a reading, median seconds of a reading that solved) of one contender called from Python."""
-    seconds, solved = np.empty(len(readings)), np.zeros(len(readings), dtype=bool)
-    for t, q in enumerate(readings.tolist()):
-        reading, before = SensorReading(*q), contender.elsewhere
-        began = perf_counter()
-        contender.update(reading)
-        seconds[t] = perf_counter() - began - (contender.elsewhere - before)
-        solved[t] = contender.solved
+    *_, seconds, solved = called(contender, readings)
     return float(seconds.mean()), float(np.median(seconds[solved])) if solved.any() else math.nan
 
 
@@ -334,57 +312,38 @@ def compare_times(scenario: Scenario, logs: list[dict], contenders=CONTENDERS, r
     return out
 
 
-def smoke(seed: int = 0) -> dict:
-    """`run` on two courses."""
-    return run(2, seed, draws=50)
-
-
 def tune_ukf(courses: int = 30, seed: int = 0, progress=print, base=UnscentedKalman) -> dict:
     """Root mean square of the errors over the prior sd for a grid of (walk, inflation), on courses of their own."""
     scenario = load_scenario("mixed")
-    logs, _ = record(scenario, courses, seed, _TUNE_STREAM)
+    logs, _ = record(scenario, courses, TUNING_SET + seed)
     scores = {}
     for walk in (0.3, 0.5, 1.0, 2.0, 4.0):
         for inflation in (0.3, 1.0, 3.0, 10.0, 30.0):
             kind = type("Tuned", (base,), {"walk": walk, "inflation": inflation})
             replays = []
             for log in logs:
-                contender, T = kind(scenario), len(log["readings"])
-                estimate = np.array([contender.update(SensorReading(*q))[0] for q in log["readings"].tolist()])
-                replays.append((estimate, np.ones((T, 3)), np.ones(T, dtype=bool), None))
+                estimate, *_ = called(kind(scenario), log["readings"])
+                replays.append((estimate, np.ones_like(estimate), np.ones(len(estimate), dtype=bool), None))
             over = measure(logs, replays, scenario, seed, draws=10)["rms_over_prior_sd"]
             scores[walk, inflation] = math.sqrt(np.mean(np.square(list(over.values()))))
             progress(f"walk {walk:g}, inflation {inflation:g}: {scores[walk, inflation]:.3f}")
     return scores
 
 
-_EPILOG = """files:
-  OUT/online.json, OUT/online.png
-
-exit status:
-  0 done; 2 a folder that cannot be written; 130 interrupted
-
-examples:
-  python -m benchmarks.identification_online --smoke --out /tmp/online"""
-
-
 @command_line("benchmarks.identification_online")
 def main(arguments: list[str] | None = None) -> int:
     """Run it alone: the result as JSON and its figure; returns the exit status."""
-    p = command_parser(
+    p = study_parser(
         "python -m benchmarks.identification_online",
-        "Compare online identifiers on the same courses and readings: soil_env's window and others.", _EPILOG,
-    )  # fmt: skip
+        "Compare online identifiers on the same courses and readings: soil_env's window and others.",
+        "online.json and online.png",
+        Path("runs/identification_online"),
+    )
     p.add_argument("--courses", metavar="N", type=whole_number(1), default=200, help="courses (default 200)")
     p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the courses (default 0)")
-    p.add_argument(
-        "--out", metavar="OUT", type=folder, default=Path("runs/identification_online"),
-        help="folder of the results (default runs/identification_online)",
-    )  # fmt: skip
-    p.add_argument("--smoke", action="store_true", help="two courses, numbers without meaning")
     options = p.parse_args(arguments)
     make_folder(options.out)
-    result = smoke(options.seed) if options.smoke else run(options.courses, options.seed, print)
+    result = run(2, options.seed, draws=50) if options.smoke else run(options.courses, options.seed, print)
     write_json(options.out / "online.json", result)
     figure(result, options.out / "online.png")
     return 0

@@ -20,13 +20,13 @@ import numpy as np
 import torch
 
 from agents.controllers import make_controller
-from agents.evaluate import course_rng
-from soil_env._io.commands import command_line, command_parser, folder, leave
+from agents.evaluate import drive
+from benchmarks.common import study_parser
+from soil_env._io.commands import command_line, leave
 from soil_env._io.document import Table
 from soil_env._io.files import make_folder, write_json
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause, layout
-from soil_env.simulation.worlds import IDLE, STEP, Simulation
 from soil_env.terramechanics.traversability import best_points
 
 COURSE_SET = 3_000_017  # neither of training, tuning nor comparison
@@ -46,26 +46,13 @@ def readings(scenario: Scenario, variant: str, courses: int) -> tuple[np.ndarray
 
     The controller reads sensors only, so the courses are driven alike in every variant.
     """
-    controller = make_controller("fixed_slip", scenario, slip=0.3, start=0.3)
-    sim = Simulation(courses, scenario, variant, threads=1)
-    for k in range(courses):
-        sim.seed(k, course_rng(COURSE_SET, k))
-    alive, what = np.ones(courses, dtype=bool), np.full(courses, STEP)
-    sim.restart_where(alive)
-    fresh, memory, rows, who = alive.copy(), None, [], []
-    for step in range(scenario.steps):
-        w = sim.worlds
+    controller, rows, who = make_controller("fixed_slip", scenario, slip=0.3, start=0.3), [], []
+    controller.variant = variant  # whose observation begins with what the controller reads
+    for step, (w, alive) in enumerate(drive(controller, scenario, COURSE_SET, 0, courses, threads=1), start=1):
         if step % EVERY == EVERY - 1:
-            k = np.flatnonzero(alive & (w.state["halt_left"] == 0.0))
+            k = np.flatnonzero(alive & (w.cause == Cause.RUNNING.value) & (w.state["halt_left"] == 0.0))
             rows.append(w.observation[k].astype(float))
             who.append(k)
-        action, memory = controller.predict(w.observation, state=memory, episode_start=fresh)
-        fresh = np.zeros(courses, dtype=bool)
-        sim.step_all(action[:, 0].astype(float), what)
-        alive &= w.cause == Cause.RUNNING.value
-        what[~alive] = IDLE
-        if not alive.any():
-            break
     return np.concatenate(rows), np.concatenate(who)
 
 
@@ -139,10 +126,8 @@ def study(name: str, courses: int, epochs: int) -> dict:
 @command_line("benchmarks.information")
 def main(arguments: list[str] | None = None) -> int:
     """Run the study and write information.json; returns the exit status."""
-    p = command_parser("python benchmarks/information.py", __doc__)
-    p.add_argument("--out", type=folder, required=True, metavar="DIR", help="folder of information.json")
+    p = study_parser("python benchmarks/information.py", __doc__, "information.json", None)
     p.add_argument("--scenarios", default="mixed,loose_slopes,sticky", metavar="A,B")
-    p.add_argument("--smoke", action="store_true", help="a few courses only")
     options = p.parse_args(arguments)
     make_folder(options.out)
     torch.set_num_threads(1)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import gc
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -34,33 +35,37 @@ def resident() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def vector(steps: int, wheels: int) -> list[float]:
-    """Sizes [MB] after each tenth of `steps` steps of one vector environment."""
-    env = SoilWheelVectorEnv(wheels, course={"length": 4.0})
-    env.reset(seed=0)
-    rng, out = np.random.default_rng(0), []
+def sizes(step: Callable[[int], None], steps: int) -> list[float]:
+    """Sizes [MB] after each tenth of `steps` calls of `step`, which is told the number of the call in its tenth."""
+    out = []
     for _ in range(SAMPLES):
-        for _ in range(max(1, steps // SAMPLES // wheels)):
-            env.step(rng.uniform(-0.1, 0.9, (wheels, 1)))
+        for number in range(max(1, steps // SAMPLES)):
+            step(number)
         out.append(resident())
     return out
+
+
+def vector(steps: int, wheels: int) -> list[float]:
+    """`sizes` over `steps` steps of the wheels of one vector environment."""
+    env, rng = SoilWheelVectorEnv(wheels, course={"length": 4.0}), np.random.default_rng(0)
+    env.reset(seed=0)
+    return sizes(lambda number: env.step(rng.uniform(-0.1, 0.9, (wheels, 1))), steps // wheels)
 
 
 def single(steps: int) -> list[float]:
-    """Sizes [MB] after each tenth of `steps` steps of one single environment."""
-    world = config_dir() / "worlds" / "two_effects.yaml"
+    """`sizes` over `steps` steps of one single environment."""
+    world, rng = config_dir() / "worlds" / "two_effects.yaml", np.random.default_rng(0)
     env = SoilWheelEnv(model=world, render_mode="rgb_array", course={"length": 4.0})
     env.reset(seed=0)
-    rng, out = np.random.default_rng(0), []
-    for _ in range(SAMPLES):
-        for step in range(max(1, steps // SAMPLES)):
-            _, _, terminated, truncated, _ = env.step(rng.uniform(-0.1, 0.9, 1))
-            if step % 1000 == 0:
-                env.render()
-            if terminated or truncated:
-                env.reset()
-        out.append(resident())
-    return out
+
+    def step(number: int) -> None:
+        _, _, terminated, truncated, _ = env.step(rng.uniform(-0.1, 0.9, 1))
+        if number % 1000 == 0:
+            env.render()
+        if terminated or truncated:
+            env.reset()
+
+    return sizes(step, steps)
 
 
 def growth(sizes: list[float]) -> float:
@@ -70,8 +75,10 @@ def growth(sizes: list[float]) -> float:
 
 @command_line("benchmarks.memory")
 def main(arguments: list[str] | None = None) -> int:
-    """The command line; returns the exit status: 0 flat, 1 not, 2 bad input, 130 interrupted."""
-    p = command_parser("python -m benchmarks.memory", __doc__)
+    """The command line; returns the exit status."""
+    p = command_parser(
+        "python -m benchmarks.memory", __doc__, status="exit status: 0 flat, 1 not, 2 bad input, 130 interrupted"
+    )
     p.add_argument("--share", type=float, default=1.0, help="of the steps, to see that it works (default 1)")
     p.add_argument("--page", type=Path, metavar="MD", help="put the result between the markers of this page")
     options = p.parse_args(arguments)

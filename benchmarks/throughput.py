@@ -26,8 +26,8 @@ import gymnasium
 import numpy as np
 
 from benchmarks import throughput_page, throughput_parts
-from benchmarks.common import ROOT, machine, renew_page, spread
-from soil_env._io.commands import command_line, command_parser, folder, leave
+from benchmarks.common import ROOT, machine, renew_page, spread, study_parser
+from soil_env._io.commands import command_line, leave
 from soil_env._io.files import make_folder, write_json
 from soil_env.env import SoilWheelEnv
 from soil_env.simulation.task import Cause
@@ -258,26 +258,10 @@ def run(smoke: bool, say=lambda text: None) -> dict:
     return result
 
 
-_EPILOG = """files:
-  OUT/performance.json
-  OUT/performance.md, docs/performance.md with its tables renewed
-
-exit status:
-  0 done; 2 a folder that cannot be written; 130 interrupted
-
-examples:
-  python benchmarks/throughput.py --smoke --out /tmp/throughput"""
-
-
 @command_line("benchmarks.throughput", interrupted="nothing written")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = command_parser("python benchmarks/throughput.py", __doc__, _EPILOG)
-    parser.add_argument("--smoke", action="store_true", help="seconds instead of minutes, numbers without meaning")
-    parser.add_argument(
-        "--out", metavar="OUT", type=folder, default=ROOT / "docs",
-        help="folder of performance.json and performance.md (default: docs of the clone)",
-    )  # fmt: skip
+    parser = study_parser("python benchmarks/throughput.py", __doc__, "performance.json and performance.md")
     options = parser.parse_args(arguments)
     make_folder(options.out)
     result = run(options.smoke, print)

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from benchmarks.common import range_text
+from benchmarks.common import machine_text, range_text
 from soil_env._io.document import Table
 
 
 def machine(result: dict) -> str:
     """The machine line."""
-    m = result["machine"]
-    load = "" if m["load"] is None else f", load average {m['load']:.1f} at the start"
-    return (
-        f"{m['processor']}, {m['cores']} cores{load}; Python {m['python']}, numpy {m['numpy']}, numba {m['numba']}, "
-        f"llvmlite {m['llvmlite']}. Medians of rounds, with the lowest and the highest."
-    )
+    text = machine_text(result["machine"], "numpy", "numba", "llvmlite")
+    return f"{text}. Medians of rounds, with the lowest and the highest."
 
 
 def targets(result: dict) -> str:

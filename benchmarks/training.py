@@ -33,8 +33,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from agents import evaluate, ppo
 from agents.timing import TRAINING, Times, Timing
 from benchmarks import training_page
-from benchmarks.common import ROOT, machine, renew_page, spread
-from soil_env._io.commands import command_line, command_parser, folder, leave
+from benchmarks.common import ROOT, machine, renew_page, spread, study_parser
+from soil_env._io.commands import command_line, leave
 from soil_env._io.files import make_folder, write_json
 from soil_env.parameters import load_scenario
 
@@ -232,25 +232,10 @@ def measure(options: argparse.Namespace) -> None:
     renew_page(ROOT / "docs" / "training.md", training_page.sections(result), options.out / "training.md")
 
 
-_EPILOG = """files:
-  OUT/training.json, training.md, training.png
-
-exit status:
-  0 done; 2 a folder that cannot be written; 130 interrupted
-
-examples:
-  python benchmarks/training.py --smoke --out /tmp/training"""
-
-
 @command_line("benchmarks.training", interrupted="the same command goes on")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = command_parser("python benchmarks/training.py", __doc__, _EPILOG)
-    parser.add_argument("--smoke", action="store_true", help="seconds instead of an hour, numbers without meaning")
-    parser.add_argument(
-        "--out", metavar="OUT", type=folder, default=ROOT / "docs",
-        help="folder of training.json, .md and .png (default: docs of the clone)",
-    )  # fmt: skip
+    parser = study_parser("python benchmarks/training.py", __doc__, "training.json, .md and .png")
     parser.add_argument(
         "--run", metavar="RUN", type=Path, help="run folder of train.py whose wall time goes onto the page"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import matplotlib
@@ -10,7 +11,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.common import range_text
+from benchmarks.common import machine_text, range_text
 from soil_env._io.document import Table
 from soil_env._io.files import save_figure
 
@@ -19,11 +20,7 @@ PARTS = ("env", "policy", "update")
 
 def machine(result: dict) -> str:
     """The machine line."""
-    m = result["machine"]
-    load = "" if m["load"] is None else f", load average {m['load']:.1f} at the start"
-    return (
-        f"{m['processor']}, {m['cores']} cores, shared with other work{load}; Python {m['python']}, torch {m['torch']}."
-    )
+    return f"{machine_text(result['machine'], 'torch', also=', shared with other work')}."
 
 
 def _runs(result: dict, part: str) -> dict[str, list[dict]]:
@@ -41,6 +38,7 @@ def _each(runs: list[dict], value, digits: int) -> str:
 
 
 def _layouts(result: dict, part: str) -> str:
+    """Layouts of a part of the study: all in the short budget, or the best of them in the long one."""
     head = ["layout", "s", "million steps", "us/step", "env", "policy", "update",
             "return", "finished [%]", "immobilised [%]", "out of time [%]"]  # fmt: skip
     rows = []
@@ -56,16 +54,6 @@ def _layouts(result: dict, part: str) -> str:
               for m in ("finished", "immobilised", "time_limit")),
         ])  # fmt: skip
     return Table(head, rows).markdown()
-
-
-def screening(result: dict) -> str:
-    """All layouts in the short budget."""
-    return _layouts(result, "layouts")
-
-
-def finalists(result: dict) -> str:
-    """The best of them and changes of them in the long budget."""
-    return _layouts(result, "finalists")
 
 
 def update(result: dict) -> str:
@@ -105,7 +93,8 @@ def figure(result: dict, path: Path) -> None:
 
 
 SECTIONS = {
-    "machine": machine, "update": update, "screening": screening, "finalists": finalists, "run": default_run,
+    "machine": machine, "update": update, "screening": partial(_layouts, part="layouts"),
+    "finalists": partial(_layouts, part="finalists"), "run": default_run,
 }  # fmt: skip
 
 

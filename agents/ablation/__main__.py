@@ -24,7 +24,7 @@ from soil_env._io.commands import command, command_line, label, leave
 from soil_env._io.loading import ParameterError, config_dir
 
 from .. import studies
-from ..cli import as_options, config_file, go_on_with, manual
+from ..cli import as_options, config_file, go_on_with, manual_parser
 from ..extras import needing_train
 from ..progress import Bar, console, show
 
@@ -36,13 +36,7 @@ with needing_train(label(_NAME)):
 
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
-    p = argparse.ArgumentParser(
-        command(_NAME),
-        description=manual(__doc__),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-        epilog="Exit status: 0 done, 2 bad input, 130 interrupted.",
-    )
+    p = manual_parser(command(_NAME), __doc__)
     p.add_argument("--out", metavar="OUT", type=Path, help="folder of the study, made where it does not exist")
     p.add_argument("--resume", metavar="OUT", type=Path, help="go on with a study; only --workers may be given")
     p.add_argument("--report", metavar="OUT", type=Path, help="only write the results of what a study has so far")

@@ -6,20 +6,18 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from soil_env._io.document import Table, render
-from soil_env._io.files import replace_file
-from soil_env._io.loading import ParameterError
+from soil_env._io.document import Table, render, renewed
+from soil_env._io.files import replace_file, write_json
 
 from ..evaluate import report
 from ..evaluate.figures import draw_profiles, png
 from ..evaluate.tables import Column, cell, draw_intervals, labels, metric_table, points
 from ..progress import show
-from ..studies import save_json
 from . import results
 from . import study as studies
 from .study import Ablation
 
-BEGIN, END = "<!-- ablation -->", "<!-- end -->"
+EMPTY_PAGE = "# Does the identifier help?\n\n<!-- ablation -->\n<!-- end -->\n"
 _COLUMNS = (
     Column("immobilised", "immobilised [%]", 100.0, 1),
     Column("time_limit", "out of time [%]", 100.0, 1),
@@ -46,20 +44,17 @@ def write(asked: Ablation, folder: Path, result: dict, page: Path | None) -> lis
     replace_file(path, f"# Does the identifier help?\n\n{block(asked, result, '')}\n")
     if page is not None:
         page = Path(page)
-        text = page.read_text(encoding="utf-8") if page.exists() else f"# Does the identifier help?\n\n{BEGIN}\n{END}\n"
-        if text.count(BEGIN) != 1 or END not in text.split(BEGIN)[1]:
-            raise ParameterError(f"{page}: expected one part between {BEGIN} and {END}")
-        before, rest = text.split(BEGIN)
+        text = page.read_text(encoding="utf-8") if page.exists() else EMPTY_PAGE
+        renewed(text, {"ablation": ""}, page)  # its markers are checked before anything is written beside it
         beside = page.with_suffix("")
         beside.mkdir(parents=True, exist_ok=True)
         written += [*_files(asked, result, beside), page]
-        marked = block(asked, result, beside.name + "/")
-        replace_file(page, f"{before}{BEGIN}\n{marked}\n{END}{rest.split(END, 1)[1]}")
+        replace_file(page, renewed(text, {"ablation": block(asked, result, beside.name + "/")}, page))
     return written
 
 
 def _files(asked: Ablation, result: dict, folder: Path) -> list[Path]:
-    save_json(folder / "comparison.json", result)
+    write_json(folder / "comparison.json", result)
     replace_file(folder / "overview.png", png(overview(asked, result)))
     replace_file(folder / "profiles.png", png(profiles(result)))
     return [folder / name for name in ("comparison.json", "overview.png", "profiles.png")]

@@ -29,11 +29,11 @@ from soil_env.terramechanics.model import WheelSoilModel
 from .. import studies, training
 from ..config import PPOConfig, TrainConfig
 from ..controllers import CONTROLLERS
-from ..evaluate import HELD_OUT_SET, TUNING_SET
+from ..evaluate import HELD_OUT_SET
 from ..evaluate import study as driving
 from ..evaluate.contestants import Contestant, digest
 from ..evaluate.records import Records
-from ..evaluate.tuning import tuned_settings
+from ..evaluate.tuning import kept_settings
 from ..guided import check_guide
 
 _NOT_COMPARED = ("seeds", "courses")  # may differ when a study goes on: more seeds, other courses
@@ -230,13 +230,8 @@ def driven_file(folder: Path, target: str, name: str, seed: int) -> Path:
 
 def _tuned(study: Ablation, folder: Path, source: str) -> dict:
     path, target = folder / source / "tuned.json", study.targets[source]
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        chosen, _ = tuned_settings(
-            target.scenario, TUNING_SET, study.tuning_courses, lambda count, name: None, model=target.world
-        )
-        studies.save_json(path, chosen)
-    return json.loads(path.read_text(encoding="utf-8"))
+    quiet = (lambda count, name: None), tuple(CONTROLLERS)
+    return kept_settings(path, target.scenario, study.tuning_courses, *quiet, target.world)
 
 
 class _Count:

@@ -1,17 +1,7 @@
 """Controllers on the same courses: paired runs, rates and means with 95 % intervals; `python -m agents.evaluate`."""
 
 from .comparing import comparison, paired_difference, save, summary
-from .driving import (
-    HELD_OUT_SET,
-    METRICS,
-    RATES,
-    TUNING_SET,
-    ControllerError,
-    Runs,
-    course_rng,
-    drive,
-    run_courses,
-)
+from .driving import HELD_OUT_SET, METRICS, RATES, TUNING_SET, ControllerError, Runs, course_rng, drive, run_courses
 from .statistics import wilson
 from .tuning import tune, tuned_settings
 

@@ -35,7 +35,7 @@ from soil_env.parameters import load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import studies
-from ..cli import as_options, go_on_with, manual, overrides
+from ..cli import as_options, go_on_with, manual_parser, overrides
 from ..progress import Bar, show
 from . import contestants, report, results, study
 from .driving import HELD_OUT_SET, TUNING_SET
@@ -44,11 +44,7 @@ from .tuning import candidates_in_all, tuned_settings
 _EPILOG = """further options:
   --changes.KEY VALUE        any key of the scenario, in SI units, as --changes.course.length 20 [m]
   --settings.NAME.KEY VALUE  a setting of a classical controller: slip of fixed_slip [-], speed of constant_speed [m/s],
-                             start of all that hold a slip [share of the top rim speed]
-
-exit status:
-  0 done; 2 bad input, said in one line; 130 interrupted, --resume goes on"""
-
+                             start of all that hold a slip [share of the top rim speed]"""
 
 _NAME = __package__
 _TUNING_COURSES = 200  # as train.py
@@ -56,13 +52,7 @@ _TUNING_COURSES = 200  # as train.py
 
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
-    p = argparse.ArgumentParser(
-        command(_NAME),
-        description=manual(__doc__),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-        epilog=_EPILOG,
-    )
+    p = manual_parser(command(_NAME), __doc__, _EPILOG)
     p.add_argument("--controllers", metavar="CONTROLLERS", help="what is compared, with commas (see above)")
     p.add_argument("--out", metavar="OUT", type=Path, help="folder of the results, made where it does not exist")
     p.add_argument("--resume", metavar="OUT", type=Path, help="go on with an evaluation; only the engine may be given")

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from soil_env._io.files import write_json
 from soil_env.parameters import Scenario
 
-from ..studies import save_csv, save_json
+from ..studies import save_csv
 from .driving import METRICS, RATES, Runs
 from .statistics import wilson
 
@@ -68,7 +69,7 @@ def paired_difference(a: Runs, b: Runs, metric: str, seed: int = 0, resamples: i
 def save(result: dict, folder: Path) -> None:
     """Write comparison.json and comparison.csv into `folder`."""
     folder = Path(folder)
-    save_json(folder / "comparison.json", result)
+    write_json(folder / "comparison.json", result)
     rows = [["controller", *(f"{m}{part}" for m in METRICS for part in ("", "_low", "_high"))]]
     for name, row in result["controllers"].items():
         rows.append([name, *(f"{row[m][key]:.6g}" for m in METRICS for key in ("value", "low", "high"))])

@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from soil_env._io.document import Table, html_image, html_page, render
-from soil_env._io.files import replace_file
+from soil_env._io.files import replace_file, write_json
 
 from ..progress import show
-from ..studies import save_json
 from . import figures, results
 from .records import METRICS, RATES, Records
 from .study import Study
@@ -72,7 +71,7 @@ def _title(result: dict) -> str:
 def write(study: Study, records: dict[str, list[Records]], result: dict, folder: Path) -> list[str]:
     """Write evaluation.json, evaluation.csv, courses.csv, the figures and report.html; returns their names."""
     folder = Path(folder)
-    save_json(folder / "evaluation.json", result)
+    write_json(folder / "evaluation.json", result)
     results.save_table(result, folder / "evaluation.csv")
     results.save_courses(records, folder / "courses.csv")
     pictures = {name: figures.png(draw(result)) for name, (_, draw) in figures.FIGURES.items()}

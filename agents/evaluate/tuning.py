@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
+from soil_env._io.files import write_json
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..controllers import make_controller
 from ..progress import Bar
-from .driving import run_courses
+from .driving import TUNING_SET, run_courses
 
 _STARTS = (0.055, 0.11, 0.17, 0.24, 0.3)  # beyond, a slip controller is a constant speed
 _CANDIDATES = {  # settings each classical controller is tuned over; speeds are shares of the top rim speed
@@ -61,6 +64,14 @@ def tuned_settings(
             model,
         )
     return chosen, tried
+
+
+def kept_settings(path: Path, scenario: Scenario, courses: int, *options) -> dict[str, dict]:
+    """The best settings of `tuned_settings` on the tuning set; found once and kept in the file `path`."""
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_json(path, tuned_settings(scenario, TUNING_SET, courses, *options)[0])
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 def tune(make, candidates: list[dict], scenario: Scenario, seed: int, courses: int, progress=None, model=None):

@@ -20,7 +20,7 @@ from pathlib import Path
 from soil_env._io.commands import command, command_line, label, leave
 from soil_env.parameters import load_scenario
 
-from ..cli import as_options, manual
+from ..cli import as_options, manual_parser
 from ..extras import needing_train
 from ..progress import show
 
@@ -34,19 +34,13 @@ _EPILOG = """files:
   OUT/sim2real.*     .json, .md and .png: the comparison over all worlds
   OUT/worlds/WORLD/  table, report of the workflow, corrected model, what was tuned and trained on it
 
-exit status:
-  0 done; 2 bad input, said in one line; 130 interrupted, the same command goes on
-
 With its defaults it trains for hours: begin with --timesteps 100000 --courses 100 --tuning-courses 20."""
 
 
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     default = {f: study.Study.__dataclass_fields__[f].default for f in _NUMBERS}
-    p = argparse.ArgumentParser(
-        command(_NAME), description=manual(__doc__), formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False, epilog=_EPILOG,
-    )  # fmt: skip
+    p = manual_parser(command(_NAME), __doc__, _EPILOG)
     p.add_argument("--world", metavar="YAML", nargs="+", required=True, help="model.yaml of each hidden world")
     p.add_argument("--out", metavar="OUT", type=Path, required=True, help="folder of the results")
     p.add_argument("--scenario", metavar="NAME", default="mixed", help="name or YAML file (default: mixed)")

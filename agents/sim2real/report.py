@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from soil_env._io.document import Table, render
-from soil_env._io.files import replace_file
+from soil_env._io.files import replace_file, write_json
 from soil_env._io.loading import config_dir
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -22,7 +22,6 @@ from ..evaluate import statistics as st
 from ..evaluate.figures import png
 from ..evaluate.tables import cell, draw_intervals
 from ..progress import show
-from ..studies import save_json
 from .study import ARMS, CONTROLLERS, CORRECTED, PPO, UNCORRECTED, Study, scores
 
 FILES = ("sim2real.json", "sim2real.md", "sim2real.png")
@@ -121,7 +120,7 @@ def _controller(name: str, own: dict, hidden: dict, foretold: dict, draws: st.Dr
 def write(study: Study, result: dict, folder: Path) -> list[str]:
     """Write sim2real.json, .md and .png; returns their names."""
     folder = Path(folder)
-    save_json(folder / FILES[0], result)
+    write_json(folder / FILES[0], result)
     replace_file(folder / FILES[1], page(result))
     replace_file(folder / FILES[2], png(figure(result)))
     return list(FILES)

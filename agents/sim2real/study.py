@@ -30,9 +30,9 @@ from soil_env.terramechanics.model import WheelSoilModel
 from .. import studies, training
 from ..config import PPOConfig, TrainConfig
 from ..controllers import make_controller
-from ..evaluate import HELD_OUT_SET, TUNING_SET, run_courses
+from ..evaluate import HELD_OUT_SET, run_courses
 from ..evaluate.study import code_version
-from ..evaluate.tuning import tuned_settings
+from ..evaluate.tuning import kept_settings
 from ..ppo import load_agent
 from ..progress import Bar
 from . import log
@@ -163,13 +163,13 @@ class Arm:
 
     def prepare(self) -> None:
         """Tune and train."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        path, study = self.folder / "tuned.json", self.study
-        if not path.is_file():
-            chosen, _ = tuned_settings(study.scenario, TUNING_SET, study.tuning_courses, None, CLASSICAL, self.model)
-            studies.save_json(path, chosen)
-        for k in range(study.training_seeds):
+        self._settings()
+        for k in range(self.study.training_seeds):
             self._train(k)
+
+    def _settings(self) -> dict:
+        path, study = self.folder / "tuned.json", self.study
+        return kept_settings(path, study.scenario, study.tuning_courses, None, CLASSICAL, self.model)
 
     def _train(self, k: int) -> None:
         """Train PPO agent k, from its checkpoint where there is one."""
@@ -184,8 +184,7 @@ class Arm:
         """The controllers of that name."""
         if name == PPO:
             return [load_agent(self.folder / f"ppo_{k}") for k in range(self.study.training_seeds)]
-        settings = json.loads((self.folder / "tuned.json").read_text(encoding="utf-8"))
-        return [make_controller(name, self.study.scenario, **settings[name])]
+        return [make_controller(name, self.study.scenario, **self._settings()[name])]
 
     def drive(self, to: Path, world: WheelSoilModel | None, title: str) -> None:
         """Drive every controller over the held-out courses in `world`; one file a controller in `to`."""

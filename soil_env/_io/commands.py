@@ -15,6 +15,7 @@ from soil_env._io.loading import ParameterError
 from soil_env._io.signals import INTERRUPTED, TERMINATED, module_asked, terminable
 
 BAD_INPUT = 2  # exit status
+STATUS = "exit status: 0 done; 2 bad input, said in one line and nothing written; 130 interrupted"
 
 
 def command(module: str, script: str = "") -> str:
@@ -30,11 +31,36 @@ def label(module: str, script: str = "") -> str:
     return command(module, script).rpartition(" ")[2]
 
 
-def command_parser(prog: str, description: str, epilog: str = "") -> argparse.ArgumentParser:
-    """Parser that prints description and epilog as they are written."""
+def command_parser(
+    prog: str, description: str, epilog: str = "", status: str = STATUS, **options
+) -> argparse.ArgumentParser:
+    """Parser that prints description and epilog as they are written, and after them what the exit status means."""
     return argparse.ArgumentParser(
-        prog, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog,
+        description=description,
+        epilog="\n\n".join(filter(None, (epilog, status))),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        **options,
     )
+
+
+def table_parser(module: str, manual: str, written: str, examples: str) -> argparse.ArgumentParser:
+    """Parser of a command that reads a measurement table and its setup.
+
+    `manual` describes both files from "DATA.csv" on, `written` those that the command writes.
+    """
+    description, _, files = manual.partition("\n\nDATA.csv")
+    epilog = f"files:\n\nDATA.csv{files}\n{written}\n\nexamples:\n\n{examples}"
+    p = command_parser(f"python -m {module}", description, epilog)
+    p.add_argument("data", metavar="DATA.csv", type=Path, help="measurement table (CSV, or Parquet with pyarrow)")
+    p.add_argument(
+        "--setup",
+        metavar="YAML",
+        required=True,
+        type=Path,
+        help="YAML: wheel, what is known of the soil, noise; required",
+    )
+    return p
 
 
 def whole_number(least: int = 0) -> Callable[[str], int]:

@@ -49,14 +49,16 @@ def write_json(path: str | Path, content, indent: int | None = 1) -> None:
 
 
 def plain(value):
-    """Nested values as JSON has them: arrays and tuples as lists, keys as text, NaN and infinities as None."""
-    if isinstance(value, dict):
+    """Nested values as JSON has them: arrays and tuples as lists, keys as text, NaN and infinities None, -0.0 0.0."""
+    if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
     if hasattr(value, "tolist"):  # of numpy
         return plain(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float):
+        return value + 0.0 if math.isfinite(value) else None
+    return value
 
 
 def is_unused(folder: str | Path) -> bool:

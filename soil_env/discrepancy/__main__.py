@@ -47,7 +47,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from soil_env._io.commands import command_line, leave
+from soil_env._io.commands import command_line, leave, table_parser, whole_number
 from soil_env.discrepancy.report import FILES, show
 from soil_env.discrepancy.report.words import check_first, summary
 from soil_env.discrepancy.workflow import MOST_DRAWS, run
@@ -102,52 +102,26 @@ def _stages() -> Callable[[str], None]:
     return say
 
 
-_EPILOG = """
-DIR/report.html (self-contained, with plots), DIR/report.json (the same as data), DIR/model.yaml (the corrected model)
-
-exit status:
-
-    0 done, whatever the verdict; 2 bad input, said in one line and nothing written; 130 interrupted, nothing written
-
-examples:
-
+_WRITTEN = """DIR/report.html (self-contained, with plots), DIR/report.json (the same as data), DIR/model.yaml (the
+corrected model)"""
+_EXAMPLES = """\
     python -m soil_env.discrepancy examples/data/rig.csv --setup examples/data/rig.setup.yaml --out runs/rig
     python -m soil_env.discrepancy rig.csv --setup rig.setup.yaml --out rig --quiet --bootstrap 0"""
 
 
 def _parser() -> argparse.ArgumentParser:
-    description, _, files = __doc__.partition("\n\nDATA.csv")
-    p = argparse.ArgumentParser(
-        prog=f"python -m {NAME}",
-        description=description,
-        epilog="files:\n\nDATA.csv" + files + _EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    p.add_argument("data", metavar="DATA.csv", type=Path, help="measurement table (CSV, or Parquet with pyarrow)")
-    p.add_argument(
-        "--setup",
-        metavar="YAML",
-        required=True,
-        type=Path,
-        help="YAML: wheel, what is known of the soil, noise; required",
-    )
+    p = table_parser(NAME, __doc__, _WRITTEN, _EXAMPLES)
     p.add_argument("--out", required=True, metavar="DIR", help="folder for the report, made if need be; required")
     p.add_argument(
-        "--seed", type=_whole, default=0, metavar="N", help="of everything random (default 0); same seed, same report"
-    )
+        "--seed", type=whole_number(), default=0, metavar="N",
+        help="of everything random (default 0); same seed, same report",
+    )  # fmt: skip
     p.add_argument(
-        "--bootstrap", type=_whole, default=200, metavar="N",
+        "--bootstrap", type=whole_number(), default=200, metavar="N",
         help=f"redraws of the noise that tell how sure the name is (default 200; 0 for none, at most {MOST_DRAWS})",
     )  # fmt: skip
     p.add_argument("--quiet", action="store_true", help="print only the conclusion, in one line")
     return p
-
-
-def _whole(text: str) -> int:
-    value = int(text) if text.isdigit() else -1
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 0")
-    return value
 
 
 if __name__ == "__main__":

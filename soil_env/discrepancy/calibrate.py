@@ -23,13 +23,7 @@ import numpy as np
 
 from soil_env.discrepancy.data import CHANNELS, Data
 from soil_env.discrepancy.noise import NoiseEstimate, find_noise
-from soil_env.identification.priors import (
-    USUAL_SINKAGE,
-    Unknown,
-    known_digging,
-    soil_state,
-    soil_unknowns,
-)
+from soil_env.identification.priors import USUAL_SINKAGE, Unknown, known_digging, soil_state, soil_unknowns
 from soil_env.identification.weighted import differences, finite, most_probable
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.catalogue import CATALOGUE
@@ -85,6 +79,10 @@ class Fit:
     def columns(self) -> int:
         """Number of unknowns with slack."""
         return self.jacobian.shape[1]
+
+    def covariance(self) -> np.ndarray:
+        """[p + slack, p + slack] of the whitened unknowns (Laplace): inv(I + J'J)."""
+        return np.linalg.inv(np.eye(self.columns) + self.jacobian.T @ self.jacobian)
 
     def linearised(self) -> tuple[np.ndarray, np.ndarray]:
         """(A [M + p, k], e [M + p]): the whitened problem about its solution, the priors as the last p rows.

@@ -30,7 +30,6 @@ Cautions
 
 from __future__ import annotations
 
-import argparse
 import csv
 import io
 import math
@@ -40,7 +39,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-from soil_env._io.commands import command_line, leave
+from soil_env._io.commands import command_line, command_parser, leave
 from soil_env._io.files import check_outputs, replace_files
 from soil_env._io.loading import ParameterError
 
@@ -292,9 +291,6 @@ _EPILOG = """files:
   DIR/{smooth,grouser}.csv                     measurement tables, SI units
   DIR/{smooth,grouser}.setup.yaml              wheel, soil as the plate tests suggest, cautions
 
-exit status:
-  0 written; 2 bad input, said in one line and nothing written; 130 interrupted
-
 examples:
   python -m soil_env.discrepancy.cmu 3d-terramechanics --out tables
   python -m soil_env.discrepancy tables/smooth.csv --setup tables/smooth.setup.yaml --out smooth"""
@@ -303,12 +299,7 @@ examples:
 @command_line("soil_env.discrepancy.cmu", interrupted="nothing written")
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m soil_env.discrepancy.cmu",
-        description=__doc__,
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = command_parser("python -m soil_env.discrepancy.cmu", __doc__, _EPILOG)
     parser.add_argument(
         "path", metavar="PATH", type=Path, help="clone of the repository, or the folder of its .mat files"
     )

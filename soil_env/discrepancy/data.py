@@ -70,9 +70,7 @@ def prepare(table: Table, setup: Setup) -> Data:
     """`Data` of a table and its setup. Raises `ParameterError` where nothing could be learned from it."""
     height = setup.wheel.grouser_height
     wheel = ModelWheel(
-        setup.wheel.radius,
-        setup.wheel.width,
-        UNKNOWN_HEIGHT * setup.wheel.radius if height is None else height,
+        setup.wheel.radius, setup.wheel.width, UNKNOWN_HEIGHT * setup.wheel.radius if height is None else height
     )
     rows = rows_of(table, wheel)
     if "speed" not in table.given or not np.any(np.isfinite(table.speed)):

@@ -195,5 +195,4 @@ def predicted(there: Problem, candidate: Candidate) -> tuple[np.ndarray, np.ndar
     feasible = (guess > 0.0) & (guess < DEEPEST * there.data.wheel.radius) & np.all(np.isfinite(out), axis=1)
     mean = there.with_slack(fit.choices, out, added, fit.slack) if slack else out
     j = there.derivatives(fit.unknowns, fit.u, fit.slack, fit.choices, guess)
-    covariance = np.linalg.inv(np.eye(fit.jacobian.shape[1]) + fit.jacobian.T @ fit.jacobian)
-    return mean, np.sum((j @ covariance) * j, axis=1).reshape(-1, 3), feasible
+    return mean, np.sum((j @ fit.covariance()) * j, axis=1).reshape(-1, 3), feasible

@@ -77,8 +77,7 @@ def intervals(fit: Fit, centre: dict[str, float]) -> dict[str, Interval]:
 
     In the logarithm where the unknown is fitted in it; never beyond the bounds.
     """
-    covariance = np.linalg.inv(np.eye(fit.jacobian.shape[1]) + fit.jacobian.T @ fit.jacobian)
-    sd = np.sqrt(np.diag(covariance))
+    sd = np.sqrt(np.diag(fit.covariance()))
     return {k.name: _interval(k, k.at(centre[k.name]), float(s)) for k, s in zip(fit.unknowns, sd, strict=False)}
 
 

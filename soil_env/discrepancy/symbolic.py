@@ -57,7 +57,7 @@ class ResidualFit:
     def covariance(self) -> np.ndarray:
         """[T, T] of the coefficients (Laplace; the soil moves with them)."""
         fit, count = self.fit, len(self.terms)
-        whole = np.linalg.inv(np.eye(fit.columns) + fit.jacobian.T @ fit.jacobian)[-count:, -count:]
+        whole = fit.covariance()[-count:, -count:]
         with np.errstate(divide="ignore", invalid="ignore"):
             width = np.array([t.coefficient for t in self.terms]) / fit.slack[-count:]  # prior sd of each
         width = np.where(np.isfinite(width), width, 0.0)

@@ -45,9 +45,9 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from soil_env._io.commands import command_line, leave
+from soil_env._io.commands import command_line, leave, table_parser
 from soil_env._io.document import Table
-from soil_env._io.files import check_outputs, replace_files
+from soil_env._io.files import check_outputs, plain, replace_files
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table import SYMBOLS, ChannelFit, TableEstimate, identify_table
 from soil_env.measurement.table import read_setup, read_table
@@ -84,35 +84,14 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-_EPILOG = """
-DIR/identification.json (all that is printed, and the fitted values), DIR/identification.png (measured against fitted)
-
-exit status:
-
-    0 identified; 2 bad input, said in one line and nothing written; 130 interrupted
-
-examples:
-
-    python -m soil_env.identification examples/data/single_wheel.csv --setup examples/data/setup.yaml
+_WRITTEN = """DIR/identification.json (all that is printed, and the fitted values), DIR/identification.png (measured
+against fitted)"""
+_EXAMPLES = """    python -m soil_env.identification examples/data/single_wheel.csv --setup examples/data/setup.yaml
     python -m soil_env.identification rig.csv --setup rig.setup.yaml --out runs/identified"""
 
 
 def _parser() -> argparse.ArgumentParser:
-    description, _, files = __doc__.partition("\n\nDATA.csv")
-    p = argparse.ArgumentParser(
-        prog=f"python -m {NAME}",
-        description=description,
-        epilog="files:\n\nDATA.csv" + files + _EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    p.add_argument("data", metavar="DATA.csv", type=Path, help="measurement table (CSV, or Parquet with pyarrow)")
-    p.add_argument(
-        "--setup",
-        metavar="YAML",
-        required=True,
-        type=Path,
-        help="YAML: wheel, what is known of the soil, noise; required",
-    )
+    p = table_parser(NAME, __doc__, _WRITTEN, _EXAMPLES)
     p.add_argument(
         "--out", metavar="DIR",
         help="write identification.json and identification.png there; made if need be (default: print only)",
@@ -170,43 +149,23 @@ def _rms(fit: ChannelFit) -> float:
 
 def report_of(estimate: TableEstimate) -> dict:
     """The estimate as plain values for JSON; null where there is none."""
-
-    def plain(x):
-        if isinstance(x, np.ndarray):
-            return [plain(v) for v in x.tolist()]
-        if isinstance(x, list):
-            return [plain(v) for v in x]
-        return None if isinstance(x, float) and not math.isfinite(x) else x
-
-    return {
-        "parameters": {
-            name: {key: plain(getattr(p, key)) for key in ("value", "low", "high", "unit", "known", "told")}
-            for name, p in estimate.parameters.items()
-        },
+    keys = ("value", "low", "high", "unit", "known", "told")
+    return plain({
+        "parameters": {name: {key: getattr(p, key) for key in keys} for name, p in estimate.parameters.items()},
         "reference_sinkage": estimate.reference_sinkage,
-        "free": list(estimate.free),
-        "covariance": plain(estimate.covariance),
-        "correlation": plain(estimate.correlation),
-        "condition": plain(estimate.condition),
+        "free": estimate.free,
+        "covariance": estimate.covariance,
+        "correlation": estimate.correlation,
+        "condition": estimate.condition,
         "channels": {
             name: {
-                "noise": fit.noise,
-                "noise_estimated": fit.estimated,
-                "rms": _rms(fit),
-                "p_value": plain(fit.p_value),
-                "measured": plain(fit.measured),
-                "fitted": plain(fit.fitted),
+                "noise": fit.noise, "noise_estimated": fit.estimated, "rms": _rms(fit), "p_value": fit.p_value,
+                "measured": fit.measured, "fitted": fit.fitted,
             }
             for name, fit in estimate.fits.items()
         },
-        "row": plain(estimate.row),
-        "slip": plain(estimate.slip),
-        "load": plain(estimate.load),
-        "values": estimate.values,
-        "exact": list(estimate.exact),
-        "converged": estimate.converged,
-        "warnings": list(estimate.warnings),
-    }
+        **{key: getattr(estimate, key) for key in ("row", "slip", "load", "values", "exact", "converged", "warnings")},
+    })  # fmt: skip
 
 
 def picture(estimate: TableEstimate) -> bytes:

@@ -16,9 +16,7 @@ from soil_env._numba.compiling import part, root
 from soil_env.identification import Estimate, Reading, generalized_newton_raphson, newton_raphson
 from soil_env.identification.point import channels_at
 from soil_env.parameters import Soil, soils, wheels
-from soil_env.terramechanics.contact import (
-    entry_angle,
-)
+from soil_env.terramechanics.contact import entry_angle
 from soil_env.terramechanics.model import steady_state
 
 WHEEL = wheels()["paper_vehicle"]

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from soil_env.identification import Estimate
 from soil_env.paper import curves, points
 from soil_env.paper.points import DRAWS, ENTRY_DEG, HELD, LOAD, PRINTED_SET, SLIP, R
-from soil_env.terramechanics.contact import (
-    entry_angle,
-)
+from soil_env.terramechanics.contact import entry_angle
 
 
 @dataclass(frozen=True)

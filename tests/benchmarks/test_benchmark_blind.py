@@ -305,4 +305,4 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     assert "discrepancy.json: cannot be read" in capsys.readouterr().err
     (tmp_path / "some.jsonl").write_text("slip,load\n")
     assert blind.main(["--smoke", "--resume", "--records", str(tmp_path / "some.jsonl"), "--out", str(tmp_path)]) == 2
-    assert "is not a file of records" in capsys.readouterr().err
+    assert "some.jsonl: line 1 is damaged" in capsys.readouterr().err

@@ -6,7 +6,7 @@ import pytest
 
 from agents.sim2real import __main__ as sim2real
 from benchmarks import blind, clients, cmu, fuzz, identification, memory, throughput, training
-from soil_env.paper import recompute as paper
+from soil_env.paper import __main__ as paper
 from tests.agents.test_sim2real import WORLDS
 
 OUT, PAGE = ["--out", "{}"], ["--page", "{}/page.md"]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import platform
-from collections.abc import Mapping
 
 import numpy as np
 import scipy
 
 from soil_env import __version__
+from soil_env._io.files import plain
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.report import words
 from soil_env.discrepancy.report.blocks import blocks
@@ -76,16 +75,3 @@ def _law(report: Report, shown: list[dict]) -> dict | None:
         ],
         **(shown[-1] if report.model.residual else {}),
     }
-
-
-def plain(x):
-    """Nested plain values; what is not finite becomes None."""
-    if isinstance(x, Mapping):
-        return {str(k): plain(v) for k, v in x.items()}
-    if isinstance(x, (list, tuple)):
-        return [plain(v) for v in x]
-    if isinstance(x, np.generic):
-        x = x.item()
-    if isinstance(x, float):
-        return x + 0.0 if math.isfinite(x) else None  # -0.0 + 0.0 is 0.0
-    return x

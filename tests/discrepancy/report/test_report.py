@@ -8,12 +8,12 @@ import re
 import numpy as np
 import pytest
 
+from soil_env._io.files import plain
 from soil_env.discrepancy import judgement, run
 from soil_env.discrepancy import report as drawn
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.report import blocks, tables, words
-from soil_env.discrepancy.report.content import plain
 from soil_env.terramechanics.catalogue import CATALOGUE
 from tests.discrepancy.files import SETUP, table_text, write_files
 
