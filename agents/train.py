@@ -31,7 +31,7 @@ _STARTED_AS = f"{__package__}.train", "train.py"
 _FILES = """
 The run folder, runs/NAME, holds
   config.yaml, scenario.yaml   what was asked, every key resolved; --resume reads them
-  model.zip                    the agent with its normalisation; agents.ppo.load_agent(folder) loads it
+  model.zip                    the agent with its normalisation; soil_env_agents.ppo.load_agent(folder) loads it
   checkpoint.zip               the agent on the way, until it is done
   tensorboard/                 curves of the training: tensorboard --logdir runs
   comparison.json, .csv, .png  every controller on the held-out courses, with 95 % intervals

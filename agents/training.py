@@ -247,4 +247,4 @@ def verdict(result: dict, name: str) -> str:
 def _judgement(a: dict, b: dict) -> str:
     if a["high"] < b["low"]:
         return "less often than"
-    return "more often than" if a["low"] > b["high"] else "as often, within the intervals, as"
+    return "more often than" if a["low"] > b["high"] else "neither less nor more often, within the intervals, than"

@@ -14,7 +14,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from soil_env._io.loading import ParameterError
+from soil_env import ParameterError
 from soil_env_agents.controllers import CONTROLLERS, make_controller
 
 

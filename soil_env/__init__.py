@@ -1,8 +1,8 @@
 """soil_env: a driven wheel on loose ground, with its soil identified while it drives.
 
 `import soil_env` registers the Gymnasium environment `SoilWheel-v0`; `gymnasium.make("soil_env:SoilWheel-v0")` does so
-without an import. The physics is in `contact`, `model` and `dynamics`, the identification in `identification` and
-`identifier`, the environment in `env` and `vector_env`.
+without an import. The physics is in `terramechanics`, the world in time in `simulation`, the identification in
+`identification`, the search for missing effects in `discrepancy`, the environments in `env` and `vector_env`.
 """
 
 from soil_env._io.signals import arm

@@ -49,7 +49,7 @@ class Rows:
 
     def __getattr__(self, name):
         if name.startswith("__") or name not in self.NAMES:
-            raise AttributeError(f"{type(self).__name__} has no row {name!r}")
+            raise AttributeError(f"{type(self).__name__} has no row {name!r}: expected one of {', '.join(self.NAMES)}")
         return self.data[self.NAMES.index(name), : self.count if COMPILED else None]
 
     def __setattr__(self, name, value):

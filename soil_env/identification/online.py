@@ -3,7 +3,7 @@
 The identifier sees sensor readings only. Readings of a few control periods at the same slip are averaged to a point;
 the window keeps the points that are spread in slip and sinkage, drops the more redundant of two alike, forgets what
 lies further back than its memory, and starts anew when a point contradicts the estimate (a new soil). Each completed
-point triggers one safeguarded generalized Newton-Raphson solve (`identification.joint`) on drawbar pull, load and
+point triggers one safeguarded generalized Newton-Raphson solve (`solver`) on drawbar pull, load and
 torque, with the prior of the `Belief` as a further, weak measurement.
 
 Slip and sinkage carry noise too. Their first-order effect on the three channels and a model error enter the weight of

@@ -39,7 +39,7 @@ from soil_env.terramechanics.effects import (
     true_slip,
 )
 
-_SECANT = 1e-7  # step times last step [ln m]^2, the size of the error that the last step of the secant leaves
+_SECANT = 1e-7  # [ln m]^2 product of the last two steps at which the secant ends: the size of its error
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
 
 
