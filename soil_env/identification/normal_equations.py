@@ -33,7 +33,7 @@ COHESION, GAIN = 3, 4
 
 # --- points, eight at a time ------------------------------------------------------------------------------------------
 
-#: What does not depend on the unknowns, of points in blocks of eight: how `arc_integrals.store_nodes` leaves their arcs.
+#: What does not depend on the unknowns, of points in blocks of eight: as `arc_integrals.store_nodes` leaves their arcs.
 Prepared = rows("Prepared", "travel", *ArcFrame._fields)
 
 

@@ -172,7 +172,7 @@ def mirror_angle(theta, theta1, theta2, thetam):
 
 @inlined
 def mobilised(j, K, law):
-    """(e, de/dj): share of the shear strength mobilised at shear displacement j [m], signed as j; Eq. (10) and `ShearLaw`."""
+    """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq. (10) and `ShearLaw`."""
     distance, rate = abs(j), 1.0 / K
     decay = exp(-rate * distance)
     free = 1.0 - decay
