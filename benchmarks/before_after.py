@@ -21,14 +21,14 @@ from soil_env._io.document import Table
 
 PAGE = ROOT / "docs" / "performance.md"
 WORLDS = {
-    "none": {},
-    "two": {"bulldozing": {"rankine": 1.0}, "stress_peak_shift": {"offset": 0.1, "slope": 0.2}},
+    "none": "{}",
+    "two": '{"bulldozing": {"rankine": 1.0}, "stress_peak_shift": {"offset": 0.1, "slope": 0.2}}',
 }
 #: What a round runs in a process of its own: {case: (program, arguments)}; each prints one number.
 _STEPS = """
-import sys, time, gymnasium, numpy as np, soil_env
+import json, sys, time, gymnasium, numpy as np, soil_env
 from soil_env.model import ModelWheel, WheelSoilModel
-wheels, seconds, effects = int(sys.argv[1]), float(sys.argv[2]), eval(sys.argv[3])
+wheels, seconds, effects = int(sys.argv[1]), float(sys.argv[2]), json.loads(sys.argv[3])
 world = {"model": WheelSoilModel(ModelWheel(0.1, 0.1, 0.01), effects=effects)} if effects else {}
 if wheels == 1:
     env, action = gymnasium.make("SoilWheel-v0", **world).unwrapped, [0.4]

@@ -40,11 +40,11 @@ def killed_until_done(work) -> int:
 def kill_at_a_file(number: int, when: str) -> None:
     """Let this process be killed before or after it puts its file of that number (from 1) in its place.
 
-    A line added to the records of `benchmarks.blind` counts as a file; "before" is then in the middle of it.
+    A line added to the log of a study counts as a file; "before" is then in the middle of it.
     """
-    from benchmarks import blind
+    from agents import studies
 
-    replace, append, seen = os.replace, blind.append_line, []
+    replace, append, seen = os.replace, studies.append_line, []
 
     def die() -> None:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -67,7 +67,7 @@ def kill_at_a_file(number: int, when: str) -> None:
         if len(seen) == number:
             die()
 
-    os.replace, blind.append_line = replaced, appended
+    os.replace, studies.append_line = replaced, appended
 
 
 def sim2real(folder: Path) -> None:

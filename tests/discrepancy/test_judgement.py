@@ -21,14 +21,19 @@ from tests.discrepancy.tables import NOISE, table
 # --- intervals and the gap --------------------------------------------------------------------------------------------
 
 
+def linear(slope, unknown):
+    """A fit of one unknown with this whitened slope: its covariance by hand."""
+    return SimpleNamespace(unknowns=(unknown,), covariance=lambda: np.array([[1.0 / (1.0 + slope * slope)]]))
+
+
 def test_intervals_are_those_of_a_linear_problem():
     """One unknown with prior sd 2 seen once with noise 1: the posterior variance is 1/(1/4 + 1)."""
     unknown = Unknown("x", 5.0, 2.0, -math.inf, math.inf, False)
-    told = judgement.intervals(SimpleNamespace(jacobian=np.array([[2.0]]), unknowns=(unknown,)), {"x": 6.0})
+    told = judgement.intervals(linear(2.0, unknown), {"x": 6.0})
     assert told["x"].value == pytest.approx(6.0)
     assert told["x"].high - told["x"].value == pytest.approx(1.959964 * math.sqrt(0.8))
     logarithmic = Unknown("x", 0.0, 2.0, -math.inf, math.inf, True)
-    told = judgement.intervals(SimpleNamespace(jacobian=np.array([[2.0]]), unknowns=(logarithmic,)), {"x": 3.0})
+    told = judgement.intervals(linear(2.0, logarithmic), {"x": 3.0})
     assert told["x"].high / told["x"].value == pytest.approx(told["x"].value / told["x"].low)
 
 
@@ -37,8 +42,7 @@ def test_intervals_are_those_of_a_linear_problem():
 def test_intervals_stay_within_the_bounds(u, slope, sd):
     unknown = Unknown("x", 0.0, sd, -1.0, 1.0, False)
     value = min(max(unknown.value(u), -1.0), 1.0)
-    fit = SimpleNamespace(jacobian=np.array([[slope]]), unknowns=(unknown,))
-    told = judgement.intervals(fit, {"x": value})["x"]
+    told = judgement.intervals(linear(slope, unknown), {"x": value})["x"]
     assert -1.0 - 1e-9 <= told.low <= told.value <= told.high <= 1.0 + 1e-9
 
 

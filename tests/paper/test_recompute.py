@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from soil_env.identification import Status
-from soil_env.paper import curves, page, recompute
+from soil_env.paper import __main__ as command
+from soil_env.paper import curves, page
 from soil_env.paper import points as paper_points
 from soil_env.paper.results import compute
 from soil_env.terramechanics.contact import entry_angle
@@ -178,6 +179,6 @@ def test_page_and_figures_are_written(small, tmp_path):
 
 def test_bad_seed(capsys):
     with pytest.raises(SystemExit) as stop:
-        recompute.main(["--seed", "-1"])
+        command.main(["--seed", "-1"])
     assert stop.value.code == 2
     assert "--seed" in capsys.readouterr().err
