@@ -178,8 +178,8 @@ def test_the_same_seed_gives_the_same_comparison(capsys, tmp_path):
 @pytest.mark.parametrize(
     "agent, best, words, share",
     [((0.10, 0.08, 0.12), (0.1 - 1 / 30, 0.05, 0.08), "less often than", "86%"),
-     ((0.29, 0.25, 0.33), (0.10, 0.08, 0.12), "as often", "5%"),
-     ((0.30, 0.25, 0.33), (0.10, 0.08, 0.12), "as often", None),
+     ((0.29, 0.25, 0.33), (0.10, 0.08, 0.12), "neither less nor more often", "5%"),
+     ((0.30, 0.25, 0.33), (0.10, 0.08, 0.12), "neither less nor more often", None),
      ((0.50, 0.45, 0.55), (0.10, 0.08, 0.12), "more often than", None),
      ((0.10, 0.05, 0.12), (0.30, 0.27, 0.33), "less often than", None)],
 )  # fmt: skip
