@@ -85,11 +85,11 @@ def renewed(text: str, parts: Mapping[str, str], where: str | Path) -> str:
     ParameterError, which names `where`, if there is not one such part for each.
     """
     for name, part in parts.items():
-        around = re.split(rf"(?<=<!-- {name} -->\n).*?(?=<!-- end -->)", text, flags=re.DOTALL)
-        if len(around) != 2:
+        found = list(re.finditer(rf"<!-- {name} -->\n(.*?)<!-- end -->", text, flags=re.DOTALL))
+        if len(found) != 1:
             markers = f"<!-- {name} --> ... <!-- end -->"
-            raise ParameterError(f"{where}: expected one pair of markers {markers}, found {len(around) - 1}")
-        text = f"{around[0]}{part}\n{around[1]}"
+            raise ParameterError(f"{where}: expected one pair of markers {markers}, found {len(found)}")
+        text = f"{text[: found[0].start(1)]}{part}\n{text[found[0].end(1) :]}"
     return text
 
 

@@ -68,3 +68,8 @@ def test_marked_parts_are_renewed_and_others_stay():
     for bad in ("no markers", text + text):
         with pytest.raises(ParameterError, match="page.md: expected one pair of markers <!-- a -->"):
             renewed(bad, {"a": "new"}, "page.md")
+
+
+def test_an_empty_marked_part_is_renewed():
+    page = "a\n<!-- x -->\n<!-- end -->\nb\n<!-- y -->\nold\n<!-- end -->\n"
+    assert renewed(page, {"x": "new"}, "page.md") == page.replace("<!-- x -->\n", "<!-- x -->\nnew\n")
