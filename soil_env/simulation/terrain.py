@@ -97,15 +97,6 @@ def ground_at(courses, k, x, patch, border):
 
 
 @inlined
-def stiffened(s, factor):
-    """The same soil with its sinkage coefficient multiplied by `factor`."""
-    return SoilState(
-        s.tan_phi, s.cohesion, s.shear_modulus, s.sinkage_coefficient * factor, s.sinkage_exponent, s.dig_gain,
-        s.dig_recovery,
-    )  # fmt: skip
-
-
-@inlined
 def cell_at(courses, x):
     """Index of the rut cell at x [m]."""
     return min(max(int(x / CELL), 0), courses.modulus.shape[1] - 1)
