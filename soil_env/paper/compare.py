@@ -1,0 +1,341 @@
+"""The printed numbers of the source paper beside ours, by its equations as printed and with Wong & Reece's stress peak.
+
+Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq, least_squares
+
+from soil_env.identification import Reading
+from soil_env.identification import newton_raphson as safeguarded
+from soil_env.paper.model import (
+    AS_PRINTED,
+    WONG_REECE,
+    Equations,
+    Points,
+    forces,
+    measured_points,
+    newton_raphson,
+    roots,
+)
+from soil_env.paper.printed import WONG_REECE_LOAD, Sand, printed
+from soil_env.parameters import Soil, soils
+from soil_env.terramechanics.model import steady_state
+
+P = printed()
+SAND, POINT, WHEEL = P.table2, P.working_point, P.wheel
+MODELS = (AS_PRINTED, WONG_REECE)
+HELD = tuple(e._replace(cohesion=P.fixed_cohesion) for e in MODELS)
+NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient")
+LABELS = {"friction_angle_deg": "phi [deg]", "shear_modulus": "K [m]", "sinkage_coefficient": "S", "cohesion": "c [Pa]",
+          "k_c": "k_c", "k_phi": "k_phi", "sinkage_exponent": "n"}  # fmt: skip
+PRINTED_SET = np.array([P.table3[name].identified for name in NAMES])
+ACTUAL_SET = np.array([P.table3[name].actual for name in NAMES])
+GUESS = tuple(ACTUAL_SET)
+MEASURED = measured_points()
+WIDE_SLIP = (0.05, 0.6)  # our reading of "a wide range of slip"
+#: Soils of Fig. 9: the name there and the row of Wong's table that stands for it.
+FIELD = {"sandy_loam": "sandy_loam_15", "dry_sand": "dry_sand", "snow": "snow", "clayey_soil": "clayey_soil_38"}
+SLIPS = np.linspace(0.01, 0.95, 48)
+
+
+class Row(NamedTuple):
+    """A printed number and ours by each of `MODELS`."""
+
+    name: str
+    printed: float
+    ours: tuple[float, float]
+    form: str = ".2f"
+
+
+def as_shown(value: float, form: str) -> float:
+    """`value` rounded to the printed digits; the paper takes its errors from rounded values."""
+    return float(format(value, form))
+
+
+# --- the working point, Table 1 ---------------------------------------------------------------------------------------
+
+
+def sand_set(sand: Sand = SAND) -> tuple[float, float, float]:
+    """(phi [deg], K [m], S)."""
+    return sand.friction_angle_deg, sand.shear_modulus, sand.k_c / WHEEL.width + sand.k_phi
+
+
+def pull(e: Equations, sand: Sand = SAND, slip=POINT.slip):
+    """DP [N] at the entry angle of the working point; an array for an array of slips."""
+    e = e._replace(cohesion=sand.cohesion, exponent=sand.sinkage_exponent)
+    found = forces(sand_set(sand), slip, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e)[:, 0]
+    return found if np.ndim(slip) else float(found[0])
+
+
+def alone(e: Equations, name: str, target: float, sand: Sand = SAND) -> float:
+    """The value of one parameter of the sand at which the working point's drawbar pull is `target` [N]."""
+    value = getattr(sand, name)
+    low, high = (-1e4, 1e5) if name == "cohesion" else (0.5 * value, 2.0 * value)
+    return float(brentq(lambda v: pull(e, replace(sand, **{name: v})) - target, low, high, xtol=1e-12 * high))
+
+
+def in_pounds() -> Sand:
+    """Table 2 before its rounding: the sand of Wong & Reece (1967) has c = 0.1 psi, k_c = 20 psi, k_phi = 2.5 psi/in.
+
+    For them the pressure is (k_c + b k_phi) (z/b)^n; a psi is 6894.8 Pa, as the printed c has it.
+    """
+    b, n, psi = WHEEL.width, SAND.sinkage_exponent, 10.0 * SAND.cohesion
+    return replace(SAND, k_c=20.0 * psi * b ** (1.0 - n), k_phi=2.5 / 0.0254 * b * psi * b**-n)
+
+
+def variation(e: Equations, share: bool = False) -> float:
+    """Mean change of DP [%] by the held cohesion over `WIDE_SLIP`: over the mean DP, or (`share`) of each DP."""
+    slip = np.linspace(*WIDE_SLIP, 200)
+    own, held = pull(e, slip=slip), pull(e, replace(SAND, cohesion=P.fixed_cohesion), slip)
+    return 100.0 * float(np.mean(held / own - 1.0) if share else (held - own).mean() / own.mean())
+
+
+def working_point() -> list[Row]:
+    """Sections 3.1 and 4: the drawbar pull, and what is said of cohesion."""
+    at_1150 = tuple(alone(e, "cohesion", POINT.if_measured_drawbar_pull) for e in MODELS)
+    at_1200 = tuple(alone(e, "cohesion", 1200.0) for e in MODELS)
+    no_cohesion = tuple(pull(e, replace(SAND, cohesion=0.0)) for e in MODELS)
+    c, limit = POINT.then_identified_cohesion, POINT.cohesion_may_turn_negative_below
+    error = tuple(100.0 * (c / SAND.cohesion - 1.0) for c in at_1200)
+    return [
+        Row("DP [N]", POINT.drawbar_pull, tuple(pull(e) for e in MODELS)),
+        Row("c identified from 1150 N [Pa]", c, at_1150),
+        Row("the same from 1200 N", c, at_1200),
+        Row("its error [%]", POINT.then_error_percent, error, ".0f"),
+        Row("c is negative below a DP of [N]", limit, no_cohesion, ".0f"),
+        Row("change of DP by c = 3000 Pa, mean [%]", P.variation_percent, tuple(map(variation, MODELS)), ".1f"),
+    ]
+
+
+def table_1() -> list[Row]:
+    """Each parameter identified alone from a drawbar pull 5 % off, and its error."""
+    rows, forms = [], {"friction_angle_deg": ".2f", "shear_modulus": ".4f", "k_c": ".0f", "k_phi": ".0f"}
+    for name in P.table1:
+        line, value = P.table1[name], getattr(SAND, name)
+        for k, factor in enumerate((0.95, 1.05)):
+            found = tuple(alone(e, name, factor * pull(e)) for e in MODELS)
+            label = f"{LABELS[name]}, DP {100 * (factor - 1):+.0f} %"
+            rows.append(Row(label, line.identified[k], found, forms.get(name, ".4f" if value < 1.0 else ".2f")))
+            errors = tuple(100.0 * (as_shown(v, rows[-1].form) / value - 1.0) for v in found)
+            rows.append(Row("error [%]", line.error_percent[k], errors))
+    return rows
+
+
+def rules() -> list[tuple[str, float, float]]:
+    """DP [N] of the working point by other rules of integration, and by Eq. (11)."""
+    cases = {f"(12), m = {m}": {"simpson": m} for m in (1, 2, 5, 10, 50)} | {"(12), exact": {"simpson": 0}}
+    cases |= {"(11), m = 2": {"compaction": False}, "(11), exact": {"simpson": 0, "compaction": False}}
+    return [(name, *(pull(e._replace(**change)) for e in MODELS)) for name, change in cases.items()]
+
+
+class Peak(NamedTuple):
+    """theta_m/theta1 = c1 + c2 i that fits the print best: the DP of the working point, and Table 3 at its points."""
+
+    c1: float
+    c2: float
+    worst: float  # largest misfit of the four drawbar pulls [N]
+
+
+def peak_from_print() -> Peak:
+    """The two coefficients of the peak from printed numbers alone."""
+
+    def misfit(c):
+        e = WONG_REECE._replace(peak=c[0], peak_by_slip=c[1])
+        three = forces(PRINTED_SET, *MEASURED[:2], e._replace(cohesion=P.fixed_cohesion))[:, 0] - MEASURED.pull
+        return np.append(three, pull(e) - POINT.drawbar_pull)
+
+    found = least_squares(misfit, (0.5, 0.0))
+    return Peak(float(found.x[0]), float(found.x[1]), float(np.abs(found.fun).max()))
+
+
+# --- Tables 3 to 5 ----------------------------------------------------------------------------------------------------
+
+
+@cache
+def root(e: Equations) -> np.ndarray:
+    """(phi [deg], K [m], S) from the three measured points."""
+    return newton_raphson(MEASURED, GUESS, e)
+
+
+def table_3() -> list[Row]:
+    """The identified set, its errors, and the measured pulls beside those that the printed set predicts."""
+    found, rows = [root(e) for e in HELD], []
+    for k, (name, form) in enumerate(zip(NAMES, (".2f", ".4f", ".0f"), strict=True)):
+        line = P.table3[name]
+        errors = tuple(100.0 * abs(as_shown(x[k], form) / line.actual - 1.0) for x in found)
+        rows.append(Row(LABELS[name], line.identified, tuple(x[k] for x in found), form))
+        rows.append(Row("error [%]", line.error_percent, errors))
+    predicted = [forces(PRINTED_SET, *MEASURED[:2], e)[:, 0] for e in HELD]
+    for p, measured in enumerate(MEASURED.pull):
+        name = f"DP at {100 * MEASURED.slip[p]:.2f} % slip of the printed set, beside the measured [N]"
+        rows.append(Row(name, measured, tuple(d[p] for d in predicted)))
+    return rows
+
+
+def rounding(e: Equations) -> np.ndarray:
+    """How far the rounding of the printed points can move the root, [phi, K, S]."""
+    start, moved = root(e), np.zeros(3)
+    for channel, half in enumerate((5e-5, 5e-5, 5e-3)):
+        for p in range(3):
+            points = [column.copy() for column in MEASURED]
+            points[channel][p] += half
+            moved += np.abs(newton_raphson(Points(*points), start, e) - start)
+    return moved
+
+
+def reaches(e: Equations, guess, solution) -> bool:
+    """Whether plain Newton-Raphson from `guess` ends on `solution`, phi up to the period of its tangent."""
+    found = newton_raphson(MEASURED, guess, e)
+    turn = (found[0] - solution[0] + 90.0) % 180.0 - 90.0
+    return bool(abs(turn) < 0.01 and np.all(np.abs(found[1:] / solution[1:] - 1.0) < 1e-4))
+
+
+def table_4() -> list[Row]:
+    """Range of guesses of one unknown, the other two as in Table 2, from which Newton-Raphson converges."""
+    rows = []
+    scans = np.linspace(0.5, 89.5, 1781), np.linspace(1e-4, 0.2, 2000), np.geomspace(1e3, 1e14, 1101)
+    for k, (name, scan, form) in enumerate(zip(NAMES, scans, (".1f", ".4f", ".2g"), strict=True)):
+        limits = []
+        for e in HELD:
+            solution = root(e)
+            good = np.array([reaches(e, [*GUESS[:k], v, *GUESS[k + 1 :]], solution) for v in scan])
+            below, above = (np.flatnonzero(~good & side) for side in (scan < GUESS[k], scan > GUESS[k]))
+            limits.append((scan[below[-1] + 1 if below.size else 0], scan[above[0] - 1 if above.size else -1]))
+        for end, label in enumerate(("lowest", "highest")):
+            own = tuple(float(pair[end]) for pair in limits)
+            rows.append(Row(f"{LABELS[name]}, {label}", P.table4[name][end], own, form))
+    return rows
+
+
+def box(counts: tuple[int, int, int]) -> np.ndarray:
+    """Guesses over the box of Table 4, [phi, K, S, 3]: phi and K evenly, S evenly in its logarithm."""
+    ends = [P.table4[name] for name in NAMES]
+    axes = np.linspace(*ends[0], counts[0]), np.linspace(*ends[1], counts[1]), np.geomspace(*ends[2], counts[2])
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+def converges(e: Equations, guesses: np.ndarray) -> np.ndarray:
+    """[phi, K, S] of whether plain Newton-Raphson reaches the root."""
+    solution = root(e)
+    return np.array([reaches(e, g, solution) for g in guesses.reshape(-1, 3)]).reshape(guesses.shape[:-1])
+
+
+def package_converges(guesses: np.ndarray) -> np.ndarray:
+    """The same of `soil_env.identification.newton_raphson`, on the equations as printed."""
+    e = HELD[0]
+    reading = Reading(e.cohesion, e.exponent, e.radius, e.width, e.simpson, paper_resistance=True)
+    out = np.empty(guesses.shape[:-1], dtype=bool)
+    for k, g in enumerate(guesses.reshape(-1, 3)):
+        start = Soil(g[0], e.cohesion, g[1], e.exponent, sinkage_coefficient=g[2])
+        found = safeguarded(*MEASURED, reading=reading, guess=start)
+        out.flat[k] = found.converged and abs(found.soil.shear_modulus / root(e)[1] - 1.0) < 1e-4
+    return out
+
+
+class Noisy(NamedTuple):
+    """Errors [%] of (phi, K, S) under noise, against the actual values."""
+
+    quantiles: np.ndarray  # 5, 50, 95 % of |error|, [3, 3]
+    below: np.ndarray  # share of draws with an error below the printed one [3]
+    converged: float
+
+
+def table_5(e: Equations, seed: int, draws: int) -> Noisy:
+    """5 % white noise (standard deviation) on slip, sinkage and drawbar pull of the three points."""
+    rng = np.random.default_rng([seed, 5])
+    factors = 1.0 + 0.05 * rng.standard_normal((draws, 3, 3))
+    found = np.array([newton_raphson(Points(*(np.array(MEASURED) * f)), GUESS, e) for f in factors])
+    errors = 100.0 * np.abs(found / ACTUAL_SET - 1.0)
+    good = np.isfinite(errors).all(axis=1)
+    limit = [P.table5[name][1] for name in NAMES]
+    return Noisy(np.percentile(errors[good], [5, 50, 95], axis=0), (errors[good] < limit).mean(axis=0), good.mean())
+
+
+# --- Figs. 6, 7 and 9 -------------------------------------------------------------------------------------------------
+
+
+def sets(k: int) -> dict[str, tuple[np.ndarray, Equations]]:
+    """Parameter sets of Figs. 6 and 7 by `MODELS`[k]."""
+    return {
+        "Table 2": (ACTUAL_SET, MODELS[k]),
+        "Table 3, printed": (PRINTED_SET, HELD[k]),
+        "Table 3, ours": (root(HELD[k]), HELD[k]),
+    }
+
+
+def prediction(soil, e: Equations) -> np.ndarray:
+    """DP [N] and T [N m] at the measured points, [3, 2]."""
+    return forces(soil, *MEASURED[:2], e)[:, [0, 2]]
+
+
+def torque(soil: Soil, load: float = WONG_REECE_LOAD) -> np.ndarray:
+    """Torque required [N m] by Eqs. (1) and (3) at `SLIPS`, exactly; NaN where the soil does not carry the wheel."""
+    state = soil.state(WHEEL.width)._replace(dig_gain=0.0)
+    steady = [steady_state(i, load, state, WHEEL.radius, WHEEL.width) for i in SLIPS]
+    return np.array([s.torque if s.floating else np.nan for s in steady])
+
+
+class Clay(NamedTuple):
+    """What would give the torque printed for clayey soil."""
+
+    cohesion: float  # [Pa]
+    load: float  # [N]
+    others: float  # highest torque [N m] of dry sand at that load
+
+
+def clay_needed() -> Clay:
+    """Cohesion at our load, or load at the cohesion of Wong's row."""
+    clay, asked, sand = soils()[FIELD["clayey_soil"]], P.fig9_about["clayey_soil"], soils()["dry_sand"]
+    cohesion = brentq(lambda c: np.nanmax(torque(replace(clay, cohesion=c))) - asked, 4e3, 2e5, rtol=1e-4)
+    load = brentq(lambda w: np.nanmax(torque(clay, w)) - asked, 5e3, 4e4, rtol=1e-4)
+    return Clay(float(cohesion), float(load), float(np.nanmax(torque(sand, load))))
+
+
+@dataclass(frozen=True)
+class Results:
+    """All that the page shows."""
+
+    seed: int
+    draws: int
+    rows: dict[str, list[Row]]
+    rules: list[tuple[str, float, float]]
+    variations: tuple[float, float]  # mean of the relative changes [%]
+    peak: Peak
+    rounding: tuple[np.ndarray, np.ndarray]
+    roots: tuple[int, int]  # number of solutions for K in [1e-4, 1] m
+    guesses: np.ndarray
+    reached: tuple[np.ndarray, np.ndarray]
+    package: np.ndarray | None  # of the package's solver; only in a full run
+    noise: tuple[Noisy, Noisy]
+    torques: dict[str, np.ndarray]
+    clay: Clay
+
+
+def compute(seed: int = 0, full: bool = False) -> Results:
+    """Recompute everything; `full` scans the box and the shear modulus finely, and draws more noise."""
+    guesses, draws = box((60, 60, 25) if full else (20, 20, 9)), 10_000 if full else 1000
+    scan = np.geomspace(1e-4, 1.0, 8001 if full else 401)
+    return Results(
+        seed=seed,
+        draws=draws,
+        rows={"point": working_point(), "table1": table_1(), "table3": table_3(), "table4": table_4()},
+        rules=rules(),
+        variations=tuple(variation(e, share=True) for e in MODELS),
+        peak=peak_from_print(),
+        rounding=tuple(map(rounding, HELD)),
+        roots=tuple(len(roots(MEASURED, e, scan)) for e in HELD),
+        guesses=guesses,
+        reached=tuple(converges(e, guesses) for e in HELD),
+        package=package_converges(box((20, 20, 9))) if full else None,
+        noise=tuple(table_5(e, seed, draws) for e in HELD),
+        torques={name: torque(soils()[row]) for name, row in FIELD.items()},
+        clay=clay_needed(),
+    )

@@ -1,0 +1,158 @@
+"""Drawbar pull, load and torque by the equations of the source paper, and its Newton-Raphson method.
+
+Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; method: its Section 4. The stresses,
+their integrals and the forces are the compiled functions of `soil_env.terramechanics`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._numba.compiling import part, root
+from soil_env.identification.point import channels
+from soil_env.paper.printed import WONG_REECE_PEAK, WONG_REECE_RADIUS, printed
+from soil_env.terramechanics.arc_integrals import arc_integrals, shear_modulus_rates, simpson_integrals
+from soil_env.terramechanics.contact import compaction_resistance, entry_angle, motion_from_slip
+
+
+class Equations(NamedTuple):
+    """How a force is computed, and what is held fixed. The stress has its peak at (peak + peak_by_slip i) theta1."""
+
+    radius: float  # [m]
+    width: float  # [m]
+    cohesion: float  # [Pa]
+    exponent: float  # n [-]
+    peak: float = 0.5  # Eq. (9) with theta2 = 0
+    peak_by_slip: float = 0.0
+    simpson: int = 2  # m of Eqs. (14)-(15); 0: Gauss-Legendre
+    compaction: bool = True  # resistance by Eq. (12), else by Eq. (11)
+
+
+_P = printed()
+AS_PRINTED = Equations(_P.wheel.radius, _P.wheel.width, _P.table2.cohesion, _P.table2.sinkage_exponent)
+WONG_REECE = AS_PRINTED._replace(radius=WONG_REECE_RADIUS, peak=WONG_REECE_PEAK[0], peak_by_slip=WONG_REECE_PEAK[1])
+
+_UNIT = 1e6
+
+
+class Linear(NamedTuple):
+    """(pull, load, torque) and drawbar pull by phi, K and S."""
+
+    pull: float
+    load: float
+    torque: float
+    by_phi: float
+    by_K: float
+    by_S: float
+
+
+@part
+def at_point(x, slip, sinkage, e):
+    """`Linear` at x = (phi [rad], K [m], S) for any phi, K > 0 and any S.
+
+    All forces are affine in S at a given phi and K, so their values at two S give them for every S.
+    """
+    K, tan_phi, r = x[1], math.tan(x[0]), e.radius
+    theta1 = entry_angle(sinkage, r)
+    thetam = (e.peak + e.peak_by_slip * slip) * theta1
+    rim, travel = motion_from_slip(slip)
+    if e.simpson > 0:
+        q, by_rim, by_travel = simpson_integrals(theta1, 0.0, thetam, rim, travel, K, e.exponent, r, e.simpson)
+    else:
+        q, by_rim, by_travel = arc_integrals(theta1, 0.0, thetam, rim, travel, K, e.exponent, r)
+    k = shear_modulus_rates(by_rim, by_travel, rim, travel, K)
+    resistance = compaction_resistance(sinkage, 1.0, e.exponent, e.width)
+    low = channels(q, k, 1.0, tan_phi, K, e.cohesion, r, e.width, resistance if e.compaction else -1.0)
+    resistance *= _UNIT
+    high = channels(q, k, _UNIT, tan_phi, K, e.cohesion, r, e.width, resistance if e.compaction else -1.0)
+    share = (x[2] - 1.0) / (_UNIT - 1.0)
+    return Linear(
+        low.pull + share * (high.pull - low.pull),
+        low.load + share * (high.load - low.load),
+        low.torque + share * (high.torque - low.torque),
+        low.by_phi[0] + share * (high.by_phi[0] - low.by_phi[0]),
+        (low.by_K[0] + share * (high.by_K[0] - low.by_K[0])) / K,
+        (high.pull - low.pull) / (_UNIT - 1.0),
+    )
+
+
+@root
+def _forces(x, slip, sinkage, e, out):
+    for p in range(x.shape[0]):
+        y = at_point(x[p], slip[p], sinkage[p], e)
+        out[p, 0], out[p, 1], out[p, 2] = y.pull, y.load, y.torque
+        out[p, 3], out[p, 4], out[p, 5] = y.by_phi, y.by_K, y.by_S
+
+
+def forces(soil, slip, sinkage, e: Equations) -> np.ndarray:
+    """DP [N], W [N], T [N m] and d(DP) by phi [rad], K and S, [M, 6], of soils (phi [deg], K [m], S), [3] or [M, 3]."""
+    x = np.atleast_2d(np.asarray(soil, dtype=float)) * (math.pi / 180.0, 1.0, 1.0)
+    count = max(np.size(slip), np.size(sinkage), len(x))
+    out = np.empty((count, 6))
+    columns = [np.array(np.broadcast_to(v, count), dtype=float) for v in (slip, sinkage)]
+    _forces(np.array(np.broadcast_to(x, (count, 3))), *columns, e, out)
+    return out
+
+
+class Points(NamedTuple):
+    """Slip, sinkage [m] and drawbar pull [N], [3] each."""
+
+    slip: np.ndarray
+    sinkage: np.ndarray
+    pull: np.ndarray
+
+
+def measured_points() -> Points:
+    """The three measured points of Table 3."""
+    return Points(*np.array([(p.slip, p.sinkage, p.drawbar_pull) for p in _P.measured]).T)
+
+
+@root(allocates=True)
+def _newton_raphson(path, slip, sinkage, pull, e, tolerance):
+    """Iterates from path[0] = (phi [rad], K, S) into `path`; their number, negative where it did not converge.
+
+    It ends without convergence at a singular Jacobian, at K <= 0, where Eq. (10) means nothing, or with `path` full.
+    """
+    residual, jacobian = np.empty(3), np.empty((3, 3))
+    for k in range(path.shape[0] - 1):
+        for p in range(3):
+            y = at_point(path[k], slip[p], sinkage[p], e)
+            residual[p] = pull[p] - y.pull
+            jacobian[p, 0], jacobian[p, 1], jacobian[p, 2] = y.by_phi, y.by_K, y.by_S
+        determinant = np.linalg.det(jacobian)
+        if not (np.isfinite(determinant) and determinant != 0.0):
+            return -k - 1
+        step = np.linalg.solve(jacobian, residual)
+        path[k + 1] = path[k] + step
+        if not np.all(np.isfinite(path[k + 1])) or path[k + 1, 1] <= 0.0:
+            return -k - 1
+        small = abs(step[0]) < tolerance and abs(step[1]) < tolerance * path[k + 1, 1]
+        if small and abs(step[2]) < tolerance * abs(path[k + 1, 2]):
+            return k + 1
+    return -path.shape[0]
+
+
+def newton_raphson(points: Points, guess, e: Equations, iterations: int = 100, tolerance: float = 1e-8) -> np.ndarray:
+    """Root (phi [deg], K [m], S) by plain Newton-Raphson from `guess`, the paper's Section 4; NaN if it is lost."""
+    path = np.empty((iterations + 1, 3))
+    path[0] = math.radians(guess[0]), guess[1], guess[2]
+    count = _newton_raphson(path, *points, e, tolerance)
+    return path[count] * (180.0 / math.pi, 1.0, 1.0) if count > 0 else np.full(3, np.nan)
+
+
+def roots(points: Points, e: Equations, K) -> np.ndarray:
+    """Shear moduli [m] between which a solution lies, from a scan over K [M].
+
+    At a given K the three equations are linear in S and S tan(phi); they have a solution where their determinant is 0.
+    """
+    signs = np.empty(len(K))
+    for k, value in enumerate(K):
+        by_cohesion, level, friction = (
+            forces((phi, value, S), *points[:2], e)[:, 0] for phi, S in ((0.0, 0.0), (0.0, 1e6), (45.0, 1e6))
+        )
+        columns = level - by_cohesion, friction - level, points.pull - by_cohesion
+        signs[k] = np.sign(np.linalg.det(np.stack([c / np.abs(c).max() for c in columns])))
+    return np.sqrt(K[1:] * K[:-1])[signs[1:] != signs[:-1]]
