@@ -300,7 +300,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         return self._renderer
 
     def _warn(self) -> None:
-        """Traversability (paper, Sec. 5) of the ground as identified, at the measured load and pitch."""
+        """Traversability (paper, Section 6) of the ground as identified, at the measured load and pitch."""
         observation, wheel = self.simulation.worlds.observation[0], self.scenario.wheel
         load = max(float(observation[3]), 0.05) * self.scenario.weight
         x, belief = self.simulation.worlds.ids.estimate[0].tolist(), self.scenario.belief

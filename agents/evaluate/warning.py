@@ -1,6 +1,6 @@
 """Warnings of a coming immobilisation, from sensors and the identified soil.
 
-The criterion of the source paper (Hutangkabodee et al. 2006, Sec. 5) applied while driving. In a control period the
+The criterion of the source paper (Hutangkabodee et al. 2006, Section 6) applied while driving. In a control period the
 ground *looks impassable* where
 
 - no slip gives a drawbar pull over the measured grade, on the soil as identified and at the measured load (this holds

@@ -4,8 +4,8 @@ The unknowns are x = (phi, ln K, ln S); cohesion, sinkage exponent and the law o
 of a belief. A measured point is (slip, sinkage) with drawbar pull, load and torque; what was not measured has no
 weight.
 
-* `newton_raphson`: three points, drawbar pull alone, the method of the source paper (its Sec. 3).
-* `generalized_newton_raphson`: any number of points and channels, weighted (its Eqs. (20)-(24)): Gauss-Newton.
+* `newton_raphson`: three points, drawbar pull alone, the method of the source paper (its Section 4).
+* `generalized_newton_raphson`: any number of points and channels, weighted: Gauss-Newton.
 
 Both are one safeguarded iteration on analytic derivatives (`solve`): a step that would leave the bounds or that does
 not reduce the weighted residual is shortened, and damped after Levenberg & Marquardt. The outcome is data,
@@ -140,7 +140,7 @@ def generalized_newton_raphson(
     taken. Three measured values can have several exact solutions within the bounds; the status is then AMBIGUOUS, and
     a second one is in `other`.
 
-    Raises ValueError for arrays that do not match or are not finite. Source: Hutangkabodee et al. (2006), Sec. 3.
+    Raises ValueError for arrays that do not match or are not finite. Source: Hutangkabodee et al. (2006), Section 4.
     """
     channels = (drawbar_pull, load, torque)
     points = _points(slip, sinkage, channels, dig_ratio, reading)

@@ -180,6 +180,12 @@ def table_3() -> list[Row]:
     return rows
 
 
+def condition(e: Equations) -> float:
+    """Condition number of d(DP) by (phi [rad], ln K, ln S) at the root."""
+    solution = root(e)
+    return float(np.linalg.cond(forces(solution, *MEASURED[:2], e)[:, 3:] * (1.0, *solution[1:])))
+
+
 def rounding(e: Equations) -> np.ndarray:
     """How far the rounding of the printed points can move the root, [phi, K, S]."""
     start, moved = root(e), np.zeros(3)

@@ -208,7 +208,7 @@ def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
 
 @part
 def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
-    """`arc_integrals` by the paper's rule: composite Simpson with 2m subintervals in each zone, Eq. (18)."""
+    """`arc_integrals` by the paper's rule: composite Simpson with 2m subintervals in each zone, Eqs. (14)-(15)."""
     sin1, cos1 = math.sin(theta1), math.cos(theta1)
     p_cos = p_sin = 0.0
     e_sums = by_rim = by_travel = ArcRates(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

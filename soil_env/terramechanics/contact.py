@@ -1,4 +1,4 @@
-"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(12) and (18) of the source paper.
+"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(12) of the source paper.
 
 Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; the stress distribution is
 Wong & Reece (1967), the shear law Janosi & Hanamoto (1961), the compaction resistance Bekker (1956).

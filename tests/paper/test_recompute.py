@@ -137,7 +137,7 @@ def test_the_peak_follows_from_the_print_alone():
 
 
 def test_table_4_range_of_K():
-    """Within 6 % of the printed range with Wong & Reece's peak; the other unknowns of the paper's scan are not known."""
+    """Within 6 % of the printed range with Wong & Reece's peak; the paper does not say what it held fixed."""
     low, high = (row.ours[1] for row in compare.table_4() if row.name.startswith("K"))
     printed_low, printed_high = P.table4["shear_modulus"]
     assert [low, high] == pytest.approx([printed_low, printed_high], abs=0.06 * (printed_high - printed_low))

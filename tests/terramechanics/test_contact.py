@@ -7,14 +7,19 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from soil_env.paper.printed import WONG_REECE_PEAK, WONG_REECE_RADIUS, printed
 from soil_env.terramechanics import arc_integrals as quadrature
 from soil_env.terramechanics import contact
 from tests.terramechanics import reference
 
-# The wheel and soil of Wong & Reece (1967), J. Terramechanics 4(1):81-98, as used by Hutangkabodee et al. (2006).
-PAPER_WHEEL = {"r": 0.6274, "b": 0.1524}
-PAPER_SOIL = reference.Ground(33.3, 690.0, 0.0381, 583792.0, 0.47)
-PAPER_SLIP, PAPER_ENTRY = 0.2211, math.radians(37.0)
+# The wheel and soil of Hutangkabodee et al. (2006), as printed there.
+PAPER = printed()
+PAPER_WHEEL = {"r": PAPER.wheel.radius, "b": PAPER.wheel.width}
+PAPER_SOIL = reference.Ground(
+    PAPER.table2.friction_angle_deg, PAPER.table2.cohesion, PAPER.table2.shear_modulus,
+    PAPER.table2.k_c / PAPER.wheel.width + PAPER.table2.k_phi, PAPER.table2.sinkage_exponent,
+)  # fmt: skip
+PAPER_SLIP, PAPER_ENTRY = PAPER.working_point.slip, math.radians(PAPER.working_point.entry_angle_deg)
 
 
 def tan_phi(soil):
@@ -98,44 +103,49 @@ def test_simpson_shrinks_slowly_on_the_papers_soil():
 # --- the source paper -------------------------------------------------------------------------------------------------
 
 
-def simpson_integrals(m):
-    r, k, n = PAPER_WHEEL["r"], PAPER_SOIL.shear_modulus, PAPER_SOIL.sinkage_exponent
+def simpson_integrals(m, peak=0.5, r=PAPER_WHEEL["r"]):
+    k, n = PAPER_SOIL.shear_modulus, PAPER_SOIL.sinkage_exponent
     motion = contact.motion_from_slip(PAPER_SLIP)
-    return quadrature.simpson_integrals(PAPER_ENTRY, 0.0, 0.5 * PAPER_ENTRY, *motion, k, n, r, m)[0]
+    return quadrature.simpson_integrals(PAPER_ENTRY, 0.0, peak * PAPER_ENTRY, *motion, k, n, r, m)[0]
 
 
-def simpson_forces(m):
-    s, c = PAPER_SOIL.sinkage_coefficient, PAPER_SOIL.cohesion
-    return contact.forces(simpson_integrals(m), s, tan_phi(PAPER_SOIL), c, *PAPER_WHEEL.values(), 1.0)
+def simpson_forces(m, peak=0.5, r=PAPER_WHEEL["r"]):
+    s, c, b = PAPER_SOIL.sinkage_coefficient, PAPER_SOIL.cohesion, PAPER_WHEEL["b"]
+    return contact.forces(simpson_integrals(m, peak, r), s, tan_phi(PAPER_SOIL), c, r, b, 1.0)
 
 
-def with_compaction_resistance(w, integrals):
+def with_compaction_resistance(w, integrals, r=PAPER_WHEEL["r"]):
     """Drawbar pull with the resistance of Eq. (12) in place of that of Eq. (11)."""
-    r, b = PAPER_WHEEL.values()
+    b = PAPER_WHEEL["b"]
     s, n = PAPER_SOIL.sinkage_coefficient, PAPER_SOIL.sinkage_exponent
     sinkage = r * (1.0 - math.cos(PAPER_ENTRY))
     return w.drawbar_pull + r * b * s * integrals.p_sin - contact.compaction_resistance(sinkage, s, n, b)
 
 
 def test_golden_drawbar_pull_exact():
-    """1318 N by Eq. (11), 1095 N by Eq. (12), both integrated exactly."""
+    """1318 N by Eq. (11), 1095 N by Eq. (12), both integrated exactly (design value and an adaptive quadrature)."""
     w = forces(PAPER_SOIL, PAPER_SLIP, PAPER_ENTRY, **PAPER_WHEEL)
     k, n, r = PAPER_SOIL.shear_modulus, PAPER_SOIL.sinkage_exponent, PAPER_WHEEL["r"]
     motion = contact.motion_from_slip(PAPER_SLIP)
     q = quadrature.arc_integrals(PAPER_ENTRY, 0.0, 0.5 * PAPER_ENTRY, *motion, k, n, r)[0]
-    assert w.drawbar_pull == pytest.approx(1318.17, abs=0.1)
-    assert with_compaction_resistance(w, q) == pytest.approx(1095.15, abs=0.1)
+    assert w.drawbar_pull == pytest.approx(1318.42, abs=0.1)
+    assert with_compaction_resistance(w, q) == pytest.approx(1095.05, abs=0.1)
     judge = reference.forces(PAPER_SOIL, PAPER_SLIP, PAPER_ENTRY, **PAPER_WHEEL)
-    assert judge.drawbar_pull == pytest.approx(1318.17, abs=0.01)
-    assert judge.drawbar_pull_paper == pytest.approx(1095.15, abs=0.01)
+    assert judge.drawbar_pull == pytest.approx(1318.42, abs=0.01)
+    assert judge.drawbar_pull_paper == pytest.approx(1095.05, abs=0.01)
 
 
 def test_golden_drawbar_pull_by_the_papers_rule():
-    """Simpson with m = 2 and Eq. (12): 1050.25 N, where the paper prints 1047.22 N (0.3 % less)."""
-    found = with_compaction_resistance(simpson_forces(2), simpson_integrals(2))
-    assert found == pytest.approx(1050.25, abs=0.01)
-    assert found == pytest.approx(1047.22, rel=0.003)
-    assert abs(with_compaction_resistance(simpson_forces(50), simpson_integrals(50)) - 1047.22) > 40.0
+    """Simpson with m = 2 and Eq. (12): to the last digit as printed, with the peak and radius of Wong & Reece (1967).
+
+    With the peak midway, Eq. (9), it is 1050.25 N; a fine rule is 40 N off.
+    """
+    target, r = PAPER.working_point.drawbar_pull, WONG_REECE_RADIUS
+    peak = WONG_REECE_PEAK[0] + WONG_REECE_PEAK[1] * PAPER_SLIP
+    found = with_compaction_resistance(simpson_forces(2, peak, r), simpson_integrals(2, peak, r), r)
+    assert found == pytest.approx(target, abs=0.005)
+    assert with_compaction_resistance(simpson_forces(2), simpson_integrals(2)) == pytest.approx(1050.25, abs=0.005)
+    assert abs(with_compaction_resistance(simpson_forces(50), simpson_integrals(50)) - target) > 40.0
 
 
 # --- limits -----------------------------------------------------------------------------------------------------------
