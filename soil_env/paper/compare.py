@@ -11,7 +11,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq, least_squares
+from scipy.optimize import brentq, least_squares, linprog
 
 from soil_env.identification import Reading
 from soil_env.identification import newton_raphson as safeguarded
@@ -186,15 +186,27 @@ def condition(e: Equations) -> float:
     return float(np.linalg.cond(forces(solution, *MEASURED[:2], e)[:, 3:] * (1.0, *solution[1:])))
 
 
-def rounding(e: Equations) -> np.ndarray:
-    """How far the rounding of the printed points can move the root, [phi, K, S]."""
-    start, moved = root(e), np.zeros(3)
-    for channel, half in enumerate((5e-5, 5e-5, 5e-3)):
-        for p in range(3):
-            points = [column.copy() for column in MEASURED]
-            points[channel][p] += half
-            moved += np.abs(newton_raphson(Points(*points), start, e) - start)
-    return moved
+def rounding(e: Equations) -> float:
+    """Largest rounding error, in halves of the last printed digit, that the printed set and points need to fit exactly.
+
+    The least one that does, by linear programming to first order over the set and each slip, sinkage and drawbar pull:
+    1 or less means that rounding explains the difference.
+    """
+    at = forces(PRINTED_SET, *MEASURED[:2], e)
+    halves = np.array([math.radians(0.005), 0.00005, 0.5])  # of phi, K, S
+    effects = [at[:, 3 + k : 4 + k] * half for k, half in enumerate(halves)]
+    for channel in (0, 1):
+        moved = [column + 5e-5 * (k == channel) for k, column in enumerate(MEASURED[:2])]
+        effects.append(np.diag(forces(PRINTED_SET, *moved, e)[:, 0] - at[:, 0]))
+    effects.append(-0.005 * np.eye(3))
+    A = np.hstack(effects)
+    n = A.shape[1]
+    within = np.block([[sign * np.eye(n), -np.ones((n, 1))] for sign in (1.0, -1.0)])  # |error| <= the largest
+    found = linprog(
+        np.eye(n + 1)[n], within, np.zeros(2 * n), np.hstack([A, np.zeros((3, 1))]), MEASURED.pull - at[:, 0],
+        bounds=(None, None),
+    )  # fmt: skip
+    return float(found.x[n])
 
 
 def reaches(e: Equations, guess, solution) -> bool:
@@ -289,6 +301,13 @@ def torque(soil: Soil, load: float = WONG_REECE_LOAD) -> np.ndarray:
     return np.array([s.torque if s.floating else np.nan for s in steady])
 
 
+def torque_at_37_deg(soil: Soil) -> np.ndarray:
+    """Torque [N m] by Eq. (3) at `SLIPS` with the wheel held at the sinkage of the working point."""
+    e = AS_PRINTED._replace(cohesion=soil.cohesion, exponent=soil.sinkage_exponent)
+    parameters = soil.friction_angle_deg, soil.shear_modulus, soil.lumped(e.width)
+    return forces(parameters, SLIPS, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e)[:, 2]
+
+
 class Clay(NamedTuple):
     """What would give the torque printed for clayey soil."""
 
@@ -315,13 +334,13 @@ class Results:
     rules: list[tuple[str, float, float]]
     variations: tuple[float, float]  # mean of the relative changes [%]
     peak: Peak
-    rounding: tuple[np.ndarray, np.ndarray]
+    rounding: tuple[float, float]  # errors needed for Table 3, in halves of the last printed digit
     roots: tuple[int, int]  # number of solutions for K in [1e-4, 1] m
     guesses: np.ndarray
     reached: tuple[np.ndarray, np.ndarray]
     package: np.ndarray | None  # of the package's solver; only in a full run
     noise: tuple[Noisy, Noisy]
-    torques: dict[str, np.ndarray]
+    torques: dict[str, tuple[np.ndarray, np.ndarray]]  # by the load balance, and at a held sinkage
     clay: Clay
 
 
@@ -342,6 +361,6 @@ def compute(seed: int = 0, full: bool = False) -> Results:
         reached=tuple(converges(e, guesses) for e in HELD),
         package=package_converges(box((20, 20, 9))) if full else None,
         noise=tuple(table_5(e, seed, draws) for e in HELD),
-        torques={name: torque(soils()[row]) for name, row in FIELD.items()},
+        torques={n: (torque(soils()[row]), torque_at_37_deg(soils()[row])) for n, row in FIELD.items()},
         clay=clay_needed(),
     )
