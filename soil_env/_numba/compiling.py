@@ -26,13 +26,12 @@ from functools import cache, update_wrapper
 from pathlib import Path
 
 import numpy as np
-from llvmlite.binding import create_new_module_pass_manager as new_module_passes
 from numba import config, njit, typeof, types
 from numba.core.caching import IndexDataCacheFile
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
 from numba.extending import intrinsic, typeof_impl
 from numba.np.arrayobj import make_array
+
+from soil_env._numba.pipeline import ALLOCATING, PART, ROOT
 
 #: Whether functions are compiled at all.
 COMPILED = not config.DISABLE_JIT
@@ -93,80 +92,6 @@ def _keep(dispatcher):
 # --- parts and roots --------------------------------------------------------------------------------------------------
 
 
-class _WithoutEnvironment:
-    """The code generator, for functions that have no place in memory into which Python objects could be written."""
-
-    def __init__(self, codegen):
-        self._codegen = codegen
-
-    def __getattr__(self, name):
-        return getattr(self._codegen, name)
-
-    def set_env(self, name, environment):
-        pass
-
-
-class _Part(JITCodeLibrary):
-    """Code that is only ever linked into that of a caller: neither optimised nor turned into machine code by itself."""
-
-    linkable = False  # while a root is linked; any other caller would miss what this part calls
-
-    @property
-    def codegen(self):
-        return _WithoutEnvironment(self._codegen)
-
-    def get_pointer_to_function(self, name):
-        return 0
-
-    def _optimize_functions(self, module):
-        """Values out of memory, into registers; the rest is the root's."""
-        module.data_layout = self._codegen._data_layout
-        passes = new_module_passes()
-        passes.add_sroa_pass()
-        passes.add_simplify_cfg_pass()
-        passes.run(module, self._codegen._pass_builder(opt=1))
-
-    def _get_module_for_linking(self):
-        if not _Part.linkable:
-            raise TypeError(f"{self.name}: a `part` called by a function of numba's own `njit`: make that one a `root`")
-        return super()._get_module_for_linking()
-
-    def finalize(self):
-        for library in self._linking_libraries:
-            self._reload_init.update(library._reload_init)
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-
-class _Root(JITCodeLibrary):
-    """Code with all parts below it, each linked once."""
-
-    def add_linking_library(self, library):
-        super().add_linking_library(library)
-        for below in library._linking_libraries:
-            if below not in self._linking_libraries:
-                self.add_linking_library(below)
-
-    def finalize(self):
-        _Part.linkable = True
-        try:
-            super().finalize()
-        finally:
-            _Part.linkable = False
-
-
-def _compiler(library_class):
-    class Pipeline(Compiler):
-        def compile_extra(self, func):
-            codegen = self.state.targetctx.codegen()
-            self.state.library = library_class(codegen, func.__qualname__)
-            self.state.library.enable_object_caching()
-            return super().compile_extra(func)
-
-    return Pipeline
-
-
-_PART, _ROOT = _compiler(_Part), _compiler(_Root)
 _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 
@@ -177,7 +102,7 @@ class Part:
         update_wrapper(self, function)
         self.py_func = function
         self._root = None
-        compiled = njit(_nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=_PART, **_OPTIONS)
+        compiled = njit(_nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=PART, **_OPTIONS)
         self.dispatcher = compiled(function)
         template = self.dispatcher.get_call_template
         # One version for a constant and for a number that is not known yet.
@@ -189,7 +114,7 @@ class Part:
     def root(self):
         """The function compiled for calls from Python."""
         if self._root is None:
-            self._root = _keep(njit(_nrt=False, pipeline_class=_ROOT, **_OPTIONS)(self.py_func))
+            self._root = _keep(njit(_nrt=False, pipeline_class=ROOT, **_OPTIONS)(self.py_func))
         return self._root
 
     def __call__(self, *arguments, **keywords):
@@ -229,7 +154,8 @@ def root(function=None, *, nogil=False, allocates=False):
         return lambda f: root(f, nogil=nogil, allocates=allocates)
     if not COMPILED:
         return np.errstate(all="ignore")(function)  # as compiled code, which divides by zero without a word
-    return _keep(njit(_nrt=allocates, nogil=nogil, pipeline_class=_ROOT, **_OPTIONS)(function))
+    pipeline = ALLOCATING if allocates else ROOT
+    return _keep(njit(_nrt=allocates, nogil=nogil, pipeline_class=pipeline, **_OPTIONS)(function))
 
 
 # --- calls from Python ------------------------------------------------------------------------------------------------
