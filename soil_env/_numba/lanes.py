@@ -18,6 +18,7 @@ from numba.np.arrayobj import make_array, populate_array
 
 from soil_env._numba import interpreted
 from soil_env._numba.compiling import COMPILED
+from soil_env._numba.pipeline import remember_types
 
 COUNT = 8
 
@@ -110,21 +111,8 @@ def call(builder, name, args):
     return builder.call(function, args)
 
 
-def _builtin_first():
-    """Let numba try its built-in operators before overloads, whose trial takes a fifth of the time of compiling."""
-    from numba.core.registry import cpu_target
-
-    context = cpu_target.typing_context
-    context.refresh()
-    for name in ("getitem", "setitem", "add", "sub", "mul", "truediv", "eq", "ne", "lt", "le", "gt", "ge"):
-        op = getattr(operator, name)
-        templates = context._lookup_global(op).templates
-        context._remove_global(op)
-        context._insert_global(op, types.Function(sorted(templates, key=lambda t: t.__name__.startswith("Overload"))))
-
-
 if COMPILED:
-    _builtin_first()
+    remember_types()
 
 
 # --- making and taking apart ------------------------------------------------------------------------------------------
