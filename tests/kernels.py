@@ -5,32 +5,26 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-import soil_env  # noqa: F401  (registers SoilWheel-v0)
 from agents.controllers import make_controller
 from soil_env.identification.table import identify_table
 from soil_env.measurement.table import read_setup, read_table
 from soil_env.parameters import load_scenario, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.warmup import warm_up
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "data"
 
 
-def environments() -> None:
-    """One step of one wheel and of many, without effects and with one."""
-    bulldozing = WheelSoilModel(ModelWheel(0.15, 0.15), effects={"bulldozing": {"rankine": 1.0}})
-    for model in (None, bulldozing):
-        env = gymnasium.make("SoilWheel-v0", model=model)
-        env.reset(seed=0)
-        env.step(np.array([0.4]))
-        envs = gymnasium.make_vec("SoilWheel-v0", 64, "vector_entry_point", model=model)
-        observations, _ = envs.reset(seed=0)
-        envs.step(np.full((64, 1), 0.4))
+def controllers() -> None:
+    """A step of the controllers that compute the best slip."""
+    envs = gymnasium.make_vec("SoilWheel-v0", 64, "vector_entry_point")
+    observations, _ = envs.reset(seed=0)
     for name in ("best_slip_identified", "best_slip_true"):
         make_controller(name, load_scenario("mixed")).predict(observations, None, np.ones(64, dtype=bool))
 
 
 def tables() -> None:
-    """The fit of a soil to a table, and the steady states of the model."""
+    """The fit of a soil to a table, and the steady states of the model at its points."""
     setup = read_setup(EXAMPLES / "setup.yaml")
     table = read_table(EXAMPLES / "single_wheel.csv", setup.wheel)
     identify_table(table, setup)
@@ -39,5 +33,6 @@ def tables() -> None:
 
 
 if __name__ == "__main__":
-    environments()
+    warm_up()
+    controllers()
     tables()

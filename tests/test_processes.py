@@ -193,7 +193,7 @@ def test_one_processor_and_no_home(tmp_path):
 
 def test_without_a_folder_for_compiled_code_nothing_is_cached(monkeypatch):
     """Where neither the package nor the home can be written, numba refuses to cache; then it is not asked to."""
-    from soil_env._numba import compiling as compiled
+    from soil_env._numba import cache
 
     def refuses(**options):
         assert options == {"cache": True}
@@ -203,6 +203,6 @@ def test_without_a_folder_for_compiled_code_nothing_is_cached(monkeypatch):
 
         return decorate
 
-    assert compiled._cacheable() is compiled.CACHE
-    monkeypatch.setattr(compiled, "njit", refuses)
-    assert not compiled._cacheable()
+    assert cache._folder() == cache._FOLDER
+    monkeypatch.setattr(cache, "njit", refuses)
+    assert cache._folder() is None

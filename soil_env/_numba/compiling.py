@@ -1,4 +1,4 @@
-"""How functions are compiled: parts, roots, and the cache on the disk.
+"""How functions are compiled: parts, and roots, which are kept on the disk (`cache`).
 
 A simulation step is some 150 small functions. Numba by itself optimises each of them together with everything it calls,
 and emits machine code for each, although only a few are ever called from Python. Here a `part` is only translated; its
@@ -16,78 +16,20 @@ allocate does not compile. Scratch memory is on the stack (`lanes.scratch`, `row
 
 from __future__ import annotations
 
-import hashlib
 import importlib
-import multiprocessing
-import os
-import sys
 import threading
-from functools import cache, update_wrapper
-from pathlib import Path
+from functools import update_wrapper
 
 import numpy as np
 from numba import config, njit, typeof, types
-from numba.core.caching import IndexDataCacheFile
 from numba.extending import intrinsic, typeof_impl
 from numba.np.arrayobj import make_array
 
+from soil_env._numba.cache import keep
 from soil_env._numba.pipeline import ALLOCATING, PART, ROOT
 
 #: Whether functions are compiled at all.
 COMPILED = not config.DISABLE_JIT
-_ROOMS = ("_numba", "terramechanics", "simulation", "identification")  # whose sources compiled code is made of
-
-
-# --- the cache --------------------------------------------------------------------------------------------------------
-
-
-@cache
-def _sources() -> str:
-    """Hash of the sources that compiled code may be made of."""
-    package = Path(__file__).resolve().parents[1]
-    files = sorted(f for room in _ROOMS for f in (package / room).glob("*.py"))
-    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
-
-
-def _nothing():
-    pass
-
-
-def _cacheable() -> bool:
-    try:
-        njit(cache=True)(_nothing)
-    except RuntimeError:  # numba finds no folder that it could write
-        return False
-    return True
-
-
-#: Whether compiled code is kept on the disk; without a folder for it every process compiles anew.
-CACHE = _cacheable()
-
-
-class _Index(IndexDataCacheFile):
-    """Index of the cached code of one function; one of earlier sources, whose types may be gone, counts as empty."""
-
-    def _load_index(self):
-        try:
-            return super()._load_index()
-        except (AttributeError, ImportError, TypeError):
-            return {}
-
-
-def _keep(dispatcher):
-    """Turn on the cache of a dispatcher, valid for the present sources of all compiled rooms and of its own file."""
-    if CACHE:
-        dispatcher.enable_caching()
-        store = dispatcher._cache
-        own = hashlib.sha256(Path(dispatcher.py_func.__code__.co_filename).read_bytes()).hexdigest()
-        store._cache_file = _Index(
-            cache_path=store._cache_path,
-            filename_base=store._impl.filename_base,
-            source_stamp=(_sources(), own),
-        )
-    return dispatcher
-
 
 # --- parts and roots --------------------------------------------------------------------------------------------------
 
@@ -114,7 +56,7 @@ class Part:
     def root(self):
         """The function compiled for calls from Python."""
         if self._root is None:
-            self._root = _keep(njit(_nrt=False, pipeline_class=ROOT, **_OPTIONS)(self.py_func))
+            self._root = keep(njit(_nrt=False, pipeline_class=ROOT, **_OPTIONS)(self.py_func))
         return self._root
 
     def __call__(self, *arguments, **keywords):
@@ -155,40 +97,10 @@ def root(function=None, *, nogil=False, allocates=False):
     if not COMPILED:
         return np.errstate(all="ignore")(function)  # as compiled code, which divides by zero without a word
     pipeline = ALLOCATING if allocates else ROOT
-    return _keep(njit(_nrt=allocates, nogil=nogil, pipeline_class=pipeline, **_OPTIONS)(function))
+    return keep(njit(_nrt=allocates, nogil=nogil, pipeline_class=pipeline, **_OPTIONS)(function))
 
 
 # --- calls from Python ------------------------------------------------------------------------------------------------
-
-
-_told = [False]  # whether this process has said that it compiles
-
-
-def _tell(function) -> None:
-    """One line on stderr, once, where `function` is about to be compiled and not loaded from the cache.
-
-    Not in workers of `multiprocessing`, whose parent says it, and not in tests.
-    """
-    if (
-        _told[0]
-        or "PYTEST_CURRENT_TEST" in os.environ
-        or multiprocessing.parent_process() is not None
-        or _kept(function)
-    ):
-        return
-    _told[0] = True
-    kept = "once" if CACHE else "in every process, as no cache can be written (NUMBA_CACHE_DIR)"
-    print(f"soil_env: compiling, {kept}; about half a minute", file=sys.stderr, flush=True)
-
-
-def _kept(function) -> bool:
-    """Whether the cache holds compiled code of the function as it is now."""
-    if not CACHE:
-        return False
-    try:
-        return bool(function._cache._cache_file._load_index())
-    except (AttributeError, OSError):  # another numba: rather nothing than a wrong line
-        return True
 
 
 class FastCall:
@@ -205,7 +117,6 @@ class FastCall:
         if self._code is None:
             function = getattr(self._function, "root", self._function)
             signature = tuple(typeof(a) for a in arguments)
-            _tell(function)
             function.compile(signature)
             self._code = function.overloads[signature].entry_point
         return self._code(*arguments)

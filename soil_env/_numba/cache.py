@@ -1,0 +1,183 @@
+"""The cache of compiled code on the disk: where it is, what it is valid for, and who fills it.
+
+Of several processes that find it empty one compiles, and the others wait and load. The lock is a file beside the
+compiled code; the system releases it when its process ends, however that ends. Where nothing can be written, every
+process compiles for itself, and says so.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import multiprocessing
+import os
+import sys
+import time
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+
+from numba import njit
+from numba.core.caching import IndexDataCacheFile
+from numba.core.compiler_lock import global_compiler_lock
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
+
+_ROOMS = ("_numba", "terramechanics", "simulation", "identification")  # whose sources compiled code is made of
+_LOCK = "soil_env.lock"
+_POLL = 0.1  # s between two attempts at the lock
+_TAKEN = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
+
+
+# --- what compiled code is valid for ----------------------------------------------------------------------------------
+
+
+@cache
+def _sources() -> str:
+    """Hash of the sources that compiled code may be made of."""
+    package = Path(__file__).resolve().parents[1]
+    files = sorted(f for room in _ROOMS for f in (package / room).glob("*.py"))
+    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
+
+
+class _Index(IndexDataCacheFile):
+    """Index of the cached code of one function; one of earlier sources, whose types may be gone, counts as empty."""
+
+    def _load_index(self):
+        try:
+            return super()._load_index()
+        except (AttributeError, ImportError, TypeError):
+            return {}
+
+    def save(self, key, data):
+        try:
+            super().save(key, data)
+        except OSError as error:
+            _tell(f"compiled code cannot be kept ({error}): every process will compile anew")
+
+
+def _nothing():
+    pass
+
+
+def _folder() -> Path | None:
+    """The folder where numba keeps compiled code of this package; None where it finds none that it could write."""
+    try:
+        return Path(njit(cache=True)(_nothing)._cache._cache_path)
+    except RuntimeError:
+        return None
+
+
+_FOLDER = _folder()
+#: Whether compiled code is kept on the disk; without a folder for it every process compiles anew.
+CACHE = _FOLDER is not None
+
+
+def place() -> str:
+    """Where compiled code is kept, in words."""
+    return "compiled code is not kept: no folder for it can be written" if _FOLDER is None else f"kept in {_FOLDER}"
+
+
+def keep(dispatcher):
+    """Turn on the cache of a dispatcher, valid for the present sources of all compiled rooms and of its own file."""
+    if CACHE:
+        with suppress(RuntimeError):  # a function of no file
+            dispatcher.enable_caching()
+            store = dispatcher._cache
+            own = hashlib.sha256(Path(dispatcher.py_func.__code__.co_filename).read_bytes()).hexdigest()
+            store._cache_file = _Index(
+                cache_path=store._cache_path,
+                filename_base=store._impl.filename_base,
+                source_stamp=(_sources(), own),
+            )
+    dispatcher.compile = _Once(dispatcher)
+    return dispatcher
+
+
+def _kept(dispatcher) -> bool:
+    """Whether the cache holds compiled code of the function as it is now."""
+    index = getattr(dispatcher._cache, "_cache_file", None)
+    return index is not None and bool(index._load_index())
+
+
+# --- who compiles -----------------------------------------------------------------------------------------------------
+
+
+class _Once:
+    """`compile` of a dispatcher, in one process at a time where the code is kept."""
+
+    _depth = 0  # roots that this process compiles at present; only under numba's own lock
+
+    def __init__(self, dispatcher):
+        self._dispatcher = dispatcher
+
+    def __call__(self, signature):
+        dispatcher = self._dispatcher
+        compiled = type(dispatcher).compile
+        with global_compiler_lock:
+            if _Once._depth or signature in dispatcher.overloads or _kept(dispatcher):
+                return compiled(dispatcher, signature)
+            with _alone(getattr(dispatcher._cache, "_cache_path", None)):
+                if not _kept(dispatcher):
+                    _tell(_announcement())
+                _Once._depth += 1
+                try:
+                    return compiled(dispatcher, signature)
+                finally:
+                    _Once._depth -= 1
+
+
+def _take(file) -> None:
+    """Lock a file, or raise OSError at once."""
+    if sys.platform == "win32":
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+    else:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextmanager
+def _alone(folder: str | None):
+    """Wait until no other process compiles into a folder; without a folder, or on a disk without locks, go on."""
+    try:
+        file = None if folder is None else open(Path(folder) / _LOCK, "ab")  # noqa: SIM115
+    except OSError:
+        file = None
+    if file is None:
+        yield
+        return
+    with file:  # closing releases it
+        waits = True
+        while waits:
+            try:
+                _take(file)
+                waits = False
+            except OSError as error:
+                waits = error.errno in _TAKEN
+            if waits:
+                _tell("another process compiles into the same cache; waiting for it")
+                time.sleep(_POLL)
+        yield
+
+
+_told: set[str] = set()  # lines that this process has said
+
+
+def _tell(line: str) -> None:
+    """A line on stderr, once; not in workers of `multiprocessing`, whose parent says it, and not in tests."""
+    if line in _told or "PYTEST_CURRENT_TEST" in os.environ or multiprocessing.parent_process() is not None:
+        return
+    _told.add(line)
+    print(f"soil_env: {line}", file=sys.stderr, flush=True)
+
+
+def _announcement() -> str:
+    wanted = os.environ.get("NUMBA_CACHE_DIR")
+    if _FOLDER is None:
+        wish = f"NUMBA_CACHE_DIR={wanted} cannot be written" if wanted else "no folder for the code can be written"
+        return f"compiling, about 20 s, in every process: {wish}; set NUMBA_CACHE_DIR to a folder that can"
+    if wanted and Path(wanted).resolve() not in _FOLDER.resolve().parents:
+        return f"NUMBA_CACHE_DIR={wanted} cannot be written; compiling, about 20 s, once, into {_FOLDER} instead"
+    return "compiling, about 20 s, once per installation"

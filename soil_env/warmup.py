@@ -1,0 +1,46 @@
+"""Compile everything that the environments and the steady model need, once: `python -m soil_env.warmup`.
+
+For an image, a machine without a display of messages, or before many processes start at once.
+"""
+
+from __future__ import annotations
+
+import time
+
+import gymnasium
+import numpy as np
+
+import soil_env  # noqa: F401  (registers SoilWheel-v0)
+from soil_env._io.commands import command_line, command_parser, leave
+from soil_env._numba.cache import place
+from soil_env.parameters import soils
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+
+
+def warm_up() -> None:
+    """Step one wheel and many, in a world with and without effects, and predict steady states."""
+    model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}})
+    for world in (None, model):
+        env = gymnasium.make("SoilWheel-v0", model=world)
+        env.reset(seed=0)
+        env.step(np.array([0.4], dtype=np.float32))
+        env.close()
+        envs = gymnasium.make_vec("SoilWheel-v0", 64, "vector_entry_point", model=world)
+        envs.reset(seed=0)
+        envs.step(np.full((64, 1), 0.4, dtype=np.float32))
+        envs.close()
+    model.predict({"slip": np.array([0.1, 0.3]), "load": 100.0})
+
+
+@command_line("soil_env.warmup", "soil-env-warmup")
+def main(arguments: list[str] | None = None) -> int:
+    """Compile, and say how long it took and where the code is kept; returns the exit status."""
+    command_parser("python -m soil_env.warmup", __doc__).parse_args(arguments)
+    start = time.perf_counter()
+    warm_up()
+    print(f"ready after {time.perf_counter() - start:.0f} s; {place()}")
+    return 0
+
+
+if __name__ == "__main__":
+    leave(main())
