@@ -108,9 +108,14 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
         folder = training.make_run_folder(config, scenario)
     try:
         training.console.print(f"Run folder: {folder}")
+        if training.finished(folder):
+            training.console.print(
+                "Already finished: nothing is done. Without its comparison.json it is compared again."
+            )
+            return 0
         agent = training.train(folder, config, scenario)
         training.compare(folder, config, scenario, {agent.name: agent})
-        training.show(f"Written to {folder}: comparison.json, comparison.csv, comparison.png, course.png, time.json")
+        training.show(f"Written to {folder}: {', '.join(training.COMPARISON)}")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"go on with: {command(*_STARTED_AS)} --resume {folder}") from None
     return 0

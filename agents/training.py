@@ -27,6 +27,9 @@ from .guided import make_guide
 from .progress import Bar, console, show
 from .timing import Times, Timing
 
+#: What `compare` writes into a run folder.
+COMPARISON = ("comparison.json", "comparison.csv", "comparison.png", "course.png", "time.json")
+
 
 class _Watch(BaseCallback):
     """Progress bar, immobilisation rate on TensorBoard, and checkpoints."""
@@ -149,6 +152,11 @@ def trained(config: TrainConfig, scenario: Scenario, bar: Callable = Bar) -> Pat
     if not (run / "model.zip").is_file():
         train(run, config, scenario, bar)
     return run / "model.zip"
+
+
+def finished(folder: Path) -> bool:
+    """Whether a run folder holds everything that `train` and `compare` write."""
+    return all((Path(folder) / name).is_file() for name in ("model.zip", *COMPARISON))
 
 
 def tuned_controllers(scenario: Scenario, courses: int, world: WheelSoilModel | None = None) -> tuple[dict, dict]:

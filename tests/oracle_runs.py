@@ -90,7 +90,7 @@ def predict(models: dict, count: int = 20) -> dict:
     for name, model in models.items():
         values = model.predict(conditions)
         out |= {f"{name}.{part}": getattr(values, part) for part in ("sinkage", "drawbar_pull", "torque")}
-        out[f"{name}.floating"] = str(values.floating)
+        out[f"{name}.floating"] = str(values.supported)
     return out
 
 

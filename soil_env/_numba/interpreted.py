@@ -72,10 +72,6 @@ def totals(*values):
     return tuple(total(v) for v in values)
 
 
-def transposed(*rows):
-    return tuple(np.array(rows).T.copy())
-
-
 def bits(a):
     return sum(1 << i for i in range(COUNT) if a[i] != 0.0)
 

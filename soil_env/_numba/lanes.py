@@ -118,17 +118,6 @@ if COMPILED:
 # --- making and taking apart ------------------------------------------------------------------------------------------
 
 
-def constant(values):
-    """A compiled function without arguments that returns these eight numbers as lanes."""
-    eight = tuple(float(v) for v in values)
-
-    @intrinsic
-    def get(typingctx):
-        return lanes(), lambda context, builder, sig, args: numbers(*eight)
-
-    return get if COMPILED else lambda: interpreted.made_of(*eight)
-
-
 @intrinsic
 def fill(typingctx, x):
     """`x` in every lane."""
@@ -281,29 +270,6 @@ def totals(typingctx, a, b, c, d, e, f, g, h):
 
 
 @intrinsic
-def transposed(typingctx, a, b, c, d, e, f, g, h):
-    """The eight columns of eight rows."""
-
-    def emit(context, builder, sig, args):
-        rows = list(args)
-        for step in (4, 2, 1):
-            low, high = [], []
-            for lane in range(COUNT):
-                pair = lane & ~step
-                low.append(pair if lane == pair else pair + COUNT)
-                high.append(low[-1] + step)
-            swapped = list(rows)
-            for i in range(COUNT):
-                if not i & step:
-                    swapped[i] = _shuffled(builder, rows[i], rows[i + step], low)
-                    swapped[i + step] = _shuffled(builder, rows[i], rows[i + step], high)
-            rows = swapped
-        return context.make_tuple(builder, sig.return_type, rows)
-
-    return types.UniTuple(lanes, COUNT)(*[lanes] * COUNT), emit
-
-
-@intrinsic
 def made_of(typingctx, a, b, c, d, e, f, g, h):
     """Lanes of eight floats."""
 
@@ -382,6 +348,5 @@ if not COMPILED:
         to_array,
         total,
         totals,
-        transposed,
         turns,
     )

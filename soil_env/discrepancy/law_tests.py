@@ -67,7 +67,7 @@ def _difference(problem, law, model, there, name, spread) -> tuple[float, int] |
     quiet = dataclasses.replace(model, validity={})
     stays = quiet.predict(there)
     on = dataclasses.replace(quiet, residual=free).predict(there)
-    if not on.floating or not -0.1 < on.sinkage[0] / model.wheel.radius < DEEPEST:
+    if not on.supported or not -0.1 < on.sinkage[0] / model.wheel.radius < DEEPEST:
         return None
     best = (0.0, 0)
     for j, channel in enumerate(CHANNELS):

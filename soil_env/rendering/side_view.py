@@ -1,7 +1,7 @@
 """Side view of one wheel with the stress under it, and charts of its slip, sinkage and soil estimate over time.
 
 The picture is laid out for 960 x 540 pixels and scaled to the size asked for. Nothing physical is computed here:
-terrain, stresses and mobilised modulus come from the compiled functions that the simulation itself uses.
+terrain, stresses and mobilised sinkage coefficient come from the compiled functions that the simulation itself uses.
 """
 
 from __future__ import annotations

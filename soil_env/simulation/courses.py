@@ -154,7 +154,7 @@ def _capacity(load, soil, tangent, numbers):
     sin_grade = tangent / math.sqrt(1.0 + tangent * tangent)
     rim, at_rest = Rim(wheel.radius, wheel.width, wheel.grouser_height), Conditions(0.0, 1.0, sin_grade)
     rest = steady_with(0.0, load, soil, rim, at_rest, wheel.unit_weight, wheel.effects, 0.0)
-    if rest.sinkage > 0.9 * numbers.drawn.bogged_sinkage or not rest.floating:
+    if rest.sinkage > 0.9 * numbers.drawn.bogged_sinkage or not rest.supported:
         return -np.inf
     pull = _best_pull(load, soil, numbers.drawn.speed, sin_grade, numbers)
     if depends_on_speed(wheel.effects):

@@ -238,7 +238,7 @@ def bearing_share(integrals, tan_phi, direction):
 
 
 @inlined
-def mobilised_modulus(integrals, load, tan_phi, c, r, b, direction):
+def mobilised_sinkage_coefficient(integrals, load, tan_phi, c, r, b, direction):
     """Sinkage coefficient s [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least 0.
 
     Eq. (1) is linear in S, so at a given sinkage the coefficient the load mobilises has a closed form.

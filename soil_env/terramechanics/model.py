@@ -60,7 +60,7 @@ class Prediction(NamedTuple):
     sinkage: np.ndarray  # [m]
     drawbar_pull: np.ndarray  # [N]
     torque: np.ndarray  # [N m]
-    floating: bool  # False where the soil carries the load in no row or not in all rows
+    supported: bool  # False where the soil carries the load in no row or not in all rows
 
 
 @dataclass(frozen=True)

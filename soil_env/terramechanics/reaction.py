@@ -20,7 +20,7 @@ from soil_env.terramechanics.contact import (
     ShearLaw,
     bearing_share,
     forces,
-    mobilised_modulus,
+    mobilised_sinkage_coefficient,
     motion_from_speeds,
     shear_forces,
     slip_ratio,
@@ -66,7 +66,7 @@ def reaction_from(integrals, motion, speed, rim_speed, load, tan_phi, c, r, b):
     """`Reaction` to a wheel that carries `load`: Eqs. (1)-(3) with (1) solved for S, from its arc's integrals."""
     q, by_rim, by_travel = integrals
     _, travel, direction = motion
-    s = mobilised_modulus(q, load, tan_phi, c, r, b, direction)
+    s = mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, direction)
     f = forces(q, s, tan_phi, c, r, b, direction)
     st = s * tan_phi
     rest2 = REST_SPEED * REST_SPEED

@@ -19,7 +19,7 @@ from soil_env.terramechanics.contact import (
     bearing_share,
     entry_angle,
     forces,
-    mobilised_modulus,
+    mobilised_sinkage_coefficient,
     motion_from_slip,
     smooth_arc,
 )
@@ -49,7 +49,7 @@ class Steady(NamedTuple):
     sinkage: float  # [m]
     drawbar_pull: float  # [N]
     torque: float  # [N m]
-    floating: bool  # False when the soil cannot carry the load before the wheel is buried; `sinkage` is then the bound
+    supported: bool  # False when the soil cannot carry the load before the wheel is buried; `sinkage` is then the bound
 
 
 class Rim(NamedTuple):
@@ -165,7 +165,7 @@ def _misfit(x, p, wheel, fx):
     n = soil.sinkage_exponent
     arc = arc_of(z, p.slip, fx, wheel)
     q = integrals_alone(arc, p.rim, p.travel, soil.shear_modulus, n, p.law)
-    s = mobilised_modulus(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
+    s = mobilised_sinkage_coefficient(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
     available = p.strength + (n * math.log(1.0 - p.lift / z) if p.lift != 0.0 else 0.0)
     f = min(max(math.log(max(s, 1e-300)) - available, -2.0), 50.0)
     if bearing_share(q, soil.tan_phi, 1.0) <= 1e-12 * q.p_cos and p.load / (arc.radius * b) > soil.cohesion * q.e_sin:
@@ -192,7 +192,7 @@ def _solve_balance(p, wheel, fx, guess):
     slope = -(p.soil.sinkage_exponent + 0.5)
     x_old = f_old = 0.0
     w_old = Forces(0.0, 0.0, 0.0)
-    floating = False
+    supported = False
     for k in range(60):
         f, w = _misfit(x, p, wheel, fx)
         if f > 0.0:
@@ -207,7 +207,7 @@ def _solve_balance(p, wheel, fx, guess):
             share = step / moved  # along the secant that gave the step
             return x + step, _along(w_old, w, share), True
         x_old, f_old, w_old = x, f, w
-        floating = x < deepest
+        supported = x < deepest
         if abs(step) < 1e-6 or low >= high:
             break
         x = x + step
@@ -215,7 +215,7 @@ def _solve_balance(p, wheel, fx, guess):
             x = deepest
         elif not low < x < high:
             x = 0.5 * (low + high)
-    return x_old, w_old, floating
+    return x_old, w_old, supported
 
 
 @inlined
@@ -240,7 +240,7 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     """
     i, r, b = true_slip(slip, fx), wheel.radius, wheel.width
     p, ground, apparent = _balance(i, load, soil, wheel, conditions, fx)
-    x, w, floating = _solve_balance(p, wheel, fx, guess)
+    x, w, supported = _solve_balance(p, wheel, fx, guess)
     z, outer, blade = math.exp(x), contact_radius(fx, wheel), 0.0
     if fx.grousers_blades != 0.0:
         theta1 = entry_angle(z, outer)
@@ -252,7 +252,7 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     speed = max(conditions.speed, 1e-9)  # a wheel whose speed is not known turns all the same
     wheel_speed = (speed + sliding_speed(i, speed) * (1.0 if i > 0.0 else -1.0)) / r
     torque = drive_torque(torque, wheel_speed, 1e-15, fx)
-    return Steady(min(apparent * z, DEEPEST * r) + fx.sinkage_offset_offset, pull, torque, floating)
+    return Steady(min(apparent * z, DEEPEST * r) + fx.sinkage_offset_offset, pull, torque, supported)
 
 
 @part
@@ -268,8 +268,8 @@ def predict_rows(slip, load, wheels, conditions, soil, unit_weight, fx, guess, o
             slip[k], load[k], soil, Rim(w[0], w[1], w[2]), Conditions(c[0], c[1], c[2]), unit_weight, fx, guess[k]
         )
         out[k, 0], out[k, 1], out[k, 2] = s.sinkage, s.drawbar_pull, s.torque
-        carried += s.floating
-        guess[k] = s.sinkage - fx.sinkage_offset_offset if s.floating else 0.0
+        carried += s.supported
+        guess[k] = s.sinkage - fx.sinkage_offset_offset if s.supported else 0.0
     return carried
 
 

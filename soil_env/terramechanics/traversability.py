@@ -57,10 +57,10 @@ def best_working_point_with(load, soil, wheel, conditions, unit_weight, fx, torq
                 deeper /= slip_sinkage_ratio(last, gain, recovery)
                 guess *= deeper**power
             s = steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, min(guess, DEEPEST * wheel.radius))
-            guess, last = (s.sinkage if s.floating else 0.0), slip
+            guess, last = (s.sinkage if s.supported else 0.0), slip
             if i == _MIDDLE:
                 middle = guess
-            if s.torque <= torque_available and s.floating:
+            if s.torque <= torque_available and s.supported:
                 if s.drawbar_pull > best.drawbar_pull:
                     best = Best(slip, s.drawbar_pull, s.torque, s.sinkage)
                 elif s.drawbar_pull < best.drawbar_pull - 0.03 * load:

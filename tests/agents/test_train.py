@@ -304,9 +304,12 @@ def test_resume_of_what_is_no_run_and_with_other_options_is_refused(capsys, fini
 # --- resume -----------------------------------------------------------------------------------------------------------
 
 
-def test_resume_of_a_finished_run_compares_again(capsys, tmp_path):
+def test_resume_of_a_finished_run_does_nothing_and_without_its_result_compares_again(capsys, tmp_path, monkeypatch):
     assert run(capsys, *TINY, "--runs", tmp_path, "--name", "n")[0] == 0
     folder = tmp_path / "n"
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "tuned_settings", None)  # would be a TypeError
+        assert run(capsys, "--resume", folder)[0] == 0
     before, model = (folder / "comparison.json").read_text(), (folder / "model.zip").read_bytes()
     (folder / "comparison.json").unlink()
     code, out, err = run(capsys, "--resume", folder)

@@ -125,7 +125,7 @@ def test_every_test_can_be_run(case):
         assert t.expected_sigma >= LEAST
         for c in candidates:
             found = model(c).predict(t.conditions)
-            assert found.floating
+            assert found.supported
             assert found.sinkage[0] < DEEPEST * WHEEL.radius + 0.02
 
 
@@ -143,7 +143,7 @@ def test_a_buried_wheel_is_no_test(case):
     for t in tests:
         for c in soft:
             plain = WheelSoilModel(WHEEL, model(c).soil).predict(t.conditions)
-            assert plain.floating
+            assert plain.supported
             assert plain.sinkage[0] < DEEPEST * WHEEL.radius
     heavy = WheelSoilModel(WHEEL, model(soft[0]).soil).predict({"slip": 0.1, "load": 300.0})
     assert heavy.sinkage[0] > DEEPEST * WHEEL.radius

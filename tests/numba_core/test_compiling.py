@@ -1,7 +1,6 @@
 """Parts and roots, their cache, calls without type look-up, and the line that says that code is compiled."""
 
 import pickle
-import sys
 import threading
 from typing import NamedTuple
 
@@ -10,7 +9,6 @@ import pytest
 from numba import njit
 from numba.core.errors import NumbaError
 
-from soil_env._numba import compiling as compiled
 from soil_env._numba.compiling import FastCall, inlined, part, root, take
 
 

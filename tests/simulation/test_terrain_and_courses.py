@@ -187,7 +187,7 @@ def test_best_working_point_is_the_best_of_its_slips(drawn, scenario):
         states = [steady_state(i, load, soil, wheel.radius, wheel.width) for i in SLIPS]
         strongest = best_working_point(load, soil, wheel.radius, wheel.width, 1e6)
         for torque in (1e6, 0.8 * strongest.torque):  # the second motor cannot turn the wheel at the best slip
-            pulls = [s.drawbar_pull for s in states if s.floating and s.torque <= torque]
+            pulls = [s.drawbar_pull for s in states if s.supported and s.torque <= torque]
             best = best_working_point(load, soil, wheel.radius, wheel.width, torque)
             # the scan starts each root search from the last: equal but for the tolerance of that search
             assert best.drawbar_pull == pytest.approx(max(pulls, default=-math.inf), abs=1e-6 * load)

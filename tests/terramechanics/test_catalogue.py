@@ -111,7 +111,7 @@ def test_neutral_strengths_switch_a_form_off(effect, form):
 def test_strengths_move_the_channels_they_list(effect, form):
     idle, free = strengths(effect, form)
     base = steady(idle, effect.name)
-    assert base.floating
+    assert base.supported
     for name, value in free:
         expected = NARROWER.get((effect.name, form.name), set(effect.moves))
         assert moved(steady(idle | {name: value}, effect.name), base) == expected, name

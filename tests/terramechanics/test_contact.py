@@ -268,13 +268,15 @@ def test_rates_against_central_differences(seed):
 
 @pytest.mark.parametrize("slip", [-0.9, -0.2, 0.0, 0.3, 1.0])
 @pytest.mark.parametrize("cohesion", [0.0, 2000.0])
-def test_mobilised_modulus_inverts_the_balance(slip, cohesion):
+def test_mobilised_sinkage_coefficient_inverts_the_balance(slip, cohesion):
     q = quadrature.arc_integrals(0.8, 0.0, 0.4, *contact.motion_from_slip(slip), 0.02, 0.8, 0.15)[0]
     load = contact.forces(q, 7e5, 0.5, cohesion, 0.15, 0.15, 1.0).load
-    assert contact.mobilised_modulus(q, load, 0.5, cohesion, 0.15, 0.15, 1.0) == pytest.approx(7e5, rel=1e-9)
+    assert contact.mobilised_sinkage_coefficient(q, load, 0.5, cohesion, 0.15, 0.15, 1.0) == pytest.approx(
+        7e5, rel=1e-9
+    )
 
 
-def test_mobilised_modulus_is_never_negative():
+def test_mobilised_sinkage_coefficient_is_never_negative():
     """A load that cohesion alone would carry needs no normal stress."""
     q = quadrature.arc_integrals(0.8, 0.0, 0.4, 1.0, 0.0, 0.01, 0.8, 0.15)[0]
-    assert contact.mobilised_modulus(q, 1.0, 0.5, 1e5, 0.15, 0.15, 1.0) == 0.0
+    assert contact.mobilised_sinkage_coefficient(q, 1.0, 0.5, 1e5, 0.15, 0.15, 1.0) == 0.0

@@ -54,7 +54,7 @@ def test_prediction_is_row_by_row():
         "grade_deg": [0.0, 6.0, -6.0],
     }  # fmt: skip
     found = MODEL.predict(given)
-    assert found.floating
+    assert found.supported
     for k in range(3):
         at = Conditions(given["speed"][k], given["pass"][k], math.sin(math.radians(given["grade_deg"][k])))
         expected = single(MODEL, given["slip"][k], given["load"][k], conditions=at)
@@ -112,9 +112,9 @@ def test_a_table_and_a_mapping_predict_the_same(tmp_path):
     np.testing.assert_array_equal(stacked(found), stacked(same))
 
 
-def test_floating_says_whether_every_row_is_carried():
-    assert MODEL.predict(conditions()).floating
-    assert not MODEL.predict(conditions(load=[90.0, 90.0, 1e6, 90.0, 90.0])).floating
+def test_supported_says_whether_every_row_is_carried():
+    assert MODEL.predict(conditions()).supported
+    assert not MODEL.predict(conditions(load=[90.0, 90.0, 1e6, 90.0, 90.0])).supported
 
 
 def test_friction_shows_where_no_speed_is_given():

@@ -39,7 +39,7 @@ def test_forces_balance(seed):
     """
     soil, slip, load = random_case(seed)
     found = model.steady_state(slip, load, soil, R, B)
-    if not found.floating:
+    if not found.supported:
         assert found.sinkage == pytest.approx(model.DEEPEST * R)
         return
     n = soil.sinkage_exponent
@@ -55,7 +55,7 @@ def test_forces_balance(seed):
 def test_most_of_these_cases_are_carried():
     """Guards `test_forces_balance` against judging nothing."""
     cases = [random_case(seed) for seed in range(60)]
-    assert sum(model.steady_state(slip, load, soil, R, B).floating for soil, slip, load in cases) > 50
+    assert sum(model.steady_state(slip, load, soil, R, B).supported for soil, slip, load in cases) > 50
 
 
 @pytest.mark.parametrize("name", CARRYING)
@@ -101,11 +101,11 @@ def excess(slip, load, soil, depths):
 @pytest.mark.parametrize("name", ["snow", "snow_harrison", "snow_sweden", "quartz_sand", "mars_simulant_dlr"])
 @pytest.mark.parametrize("load", [60.0, 150.0, 300.0])
 @pytest.mark.parametrize("slip", [-0.8, 0.0, 0.4, 0.95])
-def test_floating_says_whether_the_soil_carries_the_load(name, load, slip):
+def test_supported_says_whether_the_soil_carries_the_load(name, load, slip):
     soil = soils()[name].state(B)
     found = model.steady_state(slip, load, soil, R, B)
-    assert found.floating == np.any(excess(slip, load, soil, np.linspace(1e-3, 1.499, 400) * R) >= 0.0)
-    if not found.floating:
+    assert found.supported == np.any(excess(slip, load, soil, np.linspace(1e-3, 1.499, 400) * R) >= 0.0)
+    if not found.supported:
         assert found.sinkage == pytest.approx(model.DEEPEST * R)
 
 
@@ -130,8 +130,8 @@ def test_root_by_brute_force(seed):
     found = model.steady_state(slip, load, soil, R, B)
     depths = np.geomspace(1e-5, 1.499, 400) * R
     carried = excess(slip, load, soil, depths) >= 0.0
-    assert found.floating == np.any(carried)
-    if found.floating and not carried[0]:
+    assert found.supported == np.any(carried)
+    if found.supported and not carried[0]:
         first = int(np.argmax(carried))
         assert depths[first - 1] * 0.999 <= found.sinkage <= depths[first] * 1.001
         assert abs(excess(slip, load, soil, [found.sinkage])[0]) < 1e-3 * load
@@ -139,8 +139,8 @@ def test_root_by_brute_force(seed):
 
 def test_a_feather_floats_and_a_lorry_does_not():
     soil = soils()["snow"].state(B)
-    assert model.steady_state(0.2, 1.0, soil, R, B).floating
-    assert not model.steady_state(0.2, 1e5, soil, R, B).floating
+    assert model.steady_state(0.2, 1.0, soil, R, B).supported
+    assert not model.steady_state(0.2, 1e5, soil, R, B).supported
 
 
 @pytest.mark.parametrize("slip", [-0.6, -0.2, 0.0, 0.2, 0.5, 0.9])
@@ -180,5 +180,5 @@ def test_any_admissible_soil_gives_finite_numbers(tan_phi, cohesion, k, log_s, n
 def test_a_locked_wheel_drags_twice_its_load_in_dry_sand():
     """The README's figure; on the CMU testbed a locked smooth wheel measured -38.8 N at 19.5 N (Pavlov & Johnson)."""
     found = model.steady_state(-1.0, 147.15, soils()["dry_sand"].state(0.15), 0.15, 0.15)
-    assert found.floating
+    assert found.supported
     assert found.drawbar_pull / 147.15 == pytest.approx(-1.9, abs=0.05)
