@@ -109,9 +109,7 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
     try:
         training.console.print(f"Run folder: {folder}")
         if training.finished(folder):
-            training.console.print(
-                "Already finished: nothing is done. Without its comparison.json it is compared again."
-            )
+            training.console.print("Already finished. Delete its comparison.json to compare again.")
             return 0
         agent = training.train(folder, config, scenario)
         training.compare(folder, config, scenario, {agent.name: agent})

@@ -7,10 +7,10 @@
 
 z_w is the depth at which undisturbed soil carries the same peak pressure as the wheel now has under it. At a sinkage
 z the load mobilises a sinkage coefficient s, in closed form since Eq. (1) is linear in it
-(`contact.mobilised_sinkage_coefficient`); equal pressure s z^n = S z_w^n then gives z_w = z (s/S)^(1/n). So the balance (1) holds
-throughout and no root is sought; the steady state at any slip is that of `steady.steady_state`. (Where cohesion alone
-carries more than the load, s is 0 and the reported load exceeds the weight: a deeply dug wheel in strongly cohesive
-soil.) `dynamics` steps these equations.
+(`contact.mobilised_sinkage_coefficient`); equal pressure s z^n = S z_w^n then gives z_w = z (s/S)^(1/n). So the
+balance (1) holds throughout and no root is sought; the steady state at any slip is that of `steady.steady_state`.
+(Where cohesion alone carries more than the load, s is 0 and the reported load exceeds the weight: a deeply dug wheel
+in strongly cohesive soil.) `dynamics` steps these equations.
 """
 
 from __future__ import annotations

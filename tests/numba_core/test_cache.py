@@ -1,4 +1,4 @@
-"""The cache of compiled code: what it is valid for, processes that start together, and folders that cannot be written."""
+"""The cache of compiled code: what it is valid for, processes that start together, folders that cannot be written."""
 
 import importlib
 import os
