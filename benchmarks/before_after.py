@@ -1,6 +1,7 @@
 """Speed of the environment in two checkouts, measured in turns: of the code before a change, and of the present code.
 
     python -m benchmarks.before_after OLD_CHECKOUT        minutes; renews the table of docs/performance.md
+    python -m benchmarks.before_after OLD_CHECKOUT --cold --rounds 3         the start with nothing compiled alone
 
 Every figure is a median over rounds with the lowest and the highest; the ratio is that of each pair of rounds. Both
 checkouts run with this Python and its packages, through the public interface alone. Run it on an idle machine.
@@ -51,12 +52,12 @@ print(count * wheels / (time.perf_counter() - start))
 """
 _START = """
 import time
-start = time.perf_counter()
+start = time.{clock}()
 import gymnasium, soil_env
 env = gymnasium.make("SoilWheel-v0")
 env.reset(seed=1)
 env.step([0.4])
-print(time.perf_counter() - start)
+print(time.{clock}() - start)
 """
 
 
@@ -74,7 +75,7 @@ def measure(checkouts: dict[str, Path], rounds: int, seconds: float) -> dict:
         "1024 wheels, 2 threads [steps/s]": lambda at: run(at, _STEPS, 1024, seconds, WORLDS["none"]),
         "1024 wheels with two effects, 2 threads [steps/s]": lambda at: run(at, _STEPS, 1024, seconds, WORLDS["two"]),
         "one wheel [steps/s]": lambda at: run(at, _STEPS, 1, seconds, WORLDS["none"]),
-        "first `reset` and `step`, cached [s]": lambda at: run(at, _START),
+        "first `reset` and `step`, cached [s]": lambda at: run(at, _START.format(clock="perf_counter")),
     }
     found = {}
     for case, once in cases.items():
@@ -82,9 +83,20 @@ def measure(checkouts: dict[str, Path], rounds: int, seconds: float) -> dict:
             once(at)  # compiles
         pairs = [[once(at) for at in checkouts.values()] for _ in range(rounds)]
         found[case] = pairs
+    return _ratios(found)
+
+
+def measure_cold(checkouts: dict[str, Path], rounds: int) -> dict:
+    """As `measure`: processor time from the start of the first import to the first step, with nothing compiled."""
+    program = _START.format(clock="process_time")
     with tempfile.TemporaryDirectory() as empty:
-        cold = [[run(at, _START, cache=f"{empty}/{k}{name}") for name, at in checkouts.items()] for k in range(2)]
-    found["first `reset` and `step`, nothing cached [s]"] = cold
+        pairs = [
+            [run(at, program, cache=f"{empty}/{k}{name}") for name, at in checkouts.items()] for k in range(rounds)
+        ]
+    return _ratios({"first `reset` and `step`, nothing compiled [processor s]": pairs})
+
+
+def _ratios(found: dict[str, list]) -> dict:
     return {
         case: {
             "before": spread([a for a, _ in pairs]),
@@ -99,7 +111,7 @@ def table(result: dict) -> str:
     """The measurement as a table of a page."""
     rows = []
     for case, row in result.items():
-        digits = 2 if "[s]" in case else 0
+        digits = 2 if "s]" in case and "steps" not in case else 0
         rows.append((case, *(range_text(row[key], digits) for key in ("before", "after")), range_text(row["ratio"])))
     return Table(("", "before", "after", "ratio"), rows).markdown()
 
@@ -111,12 +123,18 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("old", metavar="OLD_CHECKOUT", type=folder)
     p.add_argument("--rounds", type=whole_number(1), default=5)
     p.add_argument("--seconds", type=float, default=4.0, help="of each round")
+    p.add_argument("--cold", action="store_true", help="only the start with nothing compiled")
     options = p.parse_args(arguments)
-    check_page(PAGE, "before_after")
-    result = measure({"before": Path(options.old).resolve(), "after": ROOT}, options.rounds, options.seconds)
+    part = "cold_start" if options.cold else "before_after"
+    check_page(PAGE, part)
+    checkouts = {"before": Path(options.old).resolve(), "after": ROOT}
+    if options.cold:
+        result = measure_cold(checkouts, options.rounds)
+    else:
+        result = measure(checkouts, options.rounds, options.seconds)
     on = machine()
     text = f"{on['processor']}, {on['cores']} cores; Python {on['python']}, numba {on['numba']}."
-    renew_page(PAGE, {"before_after": f"{table(result)}\n\n{text}"})
+    renew_page(PAGE, {part: f"{table(result)}\n\n{text}"})
     print(json.dumps(result, indent=1))
     return 0
 
