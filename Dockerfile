@@ -28,8 +28,7 @@ RUN pip install --no-cache-dir -c /tmp/constraints.txt "$(ls /tmp/dist/soil_env-
 # The kernels are compiled here once. Whoever runs the image (--user) may add to the caches.
 RUN useradd --no-create-home --home-dir /work soil \
     && mkdir -p /work "$NUMBA_CACHE_DIR" "$MPLCONFIGDIR" \
-    && python -c "import gymnasium as g; e = g.make('soil_env:SoilWheel-v0'); e.reset(seed=0); e.step([0.3])" \
-    && python -c "import gymnasium as g; e = g.make_vec('soil_env:SoilWheel-v0', 2); e.reset(seed=0); e.step([[0.3]] * 2)" \
+    && soil-env-warmup \
     && chmod -R a+rwX /var/cache/soil_env \
     && chown soil /work
 
