@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -70,9 +71,16 @@ def always_die(x):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def test_a_killed_process_loses_nothing(tmp_path, importable):
+@pytest.fixture(params=["processes", "ray"])
+def engine(request):
+    """A function that does work elsewhere."""
+    request.getfixturevalue("importable" if request.param == "processes" else "connected")
+    return partial(studies.processes, workers=2) if request.param == "processes" else studies.on_ray
+
+
+def test_a_killed_worker_loses_nothing(tmp_path, engine):
     tasks = [(k, str(tmp_path / "mark") if k == 3 else "") for k in range(8)]
-    done = list(studies.processes(double, tasks, workers=2))
+    done = list(engine(double, tasks))
     assert sorted(done) == [(task, 2 * task[0]) for task in tasks]
     assert (tmp_path / "mark").exists()
 
@@ -104,9 +112,9 @@ def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, m
     assert (tmp_path / "interrupted").exists()
 
 
-def test_bad_input_found_in_a_process_comes_back(importable):
-    with pytest.raises(ParameterError, match="no 5"):
-        list(studies.processes(refuse, [(5, "")], workers=1))
+def test_bad_input_found_by_a_worker_comes_back(engine):
+    with pytest.raises(ParameterError, match="^no 5$"):
+        list(engine(refuse, [(5, "")]))
 
 
 def test_ray_that_is_absent_is_said_in_one_line(capsys, monkeypatch, tmp_path):
@@ -144,18 +152,6 @@ def test_ray_gives_what_one_process_gives(cluster, controllers, local, tmp_path)
     )
     assert done.returncode == 0, done.stderr[-2000:]
     same(out, local)
-
-
-def test_a_killed_ray_worker_loses_nothing(connected, tmp_path):
-    tasks = [(k, str(tmp_path / "mark") if k == 3 else "") for k in range(8)]
-    done = list(studies.on_ray(double, tasks))
-    assert sorted(done) == [(task, 2 * task[0]) for task in tasks]
-    assert (tmp_path / "mark").exists()
-
-
-def test_bad_input_found_by_ray_comes_back(connected):
-    with pytest.raises(ParameterError, match="^no 5$"):
-        list(studies.on_ray(refuse, [(5, "")]))
 
 
 def test_an_evaluation_survives_the_loss_of_a_node(cluster, controllers, local, tmp_path):

@@ -1,6 +1,5 @@
 """Contents of wheel and sdist, and what is installed by them: names, commands, no collision with openai-agents."""
 
-import importlib
 import os
 import re
 import shutil
@@ -73,12 +72,6 @@ def test_the_sdist_holds_what_a_contributor_needs(tmp_path):
     for folder in ("soil_env", "agents", "tests", "benchmarks"):
         assert {f"{folder}/{name}" for name in sources(folder, "*.py")} <= names
     assert not {n for n in names if n.endswith((".pyc", ".nbi", ".nbc"))}
-
-
-def test_the_console_commands_exist():
-    for name, target in PROJECT["scripts"].items():
-        module, _, function = target.replace("soil_env_agents", "agents").partition(":")
-        assert callable(getattr(importlib.import_module(module), function)), name
 
 
 def test_the_version_of_the_citation_is_that_of_the_package():
