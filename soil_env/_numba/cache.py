@@ -17,8 +17,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
-from numba import njit
-from numba.core.caching import IndexDataCacheFile
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 
 if sys.platform == "win32":
@@ -66,7 +65,7 @@ def _nothing():
 def _folder() -> Path | None:
     """The folder where numba keeps compiled code of this package; None where it finds none that it could write."""
     try:
-        return Path(njit(cache=True)(_nothing)._cache._cache_path)
+        return Path(FunctionCache(_nothing)._cache_path)
     except RuntimeError:
         return None
 
