@@ -137,6 +137,14 @@ def _take(file) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
+def _release(file) -> None:
+    """Unlock it; closing alone does not where a process that was forked meanwhile has it open too."""
+    if sys.platform == "win32":
+        msvcrt.locking(file.fileno(), msvcrt.LK_UNLCK, 1)
+    else:
+        fcntl.flock(file, fcntl.LOCK_UN)
+
+
 @contextmanager
 def _alone(folder: str | None):
     """Wait until no other process compiles into a folder; without a folder, or on a disk without locks, go on."""
@@ -147,7 +155,7 @@ def _alone(folder: str | None):
     if file is None:
         yield
         return
-    with file:  # closing releases it
+    with file:
         waits = True
         while waits:
             try:
@@ -158,7 +166,11 @@ def _alone(folder: str | None):
             if waits:
                 _tell("another process compiles into the same cache; waiting for it")
                 time.sleep(_POLL)
-        yield
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                _release(file)
 
 
 _told: set[str] = set()  # lines that this process has said
