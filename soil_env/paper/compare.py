@@ -298,7 +298,7 @@ def torque(soil: Soil, load: float = WONG_REECE_LOAD) -> np.ndarray:
     """Torque required [N m] by Eqs. (1) and (3) at `SLIPS`, exactly; NaN where the soil does not carry the wheel."""
     state = soil.state(WHEEL.width)._replace(dig_gain=0.0)
     steady = [steady_state(i, load, state, WHEEL.radius, WHEEL.width) for i in SLIPS]
-    return np.array([s.torque if s.floating else np.nan for s in steady])
+    return np.array([s.torque if s.supported else np.nan for s in steady])
 
 
 def torque_at_37_deg(soil: Soil) -> np.ndarray:
