@@ -77,7 +77,9 @@ CACHE = _FOLDER is not None
 
 def place() -> str:
     """Where compiled code is kept, in words."""
-    return "compiled code is not kept: no folder for it can be written" if _FOLDER is None else f"kept in {_FOLDER}"
+    if _FOLDER is None:
+        return "compiled code is not kept: no folder for it can be written"
+    return f"kept below {_FOLDER.parents[1] if _FOLDER.name == '__pycache__' else _FOLDER.parent}"
 
 
 def keep(dispatcher):
@@ -190,5 +192,5 @@ def _announcement() -> str:
         wish = f"NUMBA_CACHE_DIR={wanted} cannot be written" if wanted else "no folder for the code can be written"
         return f"compiling, about 20 s, in every process: {wish}; set NUMBA_CACHE_DIR to a folder that can"
     if wanted and Path(wanted).resolve() not in _FOLDER.resolve().parents:
-        return f"NUMBA_CACHE_DIR={wanted} cannot be written; compiling, about 20 s, once, into {_FOLDER} instead"
+        return f"NUMBA_CACHE_DIR={wanted} cannot be written; compiling, about 20 s, once, {place()} instead"
     return "compiling, about 20 s, once per installation"
