@@ -29,7 +29,7 @@ def main() -> None:
     options = p.parse_args()
 
     setup = read_setup(options.setup)
-    estimate = identify_table(read_table(options.table, setup.wheel), setup)
+    estimate = identify_table(read_table(options.table, setup.wheel, setup.ignore_columns), setup)
     for name, found in estimate.parameters.items():
         known = "  (given)" if found.known else ""
         print(f"{name:20s} {found.value:10.4g}  [{found.low:.4g}, {found.high:.4g}] {found.unit}{known}")

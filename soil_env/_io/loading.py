@@ -137,6 +137,9 @@ def _convert(hint, value, where: str):
         return None if value is None else _convert(known, value, where)
     if dataclasses.is_dataclass(hint):
         return value if isinstance(value, hint) else load(hint, value, where)
+    if origin is tuple and items[1:] == (Ellipsis,):
+        expect(isinstance(value, (list, tuple)), "a list")
+        return tuple(_convert(items[0], v, where) for v in value)
     if origin is tuple:
         expect(isinstance(value, (list, tuple)) and len(value) == len(items), f"a list of {len(items)} values")
         return tuple(_convert(item, v, where) for item, v in zip(items, value, strict=True))

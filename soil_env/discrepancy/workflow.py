@@ -60,7 +60,7 @@ def run(
         raise ParameterError(f"bootstrap = {bootstrap}: expected at most {MOST_DRAWS} redraws")
     say("reading")
     read = setup if isinstance(setup, Setup) else read_setup(setup)
-    rows = table if isinstance(table, Table) else read_table(table, read.wheel)
+    rows = table if isinstance(table, Table) else read_table(table, read.wheel, read.ignore_columns)
     settings = Settings(
         rows.source,
         "" if isinstance(setup, Setup) else os.fspath(setup),

@@ -70,7 +70,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.out == "":
         raise ParameterError("--out is empty: expected a folder")
     setup = read_setup(options.setup)
-    table = read_table(options.data, setup.wheel)
+    table = read_table(options.data, setup.wheel, setup.ignore_columns)
     if options.out is not None:
         check_outputs(options.out, FILES)
     estimate = identify_table(table, setup)

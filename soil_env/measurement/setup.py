@@ -9,12 +9,13 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml
 from soil_env.parameters import Soil
 
 LARGEST_WHEEL = 3.0  # [m] as in `parameters.Wheel`
+STEEPEST_TILT = 20.0  # [deg] of a rig that is not level
 LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the value known
 # Below these soil parameters look like another unit: parameter, limit, its unit, what it looks like, factor
 _ODD = (
@@ -27,11 +28,20 @@ _ODD = (
 
 @dataclass(frozen=True)
 class SetupWheel(Checked):
-    """The wheel that was measured; `grouser_height` 0 is a smooth rim, None one of which nothing is said."""
+    """The wheel that was measured; `grouser_height` 0 is a smooth rim, None one of which nothing is said.
+
+    `grouser_count` is the number of lugs around the rim.
+    """
 
     radius: float = quantity("m", 0.01, LARGEST_WHEEL)
     width: float = quantity("m", 0.005, LARGEST_WHEEL)
     grouser_height: float | None = quantity("m", 0.0, 1.0, default=None)
+    grouser_count: int | None = quantity("", 1, 1000, default=None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.grouser_count is not None and self.grouser_height == 0.0:
+            raise ParameterError(f"grouser_count = {self.grouser_count}: expected with a grouser_height > 0 m only")
 
 
 @dataclass(frozen=True)
@@ -117,14 +127,27 @@ class NoiseLevels(Checked):
 
 @dataclass(frozen=True)
 class Setup(Checked):
-    """What is known about a measurement table."""
+    """What is known about a measurement table.
+
+    `load` says what the column of that name is: the force normal to the ground (default), or the vertical force, which
+    on a grade b is resolved into load cos(b) on the ground and load sin(b) against the pull. `slip_reference` is the
+    radius that slip was computed with, to the rim or to the lug tips (r + grouser height). `tilt_deg` is the constant
+    uphill tilt of the ground against the axes in which a rig measures load and pull: a known number or a prior.
+    """
 
     wheel: SetupWheel
     soil: SoilPriors = SoilPriors()
     noise: NoiseLevels = NoiseLevels()
+    load: Literal["normal", "vertical"] = "normal"
+    slip_reference: Literal["rim", "tip"] = "rim"
+    tilt_deg: Prior | None = None
+    ignore_columns: tuple[str, ...] = ()  # of the table, passed over
     source: str = field(default="setup", init=False, compare=False)  # the file, for messages
 
     def __post_init__(self) -> None:
+        if self.tilt_deg is not None and not abs(self.tilt_deg.value) <= STEEPEST_TILT:
+            limits = f"[-{STEEPEST_TILT:g}, {STEEPEST_TILT:g}]"
+            raise ParameterError(f"tilt_deg = {self.tilt_deg.value:g}: expected degrees in {limits}")
         sinkage = self.noise.sinkage
         if sinkage is not None and sinkage > 0.5 * self.wheel.radius:
             raise ParameterError(
@@ -150,11 +173,13 @@ def read_setup(path: str | Path) -> Setup:
     path = Path(path)
     mapping = read_yaml(path)
     where = str(path)
-    for section in ("soil", "noise"):
+    for section in ("soil", "noise", "tilt_deg", "ignore_columns"):
         if section in mapping and mapping[section] is None:
             del mapping[section]  # a heading with nothing below it
     if isinstance(mapping.get("soil"), dict):
         mapping["soil"] = {key: _prior(v, f"{where}: soil.{key}") for key, v in mapping["soil"].items()}
+    if "tilt_deg" in mapping:
+        mapping["tilt_deg"] = _prior(mapping["tilt_deg"], f"{where}: tilt_deg")
     if "wheel" not in mapping:
         raise ParameterError(f"{where}: missing wheel: expected wheel: {{radius: ..., width: ...}} in metres")
     setup: Setup = load(Setup, mapping, where)

@@ -38,10 +38,12 @@ __all__ = [
 REQUIRED = ("slip", "load")
 MEASURED = ("sinkage", "drawbar_pull", "torque")
 OPTIONAL = ("speed", "pass", "grade_deg", "run", "time", "wheel_radius", "wheel_width", "grouser_height")
-COLUMNS = REQUIRED + OPTIONAL + MEASURED
+NOISE = tuple(f"{name}_sd" for name in MEASURED)  # 1-sigma of the value in the same row
+COLUMNS = REQUIRED + OPTIONAL + MEASURED + NOISE
 UNITS = {
     "slip": "", "load": "N", "speed": "m/s", "pass": "", "grade_deg": "deg", "time": "s", "wheel_radius": "m",
-    "wheel_width": "m", "grouser_height": "m", "sinkage": "m", "drawbar_pull": "N", "torque": "N m",
+    "wheel_width": "m", "grouser_height": "m", "sinkage": "m", "drawbar_pull": "N", "torque": "N m", "sinkage_sd": "m",
+    "drawbar_pull_sd": "N", "torque_sd": "N m",
 }  # fmt: skip
 
 DEEPEST = 1.0  # [m] a larger sinkage is taken for millimetres
@@ -74,6 +76,9 @@ class Table:
     wheel_radius: np.ndarray  # [m] overrides of the setup's wheel
     wheel_width: np.ndarray  # [m]
     grouser_height: np.ndarray  # [m]
+    sinkage_sd: np.ndarray  # [m] 1-sigma of the value in the row; nan where the setup's holds
+    drawbar_pull_sd: np.ndarray  # [N]
+    torque_sd: np.ndarray  # [N m]
 
     def __len__(self) -> int:
         return self.slip.size
@@ -86,14 +91,40 @@ class Table:
         """Wheel width [m] of each row: the override where there is one."""
         return np.where(np.isnan(self.wheel_width), wheel.width, self.wheel_width)
 
+    def noise(self) -> np.ndarray:
+        """1-sigma [N, 3] of the measured values where the table gives it, else nan."""
+        return np.stack([getattr(self, name) for name in NOISE], axis=1)
 
-def read_table(path: str | Path, wheel: SetupWheel | None = None) -> Table:
+    def rim_slip(self, setup: Setup) -> np.ndarray:
+        """Slip [N] by the radius of the rim, from that by the radius to the lug tips where the setup says so.
+
+        V/(r w) is (r + h)/r times V/((r + h) w), driving or braking. `ParameterError` where h is not known.
+        """
+        if setup.slip_reference == "rim":
+            return self.slip
+        known = setup.wheel.grouser_height
+        height = np.where(np.isnan(self.grouser_height), math.nan if known is None else known, self.grouser_height)
+        if np.any(np.isnan(height)):
+            raise ParameterError(
+                f"{setup.source}: slip_reference: tip: expected wheel.grouser_height, or a column grouser_height"
+            )
+        with np.errstate(divide="ignore"):
+            ratio = np.where(self.slip >= 0.0, 1.0 - self.slip, 1.0 / (1.0 + self.slip))
+            ratio = ratio * (1.0 + height / self.radius(setup.wheel))
+            return np.where(ratio <= 1.0, 1.0 - ratio, 1.0 / ratio - 1.0)
+
+
+def read_table(path: str | Path, wheel: SetupWheel | None = None, ignore: Sequence[str] = ()) -> Table:
     """The measurement table in a CSV or Parquet file; with `wheel`, no sinkage may exceed its radius.
 
-    Raises `ParameterError` with one line for everything that cannot be right.
+    Columns named in `ignore` (`ignore_columns` of a setup) are passed over, but they tell repeats apart. Raises
+    `ParameterError` with one line for everything that cannot be right.
     """
     path = Path(path)
     header, rows = _parquet_cells(path) if path.suffix.lower() in (".parquet", ".pq") else _csv_cells(path)
+    whole = rows
+    kept = [k for k, name in enumerate(header) if name not in ignore]
+    header, rows = [header[k] for k in kept], [(line, [cells[k] for k in kept]) for line, cells in rows]
     _check_header(path, header)
     if not rows:
         raise ParameterError(f"{path}: no rows below the header: expected one row for each steady point")
@@ -110,6 +141,7 @@ def read_table(path: str | Path, wheel: SetupWheel | None = None) -> Table:
         **columns,
     )
     _check_rows(table, header, rows, wheel)
+    _check_repeats(path, whole)
     for f in dataclasses.fields(table):
         if isinstance(getattr(table, f.name), np.ndarray):
             getattr(table, f.name).flags.writeable = False
@@ -120,9 +152,9 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header and (line, cells) of the rows that are not blank, every cell stripped."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:  # with or without a byte order mark
-            _check_separator(path, stream.readline(), stream.readline())
-            stream.seek(0)
-            reader = csv.reader(stream, strict=True)
+            text = [line if not line.lstrip().startswith("#") else "\n" for line in stream]
+            _check_separator(path, [line for line in text if line.strip()][:2])
+            reader = csv.reader(text, strict=True)
             lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
@@ -134,9 +166,6 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if not lines:
         raise ParameterError(f"{path}: empty file: expected a header line with column names")
     header, rows = lines[0][1], lines[1:]
-    for line, cells in lines:
-        if cells[0].startswith("#"):
-            raise ParameterError(f"{path}: row {line} is a comment (#): expected a header and rows of numbers only")
     for line, cells in rows:
         if len(cells) != len(header):
             hint = " (numbers with decimal points, not commas)" if len(cells) > len(header) else ""
@@ -146,8 +175,9 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     return header, rows
 
 
-def _check_separator(path: Path, header: str, row: str) -> None:
-    """Refuse a header without commas that has semicolons or tabs; `row` tells of decimal commas."""
+def _check_separator(path: Path, lines: list[str]) -> None:
+    """Refuse a header without commas that has semicolons or tabs; the row below it tells of decimal commas."""
+    header, row = (*lines, "", "")[:2]
     for mark, name in ((";", "semicolons"), ("\t", "tabs")):
         if mark in header and "," not in header:
             also = " and decimal commas" if re.search(r"\d,\d", row) else ""
@@ -174,13 +204,18 @@ def _parquet_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
 
 def _check_header(path: Path, header: list[str]) -> None:
     if all(isinstance(_canonical(name), float) for name in header):
-        raise ParameterError(f"{path}: the first line has numbers: expected a header line with column names")
+        raise ParameterError(
+            f"{path}: the first line has numbers: expected a header line with column names, without # before it"
+        )
     for name in header:
         if name in COLUMNS:
             continue
         near = difflib.get_close_matches(name.lower(), COLUMNS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ParameterError(f"{path}: unknown column {name!r}{hint} (known: {', '.join(COLUMNS)})")
+        raise ParameterError(
+            f"{path}: unknown column {name!r}{hint} (known: {', '.join(COLUMNS)}; a column to pass over: "
+            "ignore_columns in the setup)"
+        )
     for name in header:
         if header.count(name) > 1:
             raise ParameterError(f"{path}: column {name!r} appears {header.count(name)} times: expected once")
@@ -206,7 +241,7 @@ def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
         except ValueError:
             out[k] = math.nan
         if not math.isfinite(out[k]):
-            unit = f" of {UNITS[name]}" if UNITS[name] else ""
+            unit = f" in {UNITS[name]}" if UNITS[name] else ""
             hint = "with a decimal point" if re.fullmatch(r"[-+]?\d+,\d+", text) else "(empty = not measured)"
             raise ParameterError(f"{path}: row {line}, {name} = {text!r}: expected a finite number{unit} {hint}")
     return out
@@ -241,6 +276,8 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
     for name in ("wheel_radius", "wheel_width"):
         size = getattr(table, name)
         refuse(name, (size <= 0.0) | (size > LARGEST_WHEEL), f"metres in (0, {LARGEST_WHEEL:g}]")
+    for name in NOISE:
+        refuse(name, getattr(table, name) <= 0.0, f"a standard deviation > 0 {UNITS[name]}, or an empty cell")
     refuse("grouser_height", (table.grouser_height < 0.0) | (table.grouser_height > 1.0), "metres in [0, 1]")
     refuse(
         "sinkage",
@@ -257,19 +294,23 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
     if np.any(nothing):
         line = table.row[nothing][0]
         raise ParameterError(f"{table.source}: row {line}: nothing measured: expected one of {', '.join(MEASURED)}")
+    if np.all(table.slip == table.slip[0]):
+        raise ParameterError(
+            f"{table.source}: slip = {table.slip[0]:g} in every row: expected at least two different slips"
+        )
+
+
+def _check_repeats(path: Path, rows: Rows) -> None:
+    """Refuse a row that is there twice."""
     seen: dict[tuple[float | str, ...], int] = {}
     for line, cells in rows:
         key = tuple(_canonical(c) for c in cells)
         if key in seen:
             raise ParameterError(
-                f"{table.source}: row {line} repeats row {seen[key]} in every column: expected each point once "
+                f"{path}: row {line} repeats row {seen[key]} in every column: expected each point once "
                 f"(a true repeat differs in run or time)"
             )
         seen[key] = line
-    if np.all(table.slip == table.slip[0]):
-        raise ParameterError(
-            f"{table.source}: slip = {table.slip[0]:g} in every row: expected at least two different slips"
-        )
 
 
 def _canonical(cell: str) -> float | str:

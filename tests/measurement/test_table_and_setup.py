@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env.measurement.table import Prior, SetupWheel, read_setup, read_table
+from soil_env.measurement.table import Prior, Setup, SetupWheel, read_setup, read_table
 
 HEADER = "slip,load,sinkage,drawbar_pull"
 GOOD = (HEADER, "0.1,100,0.02,5", "0.2,100,0.021,9", "0.3,120,0.022,12.5")
@@ -57,8 +57,8 @@ def test_reads_a_full_table(tmp_path):
         (["slip;load;torque", "0,1;100;2,5"], ["semicolons", "decimal commas: expected commas", "decimal points"]),
         (["slip\tload\ttorque", "0.1\t100\t2"], ["tabs between the columns: expected commas"]),
         (["slip,load,torque", '"0,1",100,2'], ["slip = '0,1'", "with a decimal point"]),
-        ([HEADER, "0.1,100,deep,5"], ["row 2", "sinkage = 'deep'", "number of m"]),
-        ([HEADER, GOOD[1], "0.1,nan,0.02,5"], ["row 3", "load = 'nan'", "finite number of N"]),
+        ([HEADER, "0.1,100,deep,5"], ["row 2", "sinkage = 'deep'", "expected a finite number in m ("]),
+        ([HEADER, GOOD[1], "0.1,nan,0.02,5"], ["row 3", "load = 'nan'", "finite number in N ("]),
         ([HEADER, "0.1,100,0.02,-inf"], ["row 2", "drawbar_pull = '-inf'", "finite"]),
         ([HEADER, ",100,0.02,5"], ["row 2", "slip is empty"]),
         ([HEADER, "10,100,0.02,5", "20,100,0.02,6"], ["row 2", "slip = 10", "[-1, 1]", "percent"]),
@@ -77,8 +77,13 @@ def test_reads_a_full_table(tmp_path):
         ([HEADER], ["no rows"]),
         ([""], ["empty file"]),
         ([HEADER, "0.1,100,0.02"], ["row 2 has 3 cells: expected 4"]),
-        (["# rig 3", *GOOD], ["row 1 is a comment"]),
         ([*GOOD[1:]], ["the first line has numbers", "header line"]),
+        (["# " + GOOD[0], *GOOD[1:]], ["the first line has numbers", "without # before it"]),
+        (
+            [HEADER + ",torqe_sd", "0.1,100,0.02,5,1"],
+            ["unknown column 'torqe_sd'; did you mean 'torque_sd'?", "ignore_"],
+        ),
+        ([HEADER + ",sinkage_sd", "0.1,100,0.02,5,0"], ["row 2, sinkage_sd = 0: expected a standard deviation > 0 m"]),
     ],
 )
 def test_refuses_a_bad_table(tmp_path, lines, words):
@@ -158,3 +163,86 @@ def test_refuses_a_bad_setup(tmp_path, text, words):
     assert "setup.yaml" in message
     for word in words:
         assert word in message
+
+
+# --- tables as rigs make them -----------------------------------------------------------------------------------------
+
+
+def test_comments_and_ignored_columns_are_passed_over(tmp_path):
+    lines = (
+        '# rig 3, "wheel B", 5;6',
+        HEADER + ",torque_sd,note,torque",
+        "0.1,100,0.02,5,0.1,first,1",
+        "  # the belt was tightened",
+        "0.1,100,0.02,5,,again,1",
+        "0.2,100,0.02,6,,,1.5",
+    )
+    path = written(tmp_path, *lines)
+    assert "unknown column 'note'" in refusal(read_table, path)
+    t = read_table(path, ignore=("note", "torque"))
+    assert list(t.row) == [3, 5, 6] and "note" not in t.given and np.all(np.isnan(t.torque))
+    assert t.noise()[0, 2] == 0.1 and np.isnan(t.noise()[1:, 2]).all()
+    assert "row 7, drawbar_pull" in refusal(
+        read_table, written(tmp_path, *lines, "0.2,100,0.02,x,,,1"), None, ("note",)
+    )
+
+
+def test_parquet_has_the_same_columns(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    import pyarrow.parquet
+
+    columns = {
+        "slip": [0.1, 0.2],
+        "load": [100.0, 90.0],
+        "torque": [1.0, 2.0],
+        "torque_sd": [0.1, None],
+        "x": ["a", "b"],
+    }
+    pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "data.parquet")
+    t = read_table(tmp_path / "data.parquet", ignore=("x",))
+    assert t.noise()[0, 2] == 0.1 and np.isnan(t.noise()[1, 2]) and list(t.torque) == [1.0, 2.0]
+    assert "unknown column 'x'" in refusal(read_table, tmp_path / "data.parquet")
+
+
+def test_a_setup_says_what_rig_it_was(tmp_path):
+    text = (
+        "wheel: {radius: 0.1, width: 0.1, grouser_height: 0.01, grouser_count: 18}\n"
+        "slip_reference: tip\nload: vertical\ntilt_deg: {value: 0, sd: 1}\nignore_columns: [note, x]\n"
+    )
+    s = read_setup(written(tmp_path, text, name="setup.yaml"))
+    assert s.wheel.grouser_count == 18 and s.load == "vertical" and s.slip_reference == "tip"
+    assert s.tilt_deg == Prior(0.0, 1.0) and s.ignore_columns == ("note", "x")
+    s = read_setup(written(tmp_path, SETUP + "tilt_deg: -1.5\n", name="setup.yaml"))
+    assert s.tilt_deg.known and s.load == "normal" and s.slip_reference == "rim" and s.ignore_columns == ()
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (SETUP + "load: vertcal", ["load = 'vertcal'", "'normal', 'vertical'"]),
+        (SETUP + "slip_reference: hub", ["slip_reference = 'hub'", "'rim', 'tip'"]),
+        (SETUP + "tilt_deg: 40", ["tilt_deg = 40", "[-20, 20]"]),
+        (SETUP + "ignore_columns: note", ["ignore_columns = 'note'", "a list"]),
+        ("wheel: {radius: 0.1, width: 0.1, grouser_count: 1.5}", ["grouser_count = 1.5", "whole number"]),
+        ("wheel: {radius: 0.1, width: 0.1, grouser_height: 0, grouser_count: 12}", ["grouser_count = 12", "> 0 m"]),
+    ],
+)
+def test_refuses_a_setup_that_cannot_be_that_of_a_rig(tmp_path, text, words):
+    message = refusal(read_setup, written(tmp_path, text, name="setup.yaml"))
+    for word in ("setup.yaml", *words):
+        assert word in message
+
+
+def test_slip_by_the_lug_tips_is_turned_into_slip_by_the_rim(tmp_path):
+    """Speeds of an 18-lug wheel, r 0.1 m, h 0.01 m: V and w give both slips, driving and braking."""
+    omega, travel = 3.0, np.array([0.1, 0.25, 0.32, 0.4])
+
+    def slip(r):
+        return np.where(r * omega > travel, 1.0 - travel / (r * omega), r * omega / travel - 1.0)
+
+    rows = [f"{float(i)!r},20,1" for i in slip(0.11)]
+    table = read_table(written(tmp_path, "slip,load,torque", *rows))
+    wheel = SetupWheel(0.1, 0.1, 0.01)
+    assert table.rim_slip(Setup(wheel, slip_reference="tip")) == pytest.approx(slip(0.1), abs=1e-12)
+    assert np.array_equal(table.rim_slip(Setup(wheel)), table.slip)
+    assert "grouser_height" in refusal(table.rim_slip, Setup(SetupWheel(0.1, 0.1), slip_reference="tip"))
