@@ -214,7 +214,7 @@ class Problem:
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """[M] of an array [N, 3]: the values in use over the noise."""
-        return (values / self.noise)[self.used]
+        return (values / (self.noise * self.data.relative_sd))[self.used]
 
     # --- the fit ---
 

@@ -15,10 +15,11 @@ CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
 LEAST_PRESSURE, MOST_PRESSURE = 20.0, 1e7  # [Pa] load over radius times width, beyond which the unit is wrong
 MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which the unit is wrong
-LOGARITHMIC = ("load", "speed", "pass")  # conditions that are compared by their ratio
-_SAME = 0.02  # relative difference below which two values of a condition are one level
-_SAME_SLIP = 0.005
-_SAME_GRADE = 0.1  # [deg]
+LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")  # conditions that are compared by their ratio
+WHEEL = ("wheel_radius", "wheel_width", "grouser_height")
+#: Difference below which two values of a condition are one level; relative where it is compared by its ratio.
+_SAME = {"slip": 0.005, "grade_deg": 0.1, "grouser_height": 1e-4, "wheel_radius": 0.005, "wheel_width": 0.005}
+_SAME_RATIO = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,7 @@ class Data:
     y: np.ndarray  # [N, 3] measured, nan where not
     varied: dict[str, Factor]  # slip first
     cell: np.ndarray  # [N] int, rows of one cell are repeats
+    relative_sd: np.ndarray  # [N, 3] noise of a value over that of its channel; [1, 3] ones where no row has its own
 
     @property
     def measured(self) -> np.ndarray:
@@ -63,7 +65,8 @@ def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
     """Conditions [N] of rows by the columns of a table."""
     speed, passes, sine = rows.conditions.T
     grade = np.round(np.degrees(np.arcsin(sine)), 6)
-    return {"slip": rows.slip, "load": rows.load, "speed": speed, "pass": passes, "grade_deg": grade}
+    other = {"slip": rows.slip, "load": rows.load, "speed": speed, "pass": passes, "grade_deg": grade}
+    return other | dict(zip(WHEEL, rows.wheels.T, strict=True))
 
 
 def prepare(table: Table, setup: Setup) -> Data:
@@ -72,7 +75,14 @@ def prepare(table: Table, setup: Setup) -> Data:
     wheel = ModelWheel(
         setup.wheel.radius, setup.wheel.width, UNKNOWN_HEIGHT * setup.wheel.radius if height is None else height
     )
-    rows = rows_of(table, wheel)
+    rows = rows_of(table, wheel)._replace(slip=table.rim_slip(setup).copy())
+    bare = np.isnan(table.grouser_height)
+    if height is None and np.any(bare) and not np.all(bare):
+        k = int(np.flatnonzero(bare)[0])
+        raise ParameterError(
+            f"{table.source}: row {table.row[k]}, grouser_height is empty: expected it in every row, or "
+            "wheel.grouser_height in the setup"
+        )
     if "speed" not in table.given or not np.any(np.isfinite(table.speed)):
         rows.conditions[:, 0] = 0.0
     elif np.any(np.isnan(table.speed)):
@@ -80,16 +90,38 @@ def prepare(table: Table, setup: Setup) -> Data:
         raise ParameterError(f"{table.source}: row {table.row[k]}, speed is empty: expected it in every row or in none")
     y = np.stack([getattr(table, name) for name in CHANNELS], axis=1)
     _refuse_units(table, rows, y)
-    varied = {}
+    varied: dict[str, Factor] = {}
     for name, value in conditions_of(rows).items():
         found = _factor(name, value, name in LOGARITHMIC)
-        if found.levels > 1:
+        same = name in WHEEL and any(_one_to_one(found, varied[w]) for w in WHEEL if w in varied)
+        if found.levels > 1 and not same:  # of sizes that change together one stands for the wheel
             varied[name] = found
     if "slip" not in varied:
         raise ParameterError(f"{table.source}: slip: expected at least two different slips")
-    labels = np.stack([c.level for c in varied.values()] + [np.unique(rows.wheels, axis=0, return_inverse=True)[1]])
+    labels = np.stack([c.level for c in varied.values()])
     cell = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
-    return Data(table, setup, wheel, rows, y, varied, cell)
+    return Data(table, setup, wheel, rows, y, varied, cell, _relative_sd(table, setup))
+
+
+def _one_to_one(a: Factor, b: Factor) -> bool:
+    """Whether the levels of two factors part the rows in the same way."""
+    pairs = np.unique(np.stack([a.level, b.level]), axis=1).shape[1]
+    return pairs == a.levels == b.levels
+
+
+def _relative_sd(table: Table, setup: Setup) -> np.ndarray:
+    given = table.noise()
+    if np.all(np.isnan(given)):
+        return np.ones((1, 3))
+    level = np.array([channel_sd(table, setup, j) or 1.0 for j in range(3)])
+    return np.where(np.isnan(given), 1.0, given / level)
+
+
+def channel_sd(table: Table, setup: Setup, channel: int) -> float | None:
+    """Noise of a channel as the setup gives it, or else the median of that in the rows; None where nothing is said."""
+    given = table.noise()[:, channel]
+    known = getattr(setup.noise, CHANNELS[channel])
+    return known if known is not None or np.all(np.isnan(given)) else float(np.nanmedian(given))
 
 
 def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
@@ -126,7 +158,7 @@ def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
     """Levels by gaps: values closer than 2 % of the span (or of themselves) are one level."""
     x = np.log(np.maximum(value, 1e-9)) if log else value
     span = float(np.ptp(x))
-    gap = max(0.02 * span, math.log(1.0 + _SAME) if log else (_SAME_SLIP if name == "slip" else _SAME_GRADE))
+    gap = max(0.02 * span, math.log(1.0 + _SAME.get(name, _SAME_RATIO)) if log else _SAME[name])
     order = np.argsort(x, kind="stable")
     steps = np.diff(x[order]) > gap
     level = np.empty(x.size, dtype=int)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.calibrate import Problem
-from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC
+from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC, WHEEL
 from soil_env.discrepancy.search import RULED_OUT, Candidate, Finding
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import rows_of
@@ -33,7 +33,8 @@ CANDIDATES = 5
 DEEPEST = 0.6  # [radii] deepest sinkage of a feasible test
 SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 _STRANGE = 0.3  # [sd] that half a span of the table's conditions must gain
-_HALF_SPAN = {"slip": 0.1, "load": 0.35, "speed": 0.35, "pass": 0.35, "grade_deg": 5.0}  # at least; logarithmic
+_HALF_SPAN = {"slip": 0.1, "load": 0.35, "speed": 0.35, "pass": 0.35, "grade_deg": 5.0, "wheel_radius": 0.2,
+              "wheel_width": 0.2, "grouser_height": 0.01}  # at least; logarithmic  # fmt: skip
 _NEAR = 0.7  # distance, in half spans, of tests that are much the same
 
 
@@ -121,7 +122,7 @@ def separating(problem: Problem, candidates: Sequence[Candidate]) -> tuple[NextT
 
 
 def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
-    """Slips to 0.7, half to twice the loads of the table, and speeds, passes and grades where a candidate knows them.
+    """Slips to 0.7, half to twice the loads of the table, its wheels, and speeds, passes and grades that matter.
 
     What no candidate knows is the middle speed, the first pass and the least grade of the table.
     """
@@ -134,7 +135,8 @@ def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
     timed = bool(np.all(speed > 0.0))
     if not timed:
         known.discard("speed")
-    levels = {name: [float(np.median(x))] for name, x in column.items()}
+    wheels = np.unique(problem.data.rows.wheels, axis=0)
+    levels = {name: [float(np.median(x))] for name, x in column.items() if name not in WHEEL}
     levels["pass"] = [float(passes.min())]
     levels["grade_deg"] = [min(max(0.0, float(grade.min())), float(grade.max()))]
     levels["slip"], levels["load"] = list(SLIPS), _around(column["load"], 0.5, 2.0)
@@ -144,15 +146,16 @@ def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
         levels["pass"] = sorted({1.0, 2.0, 3.0, float(passes.max())})
     if "grade_deg" in known:
         levels["grade_deg"] = [min(-10.0, float(grade.min())), 0.0, max(10.0, float(grade.max()))]
-    points = np.array(list(product(*levels.values())))
-    told = [n for n in levels if n in varied or n in known or n in ("slip", "load") or (n == "speed" and timed)]
+    points = np.array([(*p, *w) for p in product(*levels.values()) for w in wheels])
+    names = (*levels, *WHEEL)
+    told = [n for n in names if n in varied or n in known or n in ("slip", "load") or (n == "speed" and timed)]
     scaled = []
-    for k, name in enumerate(levels):
+    for k, name in enumerate(names):
         x, t = points[:, k], column[name]
         if name in LOGARITHMIC:
             x, t = np.log(np.maximum(x, 1e-9)), np.log(np.maximum(t, 1e-9))
         scaled.append((x - 0.5 * (t.min() + t.max())) / max(0.5 * np.ptp(t), _HALF_SPAN[name]))
-    return Grid(dict(zip(levels, points.T, strict=True)), tuple(told), np.stack(scaled, axis=1))
+    return Grid(dict(zip(names, points.T, strict=True)), tuple(told), np.stack(scaled, axis=1))
 
 
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:
@@ -172,7 +175,7 @@ def _problem_at(problem: Problem, grid: Grid) -> Problem:
     data, count = problem.data, grid.value["slip"].size
     rows = rows_of(grid.value, data.wheel)
     there = copy.copy(problem)
-    there.data = dataclasses.replace(data, rows=rows)
+    there.data = dataclasses.replace(data, rows=rows, relative_sd=np.ones((1, 3)))
     there.used, there.offset = np.ones((count, 3), dtype=bool), None
     r = data.rows
     near = [

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy.data import CHANNELS, Data
+from soil_env.discrepancy.data import CHANNELS, WHEEL, Data, channel_sd
 
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
 LEAST_NOISE = 1e-5  # scatter over the size of the values below which they are rounded or computed, not measured
@@ -27,7 +27,7 @@ REPEAT_LOAD = 0.2  # largest difference of load within repeats, over their mean
 class NoiseEstimate:
     """Noise of the channels and the values that count."""
 
-    sd: np.ndarray  # [3]
+    sd: np.ndarray  # [3], of a value whose row gives none of its own
     freedom: np.ndarray  # [3] of the estimate; inf where the setup gives it
     origin: tuple[str, ...]  # [3] "setup", "repeats", "scatter" or "" where not measured
     used: np.ndarray  # [N, 3] bool
@@ -40,7 +40,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Values further than `OUTLIER` sd
     from the surface are left out one after the other.
     """
-    given = [getattr(data.setup.noise, name) for name in CHANNELS]
+    given = [channel_sd(data.table, data.setup, j) for j in range(3)]
     repeat_sd, repeat_freedom = repeat_noise(data, model)
     basis = smooth_basis(data)
     used, sd, freedom, origin = data.measured.copy(), np.ones(3), np.full(3, math.inf), [""] * 3
@@ -57,10 +57,11 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
                     "expected noise in the setup, or repeated points"
                 )
             continue
-        e = data.y[:, j] - model[:, j]
-        used[:, j] = _without_outliers(basis, e, used[:, j], given[j])
+        relative = data.relative_sd[:, j]
+        e, weighted = (data.y[:, j] - model[:, j]) / relative, basis / relative[:, None]
+        used[:, j] = _without_outliers(weighted, e, used[:, j], given[j])
         if origin[j] == "scatter":
-            left, _ = _surface(basis, e, used[:, j])
+            left, _ = _surface(weighted, e, used[:, j])
             freedom[j] = used[:, j].sum() - basis.shape[1]
             sd[j] = math.sqrt(float(np.sum(left[used[:, j]] ** 2)) / freedom[j])
     if "repeats" in origin:
@@ -109,7 +110,8 @@ def _refuse_no_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: lis
 def smooth_basis(data: Data) -> np.ndarray:
     """[N, B] polynomials of the varied conditions: up to the third power of slip, second of the others, and products.
 
-    Never more columns than half the cells.
+    Sizes of the wheel multiply all of these: two wheels have a surface each. Never more columns than half the cells,
+    and none that those before it make up.
     """
     s = data.varied["slip"].scaled
     columns = [np.ones_like(s), s]
@@ -117,13 +119,18 @@ def smooth_basis(data: Data) -> np.ndarray:
         columns.append(s * s)
     if data.varied["slip"].levels > 4:
         columns.append(s**3)
-    others = [c for name, c in data.varied.items() if name != "slip"]
+    others = [c for name, c in data.varied.items() if name not in ("slip", *WHEEL)]
     columns += [c.scaled for c in others]
     columns += [s * c.scaled for c in others]
     columns += [c.scaled**2 for c in others if c.levels > 2]
     columns += [a.scaled * b.scaled for i, a in enumerate(others) for b in others[i + 1 :]]
+    sizes = [c for name, c in data.varied.items() if name in WHEEL]
+    columns += [column * c.scaled for column in tuple(columns) for c in sizes]
+    columns += [c.scaled**2 for c in sizes if c.levels > 2]
     cells = int(data.cell.max()) + 1
-    return np.stack(columns[: max(2, cells // 2)], axis=1)
+    basis = np.stack(columns, axis=1)
+    q = np.abs(np.diag(np.linalg.qr(basis)[1])) if len(basis) >= len(columns) else np.ones(len(columns))
+    return basis[:, q > 1e-9 * np.sqrt(len(basis))][:, : max(2, cells // 2)]
 
 
 def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -131,7 +138,7 @@ def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
     The model takes up the small differences of slip and load that repeats have; cells with larger ones do not count.
     """
-    left, total, freedom = data.y - model, np.zeros(3), np.zeros(3)
+    left, total, freedom = (data.y - model) / data.relative_sd, np.zeros(3), np.zeros(3)
     for k in range(int(data.cell.max()) + 1):
         inside = data.cell == k
         load = data.rows.load[inside]

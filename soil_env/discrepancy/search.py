@@ -100,7 +100,8 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
         j = top[out]
         error[out] += (r[out] + j @ np.linalg.solve(normal - j.T @ j, j.T @ r[out])) / ways
     predicted = np.full(problem.used.shape, math.nan)
-    predicted[problem.used] = problem.data.y[problem.used] - error * problem.noise[np.nonzero(problem.used)[1]]
+    sd = np.broadcast_to(problem.noise * problem.data.relative_sd, predicted.shape)
+    predicted[problem.used] = problem.data.y[problem.used] - error * sd[problem.used]
     return predicted
 
 

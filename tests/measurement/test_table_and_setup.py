@@ -188,9 +188,7 @@ def test_comments_and_ignored_columns_are_passed_over(tmp_path):
 
 
 def test_parquet_has_the_same_columns(tmp_path):
-    pyarrow = pytest.importorskip("pyarrow")
-    import pyarrow.parquet
-
+    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     columns = {
         "slip": [0.1, 0.2],
         "load": [100.0, 90.0],
@@ -198,7 +196,7 @@ def test_parquet_has_the_same_columns(tmp_path):
         "torque_sd": [0.1, None],
         "x": ["a", "b"],
     }
-    pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "data.parquet")
+    parquet.write_table(pyarrow.table(columns), tmp_path / "data.parquet")
     t = read_table(tmp_path / "data.parquet", ignore=("x",))
     assert t.noise()[0, 2] == 0.1 and np.isnan(t.noise()[1, 2]) and list(t.torque) == [1.0, 2.0]
     assert "unknown column 'x'" in refusal(read_table, tmp_path / "data.parquet")

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.data import CHANNELS, WHEEL
 from soil_env.discrepancy.report.words import TITLES, UNITS, fixed, title
 from soil_env.discrepancy.result import Report
 from soil_env.terramechanics.catalogue import CATALOGUE
@@ -111,7 +111,8 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
 
 
 def _value(name: str, x: float) -> str:
-    unit = {"load": " N", "speed": " m/s", "grade_deg": " deg grade"}
+    unit = {"load": " N", "speed": " m/s", "grade_deg": " deg grade", "wheel_radius": " m radius",
+            "wheel_width": " m width", "grouser_height": " m grousers"}  # fmt: skip
     return f"pass {x:.0f}" if name == "pass" else f"{round(x, 1) if name == 'grade_deg' else x:.3g}{unit[name]}"
 
 
@@ -158,7 +159,7 @@ def _residual(report: Report) -> Figure:
     figure, axes = _columns(report, 0.8 + 2.0 * len(both), len(both), sharex=True, sharey="col")
     data = report.problem.data
     about = [CATALOGUE[e.name].varies for e in report.effects]
-    by = next((n for n in (*about, "load", "speed", "pass", "grade_deg") if n in data.varied), None)
+    by = next((n for n in (*about, "load", "speed", "pass", "grade_deg", *WHEEL) if n in data.varied), None)
     shade = data.varied[by].scaled if by else np.zeros(data.rows.slip.size)
     drawn = None
     for axis, name in zip(axes[0], report.channels, strict=True):

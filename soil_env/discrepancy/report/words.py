@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
-from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.data import CHANNELS, WHEEL
 from soil_env.discrepancy.experiment import NextTest
 from soil_env.discrepancy.judgement import LISTED, chance_of
 from soil_env.discrepancy.locate import Disagreement
@@ -39,7 +39,8 @@ GROUPS = {"slip": "slip", "grip": "slip", "sinkage": "sinkage", "load": "load", 
           "grade": "grade"}  # fmt: skip
 _MORE = {"sinkage": ("deeper", "shallower"), "drawbar_pull": ("higher", "lower"), "torque": ("higher", "lower")}
 _CONDITIONS = {"slip": ("slip", ""), "load": ("load", " N"), "speed": ("speed", " m/s"), "pass": ("pass", ""),
-               "grade_deg": ("grade", " deg")}  # fmt: skip
+               "grade_deg": ("grade", " deg"), "wheel_radius": ("wheel radius", " m"),
+               "wheel_width": ("wheel width", " m"), "grouser_height": ("grouser height", " m")}  # fmt: skip
 
 
 # --- parts ------------------------------------------------------------------------------------------------------------
@@ -142,6 +143,7 @@ def _place(point: Mapping[str, float]) -> str:
     parts += [f"{point['speed']:.3g} m/s"] if "speed" in point else []
     parts += [f"pass {point['pass']:g}"] if point.get("pass", 1.0) != 1.0 else []
     parts += [f"a grade of {point['grade_deg']:.3g} deg"] if point.get("grade_deg", 0.0) != 0.0 else []
+    parts += [f"{_CONDITIONS[n][0]} {point[n]:.3g} m" for n in WHEEL if n in point]
     return f"slip {point['slip']:.2g} at {listed(parts)}"
 
 
