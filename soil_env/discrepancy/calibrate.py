@@ -24,11 +24,12 @@ import numpy as np
 from soil_env.discrepancy.data import CHANNELS, Data
 from soil_env.discrepancy.noise import NoiseEstimate, find_noise
 from soil_env.identification.priors import USUAL_SINKAGE, Unknown, known_digging, soil_state, soil_unknowns
+from soil_env.identification.rig import predict_table
 from soil_env.identification.weighted import differences, finite, most_probable
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.effects import NO_EFFECTS, Effects, sliding_speed
-from soil_env.terramechanics.model import Rows, predict_rows
+from soil_env.terramechanics.model import Rows
 
 PRIOR_WIDTH = 1.5
 SLACK = 0.01
@@ -140,6 +141,7 @@ class Problem:
         z = self.data.y[:, 0]
         z = float(np.nanmedian(np.abs(z))) if np.any(np.isfinite(z)) else USUAL_SINKAGE * r
         torque, turning = 0.3 * load * r, max(float(np.median(speed)) / r, 1e-6)
+        lugs = self.data.setup.wheel.grouser_count
         self.scales = {
             "drivetrain_friction_constant": (0.3 * torque, 0.0, 4.0 * torque),
             "drivetrain_friction_viscous": (0.2 * torque / turning, 0.0, 3.0 * torque / turning),
@@ -149,6 +151,8 @@ class Problem:
             "slip_sinkage_length": (0.3 * z, 0.0, 5.0 * z),
             "slip_sinkage_exponent_slope": (0.5, 0.0, 2.0),  # slip digs: less of it would be another effect
         }
+        if lugs is not None:  # as many lugs a radian; part of each one's share is the other lugs'
+            self.scales["grousers_blades"] = (lugs / (2.0 * math.pi), 0.0, lugs / math.pi)
         if np.min(rows.slip) > -0.02:  # every published peak of a driven wheel moves forward with slip
             self.scales["stress_peak_shift_slope"] = (0.3, 0.0, 0.9)
         slide = np.array([sliding_speed(i, v) for i, v in zip(rows.slip, speed, strict=True)])
@@ -201,11 +205,8 @@ class Problem:
 
     def predict(self, values: dict[str, float], choices, guess: np.ndarray, rows: Rows | None = None) -> np.ndarray:
         """Model values [N, 3] of a set of parameters, at other `rows` than those of the table if given."""
-        rows, out = rows or self.data.rows, np.empty((self.data.rows.slip.size, 3))
-        predict_rows(
-            rows.slip, rows.load, rows.wheels, rows.conditions, self.state(values), self.density * GRAVITY,
-            self.effects(choices, values), guess, out,
-        )  # fmt: skip
+        rows, setup, fx = rows or self.data.rows, self.data.setup, self.effects(choices, values)
+        out = predict_table(setup, rows, self.known | values, self.density * GRAVITY, fx, guess)
         return out if self.offset is None else out + self.offset
 
     def sinkage_guess(self, fit: Fit) -> np.ndarray:

@@ -100,28 +100,13 @@ def prepare(table: Table, setup: Setup) -> Data:
         raise ParameterError(f"{table.source}: slip: expected at least two different slips")
     labels = np.stack([c.level for c in varied.values()])
     cell = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
-    return Data(table, setup, wheel, rows, y, varied, cell, _relative_sd(table, setup))
+    return Data(table, setup, wheel, rows, y, varied, cell, table.relative_sd(setup))
 
 
 def _one_to_one(a: Factor, b: Factor) -> bool:
     """Whether the levels of two factors part the rows in the same way."""
     pairs = np.unique(np.stack([a.level, b.level]), axis=1).shape[1]
     return pairs == a.levels == b.levels
-
-
-def _relative_sd(table: Table, setup: Setup) -> np.ndarray:
-    given = table.noise()
-    if np.all(np.isnan(given)):
-        return np.ones((1, 3))
-    level = np.array([channel_sd(table, setup, j) or 1.0 for j in range(3)])
-    return np.where(np.isnan(given), 1.0, given / level)
-
-
-def channel_sd(table: Table, setup: Setup, channel: int) -> float | None:
-    """Noise of a channel as the setup gives it, or else the median of that in the rows; None where nothing is said."""
-    given = table.noise()[:, channel]
-    known = getattr(setup.noise, CHANNELS[channel])
-    return known if known is not None or np.all(np.isnan(given)) else float(np.nanmedian(given))
 
 
 def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:

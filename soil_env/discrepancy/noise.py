@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy.data import CHANNELS, WHEEL, Data, channel_sd
+from soil_env.discrepancy.data import CHANNELS, WHEEL, Data
 
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
 LEAST_NOISE = 1e-5  # scatter over the size of the values below which they are rounded or computed, not measured
@@ -40,7 +40,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Values further than `OUTLIER` sd
     from the surface are left out one after the other.
     """
-    given = [channel_sd(data.table, data.setup, j) for j in range(3)]
+    given = [data.table.channel_sd(data.setup, name) for name in CHANNELS]
     repeat_sd, repeat_freedom = repeat_noise(data, model)
     basis = smooth_basis(data)
     used, sd, freedom, origin = data.measured.copy(), np.ones(3), np.full(3, math.inf), [""] * 3

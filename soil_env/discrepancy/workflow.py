@@ -144,6 +144,9 @@ def model_of(problem: Problem, fit: Fit, terms=()) -> WheelSoilModel:
     names = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
     values = {name: float(soil[name]) for name in names}
     effects = {c.effect: _parameters(problem, c, fit.parameters()) for c in fit.choices}
+    if problem.data.setup.load == "vertical":  # the load of a model presses normal to the ground but for this share
+        grade = effects.get("grade", {})
+        effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
     wheel = problem.data.wheel
     if problem.data.setup.wheel.grouser_height is None and "grousers" not in effects:
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers

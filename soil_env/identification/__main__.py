@@ -49,7 +49,7 @@ from soil_env._io.commands import command_line, leave, table_parser
 from soil_env._io.document import Table
 from soil_env._io.files import check_outputs, plain, replace_files
 from soil_env._io.loading import ParameterError
-from soil_env.identification.table import SYMBOLS, ChannelFit, TableEstimate, identify_table
+from soil_env.identification.table import SYMBOLS, TableEstimate, identify_table
 from soil_env.measurement.table import read_setup, read_table
 
 NAME = "soil_env.identification"
@@ -60,6 +60,7 @@ LABELS = {
     "sinkage_coefficient": "sinkage coefficient S",
     "sinkage_exponent": "sinkage exponent n",
     "cohesion": "cohesion c",
+    "tilt_deg": "tilt of the rig",
 }
 
 
@@ -124,6 +125,8 @@ def _soil(estimate: TableEstimate) -> Table:
     labels = LABELS | {"reference_pressure": f"S z^n at z = {1e3 * estimate.reference_sinkage:.3g} mm"}
     rows = []
     for key, label in labels.items():
+        if key not in estimate.parameters:
+            continue
         p = estimate.parameters[key]
         interval = "" if p.low == p.high else f"{p.low:.4g} .. {p.high:.4g}"
         told = "" if key == "reference_pressure" else "known" if p.known else f"{p.told:.3f}"
@@ -135,13 +138,13 @@ def _channels(estimate: TableEstimate) -> Table:
     rows = []
     for name, fit in estimate.fits.items():
         noise = f"{fit.noise:.3g} {fit.unit}" + (" (estimated)" if fit.estimated else "")
-        rms, count = _rms(fit), int(np.sum(np.isfinite(fit.measured)))
-        rows.append((name.replace("_", " "), count, noise, f"{rms:.3g} {fit.unit}", f"{rms / fit.noise:.2f}"))
+        rms, count = _rms(fit.measured - fit.fitted), int(np.sum(np.isfinite(fit.measured)))
+        rows.append((name.replace("_", " "), count, noise, f"{rms:.3g} {fit.unit}", f"{_rms(fit.residual):.2f}"))
     return Table(("channel", "points", "noise (1 sd)", "rms residual", "rms / noise"), rows)
 
 
-def _rms(fit: ChannelFit) -> float:
-    return math.sqrt(float(np.nanmean((fit.measured - fit.fitted) ** 2)))
+def _rms(off: np.ndarray) -> float:
+    return math.sqrt(float(np.nanmean(off**2)))
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
@@ -159,8 +162,8 @@ def report_of(estimate: TableEstimate) -> dict:
         "condition": estimate.condition,
         "channels": {
             name: {
-                "noise": fit.noise, "noise_estimated": fit.estimated, "rms": _rms(fit), "p_value": fit.p_value,
-                "measured": fit.measured, "fitted": fit.fitted,
+                "noise": fit.noise, "noise_estimated": fit.estimated, "rms": _rms(fit.measured - fit.fitted),
+                "p_value": fit.p_value, "measured": fit.measured, "fitted": fit.fitted,
             }
             for name, fit in estimate.fits.items()
         },
@@ -187,8 +190,8 @@ def picture(estimate: TableEstimate) -> bytes:
             slip = estimate.slip[order]
             distinct = len(groups) <= 6 and np.all(np.diff(slip) > 1e-3)  # else a line would zigzag
             top.plot(slip, scale * fit.fitted[order], "-" if distinct else "x", color=color, lw=1.2, label=label)
-            top.errorbar(slip, scale * fit.measured[order], scale * 1.96 * fit.noise, fmt="o", ms=3.5, lw=0.9,
-                         color=color, capsize=2)  # fmt: skip
+            bar = scale * 1.96 * fit.noise * fit.relative[order]
+            top.errorbar(slip, scale * fit.measured[order], bar, fmt="o", ms=3.5, lw=0.9, color=color, capsize=2)
             below.plot(slip, fit.residual[order], "o", ms=3.5, color=color)
         below.axhspan(-1.96, 1.96, color="0.92", zorder=0)
         below.axhline(0.0, color="0.5", lw=0.8)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.measurement.setup import Setup
+from soil_env.measurement.setup import STEEPEST_TILT, Setup
 from soil_env.parameters import SoilState
 
 #: Where the setup says nothing of a soil parameter: mean, sd, lower and upper bound, of the parameter or its logarithm.
@@ -61,6 +61,8 @@ def soil_unknowns(
 ) -> tuple[tuple[Unknown, ...], dict[str, float]]:
     """(unknowns of the soil, values of what the setup knows) of a table with loads [N] and sinkages [N], nan allowed.
 
+    Of a rig that is not level, `tilt_deg` is the last of the unknowns, or among what is known.
+
     `widened` multiplies the standard deviations of the setup's priors.
     """
     unknowns, known = [], {}
@@ -77,6 +79,11 @@ def soil_unknowns(
             sd = min(max(sd, _LEAST_SD[name]), high - low)  # a wider prior tells no less
         unknowns.append(Unknown(name, mean, sd, low, high, log))
     n = known.get("sinkage_exponent", next((k.mean for k in unknowns if k.name == "sinkage_exponent"), 1.0))
+    tilt = setup.tilt_deg
+    if tilt is not None and tilt.known:
+        known["tilt_deg"] = tilt.value
+    elif tilt is not None:
+        unknowns.append(Unknown("tilt_deg", tilt.value, tilt.sd, -STEEPEST_TILT, STEEPEST_TILT, False))
     usual = math.log(plate_coefficient(setup, load, sinkage, n))
     return tuple(k._replace(mean=usual) if math.isnan(k.mean) else k for k in unknowns), known
 

@@ -35,7 +35,8 @@ class Scatter:
         unit = problem.measured[:, None, :] * np.eye(3)  # [N, 3, 3]
         self.parts = np.stack([unit * np.eye(3)[j - 2] for j in self.channels])
         known = np.where(problem.estimated, 0.0, problem.noise) ** 2
-        self.rest = np.einsum("kcj,j,kdj->kcd", problem.F, known[:2], problem.F) + unit * known[2:]
+        self.rest = np.einsum("kcj,j,kdj->kcd", problem.F, known[:2], problem.F)
+        self.rest += unit * (known[2:] * problem.relative**2)[:, None, :]
         self.rest += ~problem.measured[:, None, :] * np.eye(3)
         self._sample(problem)
 

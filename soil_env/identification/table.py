@@ -18,10 +18,12 @@ from soil_env.identification.scatter import FEW, Scatter
 from soil_env.identification.weighted import SOURCES, TableProblem
 from soil_env.measurement.table import UNITS, Setup, Table
 
-NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "sinkage_exponent", "cohesion")
-PHI, LN_K, LN_S, EXPONENT, COHESION = range(5)  # in these coordinates, the angle in degrees
-LABELS = ("friction angle", "shear deformation modulus", "stiffness S z^n", "sinkage exponent", "cohesion")
-SYMBOLS = dict(zip(LABELS, ("phi", "K", "S z^n", "n", "c"), strict=True))
+NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "sinkage_exponent", "cohesion", "tilt_deg")
+PHI, LN_K, LN_S, EXPONENT, COHESION, TILT = range(6)  # in these coordinates, the angles in degrees
+LABELS = (
+    "friction angle", "shear deformation modulus", "stiffness S z^n", "sinkage exponent", "cohesion", "tilt of the rig",
+)  # fmt: skip
+SYMBOLS = dict(zip(LABELS, ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
 UNTOLD = 0.7  # share of the prior sd above which the data do not tell a parameter
 TIED = 0.98  # correlation above which two parameters are tied
 SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows
@@ -49,6 +51,7 @@ class ChannelFit:
     measured: np.ndarray  # nan where not measured
     fitted: np.ndarray
     noise: float  # 1-sigma
+    relative: np.ndarray  # [N] that of a row over it
     estimated: bool  # the noise is estimated from the scatter
     p_value: float  # of residuals so large by chance; nan if the noise is estimated
     too_small: float  # probability of residuals so small by chance; nan if the noise is estimated
@@ -57,7 +60,7 @@ class ChannelFit:
     @property
     def residual(self) -> np.ndarray:
         """(measured - fitted) / noise [N]; nan where not measured."""
-        return (self.measured - self.fitted) / self.noise
+        return (self.measured - self.fitted) / (self.noise * self.relative)
 
 
 @dataclass(frozen=True)
@@ -66,10 +69,10 @@ class TableEstimate:
 
     parameters: dict[str, Parameter]  # names as in the setup, and `reference_pressure`, S z_ref^n
     free: tuple[str, ...]  # fitted parameters in words
-    covariance: np.ndarray  # [p, p] of the fitted among (phi [rad], ln K, ln S z_ref^n, n, c [Pa])
+    covariance: np.ndarray  # [p, p] of the fitted among (phi [rad], ln K, ln S z_ref^n, n, c [Pa], tilt [deg])
     correlation: np.ndarray  # [p, p]
     condition: float  # of the whitened Jacobian in units of the prior sd
-    reference_sinkage: float  # z_ref [m], the median
+    reference_sinkage: float  # z_ref [m], the median; of the fitted where none was measured
     fits: dict[str, ChannelFit]  # sinkage, drawbar_pull, torque, and load if it has noise
     row: np.ndarray  # [N] lines of the table
     slip: np.ndarray  # [N]
@@ -83,11 +86,14 @@ class TableEstimate:
 def identify_table(table: Table, setup: Setup, *, max_passes: int = _PASSES) -> TableEstimate:
     """The most probable soil under the setup's priors, with intervals and what the data cannot tell.
 
-    Base model: smooth rim on level, fresh soil, and no slip-sinkage but the sinkage that was measured.
-    Raises `ParameterError` if there is no sinkage, nothing to fit, or fewer measured values than fitted parameters.
+    Base model: smooth rim on level, fresh soil, without slip-sinkage; a sinkage that was not measured follows from the
+    load. Raises `ParameterError` if no row tells enough, nothing is to fit, or measured values are fewer than fitted
+    parameters.
     """
     problem = TableProblem(table, setup)
     u, converged = _settle(problem, problem.search(), max_passes)
+    if not problem.measured[:, 0].any():
+        problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
     if not (np.any(problem.estimated) and np.min(problem.freedom) < FEW):
         return _summary(problem, u, converged, None)
     for _ in range(max_passes):
@@ -123,9 +129,9 @@ def _settle(problem: TableProblem, u, max_passes: int, guess: bool = True) -> tu
 
 
 def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
-    """(d(phi, ln K, ln S, n, c)/du [5, p], which of the five are free)."""
+    """(d(phi, ln K, ln S, n, c, tilt)/du [6, p], which of the six are free)."""
     order = {name: k for k, name in enumerate(NAMES)}
-    out = np.zeros((5, len(problem.unknowns)))
+    out = np.zeros((len(NAMES), len(problem.unknowns)))
     for j, unknown in enumerate(problem.unknowns):
         out[order[unknown.name], j] = unknown.sd
     return out, np.any(out > 0.0, axis=1)
@@ -133,7 +139,7 @@ def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
 
 def _summary(problem: TableProblem, u, converged: bool, scatter: Scatter | None) -> TableEstimate:
     scaling, free = _scaling(problem)
-    told = np.eye(5)  # (phi [rad], ln K, ln S z_ref^n, n, c) by (phi [deg], ln K, ln S, n, c)
+    told = np.eye(len(NAMES))  # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt)
     told[PHI, PHI], told[LN_S, EXPONENT] = math.radians(1.0), math.log(problem.z_ref)
     by_u = (told @ scaling)[free]
     covariance = by_u @ problem.covariance(u) @ by_u.T
@@ -181,13 +187,16 @@ def _parameters(problem: TableProblem, u, scaling, scatter: Scatter | None) -> d
         ("sinkage_exponent", n, scaling[EXPONENT], ""),
         ("cohesion", values["cohesion"], scaling[COHESION], "Pa"),
         ("reference_pressure", ln_s + n * math.log(problem.z_ref), to_pressure, "Pa"),
+        ("tilt_deg", values.get("tilt_deg", 0.0), scaling[TILT], "deg"),
     ):
+        if name == "tilt_deg" and problem.setup.tilt_deg is None:
+            continue
         half = reach * math.sqrt(by_u @ covariance @ by_u)
         below, above = (0.0, 0.0) if scatter is None else scatter.interval(by_u)
         bounds = [float(value), float(value + min(below, -half)), float(value + max(above, half))]
         if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
             bounds = [math.exp(min(b, 700.0)) for b in bounds]
-        else:
+        elif name != "tilt_deg":
             bounds[1] = max(bounds[1], 0.0)
             bounds[0] = 0.0 if abs(bounds[0]) < 1e-9 * half else bounds[0]
         prior_sd = math.sqrt(by_u @ by_u)
@@ -198,7 +207,7 @@ def _parameters(problem: TableProblem, u, scaling, scatter: Scatter | None) -> d
 
 
 def _fits(problem: TableProblem, u) -> dict[str, ChannelFit]:
-    errors, left = problem.errors(u)
+    (errors, left), variances = problem.errors(u), problem.variances
     out, fits = problem.predict(u), {}
     for j, name in enumerate(SOURCES):
         k = problem.measured[:, j - 2] if j >= 2 else np.full(len(out), name == "load" and problem.noise[1] > 0.0)
@@ -207,12 +216,12 @@ def _fits(problem: TableProblem, u) -> dict[str, ChannelFit]:
         columns = (problem.y[:, j - 2], out[:, j - 2]) if j >= 2 else (problem.rows.load, problem.corrected.load)
         noise, p, low = float(problem.noise[j]), math.nan, math.nan
         if not problem.estimated[j]:
-            share = np.maximum(left[k, j], 1e-3 * noise**2)
-            freedom = max(float(np.sum(share)) / noise**2, 0.5)
-            square = float(np.sum(errors[k, j] ** 2)) / noise**2
+            freedom = max(float(np.sum(np.maximum(left[k, j] / variances[k, j], 1e-3))), 0.5)
+            square = float(np.sum(errors[k, j] ** 2 / variances[k, j]))
             p = float(chi2.sf(square, freedom))
             low = float(chi2.cdf(square, freedom)) if square < SMALL**2 * freedom else 1.0
-        fits[name] = ChannelFit(*columns, noise, bool(problem.estimated[j]), p, low, UNITS[name])
+        relative = problem.relative[:, j - 2] if j >= 2 else np.ones(len(out))
+        fits[name] = ChannelFit(*columns, noise, relative, bool(problem.estimated[j]), p, low, UNITS[name])
     return {name: fits[name] for name in ("sinkage", "load", "drawbar_pull", "torque") if name in fits}
 
 
@@ -250,7 +259,7 @@ def _untold(parameters: dict[str, Parameter], labels, correlation) -> list[str]:
         f"The data cannot tell the {label}: what is reported is mostly its prior "
         f"(standard deviation {100 * parameters[name].told:.0f} % of the prior's)."
         for name, label in zip(NAMES, LABELS, strict=True)
-        if parameters[name].told > UNTOLD
+        if name in parameters and parameters[name].told > UNTOLD
     ]
     for i in range(len(labels)):
         for j in range(i):
@@ -273,7 +282,9 @@ def _doubts(problem: TableProblem, u, fits: dict[str, ChannelFit], converged: bo
     soil = problem.setup.soil
     for unknown, d in zip(problem.unknowns, u, strict=True):
         s = unknown.name == "sinkage_coefficient"
-        given = soil.lumped(problem.setup.wheel.width) if s else getattr(soil, unknown.name)
+        tilt = unknown.name == "tilt_deg"
+        given = soil.lumped(problem.setup.wheel.width) if s else None if tilt else getattr(soil, unknown.name)
+        given = problem.setup.tilt_deg if tilt else given
         if given is not None and abs(d) > 3.0:
             off = f"{abs(d):.1f} standard deviations"
             words.append(f"The {label[unknown.name]} came out {off} from its prior: one of them is wrong.")
@@ -298,15 +309,16 @@ def _doubts(problem: TableProblem, u, fits: dict[str, ChannelFit], converged: bo
             "be too narrow. Give the noise if it is known."
         )
     table, used = problem.table, problem.use
-    left_out = int(np.sum(~used))
+    left_out, unseen = int(np.sum(~used)), int(np.sum(np.isnan(table.sinkage[used])))
     if left_out:
-        words.append(f"{left_out} of {len(table)} rows have no sinkage and were left out.")
+        words.append(f"{left_out} of {len(table)} rows have one force alone and no sinkage, and were left out.")
+    if unseen:
+        words.append(f"{unseen} of {len(table)} rows have no sinkage: it follows from the load there.")
     if np.any(table.passes[used] > 1):
         words.append("Rows with pass > 1 are taken as fresh soil: the base model has no compaction by earlier passes.")
-    if np.any(np.abs(table.grade_deg[used]) > 0.0):
+    if problem.setup.load == "normal" and np.any(np.abs(table.grade_deg[used]) > 0.0):
         words.append("Rows on a grade are taken as level: the base model has no effect of grade on the soil.")
-    grousers = table.grouser_height[used]
-    if np.any(np.where(np.isnan(grousers), problem.setup.wheel.grouser_height or 0.0, grousers) > 0.0):
+    if np.any(table.height(problem.setup.wheel)[used] > 0.0):
         words.append("The grousers are not modelled: the rim is taken as smooth at wheel radius.")
     if np.ptp(problem.rows.wheels[:, 1]) > 0.0 and problem.setup.soil.k_c is None:
         words.append("Wheels of several widths share one S: give k_c and k_phi to tell them apart.")

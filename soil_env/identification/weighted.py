@@ -26,16 +26,16 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from soil_env._io.loading import ParameterError
-from soil_env.identification.priors import Unknown, known_digging, soil_state, soil_unknowns
+from soil_env.identification.priors import USUAL_SINKAGE, Unknown, soil_unknowns
+from soil_env.identification.rig import predict_table
 from soil_env.measurement.table import MEASURED, Setup, Table
 from soil_env.terramechanics.effects import NO_EFFECTS
-from soil_env.terramechanics.model import Rows, predict_rows
+from soil_env.terramechanics.model import Rows
 
 SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channels
 STEP = 1e-3  # of a whitened unknown, for differences
 _FAR = 1e3  # [sd] residual where the model has no value
 _STARTS = 8
-_LEVEL = (0.0, 1.0, 0.0)  # speed, pass and grade of every row: the base model depends on none of them
 _NO_WEIGHT = 0.0  # [N/m3] of the soil, nor on its weight
 
 
@@ -97,15 +97,18 @@ class TableProblem:
     def __init__(self, table: Table, setup: Setup):
         use = _usable(table, setup)
         count = int(use.sum())
-        radius, width = table.radius(setup.wheel)[use], table.width(setup.wheel)[use]
-        wheels = np.stack([radius, width, np.zeros(count)], axis=1)
+        wheels = np.stack([table.radius(setup.wheel), table.width(setup.wheel), np.zeros(len(table))], axis=1)
+        level = np.zeros(len(table))  # no speed: the base model does not depend on it, nor on the pass
+        grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))
         self.table, self.setup, self.use = table, setup, use
-        self.rows = Rows(table.slip[use], table.load[use], wheels, np.tile(_LEVEL, (count, 1)))
+        rows = (table.rim_slip(setup), table.load, wheels, np.stack([level, level + 1.0, grade], axis=1))
+        self.rows = Rows(*(column[use] for column in rows))
         self.corrected = self.rows  # at the most probable slip and load
         self.y = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
         self.measured = np.isfinite(self.y)
-        self.z_ref = float(np.median(self.y[:, 0]))
-        self.digging = known_digging(setup)
+        self.relative = np.broadcast_to(table.relative_sd(setup), table.slip.shape + (3,))[use]
+        seen = self.measured[:, 0]
+        self.z_ref = float(np.median(self.y[seen, 0])) if seen.any() else USUAL_SINKAGE * setup.wheel.radius
         self.unknowns, self.known = soil_unknowns(setup, self.rows.load, self.y[:, 0])
         if not self.unknowns:
             raise ParameterError(
@@ -113,21 +116,15 @@ class TableProblem:
                 "{value: ..., sd: ...}"
             )
         self.bounds = tuple(np.array(b) for b in zip(*(k.bounds for k in self.unknowns), strict=True))
-        self.widths = [(width == b, self._width_factor(b)) for b in np.unique(width)]
         self._noise()
         values, needed = int(self.measured.sum()), len(self.unknowns)
         if values < needed + int(self.estimated.sum()):
             unknown = "".join(f" + {s} noise" for s, e in zip(SOURCES, self.estimated, strict=True) if e)
             raise ParameterError(
-                f"{table.source}: {values} measured values (sinkage, drawbar_pull, torque in rows with a sinkage) for "
+                f"{table.source}: {values} measured values (sinkage, drawbar_pull, torque) for "
                 f"{needed} parameters{unknown}: expected at least {needed + int(self.estimated.sum())}"
             )
         self.weigh(np.zeros((count, 3, 2)))
-
-    def _width_factor(self, width: float) -> float:
-        """S under a wheel of this width over that under the setup's wheel."""
-        soil = self.setup.soil
-        return 1.0 if soil.k_c is None else soil.lumped(width).value / soil.lumped(self.setup.wheel.width).value
 
     def _noise(self) -> None:
         size, r = float(np.median(self.rows.load)), float(self.rows.wheels[0, 0])
@@ -135,7 +132,7 @@ class TableProblem:
         self.noise, self.estimated = np.zeros(5), np.zeros(5, dtype=bool)
         self.floor, self.freedom = np.zeros(5), np.full(5, math.inf)  # degrees of freedom behind an estimated noise
         for k, name in enumerate(SOURCES):
-            given = getattr(self.setup.noise, name)
+            given = getattr(self.setup.noise, name) if k < 2 else self.table.channel_sd(self.setup, name)
             least = 1e-7 * guess.get(name, 0.03 * size if name == "load" else 0.03)
             if given is not None and given < least:
                 raise ParameterError(
@@ -154,14 +151,11 @@ class TableProblem:
 
     def predict(self, u: np.ndarray, rows: Rows | None = None) -> np.ndarray:
         """Sinkage, drawbar pull and torque [N, 3] at the corrected conditions, or at `rows`; 0 where not measured."""
-        soil, rows = soil_state(self.values(u), self.digging), rows or self.corrected
-        out = np.empty((rows.slip.size, 3))
-        for here, factor in self.widths:
-            there = soil._replace(sinkage_coefficient=soil.sinkage_coefficient * factor)
-            at, values = Rows(*(column[here] for column in rows)), np.empty((int(here.sum()), 3))
-            predict_rows(*at, there, _NO_WEIGHT, NO_EFFECTS, np.zeros(len(values)), values)
-            out[here] = values
-        return np.where(self.measured, out, 0.0)
+        return np.where(self.measured, self.steady(u, rows or self.corrected), 0.0)
+
+    def steady(self, u: np.ndarray, rows: Rows) -> np.ndarray:
+        """Sinkage, drawbar pull and torque [N, 3] at `rows`, whether measured or not."""
+        return predict_table(self.setup, rows, self.values(u), _NO_WEIGHT, NO_EFFECTS, np.zeros(rows.slip.size))
 
     def by_conditions(self, u: np.ndarray) -> np.ndarray:
         """Derivatives [N, 3, 2] of the model by slip and load at the corrected conditions; 0 where these are exact."""
@@ -181,8 +175,15 @@ class TableProblem:
         self.F = by_conditions
         self.V = np.einsum("kcj,j,kdj->kcd", self.F, self.noise[:2] ** 2, self.F)
         for c in range(3):
-            self.V[:, c, c] += np.where(self.measured[:, c], self.noise[2 + c] ** 2, 1.0)
+            self.V[:, c, c] += np.where(self.measured[:, c], self.variances[:, 2 + c], 1.0)
         self._whitener = np.linalg.inv(np.linalg.cholesky(self.V))
+
+    @property
+    def variances(self) -> np.ndarray:
+        """[N, 5] of the errors of `SOURCES` in each row."""
+        sd = np.broadcast_to(self.noise, (len(self.y), 5)).copy()
+        sd[:, 2:] *= self.relative
+        return sd**2
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """[3 N] of an array [N, 3]."""
@@ -251,9 +252,9 @@ class TableProblem:
         """
         e, j = self.residual(u), self.by_unknowns(u)
         B = np.concatenate([self.F, np.broadcast_to(np.eye(3), (len(e), 3, 3))], axis=2)
-        gain = self.noise[:, None] ** 2 * np.swapaxes(np.linalg.solve(self.V, B), 1, 2)
+        gain = self.variances[:, :, None] * np.swapaxes(np.linalg.solve(self.V, B), 1, 2)
         by_u = np.einsum("kjc,kcp->kjp", gain, j)
-        left = np.einsum("kjc,kcj->kj", gain, B) * self.noise**2
+        left = np.einsum("kjc,kcj->kj", gain, B) * self.variances
         left -= np.einsum("kjp,pq,kjq->kj", by_u, self.covariance(u), by_u)
         return np.einsum("kjc,kc->kj", gain, e), left
 
@@ -270,29 +271,40 @@ class TableProblem:
         """Noise of the channels that the setup leaves out, from their residuals and the values spent on fitting."""
         if not np.any(self.estimated):
             return
-        errors, left = self.errors(u)
+        (errors, left), variances = self.errors(u), self.variances
         for j in np.flatnonzero(self.estimated):
             k = self.measured[:, j - 2]
-            self.freedom[j] = max(float(np.sum(left[k, j])) / self.noise[j] ** 2, 0.5)
-            variance = float(np.sum(errors[k, j] ** 2)) / self.freedom[j]
+            self.freedom[j] = max(float(np.sum(left[k, j] / variances[k, j])), 0.5)
+            variance = float(np.sum(errors[k, j] ** 2)) / self.freedom[j]  # no row has an sd of its own here
             self.noise[j] = max(math.sqrt(variance), self.floor[j])
 
 
 def _usable(table: Table, setup: Setup) -> np.ndarray:
-    """[N] rows with a sinkage; `ParameterError` where nothing could be identified from them."""
-    if "sinkage" not in table.given or np.all(np.isnan(table.sinkage)):
-        raise ParameterError(f"{table.source}: missing column 'sinkage': identification needs the measured sinkage")
-    use = ~np.isnan(table.sinkage)
-    if np.all(np.isnan(table.drawbar_pull[use]) & np.isnan(table.torque[use])):
+    """[N] rows with a sinkage or both forces; `ParameterError` where nothing could be identified from them."""
+    seen, pull, torque = (~np.isnan(getattr(table, name)) for name in MEASURED)
+    stiffness = setup.soil.lumped(setup.wheel.width) is not None
+    use = seen | (pull & torque) | ((pull | torque) & stiffness)
+    if not np.any(use):
+        raise ParameterError(
+            f"{table.source}: no row has a sinkage, or both drawbar_pull and torque: identification needs one of these "
+            "(without sinkage one force is enough where the setup has a prior of sinkage_coefficient)"
+        )
+    if not np.any(use & (pull | torque)):
         raise ParameterError(
             f"{table.source}: no row has drawbar_pull or torque beside its sinkage: identification needs one of them "
             "at least"
         )
     radius = table.radius(setup.wheel)
-    for k in np.flatnonzero(use):
+    for k in np.flatnonzero(seen):
         if not 0.0 < table.sinkage[k] <= radius[k]:
             raise ParameterError(
                 f"{table.source}: row {table.row[k]}, sinkage = {table.sinkage[k]:g}: expected metres in "
                 f"(0, {radius[k]:g}], the wheel radius"
             )
+    slope = use & pull & (np.nan_to_num(table.grade_deg) != 0.0)
+    if setup.load == "normal" and slope.sum() > 1 and np.all(table.drawbar_pull[slope] == 0.0):
+        raise ParameterError(
+            f"{table.source}: drawbar_pull = 0 on every grade, as of a wheel that climbs by itself: expected "
+            "load: vertical in the setup, so that the weight along the slope counts"
+        )
     return use

@@ -91,9 +91,23 @@ class Table:
         """Wheel width [m] of each row: the override where there is one."""
         return np.where(np.isnan(self.wheel_width), wheel.width, self.wheel_width)
 
-    def noise(self) -> np.ndarray:
-        """1-sigma [N, 3] of the measured values where the table gives it, else nan."""
-        return np.stack([getattr(self, name) for name in NOISE], axis=1)
+    def height(self, wheel: SetupWheel) -> np.ndarray:
+        """Grouser height [m] of each row: the override where there is one; nan where nothing is said."""
+        known = math.nan if wheel.grouser_height is None else wheel.grouser_height
+        return np.where(np.isnan(self.grouser_height), known, self.grouser_height)
+
+    def channel_sd(self, setup: Setup, name: str) -> float | None:
+        """1-sigma of a channel as the setup gives it, else the median of those of the rows; None where none is said."""
+        own, known = getattr(self, f"{name}_sd"), getattr(setup.noise, name)
+        return known if known is not None or np.all(np.isnan(own)) else float(np.nanmedian(own))
+
+    def relative_sd(self, setup: Setup) -> np.ndarray:
+        """[N, 3] 1-sigma of the values over `channel_sd`, 1 where a row has none; [1, 3] ones where none has any."""
+        own = np.stack([getattr(self, name) for name in NOISE], axis=1)
+        if np.all(np.isnan(own)):
+            return np.ones((1, 3))
+        level = np.array([self.channel_sd(setup, name) or 1.0 for name in MEASURED])
+        return np.where(np.isnan(own), 1.0, own / level)
 
     def rim_slip(self, setup: Setup) -> np.ndarray:
         """Slip [N] by the radius of the rim, from that by the radius to the lug tips where the setup says so.
@@ -102,8 +116,7 @@ class Table:
         """
         if setup.slip_reference == "rim":
             return self.slip
-        known = setup.wheel.grouser_height
-        height = np.where(np.isnan(self.grouser_height), math.nan if known is None else known, self.grouser_height)
+        height = self.height(setup.wheel)
         if np.any(np.isnan(height)):
             raise ParameterError(
                 f"{setup.source}: slip_reference: tip: expected wheel.grouser_height, or a column grouser_height"
@@ -111,7 +124,8 @@ class Table:
         with np.errstate(divide="ignore"):
             ratio = np.where(self.slip >= 0.0, 1.0 - self.slip, 1.0 / (1.0 + self.slip))
             ratio = ratio * (1.0 + height / self.radius(setup.wheel))
-            return np.where(ratio <= 1.0, 1.0 - ratio, 1.0 / ratio - 1.0)
+            slip: np.ndarray = np.where(ratio <= 1.0, 1.0 - ratio, 1.0 / ratio - 1.0)
+        return slip
 
 
 def read_table(path: str | Path, wheel: SetupWheel | None = None, ignore: Sequence[str] = ()) -> Table:

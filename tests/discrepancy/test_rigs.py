@@ -1,5 +1,8 @@
 """Tables as rigs make them: two wheels in one table, noise of each row, slip by lug tips, rigs that are not level."""
 
+import itertools
+import math
+
 import numpy as np
 import pytest
 
@@ -9,6 +12,8 @@ from soil_env.discrepancy.data import WHEEL, folds, prepare
 from soil_env.discrepancy.experiment import conditions
 from soil_env.discrepancy.locate import boxes
 from soil_env.discrepancy.noise import smooth_basis
+from soil_env.discrepancy.workflow import model_of
+from soil_env.identification.weighted import TableProblem
 from soil_env.measurement.table import read_setup, read_table
 from tests.discrepancy.files import NOISE, SETUP, SLIPS, world, write_files
 
@@ -89,3 +94,77 @@ def test_the_noise_of_a_row_is_its_own(tmp_path):
     whitened = np.full(problem.used.shape, np.nan)
     whitened[problem.used] = problem.whiten(np.ones_like(data.y))
     assert whitened[8, 2] == pytest.approx(1.0) and whitened[0, 2] == pytest.approx(10.0)
+
+
+def hilly(tilt=0.0, load_is="vertical", grades=(-8.0, 0.0, 8.0), loads=(100.0, 200.0), seed=0) -> str:
+    """A table with noise of the base model: load and pull of a rig, resolved by hand on grade and tilt [deg]."""
+    rng, lines = np.random.default_rng(seed), ["slip,load,grade_deg,sinkage,drawbar_pull,torque"]
+    for load, grade in itertools.product(loads, grades):
+        b = math.radians(tilt + (grade if load_is == "vertical" else 0.0))
+        values = np.stack(world({}).predict({"slip": SLIPS, "load": load * math.cos(b)})[:3], axis=1)
+        values[:, 1] -= load * math.sin(b)
+        values += rng.normal(size=values.shape) * list(NOISE.values())
+        lines += [",".join(f"{x:.7g}" for x in (i, load, grade, *v)) for i, v in zip(SLIPS, values, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def fitted(folder, text, more=""):
+    """(rms of what the base model leaves, in noise; the problem; its fit)"""
+    problem = calibrate(data_of(folder, text, SETUP + more))[0]
+    fit = problem.fit()
+    return float(np.sqrt(np.mean(fit.residual**2))), problem, fit
+
+
+def test_a_vertical_load_is_resolved_on_the_grade(tmp_path):
+    """What is geometry is no missing effect, and the model that is written knows it."""
+    rms, problem, fit = fitted(tmp_path, hilly(), "load: vertical\n")
+    assert rms < 1.2
+    assert fitted(tmp_path, hilly())[0] > 5.0
+    model = model_of(problem, fit)
+    assert model.effects == {"grade": {"share": 1.0}}
+    assert np.stack(model.predict(problem.data.table)[:3], axis=1) == pytest.approx(fit.output, rel=1e-5, abs=1e-6)
+
+
+@pytest.mark.parametrize("load", ["normal", "vertical"])
+def test_a_tilt_is_a_nuisance_of_the_fit(tmp_path, load):
+    grades = (0.0,) if load == "normal" else (-8.0, 0.0, 8.0)
+    text = hilly(1.5, load, grades, (100.0, 150.0, 200.0))
+    rms, problem, fit = fitted(tmp_path, text, f"load: {load}\ntilt_deg: {{value: 0, sd: 1}}\n")
+    assert rms < 1.2 and fit.parameters()["tilt_deg"] == pytest.approx(1.5, abs=0.4)
+    assert fitted(tmp_path, text, f"load: {load}\n")[0] > 1.3
+    assert fitted(tmp_path, text, f"load: {load}\ntilt_deg: 1.5\n")[0] < 1.2
+    assert "tilt_deg" not in model_of(problem, fit).content()["soil"]
+
+
+def test_both_commands_fit_the_same_rig(tmp_path):
+    """Identification and calibration of one table of two widths, a tilt and a vertical load: the same prediction."""
+    setup = SETUP.replace(
+        "sinkage_coefficient: {value: 770000, sd: 88000}", "k_c: 20000\n  k_phi: {value: 600000, sd: 9e4}"
+    )
+    lines = hilly(1.5).splitlines()
+    rows = [f"{line},{0.12 if k % 2 else 0.2}" for k, line in enumerate(lines[1:])]
+    text = "\n".join([lines[0] + ",wheel_width", *rows]) + "\n"
+    data = data_of(tmp_path, text, setup + "load: vertical\ntilt_deg: {value: 0, sd: 1}\n")
+    problem, identified = calibrate(data)[0], TableProblem(data.table, data.setup)
+    u = np.linspace(-0.3, 0.4, len(identified.unknowns))
+    values = identified.values(u)
+    there = problem.predict(values, (), np.zeros(len(data.table)))
+    assert identified.steady(u, identified.rows) == pytest.approx(there, rel=1e-6)
+    b, width = np.radians(1.5 + data.table.grade_deg), data.table.wheel_width
+    assert np.ptp(width) > 0.0 and np.ptp(b) > 0.0
+
+
+def test_the_number_of_lugs_sets_the_scale_of_their_blades(tmp_path):
+    count = SETUP.replace("grouser_height: 0.01", "grouser_height: 0.01, grouser_count: 18")
+    sd, low, high = calibrate(data_of(tmp_path, two_wheels(), count))[0].scales["grousers_blades"]
+    assert sd == pytest.approx(18 / (2.0 * math.pi)) and low == 0.0 and high == pytest.approx(2.0 * sd)
+
+
+def test_slip_by_the_lug_tips_is_that_of_the_rim_in_the_fit(tmp_path):
+    setup = SETUP + "slip_reference: tip\n"
+    data = data_of(tmp_path, two_wheels(), setup)
+    smooth = data.rows.wheels[:, 2] == 0.0
+    assert data.rows.slip[smooth] == pytest.approx(data.table.slip[smooth], abs=1e-12)
+    driven = ~smooth & (data.table.slip > 0.2)  # the others brake, by the rim
+    assert data.rows.slip[driven] == pytest.approx(1.0 - (1.0 - data.table.slip[driven]) * 0.17 / 0.15)
+    assert np.all(data.rows.slip[~smooth & (data.table.slip < 0.12)] < 0.0)

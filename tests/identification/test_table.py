@@ -194,7 +194,7 @@ def test_says_that_a_prior_is_contradicted(tmp_path):
 @pytest.mark.parametrize(
     "leave_out, rows, setup, words",
     [
-        (("sinkage",), slice(None), setup_of(), "missing column 'sinkage'"),
+        (("sinkage", "torque"), slice(None), setup_of(), "no row has a sinkage, or both drawbar_pull and torque"),
         ((), slice(None), setup_of(NAMES), "setup: soil: every parameter is known"),
         (("drawbar_pull", "torque"), slice(None), setup_of(), "no row has drawbar_pull or torque"),
         ((), slice(None), setup_of(noise=SD | {"torque": 1e-300}), "noise.torque = 1e-300: expected at least"),
@@ -292,7 +292,8 @@ def line(x, y, sd):
     e[:, 2] = y
     return SimpleNamespace(
         estimated=np.arange(5) == 4, F=np.zeros((count, 3, 2)), measured=np.tile([False, False, True], (count, 1)),
-        noise=np.full(5, sd), floor=np.full(5, 1e-3 * sd), residual=lambda u: e, by_unknowns=lambda u: J,
+        noise=np.full(5, sd), floor=np.full(5, 1e-3 * sd), relative=np.ones((1, 3)),
+        residual=lambda u: e, by_unknowns=lambda u: J,
     ), wide  # fmt: skip
 
 

@@ -181,7 +181,7 @@ def test_comments_and_ignored_columns_are_passed_over(tmp_path):
     assert "unknown column 'note'" in refusal(read_table, path)
     t = read_table(path, ignore=("note", "torque"))
     assert list(t.row) == [3, 5, 6] and "note" not in t.given and np.all(np.isnan(t.torque))
-    assert t.noise()[0, 2] == 0.1 and np.isnan(t.noise()[1:, 2]).all()
+    assert t.torque_sd[0] == 0.1 and np.isnan(t.torque_sd[1:]).all()
     assert "row 7, drawbar_pull" in refusal(
         read_table, written(tmp_path, *lines, "0.2,100,0.02,x,,,1"), None, ("note",)
     )
@@ -198,7 +198,7 @@ def test_parquet_has_the_same_columns(tmp_path):
     }
     parquet.write_table(pyarrow.table(columns), tmp_path / "data.parquet")
     t = read_table(tmp_path / "data.parquet", ignore=("x",))
-    assert t.noise()[0, 2] == 0.1 and np.isnan(t.noise()[1, 2]) and list(t.torque) == [1.0, 2.0]
+    assert t.torque_sd[0] == 0.1 and np.isnan(t.torque_sd[1]) and list(t.torque) == [1.0, 2.0]
     assert "unknown column 'x'" in refusal(read_table, tmp_path / "data.parquet")
 
 
