@@ -19,7 +19,7 @@ from soil_env._io import document
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env.identification import Reading, predict
 from soil_env.identification.table import identify_table
-from soil_env.measurement.table import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, Table
+from soil_env.measurement.table import NOISE, NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, Table
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.model import steady_state
 
@@ -81,7 +81,7 @@ def table_of(case: Case, rows: np.ndarray, rng: np.random.Generator) -> Table:
     """The rows with noise, as a measurement table."""
     noisy = rows + rng.normal(size=rows.shape) * [case.slip_sd, 0.0, *SD.values()]
     none = np.full(len(rows), np.nan)
-    absent = ("speed", "grade_deg", "time", "wheel_radius", "wheel_width", "grouser_height")
+    absent = ("speed", "grade_deg", "time", "wheel_radius", "wheel_width", "grouser_height", *NOISE)
     return Table(
         "drawn", frozenset(("slip", "load", *SD)), np.arange(2, len(rows) + 2),
         slip=np.clip(noisy[:, 0], -1.0, 1.0), load=noisy[:, 1], sinkage=noisy[:, 2], drawbar_pull=noisy[:, 3],
