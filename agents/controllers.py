@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError, number, unknown_key
+from soil_env._io.loading import ParameterError, number, unknown_key, unknown_value
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
 from soil_env.terramechanics.traversability import best_points
@@ -206,7 +206,7 @@ def checked_settings(name: str, scenario: Scenario, settings: dict, where: str) 
     """Settings of the controller `name` as numbers; ParameterError with one line that begins with `where` for an
     unknown one, no number, or one that the controller or the motor cannot hold."""
     if name not in CONTROLLERS:
-        raise unknown_key(name, CONTROLLERS, "controller")
+        raise unknown_value(name, CONTROLLERS, "controller")
     known, out = CONTROLLERS[name].bounds, {}
     for key, given in settings.items():
         if key not in known:

@@ -31,7 +31,7 @@ import yaml
 
 import soil_env
 from soil_env._io.files import append_line, is_unused, make_folder, replace_file
-from soil_env._io.loading import ParameterError, load, read_yaml, to_dict, unknown_key
+from soil_env._io.loading import ParameterError, load, read_yaml, to_dict, unknown_value
 
 from .progress import console
 
@@ -185,7 +185,7 @@ def choose(engine: str, workers: int | None = None, address: str | None = None) 
         check_ray(address)
         return partial(on_ray, address=address, workers=workers)
     if engine != "local":
-        raise unknown_key(engine, ("local", "ray"), "--engine")
+        raise unknown_value(engine, ("local", "ray"), "--engine")
     if address is not None:
         raise ParameterError("--address: only with --engine ray")
     return in_process if workers is None else partial(processes, workers=workers)

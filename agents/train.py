@@ -102,8 +102,9 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
         config, scenario = training.open_run(folder)
     else:
         mapping = {} if options.config is None else read_yaml(config_file(options.config))
-        where = " and ".join(filter(None, (options.config, "command line" if changes else "")))
-        config = load_config(merge(mapping, changes), where or "defaults")
+        config = load_config(mapping, options.config or "defaults")
+        if changes:
+            config = load_config(merge(mapping, changes), "command line")
         scenario = load_scenario(config.scenario, config.changes)
         folder = training.make_run_folder(config, scenario)
     try:

@@ -27,7 +27,7 @@ from benchmarks.common import ROOT
 from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.document import Table, render
 from soil_env._io.files import make_folder, replace_file, write_json
-from soil_env._io.loading import ParameterError, read_yaml, unknown_key
+from soil_env._io.loading import ParameterError, read_yaml, unknown_value
 
 NAME = "benchmarks.clients"
 SHOWN = ("gymnasium", "numpy", "torch")  # versions in the page, besides those pinned for the client
@@ -159,7 +159,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = p.parse_args(arguments)
     for name in options.clients:
         if name not in CLIENTS:
-            raise unknown_key(name, CLIENTS, "CLIENT")
+            raise unknown_value(name, CLIENTS, "CLIENT")
     make_folder(options.out)
     file = options.out / "clients.json"
     result = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}

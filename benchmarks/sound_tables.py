@@ -4,8 +4,8 @@
     python -m benchmarks.sound_tables --tables 20      a look
 
 Tables of many wheels (radius 0.05 to 0.35 m) on the soils of configs/soils.yaml, with none, one or two effects that the
-base model lacks, smooth errors of 0, 5 or 10 % in what is measured, noise of 0.3 to 2 %, and priors that are tight, loose
-or absent. Each is examined as it is, and again with each mistake in turn: a unit, a sign, a diameter for a radius.
+base model lacks, smooth errors of 0, 5 or 10 % in what is measured, noise of 0.3 to 2 %, and priors that are tight,
+loose or absent. Each is examined as it is, and again with each mistake in turn: a unit, a sign, a diameter.
 """
 
 from __future__ import annotations
@@ -123,7 +123,8 @@ def _priors(rng: np.random.Generator, soil: Soil, chosen: dict[str, float]) -> S
     limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
     for name, share in chosen.items():
         truth = getattr(soil, name)
-        sd = share if name in ("friction_angle_deg", "sinkage_exponent") else share * max(truth, 100.0 if name == "cohesion" else 0.0)
+        size = {"friction_angle_deg": 1.0, "sinkage_exponent": 1.0, "cohesion": max(truth, 100.0)}.get(name, truth)
+        sd = share * size
         low, high = (limits[name][end] for end in ("low", "high"))
         out[name] = Prior(min(max(truth + sd * rng.normal(), 0.2 * truth, low), high), sd)
     return SoilPriors(**out)

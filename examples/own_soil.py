@@ -14,8 +14,8 @@ import matplotlib.image
 import numpy as np
 import yaml
 
-from soil_env._io.loading import ParameterError, to_dict
-from soil_env.parameters import Soil
+from soil_env import ParameterError
+from soil_env.parameters import Soil, to_dict
 from soil_env_agents.controllers import make_controller
 
 

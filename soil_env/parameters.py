@@ -17,13 +17,18 @@ import numpy as np
 from soil_env._io.loading import (
     Checked,
     ParameterError,
-    config_dir,
     load,
     merge,
     quantity,
     read_yaml,
-    to_dict,
     unknown_key,
+    unknown_value,
+)
+from soil_env._io.loading import (
+    config_dir as config_dir,  # a public name here
+)
+from soil_env._io.loading import (
+    to_dict as to_dict,  # a public name here
 )
 
 # --- soil -------------------------------------------------------------------------------------------------------------
@@ -46,7 +51,8 @@ class Soil(Checked):
     """A uniform soil, in the terms of Bekker, Janosi & Hanamoto and Mohr-Coulomb.
 
     The pressure-sinkage relation p = (k_c/b + k_phi) z^n is given by its two moduli or by their sum for the wheel at
-    hand, `sinkage_coefficient` (the S of the source paper).
+    hand, `sinkage_coefficient` (the S of the source paper). Unless `dig_gain` is given there is no slip-sinkage, as in
+    the base model of Eqs. (1)-(10); the presets of configs/soils.yaml have it, and 1.5 is Lyasko (2010).
     """
 
     friction_angle_deg: float = quantity("deg", 0.0, 89.9)
@@ -57,7 +63,7 @@ class Soil(Checked):
     k_phi: float | None = quantity("N/m^(n+2)", 0.0, 1e13, default=None)
     sinkage_coefficient: float | None = quantity("N/m^(n+2)", 1.0, 1e13, default=None)
     density: float = quantity("kg/m3", 50.0, 4000.0, default=1500.0)
-    dig_gain: float = quantity("", 0.0, 20.0, default=1.5, doc="slip-sinkage, effects.slip_sinkage_ratio")
+    dig_gain: float = quantity("", 0.0, 20.0, default=0.0, doc="slip-sinkage, effects.slip_sinkage_ratio")
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5, doc="slip-sinkage, effects.slip_sinkage_ratio")
     source: str = ""
 
@@ -365,7 +371,7 @@ def load_scenario(
             if not path.is_file():
                 if Path(which).is_dir():
                     raise ParameterError(f"scenario = {str(which)!r}: is a folder; expected a name or a YAML file")
-                raise unknown_key(which, scenario_names(), "scenario")
+                raise unknown_value(which, scenario_names(), "scenario")
         mapping, where = read_yaml(path), path.name
         mapping.setdefault("name", path.stem)
     return _merged(mapping, changes or {}, place if changes and _is_valid(mapping) else where)
@@ -395,7 +401,7 @@ def _merged(mapping: dict[str, Any], changes: dict[str, Any], where: str) -> Sce
         wheel = dict(wheel)
         preset = wheel.pop("preset")
         if not isinstance(preset, str) or preset not in wheels():
-            raise unknown_key(preset, wheels(), f"{where}: wheel")
+            raise unknown_value(preset, wheels(), f"{where}: wheel")
         mapping["wheel"] = merge(to_dict(wheels()[preset]), wheel)
     scenario: Scenario = load(Scenario, mapping, where)
     return scenario

@@ -209,7 +209,7 @@ def test_a_changed_env_does_not_change_the_next():
 
 @pytest.mark.parametrize(("arguments", "message"), [
     ({"cours": {}}, "keyword: unknown key 'cours'; did you mean 'course'?"),
-    ({"observation": "identifed"}, "observation: unknown key 'identifed'; did you mean 'identified'?"),
+    ({"observation": "identifed"}, "observation: unknown value 'identifed'; did you mean 'identified'?"),
     ({"render_mode": "x"}, "render_mode = 'x': expected one of ['rgb_array', 'human']"),
     ({"action": "torqe"}, "'torqe'"),
     ({"scenario": "nowhere.yaml"}, "nowhere.yaml: cannot be read"),

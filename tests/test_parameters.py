@@ -3,12 +3,17 @@
 import copy
 import math
 
+import numpy as np
 import pytest
 import yaml
 
 from soil_env import parameters
 from soil_env._io.loading import check, config_dir, load, merge, read_yaml, to_dict
+from soil_env.identification.rig import predict_table
+from soil_env.measurement import Setup, SetupWheel
 from soil_env.parameters import ParameterError, Scenario, Soil, SoilSpread, load_scenario
+from soil_env.terramechanics.effects import NO_EFFECTS
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, rows_of
 
 SOIL = {"friction_angle_deg": 30, "cohesion": 500, "shear_modulus": 0.02, "sinkage_exponent": 1.0}
 SOIL_S = SOIL | {"sinkage_coefficient": 1e6}
@@ -190,3 +195,15 @@ def test_own_soils_stand_beside_the_presets_and_before_them():
     with pytest.raises(ParameterError, match="own_soils.beach: unknown key 'phi'") as caught:
         load_scenario("mixed", {"own_soils": {"beach": {"phi": 30}}})
     assert_one_line(caught.value, ["changes"])
+
+
+def test_a_soil_digs_only_where_it_says_so():
+    """`Soil()` under a wheel is the base model of Eqs. (1)-(10), which the identification fits: no slip-sinkage."""
+    wheel, slip = ModelWheel(0.15, 0.12), [0.1, 0.6]
+    bare = WheelSoilModel(wheel, Soil(**SOIL_S)).predict({"slip": slip, "load": 100.0})
+    rows = rows_of({"slip": slip, "load": 100.0}, wheel)
+    fitted = predict_table(Setup(SetupWheel(0.15, 0.12)), rows, SOIL_S, 0.0, NO_EFFECTS, np.zeros(2))
+    assert np.stack(bare[:3], axis=1) == pytest.approx(fitted, rel=1e-9)
+    dug = WheelSoilModel(wheel, Soil(**SOIL_S, dig_gain=1.5)).predict({"slip": slip, "load": 100.0})
+    assert dug.sinkage[1] > 1.5 * bare.sinkage[1]
+    assert all("dig_gain" in line for line in read_yaml(config_dir() / "soils.yaml").values())

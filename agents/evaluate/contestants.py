@@ -19,7 +19,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._io.loading import ParameterError, unknown_key, unknown_value
 
 from ..controllers import CONTROLLERS
 
@@ -112,8 +112,7 @@ def _sources(spec: str) -> tuple[str, list[str]]:
     path = Path(spec)
     if path.suffix == ".zip" or path.is_dir() or "/" in spec:
         return "model", [str(_zip_of(path))]
-    error = unknown_key(spec, CONTROLLERS, "controllers")
-    raise ParameterError(f"{str(error).replace('unknown key', 'unknown controller')}; or model.zip, module:Class")
+    raise ParameterError(f"{unknown_value(spec, CONTROLLERS, 'controllers')}; or model.zip, module:Class")
 
 
 def _is_model(path: Path) -> bool:

@@ -77,9 +77,23 @@ class Checked:
 
 def unknown_key(key, known, where: str) -> ParameterError:
     """The error for a key that does not exist, with the nearest known name."""
-    near = difflib.get_close_matches(str(key), [str(k) for k in known], n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    return ParameterError(f"{where}: unknown key {key!r}{hint} (known: {', '.join(sorted(map(str, known)))})")
+    return ParameterError(f"{where}: unknown key {key!r}{_nearest(key, known)} (known: {_sorted(known)})")
+
+
+def unknown_value(value, known, where: str) -> ParameterError:
+    """The error for a value that is none of the known ones, with the nearest of them."""
+    return ParameterError(
+        f"{where}: unknown value {value!r}{_nearest(value, known)} (expected one of {_sorted(known)})"
+    )
+
+
+def _nearest(name, known) -> str:
+    near = difflib.get_close_matches(str(name), [str(k) for k in known], n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def _sorted(known) -> str:
+    return ", ".join(sorted(map(str, known)))
 
 
 def load(cls, mapping, where: str = ""):

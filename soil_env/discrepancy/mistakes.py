@@ -16,6 +16,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.calibrate import GRAVITY, Problem
 from soil_env.discrepancy.data import Data
+from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.table import in_radians
 from soil_env.terramechanics.model import Rows
 
@@ -38,10 +39,11 @@ class Reinterpretation(NamedTuple):
 
 def examine(problem: Problem) -> tuple[str, ...]:
     """Doubts in sentences, none as a rule; `ParameterError` where the table cannot be right."""
-    grades = _grades_doubted(problem.data)
+    load = load_doubt(problem.data.table, problem.data.setup)
+    always = (*((load,) if load else ()), *_grades_doubted(problem.data))
     rms = _rms(problem)
     if rms < LARGE:
-        return grades
+        return always
     found = []
     for reading in _reinterpretations(problem):
         other = _rms(reading.problem)
@@ -60,7 +62,7 @@ def examine(problem: Problem) -> tuple[str, ...]:
         doubts.append(f"{text}.")
     if not doubts and _pull_falls(problem):
         doubts.append(f"{_pull_falls(problem)}: check the sign of drawbar_pull (positive = the wheel pulls).")
-    return (*doubts, *grades)
+    return (*doubts, *always)
 
 
 def _grades_doubted(data: Data) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from scipy.stats import f as f_distribution
 
 from soil_env.identification.scatter import FEW, Scatter
 from soil_env.identification.weighted import SOURCES, TableProblem
+from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.table import UNITS, Setup, Table
 
 NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "sinkage_exponent", "cohesion", "tilt_deg")
@@ -234,7 +235,7 @@ def _exact(problem: TableProblem) -> tuple[str, ...]:
 
 def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]) -> list[str]:
     """What looks like a wrong unit in setup and table."""
-    words = problem.setup.doubts()
+    words = [*filter(None, (load_doubt(problem.table, problem.setup),)), *problem.setup.doubts()]
     load, S = float(np.median(problem.rows.load)), parameters["sinkage_coefficient"]
     if load < LIGHT:
         words.append(

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._io.loading import ParameterError, unknown_value
 from soil_env._numba.compiling import inlined
 from soil_env.identification import Status
 from soil_env.parameters import Scenario
@@ -95,7 +95,7 @@ def layout(variant: str) -> tuple[ObservedNumber, ...]:
     if not isinstance(variant, str):
         raise ParameterError(f"observation = {variant!r}: expected one of {', '.join(VARIANTS)}")
     if variant not in VARIANTS:
-        raise unknown_key(variant, VARIANTS, "observation")
+        raise unknown_value(variant, VARIANTS, "observation")
     return _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": _TRUE}[variant]
 
 

@@ -68,11 +68,11 @@ class WheelSoilModel:
     """A wheel on one soil: the base model of Eqs. (1)-(10), the named effects that are on, and a residual law.
 
     `effects` maps a name of the catalogue to its parameters; those left out are neutral. `soil.dig_gain` is the
-    digging that the simulated world gives its soils; a model that was fitted to measurements has it at 0 and says
-    slip-sinkage by name. Without a soil a model is a set of effects for worlds that bring their own soils; it cannot
-    predict. `validity` says what conditions a fitted model has seen, {"slip": (low, high), "load": ..., "speed": ...,
-    "pass": ..., "grade_deg": ...} in the units of a measurement table; empty where nothing is said. The first
-    prediction beyond them gives the warning `OutsideValidity`.
+    digging that the simulated world gives its soils: 0 in a `Soil` that does not name it, and in a model that was
+    fitted to measurements, which says slip-sinkage by name. Without a soil a model is a set of effects for worlds that
+    bring their own soils; it cannot predict. `validity` says what conditions a fitted model has seen, {"slip": (low,
+    high), "load": ..., "speed": ..., "pass": ..., "grade_deg": ...} in the units of a measurement table; empty where
+    nothing is said. The first prediction beyond them gives the warning `OutsideValidity`.
     """
 
     wheel: ModelWheel

@@ -217,7 +217,7 @@ def test_overrides_are_read_as_yaml():
         (["--guide", "fixed_slip", "--guide_settings.start", "0"], ["guide_settings.start = 0", "(0, 1]"]),
         (["--guide", "best_slip_true"], ["best_slip_true", "does not read the observation"]),
         (["--trim", "2"], ["trim = 2.0: expected only with a guide"]),
-        (["--scenario", "5"], ["unknown key '5'", "mixed"]),
+        (["--scenario", "5"], ["unknown value '5'", "mixed"]),
         (["--observation", "seen"], ["observation", "seen", "identified"]),
         (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
         (["--courses"], ["courses", "value"]),

@@ -193,3 +193,13 @@ def test_a_noisy_run_weighs_as_little_as_it_says(tmp_path):
     half = identify_table(quiet, setup_of())
     width = [p.high - p.low for p in (x.parameters["friction_angle_deg"] for x in (e, half))]
     assert width[0] == pytest.approx(width[1], rel=0.05)
+
+
+# --- units ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_load_in_kilograms_is_said_first(tmp_path):
+    rows = clean() * [1.0, 1.0 / 9.81, 1.0, 1.0, 1.0]
+    e = identify_table(table_of(tmp_path, rows), Setup(WHEEL, noise=NoiseLevels(**SD)))
+    assert "expected load in newtons (if it is in kilograms or kgf, multiply it by 9.81)" in e.warnings[0]
+    assert "kilograms" not in " ".join(identify_table(table_of(tmp_path, clean()), setup_of()).warnings)

@@ -19,7 +19,6 @@ from soil_env.terramechanics.model import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
 FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
-ABSURD = 8.0, 10.0  # [sd of the setup] of a soil parameter, [noise] of a held-out error: a mistake in the table
 FEW = 6  # conditions below which hardly anything can be told
 WORSE = 0.1  # rise of a held-out error that is worth a caution
 WEAK = 0.05  # chance below which an effect that is not named is mentioned
@@ -256,13 +255,7 @@ def validity(report: Report) -> str:
 
 def check_first(report: Report) -> list[str]:
     """What to check before anything else is read: signs and units."""
-    out = list(report.doubts)
-    far = max((abs(x) for x in _from_priors(report).values()), default=0.0)
-    large = [g for g in report.gap.values() if g.before > ABSURD[1] * g.noise_floor]
-    explained = bool(report.effects) and all(g.after < 0.5 * g.before for g in large)
-    if far > ABSURD[0] or (large and not explained):
-        out.append("So large a disagreement is usually a unit or a sign: check the columns and the setup.")
-    return out
+    return list(report.doubts)
 
 
 def cautions(report: Report) -> list[str]:

@@ -1,0 +1,36 @@
+"""What of a table looks like a load in another unit than newtons, whatever model it is fitted with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from soil_env.measurement.setup import Setup
+from soil_env.measurement.table import Table
+
+MOST_GRIP = 1.5  # force over load in the middle of the rows, beyond which the load is doubted
+DRIVEN = 0.15  # slip from which the strength of the soil is mobilised
+FRICTION = 0.5  # tan(phi) beside a cohesion that is known
+USUAL_SINKAGE = 0.3  # [radii] where none was measured
+
+
+def load_doubt(table: Table, setup: Setup) -> str:
+    """A doubt in a sentence where the wheel pulls or turns with more than its load lets soil give it; "" as a rule.
+
+    A wheel on soil has tan(phi) W and c on its contact. The second is small beside W where the wheel sinks, so that the
+    sum hardly exceeds the load unless the setup's cohesion says so; a load in kilograms makes it 3 to 6 times the load.
+    """
+    radius, driven = table.radius(setup.wheel), table.rim_slip(setup) > DRIVEN
+    depth = np.where(np.isnan(table.sinkage), USUAL_SINKAGE * radius, np.clip(table.sinkage, 0.0, radius))
+    area = table.width(setup.wheel) * radius * np.arccos(1.0 - depth / radius)
+    prior = setup.soil.cohesion
+    cohesion = 0.0 if prior is None else max(prior.value - 2.0 * prior.sd, 0.0)
+    most = np.maximum(MOST_GRIP, cohesion * area / table.load + FRICTION)
+    for name, force in (("torque/radius", table.torque / radius), ("drawbar_pull", table.drawbar_pull)):
+        share = (force / table.load)[driven & np.isfinite(force)]
+        if share.size and np.median(share) > np.median(most[driven]):
+            return (
+                f"{name} is {np.median(share):.2g} times the load in the middle of the rows with slip above "
+                f"{DRIVEN:g}, more than soil gives: expected load in newtons (if it is in kilograms or kgf, multiply "
+                "it by 9.81)."
+            )
+    return ""
