@@ -31,7 +31,7 @@ from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 GRAVITY = 9.81
-LIGHTEST = 2.0  # [N] load of a rig
+LIGHTEST, LEAST_PRESSURE = 2.0, 1e3  # [N], [Pa] of the wheel of a rig on the ground
 SIZES = {"drivetrain_friction_constant": 0.1, "sinkage_offset_offset": 0.25}  # of torque, of sinkage
 #: Prior sd of the soil, relative but for phi [deg] and n; each set is given as often as the others.
 PRIORS = (
@@ -81,7 +81,9 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
     model = WheelSoilModel(ModelWheel(r, b, height), soil, effects)
     found = model.predict(conditions)
     y = np.stack(found[:3], axis=1)
-    if not found.floating or middle < LIGHTEST or np.max(y[:, 0]) > 0.6 * r or np.min(y[:, 0]) < 0.005 * r:
+    if S * z**n < LEAST_PRESSURE or middle < LIGHTEST or not found.floating:
+        return None
+    if np.max(y[:, 0]) > 0.6 * r or np.min(y[:, 0]) < 0.005 * r:
         return None
     size = np.array([z, 0.3 * middle, 0.3 * middle * r])
     s, w = (at[:, 1] - slips.mean()) / np.ptp(slips), np.log(at[:, 0] / middle)

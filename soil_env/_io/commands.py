@@ -44,13 +44,27 @@ def command_parser(
     )
 
 
+_RIGS = """\
+Of rigs as they are: lines of DATA.csv that begin with # are comments; columns sinkage_sd, drawbar_pull_sd, torque_sd are
+the 1-sigma of the value in the same row; wheel_radius, wheel_width, grouser_height [m] of a row replace the setup's, for
+several wheels in one table. setup.yaml takes, beside the above:
+
+    wheel: {radius: 0.1, width: 0.1, grouser_height: 0.01, grouser_count: 18}
+    load: vertical                # the load on a grade presses with load cos(b), pulls back with load sin(b);
+                                  # default: normal to the ground
+    slip_reference: tip           # slip was computed with the radius to the lug tips; default: rim
+    tilt_deg: {value: 0, sd: 1}   # of a rig that is not level, uphill positive: fitted with the soil; a number: known
+    ignore_columns: [note]        # of DATA.csv; any other unknown column is refused
+"""
+
+
 def table_parser(module: str, manual: str, written: str, examples: str) -> argparse.ArgumentParser:
     """Parser of a command that reads a measurement table and its setup.
 
     `manual` describes both files from "DATA.csv" on, `written` those that the command writes.
     """
     description, _, files = manual.partition("\n\nDATA.csv")
-    epilog = f"files:\n\nDATA.csv{files}\n{written}\n\nexamples:\n\n{examples}"
+    epilog = f"files:\n\nDATA.csv{files}\n{_RIGS}\n{written}\n\nexamples:\n\n{examples}"
     p = command_parser(f"python -m {module}", description, epilog)
     p.add_argument("data", metavar="DATA.csv", type=Path, help="measurement table (CSV, or Parquet with pyarrow)")
     p.add_argument(

@@ -15,13 +15,12 @@ DATA.csv (SI units; a cell is left empty where nothing was measured):
     0.45,120,0.05,1,0.0263,21.4,7.41
 
   slip          (r w - V)/(r w) when driving, (r w - V)/V when braking, in [-1, 1]; required
-  load          [N] vertical load on the wheel; required
+  load          [N] normal to the ground, or vertical where the setup says so; required
   sinkage [m], drawbar_pull [N], torque [N m]: measured, at least one of them
   speed         [m/s] of travel
   pass          1 = fresh soil
   grade_deg     [deg] uphill positive
   run, time [s]: what tells repeats apart
-  wheel_radius, wheel_width, grouser_height [m]: of a row, instead of the setup's
 
 An effect shows only where its condition varies: rates need several speeds, multipass several passes.
 

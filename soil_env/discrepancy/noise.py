@@ -110,8 +110,8 @@ def _refuse_no_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: lis
 def smooth_basis(data: Data) -> np.ndarray:
     """[N, B] polynomials of the varied conditions: up to the third power of slip, second of the others, and products.
 
-    Sizes of the wheel multiply all of these: two wheels have a surface each. Never more columns than half the cells,
-    and none that those before it make up.
+    Sizes of the wheel multiply all of these: two wheels have a surface each. Of those columns none is taken that the
+    columns before it make up. Never more columns than half the cells.
     """
     s = data.varied["slip"].scaled
     columns = [np.ones_like(s), s]
@@ -125,12 +125,15 @@ def smooth_basis(data: Data) -> np.ndarray:
     columns += [c.scaled**2 for c in others if c.levels > 2]
     columns += [a.scaled * b.scaled for i, a in enumerate(others) for b in others[i + 1 :]]
     sizes = [c for name, c in data.varied.items() if name in WHEEL]
+    plain = len(columns)
     columns += [column * c.scaled for column in tuple(columns) for c in sizes]
     columns += [c.scaled**2 for c in sizes if c.levels > 2]
     cells = int(data.cell.max()) + 1
     basis = np.stack(columns, axis=1)
-    q = np.abs(np.diag(np.linalg.qr(basis)[1])) if len(basis) >= len(columns) else np.ones(len(columns))
-    return basis[:, q > 1e-9 * np.sqrt(len(basis))][:, : max(2, cells // 2)]
+    kept = np.ones(len(columns), dtype=bool)
+    if sizes and len(basis) >= len(columns):
+        kept[plain:] = np.abs(np.diag(np.linalg.qr(basis)[1]))[plain:] > 1e-9 * math.sqrt(len(basis))
+    return basis[:, kept][:, : max(2, cells // 2)]
 
 
 def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

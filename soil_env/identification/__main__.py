@@ -13,11 +13,12 @@ DATA.csv (SI units; a cell is left empty where nothing was measured):
     0.45,120,0.0203,21.4,7.41
 
   slip          (r w - V)/(r w) when driving, (r w - V)/V when braking, in [-1, 1]; required
-  load          [N] normal to the ground; required
-  sinkage       [m] of the lowest point of the rim; required by this command
-  drawbar_pull  [N]    } at least one of the two in a row with sinkage; with torque, cohesion and
+  load          [N] normal to the ground, or vertical where the setup says so; required
+  sinkage       [m] of the lowest point of the rim; where it was not measured it follows from the load
+  drawbar_pull  [N]    } one of the two in a row with sinkage, both in a row without; with torque, cohesion and
   torque        [N m]  } exponent can be told too
-  speed [m/s], pass, grade_deg, run, time [s], wheel_radius, wheel_width, grouser_height [m]: optional
+  grade_deg     [deg] uphill positive; a wheel that climbs by itself has drawbar_pull 0 and load: vertical
+  speed [m/s], pass, run, time [s]: optional
 
 setup.yaml:
 

@@ -210,6 +210,7 @@ def test_overrides_are_read_as_yaml():
     "arguments, parts",
     [
         (["--timestep", "5"], ["timestep", "did you mean 'timesteps'"]),
+        (["--config", "smoke.yaml", "--out", "x"], ["train.py: command line: unknown key 'out'"]),
         (["--ppo.gamma.x", "0.9"], ["ppo", "gamma"]),
         (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "32768"]),
         (["--changes.course.lenght", "5"], ["lenght", "did you mean 'length'"]),

@@ -1,17 +1,20 @@
 """Tables as rigs make them: two wheels in one table, noise of each row, slip by lug tips, rigs that are not level."""
 
 import itertools
+import json
 import math
 
 import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
+from soil_env.discrepancy import run
 from soil_env.discrepancy.calibrate import calibrate
 from soil_env.discrepancy.data import WHEEL, folds, prepare
 from soil_env.discrepancy.experiment import conditions
 from soil_env.discrepancy.locate import boxes
 from soil_env.discrepancy.noise import smooth_basis
+from soil_env.discrepancy.report.pictures import groups
 from soil_env.discrepancy.workflow import model_of
 from soil_env.identification.weighted import TableProblem
 from soil_env.measurement.table import read_setup, read_table
@@ -20,13 +23,16 @@ from tests.discrepancy.files import NOISE, SETUP, SLIPS, world, write_files
 LUGS = {"grousers": {"shear_share": 1.0}}
 
 
-def two_wheels(effects=LUGS, sizes=((0.15, 0.0), (0.15, 0.02)), loads=(100, 150, 220), seed=0, **columns) -> str:
+def two_wheels(
+    effects=LUGS, sizes=((0.15, 0.0), (0.15, 0.02)), loads=(100, 150, 220), seed=0, tilt=0.0, **columns
+) -> str:
     """A table with noise of wheels of (radius, grouser height), on the same soil at the same slips and loads."""
     rng, lines = np.random.default_rng(seed), []
     for radius, height in sizes:
         for load in loads:
-            at = {"slip": SLIPS, "load": load, "wheel_radius": radius, "grouser_height": height}
-            values = np.stack(world(effects).predict(at)[:3], axis=1)
+            normal, along = load * math.cos(math.radians(tilt)), load * math.sin(math.radians(tilt))
+            at = {"slip": SLIPS, "load": normal, "wheel_radius": radius, "grouser_height": height}
+            values = np.stack(world(effects).predict(at)[:3], axis=1) - [0.0, along, 0.0]
             values += rng.normal(size=values.shape) * list(NOISE.values())
             more = [str(x) for x in columns.values()]
             lines += [",".join([*map(repr, (i, load, radius, height, *map(float, v))), *more])
@@ -168,3 +174,16 @@ def test_slip_by_the_lug_tips_is_that_of_the_rim_in_the_fit(tmp_path):
     driven = ~smooth & (data.table.slip > 0.2)  # the others brake, by the rim
     assert data.rows.slip[driven] == pytest.approx(1.0 - (1.0 - data.table.slip[driven]) * 0.17 / 0.15)
     assert np.all(data.rows.slip[~smooth & (data.table.slip < 0.12)] < 0.0)
+
+
+def test_a_report_of_two_wheels_on_a_rig_that_is_not_level(tmp_path):
+    """The whole workflow: the lugs are named, a curve is drawn for each wheel, the tilt stands beside the soil."""
+    lines = two_wheels(tilt=1.0).splitlines()
+    data, setup = write_files(tmp_path, "\n".join(lines) + "\n", SETUP + "tilt_deg: {value: 0, sd: 1}\n")
+    report = run(data, setup, tmp_path / "out", bootstrap=0)
+    assert "grousers" in {e.name for e in report.effects}
+    assert report.soil["tilt_deg"].low < 1.0 < report.soil["tilt_deg"].high
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "tilt of the rig" in page
+    assert {label for label, _ in groups(report)} >= {"100 N, 0 m grousers", "100 N, 0.02 m grousers"}
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["soil"]["tilt_deg"]["known"] is False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 
 import matplotlib
@@ -125,6 +126,7 @@ def _slip(report: Report) -> Figure:
         axis.set_title(f"{TITLES[name]} [{UNITS[name][0]}]")
     for axis in axes[-1]:
         axis.set_xlabel("slip")
+    tilt = report.soil["tilt_deg"].value if "tilt_deg" in report.soil else 0.0  # of the rig; a model has none
     for (label, rows), line in zip(picked, axes, strict=False):
         slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
         middle = data.rows.wheels[rows[len(rows) // 2]]
@@ -135,8 +137,11 @@ def _slip(report: Report) -> Figure:
             "grade_deg": data.conditions["grade_deg"][rows].mean(),
         }
         at |= dict(zip(("wheel_radius", "wheel_width", "grouser_height"), middle, strict=True))
+        if data.setup.load == "vertical":
+            at["grade_deg"] += tilt
+        along = np.array([0.0, at["load"] * math.sin(math.radians(tilt)) * (data.setup.load == "normal"), 0.0])
         curves = _both(report, report.base_model.predict(at), report.model.predict(at))
-        lines = [(np.stack(p[:3], axis=1), color, text) for p, color, text in curves]
+        lines = [(np.stack(p[:3], axis=1) - along, color, text) for p, color, text in curves]
         for name, ax in zip(report.channels, line, strict=True):
             j, scale = CHANNELS.index(name), UNITS[name][1]
             used = report.problem.used[rows, j]

@@ -30,6 +30,7 @@ SOIL = {
     "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2)"),
     "sinkage_exponent": ("sinkage exponent n", ""),
     "density": ("density", "kg/m3"),
+    "tilt_deg": ("tilt of the rig", "deg"),
 }
 UNITS = {"sinkage": ("mm", 1e3), "drawbar_pull": ("N", 1.0), "torque": ("N m", 1.0)}
 TITLES = {"sinkage": "sinkage", "drawbar_pull": "drawbar pull", "torque": "torque"}
