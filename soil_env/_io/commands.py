@@ -45,9 +45,9 @@ def command_parser(
 
 
 _RIGS = """\
-Of rigs as they are: lines of DATA.csv that begin with # are comments; columns sinkage_sd, drawbar_pull_sd, torque_sd are
-the 1-sigma of the value in the same row; wheel_radius, wheel_width, grouser_height [m] of a row replace the setup's, for
-several wheels in one table. setup.yaml takes, beside the above:
+Of rigs as they are: lines of DATA.csv that begin with # are comments; columns sinkage_sd, drawbar_pull_sd, torque_sd
+are the 1-sigma of the value in the same row; wheel_radius, wheel_width, grouser_height [m] of a row replace the
+setup's, for several wheels in one table. setup.yaml takes, beside the above:
 
     wheel: {radius: 0.1, width: 0.1, grouser_height: 0.01, grouser_count: 18}
     load: vertical                # the load on a grade presses with load cos(b), pulls back with load sin(b);

@@ -23,16 +23,14 @@ from tests.discrepancy.files import NOISE, SETUP, SLIPS, world, write_files
 LUGS = {"grousers": {"shear_share": 1.0}}
 
 
-def two_wheels(
-    effects=LUGS, sizes=((0.15, 0.0), (0.15, 0.02)), loads=(100, 150, 220), seed=0, tilt=0.0, **columns
-) -> str:
+def two_wheels(sizes=((0.15, 0.0), (0.15, 0.02)), loads=(100, 150, 220), seed=0, tilt=0.0, **columns) -> str:
     """A table with noise of wheels of (radius, grouser height), on the same soil at the same slips and loads."""
     rng, lines = np.random.default_rng(seed), []
     for radius, height in sizes:
         for load in loads:
             normal, along = load * math.cos(math.radians(tilt)), load * math.sin(math.radians(tilt))
             at = {"slip": SLIPS, "load": normal, "wheel_radius": radius, "grouser_height": height}
-            values = np.stack(world(effects).predict(at)[:3], axis=1) - [0.0, along, 0.0]
+            values = np.stack(world(LUGS).predict(at)[:3], axis=1) - [0.0, along, 0.0]
             values += rng.normal(size=values.shape) * list(NOISE.values())
             more = [str(x) for x in columns.values()]
             lines += [",".join([*map(repr, (i, load, radius, height, *map(float, v))), *more])
@@ -185,5 +183,5 @@ def test_a_report_of_two_wheels_on_a_rig_that_is_not_level(tmp_path):
     assert report.soil["tilt_deg"].low < 1.0 < report.soil["tilt_deg"].high
     page = (tmp_path / "out" / "report.html").read_text()
     assert "tilt of the rig" in page
-    assert {label for label, _ in groups(report)} >= {"100 N, 0 m grousers", "100 N, 0.02 m grousers"}
+    assert {label.partition(", ")[2] for label, _ in groups(report)} == {"0 m grousers", "0.02 m grousers"}
     assert json.loads((tmp_path / "out" / "report.json").read_text())["soil"]["tilt_deg"]["known"] is False
