@@ -108,12 +108,12 @@ def test_weak_signs_are_told(nothing):
 def test_cautions_are_of_the_soil_that_is_shown(planted):
     """Moved to 3.5 and 9 standard deviations of the setup, in the fit of the corrected model alone."""
     k = [u.name for u in planted.fit.unknowns].index("cohesion")
-    for far, mistake in ((3.5, False), (9.0, True)):
+    for far in (3.5, 9.0):
         u = planted.fit.u.copy()
         u[k] = (-far if far * 700 < 3700 else far) / PRIOR_WIDTH
         moved = dataclasses.replace(planted, fit=dataclasses.replace(planted.fit, u=u))
         assert any("Cohesion c" in text and f" {far} " in text for text in words.cautions(moved))
-        assert bool(words.check_first(moved)) == mistake
+        assert words.check_first(moved) == []  # a caution, no sign of a wrong unit
     assert not any("standard deviations" in text for text in words.cautions(planted))
 
 
@@ -124,8 +124,8 @@ def test_the_headline_quotes_the_channel_that_gains_most(planted):
     assert "torque goes from 5.00 to 1.00 times the noise" in words.summary(changed)
     assert any("drawbar pull rises by 20 %" in text for text in words.cautions(changed))
     assert words.check_first(changed) == []
-    gap["sinkage"] = judgement.Gap(10.1, 8.9, 1.0)
-    assert words.check_first(changed)
+    gap["sinkage"] = judgement.Gap(30.0, 29.0, 1.0)  # a real soil can be as far from its law
+    assert words.check_first(changed) == []
 
 
 def test_a_density_that_is_given_is_known(nothing, tmp_path):
