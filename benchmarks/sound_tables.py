@@ -81,7 +81,7 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
     model = WheelSoilModel(ModelWheel(r, b, height), soil, effects)
     found = model.predict(conditions)
     y = np.stack(found[:3], axis=1)
-    if S * z**n < LEAST_PRESSURE or middle < LIGHTEST or not found.floating:
+    if S * z**n < LEAST_PRESSURE or middle < LIGHTEST or not found.supported:
         return None
     if np.max(y[:, 0]) > 0.6 * r or np.min(y[:, 0]) < 0.005 * r:
         return None
