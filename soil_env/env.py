@@ -82,7 +82,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     Values outside are clipped; a wrong shape, NaN or infinity raises `ValueError`.
 
     ## Observation space
-    `Box(float32)`. All entries but 8-10 are noisy sensor readings (`Noise`). "Weight" is that of the wheel with its
+    `Box(float32)`. All entries but 8 and 10 are noisy sensor readings (`Noise`). "Weight" is that of the wheel with its
     share of the body, without payload; "top rim speed" is radius times no-load speed. `env.unwrapped.observation_names`
     lists the names.
 
@@ -97,8 +97,11 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | 6 | rim_speed | of top rim speed | -5 | 5 |
     | 7 | pitch | rad, uphill positive | -1.6 | 1.6 |
     | 8 | last_action | - | -1 | 1 |
-    | 9 | progress | of course length | -5 | 5 |
+    | 9 | odometry | of course length | -5 | 5 |
     | 10 | halted | 0 or 1 | 0 | 1 |
+
+    Odometry integrates the readings of the speed sensor, noise and all, times a scale drawn once an episode
+    (`noise={"odometry_scale": ...}`, 1.5 %): its difference says nothing that the speed does not.
 
     `observation="blind"` ends here. `"identified"` (default) adds the identifier's estimate from those readings:
 
@@ -152,11 +155,12 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | cause | condition (`limits={...}`) |
     |-------|-----------|
     | FINISHED | x >= course length |
-    | ENTRAPPED | slip > 0.6 and abs(V) < 0.02 m/s for 4 s: it spins without progress |
-    | STALLED | rim speed < 0.01 m/s for 4 s outside a halt: torque required > torque available |
+    | ENTRAPPED | no progress, though the wheel turns |
+    | STALLED | no progress, and the rim is slower than 0.01 m/s most of that time: torque required > torque available |
     | BOGGED | sinkage > 0.8 radii |
 
-    The two timers count down at the same rate while their condition does not hold, and are paused during halts.
+    No progress: 10 s, halts left out, without getting 0.1 m further than ever before, whatever the wheel does (spin,
+    stand, rock, creep back); or 0.5 m behind the start.
     Truncated after `control={"time_limit": ...}` (90 s) with cause TIME_LIMIT.
 
     ## Info
@@ -181,7 +185,9 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     the rest is the scenario's. A residual law acts on drawbar pull and torque.
 
     ## Version history
-    * v0: first version.
+    * v0: first version. It has not been released, so that laws still change under this number. On the way: odometry in
+      place of the exact progress; fresh ground is ground that the wheel has not touched; one count of no progress in
+      place of two timers; a time step of second order.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}

@@ -175,7 +175,12 @@ class Wheel(Checked):
 
 @dataclass(frozen=True)
 class Noise(Checked):
-    """Standard deviations of the sensors, white and Gaussian. Forces are shares of the unloaded wheel's weight."""
+    """Standard deviations of the sensors, white and Gaussian. Forces are shares of the unloaded wheel's weight.
+
+    Odometry integrates the readings of the speed sensor, with their noise, and has a scale error that is drawn once a
+    course, of the order that visual odometry of rovers is off by (Maimone, Cheng & Matthies 2007, J. Field Robotics
+    24:169-186).
+    """
 
     slip: float = quantity("", 0.0, 1.0, default=0.01)
     sinkage: float = quantity("m", 0.0, 1.0, default=0.001)
@@ -185,6 +190,7 @@ class Noise(Checked):
     speed: float = quantity("m/s", 0.0, 10.0, default=0.005)
     wheel_speed: float = quantity("rad/s", 0.0, 10.0, default=0.01)
     pitch: float = quantity("rad", 0.0, 1.0, default=0.003)
+    odometry_scale: float = quantity("", 0.0, 0.3, default=0.015, doc="scale error of odometry, constant on a course")
 
 
 @dataclass(frozen=True)
@@ -249,11 +255,9 @@ class CourseSpec(Checked):
 class Limits(Checked):
     """Thresholds beyond which a wheel counts as immobilised (see `task.Cause`)."""
 
-    entrapped_slip: float = quantity("", 0.1, 1.0, default=0.6)
-    entrapped_speed: float = quantity("m/s", 1e-4, 10.0, default=0.02)
-    entrapped_time: float = quantity("s", 0.1, 1e3, default=4.0)
-    stalled_rim_speed: float = quantity("m/s", 1e-4, 1.0, default=0.01)
-    stalled_time: float = quantity("s", 0.1, 1e3, default=4.0)
+    no_progress_distance: float = quantity("m", 1e-3, 1e3, default=0.1)
+    no_progress_time: float = quantity("s", 0.1, 1e3, default=10.0, doc="to get that much further, halts left out")
+    stalled_rim_speed: float = quantity("m/s", 1e-4, 1.0, default=0.01, doc="below it the wheel counts as not turning")
     bogged_sinkage: float = quantity("of radius", 0.05, 1.4, default=0.8)
 
 
@@ -273,7 +277,7 @@ class Control(Checked):
     """Action of the agent, control period, integrator step and time limit."""
 
     period: float = quantity("s", 1e-3, 1.0, default=0.1, doc="time between two actions")
-    substep: float = quantity("s", 1e-4, 0.5, default=0.05, doc="longest step of the integrator")
+    substep: float = quantity("s", 1e-4, 0.5, default=0.1, doc="longest step of the integrator")
     time_limit: float = quantity("s", 1.0, 1e5, default=90.0, doc="episode length at which it is truncated")
     action: Literal["torque", "wheel_speed"] = "torque"
 

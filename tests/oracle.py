@@ -3,6 +3,7 @@
     python -m tests.oracle                    run all cases, say how far each is from tests/data/oracle.npz
     python -m tests.oracle --nudge 1e-15      the same with inputs changed in their last digits: what rounding does
     python -m tests.oracle --record           write tests/data/oracle.npz anew; only when results are meant to change
+    python -m tests.oracle --record --only trajectory/,effect/     the same for these cases; the others stay as recorded
 
 A case gives named quantities, each an array of numbers or a text. Cases go through the public interface alone.
 """
@@ -128,14 +129,16 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--record", action="store_true", help="write the file")
     p.add_argument("--nudge", type=float, default=0.0, help="relative change of the inputs")
-    p.add_argument("--only", default="", help="cases whose names contain this")
+    p.add_argument("--only", default="", help="cases whose names contain one of these, with commas between")
     options = p.parse_args()
-    if options.record and (options.nudge or options.only):
-        p.error("--record goes with nothing else")
+    if options.record and options.nudge:
+        p.error("--record does not go with --nudge")
     oracle_runs.NUDGE = options.nudge
-    old, results = ({} if options.record else recorded()), {}
+    old, results = (recorded() if options.only or not options.record else {}), {}
     for case, run in oracle_cases.CASES.items():
-        if options.only not in case:
+        if not any(part in case for part in options.only.split(",")):
+            if options.record:
+                results[case] = old[case]
             continue
         start = time.perf_counter()
         got = results[case] = run()

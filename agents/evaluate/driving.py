@@ -26,8 +26,8 @@ class ControllerError(ParameterError):
 #: Metric -> (unit, what it is). Rates carry Wilson intervals, means bootstrap intervals over courses.
 METRICS = {
     "immobilised": ("share of courses", "entrapped, stalled or bogged"),
-    "entrapped": ("share of courses", "slip stayed high without progress"),
-    "stalled": ("share of courses", "the wheel did not turn outside a halt"),
+    "entrapped": ("share of courses", "no progress, though the wheel turned"),
+    "stalled": ("share of courses", "no progress, and the wheel did not turn"),
     "bogged": ("share of courses", "sinkage over the limit"),
     "time_limit": ("share of courses", "neither finished nor immobilised in time"),
     "finished": ("share of courses", "reached the end of the course"),

@@ -13,11 +13,11 @@ is judged during halts. The identifier runs with every controller, so every cont
 whether it could use them or not; true soil is not used.
 
 *Complete immobilisation* is not the end of the episode, which comes seconds later by the task's limits: it is the last
-moment at which neither clock of `task.judge` (slip without progress; a wheel that does not turn) was running, and for a
-bogged wheel the end. An immobilisation is *warned of* if the warning is on at that moment; distance and time are
-counted from the moment when it came on. Immobilisations without a warning at that moment are not in their means: read
-them together with the share that was warned of, and with the share of the driving time under warning on courses that
-did not end so.
+moment at which the wheel got further at the least mean speed that the task asks for (`no_progress_distance` over
+`no_progress_time`), and for a bogged wheel the end. An immobilisation is *warned of* if the warning is on at that
+moment; distance and time are counted from the moment when it came on. Immobilisations without a warning at that moment
+are not in their means: read them together with the share that was warned of, and with the share of the driving time
+under warning on courses that did not end so.
 
 Published for another method, machine and ground: 1.8 m and 2.9 s on average, a four-wheeled rover in snow, ASME J.
 Autonomous Vehicles and Systems 2(3) 031001 (2022). Other conditions: not a figure to be compared digit by digit.
@@ -56,6 +56,8 @@ class Warnings:
         self.under, self.driven = np.zeros(count), np.zeros(count)  # [s] under warning, of all driving
         self.time = np.zeros(count)  # [s]
         self.start_time, self.start_x = np.zeros(count), np.zeros(count)
+        self.least = scenario.limits.no_progress_distance / scenario.limits.no_progress_time * self.period  # [m]
+        self.furthest = np.zeros(count)  # [m] a control period ago
         # as they were when the wheel last was mobile
         self.mobile_lead = np.full((count, 2), np.nan)  # [m], [s] since the warning came on; NaN: not on
 
@@ -72,8 +74,8 @@ class Warnings:
         self.on &= ~(driving & (self.quiet >= RELEASE - 1e-9))
         self.under[driving & self.on] += self.period
         self.driven[driving] += self.period
-        clock = np.maximum(worlds.state["entrapped_time"], worlds.state["stalled_time"])
-        mobile = driving & (clock <= 1e-9)
+        mobile = driving & (worlds.state["best_x"] - self.furthest >= self.least)
+        self.furthest = worlds.state["best_x"].copy()
         lead = self._lead(worlds)
         self.mobile_lead[mobile] = lead[mobile]
 

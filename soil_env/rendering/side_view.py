@@ -37,7 +37,7 @@ from soil_env.rendering.canvas import (
 )
 from soil_env.rendering.charts import SPAN, draw_charts, nice, ticks
 from soil_env.simulation.task import Cause
-from soil_env.simulation.terrain import CELL, ground_at
+from soil_env.simulation.terrain import CELL, CELLS_BEHIND, ground_at
 from soil_env.terramechanics.contact import (
     JANOSI,
     entry_angle,
@@ -233,7 +233,7 @@ def _draw_scene(c: Canvas, simulation, k: int, profile: _Profile, bounds, angle:
 def _draw_ground(c: Canvas, x, hub, r, rut, grade, profile: _Profile, bounds, at) -> None:
     """The soil up to its surface, lowered by the rut and under the wheel, with specks; dashed where it was before."""
     before = np.interp(x, profile.x, profile.height)
-    now = before - np.interp(x, (np.arange(rut.size) + 0.5) * CELL, rut, left=0.0) / math.cos(grade)
+    now = before - np.interp(x, (np.arange(rut.size) - CELLS_BEHIND + 0.5) * CELL, rut, left=0.0) / math.cos(grade)
     under = np.abs(x - hub[0]) < r
     now[under] = np.minimum(now[under], hub[1] - np.sqrt(r * r - (x[under] - hub[0]) ** 2))
     middle = 0.5 * (x[1:] + x[:-1])

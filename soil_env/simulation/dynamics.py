@@ -1,26 +1,35 @@
-"""One control period of many wheels: implicit Euler for the speeds, eight wheels at a time in lanes.
+"""One control period of many wheels, eight at a time in lanes: two implicit stages a step, short steps where needed.
 
-Sliding speed and travel speed answer to force within milliseconds for a slow rover, so (V, u = r w) are stepped by
-implicit Euler with a safeguarded Newton iteration on analytic derivatives, and the sinkage z, which is slow, by the
-exact solution of its law with A, B and z_w held over the substep (`wheel`).
+Sliding speed and travel speed answer to force within milliseconds for a slow rover, so (V, u = r w) are stepped by an
+L-stable Runge-Kutta method with a safeguarded Newton iteration on analytic derivatives (`newton`), and the sinkage z,
+which is slow, by the exact solution of its law with A, B and z_w held over each stage (`wheel`).
+
+A command that is held lets the speeds settle; one that has changed moves them. The linearised step (`change_ahead`)
+foretells by how much, at no further evaluation of the reaction, and a wheel whose speeds are about to change takes 2, 4
+or 8 steps where others take one.
 
 Within one wheel nearly everything depends on what came before, and a processor that steps one wheel after the other
 mostly waits. Here each operation acts on eight wheels. They share no number: a wheel goes through the same operations
 on the same bits whoever its neighbours are, so that a wheel alone gives what it gives among others. Newton's method
 takes one wheel longer than another: a lane whose wheel has converged goes on with the next of up to `MANY`. A wheel
-whose iteration fails goes on by shorter substeps, its neighbours waiting.
+whose iteration fails goes on by shorter steps, its neighbours waiting.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import chosen, larger, smaller
-from soil_env._numba.lanes import COUNT, from_array, to_array
+from soil_env._numba.elementary import below, chosen, larger, smaller, where_less
+from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import scratch_rows
 from soil_env.simulation.newton import (
+    GAMMA,
+    LEAD,
     MANY,
     TOLERANCE,
     Period,
+    change_ahead,
     gather_ground,
     load_reaction,
     scratch_of_substep,
@@ -28,7 +37,7 @@ from soil_env.simulation.newton import (
     soil_in_lanes,
     solve_speeds,
 )
-from soil_env.simulation.terrain import cell_at, leave_rut
+from soil_env.simulation.terrain import cell_after, digging_ratio_of, leave_rut
 from soil_env.simulation.wheel import (
     SHALLOWEST,
     bearing_sinkage,
@@ -41,7 +50,10 @@ from soil_env.terramechanics.steady import DEEPEST
 __all__ = ["MANY", "STEP", "TOLERANCE", "advance"]
 
 STEP = 0  # what is to be done with a wheel: a control period
-_FINEST = 1024  # a substep that fails is halved down to this fraction; softening soil breaks away within 1 ms
+MOST_STEPS = 8  # where others take one
+# Foreseen changes of speed [of the top rim speed] beyond which a wheel takes 2, 4 and 8 steps where others take one.
+REFINED_BEYOND = (0.3, 0.6, 1.2)
+_FINEST = 1024  # a step that fails is halved down to this fraction; softening soil breaks away within 1 ms
 _period = scratch_rows(Period, MANY)
 
 
@@ -51,29 +63,51 @@ def _keep(alive, row, k, value):
     to_array(chosen(alive, value, from_array(row, k)), row, k)
 
 
+class Stage(NamedTuple):
+    """A stage of a step of h seconds: its own duration, and the weights [s] of its first and last speeds over it."""
+
+    duration: float
+    first: float
+    last: float
+    lead: float  # as `newton.set_up` takes it
+
+
 @inlined
-def _move(state, first, i, period, sub, world, h, anyhow):
-    """Eight wheels to the end of a substep, but those not alive; who did not converge dies, unless `anyhow` is 1."""
-    n, g, k, r = sub.newton, sub.footing, first + i, world.wheel.radius
+def _stage(number, h):
+    """`Stage` 0 or 1 of a step of h seconds."""
+    g = GAMMA * h
+    return Stage(g, 0.0, g, 0.0) if number == 0 else Stage(h - g, h - 2.0 * g, g, LEAD)
+
+
+@inlined
+def _move(state, first, i, period, sub, world, stage, anyhow):
+    """Eight wheels to the end of a stage, but those not alive; who did not converge dies, unless `anyhow` is 1."""
+    n, k, r = sub.newton, first + i, world.wheel.radius
     v, u, f = from_array(n.v, i), from_array(n.u, i), load_reaction(n, i)
     converged = from_array(n.converged, i)
     alive = from_array(period.alive, i) * larger(converged, anyhow)
     to_array(alive, period.alive, i)
     _keep(alive, period.clean, i, from_array(period.clean, i) * converged)
-    soil, sinkage, speed = soil_in_lanes(g, i), from_array(state.sinkage, k), from_array(state.speed, k)
-    bearing = bearing_sinkage(sinkage, f.modulus, soil)
-    if world.wheel.on:
-        bearing = bearing + from_array(g.lift, i)
-    relaxed = relax_sinkage(sinkage, bearing, v, u - v, soil, world.relaxation, h)
     torque, _, available = motor(from_array(period.command, i), from_array(period.by_speed, i), u / r, world)
-    _keep(alive, state.x, k, from_array(state.x, k) + 0.5 * h * (speed + v))
-    _keep(alive, state.motor_work, k, from_array(state.motor_work, k) + h * torque * u / r)
-    work = h * (f.torque * u / r - f.drawbar_pull * v)
+    speed, rim, turned = from_array(state.speed, k), r * from_array(state.wheel_speed, k), from_array(state.torque, k)
+    pulled, drove = from_array(state.drawbar_pull, k), from_array(state.motor_torque, k)
+    moved = stage.first * speed + stage.last * v
+    slid = stage.first * abs(rim - speed) + stage.last * abs(u - v)
+    _sink(state, k, i, alive, sub, world, f.modulus, moved, slid, stage.duration)
+    work = (stage.first * (drove * rim) + stage.last * (torque * u)) / r
+    _keep(alive, state.motor_work, k, from_array(state.motor_work, k) + work)
+    work = stage.first * (turned * rim / r - pulled * speed) + stage.last * (f.torque * u / r - f.drawbar_pull * v)
     _keep(alive, state.soil_work, k, from_array(state.soil_work, k) + work)
+    _keep(
+        alive,
+        state.numerical_work,
+        k,
+        from_array(state.numerical_work, k) + _taken(state, period, k, i, v, u, stage, world),
+    )
+    _keep(alive, period.speed_before, i, speed)
+    _keep(alive, period.rim_before, i, rim)
     _keep(alive, state.speed, k, v)
     _keep(alive, state.wheel_speed, k, u / r)
-    _keep(alive, state.sinkage, k, smaller(larger(relaxed, SHALLOWEST * r), DEEPEST * r))
-    _keep(alive, state.bearing_sinkage, k, bearing)
     _keep(alive, state.motor_torque, k, torque)
     _keep(alive, state.available_torque, k, available)
     _keep(alive, state.load, k, f.load)
@@ -83,45 +117,113 @@ def _move(state, first, i, period, sub, world, h, anyhow):
     _keep(alive, state.pull_by_rim, k, f.dp_u)
     _keep(alive, state.torque_by_speed, k, f.torque_v)
     _keep(alive, state.torque_by_rim, k, f.torque_u)
-    _keep(alive, state.grade, k, from_array(g.grade, i))
-    _keep(alive, period.left, i, from_array(period.left, i) - h)
+    _keep(alive, state.grade, k, from_array(sub.footing.grade, i))
+    _keep(alive, period.left, i, from_array(period.left, i) - stage.duration)
+
+
+@inlined
+def _taken(state, period, k, i, v, u, stage, world):
+    """Energy [J] that a stage to speeds v, u takes from eight wheels beside the work of the forces on them.
+
+    With d the change of speed from where the stage begins and e = `lead` times that in the stage before,
+    m (d^2 - e^2)/2, and the same of the rotation: what the products of the stages with their speeds leave.
+    """
+    r = world.wheel.radius
+    speed, rim = from_array(state.speed, k), r * from_array(state.wheel_speed, k)
+    e, e2 = (
+        stage.lead * (speed - from_array(period.speed_before, i)),
+        stage.lead * (rim - from_array(period.rim_before, i)),
+    )
+    d, d2 = v - speed - e, u - rim - e2
+    return 0.5 * (from_array(state.mass, k) * (d * d - e * e) + world.inertia / (r * r) * (d2 * d2 - e2 * e2))
+
+
+@inlined
+def _sink(state, k, i, alive, sub, world, modulus, moved, slid, duration):
+    """Place and sinkage of eight wheels that move by `moved` [m] while the rim slides by `slid` [m] over the ground.
+
+    Ground beyond the furthest places of a wheel is fresh. Where it has been the ground has the depth of the rut, which
+    grows where the wheel digs and not where it climbs out of its hole.
+    """
+    g, soil, sinkage, rut = sub.footing, soil_in_lanes(sub.footing, i), from_array(state.sinkage, k), state.rut_depth
+    bearing = bearing_sinkage(from_array(g.sinkage, i), modulus, soil)
+    if world.wheel.on:
+        bearing = bearing + from_array(g.lift, i)
+    x, low, high = from_array(state.x, k) + moved, from_array(state.lowest_x, k), from_array(state.best_x, k)
+    fresh = smaller((larger(x - high, 0.0) + larger(low - x, 0.0)) / larger(abs(moved), 1e-12), 1.0)
+    onto = fresh * bearing + (1.0 - fresh) * from_array(rut, k)
+    over = 1.0 / duration
+    relaxed = relax_sinkage(sinkage, bearing, onto, over * moved, over * slid, soil, world.relaxation, duration)
+    depth = smaller(larger(relaxed, SHALLOWEST * world.wheel.radius), DEEPEST * world.wheel.radius)
+    _keep(alive, state.sinking, k, over * (depth - sinkage))
+    _keep(alive, rut, k, where_less(sinkage, depth, larger(from_array(rut, k), depth), from_array(rut, k)))
+    _keep(alive, state.x, k, x)
+    _keep(alive, state.best_x, k, larger(x, high))
+    _keep(alive, state.lowest_x, k, smaller(x, low))
+    _keep(alive, state.slid, k, from_array(state.slid, k) + slid)
+    _keep(alive, state.sinkage, k, depth)
+    _keep(alive, state.bearing_sinkage, k, bearing)
 
 
 @part
 def _drive(state, counts, first, begin, end, period, courses, world, left, longest, anyhow):
-    """Substeps of at most `longest` seconds for `left` seconds, of the wheels in columns begin .. end - 1 of `period`.
+    """Steps of at most `longest` seconds for `left` seconds, of the wheels in columns begin .. end - 1 of `period`.
 
-    A wheel for which Newton's method fails stays as it was before that substep, with the rest of its time in
+    A wheel for which Newton's method fails stays as it was before that stage, with the rest of its time in
     `period.left`; with `anyhow` = 1 it goes on.
     """
     sub = scratch_of_substep()
     while left > 1e-9 * longest:
         h = min(longest, left)
-        for i in range(begin, end, COUNT):
-            gather_ground(state, counts, first, i, period, sub.footing, courses, world, h)
-            set_up(state, first, i, period, sub, world, h)
-        solve_speeds(sub, period, begin, end, world, h)
-        for i in range(begin, end, COUNT):
-            _move(state, first, i, period, sub, world, h, anyhow)
+        for number in range(2):
+            stage = _stage(number, h)
+            for i in range(begin, end, COUNT):
+                gather_ground(state, counts, first, i, period, sub.footing, courses, world, stage.duration)
+                set_up(state, first, i, period, sub, world, GAMMA * h, stage.lead, stage.duration)
+            solve_speeds(sub, period, begin, end, world, GAMMA * h)
+            for i in range(begin, end, COUNT):
+                _move(state, first, i, period, sub, world, stage, anyhow)
+            for i in range(begin, end):
+                if period.alive[i] > 0.0:
+                    _leave_ruts(state, counts, first + i, courses, sub.footing.dig_gain[i], sub.footing.dig_recovery[i])
         left -= h
-        for i in range(begin, end):
-            if period.alive[i] > 0.0:
-                _leave_ruts(state, counts, first + i, courses)
 
 
 @inlined
-def _leave_ruts(state, counts, k, courses):
-    """Mark the cells that wheel k has left in this substep."""
-    cell = cell_at(courses, state.x[k])
-    while counts.cell[k] != cell:
-        leave_rut(courses, k, counts.cell[k], state.sinkage[k], state.bearing_sinkage[k])
-        counts.cell[k] += 1 if cell > counts.cell[k] else -1
+def _leave_ruts(state, counts, k, courses, gain, recovery):
+    """Mark the cells that wheel k has passed in this stage."""
+    cell, after = counts.cell[k], cell_after(courses, counts.cell[k], state.x[k])
+    if after == cell:
+        return
+    dug = digging_ratio_of(state.slid[k], max(abs(state.x[k] - state.cell_x[k]), 1e-6), gain, recovery)
+    while cell != after:
+        leave_rut(courses, k, cell, state.rut_depth[k], dug)
+        cell += 1 if after > cell else -1
+        rut = courses.rut[k, cell]
+        state.rut_depth[k] = rut if rut > 0.0 else state.sinkage[k]
+    counts.cell[k], state.slid[k], state.cell_x[k] = cell, 0.0, state.x[k]
 
 
 @part
-def _drive_alone(state, counts, first, i, period, courses, world, longest):
-    """The rest of the control period of the wheel in column i, by substeps halved while Newton's method fails."""
-    block = i // COUNT * COUNT
+def _drive_together(state, counts, first, end, period, courses, world, steps):
+    """The control period of the wheels that take `steps` steps where others take one."""
+    longest, begin = world.period / (world.substeps * steps), 0
+    for block in range(0, end + COUNT, COUNT):
+        going = 0.0
+        if block < end:
+            for i in range(block, block + COUNT):
+                period.alive[i] = 1.0 if period.left[i] > 0.0 and period.steps[i] == steps else 0.0
+                going += period.alive[i]
+        if going == 0.0:
+            if begin < block:
+                _drive(state, counts, first, begin, block, period, courses, world, world.period, longest, 0.0)
+            begin = block + COUNT
+
+
+@part
+def _drive_alone(state, counts, first, i, period, courses, world):
+    """The rest of the control period of the wheel in column i, by steps halved while Newton's method fails."""
+    block, longest = i // COUNT * COUNT, world.period / (world.substeps * period.steps[i])
     for j in range(block, block + COUNT):
         period.alive[j] = 0.0
     left, h = period.left[i], longest
@@ -130,12 +232,23 @@ def _drive_alone(state, counts, first, i, period, courses, world, longest):
         finest = h <= longest / _FINEST
         period.alive[i], period.left[i] = 1.0, h
         _drive(state, counts, first, block, block + COUNT, period, courses, world, h, h, 1.0 if finest else 0.0)
-        if period.left[i] > 0.0:
-            h *= 0.5
-        else:
-            left -= h
-            h = longest
+        failed = period.alive[i] == 0.0
+        left -= h - (period.left[i] if failed else 0.0)
+        h = 0.5 * h if failed else longest
     period.left[i] = 0.0
+
+
+@inlined
+def _choose_steps(state, first, i, period, world):
+    """Steps that eight wheels take in this control period where others take one."""
+    change = change_ahead(
+        state, first + i, from_array(period.command, i), from_array(period.by_speed, i), world,
+        world.period / world.substeps,
+    )  # fmt: skip
+    steps, driven = fill(1.0), below(from_array(state.halt_left, first + i), 1e-9)  # a halt has its speed loop
+    for limit in REFINED_BEYOND:
+        steps = steps * (1.0 + driven * below(limit, change))
+    to_array(steps, period.steps, i)
 
 
 @part
@@ -146,24 +259,33 @@ def advance(state, counts, first, count, what, commands, courses, streams, world
     speed loop. `count` <= MANY; `first` a multiple of eight. `state` (`WheelState`), `counts` (`WheelCounts`),
     `courses` and `streams` are renewed in place.
     """
-    period, longest = _period(), world.period / world.substeps
+    period = _period()
     end = (count + COUNT - 1) // COUNT * COUNT
     for i in range(end):
         k = first + i
         going = i < count and what[k] == STEP
-        period.alive[i], period.left[i], period.clean[i] = (1.0, world.period, 1.0) if going else (0.0, 0.0, 1.0)
+        period.left[i], period.clean[i] = (world.period, 1.0) if going else (0.0, 1.0)
         period.start[i] = period.command[i] = period.by_speed[i] = 0.0
+        period.speed_before[i] = period.rim_before[i] = 0.0
         if going:
             halted = state.halt_left[k] > 0.0
             period.start[i] = state.x[k]
             period.command[i] = 0.0 if halted else commands[k]
             period.by_speed[i] = 1.0 if halted or world.speed_command else 0.0
-            state.motor_work[k] = state.soil_work[k] = 0.0
-    _drive(state, counts, first, 0, end, period, courses, world, world.period, longest, 0.0)
+            state.motor_work[k] = state.soil_work[k] = state.numerical_work[k] = 0.0
+    for i in range(0, end, COUNT):
+        _choose_steps(state, first, i, period, world)
+    steps = 1
+    while steps <= MOST_STEPS:
+        _drive_together(state, counts, first, end, period, courses, world, steps)
+        for i in range(end):  # those that are there; what is left of the others is a failed step
+            if period.alive[i] > 0.0:
+                period.left[i] = 0.0
+        steps *= 2
     for i in range(count):
         if what[first + i] != STEP:
             continue
-        if period.left[i] > 1e-9 * longest:
-            _drive_alone(state, counts, first, i, period, courses, world, longest)
+        if period.left[i] > 0.0:
+            _drive_alone(state, counts, first, i, period, courses, world)
         counts.converged[first + i] = 1 if period.clean[i] > 0.0 else 0
         finish(state, counts, first + i, period.command[i], period.start[i], streams, world)

@@ -1,23 +1,27 @@
-"""Newton's method for the speeds of a substep: implicit Euler for travel and rotation, eight wheels at a time in lanes.
+"""Newton's method for the speeds of a stage of a step: travel and rotation, eight wheels at a time in lanes.
 
-    V = V0 + h/m (DP - m g sin(grade)),   u = u0 + h r/J (T_motor - T),   u = r w
+    V = V* + h/m (DP - m g sin(grade)),   u = u* + h r/J (T_motor - T),   u = r w
 
-with the analytic derivatives of the reaction. Newton's method takes one wheel longer than another: a lane whose wheel
-has converged goes on with the next of up to `MANY`.
+with the analytic derivatives of the reaction. A step of H seconds has two such stages, each with h = g H,
+g = 1 - 1/sqrt(2): the first from the speeds V0, u0 that it begins with, the second from V* = V0 + (1 - g)/g (V1 - V0)
+and u* alike. That is the L-stable diagonally implicit Runge-Kutta method of second order (Alexander 1977, SIAM J.
+Numer. Anal. 14(6):1006-1021). Newton's method takes one wheel longer than another: a lane whose wheel has converged
+goes on with the next of up to `MANY`.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env._numba.compiling import inlined
-from soil_env._numba.elementary import below, chosen, half_sin_cos, larger, smaller
+from soil_env._numba.elementary import below, chosen, half_sin_cos, larger, smaller, where_less
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
 from soil_env._numba.rows import copy_column, rows, scratch_rows
 from soil_env.parameters import SoilState
-from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.terrain import ground_at, rut_factor
 from soil_env.simulation.wheel import (
     motor,
 )
@@ -41,8 +45,10 @@ from soil_env.terramechanics.reaction import (
 )
 
 MANY = 16 * COUNT  # wheels that `advance` takes at most
+GAMMA = 1.0 - math.sqrt(0.5)  # duration of a stage over that of the step
+LEAD = math.sqrt(2.0)  # (1 - GAMMA) / GAMMA - 1: how far the second stage begins beyond the end of the first
 TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
-_SHORT = 0.1  # share of the rim speed up to which the first step goes by the last reaction
+_SHORT = 0.1  # share of the rim speed up to which the first try is the foreseen speed
 _FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
 _PASSES = 60  # evaluations of the reaction in a substep, at most
 _TRIES = 8  # of them at most along one step of Newton's method
@@ -51,9 +57,9 @@ _HUGE = 1e300
 # --- scratch, a column a wheel ----------------------------------------------------------------------------------------
 
 #: A control period.
-Period = rows("Period", "start", "command", "by_speed", "left", "alive", "clean")
+Period = rows("Period", "start", "command", "by_speed", "left", "alive", "clean", "steps", "speed_before", "rim_before")
 #: The ground in a substep: a `SoilState`, first undisturbed and then as the wheel meets it.
-Footing = rows("Footing", *SoilState._fields, "grade", "passes", "lift")
+Footing = rows("Footing", *SoilState._fields, "grade", "passes", "lift", "sinkage")
 #: The equations of a substep; the last two are the speeds to try next.
 _Equations = rows(
     "_Equations", "speed0", "rim0", "gain_v", "weight_along", "load", "tan_phi", "cohesion", "shear_modulus",
@@ -135,7 +141,7 @@ def newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
 
 @inlined
 def gather_ground(state, counts, first, block, period, g, courses, world, h):
-    """The undisturbed ground under eight wheels in the middle of the substep, with the rut left by earlier passes."""
+    """The undisturbed ground under eight wheels in the middle of a stage of h seconds, with its rut."""
     for i in range(block, block + COUNT):
         k = first + i
         if period.alive[i] == 0.0:  # nobody there
@@ -146,7 +152,7 @@ def gather_ground(state, counts, first, block, period, g, courses, world, h):
         soil, grade, patch = ground_at(courses, k, x, counts.patch[k], world.border)
         counts.patch[k] = patch
         g.tan_phi[i], g.cohesion[i], g.shear_modulus[i] = soil.tan_phi, soil.cohesion, soil.shear_modulus
-        g.sinkage_coefficient[i] = soil.sinkage_coefficient * courses.modulus[k, cell]
+        g.sinkage_coefficient[i] = soil.sinkage_coefficient * rut_factor(courses, k, x)
         g.sinkage_exponent[i] = soil.sinkage_exponent
         g.dig_gain[i], g.dig_recovery[i], g.grade[i] = soil.dig_gain, soil.dig_recovery, grade
         g.passes[i] = 2.0 if courses.rut[k, cell] > 0.0 else 1.0
@@ -163,21 +169,41 @@ def soil_in_lanes(g, i):
 
 
 @inlined
-def _first_try(state, k, speed0, u0, cv, cu, weight_along, command, by_speed, world):
-    """Speeds to try first: a Newton step by the reaction of the last substep to first order, where it is short."""
-    torque, torque_w, _ = motor(command, by_speed, u0 / world.wheel.radius, world)
-    dv, du = newton_step(
-        -cv * (from_array(state.drawbar_pull, k) - weight_along), -cu * (torque - from_array(state.torque, k)), cv, cu,
+def _foreseen(state, k, back_v, back_u, cv, cu, weight_along, command, by_speed, world):
+    """Change of the speeds [m/s] of eight wheels in a stage, by the reaction of the last one to first order.
+
+    The stage begins at speeds that lie `back_v`, `back_u` behind those that the wheels have.
+    """
+    r = world.wheel.radius
+    torque, torque_w, _ = motor(command, by_speed, from_array(state.wheel_speed, k), world)
+    return newton_step(
+        back_v - cv * (from_array(state.drawbar_pull, k) - weight_along),
+        back_u - cu * (torque - from_array(state.torque, k)), cv, cu,
         from_array(state.pull_by_speed, k), from_array(state.pull_by_rim, k), from_array(state.torque_by_speed, k),
-        from_array(state.torque_by_rim, k) - torque_w / world.wheel.radius,
+        from_array(state.torque_by_rim, k) - torque_w / r,
     )  # fmt: skip
-    short = below(larger(abs(dv), abs(du)), _SHORT * (abs(u0) + REST_SPEED))
-    return speed0 + short * dv, u0 + short * du
 
 
 @inlined
-def set_up(state, first, i, period, sub, world, h):
-    """The equations of a substep of the eight wheels from column i on, and where Newton's method starts."""
+def change_ahead(state, k, command, by_speed, world, h):
+    """Foreseen change of the speeds [of the top rim speed] of eight wheels in h seconds under their commands."""
+    r, mass = world.wheel.radius, from_array(state.mass, k)
+    sin_half, cos_half = half_sin_cos(from_array(state.grade, k))
+    along, still = world.wheel.gravity * mass * (2.0 * sin_half * cos_half), fill(0.0)
+    dv, du = _foreseen(state, k, still, still, h / mass, h * r / world.inertia, along, command, by_speed, world)
+    top = r * world.no_load_speed
+    follow = abs(command * top - r * from_array(state.wheel_speed, k))  # the speed loop stops at its command
+    du = where_less(0.5, by_speed, smaller(abs(du), follow), abs(du))
+    return larger(abs(dv), du) / top
+
+
+@inlined
+def set_up(state, first, i, period, sub, world, h, lead, duration):
+    """The equations of a stage of the eight wheels from column i on, and where Newton's method starts.
+
+    The stage begins at speeds that lie beyond the present ones by `lead` times the change in the stage before, and
+    sinkage is that at its end if it goes on as in the stage before, over the `duration` [s] of this one.
+    """
     wheel, e, g = world.wheel, sub.equations, sub.footing
     k = first + i
     mass, speed0 = from_array(state.mass, k), from_array(state.speed, k)
@@ -185,9 +211,19 @@ def set_up(state, first, i, period, sub, world, h):
     command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
     sin_half, cos_half = half_sin_cos(from_array(g.grade, i))
     sine, weight = 2.0 * sin_half * cos_half, wheel.gravity * mass
+    ahead = duration * from_array(state.sinking, k)
+    sinkage = sinkage + smaller(larger(ahead, -0.1 * sinkage), 0.1 * sinkage)
+    to_array(sinkage, g.sinkage, i)
     ground = ground_under(sinkage, speed0, u0, weight, soil_in_lanes(g, i), sine, from_array(g.passes, i), wheel)
     cv, cu = h / mass, h * wheel.radius / world.inertia
-    v1, u1 = _first_try(state, k, speed0, u0, cv, cu, weight * sine, command, by_speed, world)
+    back_v, back_u = fill(0.0), fill(0.0)
+    if lead > 0.0:
+        back_v = lead * (from_array(period.speed_before, i) - speed0)
+        back_u = lead * (from_array(period.rim_before, i) - u0)
+    dv, du = _foreseen(state, k, back_v, back_u, cv, cu, weight * sine, command, by_speed, world)
+    short = below(larger(abs(dv), abs(du)), _SHORT * (abs(u0) + REST_SPEED))
+    v1, u1 = speed0 + short * dv, u0 + short * du
+    speed0, u0 = speed0 - back_v, u0 - back_u
     soil = ground.soil
     frame = store_nodes(ground.arc, soil.sinkage_exponent, sub.nodes, (i // COUNT) * NODE_COLUMNS)
     _store_frame(frame, e, i)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined
-from soil_env._numba.random_streams import eight_normals
+from soil_env._numba.random_streams import eight_normals, normal_pair
 from soil_env.identification.online import SensorReading
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.effects import NO_EFFECTS, measured_slip, slip_sinkage_ratio
@@ -30,6 +30,8 @@ class SensorNumbers(NamedTuple):
 
     radius: float
     noise: np.ndarray  # [8] sd of slip, sinkage, pull, load, torque, speed, rim speed, pitch, in their own units
+    odometry_scale: float  # sd
+    period: float  # [s]
     errors: SensorErrors
 
 
@@ -41,7 +43,23 @@ def sensor_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> S
         n.slip, n.sinkage, n.drawbar_pull * weight, n.load * weight, n.torque * weight * r, n.speed,
         n.wheel_speed * r, n.pitch,
     ]  # fmt: skip
-    return SensorNumbers(r, np.array(noise), SensorErrors(*(getattr(effects, name) for name in SensorErrors._fields)))
+    errors = SensorErrors(*(getattr(effects, name) for name in SensorErrors._fields))
+    return SensorNumbers(r, np.array(noise), n.odometry_scale, scenario.control.period, errors)
+
+
+@inlined
+def start_odometry(state, k, streams, sensors):
+    """Odometry of wheel k at the start of a course, with a scale that stays the same over it."""
+    state.odometer[k], state.odometer_scale[k] = 0.0, 1.0 + sensors.odometry_scale * normal_pair(streams, k)[0]
+
+
+@inlined
+def roll_odometer(state, k, speed, sensors):
+    """Odometry of wheel k after a control period at whose end the sensor read this `speed` [m/s].
+
+    It integrates the readings of the speed sensor, so that its difference says nothing that they do not.
+    """
+    state.odometer[k] += state.odometer_scale[k] * speed * sensors.period
 
 
 @inlined

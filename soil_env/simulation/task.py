@@ -18,7 +18,7 @@ from soil_env._numba.compiling import inlined
 from soil_env.identification import Status
 from soil_env.parameters import Scenario
 from soil_env.simulation.sensors import SensorNumbers, sensor_numbers
-from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.terrain import BEHIND, ground_at
 from soil_env.terramechanics.model import WheelSoilModel
 
 
@@ -27,8 +27,8 @@ class Cause(enum.IntEnum):
 
     RUNNING = 0
     FINISHED = 1  # reached the end of the course
-    ENTRAPPED = 2  # slip stays high and the wheel makes no progress
-    STALLED = 3  # the wheel does not turn outside a halt: the ground takes more torque than the drive gives
+    ENTRAPPED = 2  # no progress, though the wheel turns
+    STALLED = 3  # no progress, and the wheel does not turn: the ground takes more torque than the drive gives
     BOGGED = 4  # sinkage over the limit
     TIME_LIMIT = 5  # neither finished nor immobilised in time
 
@@ -63,7 +63,7 @@ _BLIND = (
     ObservedNumber("rim_speed", "of top rim speed", -5.0, 5.0),
     ObservedNumber("pitch", "rad, uphill positive", -1.6, 1.6),
     ObservedNumber("last_action", "-", -1.0, 1.0),
-    ObservedNumber("progress", "of course length", -5.0, 5.0),
+    ObservedNumber("odometry", "of course length", -5.0, 5.0),
     ObservedNumber("halted", "0 or 1", 0.0, 1.0),
 )
 _IDENTIFIED = (
@@ -114,11 +114,9 @@ class TaskNumbers(NamedTuple):
     sensors: SensorNumbers
     low: np.ndarray  # [D] float32 bounds of the observation
     high: np.ndarray
-    entrapped_slip: float
-    entrapped_speed: float
-    entrapped_time: float
+    no_progress_distance: float
+    no_progress_time: float
     stalled_rim_speed: float
-    stalled_time: float
     bogged_sinkage: float  # [m]
     reward_progress: float
     reward_energy: float
@@ -146,11 +144,9 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
         sensor_numbers(scenario, model),
         np.array([e.low for e in entries], dtype=np.float32),
         np.array([e.high for e in entries], dtype=np.float32),
-        lim.entrapped_slip,
-        lim.entrapped_speed,
-        lim.entrapped_time,
+        lim.no_progress_distance,
+        lim.no_progress_time,
         lim.stalled_rim_speed,
-        lim.stalled_time,
         lim.bogged_sinkage * w.radius,
         scenario.reward.progress,
         scenario.reward.energy,
@@ -164,7 +160,6 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
 @inlined
 def write_observation(out, state, counts, k, reading, pitch, courses, ids, task):
     """Fill the observation `out` [D] of wheel k, cut to the bounds of the layout."""
-    x = state.x[k]
     out[0] = reading.slip
     out[1] = reading.sinkage / task.radius
     out[2] = reading.drawbar_pull / task.weight
@@ -174,7 +169,7 @@ def write_observation(out, state, counts, k, reading, pitch, courses, ids, task)
     out[6] = reading.rim_speed / task.top_speed
     out[7] = pitch
     out[8] = state.last_action[k]
-    out[9] = x / task.length
+    out[9] = state.odometer[k] / task.length
     out[10] = 1.0 if state.halt_left[k] > 0.0 else 0.0
     if task.variant == 1:
         mean, sd = ids.estimate[k], ids.sd[k]
@@ -184,7 +179,7 @@ def write_observation(out, state, counts, k, reading, pitch, courses, ids, task)
         out[18], out[19] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
         out[20], out[21] = sd[3] / 1000.0, sd[4]
     elif task.variant == 2:
-        soil, _, _ = ground_at(courses, k, x, counts.patch[k], task.border)
+        soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], task.border)
         out[11] = math.atan(soil.tan_phi)
         out[12], out[13] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
         out[14], out[15] = soil.cohesion / 1000.0, soil.sinkage_exponent
@@ -195,22 +190,27 @@ def write_observation(out, state, counts, k, reading, pitch, courses, ids, task)
 
 @inlined
 def judge(state, counts, k, task):
-    """`Cause` of wheel k after a step; advances its two clocks, which run back while their condition does not hold."""
+    """`Cause` of wheel k after a step; advances its clocks, which stand still in halts.
+
+    A wheel is immobilised when it has not got `no_progress_distance` further than ever before for `no_progress_time`,
+    whatever it does meanwhile, or has left the course backwards.
+    """
     out_of_time = counts.steps[k] >= task.steps
     if state.halt_left[k] > 0.0:
         return _TIME_LIMIT if out_of_time else _RUNNING
-    trapped = state.slip[k] > task.entrapped_slip and abs(state.speed[k]) < task.entrapped_speed
-    state.entrapped_time[k] = max(0.0, state.entrapped_time[k] + (task.period if trapped else -task.period))
-    stalled = abs(state.wheel_speed[k]) * task.radius < task.stalled_rim_speed
-    state.stalled_time[k] = max(0.0, state.stalled_time[k] + (task.period if stalled else -task.period))
+    if state.best_x[k] >= state.mark_x[k] + task.no_progress_distance:
+        state.mark_x[k] = state.best_x[k]
+        state.idle_time[k] = state.stalled_time[k] = 0.0
+    else:
+        state.idle_time[k] += task.period
+        stalled = abs(state.wheel_speed[k]) * task.radius < task.stalled_rim_speed
+        state.stalled_time[k] += task.period if stalled else 0.0
     if state.x[k] >= task.length:
         return _FINISHED
     if state.sinkage[k] > task.bogged_sinkage:
         return _BOGGED
-    if state.entrapped_time[k] >= task.entrapped_time - 1e-9:
-        return _ENTRAPPED
-    if state.stalled_time[k] >= task.stalled_time - 1e-9:
-        return _STALLED
+    if state.idle_time[k] >= task.no_progress_time - 1e-9 or state.x[k] < -BEHIND:
+        return _STALLED if state.stalled_time[k] > 0.5 * state.idle_time[k] else _ENTRAPPED
     if out_of_time:
         return _TIME_LIMIT
     return _RUNNING

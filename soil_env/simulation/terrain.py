@@ -11,10 +11,12 @@ from soil_env._numba.compiling import inlined
 from soil_env.parameters import Scenario, SoilState
 
 CELL = 0.05  # [m] length of one cell of the rut
+CELLS_BEHIND = 10
+BEHIND = CELLS_BEHIND * CELL  # [m] ground behind the start of a course that has cells of its own
 
 # How a pass changes the ground, as a factor on the sinkage coefficient S of the cell. A rolling wheel compacts, a
 # digging one loosens. The direction is that of multi-pass tests (Holm 1969, Proc. 3rd ISTVS Conf. II:1-12); the law
-# is ours: factor = COMPACTION * (z / z_w)^-LOOSENING, bounded.
+# is ours: factor = COMPACTION * (digging ratio)^-LOOSENING, bounded.
 COMPACTION = 1.6
 LOOSENING = 1.5
 MODULUS_BOUNDS = (0.3, 3.0)
@@ -34,14 +36,14 @@ class Courses(NamedTuple):
     ready: np.ndarray  # [wheels] x [m] up to which the ground is final; +inf once the whole course is drawn
     streams: np.ndarray  # [wheels] uint64, from which the patches to come are drawn
     modulus: np.ndarray  # [wheels, cells] factor on S left by earlier passes [-]
-    rut: np.ndarray  # [wheels, cells] depth of the rut [m]
+    rut: np.ndarray  # [wheels, cells] depth of the rut below the undisturbed surface [m]; 0 before the first pass
 
 
 def new_courses(wheels: int, scenario: Scenario) -> Courses:
     """Empty courses for `wheels` wheels."""
     spec = scenario.course
     patches = math.ceil(spec.length / spec.patch_length[0]) + 2
-    cells = math.ceil(spec.length / CELL) + 2
+    cells = CELLS_BEHIND + math.ceil(spec.length / CELL) + 2
     return Courses(
         np.full((wheels, patches + 1), np.inf),
         np.zeros((wheels, patches, 7)),
@@ -98,14 +100,44 @@ def ground_at(courses, k, x, patch, border):
 
 @inlined
 def cell_at(courses, x):
-    """Index of the rut cell at x [m]."""
-    return min(max(int(x / CELL), 0), courses.modulus.shape[1] - 1)
+    """Index of the rut cell at x [m]; the first begins `BEHIND` metres before the start."""
+    return min(max(int(math.floor(x / CELL)) + CELLS_BEHIND, 0), courses.modulus.shape[1] - 1)
 
 
 @inlined
-def leave_rut(courses, k, cell, sinkage, bearing_sinkage):
-    """Mark a cell as driven over: its rut, and soil compacted by rolling or loosened by digging."""
-    dug = max(sinkage / max(bearing_sinkage, 1e-4), 0.5)
+def rut_factor(courses, k, x):
+    """Factor on S left by earlier passes at x [m], linear between the middles of the cells."""
+    place = min(max(x / CELL + (CELLS_BEHIND - 0.5), 0.0), courses.modulus.shape[1] - 1.0)
+    cell = min(int(place), courses.modulus.shape[1] - 2)
+    here = courses.modulus[k, cell]
+    return here + (place - cell) * (courses.modulus[k, cell + 1] - here)
+
+
+@inlined
+def cell_after(courses, cell, x):
+    """The cell of a wheel that comes from `cell` and is at x [m]: the next one begins for it in its middle.
+
+    So a cell is passed once the wheel no longer stands on any of it (`rut_factor`), and rocking over a border passes
+    none.
+    """
+    place = x / CELL + (CELLS_BEHIND - 0.5)
+    after = math.floor(place) if place >= cell + 1.0 else (math.ceil(place) if place <= cell - 1.0 else float(cell))
+    return int(min(max(after, 0.0), courses.modulus.shape[1] - 1.0))
+
+
+@inlined
+def digging_ratio_of(slid, way, gain, recovery):
+    """Steady sinkage over that without slip for a wheel whose rim slid `slid` metres on a `way` [m], at least 1.
+
+    `effects.slip_sinkage_ratio` at the mean slip on that way. It says how much a wheel dug here; its sinkage over z_w
+    does not, since sinkage lags behind a change of the ground.
+    """
+    return 1.0 + gain * slid / (way + recovery * slid)
+
+
+@inlined
+def leave_rut(courses, k, cell, depth, dug):
+    """Mark a cell as driven over: its rut, `depth` [m], and soil compacted by rolling or loosened by digging."""
     factor = courses.modulus[k, cell] * COMPACTION * dug**-LOOSENING
     courses.modulus[k, cell] = min(max(factor, MODULUS_BOUNDS[0]), MODULUS_BOUNDS[1])
-    courses.rut[k, cell] = max(courses.rut[k, cell], sinkage)
+    courses.rut[k, cell] = max(courses.rut[k, cell], depth)

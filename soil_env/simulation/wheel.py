@@ -2,7 +2,7 @@
 
     m dV/dt = DP - m g sin(grade)            travel, m = wheel with its share of the body, and payload
     J dw/dt = T_motor - T                    rotation
-    dz/dt   = B z_w - A z                    sinkage, `effects.excavation_rate`
+    dz/dt   = B z_w - A z                    sinkage on fresh ground, `effects.excavation_rate`
     W       = m g cos(grade)                 Eq. (1), met at every instant
 
 z_w is the depth at which undisturbed soil carries the same peak pressure as the wheel now has under it. At a sinkage
@@ -10,7 +10,8 @@ z the load mobilises a sinkage coefficient s, in closed form since Eq. (1) is li
 (`contact.mobilised_sinkage_coefficient`); equal pressure s z^n = S z_w^n then gives z_w = z (s/S)^(1/n). So the
 balance (1) holds throughout and no root is sought; the steady state at any slip is that of `steady.steady_state`.
 (Where cohesion alone carries more than the load, s is 0 and the reported load exceeds the weight: a deeply dug wheel
-in strongly cohesive soil.) `dynamics` steps these equations.
+in strongly cohesive soil.) Ground that the wheel has touched before keeps its rut: travel over it takes the sinkage to
+the depth of the rut instead of z_w (`relax_sinkage`). `dynamics` steps these equations.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from soil_env._numba.elementary import exp, larger, power, smaller, where_less
 from soil_env._numba.random_streams import between
 from soil_env._numba.rows import rows, zero_column
 from soil_env.parameters import Scenario
-from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.terrain import cell_at, ground_at
 from soil_env.terramechanics.contact import (
     slip_ratio,
 )
@@ -42,10 +43,15 @@ SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on les
 WheelState = rows(
     "WheelState",
     "x",  # [m] distance along the course
-    "best_x",  # [m] furthest x so far
+    "best_x",  # [m] furthest x so far: ground beyond it is fresh
+    "lowest_x",  # [m] least x so far: ground before it is fresh
     "speed",  # V [m/s]
     "wheel_speed",  # w [rad/s]
     "sinkage",  # z [m] below the undisturbed surface
+    "sinking",  # dz/dt [m/s] in the last stage
+    "rut_depth",  # [m] of the ground under the wheel where it has been before
+    "cell_x",  # [m] where the wheel came into the present cell
+    "slid",  # [m] that the rim has slid over the ground since
     "mass",  # [kg]
     "motor_torque",  # [N m]
     "available_torque",  # [N m] of the motor at this wheel speed, in the direction of the command
@@ -61,10 +67,14 @@ WheelState = rows(
     "grade",  # [rad] at the wheel
     "motor_work",  # [J] in the last control period
     "soil_work",  # [J] that soil and drivetrain took from it, T w - DP V, in the last control period
+    "numerical_work",  # [J] that the integrator took from it, in the last control period
     "travel",  # [m] in the last control period
     "last_action",  # [-1, 1]
-    "entrapped_time",  # [s] the conditions of entrapment have held
-    "stalled_time",  # [s] the conditions of stalling have held
+    "mark_x",  # [m] `best_x` when it last was a further `no_progress_distance` on
+    "idle_time",  # [s] since then, halts left out
+    "stalled_time",  # [s] of it in which the wheel did not turn
+    "odometer",  # [m] distance by odometry
+    "odometer_scale",  # [-] its scale on this course
     "next_halt",  # [m] place of the next commanded halt
     "halt_left",  # [s] left of the present halt, 0 while driving
 )
@@ -156,12 +166,16 @@ def bearing_sinkage(sinkage, modulus, soil):
 
 
 @inlined
-def relax_sinkage(sinkage, bearing, speed, slip_speed, soil, length, h):
-    """Sinkage [m] after h seconds of dz/dt = B z_w - A z (`effects.excavation_rate`)."""
+def relax_sinkage(sinkage, bearing, onto, speed, slip_speed, soil, length, h):
+    """Sinkage [m] after h seconds of dz/dt = B z_w - A z + |V| (onto - z_w) / length (`effects.excavation_rate`).
+
+    `onto` [m] is the depth that travel leads to: z_w on fresh ground, that of the rut where the wheel has been.
+    """
     a, b = excavation_rate(abs(speed), abs(slip_speed), soil.dig_gain, soil.dig_recovery, length)
+    rut = abs(speed) * (onto - bearing) / length
     yielding = where_less(sinkage, bearing, 1.0 / SETTLING_TIME, 0.0)  # under the load at once, travelling or not
     a, b = a + yielding, b + yielding
-    goal = b * bearing / a
+    goal = (b * bearing + rut) / a
     return where_less(a * h, 1e-12, sinkage, goal + (sinkage - goal) * exp(-a * h))
 
 
@@ -171,7 +185,6 @@ def finish(state, counts, k, command, x_start, streams, world):
     x = state.x[k]
     state.slip[k] = slip_ratio(state.wheel_speed[k] * world.wheel.radius, state.speed[k], REST_SPEED)
     state.travel[k] = x - x_start
-    state.best_x[k] = max(state.best_x[k], x)
     state.last_action[k] = command
     counts.steps[k] += 1
     if state.halt_left[k] > 0.0:
@@ -192,7 +205,8 @@ def settle(state, counts, k, mass, courses, streams, world):
     zero_column(state, k)
     zero_column(counts, k)
     state.sinkage[k] = state.bearing_sinkage[k] = max(rest.sinkage, SHALLOWEST * wheel.radius)
+    state.rut_depth[k] = state.sinkage[k]
     state.mass[k], state.load[k], state.grade[k] = mass, load, grade
     state.available_torque[k] = world.stall_torque
     state.next_halt[k] = between(streams, k, world.halt_low, world.halt_high)
-    counts.converged[k], counts.patch[k] = 1, patch
+    counts.converged[k], counts.patch[k], counts.cell[k] = 1, patch, cell_at(courses, 0.0)

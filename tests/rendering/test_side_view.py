@@ -12,6 +12,7 @@ from soil_env.parameters import load_scenario
 from soil_env.rendering import charts
 from soil_env.rendering import side_view as rendering
 from soil_env.rendering.side_view import Renderer, contact_stresses
+from soil_env.simulation.terrain import cell_at
 from soil_env.simulation.worlds import Simulation
 
 SCALE = rendering.SCENE[2] / rendering._VIEW  # units of the design per wheel radius
@@ -110,7 +111,7 @@ def test_rut_lowers_the_ground_behind_the_wheel():
     drive(simulation, renderer, 60)
     with_rut = scene(renderer.draw(simulation, 0))
     rut = simulation.worlds.courses.rut
-    depth = rut[0, int(simulation.worlds.state[0]["x"] / rendering.CELL) - 4]
+    depth = rut[0, cell_at(simulation.worlds.courses, simulation.worlds.state[0]["x"]) - 4]
     rut[:] = 0.0
     without = scene(renderer.draw(simulation, 0))
     column = int(hub(simulation)[0] - 1.5 * SCALE)

@@ -61,29 +61,57 @@ def test_the_steps_converge():
 
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
 def test_laws_of_motion(mode):
-    """Over one substep: m dV = (DP - m g sin) h and J dw = (T_motor - T) h with the forces at its end.
+    """Of a step with two stages: m dV = (DP - m g sin) h and the balance of energy, with the forces of the motion.
 
-    Met as closely as the iteration promises in V and r w.
+    The speed after the first stage follows from the distance. Met as closely as the iteration promises in V and r w.
     """
-    met = dynamics.TOLERANCE  # [m/s]
+    met, h, g, judged = dynamics.TOLERANCE, 0.05, 1.0 - math.sqrt(0.5), 0
     assert met <= 1e-5
-    wheels = start(5, mode, course=EASY)
-    wheels = wheels._replace(world=wheels.world._replace(substeps=1, period=0.05))
+    wheels = start(5, mode, soil="lete_sand", grade_deg=4.0)
+    wheels = wheels._replace(world=wheels.world._replace(substeps=1, period=h))
     world, w, rng = wheels.world, wheels.now(), np.random.default_rng(0)
     r, gravity = world.wheel.radius, world.wheel.gravity
     for k in range(200):
         before = w
         if k % 8 == 0:
-            command = rng.uniform(-0.5, 1.0)
+            command = rng.uniform(0.1, 0.5)
         wheels.step(command)
         w = wheels.now()
+        assert w.travel == w.x - before.x
+        rise = w.mass * gravity * math.sin(w.grade) * w.travel
+        kinetic = 0.5 * w.mass * (w.speed**2 - before.speed**2)
+        kinetic += 0.5 * world.inertia * (w.wheel_speed**2 - before.wheel_speed**2)
+        missing = w.motor_work - w.soil_work - kinetic - rise - w.numerical_work
+        fastest = max(abs(w.speed), abs(before.speed), r * abs(w.wheel_speed), r * abs(before.wheel_speed))
+        assert abs(missing) < 8.0 * met * fastest * (w.mass + world.inertia / r**2) + 1e-12
+        after_first = (w.travel / h - g * w.speed) / (1.0 - g)
         push = w.drawbar_pull - w.mass * gravity * math.sin(w.grade)
-        assert w.speed - before.speed == pytest.approx(push / w.mass * 0.05, abs=met)
-        twist = (w.motor_torque - w.torque) / world.inertia * 0.05
-        assert w.wheel_speed - before.wheel_speed == pytest.approx(twist, abs=met / r)
-        assert w.travel == w.x - before.x == pytest.approx(0.5 * 0.05 * (before.speed + w.speed), rel=1e-9, abs=1e-12)
-        assert w.motor_work == pytest.approx(0.05 * w.motor_torque * w.wheel_speed, rel=1e-9, abs=1e-12)
-    assert w.x > 0.2
+        stage = w.speed - before.speed - (1.0 - g) / g * (after_first - before.speed)
+        judged += abs(stage - g * h * push / w.mass) < 4.0 * met
+    assert w.x > 0.2 and judged > 180  # a few go in several steps
+
+
+@pytest.mark.parametrize(("every", "error"), [(1, 0.06), (2, 0.04), (5, 0.03)])
+def test_reversals_of_the_torque_are_followed(every, error):
+    """Full reversals every 0.1 to 0.5 s: distance and work against steps 32 times as short, median of 16 courses."""
+    rng, runs = np.random.default_rng(1), []
+    size = rng.uniform(0.2, 1.0, (60, 16))
+    for refine in (1, 32):
+        wheels = on_random_courses(range(16))
+        wheels.state.next_halt = 1e9
+        wheels = wheels._replace(world=wheels.world._replace(substeps=wheels.world.substeps * refine))
+        x, motor_work, lost = [], np.zeros(16), np.zeros(16)
+        for k in range(60):
+            wheels.step((-1.0 if k // every % 2 else 1.0) * size[k // every * every])
+            x.append(wheels.state.x.copy())
+            motor_work += wheels.state.motor_work
+            lost += wheels.state.numerical_work
+        runs.append((np.array(x), motor_work, lost))
+    (x, work, lost), (exact, exact_work, _) = runs
+    off = np.sqrt(np.mean((x - exact) ** 2, axis=0)) / np.abs(exact).max(axis=0)
+    assert np.median(off) < error
+    assert np.median(work / exact_work) == pytest.approx(1.0, abs=0.06)
+    assert np.median(np.abs(lost / work)) < 0.08
 
 
 # --- motor ------------------------------------------------------------------------------------------------------------
@@ -252,30 +280,74 @@ def test_full_reverse_at_full_speed():
 # --- rut --------------------------------------------------------------------------------------------------------------
 
 
-def test_rolling_out_and_back_finds_compacted_ground():
+def test_rolling_out_and_back_keeps_the_rut():
+    """Compacted by the first pass, the ground is as deep as it was left: a rut does not heal."""
     wheels = start(soil="grenville_loam", grade_deg=0.0, mode="wheel_speed")
     out = wheels.drive([0.4] * 60)
     assert out[-1, 0] > 0.5
-    courses, cell = wheels.courses, wheels.now().cell
-    cells = slice(2, cell - 2)
+    courses, cell, first = wheels.courses, wheels.now().cell, terrain.cell_at(wheels.courses, 0.0)
+    cells = slice(first + 2, cell - 2)
     once = courses.modulus[0, cells].copy()
     assert once.size > 5 and np.all(once > 1.0)
     assert np.all(courses.rut[0, cells] > 0.0)
     assert np.all(courses.modulus[0, cell + 1 :] == 1.0)  # not yet driven over
     back = wheels.drive([-0.4] * 50)
     assert back[-1, 0] < out[-1, 0] - 0.3
-    # a second pass sinks less than the first at the same place
-    first = np.interp(0.4, out[:, 0], out[:, 1])
-    second = np.interp(0.4, back[::-1, 0], back[::-1, 1])
-    assert second < first
+    there = np.interp(0.4, out[:, 0], out[:, 1])
+    again = np.interp(0.4, back[::-1, 0], back[::-1, 1])
+    assert 0.97 * there < again < 1.3 * there
 
 
 def test_spinning_loosens():
     wheels = start(soil="lete_sand", grade_deg=14.0)
     rows = wheels.drive([0.8] * 100)
     assert np.median(rows[:, 3]) > 0.5
-    left = wheels.courses.modulus[0, 1 : wheels.now().cell]
+    left = wheels.courses.modulus[0, terrain.cell_at(wheels.courses, 0.0) + 1 : wheels.now().cell]
     assert left.size > 5 and np.all(left < 1.0)
+
+
+@pytest.mark.parametrize("amplitude", [0.003, 0.02])
+def test_rocking_on_the_spot_heals_nothing(amplitude):
+    """A wheel in a hole of 10 cm that rocks by some mm stays in it: what moves under it is the ground it has dug up."""
+    wheels = start(soil="dry_sand", grade_deg=0.0, mode="wheel_speed")
+    wheels.drive([0.3] * 30)
+    wheels.state.sinkage[0] = wheels.state.rut_depth[0] = 0.1
+    here, way, forward = wheels.now().x, 0.0, True
+    for _ in range(200):
+        if abs(wheels.now().x - here) > amplitude:
+            forward = wheels.now().x < here
+        before = wheels.now().x
+        wheels.step(0.15 if forward else -0.15)
+        way += abs(wheels.now().x - before)
+    assert way > 0.3 and abs(wheels.now().x - here) < 0.1
+    assert wheels.now().sinkage > 0.097
+
+
+def test_a_wheel_backs_out_of_its_hole_onto_its_rut():
+    """Where it has rolled the ground is no deeper than it left it: within some radii it is out of the hole."""
+    wheels = start(soil="grenville_loam", grade_deg=0.0, mode="wheel_speed")
+    out = wheels.drive([0.4] * 60)
+    rolled = out[-1, 1]
+    wheels.state.sinkage[0] = wheels.state.rut_depth[0] = 2.5 * rolled
+    back = wheels.drive([-0.4] * 60)
+    assert out[-1, 0] - back[-1, 0] > 0.8
+    assert back[-1, 1] < 1.4 * rolled
+    assert np.all(np.diff(back[5:, 1]) < 5e-4)
+
+
+def test_a_rut_is_left_by_digging_and_not_by_lag():
+    """From soft to firm ground at little slip: the wheel comes out of its depth and does not loosen the firm ground."""
+    wheels = start(soil="dry_sand_loose", grade_deg=0.0, mode="wheel_speed")
+    courses, firm = wheels.courses, soils()["grenville_loam"].state(0.15)
+    courses.edges[0, :3], courses.patches[0], courses.grades[0, :] = (0.0, 1.0, 1e3), 2, 0.0
+    courses.soils[0, 1] = firm
+    rows = wheels.drive([0.4] * 100)
+    assert rows[-1, 0] > 2.0
+    x = (np.arange(courses.modulus.shape[1]) + 0.5) * terrain.CELL - terrain.BEHIND
+    lagging = np.interp(1.25, rows[:, 0], rows[:, 1]) / rows[-1, 1]
+    assert lagging > 1.3  # deeper than the firm ground asks for
+    left = courses.modulus[0, (x > 1.1) & (x < rows[-1, 0] - 0.2)]
+    assert np.all(left > 1.2) and np.ptp(left) < 0.2
 
 
 def test_spinning_digs_a_wheel_in_for_good():

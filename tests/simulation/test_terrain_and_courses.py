@@ -321,13 +321,13 @@ def test_presets_are_drawn_by_weight():
 
 def test_rolling_compacts_digging_loosens_within_bounds(scenario):
     courses = terrain.new_courses(1, scenario)
-    terrain.leave_rut(courses, 0, 0, 0.02, 0.02)
-    terrain.leave_rut(courses, 0, 1, 0.06, 0.02)
+    terrain.leave_rut(courses, 0, 0, 0.02, 1.0)
+    terrain.leave_rut(courses, 0, 1, 0.06, 3.0)
     assert courses.modulus[0, 0] > 1.0 > courses.modulus[0, 1]
     assert courses.rut[0, 0] == pytest.approx(0.02) and courses.rut[0, 1] == pytest.approx(0.06)
     for _ in range(50):
-        terrain.leave_rut(courses, 0, 0, 0.02, 0.02)
-        terrain.leave_rut(courses, 0, 1, 0.06, 0.02)
+        terrain.leave_rut(courses, 0, 0, 0.02, 1.0)
+        terrain.leave_rut(courses, 0, 1, 0.06, 3.0)
     low, high = terrain.MODULUS_BOUNDS
     assert courses.modulus[0, 0] == pytest.approx(high) and courses.modulus[0, 1] == pytest.approx(low)
 
@@ -335,5 +335,31 @@ def test_rolling_compacts_digging_loosens_within_bounds(scenario):
 def test_cells(scenario):
     courses = terrain.new_courses(1, scenario)
     assert terrain.cell_at(courses, -3.0) == 0
-    assert terrain.cell_at(courses, 0.12) == 2
+    start = terrain.cell_at(courses, 0.0)
+    assert terrain.cell_at(courses, 0.12) == start + 2
+    assert terrain.cell_at(courses, -0.01) == start - 1 and terrain.cell_at(courses, -terrain.BEHIND) == 0
     assert terrain.cell_at(courses, 1e6) == courses.modulus.shape[1] - 1
+
+
+def test_the_rut_factor_is_continuous_and_that_of_a_cell_in_its_middle(scenario):
+    courses = terrain.new_courses(1, scenario)
+    courses.modulus[0] = np.random.default_rng(0).uniform(0.3, 3.0, courses.modulus.shape[1])
+    x = np.arange(-0.7, scenario.course.length + 0.3, 1e-4)
+    factor = np.array([terrain.rut_factor(courses, 0, at) for at in x])
+    assert np.abs(np.diff(factor)).max() < 2.8 * 1e-4 / terrain.CELL
+    for cell in (0, 7, 50):
+        middle = (cell + 0.5) * terrain.CELL - terrain.BEHIND
+        assert terrain.rut_factor(courses, 0, middle) == pytest.approx(courses.modulus[0, cell], rel=1e-6)
+
+
+def test_a_cell_is_passed_only_when_none_of_it_counts_any_more(scenario):
+    """From middle to middle: the factor under the wheel never jumps, and rocking over a border passes no cell."""
+    courses, cell = terrain.new_courses(1, scenario), terrain.cell_at(terrain.new_courses(1, scenario), 0.5)
+    middle = (cell + 0.5) * terrain.CELL - terrain.BEHIND
+    for x in np.linspace(middle - 0.999 * terrain.CELL, middle + 0.999 * terrain.CELL, 50):
+        assert terrain.cell_after(courses, cell, x) == cell
+    for cells in (1, 2, 7):
+        assert terrain.cell_after(courses, cell, middle + cells * terrain.CELL + 1e-9) == cell + cells
+        assert terrain.cell_after(courses, cell, middle - cells * terrain.CELL - 1e-9) == cell - cells
+    assert terrain.cell_after(courses, cell, 1e6) == courses.modulus.shape[1] - 1
+    assert terrain.cell_after(courses, cell, -1e6) == 0

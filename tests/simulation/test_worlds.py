@@ -14,6 +14,7 @@ from soil_env.simulation import courses as drawing
 from soil_env.simulation import dynamics, terrain
 from soil_env.simulation.sensors import sense
 from soil_env.simulation.task import VARIANTS, task_numbers
+from soil_env.simulation.terrain import rut_factor
 from soil_env.simulation.wheel import WheelState
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.catalogue import CATALOGUE
@@ -145,29 +146,28 @@ def test_a_wheel_at_rest_has_settled():
 def test_recorded_forces_are_those_of_the_motion(case):
     """The last iteration is taken to first order: its forces are still those of `react`, as far as speeds are known."""
     effects = TOGETHER if case == "together" else CASES[case]
-    soil, h, met = soils()["lete_sand"].state(0.15), 0.05, dynamics.TOLERANCE
+    soil, h, met = soils()["lete_sand"].state(0.15), 2e-3, dynamics.TOLERANCE  # short: nothing but the speeds changes
     wheels = on_uniform_ground(effects, soil, 0.05, "torque")
     wheels = wheels._replace(world=wheels.world._replace(substeps=1, period=h))
     courses, world, rng = wheels.courses, wheels.world, np.random.default_rng(1)
     r, gravity, judged = world.wheel.radius, world.wheel.gravity, 0
-    for k in range(200):
-        if k % 8 == 0:
+    for k in range(600):
+        if k % 25 == 0:
             command = rng.uniform(-0.5, 1.0)
         before = wheels.now()
-        stiffer = float(courses.modulus[0, before.cell])
+        stiffer = rut_factor(courses, 0, before.x)
         here = soil._replace(sinkage_coefficient=soil.sinkage_coefficient * stiffer)
         passes = 2.0 if courses.rut[0, before.cell] > 0.0 else 1.0
         wheels.step(command)
         w = wheels.now()
         ground, weight = ground_of(before, here, w.grade, passes, world), w.mass * gravity
-        push = w.drawbar_pull - weight * math.sin(w.grade)
-        if abs(w.speed - before.speed - h * push / w.mass) > met:
-            continue  # went in several substeps
+        if max(abs(w.speed - before.speed), r * abs(w.wheel_speed - before.wheel_speed)) > 2e-3:
+            continue  # the slip that some effects go by has changed within the step
         f = react(ground, w.speed, w.wheel_speed * r, weight * math.cos(w.grade), world.wheel)
         assert w.drawbar_pull - f.drawbar_pull == pytest.approx(0.0, abs=5.0 * met * w.mass / h)
         assert w.torque - f.torque == pytest.approx(0.0, abs=5.0 * met * world.inertia / r / h)
         judged += 1
-    assert judged > 150
+    assert judged > 60
 
 
 def test_blades_push_the_soil_between_them_whatever_the_shear_radius():

@@ -80,7 +80,7 @@ def test_spinning_on_the_spot_excavates(name):
     for _ in range(20):
         modulus = reaction.reaction(0.0, 0.4, sinkage, LOAD, soil, R, B).modulus
         bearing = dynamics.bearing_sinkage(sinkage, modulus, soil)
-        deeper = dynamics.relax_sinkage(sinkage, bearing, 0.0, 0.4, soil, LENGTH, 0.05)
+        deeper = dynamics.relax_sinkage(sinkage, bearing, bearing, 0.0, 0.4, soil, LENGTH, 0.05)
         assert deeper > sinkage
         sinkage = deeper
     assert sinkage > 1.5 * rest
@@ -89,7 +89,7 @@ def test_spinning_on_the_spot_excavates(name):
 def test_resting_wheel_stays_where_it_is():
     soil = soils()["dry_sand"].state(B)
     rest = model.steady_state(0.0, LOAD, soil, R, B).sinkage
-    assert dynamics.relax_sinkage(rest, 0.5 * rest, 0.0, 0.0, soil, LENGTH, 10.0) == rest
+    assert dynamics.relax_sinkage(rest, 0.5 * rest, rest, 0.0, 0.0, soil, LENGTH, 10.0) == rest
 
 
 def test_the_effect_digs_in_place_of_the_soil():

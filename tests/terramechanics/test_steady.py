@@ -154,7 +154,7 @@ def test_the_dynamics_settle_at_the_steady_state(name, slip):
     for _ in range(1500):
         modulus = reaction.reaction(speed, rim_speed, sinkage, 120.0, soil, R, B).modulus
         bearing = dynamics.bearing_sinkage(sinkage, modulus, soil)
-        sinkage = dynamics.relax_sinkage(sinkage, bearing, speed, rim_speed - speed, soil, 2.0 * R, step)
+        sinkage = dynamics.relax_sinkage(sinkage, bearing, bearing, speed, rim_speed - speed, soil, 2.0 * R, step)
     assert sinkage == pytest.approx(model.steady_state(slip, 120.0, soil, R, B).sinkage, rel=1e-3)
 
 
