@@ -1,16 +1,15 @@
 """Invariants of every step of every configuration, and the energy balance of a step.
 
-Implicit Euler, multiplied by the new speeds, is an energy balance of each substep h:
+The stages of a step, multiplied by their speeds and summed, are an energy balance:
 
-    h T_m w = d(m V^2/2 + J w^2/2) + h m g sin(grade) V + h (T w - DP V) + [m (dV)^2 + J (dw)^2]/2 + e
+    motor work = d(m V^2/2 + J w^2/2) + work against gravity + sum of h_i (T w - DP V) + numerical work + e
 
 left the work of the motor; right the change of kinetic energy, the work against gravity, what soil and drivetrain take
-(slip losses and compaction; `soil_work` of the state), the dissipation of the integrator, of second order in the change
-of speed, and e, what the Newton iteration leaves: at most 1e-4 m/s (m |V| + J |w|/r), in general a hundredth of it.
-The gain of height is taken here from the course itself, by quadrature over the distance travelled. It differs from the
-sum of the substeps by m g h/2 times the change of V sin(grade) and, where the grade changes, by m g times the distance
-times its change within a substep. A wheel that starts or stops may do so within one substep, anywhere in the period:
-all of its gain of height counts as uncertain.
+(slip losses and compaction; `soil_work` of the state), what the integrator takes (`numerical_work` of the state), and
+e, what the Newton iteration leaves: at most 1e-4 m/s (m |V| + J |w|/r) a stage, in general a hundredth of it. The gain
+of height is taken here from the course itself, by quadrature over the distance travelled. Where the grade changes it
+differs from the sum of the stages by m g times the distance times its change within a step. A wheel that starts or
+stops may do so within one step, anywhere in the period: all of its gain of height counts as uncertain.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import root
+from soil_env.simulation.dynamics import MOST_STEPS
 from soil_env.simulation.newton import REST_SPEED
 from soil_env.simulation.terrain import ground_at
 from soil_env.simulation.wheel import WheelState
@@ -28,7 +28,7 @@ from soil_env.simulation.wheel import WheelState
 _x, _w = np.polynomial.legendre.leggauss(8)
 _NODES, _WEIGHTS = tuple(0.5 * (_x + 1.0)), tuple(0.5 * _w)
 _PIECES = 4
-NEWTON = 1e-4  # [m/s] largest residual of a substep that counts as converged
+NEWTON = 1e-4  # [m/s] largest residual of a stage that counts as converged
 
 
 @root
@@ -57,7 +57,7 @@ class Ledger(NamedTuple):
     height: np.ndarray  # work against gravity
     soil: np.ndarray  # taken by soil and drivetrain
     tolerance: np.ndarray  # what Newton's iteration and the sum of heights may leave
-    integrator: np.ndarray  # dissipation of the integrator, if the period was one substep
+    integrator: np.ndarray  # what the integrator takes
 
     @property
     def gap(self) -> np.ndarray:
@@ -85,13 +85,13 @@ def ledger(before: WheelState, worlds, scenario) -> Ledger:
     kinetic += 0.5 * inertia * dw * (after["wheel_speed"] + before["wheel_speed"])
     fastest = np.maximum(np.abs(after["speed"]), np.abs(before["speed"]))
     spin = np.maximum(np.abs(after["wheel_speed"]), np.abs(before["wheel_speed"]))
-    newton = substeps * NEWTON * (m * fastest + inertia * spin / r)
+    newton = 2 * MOST_STEPS * substeps * NEWTON * (m * fastest + inertia * spin / r)
     steepest = np.maximum(np.abs(low), np.abs(high))
     sums = weight * (h * steepest * np.abs(dv) + (high - low) * (np.abs(after["travel"]) + h * fastest))
     resting = np.minimum(np.abs(before["speed"]), np.abs(after["speed"])) < 2.0 * REST_SPEED
     sums += np.where(resting, weight * steepest * np.abs(after["travel"]), 0.0)
     return Ledger(after["motor_work"], kinetic, weight * rise, after["soil_work"], newton + sums,
-                  0.5 * m * dv**2 + 0.5 * inertia * dw**2)  # fmt: skip
+                  after["numerical_work"])  # fmt: skip
 
 
 def faults(env, actions, before, stepped, out) -> dict[str, np.ndarray]:
