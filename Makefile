@@ -86,5 +86,5 @@ $(TRAIN_READY): pyproject.toml constraints.txt | $(PY)
 	@touch $@
 
 $(TEST_READY): $(TRAIN_READY)
-	$(PIP) install -q -c constraints.txt -e '.[train,recurrent,test,docs]'
+	$(PIP) install -q -c constraints.txt -e '.[train,recurrent,export,test,docs]'
 	@touch $@

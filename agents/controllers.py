@@ -25,7 +25,7 @@ from soil_env.terramechanics.traversability import best_points
 
 _MOST_SLIP = 0.95  # that a controller can hold: the rim speed for it is V/(1 - i)
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
-_CHANGE = np.array([0.01] * 7 + [0.1])  # of soil and load, at which the best slip is computed again
+CHANGE = np.array([0.01] * 7 + [0.1])  # of soil and load, at which the best slip is computed again
 
 
 class Controller:
@@ -157,26 +157,35 @@ class BestSlipIdentified(FixedSlip):
     variant = "identified"
     bounds = {"start": FixedSlip.bounds["start"]}
 
+    def soil_columns(self, observation) -> list:
+        """The columns of `SoilState` read from the observation, each [n] or one number."""
+        read, belief = (lambda name: observation[:, self.column[name]]), self.scenario.belief
+        return [
+            np.tan(np.clip(read("friction_angle"), 0.02, 1.4)),
+            1000.0 * read("cohesion"),
+            10.0 ** read("log10_shear_modulus"),
+            10.0 ** read("log10_sinkage_coefficient"),
+            belief.sinkage_exponent,
+            read("dig_gain"),
+            belief.dig_recovery,
+        ]
+
     def soils(self, observation) -> np.ndarray:
         """`SoilState` rows [n, 7] read from the observation."""
-        belief = self.scenario.belief
-        out = np.empty((len(observation), 7))
-        out[:, 0] = np.tan(np.clip(observation[:, self.column["friction_angle"]], 0.02, 1.4))
-        out[:, 2] = 10.0 ** observation[:, self.column["log10_shear_modulus"]]
-        out[:, 3] = 10.0 ** observation[:, self.column["log10_sinkage_coefficient"]]
-        out[:, 1], out[:, 5] = 1000.0 * observation[:, self.column["cohesion"]], observation[:, self.column["dig_gain"]]
-        out[:, 4], out[:, 6] = belief.sinkage_exponent, belief.dig_recovery
-        return out
+        return np.column_stack([np.broadcast_to(x, len(observation)) for x in self.soil_columns(observation)])
+
+    def load(self, observation) -> np.ndarray:
+        """Load [N] read from the observation, [n]."""
+        return np.clip(observation[:, self.column["load"]], 0.3, 3.0) * self.scenario.weight
 
     def target_slip(self, observation, state):
         """Best slip; computed again only for rows whose soil has changed by more than 1 % or whose load by 10 %."""
-        soils = self.soils(observation)
-        load = np.clip(observation[:, self.column["load"]], 0.3, 3.0) * self.scenario.weight
+        soils, load = self.soils(observation), self.load(observation)
         if "known" not in state:
             state["known"], state["slip"] = np.zeros((len(soils), 8)), np.zeros(len(soils))
         known, now = state["known"], np.column_stack([soils, load])
         known[state["fresh"]] = 0.0
-        rows = np.flatnonzero((np.abs(now - known) > _CHANGE * np.abs(known)).any(axis=1))
+        rows = np.flatnonzero((np.abs(now - known) > CHANGE * np.abs(known)).any(axis=1))
         wheel = self.scenario.wheel
         best_points(
             rows, soils, load, wheel.radius, wheel.width, wheel.stall_torque, state["slip"], np.empty(len(load))
@@ -191,11 +200,11 @@ class BestSlipTrue(BestSlipIdentified):
     name = "best_slip_true"
     variant = "true_soil"
 
-    def soils(self, observation):
-        """`SoilState` rows [n, 7] read from the observation."""
-        out = super().soils(observation)
+    def soil_columns(self, observation):
+        """The columns of `SoilState` read from the observation, each [n]."""
+        out = super().soil_columns(observation)
         for i, name in ((4, "sinkage_exponent"), (6, "dig_recovery")):
-            out[:, i] = observation[:, self.column[name]]
+            out[i] = observation[:, self.column[name]]
         return out
 
 

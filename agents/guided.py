@@ -55,9 +55,12 @@ class Guide:
 
     def act(self, actions: np.ndarray, state: dict) -> np.ndarray:
         """Commands [n, 1] float32 for the agent's actions [n, 1] on what was observed last; advances `state`."""
-        speed = state["target"] * np.exp(self.trim * np.clip(np.asarray(actions, dtype=np.float64)[:, 0], -1.0, 1.0))
-        speed = np.minimum(speed, self.controller.top_speed)
+        speed = self.trimmed(np.asarray(actions, dtype=np.float64)[:, 0], state["target"])
         return self.controller.command(state["batch"], speed, state["memory"])
+
+    def trimmed(self, actions: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Rim speed [m/s] for the agent's actions [n] on the proposed one [n] m/s."""
+        return np.minimum(target * np.exp(self.trim * np.clip(actions, -1.0, 1.0)), self.controller.top_speed)
 
 
 def make_guide(config: TrainConfig, scenario: Scenario) -> Guide | None:

@@ -4,6 +4,7 @@
 |---|---|
 | `fixed_slip` | a classical controller (`agents.controllers`) |
 | `path/to/model.zip`, `runs/NAME` | a model of Stable-Baselines3 or sb3-contrib; one of ours has soil_env.json inside |
+| `path/to/policy.onnx`, its folder | an agent as `agents.export` has written it |
 | `my.module:Thing` | a class or function, called with the scenario if it takes an argument; or an object |
 | `NAME=...` | any of these under another name; the same NAME again, or a glob of models, makes one algorithm of them |
 
@@ -22,6 +23,7 @@ from pathlib import Path
 from soil_env._io.loading import ParameterError, unknown_key, unknown_value
 
 from ..controllers import CONTROLLERS
+from ..exported import POLICY
 
 
 @dataclass(frozen=True)
@@ -108,34 +110,41 @@ def _sources(spec: str) -> tuple[str, list[str]]:
         found = sorted(p for p in glob.glob(spec, recursive=True) if _is_model(Path(p)))
         if not found:
             raise ParameterError(f"controllers: {spec}: no model matches; expected .zip files or run folders")
-        return "model", [str(_zip_of(Path(p))) for p in found]
+        return "model", [str(_file_of(Path(p))) for p in found]
     path = Path(spec)
-    if path.suffix == ".zip" or path.is_dir() or "/" in spec:
-        return "model", [str(_zip_of(path))]
-    raise ParameterError(f"{unknown_value(spec, CONTROLLERS, 'controllers')}; or model.zip, module:Class")
+    if path.suffix in (".zip", ".onnx") or path.is_dir() or "/" in spec:
+        return "model", [str(_file_of(path))]
+    raise ParameterError(
+        f"{unknown_value(spec, CONTROLLERS, 'controllers')}; or model.zip, policy.onnx, module:Class"
+    )
 
 
 def _is_model(path: Path) -> bool:
-    return path.suffix == ".zip" or (path / "model.zip").is_file()
+    return path.suffix in (".zip", ".onnx") or _file_of(path).is_file()
 
 
-def _zip_of(path: Path) -> Path:
-    return path / "model.zip" if path.is_dir() else path
+def _file_of(path: Path) -> Path:
+    """The file of a model: in a run folder its zip, in the folder of an export its policy."""
+    if not path.is_dir():
+        return path
+    exported = (path / POLICY).is_file() and not (path / "model.zip").is_file()
+    return path / (POLICY if exported else "model.zip")
 
 
 def _default_name(kind: str, source: str) -> str:
     if kind != "model":
         return source
     path = Path(source)
-    return (path.resolve().parent.name or path.stem) if path.stem == "model" else path.stem
+    of_folder = path.stem in ("model", Path(POLICY).stem)
+    return (path.resolve().parent.name or path.stem) if of_folder else path.stem
 
 
 def model_files(path: str) -> dict[str, bytes]:
     """{name: content} of a model and of what lies beside it and belongs to it; ParameterError if it cannot be read."""
-    beside = Path(path).with_name(VECNORMALIZE)
+    beside, exported = Path(path).with_name(VECNORMALIZE), Path(path).suffix == ".onnx"
     try:
-        files = {"model.zip": Path(path).read_bytes()}
-        if beside.is_file():
+        files = {POLICY if exported else "model.zip": Path(path).read_bytes()}
+        if beside.is_file() and not exported:
             files[VECNORMALIZE] = beside.read_bytes()
     except OSError as error:
         raise ParameterError(

@@ -34,7 +34,7 @@ def load(contestant: Contestant, scenario: Scenario, files: dict[str, bytes] | N
         with tempfile.TemporaryDirectory() as folder:
             for name, content in files.items():
                 (Path(folder) / name).write_bytes(content)
-            return load_model(Path(folder) / "model.zip", scenario)
+            return load_model(Path(folder) / next(iter(files)), scenario)
     return _from_class(contestant.source, scenario)
 
 

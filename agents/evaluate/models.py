@@ -13,6 +13,7 @@ from soil_env.env import observation_space
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS
 
+from ..exported import ExportedAgent
 from .contestants import VECNORMALIZE
 
 try:
@@ -39,9 +40,12 @@ _ALGORITHMS = (
 def load_model(path: Path, scenario: Scenario):
     """An object with `predict` on raw observations and `variant`; ParameterError with one line if it cannot be had.
 
-    A zip of ours (soil_env.json inside) brings its normalisation. A plain zip of SB3 is told by its observation space;
-    a file vecnormalize.pkl beside it, as rl-baselines3-zoo writes, is used for its observations.
+    A policy.onnx of `agents.export` is run by onnxruntime. A zip of ours (soil_env.json inside) brings its
+    normalisation. A plain zip of SB3 is told by its observation space; a file vecnormalize.pkl beside it, as
+    rl-baselines3-zoo writes, is used for its observations.
     """
+    if Path(path).suffix == ".onnx":
+        return _exported(path, scenario)
     if ppo is None:
         raise ParameterError(f"controllers: {path}: models need Stable-Baselines3: pip install 'soil_env[train]'")
     names, data = _contents(path)
@@ -50,16 +54,28 @@ def load_model(path: Path, scenario: Scenario):
     if ppo._META in names:
         meta = ppo.read_meta(path)
         ppo.check_layout(meta, path)
-        trained = meta.get("scenario", {}).get("control", {}).get("action", scenario.control.action)
-        if trained != scenario.control.action:
-            raise ParameterError(
-                f"controllers: {path}: trained with action {trained!r}, scenario {scenario.name!r} takes "
-                f"{scenario.control.action!r}"
-            )
+        _check_action(path, meta.get("scenario", {}).get("control", {}).get("action"), scenario)
     model = _load(path, data, meta)
     if meta is not None:
         return ppo.agent_of(model, meta)
     return _Plain(model, _variant(model, path), _normalisation(path))
+
+
+def _check_action(path: Path, trained: str | None, scenario: Scenario) -> None:
+    if trained not in (None, scenario.control.action):
+        raise ParameterError(
+            f"controllers: {path}: trained with action {trained!r}, scenario {scenario.name!r} takes "
+            f"{scenario.control.action!r}"
+        )
+
+
+def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
+    try:
+        agent = ExportedAgent(path)
+    except ParameterError as error:
+        raise ParameterError(f"controllers: {error}") from None
+    _check_action(path, agent.action, scenario)
+    return agent
 
 
 def _contents(path: Path) -> tuple[list[str], dict]:

@@ -1,0 +1,68 @@
+"""An agent as `agents.export` has written it: the ONNX file alone, run by onnxruntime."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError
+from soil_env.simulation.task import VARIANTS, layout
+
+POLICY, FORMAT = "policy.onnx", "soil_env policy 1"  # file in the folder of an export; what its description begins with
+
+
+class ExportedAgent:
+    """The agent of an ONNX file, with the `predict` of Stable-Baselines3 on raw observations."""
+
+    def __init__(self, path: str | Path):
+        self.path = Path(path)
+        try:
+            import onnxruntime
+        except ImportError:
+            raise ParameterError(f"{path}: needs onnxruntime: pip install 'soil_env[export]'") from None
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 3  # errors
+        try:
+            self.session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+            content = self.session.get_modelmeta().custom_metadata_map.get("policy", "{}")
+            self.content = json.loads(content)
+        except Exception as error:  # onnxruntime has a dozen classes of them
+            said = (str(error).splitlines() or [""])[0][:200]
+            raise ParameterError(f"{path}: cannot be loaded as an ONNX policy ({said})") from None
+        if self.content.get("format") != FORMAT:
+            raise ParameterError(f"{path}: not written by agents.export: expected a description {FORMAT!r} inside")
+        self.variant = self.content["observation"]
+        self.action = self.content["scenario"]["control"]["action"]
+        self._check_layout()
+        self._states = {x.name: x for x in self.session.get_inputs() if x.name not in ("observation", "new_course")}
+        self._outputs = [x.name for x in self.session.get_outputs()]
+
+    def _check_layout(self) -> None:
+        """ParameterError if the file reads another observation than this version's of the same name."""
+        entries = [(e["name"], e["low"], e["high"]) for e in self.content["inputs"]]
+        known = [(e.name, e.low, e.high) for e in layout(self.variant)] if self.variant in VARIANTS else []
+        if entries != known:
+            raise ParameterError(
+                f"{self.path}: reads another observation layout: {len(entries)} numbers, here {self.variant!r} has "
+                f"{len(known)}; expected the names, order and bounds of this version"
+            )
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """Actions [n, 1] for raw observations [n, D], or [1] for [D], and the hidden states for the next call."""
+        batch = np.atleast_2d(np.asarray(observation, dtype=np.float32))
+        feeds = {"observation": batch}
+        if self._states:
+            fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, bool)
+            feeds["new_course"] = fresh
+            feeds |= self.zeros(len(batch)) if state is None else state
+        action, *kept = self.session.run(self._outputs, feeds)
+        memory = dict(zip((name.removeprefix("next_") for name in self._outputs[1:]), kept, strict=True))
+        return (action[0] if np.ndim(observation) == 1 else action), (memory or None)
+
+    def zeros(self, count: int) -> dict[str, np.ndarray]:
+        """Hidden states before the first step of `count` wheels."""
+        kinds = {"tensor(float)": np.float32, "tensor(double)": np.float64}
+        return {name: np.zeros((count, *x.shape[1:]), kinds[x.type]) for name, x in self._states.items()}

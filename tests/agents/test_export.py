@@ -1,0 +1,258 @@
+"""Exported agents: one file that acts as the agent does, run without torch, Stable-Baselines3 and soil_env."""
+
+import json
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+import yaml
+
+onnxruntime = pytest.importorskip("onnxruntime", reason="onnx and onnxruntime are in the extra export")
+onnx = pytest.importorskip("onnx", reason="onnx and onnxruntime are in the extra export")
+
+from stable_baselines3 import A2C, SAC, TD3  # noqa: E402
+from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
+
+from agents import ppo  # noqa: E402
+from agents.evaluate import run_courses  # noqa: E402
+from agents.evaluate.contestants import parse  # noqa: E402
+from agents.evaluate.models import load_model  # noqa: E402
+from agents.export.__main__ import main  # noqa: E402
+from agents.export.contact import best_slip  # noqa: E402
+from agents.export.graph import Graph  # noqa: E402
+from agents.exported import ExportedAgent  # noqa: E402
+from agents.guided import Guide  # noqa: E402
+from agents.ppo import PPOConfig  # noqa: E402
+from agents.sb3 import SoilWheelVecEnv  # noqa: E402
+from soil_env._io.loading import ParameterError  # noqa: E402
+from soil_env.env import SoilWheelEnv, observation_space  # noqa: E402
+from soil_env.parameters import load_scenario  # noqa: E402
+from soil_env.terramechanics.traversability import best_points  # noqa: E402
+
+TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=8)
+COURSE = {"course": {"length": 3.0}, "control": {"time_limit": 20.0}}
+READS = {"": "identified", "fixed_slip": "blind", "best_slip_identified": "identified", "best_slip_true": "true_soil"}
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("mixed", COURSE)
+
+
+def saved(folder, scenario, algorithm="ppo", guide="", steps=256):
+    """A run folder with an agent that has learnt a little, so that its normalisation is not the identity."""
+    made = Guide(scenario, guide, {"start": 0.2}, 1.4, READS[guide]) if guide else None
+    model = ppo.build(scenario, READS[guide], TINY, 0, guide=made, algorithm=algorithm)
+    model.learn(steps)
+    folder.mkdir(exist_ok=True)
+    ppo.save(model, folder / "model.zip")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory, scenario):
+    """(run folder, folder of its export) of an agent without a guide."""
+    run = saved(tmp_path_factory.mktemp("run"), scenario)
+    row = {"value": 0.1, "low": 0.05, "high": 0.2}
+    names = ("immobilised", "time_limit", "finished", "return", "distance")
+    (run / "comparison.json").write_text(json.dumps({"courses": 9, "controllers": {"c": dict.fromkeys(names, row)}}))
+    assert main([str(run), f"--out={run}/out", "--courses=3", "--steps=50"]) == 0
+    return run, run / "out"
+
+
+ALONE = textwrap.dedent("""
+    import runpy, sys
+    for name in ("torch", "stable_baselines3", "soil_env", "soil_env_agents", "agents", "gymnasium", "yaml"):
+        sys.modules[name] = None  # cannot be imported
+    script, *sys.argv[1:] = sys.argv[1:]
+    runpy.run_path(script, run_name="__main__")
+""")
+
+
+def start(out, *arguments):
+    """The runner of an export, in a process that has numpy and onnxruntime only."""
+    return subprocess.Popen(
+        [sys.executable, "-c", ALONE, str(out / "run_policy.py"), *arguments], cwd=out.parent, text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("algorithm", "guide", "action"), [
+    ("ppo", "", "torque"),
+    ("ppo", "fixed_slip", "wheel_speed"),
+    ("ppo", "best_slip_true", "torque"),
+    ("recurrent_ppo", "", "torque"),
+    ("recurrent_ppo", "best_slip_identified", "torque"),
+])  # fmt: skip
+def test_the_runner_alone_drives_courses_as_the_agent_would(tmp_path, scenario, algorithm, guide, action):
+    """1000 steps in closed loop: what the wheel does follows from the runner's actions."""
+    pytest.importorskip("sb3_contrib")
+    scenario = load_scenario(scenario, {"control": {"action": action}})
+    run = saved(tmp_path / "run", scenario, algorithm, guide)
+    assert main([str(run), f"--out={tmp_path}/out", "--courses=2", "--steps=20"]) == 0
+    agent, env = load_model(run / "model.zip", scenario), SoilWheelEnv(scenario, observation=READS[guide])
+    runner, memory, over, worst, courses = start(tmp_path / "out", "--serve"), None, True, 0.0, 0
+    for step in range(1000):
+        if over:
+            observation, _ = env.reset(seed=step)
+            memory, courses = None, courses + 1
+            runner.stdin.write("\n")
+        expected, memory = agent.predict(observation[None], memory, np.array([over]))
+        runner.stdin.write(" ".join(map(repr, observation.tolist())) + "\n")
+        runner.stdin.flush()
+        action = np.array([float(runner.stdout.readline())], dtype=np.float32)
+        worst = max(worst, abs(float(action[0] - expected[0, 0])))
+        observation, _, terminated, truncated, _ = env.step(action)
+        over = terminated or truncated
+    _, errors = runner.communicate()
+    assert runner.returncode == 0 and errors == ""
+    assert courses >= 3 and worst <= 1e-5
+
+
+def test_the_runner_checks_the_recorded_steps(exported):
+    printed, errors = start(exported[1]).communicate()
+    assert errors == "" and printed.startswith("50 steps: largest difference ") and "us a step" in printed
+    course = np.load(exported[1] / "course.npz")
+    np.savez(exported[1].parent / "course.npz", **{**course, "action": course["action"] + 0.5})
+    for name in ("policy.onnx", "run_policy.py"):
+        (exported[1].parent / name).write_bytes((exported[1] / name).read_bytes())
+    printed, _ = start(exported[1].parent).communicate()
+    assert "largest difference 5.0e-01" in printed
+
+
+def test_the_slip_of_the_guide_in_the_graph_is_that_of_the_kernel():
+    """Against `best_points` on random soils: weak ones that carry no wheel, and motors that turn at no slip, among
+    them. Slips are of a list, so they agree or they differ; two pulls that are alike to 1e-7 may be taken in turn."""
+    rng, n = np.random.default_rng(5), 600
+    soils = np.column_stack([
+        np.tan(rng.uniform(0.1, 0.9, n)), rng.uniform(0.0, 5e3, n), 10.0 ** rng.uniform(-3, -0.7, n),
+        10.0 ** rng.uniform(3.0, 7.0, n), rng.uniform(0.4, 1.3, n), rng.uniform(0.0, 3.0, n), rng.uniform(0.2, 1.0, n),
+    ])  # fmt: skip
+    load, slip, pull = rng.uniform(20.0, 400.0, n), np.zeros(n), np.zeros(n)
+    best_points(np.arange(n), soils, load, 0.15, 0.12, 12.0, slip, pull)
+    graph = Graph()
+    columns, weight = graph.input("soils", "float64"), graph.input("load", "float64")
+    out = best_slip(graph, [columns[:, k] for k in range(7)], weight, 0.15, 0.12, 12.0)
+    model = graph.model([graph.info(columns, ["n", 7]), graph.info(weight, ["n"])], [graph.info(out, ["n"])], {})
+    session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+    found = session.run(None, {"soils": soils, "load": load})[0]
+    assert (pull == -np.inf).sum() > 20 and len(np.unique(slip)) >= 8
+    assert (found != slip).sum() <= 1
+
+
+def test_the_description_says_what_every_number_is(exported, scenario):
+    run, out = exported
+    content = yaml.safe_load((out / "policy.yaml").read_text(encoding="utf-8"))
+    env = SoilWheelEnv(scenario)
+    assert [e["name"] for e in content["inputs"]] == list(env.observation_names)
+    for k, side in enumerate(("low", "high")):
+        bounds = [env.observation_space.low, env.observation_space.high][k]
+        np.testing.assert_allclose([e[side] for e in content["inputs"]], bounds, rtol=1e-6)
+    assert all(e["unit"] for e in content["inputs"]) and content["rate"] == {"period": 0.1, "unit": "s"}
+    assert content["output"]["scale"] == {"value": scenario.wheel.stall_torque, "unit": "N m"}
+    assert content["scenario"]["course"]["length"] == 3.0 and content["versions"]["soil_env"]
+    assert content["proof"]["largest_difference"] <= 1e-5 and content["proof"]["latency_us"]["median"] > 0.0
+    assert content["comparison"]["controllers"]["c"]["finished"]["value"] == 0.1
+    inside = ExportedAgent(out / "policy.onnx").content
+    assert inside["inputs"] == content["inputs"] and inside["output"] == content["output"]
+    onnx.checker.check_model(str(out / "policy.onnx"), full_check=True)
+
+
+def test_the_card_has_the_names_of_huggingface_sb3(exported):
+    _, out = exported
+    head, _, text = (out / "README.md").read_text(encoding="utf-8").removeprefix("---\n").partition("\n---\n")
+    header, result = yaml.safe_load(head), json.loads((out / "results.json").read_text())
+    metric = header["model-index"][0]["results"][0]["metrics"][0]
+    assert header["library_name"] == "stable-baselines3" and "SoilWheel-v0" in header["tags"]
+    assert metric["value"] == f"{result['mean_reward']:.2f} +/- {result['std_reward']:.2f}"
+    assert result["n_eval_episodes"] == 3 and "| `c` | 10.0 [5.0, 20.0] |" in text
+    assert (out / "ppo-SoilWheel-v0.zip").read_bytes() == (exported[0] / "model.zip").read_bytes()
+
+
+@pytest.mark.parametrize("guide", ["", "best_slip_identified"])
+def test_an_export_is_a_contestant_by_its_path(tmp_path, scenario, guide):
+    run = saved(tmp_path / "run", scenario, "ppo", guide)
+    assert main([str(run), f"--out={tmp_path}/out", "--courses=2", "--steps=5"]) == 0
+    (contestant,) = parse(f"mine={tmp_path}/out").values()
+    assert contestant.kind == "model" and contestant.source.endswith("policy.onnx")
+    agent, other = load_model(run / "model.zip", scenario), load_model(contestant.source, scenario)
+    expected, found = (run_courses(a, scenario, 3, 12) for a in (agent, other))
+    np.testing.assert_array_equal(found.cause, expected.cause)
+    np.testing.assert_allclose(found.returns, expected.returns, atol=1e-4)
+    with pytest.raises(ParameterError, match="trained with action 'torque'"):
+        load_model(contestant.source, load_scenario(scenario, {"control": {"action": "wheel_speed"}}))
+
+
+@pytest.mark.parametrize("algorithm", [A2C, SAC, TD3])
+def test_models_of_plain_sb3_with_their_vecnormalize(tmp_path, capsys, algorithm):
+    env = VecNormalize(SoilWheelVecEnv(2, observation="blind", **COURSE), clip_obs=2.0)
+    more = {} if algorithm is A2C else {"learning_starts": 20, "buffer_size": 200}
+    model = algorithm("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, device="cpu", seed=0, **more)
+    model.learn(60)
+    model.save(tmp_path / "model.zip")
+    env.save(tmp_path / "vecnormalize.pkl")
+    assert main([str(tmp_path / "model.zip"), f"--out={tmp_path}/out", "--courses=2", "--steps=30"]) == 0
+    content = yaml.safe_load((tmp_path / "out" / "policy.yaml").read_text(encoding="utf-8"))
+    assert content["algorithm"] == algorithm.__name__ and content["proof"]["largest_difference"] <= 1e-5
+    space = observation_space("blind")
+    x = np.random.default_rng(0).uniform(space.low, space.high, (40, 11)).astype(np.float32)
+    expected, _ = model.predict(env.normalize_obs(x), deterministic=True)
+    found, memory = ExportedAgent(tmp_path / "out" / "policy.onnx").predict(x)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert memory is None and len(np.unique(found)) > 5
+
+
+def test_an_action_that_differs_is_not_exported(tmp_path, scenario, capsys, monkeypatch):
+    run = saved(tmp_path / "run", scenario)
+    plain = ppo.Agent._normalised
+    monkeypatch.setattr(ppo.Agent, "_normalised", lambda self, x: 1.5 * plain(self, x))
+    assert main([str(run), f"--out={tmp_path}/out", "--courses=2", "--steps=5"]) == 2
+    assert "differs by" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_networks_and_files_that_are_not_known_are_named(tmp_path, scenario, exported, capsys):
+    contrib = pytest.importorskip("sb3_contrib")
+    env = SoilWheelVecEnv(2, observation="blind", **COURSE)
+    contrib.CrossQ("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, device="cpu").save(tmp_path / "q.zip")
+    assert main([str(tmp_path / "q.zip"), f"--out={tmp_path}/out", "--courses=2", "--steps=5"]) == 2
+    assert "layer BatchRenorm" in capsys.readouterr().err.splitlines()[-1]
+    (tmp_path / "broken.onnx").write_bytes(b"no")
+    with pytest.raises(ParameterError, match="cannot be loaded as an ONNX policy"):
+        ExportedAgent(tmp_path / "broken.onnx")
+    model = onnx.load(exported[1] / "policy.onnx")
+    content = json.loads(model.metadata_props[0].value)
+    content["inputs"][0]["high"] = 2.0
+    model.metadata_props[0].value = json.dumps(content)
+    onnx.save(model, tmp_path / "other.onnx")
+    with pytest.raises(ParameterError, match="another observation layout"):
+        ExportedAgent(tmp_path / "other.onnx")
+    del model.metadata_props[:]
+    onnx.save(model, tmp_path / "foreign.onnx")
+    with pytest.raises(ParameterError, match="not written by agents.export"):
+        ExportedAgent(tmp_path / "foreign.onnx")
+
+
+def test_publishing_lists_and_sends_what_it_lists(exported, capsys, monkeypatch, tmp_path):
+    from agents import publish
+
+    sent = {}
+    hub = type(sys)("huggingface_hub")
+    hub.create_repo = lambda repo, **more: sent.update(repo=repo, **more) or "https://there"
+    hub.upload_folder = lambda **more: sent.update(more)
+    monkeypatch.setitem(sys.modules, "huggingface_hub", hub)
+    assert publish.main([str(exported[1]), "--repo=me/wheel", "--dry-run"]) == 0
+    printed = capsys.readouterr().out
+    assert "ppo-SoilWheel-v0.zip" in printed and "Nothing was sent" in printed and not sent
+    assert publish.main([str(exported[1]), "--repo=me/wheel"]) == 0
+    assert sent["repo"] == "me/wheel" and sent["private"] and "policy.onnx" in sent["allow_patterns"]
+    for arguments, words in (
+        ([str(exported[1]), "--repo=wheel"], "expected USER/NAME"),
+        ([str(tmp_path), "--repo=me/wheel"], "policy.yaml"),
+    ):
+        assert publish.main(arguments) == 2
+        assert words in capsys.readouterr().err
+    (exported[1] / "README.md").write_text("no card")
+    assert publish.main([str(exported[1]), "--repo=me/wheel", "--dry-run"]) == 2
+    assert "model card" in capsys.readouterr().err
