@@ -22,6 +22,7 @@ import numpy as np
 from soil_env._numba.compiling import root
 from soil_env.simulation.dynamics import MOST_STEPS
 from soil_env.simulation.newton import REST_SPEED
+from soil_env.simulation.task import REWARD_TERMS
 from soil_env.simulation.terrain import ground_at
 from soil_env.simulation.wheel import WheelState
 
@@ -103,21 +104,21 @@ def faults(env, actions, before, stepped, out) -> dict[str, np.ndarray]:
     worlds, scenario = env.simulation.worlds, env.scenario
     state, r = worlds.state, scenario.wheel.radius
     space = env.single_observation_space
-    terms = sum(info["reward_terms"].values())
+    terms = sum(info[f"reward_{name}"] for name in REWARD_TERMS)
     stall = scenario.wheel.stall_torque * (1.0 + 1e-12)
     found = {
         "observation finite": ~np.isfinite(observation).all(axis=1),
         "observation in its bounds": ~((observation >= space.low) & (observation <= space.high)).all(axis=1),
         "reward finite": ~np.isfinite(reward),
         "reward is the sum of its terms": ~np.isclose(reward, terms, rtol=1e-12, atol=1e-12),
-        "energy term <= 0": ~(info["reward_terms"]["energy"] <= 0.0),
+        "energy term <= 0": ~(info["reward_energy"] <= 0.0),
         "state finite": ~np.logical_and.reduce([np.isfinite(state[name]) for name in state.NAMES]),
         "sinkage in [1e-4, 1.5] radii": ~((state["sinkage"] >= 0.99e-4 * r) & (state["sinkage"] <= 1.5 * r * 1.000001)),
         "slip in [-1, 1]": ~(np.abs(state["slip"]) <= 1.0),
         "motor within its stall torque": ~(np.abs(state["motor_torque"]) <= stall),
         "not both terminated and truncated": terminated & truncated,
         "progress term is the distance": stepped & ~np.isclose(
-            info["reward_terms"]["progress"], scenario.reward.progress * (state["x"] - before["x"])
+            info["reward_progress"], scenario.reward.progress * (state["x"] - before["x"])
             / scenario.course.length, rtol=1e-6, atol=1e-9),
         "command applied": stepped & (before["halt_left"] <= 0.0) & (
             state["last_action"] != np.clip(np.asarray(actions, dtype=np.float64)[:, 0], -1.0, 1.0)),

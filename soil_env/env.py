@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 from pathlib import Path
@@ -9,24 +10,23 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
-from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._numba.compiling import FastCall
-from soil_env.identification import Status
+from soil_env._io.loading import ParameterError, UnknownKeyword
 from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
-from soil_env.simulation.task import REWARD_TERMS, Cause, layout
+from soil_env.simulation.infos import IMMOBILISED, Infos
+from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.terrain import ground_at
-from soil_env.simulation.wheel import WheelState
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel, load_model
-from soil_env.terramechanics.traversability import best_working_point
 
 if TYPE_CHECKING:
     from soil_env.rendering.side_view import Renderer
 
-IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
-_OWN = ("scenario", "observation", "action", "render_mode", "model")  # keywords that are no part of a scenario
+__all__ = ["IMMOBILISED", "SoilWheelEnv", "action_space", "build_scenario", "check_count", "observation_space"]
+_OWN = ("scenario", "observation", "action", "render_mode", "model", "info")  # keywords that are no part of a scenario
+_ONLY = np.ones(1, dtype=np.bool_)
 _FIELDS = tuple(f.name for f in dataclasses.fields(Scenario))
 
 
@@ -36,7 +36,7 @@ def build_scenario(
     """The scenario that the keyword arguments of an environment describe; `own`: those that are no part of it."""
     for key in changes:
         if key not in _FIELDS:
-            raise unknown_key(key, (*own, *_FIELDS), "keyword")
+            raise UnknownKeyword(key, (*own, *_FIELDS))
     if action is not None:
         control = changes.get("control", {})
         if not isinstance(control, dict):
@@ -175,9 +175,13 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     |                | at least -1], torque required there and available [N m], passable; renewed with the estimate |
     | state | dict of the true x, speed, wheel speed, slip, sinkage, load, drawbar pull, torques, grade, in SI units |
 
+    This is `info="full"`. `"numeric"` has the same numbers without nesting, `cause` and `estimate_status` as numbers of
+    `task.Cause` and `identification.Status`: `reward_NAME`, `estimate_NAME`, all others by their name. `"short"` has
+    `cause`, `immobilised`, `x` and `reward_NAME` only, and `"none"` nothing.
+
     ## Arguments
     `scenario`: name, path of a YAML file, or `Scenario`; `observation`; `action`; `render_mode`: "rgb_array" or
-    "human"; any field of `Scenario` as a keyword, merged over the scenario, e.g. `course={"length": 20}` or
+    "human"; `info`; any field of `Scenario` as a keyword, merged over the scenario, e.g. `course={"length": 20}` or
     `wheel="paper_vehicle"`. Unknown keys and values out of range raise `soil_env.ParameterError`.
 
     `model`: a model.yaml (or a `WheelSoilModel`) with the effects that act in this world, unknown to identifier and
@@ -199,6 +203,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         action: str | None = None,
         render_mode: str | None = None,
         model: str | Path | WheelSoilModel | None = None,
+        info: str = "full",
         **changes: Any,
     ):
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
@@ -214,11 +219,23 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.period))}
         self.model = load_model(model)
         self.simulation = Simulation(1, self.scenario, observation, threads=1, model=self.model)
-        self._best_working_point = FastCall(best_working_point)
+        self.infos = Infos(self.scenario, info, 1)
         self._renderer: Renderer | None = None
         self._seeded = False
-        self._warning: dict[str, Any] = {}
         self._over = True
+        self._spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:  # type: ignore[override]
+        """What `gymnasium.make` was given, with the length of an episode, which wrappers ask for."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None and spec.max_episode_steps is None:
+            spec = copy.deepcopy(spec)
+            spec.max_episode_steps = self.scenario.steps
+        self._spec = spec
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -232,13 +249,13 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             self._seeded = True
         self.simulation.restart(0)
         self._over = False
-        self._warn()
+        self.infos.renew(self.simulation.worlds, _ONLY)
         if self.render_mode is not None:
             self._view().clear()
             self._view().record(self.simulation, 0)
             if self.render_mode == "human":
                 self.render()
-        return self.simulation.worlds.observation[0].copy(), self._info()
+        return self.simulation.worlds.observation[0].copy(), self.infos.one(self.simulation.worlds, 0)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one control period. Returns (observation, reward, terminated, truncated, info)."""
@@ -249,14 +266,14 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         cause = Cause(worlds.cause[0])
         self._over = cause != Cause.RUNNING
         if worlds.solved[0]:
-            self._warn()
+            self.infos.renew(worlds, _ONLY)
         if self.render_mode is not None:
             self._view().record(self.simulation, 0)
             if self.render_mode == "human":
                 self.render()
         truncated = cause == Cause.TIME_LIMIT
         terminated = self._over and not truncated
-        return worlds.observation[0].copy(), float(worlds.reward[0]), terminated, truncated, self._info()
+        return worlds.observation[0].copy(), float(worlds.reward[0]), terminated, truncated, self.infos.one(worlds, 0)
 
     def render(self) -> NDArray[np.uint8] | None:
         """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""
@@ -304,69 +321,6 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             assert self.render_mode is not None
             self._renderer = Renderer(self.scenario, self.render_mode)
         return self._renderer
-
-    def _warn(self) -> None:
-        """Traversability (paper, Section 6) of the ground as identified, at the measured load and pitch."""
-        observation, wheel = self.simulation.worlds.observation[0], self.scenario.wheel
-        load = max(float(observation[3]), 0.05) * self.scenario.weight
-        x, belief = self.simulation.worlds.ids.estimate[0].tolist(), self.scenario.belief
-        soil = SoilState(
-            math.tan(math.radians(math.degrees(x[0]))), x[3], math.exp(x[1]), min(math.exp(x[2]), 1e13),
-            belief.sinkage_exponent, min(belief.dig_gain * math.exp(x[4]), 20.0), belief.dig_recovery,
-        )  # fmt: skip
-        best = self._best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
-        margin = max(best.drawbar_pull / load - math.tan(float(observation[7])), -1.0)
-        self._warning = {
-            "best_slip": best.slip,
-            "drawbar_margin": margin,
-            "torque_required": best.torque,
-            "torque_available": wheel.stall_torque,
-            "passable": bool(margin > 0.0),
-        }
-
-    def _info(self) -> dict[str, Any]:
-        worlds = self.simulation.worlds
-        cause = Cause(worlds.cause.item(0))
-        x, sd = worlds.ids.estimate[0].tolist(), worlds.ids.sd[0].tolist()
-        state = worlds.state.data[:, 0].tolist()
-        return {
-            "cause": cause.name,
-            "immobilised": cause in IMMOBILISED,
-            "reward_terms": dict(zip(REWARD_TERMS, worlds.terms[0].tolist(), strict=True)),
-            "estimate": {
-                "friction_angle_deg": math.degrees(x[0]),
-                "shear_modulus": math.exp(x[1]),
-                "sinkage_coefficient": math.exp(x[2]),
-                "cohesion": x[3],
-                "dig_gain": self.scenario.belief.dig_gain * math.exp(x[4]),
-                "friction_angle_sd_deg": math.degrees(sd[0]),
-                "shear_modulus_relative_sd": sd[1],
-                "sinkage_coefficient_relative_sd": sd[2],
-                "cohesion_sd": sd[3],
-                "dig_gain_relative_sd": sd[4],
-                "status": _STATUS[worlds.ids.status.item(0)],
-            },
-            "traversability": dict(self._warning),
-            "state": {name: state[row] for name, row in _STATE.items()},
-        }
-
-
-_STATUS = {status.value: status.name for status in Status}
-_STATE = {
-    name: WheelState.NAMES.index(name)
-    for name in (
-        "x",
-        "speed",
-        "wheel_speed",
-        "slip",
-        "sinkage",
-        "load",
-        "drawbar_pull",
-        "torque",
-        "motor_torque",
-        "grade",
-    )
-}
 
 
 def command(action: ArrayLike) -> float:

@@ -15,13 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from soil_env._io.loading import ParameterError
 from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
 from soil_env.parameters import Scenario
-from soil_env.simulation.task import REWARD_TERMS, Cause, layout
+from soil_env.simulation.infos import Infos
+from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 
 _OWN = (  # keywords that are no part of a scenario
     "num_envs", "scenario", "observation", "action", "autoreset_mode", "max_episode_steps", "threads", "render_mode",
-    "model",
+    "model", "info",
 )  # fmt: skip
 _RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value
 
@@ -34,13 +35,15 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
     k.
 
     `autoreset_mode`: "NextStep" (default; the step after an end ignores its action and resets), "SameStep" (resets
-    within the ending step; the last observation is in `info["final_obs"]`) or "Disabled"
-    (`reset(options={"reset_mask": ...})`). `max_episode_steps` shortens the scenario's time limit. Other keyword
-    arguments as in `SoilWheelEnv`.
+    within the ending step: `info["final_obs"]` and `info["final_info"]` are of before the reset, all else of after it)
+    or "Disabled" (`reset(options={"reset_mask": ...})`). `max_episode_steps` shortens the scenario's time limit. Other
+    keyword arguments as in `SoilWheelEnv`.
 
-    `info` holds arrays: `cause` [N] int, the numbers of `task.Cause`: 0 RUNNING, 1 FINISHED, 2 ENTRAPPED, 3 STALLED,
-    4 BOGGED, 5 TIME_LIMIT (`Cause(k).name` is what `SoilWheelEnv` says); `reward_terms` {term: [N]}; `x` [N] m. No
-    rendering.
+    `info` holds arrays [N]: `cause`, the numbers of `task.Cause`: 0 RUNNING, 1 FINISHED, 2 ENTRAPPED, 3 STALLED,
+    4 BOGGED, 5 TIME_LIMIT (`Cause(k).name` is what `SoilWheelEnv` says); `immobilised`; `x` [m]; `reward_NAME` of each
+    term. That is the keyword `info="short"`, the default here; "numeric", "full" and "none" are as in `SoilWheelEnv`,
+    and cost time. `final_info` has `reward_terms`, `estimate`, `traversability` and `state` too, as in "full", 0 for
+    wheels that have not ended, and beside each `KEY` an array `_KEY` that says which have. No rendering.
     """
 
     def __init__(
@@ -54,6 +57,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         threads: int | None = None,
         render_mode: str | None = None,
         model: str | Path | WheelSoilModel | None = None,
+        info: str = "short",
         **changes: Any,
     ):
         check_count("num_envs", num_envs)
@@ -79,6 +83,9 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         self.simulation = Simulation(
             self.num_envs, self.scenario, observation, max_episode_steps, threads, load_model(model)
         )
+        self.infos = Infos(self.scenario, info, self.num_envs)
+        finals = mode == AutoresetMode.SAME_STEP and info != "none"
+        self._follow = finals or info in ("full", "numeric")  # whether anybody asks for the traversability
         self._rngs: list[np.random.Generator | None] | None = None
         self._done = np.ones(self.num_envs, dtype=np.bool_)
 
@@ -107,7 +114,8 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
                 self._rngs[k] = rng
         self.simulation.restart_where(mask)
         self._done[mask] = False
-        return self.simulation.worlds.observation.copy(), self._info()
+        self._renew(mask)
+        return self.simulation.worlds.observation.copy(), self.infos.many(self.simulation.worlds)
 
     def step(
         self, actions: ArrayLike
@@ -121,26 +129,30 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         if self.autoreset_mode == AutoresetMode.DISABLED and self._done.any():
             raise gymnasium.error.ResetNeeded("a wheel has ended: reset(options={'reset_mask': ...}) it first")
         self.simulation.step_all(commands, self._done.view(np.int8))  # True restarts
+        self._renew(worlds.solved | self._done)
         np.not_equal(worlds.cause, _RUNNING, out=self._done)
         truncated = worlds.cause == _TIME_LIMIT
         terminated = self._done & ~truncated
         reward = worlds.reward.copy()
-        info = self._info()
+        finals: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._done.any():
-            final = np.full(self.num_envs, None, dtype=object)
-            for k in np.flatnonzero(self._done):
-                final[k] = worlds.observation[k].copy()
-            info["final_obs"], info["_final_obs"] = final, self._done.copy()
-            info["final_info"] = {key: value for key, value in info.items() if key not in ("final_obs", "_final_obs")}
-            info["_final_info"] = self._done.copy()
+            finals = self._finals()
             self.simulation.restart_where(self._done)
+            self._renew(self._done)
             self._done[:] = False
-        return worlds.observation.copy(), reward, terminated, truncated, info
+        return worlds.observation.copy(), reward, terminated, truncated, self.infos.many(worlds) | finals
 
-    def _info(self) -> dict[str, Any]:
-        worlds = self.simulation.worlds
-        return {
-            "cause": worlds.cause.copy(),
-            "reward_terms": {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)},
-            "x": worlds.state["x"].copy(),
-        }
+    def _finals(self) -> dict[str, Any]:
+        """Last observations and infos of the wheels that have ended, before they are reset."""
+        worlds, ended = self.simulation.worlds, self._done.copy()
+        final = np.full(self.num_envs, None, dtype=object)
+        for k in np.flatnonzero(ended):
+            final[k] = worlds.observation[k].copy()
+        out = {"final_obs": final, "_final_obs": ended}
+        if self.infos.kind != "none":
+            out |= {"final_info": self.infos.final(worlds, ended), "_final_info": ended.copy()}
+        return out
+
+    def _renew(self, which: NDArray[np.bool_]) -> None:
+        if self._follow:
+            self.infos.renew(self.simulation.worlds, which)

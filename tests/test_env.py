@@ -1,6 +1,7 @@
 """The environment as others use it: checkers, registration, determinism, actions, arguments, info, video."""
 
 import math
+import pickle
 import subprocess
 import sys
 
@@ -14,6 +15,7 @@ from soil_env.env import SoilWheelEnv
 from soil_env.parameters import ParameterError, load_scenario, soils
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.traversability import best_working_point
+from soil_env.vector_env import SoilWheelVectorEnv
 
 MODES = ("torque", "wheel_speed")
 
@@ -208,7 +210,7 @@ def test_a_changed_env_does_not_change_the_next():
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    ({"cours": {}}, "keyword: unknown key 'cours'; did you mean 'course'?"),
+    ({"cours": {}}, "unexpected keyword argument 'cours'; did you mean 'course'?"),
     ({"observation": "identifed"}, "observation: unknown value 'identifed'; did you mean 'identified'?"),
     ({"render_mode": "x"}, "render_mode = 'x': expected one of ['rgb_array', 'human']"),
     ({"action": "torqe"}, "'torqe'"),
@@ -218,6 +220,33 @@ def test_bad_arguments_are_named(arguments, message):
     with pytest.raises(soil_env.ParameterError) as raised:
         SoilWheelEnv(**arguments)
     assert message in str(raised.value) and "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("make", [SoilWheelEnv, SoilWheelVectorEnv])
+def test_an_unknown_keyword_is_the_error_of_python_too(make):
+    """TorchRL's GymEnv tries `frameskip=...` and goes on without where such a TypeError comes back."""
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'") as raised:
+        make(frameskip=1)
+    assert isinstance(raised.value, soil_env.ParameterError)
+    again = pickle.loads(pickle.dumps(raised.value))
+    assert type(again) is type(raised.value) and str(again) == str(raised.value)
+
+
+def test_the_length_of_an_episode_is_that_of_the_scenario():
+    """Wrappers ask `spec.max_episode_steps` for it; registered, it would cut every scenario at the same step."""
+    env = gymnasium.wrappers.TimeAwareObservation(
+        gymnasium.make("SoilWheel-v0", course={"length": 50.0}, control={"time_limit": 100.0}), normalize_time=True
+    )
+    observation, _ = env.reset(seed=0)
+    assert env.spec.max_episode_steps == 1000 and observation[-1] == 0.0
+    steps, over = 0, False
+    while not over:
+        observation, _, terminated, truncated, info = env.step(act(0.35))
+        steps, over = steps + 1, terminated or truncated
+        assert observation[-1] == pytest.approx(steps / 1000)
+    again = gymnasium.make(env.unwrapped.spec)
+    assert again.unwrapped.scenario == env.unwrapped.scenario and again.spec.max_episode_steps == 1000
+    assert gymnasium.spec("SoilWheel-v0").max_episode_steps is None
 
 
 def test_yaml_file_as_scenario(tmp_path):
@@ -322,17 +351,19 @@ def test_traversability_never_uses_the_true_soil(monkeypatch):
     """With the readings held, other ground, state or truth changes nothing of it; a worse estimate does."""
     env = SoilWheelEnv()
     run(env, 2, 40)
-    env._warn()
-    before = env._info()["traversability"]
+
+    def warning():
+        env.infos.renew(env.simulation.worlds, np.ones(1, dtype=bool))
+        return env.infos.one(env.simulation.worlds, 0)["traversability"]
+
+    before = warning()
     env.simulation.worlds.courses.soils[:] *= 0.5
     env.simulation.worlds.courses.grades[:] += 0.1
     for name in ("sinkage", "load", "mass", "grade", "x", "slip"):
         env.simulation.worlds.state[name] *= 1.5
-    env._warn()
-    assert env._info()["traversability"] == before
+    assert warning() == before
     env.simulation.worlds.ids.estimate[0, 0] -= 0.2
-    env._warn()
-    assert env._info()["traversability"]["drawbar_margin"] < before["drawbar_margin"] - 0.05
+    assert warning()["drawbar_margin"] < before["drawbar_margin"] - 0.05
 
 
 def test_extreme_estimates_do_not_stop_the_episode():
@@ -343,9 +374,9 @@ def test_extreme_estimates_do_not_stop_the_episode():
     env.reset(seed=0)
     for corner in np.array(np.meshgrid(*zip(LOWER, UPPER, strict=True))).T.reshape(-1, 3):
         env.simulation.worlds.ids.estimate[0] = [*corner, 2e5 * (corner[0] > 1.0), 3.0 if corner[1] > -3.0 else -3.0]
-        env._warn()
-        assert all(math.isfinite(v) for k, v in env._info()["traversability"].items() if k in ("best_slip",))
-        assert not math.isnan(env._info()["traversability"]["drawbar_margin"])
+        env.infos.renew(env.simulation.worlds, np.ones(1, dtype=bool))
+        assert all(math.isfinite(v) for k, v in env.infos.one(env.simulation.worlds, 0)["traversability"].items() if k in ("best_slip",))
+        assert not math.isnan(env.infos.one(env.simulation.worlds, 0)["traversability"]["drawbar_margin"])
 
 
 def test_true_soil_is_that_of_the_course():

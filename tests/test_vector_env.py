@@ -6,8 +6,10 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from soil_env.env import SoilWheelEnv
+from soil_env.identification import Status
 from soil_env.parameters import ParameterError
-from soil_env.simulation.task import VARIANTS, Cause
+from soil_env.simulation.infos import flat
+from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.vector_env import SoilWheelVectorEnv
 
 WHEELS, STEPS = 5, 260
@@ -27,7 +29,18 @@ def actions(seed=0, wheels=WHEELS, steps=STEPS):
 def same_info(info, k, scalar):
     assert Cause(info["cause"][k]).name == scalar["cause"]
     assert info["x"][k] == scalar["state"]["x"]
-    assert {name: row[k] for name, row in info["reward_terms"].items()} == scalar["reward_terms"]
+    assert info["immobilised"][k] == scalar["immobilised"]
+    assert {name: info[f"reward_{name}"][k] for name in REWARD_TERMS} == scalar["reward_terms"]
+
+
+def same_groups(info, k, scalar):
+    """The parts of a full info: kernels and states to the bit, exponentials to rounding."""
+    assert info["immobilised"][k] == scalar["immobilised"]
+    for group in ("reward_terms", "state", "traversability"):
+        assert {name: row[k] for name, row in info[group].items() if name[0] != "_"} == scalar[group]
+    found = {name: row[k] for name, row in info["estimate"].items() if name[0] != "_"}
+    assert Status(found.pop("status")).name == scalar["estimate"]["status"]
+    assert found == {n: pytest.approx(v, rel=1e-14) for n, v in scalar["estimate"].items() if n != "status"}
 
 
 # --- equal to the scalar environment ----------------------------------------------------------------------------------
@@ -49,7 +62,7 @@ def test_next_step_is_the_scalar_env_bit_for_bit(variant, mode):
         observations, rewards, terminated, truncated, info = many.step(a)
         for k, env in enumerate(one):
             if done[k]:  # this step resets, whatever the action
-                expected = (*env.reset()[:1], 0.0, False, False, env._info())
+                expected = (*env.reset()[:1], 0.0, False, False, env.infos.one(env.simulation.worlds, 0))
             else:
                 expected = env.step(a[k])
             np.testing.assert_array_equal(observations[k], expected[0])
@@ -80,13 +93,79 @@ def test_same_step_resets_within_the_step(variant):
                 assert info["_final_obs"][k] and info["_final_info"][k]
                 np.testing.assert_array_equal(info["final_obs"][k], last)
                 same_info(info["final_info"], k, scalar)
-                np.testing.assert_array_equal(observations[k], env.reset()[0])
+                same_groups(info["final_info"], k, scalar)
+                first, scalar = env.reset()
+                np.testing.assert_array_equal(observations[k], first)
                 ends += 1
             else:
                 np.testing.assert_array_equal(observations[k], last)
                 if ended.any():
-                    assert info["final_obs"][k] is None and not info["_final_obs"][k]
+                    final = info["final_info"]
+                    assert info["final_obs"][k] is None and not info["_final_obs"][k] and not final["_x"][k]
+                    assert final["x"][k] == final["state"]["x"][k] == final["estimate"]["cohesion"][k] == 0.0
+            same_info(info, k, scalar)  # after the reset, as the observation
     assert ends >= 10
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_a_full_info_is_the_scalar_one(mode):
+    many = SoilWheelVectorEnv(WHEELS, info="full", autoreset_mode=mode, max_episode_steps=45, **SHORT)
+    one = [SoilWheelEnv(**SHORT | {"control": {"time_limit": 4.5}}) for _ in range(WHEELS)]
+    _, info = many.reset(seed=2)
+    scalars = [env.reset(seed=2 + k)[1] for k, env in enumerate(one)]
+    done = np.zeros(WHEELS, dtype=bool)
+    for a in actions(4, steps=100):
+        for k in range(WHEELS):
+            assert Cause(info["cause"][k]).name == scalars[k]["cause"]
+            same_groups(info, k, scalars[k])
+        if mode == AutoresetMode.DISABLED and done.any():
+            _, info = many.reset(options={"reset_mask": done})
+            scalars = [env.reset()[1] if d else s for env, d, s in zip(one, done, scalars, strict=True)]
+            done[:] = False
+            continue
+        _, _, terminated, truncated, info = many.step(a)
+        resets, done = done, terminated | truncated
+        scalars = [env.reset()[1] if d else env.step(u)[4] for env, d, u in zip(one, resets, a, strict=True)]
+        if mode == AutoresetMode.SAME_STEP:
+            scalars = [env.reset()[1] if d else s for env, d, s in zip(one, done, scalars, strict=True)]
+            done = np.zeros(WHEELS, dtype=bool)
+
+
+@pytest.mark.parametrize("kind", ["numeric", "short"])
+def test_flat_infos_are_the_same_numbers(kind):
+    """In one wheel, in many and in gymnasium's own vector of single wheels."""
+    full, one = SoilWheelEnv(**SHORT), SoilWheelEnv(info=kind, **SHORT)
+    many = SoilWheelVectorEnv(2, info=kind, **SHORT)
+    sync = gymnasium.make_vec("SoilWheel-v0", num_envs=2, vectorization_mode="sync", info=kind, **SHORT)
+    infos = [env.reset(seed=8)[1] for env in (full, one, many, sync)]
+    for a in actions(5, 2, 40):
+        nested, numbers, arrays, synced = infos
+        expected = flat(nested)
+        names = (
+            set(expected)
+            if kind == "numeric"
+            else {"cause", "immobilised", "x", *map("reward_{}".format, REWARD_TERMS)}
+        )
+        assert set(numbers) == names == set(arrays) == {name for name in synced if name[0] != "_"}
+        for name, value in numbers.items():
+            assert isinstance(value, (bool, int, float)) and value == expected[name]
+            assert arrays[name][0] == pytest.approx(value, rel=1e-14) and synced[name][0] == value
+        *_, infos[0] = full.step(a[0])
+        *_, infos[1] = one.step(a[0])
+        *_, infos[2] = many.step(a)
+        *_, infos[3] = sync.step(a)
+
+
+def test_no_info():
+    many = SoilWheelVectorEnv(3, info="none", autoreset_mode="SameStep", max_episode_steps=2)
+    one = SoilWheelEnv(info="none")
+    assert one.reset(seed=0)[1] == one.step([0.2])[4] == many.reset(seed=0)[1] == many.step(np.zeros((3, 1)))[4] == {}
+    assert set(many.step(np.zeros((3, 1)))[4]) == {"final_obs", "_final_obs"}
+    for cls in (SoilWheelEnv, SoilWheelVectorEnv):
+        with pytest.raises(
+            ParameterError, match="info = 'nothing': expected one of 'full', 'numeric', 'short', 'none'"
+        ):
+            cls(info="nothing")
 
 
 def test_disabled_waits_for_a_reset_of_the_ended():
@@ -210,7 +289,7 @@ def test_make_vec():
     ({"max_episode_steps": 0}, "max_episode_steps = 0"),
     ({"autoreset_mode": "Sometimes"}, "autoreset_mode = 'Sometimes': expected one of 'NextStep'"),
     ({"render_mode": "rgb_array"}, "render_mode"),
-    ({"thread": 1}, "keyword: unknown key 'thread'; did you mean 'threads'?"),
+    ({"thread": 1}, "unexpected keyword argument 'thread'; did you mean 'threads'?"),
     ({"threads": -1}, "threads"),
 ])  # fmt: skip
 def test_bad_arguments_are_named(arguments, words):

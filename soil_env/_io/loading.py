@@ -87,6 +87,14 @@ def unknown_value(value, known, where: str) -> ParameterError:
     )
 
 
+class UnknownKeyword(ParameterError, TypeError):
+    """A keyword argument that does not exist: the `TypeError` that Python raises, and names the nearest known one."""
+
+    def __init__(self, key, known=()):
+        text = f"unexpected keyword argument {key!r}{_nearest(key, known)} (known: {_sorted(known)})"
+        super().__init__(text if known else key)  # a copy is made of the text
+
+
 def _nearest(name, known) -> str:
     near = difflib.get_close_matches(str(name), [str(k) for k in known], n=1)
     return f"; did you mean {near[0]!r}?" if near else ""

@@ -204,10 +204,11 @@ def test_impassable_is_what_the_environment_calls_impassable(scenario):
             action, memory = controller.predict(env.simulation.worlds.observation, memory)
             *_, over, truncated, info = env.step(action[0])
             over = over or truncated
-            env._warn()  # renewed every step here
+            env.infos.renew(env.simulation.worlds, alive)  # every step here
+            warning = env.infos.one(env.simulation.worlds, 0)["traversability"]
             looks = bool(warnings._looks_impassable(env.simulation.worlds, alive)[0])
-            slip, best = env.simulation.worlds.observation[0, 0], env._warning["best_slip"]
-            expected = env._warning["drawbar_margin"] <= 0.0 or slip > best + 0.5 * (1.0 - best)
+            slip, best = env.simulation.worlds.observation[0, 0], warning["best_slip"]
+            expected = warning["drawbar_margin"] <= 0.0 or slip > best + 0.5 * (1.0 - best)
             same.append(looks == expected)
             states.add(looks)
     assert len(same) > 300 and states == {True, False}

@@ -171,9 +171,9 @@ def test_works_inside_vec_normalize():
 
 
 def test_a_misspelt_keyword_is_named():
-    with pytest.raises(ParameterError, match="keyword: unknown key 'autoreset_mode'.*num_envs.*threads"):
+    with pytest.raises(ParameterError, match="unexpected keyword argument 'autoreset_mode'.*num_envs.*threads"):
         SoilWheelVecEnv(1, autoreset_mode="NextStep")
-    with pytest.raises(ParameterError, match="keyword: unknown key 'thread'; did you mean 'threads'"):
+    with pytest.raises(ParameterError, match="unexpected keyword argument 'thread'; did you mean 'threads'"):
         SoilWheelVecEnv(1, thread=1)
     with pytest.raises(ValueError, match="actions = 'x': expected numbers"):
         SoilWheelVecEnv(1).step_async("x")

@@ -7,6 +7,7 @@ import gymnasium
 import pytest
 
 from benchmarks import clients
+from soil_env.simulation.task import REWARD_TERMS
 
 pytestmark = pytest.mark.benchmarks
 
@@ -31,10 +32,10 @@ def test_wrappers_for_vector_environments_take_the_native_one():
     env = gymnasium.make_vec("soil_env:SoilWheel-v0", num_envs=2, vectorization_mode="vector_entry_point")
     env = gymnasium.wrappers.vector.DictInfoToList(gymnasium.wrappers.vector.RecordEpisodeStatistics(env))
     _, infos = env.reset(seed=1)
-    assert [set(i) for i in infos] == [{"cause", "reward_terms", "x"}] * 2
+    assert [set(i) for i in infos] == [{"cause", "immobilised", "x", *(f"reward_{name}" for name in REWARD_TERMS)}] * 2
     for _ in range(80):  # full throttle digs in, or stands at the first halt
         _, reward, terminated, _, infos = env.step([[1.0], [0.0]])
         for k in range(2):
-            assert sum(infos[k]["reward_terms"].values()) == pytest.approx(reward[k])
+            assert sum(infos[k][f"reward_{name}"] for name in REWARD_TERMS) == pytest.approx(reward[k])
             assert ("episode" in infos[k]) == bool(terminated[k])
     assert len(env.env.return_queue) >= 1

@@ -1,0 +1,180 @@
+"""What the environments tell beside the observation: `info`, in the same words for one wheel and for many."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError
+from soil_env._numba.compiling import FastCall
+from soil_env.identification import Status
+from soil_env.parameters import Scenario, SoilState
+from soil_env.simulation.task import REWARD_TERMS, Cause, layout
+from soil_env.simulation.wheel import WheelState
+from soil_env.simulation.worlds import Worlds
+from soil_env.terramechanics.traversability import best_working_point
+
+#: Values of the keyword `info`: nested, or flat and numbers only; of those all, or what costs next to nothing; nothing.
+INFOS = ("full", "numeric", "short", "none")
+IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
+_STUCK = np.array([c.value for c in IMMOBILISED])
+_STATUS = {status.value: status.name for status in Status}
+_STATE = ("x", "speed", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
+_ROWS = [WheelState.NAMES.index(name) for name in _STATE]
+_WARNING = ("best_slip", "drawbar_margin", "torque_required", "torque_available", "passable")
+_SEEN = [[e.name for e in layout("blind")].index(name) for name in ("load", "pitch")]
+
+
+def checked(kind: object) -> str:
+    """`kind` if it is one of `INFOS`; ParameterError otherwise."""
+    if kind not in INFOS:
+        raise ParameterError(f"info = {kind!r}: expected one of {', '.join(map(repr, INFOS))}")
+    return str(kind)
+
+
+def flat(nested: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of a full info without nesting: `reward_NAME`, `estimate_NAME`, and all other names as they are."""
+    out: dict[str, Any] = {}
+    prefixes = {"reward_terms": "reward_", "estimate": "estimate_"}
+    for key, value in nested.items():
+        if isinstance(value, Mapping):
+            out |= {prefixes.get(key, "") + name: number for name, number in value.items()}
+        else:
+            out[key] = value
+    if isinstance(out["cause"], str):
+        out["cause"], out["estimate_status"] = Cause[out["cause"]].value, Status[out["estimate_status"]].value
+    return out
+
+
+class Infos:
+    """Infos of the wheels of one `Worlds`. `traversability` is that of the last renewed estimate: see `renew`."""
+
+    def __init__(self, scenario: Scenario, kind: str, wheels: int):
+        self.scenario, self.kind = scenario, checked(kind)
+        self._best: Callable[..., Any] = FastCall(best_working_point)
+        self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate was renewed
+        self._stale = np.ones(wheels, dtype=np.bool_)
+        self._warnings = np.zeros((wheels, len(_WARNING)))
+
+    def renew(self, worlds: Worlds, which: np.ndarray) -> None:
+        """Estimates of the wheels `which` [wheels] bool are new: their traversability is that of what they see now."""
+        self._seen[which] = worlds.observation[which][:, _SEEN]
+        self._stale |= which
+
+    # --- one wheel ----------------------------------------------------------------------------------------------------
+
+    def one(self, worlds: Worlds, k: int) -> dict[str, Any]:
+        """Info of wheel k."""
+        cause = Cause(worlds.cause.item(k))
+        if self.kind == "none":
+            return {}
+        if self.kind == "short":
+            return {
+                "cause": cause.value,
+                "immobilised": cause in IMMOBILISED,
+                "x": worlds.state.x.item(k),
+                **{f"reward_{n}": v for n, v in zip(REWARD_TERMS, worlds.terms[k].tolist(), strict=True)},
+            }
+        state = worlds.state.data[:, k].tolist()
+        warning = dict(zip(_WARNING, self._warning(worlds, k).tolist(), strict=True))
+        full = {
+            "cause": cause.name,
+            "immobilised": cause in IMMOBILISED,
+            "reward_terms": dict(zip(REWARD_TERMS, worlds.terms[k].tolist(), strict=True)),
+            "estimate": self._estimate(worlds, k),
+            "traversability": {**warning, "passable": warning["passable"] > 0.0},
+            "state": {name: state[row] for name, row in zip(_STATE, _ROWS, strict=True)},
+        }
+        return full if self.kind == "full" else flat(full)
+
+    def _estimate(self, worlds: Worlds, k: int) -> dict[str, Any]:
+        x, sd = worlds.ids.estimate[k].tolist(), worlds.ids.sd[k].tolist()
+        return {
+            "friction_angle_deg": math.degrees(x[0]),
+            "shear_modulus": math.exp(x[1]),
+            "sinkage_coefficient": math.exp(x[2]),
+            "cohesion": x[3],
+            "dig_gain": self.scenario.belief.dig_gain * math.exp(x[4]),
+            "friction_angle_sd_deg": math.degrees(sd[0]),
+            "shear_modulus_relative_sd": sd[1],
+            "sinkage_coefficient_relative_sd": sd[2],
+            "cohesion_sd": sd[3],
+            "dig_gain_relative_sd": sd[4],
+            "status": _STATUS[worlds.ids.status.item(k)],
+        }
+
+    def _warning(self, worlds: Worlds, k: int) -> np.ndarray:
+        """Traversability (paper, Section 6) of the ground as identified, at the measured load and pitch; `_WARNING`."""
+        if self._stale[k]:
+            self._stale[k] = False
+            belief, wheel = self.scenario.belief, self.scenario.wheel
+            load = max(float(self._seen[k, 0]), 0.05) * self.scenario.weight
+            x = worlds.ids.estimate[k].tolist()
+            soil = SoilState(
+                math.tan(math.radians(math.degrees(x[0]))), x[3], math.exp(x[1]), min(math.exp(x[2]), 1e13),
+                belief.sinkage_exponent, min(belief.dig_gain * math.exp(x[4]), 20.0), belief.dig_recovery,
+            )  # fmt: skip
+            best = self._best(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
+            margin = max(best.drawbar_pull / load - math.tan(float(self._seen[k, 1])), -1.0)
+            self._warnings[k] = best.slip, margin, best.torque, wheel.stall_torque, margin > 0.0
+        return self._warnings[k]
+
+    # --- many wheels --------------------------------------------------------------------------------------------------
+
+    def many(self, worlds: Worlds) -> dict[str, Any]:
+        """Info of all wheels, arrays [wheels]; `cause` and `status` are numbers."""
+        if self.kind == "none":
+            return {}
+        terms = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
+        info = {"cause": worlds.cause.copy(), "immobilised": np.isin(worlds.cause, _STUCK)}
+        if self.kind == "short":
+            return info | {"x": worlds.state["x"].copy()} | {f"reward_{n}": v for n, v in terms.items()}
+        full = info | {"reward_terms": terms} | self._groups(worlds, np.ones(worlds.cause.size, dtype=np.bool_))
+        return full if self.kind == "full" else flat(full)
+
+    def final(self, worlds: Worlds, ended: np.ndarray) -> dict[str, Any]:
+        """Info of the wheels that have `ended` [wheels] bool before they are reset, 0 for all others: that of `kind`,
+        and the groups of "full"."""
+        info = self.many(worlds)
+        info["reward_terms"] = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
+        info |= {"x": worlds.state["x"].copy()} | self._groups(worlds, ended)
+        return _masked(info, ended)
+
+    def _groups(self, worlds: Worlds, which: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
+        """estimate, traversability and state, arrays [wheels]; traversability only of `which`."""
+        for k in np.flatnonzero(which & self._stale):
+            self._warning(worlds, int(k))
+        ids = worlds.ids
+        x, sd = ids.estimate.T, ids.sd.T
+        estimate = {
+            "friction_angle_deg": np.degrees(x[0]),
+            "shear_modulus": np.exp(x[1]),
+            "sinkage_coefficient": np.exp(x[2]),
+            "cohesion": x[3].copy(),
+            "dig_gain": self.scenario.belief.dig_gain * np.exp(x[4]),
+            "friction_angle_sd_deg": np.degrees(sd[0]),
+            "shear_modulus_relative_sd": sd[1].copy(),
+            "sinkage_coefficient_relative_sd": sd[2].copy(),
+            "cohesion_sd": sd[3].copy(),
+            "dig_gain_relative_sd": sd[4].copy(),
+            "status": ids.status.copy(),
+        }
+        warning = dict(zip(_WARNING, self._warnings.T.copy(), strict=True))
+        warning["passable"] = warning["passable"] > 0.0
+        return {
+            "estimate": estimate,
+            "traversability": warning,
+            "state": {name: worlds.state[name].copy() for name in _STATE},
+        }
+
+
+def _masked(info: dict[str, Any], which: np.ndarray) -> dict[str, Any]:
+    """Arrays with 0 where `which` is not, and beside each key `_key` with `which`, as vector environments have it."""
+    out: dict[str, Any] = {}
+    for key, value in info.items():
+        out[key] = _masked(value, which) if isinstance(value, dict) else np.where(which, value, value.dtype.type(0))
+        out[f"_{key}"] = which.copy()
+    return out
