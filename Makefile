@@ -24,6 +24,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 TRAIN_READY := $(VENV)/.installed-train
 TEST_READY := $(VENV)/.installed-test
+DOCS_READY := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
 .PHONY: help train test lint format kernels docs dist bench clients clean
@@ -53,7 +54,7 @@ format: $(TEST_READY)  ## let ruff format the code and repair what it can
 kernels: $(TEST_READY)  ## compile what most tests use, once for all test processes
 	$(PY) -m tests.kernels
 
-docs: $(TEST_READY)  ## build the documentation into site/; a warning is an error
+docs: $(DOCS_READY)  ## build the documentation into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 dist: $(TEST_READY)  ## wheel and sdist into dist/
@@ -87,4 +88,9 @@ $(TRAIN_READY): pyproject.toml constraints.txt | $(PY)
 
 $(TEST_READY): $(TRAIN_READY)
 	$(PIP) install -q -c constraints.txt -e '.[train,recurrent,export,test,docs]'
+	@touch $@ $(DOCS_READY)
+
+# The site is made from the sources, none of which is imported: no torch.
+$(DOCS_READY): pyproject.toml constraints.txt | $(PY)
+	$(PIP) install -q -c constraints.txt -e '.[docs]'
 	@touch $@

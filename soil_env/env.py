@@ -176,8 +176,8 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | state | dict of the true x, speed, wheel speed, slip, sinkage, load, drawbar pull, torques, grade, in SI units |
 
     This is `info="full"`. `"numeric"` has the same numbers without nesting, `cause` and `estimate_status` as numbers of
-    `task.Cause` and `identification.Status`: `reward_NAME`, `estimate_NAME`, all others by their name. `"short"` has
-    `cause`, `immobilised`, `x` and `reward_NAME` only, and `"none"` nothing.
+    `task.Cause` and `identification.Status`, True as 1: `reward_NAME`, `estimate_NAME`, all others by their name.
+    `"short"` has `cause`, `immobilised`, `x` and `reward_NAME` only, and `"none"` nothing.
 
     ## Arguments
     `scenario`: name, path of a YAML file, or `Scenario`; `observation`; `action`; `render_mode`: "rgb_array" or

@@ -375,7 +375,11 @@ def test_extreme_estimates_do_not_stop_the_episode():
     for corner in np.array(np.meshgrid(*zip(LOWER, UPPER, strict=True))).T.reshape(-1, 3):
         env.simulation.worlds.ids.estimate[0] = [*corner, 2e5 * (corner[0] > 1.0), 3.0 if corner[1] > -3.0 else -3.0]
         env.infos.renew(env.simulation.worlds, np.ones(1, dtype=bool))
-        assert all(math.isfinite(v) for k, v in env.infos.one(env.simulation.worlds, 0)["traversability"].items() if k in ("best_slip",))
+        assert all(
+            math.isfinite(v)
+            for k, v in env.infos.one(env.simulation.worlds, 0)["traversability"].items()
+            if k in ("best_slip",)
+        )
         assert not math.isnan(env.infos.one(env.simulation.worlds, 0)["traversability"]["drawbar_margin"])
 
 

@@ -21,6 +21,7 @@ from soil_env.terramechanics.traversability import best_working_point
 INFOS = ("full", "numeric", "short", "none")
 IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
 _STUCK = np.array([c.value for c in IMMOBILISED])
+_TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
 _STATUS = {status.value: status.name for status in Status}
 _STATE = ("x", "speed", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
 _ROWS = [WheelState.NAMES.index(name) for name in _STATE]
@@ -49,6 +50,15 @@ def flat(nested: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
+def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
+    """Numbers of numpy for those of Python, for readers that ask for a dtype.
+
+    True is 1: the vector environments of gymnasium would gather `np.bool_` as objects.
+    """
+    out = dict(zip(info, np.array(list(info.values())), strict=True))
+    return out | {name: np.int64(info[name]) for name in ("cause", "immobilised", "estimate_status", "passable")}
+
+
 class Infos:
     """Infos of the wheels of one `Worlds`. `traversability` is that of the last renewed estimate: see `renew`."""
 
@@ -73,10 +83,10 @@ class Infos:
             return {}
         if self.kind == "short":
             return {
-                "cause": cause.value,
-                "immobilised": cause in IMMOBILISED,
-                "x": worlds.state.x.item(k),
-                **{f"reward_{n}": v for n, v in zip(REWARD_TERMS, worlds.terms[k].tolist(), strict=True)},
+                "cause": worlds.cause[k],
+                "immobilised": np.int64(cause in IMMOBILISED),
+                "x": worlds.state.x[k],
+                **dict(zip(_TERMS, worlds.terms[k].copy(), strict=True)),
             }
         state = worlds.state.data[:, k].tolist()
         warning = dict(zip(_WARNING, self._warning(worlds, k).tolist(), strict=True))
@@ -88,7 +98,7 @@ class Infos:
             "traversability": {**warning, "passable": warning["passable"] > 0.0},
             "state": {name: state[row] for name, row in zip(_STATE, _ROWS, strict=True)},
         }
-        return full if self.kind == "full" else flat(full)
+        return full if self.kind == "full" else _numbers(flat(full))
 
     def _estimate(self, worlds: Worlds, k: int) -> dict[str, Any]:
         x, sd = worlds.ids.estimate[k].tolist(), worlds.ids.sd[k].tolist()
@@ -131,7 +141,7 @@ class Infos:
         terms = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
         info = {"cause": worlds.cause.copy(), "immobilised": np.isin(worlds.cause, _STUCK)}
         if self.kind == "short":
-            return info | {"x": worlds.state["x"].copy()} | {f"reward_{n}": v for n, v in terms.items()}
+            return info | {"x": worlds.state["x"].copy()} | dict(zip(_TERMS, terms.values(), strict=True))
         full = info | {"reward_terms": terms} | self._groups(worlds, np.ones(worlds.cause.size, dtype=np.bool_))
         return full if self.kind == "full" else flat(full)
 

@@ -1,0 +1,69 @@
+"""The site opened from the disk: no network, no server, formulas and search all the same, and no torch to build it."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("material", reason="mkdocs-material is in the extra docs")
+
+from mkdocs_hooks import on_page_content  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[2]
+WITHOUT = """
+import sys
+for name in ("torch", "stable_baselines3", "gymnasium", "numba", "numpy"):
+    sys.modules[name] = None  # cannot be imported
+from mkdocs.__main__ import cli
+cli()
+"""
+
+pytestmark = [pytest.mark.documents, pytest.mark.slow]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT, "build", "--strict", "-q", "-d", str(folder)], cwd=ROOT, text=True,
+        capture_output=True, env={**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    return folder
+
+
+def test_nothing_is_loaded_from_elsewhere(site):
+    pages = sorted(site.rglob("*.html"))
+    assert len(pages) > 30
+    loading = re.compile(r'<(?:script|img|iframe|source)[^>]*src="([^"]*)"|<link rel="?stylesheet"?[^>]*href="([^"]*)"')
+    for page in pages:
+        for source in (a or b for a, b in loading.findall(page.read_text(encoding="utf-8"))):
+            target = source.partition("?")[0]
+            assert target.startswith("data:") or (page.parent / target).resolve().is_file(), f"{page.name}: {source}"
+    for sheet in site.rglob("*.css"):
+        assert not re.search(r"url\(\"?https?:", sheet.read_text(encoding="utf-8")), sheet
+
+
+def test_formulas_are_drawn_without_a_script(site):
+    text = (site / "physics" / "contact.html").read_text(encoding="utf-8")
+    assert text.count("<math") > 50 and "\\frac" not in text and "arithmatex" not in text
+    assert '<span class="equation">(10)</span>' in text
+    for page in site.rglob("*.html"):
+        assert not re.search(r"\\\(.*\\\)|<m[a-z]+>\\[a-z]", page.read_text(encoding="utf-8")), page
+
+
+def test_a_formula_with_a_number_and_one_that_is_escaped():
+    shown = on_page_content('<div class="arithmatex">\\[a &lt; \\frac{b}{c} \\tag{7}\\]</div>')
+    assert shown.startswith('<div class="formula"><math') and "<mfrac>" in shown and shown.endswith("(7)</span></div>")
+    assert on_page_content("<p>\\(no formula\\)</p>") == "<p>\\(no formula\\)</p>"
+
+
+def test_the_search_index_is_a_script(site):
+    text = (site / "search" / "search_index.js").read_text(encoding="utf-8")
+    index = json.loads(text.removeprefix("var __index = "))
+    assert any("slip-sinkage" in entry["text"] for entry in index["docs"])
+    assert "iframe-worker.js" in (site / "index.html").read_text(encoding="utf-8")
