@@ -9,6 +9,7 @@ COPY pyproject.toml setup.py README.md LICENSE ./
 COPY soil_env soil_env
 COPY agents agents
 COPY configs configs
+COPY examples examples
 RUN pip wheel --no-cache-dir --no-deps --wheel-dir /dist .
 
 FROM python:3.11-slim

@@ -2,7 +2,8 @@
 
 from setuptools import find_namespace_packages, setup
 
-INSTALLED_AS = {"soil_env": "soil_env", "agents": "soil_env_agents", "configs": "soil_env.configs"}
+INSTALLED_AS = {"soil_env": "soil_env", "agents": "soil_env_agents", "configs": "soil_env.configs",
+                "examples": "soil_env.examples"}  # fmt: skip
 
 
 def installed_as(package: str) -> str:

@@ -226,7 +226,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         self._spec: EnvSpec | None = None
 
     @property
-    def spec(self) -> EnvSpec | None:  # type: ignore[override]
+    def spec(self) -> EnvSpec | None:
         """What `gymnasium.make` was given, with the length of an episode, which wrappers ask for."""
         return self._spec
 

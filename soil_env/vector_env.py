@@ -148,7 +148,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         final = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended):
             final[k] = worlds.observation[k].copy()
-        out = {"final_obs": final, "_final_obs": ended}
+        out: dict[str, Any] = {"final_obs": final, "_final_obs": ended}
         if self.infos.kind != "none":
             out |= {"final_info": self.infos.final(worlds, ended), "_final_info": ended.copy()}
         return out

@@ -286,6 +286,11 @@ def read_yaml(path: Path) -> dict:
 
 
 def config_dir() -> Path:
-    """Folder of the shipped YAML files: inside an installed package, else beside it in the clone."""
+    """Folder of the shipped YAML files."""
+    return shipped_dir("configs")
+
+
+def shipped_dir(name: str) -> Path:
+    """A folder that comes with the package: inside it where it is installed, else beside it in the clone."""
     here = Path(__file__).resolve().parents[1]  # soil_env/
-    return next((p for p in (here / "configs", here.parent / "configs") if p.is_dir()), here.parent / "configs")
+    return next((p for p in (here / name, here.parent / name) if p.is_dir()), here.parent / name)

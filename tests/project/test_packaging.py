@@ -48,11 +48,12 @@ def sources(folder, pattern="*.*"):
     return {name for name in found if "__pycache__" not in name}
 
 
-def test_the_wheel_holds_the_packages_and_the_configs_and_nothing_else(wheel):
+def test_the_wheel_holds_the_packages_configs_and_examples_and_nothing_else(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = {n for n in archive.namelist() if ".dist-info/" not in n}
         scripts = next(archive.read(n).decode() for n in archive.namelist() if n.endswith("entry_points.txt"))
-    folders = {"soil_env": "soil_env", "agents": "soil_env_agents", "configs": "soil_env/configs"}
+    folders = {"soil_env": "soil_env", "agents": "soil_env_agents"}
+    folders |= {name: f"soil_env/{name}" for name in ("configs", "examples")}
     assert names == {f"{there}/{name}" for here, there in folders.items() for name in sources(here)}
     assert "soil_env/configs/scenarios/mixed.yaml" in names and "soil_env_agents/evaluate/__main__.py" in names
     assert set(re.findall(r"^(\S+) = ", scripts, re.MULTILINE)) == set(PROJECT["scripts"])
