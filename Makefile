@@ -65,7 +65,7 @@ bench: $(TRAIN_READY)  ## run the studies of benchmarks/ and renew their pages i
 	$(PY) benchmarks/identification.py $(ARGS)
 	$(PY) benchmarks/throughput.py $(ARGS)
 
-clients: $(TRAIN_READY)  ## smoke runs in rl-zoo3, RLlib, Minari and Ray, each in an environment of its own
+clients: $(TRAIN_READY)  ## smoke runs in rl-zoo3, RLlib, Minari, Ray, TorchRL and others, each in an environment of its own
 	$(PY) -m benchmarks.clients $(ARGS)
 
 clean:  ## remove .venv, build products and caches; runs/ stays

@@ -58,7 +58,7 @@ def environment(name: str, client: Client, envs: Path) -> Path:
     """The interpreter of a client's environment, made where it does not exist yet."""
     folder = envs / name
     python, mark = folder / "bin" / "python", folder / ".installed"
-    wanted = [f"-e{ROOT}[{client.extras}]", *client.pins]
+    wanted = [f"-e{ROOT}[{client.extras}]" if client.extras else f"-e{ROOT}", *client.pins]
     if mark.exists() and mark.read_text(encoding="utf-8") == json.dumps(wanted):
         return python
     print(f"{name}: installing into {folder}", flush=True)

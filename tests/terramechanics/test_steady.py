@@ -178,7 +178,7 @@ def test_any_admissible_soil_gives_finite_numbers(tan_phi, cohesion, k, log_s, n
 
 
 def test_a_locked_wheel_drags_twice_its_load_in_dry_sand():
-    """The figure of docs/physics/index.md; on the CMU testbed a locked wheel measured -38.8 N at 19.5 N (Pavlov & Johnson)."""
+    """The figure of docs/physics/index.md; on the CMU testbed -38.8 N at a load of 19.5 N (Pavlov & Johnson)."""
     found = model.steady_state(-1.0, 147.15, soils()["dry_sand"].state(0.15), 0.15, 0.15)
     assert found.supported
     assert found.drawbar_pull / 147.15 == pytest.approx(-1.9, abs=0.05)
