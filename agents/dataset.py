@@ -13,7 +13,6 @@ Examples:
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from pathlib import Path
 
 import gymnasium
@@ -23,7 +22,7 @@ import soil_env
 from soil_env._io.commands import command, command_line, leave, whole_number
 from soil_env._io.document import Table, wrapped
 from soil_env._io.files import replace_file
-from soil_env._io.loading import ParameterError, to_dict
+from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario, load_scenario
 
 from .cli import manual_parser
@@ -64,7 +63,7 @@ def main(arguments: list[str] | None = None) -> int:
         name = f"{options.prefix}/{contestant.name}{member}-v0"
         if name in minari.list_local_datasets():
             minari.delete_dataset(name)
-        record(name, contestant, scenario, options.episodes, options.seed)
+        record(name, contestant, options.scenario, options.episodes, options.seed)
         dataset = minari.load_dataset(name)
         returns = [episode.rewards.sum() for episode in dataset]
         ended = [bool(episode.terminations[-1]) for episode in dataset]
@@ -83,15 +82,14 @@ def main(arguments: list[str] | None = None) -> int:
     return 1 if differing else 0
 
 
-def record(name: str, contestant: contestants.Contestant, scenario: Scenario, episodes: int, seed: int):
-    """The data set of the courses with seeds `seed`, `seed` + 1, ..., driven by one contestant."""
+def record(name: str, contestant: contestants.Contestant, scenario: str, episodes: int, seed: int):
+    """The data set of the courses with seeds `seed`, `seed` + 1, ..., driven by one contestant; `scenario` is a name or
+    the path of a file."""
     import minari
 
-    driver = loading.load(contestant, scenario)
-    keywords = {f.name: to_dict(getattr(scenario, f.name)) if dataclasses.is_dataclass(getattr(scenario, f.name))
-                else getattr(scenario, f.name) for f in dataclasses.fields(scenario)}  # fmt: skip
-    known = {k: v for k, v in keywords.items() if v != _plain_default(k)}
-    env = minari.DataCollector(gymnasium.make("soil_env:SoilWheel-v0", observation=driver.variant, **known))
+    driver = loading.load(contestant, load_scenario(scenario))
+    env = gymnasium.make("soil_env:SoilWheel-v0", scenario=scenario, observation=driver.variant)
+    env = minari.DataCollector(env)
     for k in range(episodes):
         observation, _ = env.reset(seed=seed + k)
         memory, over, start = None, False, np.array([True])
@@ -104,18 +102,12 @@ def record(name: str, contestant: contestants.Contestant, scenario: Scenario, ep
         dataset_id=name,
         algorithm_name=contestant.label,
         author="soil_env developers",
-        description=f"{episodes} courses of scenario {scenario.name!r} of soil_env {soil_env.__version__}, seeds {seed} to "
-        f"{seed + episodes - 1}, driven by {contestant.label}. Licence: {LICENCE}.",
+        description=f"{episodes} courses of scenario {scenario!r} of soil_env {soil_env.__version__}, seeds {seed} "
+        f"to {seed + episodes - 1}, driven by {contestant.label}. Licence: {LICENCE}.",
         requirements=[f"soil_env=={soil_env.__version__}"],
     )
     env.close()
     return made
-
-
-def _plain_default(field: str):
-    """The value of a field in the default scenario, as plain values."""
-    value = getattr(load_scenario("mixed"), field)
-    return to_dict(value) if dataclasses.is_dataclass(value) else value
 
 
 def differences(dataset) -> int:
@@ -138,16 +130,18 @@ def card(options, scenario: Scenario, table: Table) -> str:
     header = "---\nlicense: mit\ntags: [minari, reinforcement-learning, offline-rl, SoilWheel-v0]\n---\n\n"
     text = f"""# Drives of a wheel on soil that it does not know
 
-Scenario `{scenario.name}` of soil_env {soil_env.__version__}: courses of {scenario.course.length:g} m with seeds {options.seed} to
-{options.seed + options.episodes - 1}, the same for every controller. No training and no tuning used these seeds.
+Scenario `{scenario.name}` of soil_env {soil_env.__version__}: courses of {scenario.course.length:g} m with seeds
+{options.seed} to {options.seed + options.episodes - 1}, the same for every controller. No training and no tuning used
+these seeds.
 
 {table.markdown()}
 
-Observations are raw; their names, units and bounds are those of `SoilWheelEnv`. Actions are in [-1, 1]. The environment comes back with
-`minari.load_dataset(NAME).recover_environment()`, and from seed and actions every step does. Simulated, not measured on a vehicle.
+Observations are raw; their names, units and bounds are those of `SoilWheelEnv`. Actions are in [-1, 1]. The environment
+comes back with `minari.load_dataset(NAME).recover_environment()`, and from seed and actions every step does. Simulated,
+not measured on a vehicle.
 
-Licence: {LICENCE}. Made by `python -m agents.dataset --controllers '{options.controllers}' --scenario {options.scenario}
---episodes {options.episodes} --seed {options.seed} --prefix {options.prefix}`.
+Licence: {LICENCE}. Made by `python -m agents.dataset --controllers '{options.controllers}' --scenario
+{options.scenario} --episodes {options.episodes} --seed {options.seed} --prefix {options.prefix}`.
 """
     return header + wrapped(text)
 
