@@ -33,7 +33,7 @@ def best_slip(graph: Graph, soil: Sequence, load: Traced, radius: float, width: 
     balance, _, _ = _run(steady._balance)(slip, weight, SoilState(*columns), wheel, steady.LEVEL, NO_EFFECTS)
     deepest = math.log(steady.DEEPEST * radius)
     zero = (weight + slip) * 0.0
-    floating = _misfit(balance, zero + deepest, wheel)[0] <= 0.0
+    supported = _misfit(balance, zero + deepest, wheel)[0] <= 0.0
 
     def halve(child: Graph, ends: list[Traced]) -> list[Traced]:
         low, high = ends
@@ -45,7 +45,7 @@ def best_slip(graph: Graph, soil: Sequence, load: Traced, radius: float, width: 
     forces = _misfit(balance, 0.5 * (low + high), wheel)[1]
     table = (-1, len(slips))
     pull, needed = (graph.reshaped(x, table) for x in (forces.drawbar_pull, forces.torque))
-    usable = graph.reshaped(floating, table) & (needed <= torque)
+    usable = graph.reshaped(supported, table) & (needed <= torque)
     return _highest(pull, usable, load, slips)
 
 
@@ -69,7 +69,7 @@ def _misfit(p, x: Traced, wheel):
     soil, b = p.soil, wheel.width
     arc = _run(contact.smooth_arc)(np.exp(x), wheel.radius)
     q = _run(arc_integrals.integrals_alone)(arc, p.rim, p.travel, soil.shear_modulus, soil.sinkage_exponent, p.law)
-    s = _run(contact.mobilised_modulus)(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
+    s = _run(contact.mobilised_sinkage_coefficient)(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
     f = np.clip(np.log(np.maximum(s, 1e-300)) - p.strength, -2.0, 50.0)
     bearing = _run(contact.bearing_share)(q, soil.tan_phi, 1.0)
     sunk = (bearing <= 1e-12 * q.p_cos) & (p.load / (arc.radius * b) > soil.cohesion * q.e_sin)
