@@ -114,9 +114,7 @@ def _sources(spec: str) -> tuple[str, list[str]]:
     path = Path(spec)
     if path.suffix in (".zip", ".onnx") or path.is_dir() or "/" in spec:
         return "model", [str(_file_of(path))]
-    raise ParameterError(
-        f"{unknown_value(spec, CONTROLLERS, 'controllers')}; or model.zip, policy.onnx, module:Class"
-    )
+    raise ParameterError(f"{unknown_value(spec, CONTROLLERS, 'controllers')}; or model.zip, policy.onnx, module:Class")
 
 
 def _is_model(path: Path) -> bool:
