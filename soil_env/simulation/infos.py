@@ -20,7 +20,7 @@ from soil_env.terramechanics.traversability import best_working_point
 #: Values of the keyword `info`: nested, or flat and numbers only; of those all, or what costs next to nothing; nothing.
 INFOS = ("full", "numeric", "short", "none")
 IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
-_STUCK = np.array([c.value for c in IMMOBILISED])
+_STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # by its number
 _TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
 _STATUS = {status.value: status.name for status in Status}
 _STATE = ("x", "speed", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
@@ -139,7 +139,7 @@ class Infos:
         if self.kind == "none":
             return {}
         terms = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
-        info = {"cause": worlds.cause.copy(), "immobilised": np.isin(worlds.cause, _STUCK)}
+        info = {"cause": worlds.cause.copy(), "immobilised": _STUCK[worlds.cause]}
         if self.kind == "short":
             return info | {"x": worlds.state["x"].copy()} | dict(zip(_TERMS, terms.values(), strict=True))
         full = info | {"reward_terms": terms} | self._groups(worlds, np.ones(worlds.cause.size, dtype=np.bool_))
