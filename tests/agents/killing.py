@@ -13,7 +13,7 @@ from pathlib import Path
 
 MOST = 120  # processes
 MOMENTS = ((1, "after"), (2, "before"), (2, "after"), (6, "before"), (5, "after"))  # of a process, in files; in turn
-QUICK = ("weak", "none", "none_poor", "outliers_none")  # cases of `benchmarks.blind`
+QUICK = ("weak", "none", "none_poor", "outliers_none")  # cases of `benchmarks.blind.easy`
 
 
 def killed_until_done(work) -> int:
@@ -84,14 +84,15 @@ def sim2real(folder: Path) -> None:
 
 
 def blind_cases(folder: Path) -> None:
-    """Four cases of `benchmarks.blind`, with clocks that stand still."""
-    from benchmarks import blind, blind_study
+    """Four cases of `benchmarks.blind.easy`, with clocks that stand still."""
+    from benchmarks.blind.easy import command as blind
+    from benchmarks.blind.easy import study as blind_study
 
     wanted = [t for t in blind_study.tasks(blind_study.IN_ALL, True) if t.group in QUICK]
     blind.tasks = lambda cases, smoke: wanted
     blind_study.time = types.SimpleNamespace(perf_counter=float, process_time=float)
     if blind.main(["--smoke", "--workers", "1", "--seed", "7", "--resume", "--out", str(folder)]) != 0:
-        raise RuntimeError("benchmarks.blind failed")
+        raise RuntimeError("benchmarks.blind.easy failed")
 
 
 def main(name: str, folder: Path) -> None:

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from benchmarks.blind_effect import Hidden
-from benchmarks.blind_forms import FORMS
-from benchmarks.blind_limits import Bench
-from benchmarks.blind_plan import PRIOR_SD
-from benchmarks.blind_unlisted import UNLISTED
-from benchmarks.blind_world import Ground, Rows, Wheel
+from benchmarks.blind.easy.forms import FORMS
+from benchmarks.blind.easy.limits import Bench
+from benchmarks.blind.easy.plan import PRIOR_SD
+from benchmarks.blind.easy.unlisted import UNLISTED
+from benchmarks.blind.effect import Hidden
+from benchmarks.blind.world import Ground, Rows, Wheel
 
 GROUND = Ground(30.0, 1500.0, 0.018, 770000.0, 0.85, 1600.0)
 WHEEL = Wheel(0.15, 0.12)

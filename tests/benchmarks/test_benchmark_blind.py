@@ -7,10 +7,12 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from benchmarks import blind, blind_page, blind_study
-from benchmarks.blind_forms import EFFECTS, FORMS
-from benchmarks.blind_judge import figures, gap_of, judged, share
-from benchmarks.blind_study import GROUPS, IN_ALL, PAIRS, Task, tasks
+from benchmarks.blind.easy import command as blind
+from benchmarks.blind.easy import page as blind_page
+from benchmarks.blind.easy import study as blind_study
+from benchmarks.blind.easy.forms import EFFECTS, FORMS
+from benchmarks.blind.easy.judge import figures, gap_of, judged, share
+from benchmarks.blind.easy.study import GROUPS, IN_ALL, PAIRS, Task, tasks
 from soil_env._io.loading import ParameterError
 
 CHANNELS = ("sinkage", "drawbar_pull", "torque")

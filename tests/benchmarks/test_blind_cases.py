@@ -9,12 +9,13 @@ import pytest
 import yaml
 from scipy.optimize import least_squares
 
-from benchmarks import blind_cases, blind_limits
-from benchmarks.blind_cases import draw_case, write_case
-from benchmarks.blind_forms import EFFECTS
-from benchmarks.blind_limits import detection_limit, gap, imitation, noncentrality
-from benchmarks.blind_plan import Options, draw_bench
-from benchmarks.blind_world import Ground, predict
+from benchmarks.blind.easy import cases as blind_cases
+from benchmarks.blind.easy import limits as blind_limits
+from benchmarks.blind.easy.cases import draw_case, write_case
+from benchmarks.blind.easy.forms import EFFECTS
+from benchmarks.blind.easy.limits import detection_limit, gap, imitation, noncentrality
+from benchmarks.blind.easy.plan import Options, draw_bench
+from benchmarks.blind.world import Ground, predict
 from soil_env.measurement.table import read_setup, read_table
 from tests.benchmarks.blind_bench import BENCH, GROUND, NAMES, WHEEL, grid, hidden, table
 

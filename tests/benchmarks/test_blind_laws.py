@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from benchmarks.blind_forms import FORMS
-from benchmarks.blind_world import Wheel, predict
+from benchmarks.blind.easy.forms import FORMS
+from benchmarks.blind.world import Wheel, predict
 from tests.benchmarks.blind_bench import BENCH, GROUND, WHEEL, grid, hidden, table
 
 ROWS = grid()

@@ -8,9 +8,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from benchmarks import blind_limits
-from benchmarks.blind_effect import Hidden
-from benchmarks.blind_world import Contact, Ground, predict
+from benchmarks.blind.easy import limits as blind_limits
+from benchmarks.blind.effect import Hidden
+from benchmarks.blind.world import Contact, Ground, predict
 from tests.benchmarks.blind_bench import ALL_FORMS, BENCH, GROUND, NAMES, WHEEL, grid, hidden, table
 from tests.terramechanics import reference
 

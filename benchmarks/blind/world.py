@@ -4,7 +4,7 @@ Steady driving of one wheel, Hutangkabodee, Zweiri, Seneviratne & Althoefer (200
 & Reece (1967), shear stress of Janosi & Hanamoto (1961), theta2 = 0, thetam = theta1/2, the sinkage from the vertical
 balance, the drawbar pull by Eq. (2). Nothing here comes from `soil_env`: own quadrature (trapezoidal rule after a
 smoothing change of variable, Sidi 1993), own root search, numpy only. An effect alters a `Contact` before it is solved
-(`blind_forms`, `blind_unlisted`).
+(the forms of effects).
 
 SI units, angles in rad unless a name says `deg`. N rows, one a steady point; stresses have shape [N, nodes].
 """

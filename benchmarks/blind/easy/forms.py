@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from benchmarks.blind_effect import Form
-from benchmarks.blind_forms_contact import CONTACT_FORMS
-from benchmarks.blind_forms_run import RUN_FORMS
+from benchmarks.blind.easy.forms_contact import CONTACT_FORMS
+from benchmarks.blind.easy.forms_run import RUN_FORMS
+from benchmarks.blind.effect import Form
 
 FORMS: list[Form] = [*CONTACT_FORMS, *RUN_FORMS]
 EFFECTS = tuple(dict.fromkeys(form.effect for form in FORMS))  # names of the catalogue

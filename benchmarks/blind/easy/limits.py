@@ -16,9 +16,9 @@ import numpy as np
 from scipy.optimize import brentq, least_squares
 from scipy.stats import chi2, ncx2
 
-from benchmarks.blind_effect import Context, Hidden
-from benchmarks.blind_forms import FORMS
-from benchmarks.blind_world import Ground, Outcome, Rows, Wheel, predict, with_soil
+from benchmarks.blind.easy.forms import FORMS
+from benchmarks.blind.effect import Context, Hidden
+from benchmarks.blind.world import Ground, Outcome, Rows, Wheel, predict, with_soil
 
 SOIL = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
 LEVEL, POWER = 0.01, 0.95

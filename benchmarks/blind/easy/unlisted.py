@@ -1,7 +1,7 @@
-"""Effects that no entry of the catalogue describes, as alterations of a `blind_world.Contact`.
+"""Effects that no entry of the catalogue describes, as alterations of a `world.Contact`.
 
 Each docstring says what happens and why no listed effect is it. Whether listed effects could still imitate it in a
-given table is not left to argument: `blind_limits.imitation_gap` measures it with the forms of `blind_forms`, and a
+given table is not left to argument: `limits.imitation` measures it with the published forms, and a
 case is drawn only where what they leave is detectable.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.blind_effect import ALL, PULL, TORQUE, Form, column, enter
+from benchmarks.blind.effect import ALL, PULL, TORQUE, Form, column, enter
 
 UNLISTED: list[Form] = []
 

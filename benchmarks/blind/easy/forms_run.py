@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.blind_effect import PULL, SINKAGE, TORQUE, Form, column, enter
+from benchmarks.blind.effect import PULL, SINKAGE, TORQUE, Form, column, enter
 
 RUN_FORMS: list[Form] = []
 _form = partial(enter, RUN_FORMS)

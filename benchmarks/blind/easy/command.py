@@ -1,57 +1,57 @@
-"""How often the discrepancy workflow finds what is missing: tables in which an effect is hidden, judged blind.
+"""How often the discrepancy workflow finds what is missing: the easy set, tables in which an effect is hidden.
 
-    python -m benchmarks.blind                     all cases, 15 minutes on two idle cores; writes docs/discrepancy*
-    python -m benchmarks.blind --resume            goes on after an interrupt
-    python -m benchmarks.blind --engine ray        on a Ray cluster (--address); this clone is on the nodes' PYTHONPATH
-    python -m benchmarks.blind --cases 60 --out X  fewer of each sort, the same ones
-    python -m benchmarks.blind --page              renews page and plots from the figures of the last run
-    python -m benchmarks.blind --smoke --out X     a case of each sort in seconds, numbers without meaning
+    python -m benchmarks.blind.easy                     all cases, 15 minutes on two cores; writes docs/discrepancy*
+    python -m benchmarks.blind.easy --resume            goes on after an interrupt
+    python -m benchmarks.blind.easy --engine ray        on a Ray cluster (--address); this clone on its PYTHONPATH
+    python -m benchmarks.blind.easy --cases 60 --out X  fewer of each sort, the same ones
+    python -m benchmarks.blind.easy --page              renews page and plots from the figures of the last run
+    python -m benchmarks.blind.easy --smoke --out X     a case of each sort in seconds, numbers without meaning
 
-Cases come from `benchmarks.blind_cases`, which shares no code with the model; the workflow is given the table and the
-setup of each and nothing else. A case follows from the seed, its group and its number alone. Each is kept as a line of
-the records (runs/blind/seed-N.jsonl) as soon as it is done, so an interrupt loses the cases in work at most.
+Cases come from `benchmarks.blind.easy.cases`, which shares no code with the model; the workflow is given the table and
+the setup of each and nothing else. A case follows from the seed, its group and its number alone. Each is kept as a line
+of the records (runs/blind/seed-N.jsonl) as soon as it is done, so an interrupt loses the cases in work at most.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
-import os
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
-if __name__ == "__main__":
-    for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(_name, "1")  # before numpy is loaded: the cores are taken by the workers
+from rich.console import Console
 
-from rich.console import Console  # noqa: E402
+from agents import studies
+from agents.progress import Bar
+from benchmarks.blind.easy import page as blind_page
+from benchmarks.blind.easy.judge import figures
+from benchmarks.blind.easy.study import IN_ALL, Task, solve, tasks
+from benchmarks.common import ROOT, machine, machine_text
+from soil_env._io.commands import command_line, command_parser, whole_number
+from soil_env._io.files import make_folder, replace_file
+from soil_env._io.loading import ParameterError
 
-from agents import studies  # noqa: E402
-from agents.progress import Bar  # noqa: E402
-from benchmarks import blind_page  # noqa: E402
-from benchmarks.blind_judge import figures  # noqa: E402
-from benchmarks.blind_study import IN_ALL, Task, solve, tasks  # noqa: E402
-from benchmarks.common import ROOT, machine, machine_text  # noqa: E402
-from soil_env._io.commands import command_line, command_parser, leave, whole_number  # noqa: E402
-from soil_env._io.files import make_folder, replace_file  # noqa: E402
-from soil_env._io.loading import ParameterError  # noqa: E402
-
-NAME = "benchmarks.blind"
+NAME = "benchmarks.blind.easy"
+HERE = Path(__file__).parent
 ABOUT = None  # key of the line of the records that says what they are of
 FOLLOWS_FROM = (  # besides discrepancy
     "_io/loading.py", "_numba", "identification/priors.py", "identification/weighted.py", "measurement",
     "parameters.py", "terramechanics",
 )  # fmt: skip
 #: Modules of discrepancy (beside report/) and of the benchmark from which no record follows.
-APART = ("__main__", "cmu", "law_tests", "blind", "blind_judge", "blind_page", "blind_plots")
+APART = ("__main__", "cmu", "law_tests", "command", "judge", "page", "plots")
 
 
 def code_version() -> str:
     """Version of soil_env, with a hash of the code that the records follow from."""
     package = ROOT / "soil_env"
-    files = [*(package / "discrepancy").glob("*.py"), *(ROOT / "benchmarks").glob("blind*.py")]
+    files = [
+        *(package / "discrepancy").glob("*.py"),
+        *HERE.glob("*.py"),
+        HERE.parent / "world.py",
+        HERE.parent / "effect.py",
+    ]
     files = [f for f in files if f.stem not in APART]
     for name in FOLLOWS_FROM:
         files += (package / name).glob("*.py") if (package / name).is_dir() else [package / name]
@@ -168,7 +168,3 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--smoke", action="store_true", help="a case of each sort in seconds")
     p.add_argument("--page", action="store_true", help="no cases: page and plots from discrepancy.json in --out")
     return p
-
-
-if __name__ == "__main__":
-    leave(importlib.import_module(NAME).main())  # by its name, under which other processes find `_solve`

@@ -1,4 +1,4 @@
-"""What a published form of an effect is: an alteration of a `blind_world.Contact` with one strength, 0 = absent.
+"""What a published form of an effect is: an alteration of a `world.Contact` with one strength, 0 = absent.
 
 Side parameters are drawn once for a case. `cap` is the largest strength that is physically sensible for the wheel, soil
 and conditions at hand. Where a form has no strength of its own in the literature, it is multiplied by one.
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.blind_world import Contact, Ground, Rows, Wheel
+from benchmarks.blind.world import Contact, Ground, Rows, Wheel
 
 ALL = ("sinkage", "drawbar_pull", "torque")
 SINKAGE, PULL, TORQUE = ALL

@@ -10,8 +10,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 
-from benchmarks.blind_forms import EFFECTS  # noqa: E402
-from benchmarks.blind_judge import gap_of  # noqa: E402
+from benchmarks.blind.easy.forms import EFFECTS  # noqa: E402
+from benchmarks.blind.easy.judge import gap_of  # noqa: E402
 from soil_env._io.files import save_figure
 
 CURVES = (

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from agents.evaluate import wilson
-from benchmarks.blind_forms import EFFECTS
-from benchmarks.blind_study import GROUPS
+from benchmarks.blind.easy.forms import EFFECTS
+from benchmarks.blind.easy.study import GROUPS
 
 SHOWN = (0.0, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, math.inf)  # bins of the effect size
 TOLD = (0.0, 0.25, 0.5, 1.0, 2.0, math.inf)  # bins of how well an effect can be told from its best rival
@@ -58,7 +58,7 @@ class Judged(NamedTuple):
 
 
 def judged(record: dict) -> Judged:
-    """`Judged` of a record of `blind_study.solve`."""
+    """`Judged` of a record of `study.solve`."""
     verdict, kind = record["verdict"], record["kind"]
     truth, names = _names(record), [e["name"] for e in record["named"]]
     wrong = verdict == "named" and (kind == "unlisted" or any(n not in truth for n in names))

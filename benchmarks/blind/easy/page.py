@@ -9,9 +9,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from benchmarks import blind_plots
-from benchmarks.blind_judge import LARGEST_GAP, LEAST_CASES, OPTIONS, TARGETS
-from benchmarks.blind_study import GROUPS
+from benchmarks.blind.easy import plots
+from benchmarks.blind.easy.judge import LARGEST_GAP, LEAST_CASES, OPTIONS, TARGETS
+from benchmarks.blind.easy.study import GROUPS
 from soil_env._io.document import Table, render
 from soil_env._io.files import replace_file
 
@@ -168,9 +168,9 @@ def write(result: dict, folder: Path) -> None:
     path = folder / "discrepancy.md"
     text = page(result, read_kept(path))
     f, cases = result["figures"], result["cases"]
-    blind_plots.curve(f, folder / "discrepancy_curve.png")
-    blind_plots.confusion([r for r in cases if r["group"] == "one"], folder / "discrepancy_confusion.png")
-    blind_plots.gap(cases, folder / "discrepancy_gap.png")
+    plots.curve(f, folder / "discrepancy_curve.png")
+    plots.confusion([r for r in cases if r["group"] == "one"], folder / "discrepancy_confusion.png")
+    plots.gap(cases, folder / "discrepancy_gap.png")
     replace_file(path, text)
 
 

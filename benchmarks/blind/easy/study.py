@@ -17,11 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.blind_cases import Case, draw_case, write_case
-from benchmarks.blind_forms import EFFECTS, forms_of
-from benchmarks.blind_limits import noncentrality
-from benchmarks.blind_plan import MULTIPLES
-from benchmarks.blind_unlisted import UNLISTED
+from benchmarks.blind.easy.cases import Case, draw_case, write_case
+from benchmarks.blind.easy.forms import EFFECTS, forms_of
+from benchmarks.blind.easy.limits import noncentrality
+from benchmarks.blind.easy.plan import MULTIPLES
+from benchmarks.blind.easy.unlisted import UNLISTED
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import Report, run
 

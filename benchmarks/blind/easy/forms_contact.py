@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.blind_effect import PULL, Form, enter
+from benchmarks.blind.effect import PULL, Form, enter
 
 CONTACT_FORMS: list[Form] = []
 _form = partial(enter, CONTACT_FORMS)

@@ -5,7 +5,7 @@ truth. The column `load` is the vertical load (weight) on the wheel, on a grade 
 front of the wheel; `drawbar_pull` is the net forward force on the axle, where a grade effect is hidden less the weight
 component; where none is hidden the rig has already taken it off. Commands:
 
-    python -m benchmarks.blind_cases --seed 0 --count 20 --kind one --design rich --out DIR
+    python -m benchmarks.blind.easy.cases --seed 0 --count 20 --kind one --design rich --out DIR
 """
 
 from __future__ import annotations
@@ -19,11 +19,21 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from benchmarks.blind_effect import Form, Hidden
-from benchmarks.blind_forms import EFFECTS, forms_of
-from benchmarks.blind_limits import SOIL, Bench, Imitation, detection_limit, gap, imitation, noncentrality
-from benchmarks.blind_plan import DESIGNS, KINDS, MULTIPLES, NOISES, PRIOR_ERRORS, PRIOR_SD, SCALES, Options, draw_bench
-from benchmarks.blind_unlisted import UNLISTED
+from benchmarks.blind.easy.forms import EFFECTS, forms_of
+from benchmarks.blind.easy.limits import SOIL, Bench, Imitation, detection_limit, gap, imitation, noncentrality
+from benchmarks.blind.easy.plan import (
+    DESIGNS,
+    KINDS,
+    MULTIPLES,
+    NOISES,
+    PRIOR_ERRORS,
+    PRIOR_SD,
+    SCALES,
+    Options,
+    draw_bench,
+)
+from benchmarks.blind.easy.unlisted import UNLISTED
+from benchmarks.blind.effect import Form, Hidden
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env._io.loading import ParameterError
 
@@ -247,7 +257,7 @@ def write_case(case: Case, folder: Path, truth_file: Path) -> None:
     truth_file.write_text(json.dumps(case.truth, indent=1, allow_nan=False), encoding="utf-8")
 
 
-@command_line("benchmarks.blind_cases")
+@command_line("benchmarks.blind.easy.cases")
 def main(arguments=None) -> int:
     """The command line; returns the exit status."""
     options = _parser().parse_args(arguments)
@@ -266,7 +276,7 @@ def main(arguments=None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    p = command_parser("python -m benchmarks.blind_cases", __doc__)
+    p = command_parser("python -m benchmarks.blind.easy.cases", __doc__)
     p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the cases (default 0)")
     p.add_argument("--count", metavar="N", type=whole_number(), default=1, help="cases (default 1)")
     for option, known, default, text in (

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.blind_forms import FORMS
-from benchmarks.blind_limits import Bench
-from benchmarks.blind_unlisted import UNLISTED
-from benchmarks.blind_world import Ground, Rows, Wheel, predict
+from benchmarks.blind.easy.forms import FORMS
+from benchmarks.blind.easy.limits import Bench
+from benchmarks.blind.easy.unlisted import UNLISTED
+from benchmarks.blind.world import Ground, Rows, Wheel, predict
 
 KINDS = ("none", "one", "two", "unlisted")
 DESIGNS = ("rich", "poor")
