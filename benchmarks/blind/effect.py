@@ -26,6 +26,11 @@ class Context:
     rows: Rows
 
     @property
+    def radius(self) -> float:
+        """Mean radius of the wheels [m]."""
+        return float(np.mean(self.wheel.radius))
+
+    @property
     def load(self) -> float:
         """Geometric mean of the loads [N]."""
         return float(np.exp(np.mean(np.log(self.rows.load))))

@@ -40,10 +40,11 @@ class Ground:
 
 @dataclass(frozen=True)
 class Wheel:
-    """Rigid wheel without lugs."""
+    """Rigid wheel; numbers, or arrays [N] where a table has several wheels."""
 
-    radius: float  # r [m]
-    width: float  # b [m]
+    radius: float | np.ndarray  # r [m]
+    width: float | np.ndarray  # b [m]
+    lugs: float | np.ndarray = 0.0  # height of the grousers [m]; a smooth rim has 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +79,19 @@ class Outcome:
         return np.stack([self.sinkage, self.drawbar_pull, self.torque])
 
 
+@dataclass(frozen=True, eq=False)
+class Arc:
+    """Where the stresses of an arc are: angles [N, 1] or [N, nodes] in rad, stresses in Pa."""
+
+    entry: np.ndarray  # theta1
+    middle: np.ndarray  # thetam
+    exit: np.ndarray  # theta2
+    theta: np.ndarray
+    sigma: np.ndarray | None = None
+    shear: np.ndarray | None = None  # displacement j, with its sign [m]
+    limit: np.ndarray | None = None  # shear strength
+
+
 def _column(value, count: int) -> np.ndarray:
     return np.array(np.broadcast_to(np.asarray(value, float), (count,)))[:, None]
 
@@ -105,6 +119,7 @@ class Contact:
     wheel: Wheel
     ground: Ground
     radius: np.ndarray = field(init=False)  # [m]
+    width: np.ndarray = field(init=False)  # [m]
     slip: np.ndarray = field(init=False)  # true slip [-]
     load: np.ndarray = field(init=False)  # normal to the ground [N]
     stiffness: np.ndarray = field(init=False)  # S [N/m^(n+2)]
@@ -123,10 +138,13 @@ class Contact:
     forces: list = field(default_factory=list)  # theta1 -> (dW, dDP, dT), each [N, 1]
     reaction: list = field(default_factory=list)  # (DP, T) -> added to the load
     sensors: list = field(default_factory=list)  # Outcome -> Outcome
+    normal: list = field(default_factory=list)  # (sigma, Arc) -> sigma, along the whole arc
+    tangential: list = field(default_factory=list)  # (tau, Arc) -> tau, along the whole arc
 
     def __post_init__(self):
         n, ground = len(self.rows), self.ground
         self.radius = _column(self.wheel.radius, n)
+        self.width = _column(self.wheel.width, n)
         self.shear_radius = self.radius.copy()
         self.slip = _column(self.rows.slip, n)
         self.load = _column(self.rows.load, n)
@@ -142,8 +160,8 @@ class Contact:
         """Friction angle [rad], shape [N, 1]."""
         return np.arctan(self.tan_phi)
 
-    def integrals(self, entry: np.ndarray, amplitude=1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """W [N], DP [N] and T [N m], each [N, 1], of Eqs. (1)-(3) at the entry angle; `amplitude` multiplies S."""
+    def stresses(self, entry: np.ndarray, amplitude=1.0) -> tuple[Arc, np.ndarray, np.ndarray]:
+        """(arc with sigma, tau [Pa], weights of the quadrature [rad]), [N, nodes]; `amplitude` multiplies S."""
         r, exit_ = self.radius, self.exit_angle(entry, self.radius)
         middle = np.clip(0.5 * (entry + exit_) + self.peak_shift * entry, exit_ + 0.02 * entry, 0.98 * entry)
         front = middle + (entry - middle) * X
@@ -158,27 +176,42 @@ class Contact:
         theta = np.concatenate([front, rear], axis=1)
         sigma = np.concatenate([sigma, sigma[:, ::-1]], axis=1)  # (8): the rear mirrors the front
         weight = np.concatenate([(entry - middle) * WEIGHT, (middle - exit_) * WEIGHT], axis=1)
-        tau = self._shear(theta, sigma, entry)
-        cos, sin = np.cos(theta), np.sin(theta)
-        arm, area = self.shear_radius, r * self.wheel.width * weight
-        shear_area = arm * self.wheel.width * weight
+        arc = Arc(entry, middle, exit_, theta, sigma)
+        for hook in self.normal:
+            arc = replace(arc, sigma=hook(arc.sigma, arc))
+        arc, tau = self._shear(arc)
+        return arc, tau, weight
+
+    def integrals(self, entry: np.ndarray, amplitude=1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """W [N], DP [N] and T [N m], each [N, 1], of Eqs. (1)-(3) at the entry angle; `amplitude` multiplies S."""
+        arc, tau, weight = self.stresses(entry, amplitude)
+        cos, sin, sigma = np.cos(arc.theta), np.sin(arc.theta), arc.sigma
+        area, shear_area = self.areas(weight)
         load = (area * sigma * cos + shear_area * tau * sin).sum(1, keepdims=True)
         pull = (shear_area * tau * cos - area * sigma * sin).sum(1, keepdims=True)
-        torque = arm * (shear_area * tau).sum(1, keepdims=True)
+        torque = self.shear_radius * (shear_area * tau).sum(1, keepdims=True)
         for hook in self.forces:
             dw, dp, dt = hook(entry)
             load, pull, torque = load + dw, pull + dp, torque + dt
         return load, pull, torque
 
-    def _shear(self, theta, sigma, entry):
+    def areas(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Areas [m2] on which the normal and the shear stress of each node act."""
+        return self.radius * self.width * weight, self.shear_radius * self.width * weight
+
+    def _shear(self, arc: Arc) -> tuple[Arc, np.ndarray]:
         """Shear stress [Pa] of Eq. (10), with the sign of the shear displacement."""
-        r = self.shear_radius
-        start = np.arccos(np.clip((self.radius * np.cos(entry)) / r, -1.0, 1.0))  # theta1 unless lugs reach further
+        r, theta, sigma = self.shear_radius, arc.theta, arc.sigma
+        start = np.arccos(np.clip((self.radius * np.cos(arc.entry)) / r, -1.0, 1.0))  # entry unless lugs reach further
         j = r * ((start - theta) - (1.0 - self.slip) * (np.sin(start) - np.sin(theta)))
         limit = self.cohesion + sigma * self.tan_phi
         for hook in self.strength:
             limit = hook(limit, sigma, theta)
-        return np.sign(j) * limit * self.mobilised(np.abs(j) / self.shear_modulus)
+        arc = replace(arc, shear=j, limit=limit)
+        tau = np.sign(j) * limit * self.mobilised(np.abs(j) / self.shear_modulus)
+        for hook in self.tangential:
+            tau = hook(tau, arc)
+        return arc, tau
 
     def _lack(self, entry, amplitude=1.0):
         """log(W/load), the forces beside it."""
@@ -211,7 +244,7 @@ class Contact:
     def _guess(self) -> np.ndarray:
         """log theta1 from the pressure under a flat plate of the contact's length."""
         r, n = self.radius, self.exponent
-        z = (self.load / (self.wheel.width * self.stiffness * np.sqrt(r))) ** (1.0 / (n + 0.5))
+        z = (self.load / (self.width * self.stiffness * np.sqrt(r))) ** (1.0 / (n + 0.5))
         return np.log(np.clip(np.sqrt(2.0 * z / r), 2 * SHALLOWEST, 0.9 * DEEPEST))
 
 

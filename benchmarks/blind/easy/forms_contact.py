@@ -114,7 +114,7 @@ def blade_force(contact, s, side):
     N = tan^2(45 + phi/2); q = gamma times the mean depth; tangential, mean number of lugs engaged, at theta1/2.
     """
     n_phi = np.tan(np.pi / 4.0 + 0.5 * contact.phi) ** 2
-    gamma, b = contact.ground.unit_weight, contact.wheel.width
+    gamma, b = contact.ground.unit_weight, contact.width
     cohesion, r = contact.cohesion, contact.radius
 
     def lugs(entry):
@@ -140,7 +140,7 @@ def _resist(contact, s, force):
 def rankine(contact, s, side):
     """Passive earth pressure on the sunk front, b (gamma z^2 N/2 + 2 c z sqrt(N)), Rankine (1857)."""
     n_phi = np.tan(np.pi / 4.0 + 0.5 * contact.phi) ** 2
-    gamma, b, c = contact.ground.unit_weight, contact.wheel.width, contact.cohesion
+    gamma, b, c = contact.ground.unit_weight, contact.width, contact.cohesion
     _resist(contact, s, lambda z, entry: b * (0.5 * gamma * z**2 * n_phi + 2.0 * c * z * np.sqrt(n_phi)))
 
 
@@ -151,7 +151,7 @@ def hegedus(contact, s, side):
     D1 = cot X + tan(X + phi), D2 = cot X + cot^2 X/cot phi, X = 45 - phi/2.
     """
     x = np.pi / 4.0 - 0.5 * contact.phi
-    gamma, b, c = contact.ground.unit_weight, contact.wheel.width, contact.cohesion
+    gamma, b, c = contact.ground.unit_weight, contact.width, contact.cohesion
     d1 = 1.0 / np.tan(x) + np.tan(x + contact.phi)
     d2 = 1.0 / np.tan(x) + np.tan(contact.phi) / np.tan(x) ** 2
     _resist(contact, s, lambda z, entry: b * d1 * (c * z + 0.5 * d2 * gamma * z**2))
@@ -163,7 +163,7 @@ def bekker(contact, s, side):
 
     Factors of Terzaghi; the heap ahead (third and fourth term) is left out. In full it is far above what wheels meet.
     """
-    phi, gamma, b, c = contact.phi, contact.ground.unit_weight, contact.wheel.width, contact.cohesion
+    phi, gamma, b, c = contact.phi, contact.ground.unit_weight, contact.width, contact.cohesion
     t = np.tan(phi)
     n_q = np.exp((1.5 * np.pi - phi) * t) / (2.0 * np.cos(np.pi / 4.0 + 0.5 * phi) ** 2)
     n_c = (n_q - 1.0) / t

@@ -78,7 +78,7 @@ def draw_bench(rng, want: Options) -> tuple[Bench, list[str], str]:
         mean_load = pressure * radius * width
         rows, runs = _plan(rng, want, mean_load)
         ground = Ground(phi, c, k, 1.0, n, float(np.round(rng.uniform(1300, 1800))))
-        ground = replace(ground, sinkage_coefficient=_stiffness(wheel, ground, mean_load, rng.uniform(0.07, 0.2)))
+        ground = replace(ground, sinkage_coefficient=stiffness_for(wheel, ground, mean_load, rng.uniform(0.07, 0.2)))
         z = predict(ground, wheel, rows).sinkage / radius
         if np.all(np.isfinite(z)) and z.min() >= 0.03 and z.max() <= 0.35:
             break
@@ -93,7 +93,7 @@ def draw_bench(rng, want: Options) -> tuple[Bench, list[str], str]:
     return Bench(wheel, ground, rows, grade, noise, sd), runs, soil
 
 
-def _stiffness(wheel: Wheel, ground: Ground, load: float, depth: float) -> float:
+def stiffness_for(wheel: Wheel, ground: Ground, load: float, depth: float) -> float:
     """S [N/m^(n+2)] that lets the wheel sink `depth` radii at the load and slip 0.3."""
     one = np.ones(1)
     rows = Rows(0.3 * one, load * one, one, one, 0.0 * one, one)

@@ -1,0 +1,201 @@
+"""The cases of the benchmark as files: a table and a setup, which entrants may see, and in another folder the truth.
+
+A case follows from the seed, its group and its number alone. Loads of a table are normal to the ground, sinkage is below
+the surface in front of the wheel, pull is the net forward force on the axle, less the weight component where a grade effect is hidden.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import zlib
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from benchmarks.blind.easy.plan import PRIOR_SD
+from benchmarks.blind.effect import Hidden
+from benchmarks.blind.forms import MECHANISMS
+from benchmarks.blind.groups import GROUPS, LEAST, Group, Task
+from benchmarks.blind.laws import BASE_LAWS
+from benchmarks.blind.limits import Measure
+from benchmarks.blind.plan import CHANNELS, SOIL, WIDE, Bench, draw_bench
+
+ATTEMPTS = 8  # tables that are drawn in search of one in which the effects can be seen
+DEEPEST = 0.7  # sinkage over the radius, with effects
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One case; `columns` and `setup` are what entrants may see, `truth` is not."""
+
+    columns: dict[str, list]  # of data.csv
+    setup: dict  # setup.yaml
+    truth: dict  # truth.json
+    clean: np.ndarray  # noise-free table [3, N]
+    bench: Bench
+    effects: tuple[Hidden, ...]
+
+
+def draw_case(seed: int, task: Task) -> Case:
+    """The case of a seed, group and number."""
+    group = GROUPS[task.group]
+    rng = np.random.default_rng([seed, zlib.crc32(group.name.encode()), task.index])
+    forms, law = group.hidden(task.index), group.law(task.index)
+    lugs = any(form.effect == "grousers" for form in forms)
+    best, measure, effects, sizes = None, None, (), ()
+    for _ in range(ATTEMPTS):
+        bench = draw_bench(rng, group.design, group.error, law, lugs)
+        measure = Measure(bench)
+        effects, sizes = _strengths(rng, measure, forms, group)
+        if sizes is None:
+            continue
+        if best is None or min(sizes, default=np.inf) > min(best[2], default=np.inf):
+            best = measure, effects, sizes
+        if min(sizes, default=np.inf) >= 0.97 * group.multiple[0]:
+            break
+    if best is None:
+        raise RuntimeError(f"{task.name}: no table with a balance in {ATTEMPTS} attempts")
+    return _measured(rng, seed, task, *best)
+
+
+def _strengths(rng, measure: Measure, forms, group: Group):
+    """(effects at strengths of sizes drawn between the multiples of the limit, their sizes); (.., None) if impossible."""
+    bench = measure.bench
+    context = bench.context
+    effects = [Hidden(f, float(f.signs[rng.integers(len(f.signs))]), f.side(rng, context)) for f in forms]
+    low, high = group.multiple
+    wanted = [low * (high / low) ** rng.uniform() for _ in effects]
+    sizes = [np.nan] * len(effects)
+    for k in [*range(len(effects)), *range(len(effects) - 1)]:  # the first of two again, once the second is there
+        others = [e for j, e in enumerate(effects) if j != k and np.isfinite(sizes[j])]
+        strength, sizes[k] = measure.strength(effects[k], wanted[k], others)
+        if strength == 0.0:
+            return effects, None
+        effects[k] = effects[k].at(strength)
+    if group.kind == "unlisted":  # what counts is what the best listed effect would leave of it
+        rival = min(measure.left(measure.contribution(effects[0]), [], effects[0].form.freedom).values())
+        strength, size = measure.strength(effects[0], min(wanted[0] * sizes[0] / max(rival, 1e-3), 1e3))
+        if strength == 0.0:
+            return effects, None
+        effects, sizes = [effects[0].at(strength)], [size * rival / sizes[0]]
+    table = bench.truth(effects)
+    if not np.all(np.isfinite(table)) or np.max(table[0] / bench.wheel.radius) > DEEPEST:
+        return effects, None
+    if len(effects) == 2:
+        sizes = [measure.size(e, [effects[1 - k]]) for k, e in enumerate(effects)]
+    return tuple(effects), tuple(sizes)
+
+
+# --- measuring --------------------------------------------------------------------------------------------------------
+
+
+def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> Case:
+    group, bench = GROUPS[task.group], measure.bench
+    clean = bench.truth(effects)
+    noise = np.array(bench.noise)[:, None]
+    values = clean + noise * rng.standard_normal(clean.shape)
+    wrong = (rng.random(clean.shape) < 0.02) & bench.measured & (group.sort == "outliers")
+    gross = rng.uniform(5.0, 15.0, clean.shape) * rng.choice((-1.0, 1.0), clean.shape)
+    values = np.where(wrong, clean + noise * gross, values)
+    stated = rng.random() < (0.5 if group.design == "few" else 0.8)
+    setup = _setup(rng, bench, stated)
+    law = None if bench.law is None else BASE_LAWS[bench.law]
+    truth = {
+        "case": task.name, "seed": seed, "kind": group.kind, "design": group.design, "sort": group.sort,
+        "law_error": group.error,
+        "base_law": None if law is None else {"name": law.name, "source": law.source, **(bench.law_side or {})},
+        "also": [] if law is None or law.also is None else [law.also],
+        "rows": len(bench.rows), "noise_stated": stated, "wrong_cells": int(wrong.sum()),
+        "soil_type": bench.soil, "soil": asdict(bench.ground),
+        "noise": dict(zip(CHANNELS, bench.noise, strict=True)),
+        **_told(measure, effects, sizes),
+    }  # fmt: skip
+    return Case(_columns(bench, effects, values), setup, truth, clean, bench, effects)
+
+
+def _told(measure: Measure, effects, sizes) -> dict:
+    """Truth about the effects: sizes in detection limits, what listed forms leave of them, whether the case counts."""
+    out, counts = [], True
+    for k, effect in enumerate(effects):
+        others = [e for j, e in enumerate(effects) if j != k]
+        free = [measure.contribution(e) for e in others]
+        left = measure.left(measure.contribution(effect, others), free, effect.form.freedom)
+        left = {name: value for name, value in left.items() if name not in {e.form.effect for e in others}}
+        rivals = {name: value for name, value in left.items() if name != effect.form.effect}
+        best = min(rivals, key=rivals.get) if rivals else None
+        out.append({
+            "name": effect.form.effect, "form": effect.form.name, "source": " ".join(effect.form.source.split()),
+            "strength": effect.strength, "unit": effect.form.strength,
+            "side": {k: v for k, v in effect.side.items() if not isinstance(v, list)},
+            "size": measure.size(effect, others), "own_left": left.get(effect.form.effect), "rival": best,
+            "rival_left": rivals[best] if best else None, "left": left,
+        })  # fmt: skip
+        seen = sizes[k] if effect.form.effect in MECHANISMS else out[-1]["rival_left"]
+        counts = counts and seen >= 0.97 * LEAST
+    return {"effects": out, "counts": bool(counts)}
+
+
+def _columns(bench: Bench, effects, values: np.ndarray) -> dict[str, list]:
+    rows = bench.conditions(effects)
+    columns = {
+        "run": list(bench.runs), "time": rows.time.tolist(), "slip": rows.slip.tolist(), "load": rows.load.tolist(),
+        "speed": rows.speed.tolist(), "pass": [int(p) for p in rows.passes],
+    }  # fmt: skip
+    if np.any(rows.grade_deg):
+        columns["grade_deg"] = [float(np.round(g, 4)) for g in rows.grade_deg]
+    if np.ndim(bench.wheel.radius):
+        columns["wheel_radius"] = bench.wheel.radius.tolist()
+        columns["wheel_width"] = bench.wheel.width.tolist()
+        columns["grouser_height"] = bench.wheel.lugs.tolist()
+    for name, row, kept in zip(CHANNELS, values, bench.measured, strict=True):
+        if kept.any():
+            columns[name] = [float(f"{v:.6g}") for v in row]
+    return columns
+
+
+def _setup(rng, bench: Bench, noise_stated: bool) -> dict:
+    """What is known: a wheel, priors of the soil that are off by their sd times N(0, 1), mostly the noise."""
+    wide = WIDE if bench.prior_sd["friction_angle_deg"] > 2.0 else 1.0
+    soil = {}
+    for name in SOIL:
+        true, value = getattr(bench.ground, name), -1.0
+        while value <= 0.05 * true:
+            value = true + bench.prior_sd[name] * rng.standard_normal()
+        soil[name] = {"value": float(f"{value:.6g}"), "sd": float(f"{wide * PRIOR_SD[name](value):.3g}")}
+    first = (float(np.atleast_1d(x)[0]) for x in (bench.wheel.radius, bench.wheel.width))
+    setup = {
+        "wheel": dict(zip(("radius", "width"), first, strict=True)),
+        "soil": soil | {"density": bench.ground.density},
+    }
+    if noise_stated:
+        present = bench.measured.any(axis=1)
+        levels = zip(CHANNELS, bench.noise, present, strict=True)
+        setup["noise"] = {name: float(f"{s:.3g}") for name, s, there in levels if there}
+    return setup
+
+
+def write_case(case: Case, folder: Path, truth_file: Path) -> None:
+    """data.csv and setup.yaml in `folder`, the truth in another place; the truth is written last."""
+    folder.mkdir(parents=True, exist_ok=True)
+    truth_file.parent.mkdir(parents=True, exist_ok=True)
+    with (folder / "data.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(case.columns)
+        writer.writerows(zip(*case.columns.values(), strict=True))
+    (folder / "setup.yaml").write_text(yaml.safe_dump(case.setup, sort_keys=False), encoding="utf-8")
+    text = json.dumps(_plain(case.truth), indent=1, allow_nan=False)
+    truth_file.write_text(text + "\n", encoding="utf-8")
+
+
+def _plain(x):
+    """The same as plain values with six significant digits; None where a number is not finite."""
+    if isinstance(x, dict):
+        return {k: _plain(v) for k, v in x.items()}
+    if isinstance(x, (list, tuple)):
+        return [_plain(v) for v in x]
+    if isinstance(x, (bool, str, int)) or x is None:
+        return x
+    return float(f"{x:.6g}") if np.isfinite(x) else None

@@ -1,0 +1,167 @@
+"""score.json, and score.md with the pictures of the reliability."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from benchmarks.blind.groups import SIZES
+from benchmarks.blind.score import LEAST_IN_BIN, TARGETS
+
+CALIBRATED = 0.05  # largest deviation of stated probabilities that is asked for
+
+
+def percent(value: dict | None) -> str:
+    """Share with its interval [%] and the number of cases."""
+    if value is None:
+        return "-"
+    return f"{100 * value['value']:.1f} [{100 * value['low']:.1f}, {100 * value['high']:.1f}] of {value['of']}"
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines) + "\n"
+
+
+def _asked(target) -> str:
+    return f"{'>=' if target.least else '<='} {100 * target.bound:.0f}"
+
+
+def _deviation(calibration: dict) -> str:
+    return "-" if calibration["largest"] is None else f"{100 * calibration['largest']:.1f}"
+
+
+def _by(entrants: dict, key: str, values, words: str) -> str:
+    """One table an entrant: targets against the values of a key of its figures."""
+    parts = []
+    for label, f in entrants.items():
+        rows = [[v, *(percent(f[key][v][t.key]) if v in f[key] else "-" for t in TARGETS)] for v in values(f)]
+        parts.append(f"\n**{label}**\n\n" + _table([words, *(t.words for t in TARGETS)], rows))
+    return "".join(parts)
+
+
+def markdown(result: dict) -> str:
+    """The page of the scores."""
+    entrants = result["entrants"]
+    head = ["what", "asked [%]", *entrants]
+    rows = [[t.words, _asked(t), *(percent(f["targets"][t.key]) for f in entrants.values())] for t in TARGETS]
+    for key, words in (("first", "of the first name"), ("all", "of every mechanism")):
+        rows.append([f"largest deviation of the stated probability {words}, bins of {LEAST_IN_BIN} and more",
+                     f"<= {100 * CALIBRATED:.0f}", *(_deviation(f["calibration"][key]) for f in entrants.values())])  # fmt: skip
+    rows.append(["answers that failed", "0", *(f["errors"] for f in entrants.values())])
+    rows.append(["seconds a case, median (most)", "", *(f"{f['seconds']['median']:.1f} ({f['seconds']['most']:.1f})"
+                                                        for f in entrants.values())])  # fmt: skip
+    closest = [f"{label} {percent(f['closest'])}" for label, f in entrants.items()]
+    return f"""# Scores of the blind benchmark
+
+Seed {result["seed"]}, {max(f["cases"] for f in entrants.values())} cases. Shares in % with 95 % intervals (Wilson) of cases at or above twice the detection limit.
+
+## At 10 % law error, rich tables of one and two wheels
+
+{_table(head, rows)}
+Where the fit's listed forms come closest to the truth with their own mechanism rather than with another one (noise-free, law errors in the
+covariance, one effect, all designs): {"; ".join(closest)} %. Beyond that share a name needs more than the least distance.
+
+## By law error, rich tables of one wheel on the paper's base law
+{_by(entrants, "by_law", lambda f: [f"{s:g}" for s in SIZES], "law error")}
+## By design, at 10 % law error
+{_by(entrants, "by_design", lambda f: list(f["by_design"]), "design")}
+## By mechanism, all designs and law errors
+{_mechanisms(entrants)}
+## Stated probabilities
+
+{"".join(f"![{label}](reliability_{label}.svg)" + chr(10) for label in entrants)}
+{_reliability(entrants)}
+## Cases below twice the detection limit
+
+{_below(entrants)}
+## Verdicts
+
+{_verdicts(entrants)}
+## Groups
+
+{_table(["group", "cases", "count"], [[g, n["cases"], n["count"]] for g, n in result.get("groups", {}).items()])}"""
+
+
+def _mechanisms(entrants: dict) -> str:
+    parts = []
+    for label, f in entrants.items():
+        rows = [[f"`{m}`", percent(v["first"]), percent(v["included"]),
+                 ", ".join(f"{k} {n}" for k, n in v["instead"].items())] for m, v in f["mechanisms"].items()]  # fmt: skip
+        parts.append(
+            f"\n**{label}**\n\n" + _table(["hidden", "first", "first or among alternatives", "said instead"], rows)
+        )
+    return "".join(parts)
+
+
+def _reliability(entrants: dict) -> str:
+    rows = [
+        [label, words, f"{b['from']:g} to {b['to']:g}", f"{100 * b['stated']:.1f}", percent(b["seen"])]
+        for label, f in entrants.items()
+        for key, words in (("first", "first name"), ("all", "every mechanism"))
+        for b in f["calibration"][key]["bins"]
+    ]
+    return _table(["entrant", "of", "stated between", "mean stated [%]", "seen [%]"], rows)
+
+
+def _below(entrants: dict) -> str:
+    rows = [[label, size, v["cases"], percent(v["first"]), percent(v["wrong"])]
+            for label, f in entrants.items() for size, v in f["below"].items()]  # fmt: skip
+    return _table(["entrant", "law error", "cases", "mechanism first", "wrong with more than 50 %"], rows)
+
+
+def _verdicts(entrants: dict) -> str:
+    rows = [[label, kind, ", ".join(f"{k} {n}" for k, n in told.items())]
+            for label, f in entrants.items() for kind, told in f["verdicts"].items()]  # fmt: skip
+    return _table(["entrant", "hidden", "verdicts"], rows)
+
+
+def picture(f: dict, label: str) -> str:
+    """Reliability of an entrant as SVG: seen against stated, with intervals; area of a dot as the number of cases."""
+    size, edge = 300, 45
+    out = [f'<svg xmlns="http://www.w3.org/2000/svg" width="{2 * size + 40}" height="{size + 70}" font-family="sans-serif" '
+           'font-size="12">', '<rect width="100%" height="100%" fill="white"/>']  # fmt: skip
+    for k, (key, words) in enumerate((("first", "first name"), ("all", "every mechanism"))):
+        left, side = edge + k * (size + 10), size - edge
+
+        def at(x, y, left=left, side=side):
+            return f"{left + x * side:.1f}", f"{20 + (1 - y) * side:.1f}"
+
+        (x0, y0), (x1, y1) = at(0, 0), at(1, 1)
+        out.append(f'<rect x="{x0}" y="{y1}" width="{side}" height="{side}" fill="none" stroke="#888"/>')
+        out.append(f'<line x1="{x0}" y1="{y0}" x2="{x1}" y2="{y1}" stroke="#888" stroke-dasharray="4 3"/>')
+        for tick in (0, 0.5, 1):
+            tx, ty = at(tick, tick)
+            out.append(f'<text x="{tx}" y="{float(y0) + 16}" text-anchor="middle">{tick:g}</text>')
+            out.append(f'<text x="{float(x0) - 6}" y="{float(ty) + 4}" text-anchor="end">{tick:g}</text>')
+        for b in f["calibration"][key]["bins"]:
+            seen = b["seen"]
+            (x, y), (_, low), (_, high) = at(b["stated"], seen["value"]), at(0, seen["low"]), at(0, seen["high"])
+            out.append(f'<line x1="{x}" y1="{low}" x2="{x}" y2="{high}" stroke="#1b7837"/>')
+            out.append(
+                f'<circle cx="{x}" cy="{y}" r="{2 + min(seen["of"], 400) ** 0.5 / 3:.1f}" fill="#1b7837" fill-opacity="0.7"/>'
+            )
+        out.append(f'<text x="{left + side / 2}" y="{size + 22}" text-anchor="middle">stated, {words}</text>')
+    out.append(
+        f'<text x="{size + 20}" y="{size + 48}" text-anchor="middle">{label}: share of cases in which it is there</text></svg>'
+    )
+    return "\n".join(out) + "\n"
+
+
+def write(result: dict, folder: Path) -> None:
+    """score.json, score.md and a picture for each entrant."""
+    (folder / "score.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    for label, f in result["entrants"].items():
+        (folder / f"reliability_{label}.svg").write_text(picture(f, label), encoding="utf-8")
+    (folder / "score.md").write_text(markdown(result), encoding="utf-8")
+
+
+def summary(result: dict) -> str:
+    """The targets at 10 % for the terminal."""
+    lines = []
+    for label, f in result["entrants"].items():
+        lines.append(f"{label}: {f['cases']} cases, {f['counting']} count, {f['errors']} errors")
+        lines += [f"  {t.words}: {percent(f['targets'][t.key])} (asked {_asked(t)})" for t in TARGETS]
+        lines.append(f"  largest deviation of stated probabilities: first {_deviation(f['calibration']['first'])}, "
+                     f"all {_deviation(f['calibration']['all'])} points")  # fmt: skip
+    return "\n".join(lines)

@@ -1,0 +1,111 @@
+"""Draw the cases and ask an entrant, in several processes; a file for every case, so that a run can be gone on with.
+
+A folder holds cases/NAME/data.csv and setup.yaml, truth/NAME.json, answers/ENTRANT/NAME.json and study.json, which says
+of which seed it is. An entrant is given a copy of the two files of a case, in a folder of their own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+from benchmarks.blind.entrants import Answer, entrant
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+def begin(folder: Path, seed: int) -> None:
+    """Make the folder of a seed. Raises `ValueError` where it holds another one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "study.json"
+    if path.exists() and (begun := json.loads(path.read_text(encoding="utf-8"))["seed"]) != seed:
+        raise ValueError(f"{folder}: holds cases of seed {begun}, not {seed}: expected another --out")
+    _write(path, {"seed": seed})
+
+
+def draw(seed: int, folder: Path, name: str) -> None:
+    """Write the case of that name, unless it is there."""
+    from benchmarks.blind.cases import draw_case, write_case
+    from benchmarks.blind.groups import task_of
+
+    truth = folder / "truth" / f"{name}.json"
+    if not truth.exists():
+        write_case(draw_case(seed, task_of(name)), folder / "cases" / name, truth)
+
+
+def ask(who: str, label: str, seed: int, folder: Path, name: str) -> float:
+    """Draw a case if it is not there, ask the entrant, keep the answer; the time that the entrant took [s]."""
+    draw(seed, folder, name)
+    with tempfile.TemporaryDirectory() as place:
+        for file in ("data.csv", "setup.yaml"):
+            shutil.copy(folder / "cases" / name / file, place)
+        wall, cpu = time.perf_counter(), time.process_time()
+        try:
+            said = entrant(who)(Path(place) / "data.csv", Path(place) / "setup.yaml")
+        except Exception as error:
+            said = Answer("error", note=f"{type(error).__name__}: {error}"[:300])
+        seconds = time.perf_counter() - wall
+    spent = {"seconds": round(seconds, 3), "cpu": round(time.process_time() - cpu, 3)}
+    _write(folder / "answers" / label / f"{name}.json", asdict(said) | spent)
+    return seconds
+
+
+def _write(path: Path, content: dict) -> None:
+    """Write JSON in one piece."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    part.replace(path)
+
+
+def answered(folder: Path, label: str) -> set[str]:
+    """Names of the cases that an entrant has answered."""
+    return {p.stem for p in (folder / "answers" / label).glob("*.json") if not p.name.startswith(".")}
+
+
+def _quiet() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is for the process that started this one
+
+
+def in_processes(work: Callable[[str], object], names: Iterable[str], jobs: int, say=None) -> None:
+    """Call `work` with every name, in `jobs` processes of one thread each; an interrupt loses the cases in work only."""
+    names = list(names)
+    say = say or partial(_progress, time.perf_counter())
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
+    if jobs == 1:
+        for done, name in enumerate(names, start=1):
+            work(name)
+            say(done, len(names), name)
+        return
+    pool = ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_quiet)
+    try:
+        waiting = {pool.submit(work, name): name for name in names}
+        for done, future in enumerate(as_completed(waiting), start=1):
+            future.result()
+            say(done, len(names), waiting[future])
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in list((pool._processes or {}).values()):
+            process.terminate()
+        raise
+    pool.shutdown()
+
+
+def _progress(begun: float, done: int, of: int, name: str) -> None:
+    passed = time.perf_counter() - begun
+    left = passed / done * (of - done)
+    end = "\n" if done == of or not sys.stderr.isatty() else "\r"
+    if end == "\r" or done == of or done % max(of // 50, 1) == 0:
+        print(f"{done}/{of}  {passed:.0f} s, {left:.0f} s left  {name:40s}", end=end, file=sys.stderr, flush=True)
