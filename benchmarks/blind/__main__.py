@@ -6,9 +6,10 @@
     python -m benchmarks.blind score --out DIR                                           scores of all answers in DIR
     python -m benchmarks.blind list                                                      groups and forms
 
-An entrant is `workflow`, `bic`, `pysindy`, module:function (from two paths to benchmarks.blind.entrants.Answer), or a command with
-{data} and {setup} that prints the answer as JSON. The same command goes on with a run that was interrupted. Seed 2027
-is the one that is reported; develop with seeds from 100000 on. docs/blind_benchmark.md says how to enter.
+An entrant is `workflow`, `bic`, `pysindy`, module:function (from two paths to benchmarks.blind.entrants.Answer), or a
+command with {data} and {setup} that prints the answer as JSON. The same command goes on with a run that was
+interrupted. Seed 2027 is the one that is reported; develop with seeds from 100000 on. docs/blind_benchmark.md says how
+to enter.
 """
 
 from __future__ import annotations
@@ -113,7 +114,7 @@ def _parser() -> argparse.ArgumentParser:
                        help="only this group, see list; may be given several times")  # fmt: skip
         if name != "score":
             q.add_argument("--seed", metavar="N", type=whole_number(), default=REPORTED,
-                           help=f"of the cases (default {REPORTED}, the reported one; 100000 and more for development)")  # fmt: skip
+                           help=f"of the cases (default {REPORTED}, the reported one)")  # fmt: skip
             q.add_argument("--jobs", metavar="N", type=whole_number(1), default=1, help="processes (default 1)")
         if name == "run":
             q.add_argument(

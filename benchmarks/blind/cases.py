@@ -1,7 +1,8 @@
 """The cases of the benchmark as files: a table and a setup, which entrants may see, and in another folder the truth.
 
-A case follows from the seed, its group and its number alone. Loads of a table are normal to the ground, sinkage is below
-the surface in front of the wheel, pull is the net forward force on the axle, less the weight component where a grade effect is hidden.
+A case follows from the seed, its group and its number alone. Loads of a table are normal to the ground, sinkage is
+below the surface in front of the wheel, pull is the net forward force on the axle, less the weight component where a
+grade effect is hidden.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def draw_case(seed: int, task: Task) -> Case:
 
 
 def _strengths(rng, measure: Measure, forms, group: Group):
-    """(effects at strengths of sizes drawn between the multiples of the limit, their sizes); (.., None) if impossible."""
+    """(effects at strengths of sizes drawn between the multiples of the limit, sizes); (.., None) if impossible."""
     bench = measure.bench
     context = bench.context
     effects = [Hidden(f, float(f.signs[rng.integers(len(f.signs))]), f.side(rng, context)) for f in forms]
@@ -101,7 +102,7 @@ def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> C
     gross = rng.uniform(5.0, 15.0, clean.shape) * rng.choice((-1.0, 1.0), clean.shape)
     values = np.where(wrong, clean + noise * gross, values)
     stated = rng.random() < (0.5 if group.design == "few" else 0.8)
-    setup = _setup(rng, bench, stated)
+    setup = _setup(rng, bench, stated, WIDE if group.design == "few" else 1.0)
     law = None if bench.law is None else BASE_LAWS[bench.law]
     truth = {
         "case": task.name, "seed": seed, "kind": group.kind, "design": group.design, "sort": group.sort,
@@ -156,9 +157,8 @@ def _columns(bench: Bench, effects, values: np.ndarray) -> dict[str, list]:
     return columns
 
 
-def _setup(rng, bench: Bench, noise_stated: bool) -> dict:
+def _setup(rng, bench: Bench, noise_stated: bool, wide: float) -> dict:
     """What is known: a wheel, priors of the soil that are off by their sd times N(0, 1), mostly the noise."""
-    wide = WIDE if bench.prior_sd["friction_angle_deg"] > 2.0 else 1.0
     soil = {}
     for name in SOIL:
         true, value = getattr(bench.ground, name), -1.0

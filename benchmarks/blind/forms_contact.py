@@ -53,14 +53,14 @@ def slid_distance(contact, s, side):
 
 @_form("slip_sinkage", "loss of S at full slip [-]", 0.85)
 def softened_bed(contact, s, side):
-    """Sheared soil bears less: S (1 - s i), bearing reduced by the horizontal stress, after Yong, Fattah & Skiadas (1984)."""
+    """Sheared soil bears less: S (1 - s i), after Yong, Fattah & Skiadas (1984) on inclined loads."""
     contact.stiffness = contact.stiffness * np.maximum(1.0 - s * _slip(contact), 0.05)
 
 
 @_form("slip_sinkage", "growth at slip 0.5 [-]", 2.0, side=lambda rng, ctx: {"power": float(rng.uniform(1.6, 3.0))},
        freedom=2)  # fmt: skip
 def power_of_slip(contact, s, side):
-    """z0 (1 + s (i/0.5)^p), sinkage of lugged wheels that rises slowly and then fast, after the data of Ding et al. (2011)."""
+    """z0 (1 + s (i/0.5)^p): sinkage that rises slowly and then fast, after the data of Ding et al. (2011)."""
     contact.deepening.append(lambda z: z * (1.0 + s * (_slip(contact) / 0.5) ** side["power"]))
 
 
@@ -167,7 +167,7 @@ def passive_ripple_mean(contact, s, side):
 
 @_late("grousers", "lug height [m]", lambda ctx: 0.25 * ctx.radius)
 def sheared_sides(contact, s, side):
-    """Bekker's thrust with lugs (1956): c (1 + 2 h/b) and tan phi [1 + 0.64 (h/b) arccot(h/b)], the sides of the track."""
+    """Bekker's thrust with lugs (1956), their sides: c (1 + 2 h/b), tan phi [1 + 0.64 (h/b) arccot(h/b)]."""
     share = _lug_height(contact, s) / contact.width
 
     def hook(limit, sigma, theta):
@@ -181,7 +181,7 @@ def sheared_sides(contact, s, side):
        side=lambda rng, ctx: {"lugs": int(rng.integers(12, 31)), "slide": float(rng.uniform(0.01, 0.05))},
        freedom=2)  # fmt: skip
 def cutting_blades(contact, s, side):
-    """Lugs as narrow blades, (gamma d^2 N + c d Nc) b with side crescents, McKyes & Ali (1977), mobilised as they slide.
+    """Lugs as narrow blades with side crescents, McKyes & Ali (1977), mobilised as they slide.
 
     d the depth of the tip below the surface, at most twice the lug; mobilised by 1 - exp(-x/x0), x the distance slid.
     """
@@ -208,7 +208,7 @@ def _resist(contact, s, force):
 
 @_late("bulldozing", "factor on the force [-]", 0.3, (PULL,))
 def terzaghi(contact, s, side):
-    """Bekker (1960): b sin(a + phi)/(2 sin a cos phi) (2 z c Kc + gamma z^2 Kg) with the bearing factors of Terzaghi."""
+    """Bekker (1960): b sin(a + phi)/(2 sin a cos phi) (2 z c Kc + gamma z^2 Kg), bearing factors of Terzaghi."""
     phi, gamma, c = contact.phi, contact.ground.unit_weight, contact.cohesion
     t = np.tan(phi)
     n_q = np.exp((1.5 * np.pi - phi) * t) / (2.0 * np.cos(np.pi / 4.0 + 0.5 * phi) ** 2)
@@ -241,10 +241,10 @@ def rough_wall(contact, s, side):
     _resist(contact, s, force)
 
 
-@_late("bulldozing", "factor on the force [-]", 2.5, (PULL,), side=lambda rng, ctx: {"crescent": float(rng.uniform(0.5, 2.0))},
-       freedom=2)  # fmt: skip
+@_late("bulldozing", "factor on the force [-]", 2.5, (PULL,), freedom=2,
+       side=lambda rng, ctx: {"crescent": float(rng.uniform(0.5, 2.0))})  # fmt: skip
 def crescent(contact, s, side):
-    """Wedge with side crescents, (gamma z^2 N/2 + 2 c z sqrt N)(b + m z), Hettiaratchi & Reece (1967), McKyes (1985)."""
+    """Wedge with side crescents, (gamma z^2 N/2 + 2 c z sqrt N)(b + m z), Hettiaratchi & Reece (1967)."""
     n_phi, gamma, c = _passive(contact), contact.ground.unit_weight, contact.cohesion
 
     def force(z, entry):
@@ -256,12 +256,12 @@ def crescent(contact, s, side):
 # --- peak and residual ------------------------------------------------------------------------------------------------
 
 
-@_form("shear_softening", "2 (1 - residual/peak) [-]", 1.2)
+@_form("shear_softening", "f, residual/peak about 1/(1 + f/3) [-]", 2.5)
 def hyperbolic_cosine(contact, s, side):
-    """tanh(x) [1 + f/cosh(x)] of x = j/K, peak and residual of Kacigin & Guskov (1968), the peak as strength; f = s."""
-    x = np.linspace(0.0, 8.0, 2001)
-    peak = np.max(np.tanh(x) * (1.0 + s / np.cosh(x)))
-    contact.mobilised = lambda ratio: np.tanh(ratio) * (1.0 + s / np.cosh(np.minimum(ratio, 300.0))) / peak
+    """The hump 1 + f/cosh(x), x = j/K, of Kacigin & Guskov (1968) on (1 - e^-x), the peak as strength; f = s."""
+    x = np.linspace(0.0, 40.0, 4001)
+    peak = np.max(-np.expm1(-x) * (1.0 + s / np.cosh(x)))
+    contact.mobilised = lambda ratio: -np.expm1(-ratio) * (1.0 + s / np.cosh(np.minimum(ratio, 300.0))) / peak
 
 
 @_form("shear_softening", "1 - residual/peak [-]", 0.6,

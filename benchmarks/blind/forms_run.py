@@ -74,6 +74,10 @@ def _speed(contact):
     return column(contact.rows.speed)
 
 
+def _pressure(ctx):
+    return ctx.load / float(np.mean(ctx.wheel.width * ctx.radius))
+
+
 @_form("penetration_rate", "exponent of the local penetration velocity [-]", 0.3, side=_reference)
 def local_penetration(contact, s, side):
     """p = k z^n (dz/dt)^m, Grahn (1991), with the velocity V sin theta of each point of the rim."""
@@ -113,7 +117,7 @@ def strength_rate_process(contact, s, side):
 
 @_form("shear_rate", "rise of the friction coefficient [-]", 0.6, _SHEARED, order=3,
        side=lambda rng, ctx: {"number": float(np.exp(rng.uniform(np.log(0.3), np.log(3.0)))), "speed": ctx.speed,
-                              "pressure": ctx.load / float(np.mean(ctx.wheel.width * ctx.radius))}, freedom=2)  # fmt: skip
+                              "pressure": _pressure(ctx)}, freedom=2)  # fmt: skip
 def inertial_number(contact, s, side):
     """mu(I) = mu_s + d mu/(1 + I0/I), Jop, Forterre & Pouliquen (2006); I = v/sqrt(sigma), over that at the mean."""
 
@@ -127,10 +131,9 @@ def inertial_number(contact, s, side):
 
 
 @_form("shear_rate", "viscous over mean contact pressure at the highest speed [-]", 0.3, _SHEARED, order=3,
-       side=lambda rng, ctx: {"speed": float(ctx.rows.speed.max()),
-                              "pressure": ctx.load / float(np.mean(ctx.wheel.width * ctx.radius))})  # fmt: skip
+       side=lambda rng, ctx: {"speed": float(ctx.rows.speed.max()), "pressure": _pressure(ctx)})  # fmt: skip
 def bingham(contact, s, side):
-    """Cohesion plus a viscous part in proportion to the sliding velocity: Bingham's law for clay, Ghezzehei & Or (2001)."""
+    """Cohesion plus a viscous part in proportion to the sliding velocity: Bingham's law, Ghezzehei & Or (2001)."""
 
     def hook(tau, arc):
         viscous = s * side["pressure"] * _local_sliding(contact, arc) / side["speed"]
@@ -162,7 +165,7 @@ def hansen_slope(contact, s, side):
 @_form("grade", "steepest grade [deg]", 15.0, scales_grade=True,
        side=lambda rng, ctx: {"height": float(rng.uniform(0.2, 0.7))}, freedom=2)  # fmt: skip
 def weight_transfer(contact, s, side):
-    """Weight along the slope, and axle load W (1 + (h/L) tan g) of a vehicle of height h and wheelbase L, Wong (2008)."""
+    """Weight along the slope, and load W (1 + (h/L) tan g) of a vehicle, h/L height over wheelbase, Wong (2008)."""
     _along_the_slope(contact)
     contact.load = contact.load * (1.0 + side["height"] * np.tan(_grade(contact)))
 
@@ -170,7 +173,7 @@ def weight_transfer(contact, s, side):
 @_form("grade", "steepest grade [deg]", 15.0, scales_grade=True,
        side=lambda rng, ctx: {"share": float(rng.uniform(0.2, 0.8))}, freedom=2)  # fmt: skip
 def spent_friction(contact, s, side):
-    """Weight along the slope, and a slope that spends friction, tan phi - q |tan g|, after Vesic's (1975) sloping ground."""
+    """Weight along the slope, and a slope that spends friction, tan phi - q |tan g|, after Vesic (1975)."""
     contact.tan_phi = np.maximum(contact.tan_phi - side["share"] * np.abs(np.tan(_grade(contact))), 0.05)
     _along_the_slope(contact)
 
@@ -239,7 +242,7 @@ def speed_zero(contact, s, side):
 
 @_form("slip_bias", "share of the slip [-]", 0.25, **_WRONG_SLIP)
 def slip_gain(contact, s, side):
-    """Slip recorded too small in proportion, from a carriage that yields as the wheel pulls: i = i_m (1 + s (1 - i_m))."""
+    """Slip recorded too small in proportion, a carriage that yields as the wheel pulls: i_m [1 + s (1 - i_m)]."""
     contact.slip = contact.slip * (1.0 + s * (1.0 - contact.slip))
 
 

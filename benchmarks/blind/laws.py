@@ -22,7 +22,7 @@ FEATURES = 16  # cosines of a random function
 
 
 def coordinates(arc: Arc, contact: Contact, pressure: float, load: float) -> tuple[np.ndarray, ...]:
-    """What a law error depends on: theta/theta1 [-], ln(1 + sigma/pressure), slip [-], ln(load/`load`); [N, 1 or nodes].
+    """What a law error depends on: theta/theta1, ln(1 + sigma/pressure), slip, ln(load/`load`); [N, 1 or nodes].
 
     Neither pass, speed, time nor grade: an error that changed with those would be an effect of its own.
     """
@@ -61,7 +61,7 @@ def angles(place: tuple[np.ndarray, ...], frequency: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class StressError:
-    """Smooth relative errors of the normal and of the shear stress, each of standard deviation `size` (of the logarithm)."""
+    """Smooth relative errors of normal and shear stress, each of standard deviation `size` (of the logarithm)."""
 
     size: float
     pressure: float  # [Pa] to which local pressures are compared
@@ -88,7 +88,7 @@ class StressError:
 
 
 def covariance(contact: Contact, entry: np.ndarray, pressure: float, load: float, features: int = 96) -> np.ndarray:
-    """Covariance [3N, 3N] of a table (sinkage [m], pull [N], torque [N m]; flat) by law errors of size 1, to first order.
+    """Covariance [3N, 3N] of a flat table (sinkage, pull, torque; SI) by law errors of size 1, to first order.
 
     `contact` is of the paper's law, `entry` [N, 1] its solution. Errors change the stresses at a given sinkage, and the
     sinkage until the load is carried again. Of the ensemble of errors, at nominal lengths, not of the drawn one.

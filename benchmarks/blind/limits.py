@@ -1,12 +1,12 @@
 """How large an effect is in units of its detection limit, with the errors of the base law in the covariance.
 
-What an effect adds to a table, d, is judged against V = noise^2 + (law error)^2 C + J P J' + D D' : the noise, the table's
-covariance by law errors (`laws.covariance`), the tangent space J of the soil with the covariance P of its priors, and what a
-base law of another form changes, D, as a direction of which nothing is known. d' V^-1 d is the noncentrality of
-the likelihood ratio of a method that knows the form of the effect and the size of all of these. The *size* is its root over that of the
-noncentrality at which a test at the 1 % level has a power of 95 % (`easy.limits.noncentrality`): 1 is the detection
-limit. Sizes grow with the strength, in proportion where the effect is small. What an effect adds is computed without
-the law errors, whose change by the effect is of second order.
+What an effect adds to a table, d, is judged against V = noise^2 + (law error)^2 C + J P J' + D D': the noise, the
+covariance of the table by law errors (`laws.covariance`), the tangent space J of the soil with the covariance P of its
+priors, and what a base law of another form changes, D, as a direction of which nothing is known. d' V^-1 d is the
+noncentrality of the likelihood ratio of a method that knows the form of the effect and the size of all of these. The
+*size* is its root over that of the noncentrality at which a test at the 1 % level has a power of 95 %
+(`easy.limits.noncentrality`): 1 is the detection limit. Sizes grow with the strength, in proportion where the effect is
+small. What an effect adds is computed without the law errors, whose change by the effect is of second order.
 """
 
 from __future__ import annotations

@@ -45,22 +45,23 @@ def markdown(result: dict) -> str:
     entrants = result["entrants"]
     head = ["what", "asked [%]", *entrants]
     rows = [[t.words, _asked(t), *(percent(f["targets"][t.key]) for f in entrants.values())] for t in TARGETS]
-    for key, words in (("first", "of the first name"), ("all", "of every mechanism")):
-        rows.append([f"largest deviation of the stated probability {words}, bins of {LEAST_IN_BIN} and more",
-                     f"<= {100 * CALIBRATED:.0f}", *(_deviation(f["calibration"][key]) for f in entrants.values())])  # fmt: skip
+    for key, words in (("first", "first name"), ("all", "every mechanism")):
+        deviations = [_deviation(f["calibration"][key]) for f in entrants.values()]
+        rows.append([f"largest deviation of stated probabilities, {words}", f"<= {100 * CALIBRATED:.0f}", *deviations])
     rows.append(["answers that failed", "0", *(f["errors"] for f in entrants.values())])
     rows.append(["seconds a case, median (most)", "", *(f"{f['seconds']['median']:.1f} ({f['seconds']['most']:.1f})"
                                                         for f in entrants.values())])  # fmt: skip
     closest = [f"{label} {percent(f['closest'])}" for label, f in entrants.items()]
     return f"""# Scores of the blind benchmark
 
-Seed {result["seed"]}, {max(f["cases"] for f in entrants.values())} cases. Shares in % with 95 % intervals (Wilson) of cases at or above twice the detection limit.
+Seed {result["seed"]}, {max(f["cases"] for f in entrants.values())} cases. Shares in % with 95 % intervals
+(Wilson) of the cases at or above twice the detection limit; deviations in points, of bins of {LEAST_IN_BIN} and more.
 
 ## At 10 % law error, rich tables of one and two wheels
 
 {_table(head, rows)}
-Where the fit's listed forms come closest to the truth with their own mechanism rather than with another one (noise-free, law errors in the
-covariance, one effect, all designs): {"; ".join(closest)} %. Beyond that share a name needs more than the least distance.
+Cases in which the best listed form of the hidden mechanism is closer to the truth than that of any other mechanism
+(noise-free, law errors in the covariance, one effect, all designs): {"; ".join(closest)} %.
 
 ## By law error, rich tables of one wheel on the paper's base law
 {_by(entrants, "by_law", lambda f: [f"{s:g}" for s in SIZES], "law error")}
@@ -86,8 +87,10 @@ covariance, one effect, all designs): {"; ".join(closest)} %. Beyond that share 
 def _mechanisms(entrants: dict) -> str:
     parts = []
     for label, f in entrants.items():
-        rows = [[f"`{m}`", percent(v["first"]), percent(v["included"]),
-                 ", ".join(f"{k} {n}" for k, n in v["instead"].items())] for m, v in f["mechanisms"].items()]  # fmt: skip
+        rows = []
+        for m, v in f["mechanisms"].items():
+            instead = ", ".join(f"{k} {n}" for k, n in v["instead"].items())
+            rows.append([f"`{m}`", percent(v["first"]), percent(v["included"]), instead])
         parts.append(
             f"\n**{label}**\n\n" + _table(["hidden", "first", "first or among alternatives", "said instead"], rows)
         )
@@ -116,36 +119,47 @@ def _verdicts(entrants: dict) -> str:
     return _table(["entrant", "hidden", "verdicts"], rows)
 
 
+SIDE, EDGE = 255, 45  # of a diagram and left of it [px]
+
+
 def picture(f: dict, label: str) -> str:
     """Reliability of an entrant as SVG: seen against stated, with intervals; area of a dot as the number of cases."""
-    size, edge = 300, 45
-    out = [f'<svg xmlns="http://www.w3.org/2000/svg" width="{2 * size + 40}" height="{size + 70}" font-family="sans-serif" '
-           'font-size="12">', '<rect width="100%" height="100%" fill="white"/>']  # fmt: skip
+    width = 2 * (SIDE + 2 * EDGE)
+    out = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{SIDE + 90}" '
+        'font-family="sans-serif" font-size="12" text-anchor="middle">',
+        '<rect width="100%" height="100%" fill="white"/>',
+    ]
     for k, (key, words) in enumerate((("first", "first name"), ("all", "every mechanism"))):
-        left, side = edge + k * (size + 10), size - edge
+        out += _diagram(f["calibration"][key]["bins"], EDGE + k * (SIDE + 2 * EDGE), f"stated, {words}")
+    out.append(f'<text x="{width / 2}" y="{SIDE + 75}">{label}: share of cases in which the mechanism is there</text>')
+    return "\n".join([*out, "</svg>"]) + "\n"
 
-        def at(x, y, left=left, side=side):
-            return f"{left + x * side:.1f}", f"{20 + (1 - y) * side:.1f}"
 
-        (x0, y0), (x1, y1) = at(0, 0), at(1, 1)
-        out.append(f'<rect x="{x0}" y="{y1}" width="{side}" height="{side}" fill="none" stroke="#888"/>')
-        out.append(f'<line x1="{x0}" y1="{y0}" x2="{x1}" y2="{y1}" stroke="#888" stroke-dasharray="4 3"/>')
-        for tick in (0, 0.5, 1):
-            tx, ty = at(tick, tick)
-            out.append(f'<text x="{tx}" y="{float(y0) + 16}" text-anchor="middle">{tick:g}</text>')
-            out.append(f'<text x="{float(x0) - 6}" y="{float(ty) + 4}" text-anchor="end">{tick:g}</text>')
-        for b in f["calibration"][key]["bins"]:
-            seen = b["seen"]
-            (x, y), (_, low), (_, high) = at(b["stated"], seen["value"]), at(0, seen["low"]), at(0, seen["high"])
-            out.append(f'<line x1="{x}" y1="{low}" x2="{x}" y2="{high}" stroke="#1b7837"/>')
-            out.append(
-                f'<circle cx="{x}" cy="{y}" r="{2 + min(seen["of"], 400) ** 0.5 / 3:.1f}" fill="#1b7837" fill-opacity="0.7"/>'
-            )
-        out.append(f'<text x="{left + side / 2}" y="{size + 22}" text-anchor="middle">stated, {words}</text>')
-    out.append(
-        f'<text x="{size + 20}" y="{size + 48}" text-anchor="middle">{label}: share of cases in which it is there</text></svg>'
-    )
-    return "\n".join(out) + "\n"
+def _diagram(bins: list[dict], left: int, words: str) -> list[str]:
+    """Elements of one reliability diagram whose left edge is at `left` [px]."""
+    top, low = 20, 20 + SIDE
+
+    def x(value):
+        return f"{left + value * SIDE:.1f}"
+
+    def y(value):
+        return f"{low - value * SIDE:.1f}"
+
+    out = [
+        f'<rect x="{left}" y="{top}" width="{SIDE}" height="{SIDE}" fill="none" stroke="#888"/>',
+        f'<line x1="{x(0)}" y1="{y(0)}" x2="{x(1)}" y2="{y(1)}" stroke="#888" stroke-dasharray="4 3"/>',
+        f'<text x="{x(0.5)}" y="{low + 34}">{words}</text>',
+    ]
+    for tick in (0, 0.5, 1):
+        out.append(f'<text x="{x(tick)}" y="{low + 16}">{tick:g}</text>')
+        out.append(f'<text x="{left - 16}" y="{float(y(tick)) + 4:.1f}">{tick:g}</text>')
+    for b in bins:
+        seen, at = b["seen"], x(b["stated"])
+        size = 2.0 + min(seen["of"], 400) ** 0.5 / 3.0
+        out.append(f'<line x1="{at}" y1="{y(seen["low"])}" x2="{at}" y2="{y(seen["high"])}" stroke="#1b7837"/>')
+        out.append(f'<circle cx="{at}" cy="{y(seen["value"])}" r="{size:.1f}" fill="#1b7837" fill-opacity="0.7"/>')
+    return out
 
 
 def write(result: dict, folder: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.blind.easy.plan import PRIOR_SD, SOILS, stiffness_for
 from benchmarks.blind.effect import Context, Hidden
-from benchmarks.blind.laws import StressError, altered
+from benchmarks.blind.laws import BASE_LAWS, StressError, altered
 from benchmarks.blind.world import Contact, Ground, Rows, Wheel
 
 CHANNELS = ("sinkage", "drawbar_pull", "torque")
@@ -122,8 +122,6 @@ def _noise(rng, radius: float, load: float) -> tuple[float, float, float]:
 
 
 def _with_laws(rng, bench: Bench, size: float, law: str | None) -> Bench:
-    from benchmarks.blind.laws import BASE_LAWS
-
     side = None if law is None else BASE_LAWS[law].draw(rng, bench.pressure)
     error = StressError.draw(rng, size, bench.pressure, bench.load)
     return replace(bench, law=law, law_side=side, error=error)
@@ -135,9 +133,9 @@ def _with_laws(rng, bench: Bench, size: float, law: str | None) -> Bench:
 def _plan(rng, design: str, mean_load: float, wheel: Wheel, lugs: bool) -> tuple[Wheel, Rows, list[str]]:
     """Wheel, conditions and run labels; grades as a pattern in [-1, 1].
 
-    rich: 3 loads x 3 speeds x 3 passes x 6 or 7 slips, the grade by a Latin square of load and speed; wheels: 2 wheels x
-    3 loads x 2 speeds x 2 passes x 6 slips; poor: one load, speed and pass, 6 to 9 slips, 3 times; few: 5 to 20 rows at
-    1 to 3 loads. The rows of a run are neighbours.
+    rich: 3 loads x 3 speeds x 3 passes x 6 or 7 slips, the grade by a Latin square of load and speed; wheels: 2 wheels
+    x 3 loads x 2 speeds x 2 passes x 6 slips; poor: one load, speed and pass, 6 to 9 slips, 3 times; few: 5 to 20
+    rows at 1 to 3 loads. The rows of a run are neighbours.
     """
     loads = np.round(mean_load * rng.uniform(2.0, 3.0) ** np.array([-0.5, 0.0, 0.5]), 1)
     slowest, fastest = np.exp(rng.uniform(np.log(0.01), np.log(0.1))), rng.uniform(5.0, 10.0)
@@ -147,7 +145,7 @@ def _plan(rng, design: str, mean_load: float, wheel: Wheel, lugs: bool) -> tuple
     blocks = {"rich": _rich, "wheels": _two_wheels, "poor": _poor, "few": _few}[design](rng, loads, speeds, pattern)
     count = {"rich": rng.integers(6, 8), "wheels": 6, "poor": rng.integers(6, 10)}.get(design)
     if design == "few":
-        count = int(np.clip(rng.integers(5, 21) // len(blocks), 2 if len(blocks) > 1 else 5, 9))
+        count = max(int(rng.integers(5, 21)) // len(blocks), 2)
     slips = np.linspace(0.05, top, int(count))
     rows, runs, clock, which = [], [], 0.0, []
     own = slips

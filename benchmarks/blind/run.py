@@ -79,7 +79,7 @@ def _quiet() -> None:
 
 
 def in_processes(work: Callable[[str], object], names: Iterable[str], jobs: int, say=None) -> None:
-    """Call `work` with every name, in `jobs` processes of one thread each; an interrupt loses the cases in work only."""
+    """Call `work` with every name, in `jobs` processes of one thread; an interrupt loses the cases in work only."""
     names = list(names)
     say = say or partial(_progress, time.perf_counter())
     for name in THREADS:
@@ -108,4 +108,4 @@ def _progress(begun: float, done: int, of: int, name: str) -> None:
     left = passed / done * (of - done)
     end = "\n" if done == of or not sys.stderr.isatty() else "\r"
     if end == "\r" or done == of or done % max(of // 50, 1) == 0:
-        print(f"{done}/{of}  {passed:.0f} s, {left:.0f} s left  {name:40s}", end=end, file=sys.stderr, flush=True)
+        print(f"{done}/{of}  {passed:.0f} s, {left:.0f} s left  {name:30s}", end=end, file=sys.stderr, flush=True)

@@ -1,7 +1,7 @@
 """The scorer: every answer against its truth, shares with Wilson intervals, calibration of the stated probabilities.
 
-A case *counts* for the targets where what is hidden is at or above twice its detection limit; an unlisted mechanism, where
-what the best listed one would leave of it is. The rest is reported apart.
+A case *counts* for the targets where what is hidden is at or above twice its detection limit; an unlisted mechanism,
+where what the best listed one would leave of it is. The rest is reported apart.
 """
 
 from __future__ import annotations
@@ -106,9 +106,7 @@ TARGETS = (
     Target("wrong", "one effect: a wrong name with more than 50 %", "one", lambda r: r.judged.wrong, 0.05, False),
     Target("both", "two effects: both named", "two", lambda r: r.judged.both, 0.70, True),
     Target("none", "no effect: no name", "none", lambda r: r.judged.silent, 0.95, True),
-    Target(
-        "unlisted", "unlisted: no wrong name with more than 50 %", "unlisted", lambda r: not r.judged.wrong, 0.90, True
-    ),
+    Target("unlisted", "unlisted: no name with more than 50 %", "unlisted", lambda r: not r.judged.wrong, 0.90, True),
 )
 
 
@@ -130,7 +128,7 @@ def figures(records: list[Record]) -> dict:
         "errors": sum(r.answer.verdict == "error" for r in records),
         "targets": targets([r for r in rich if r.truth["law_error"] == 0.1]),
         "by_law": {f"{size:g}": targets([r for r in plain if r.truth["law_error"] == size]) for size in SIZES},
-        "by_design": {key: targets([r for r in tenth if _design(r) == key]) for key in dict.fromkeys(map(_design, tenth))},
+        "by_design": {d: targets([r for r in tenth if _design(r) == d]) for d in dict.fromkeys(map(_design, tenth))},
         "below": {f"{size:g}": _below([r for r in records if r.truth["law_error"] == size]) for size in SIZES},
         "mechanisms": {m: _mechanism([r for r in named if r.truth["effects"][0]["name"] == m]) for m in MECHANISMS},
         "closest": share(e["own_left"] < e["rival_left"] for r in named for e in r.truth["effects"] if e["rival"]),

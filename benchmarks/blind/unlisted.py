@@ -39,7 +39,7 @@ def cohesion_with_depth(contact, s, side):
            side=lambda rng, ctx: {"depth": float(rng.uniform(0.02, 0.05)),
                                   "pressure": ctx.load / float(np.mean(ctx.wheel.width * ctx.radius))})  # fmt: skip
 def brittle_crust(contact, s, side):
-    """A crust bears until it breaks: extra pressure that rises and falls within a small depth (Wong 1989, on muskeg)."""
+    """A crust bears until it breaks: pressure that rises and falls within a small depth (Wong 1989, on muskeg)."""
     thick = side["depth"] * contact.radius
 
     def hook(sigma, depth):
@@ -69,7 +69,8 @@ def crosstalk(contact, s, side):
 
 
 @_unlisted("fall of S and tan phi at the middle of a band of rim speed [-]", 0.5,
-           side=lambda rng, ctx: {"rim": float(ctx.speed / rng.uniform(0.3, 0.9)), "width": float(rng.uniform(0.3, 0.6))})  # fmt: skip
+           side=lambda rng, ctx: {"rim": float(ctx.speed / rng.uniform(0.3, 0.9)),
+                                  "width": float(rng.uniform(0.3, 0.6))})  # fmt: skip
 def resonance(contact, s, side):
     """The rig shakes in a band of rim speed and the soil yields: S and tan phi fall there, and nowhere else."""
     rim = column(contact.rows.speed) / np.maximum(1.0 - contact.slip, 0.05)

@@ -1,4 +1,4 @@
-"""The discrepancy workflow of soil_env as an entrant: through report.json's content, so that it outlives its insides."""
+"""The discrepancy workflow of soil_env as an entrant, by the content of its report.json."""
 
 from __future__ import annotations
 
