@@ -68,12 +68,15 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _score(options: argparse.Namespace) -> int:
-    seed = json.loads((options.out / "study.json").read_text(encoding="utf-8"))["seed"]
+    try:
+        about = json.loads((options.out / "study.json").read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"{options.out}: no study ({error.strerror}); expected the folder of a run") from None
     labels = sorted(p.name for p in (options.out / "answers").glob("*") if p.is_dir())
     if not labels:
         raise ParameterError(f"{options.out}: no answers; expected those of a run")
     names = _names(options)
-    result = {"seed": seed, "limit": options.limit, "entrants": {}}
+    result = {**about, "limit": options.limit, "entrants": {}}
     for label in labels:
         records = score.read_records(options.out, label, names)
         if records:

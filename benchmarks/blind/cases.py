@@ -82,19 +82,19 @@ def _strengths(rng, measure: Measure, forms, group: Group):
         if strength == 0.0:
             return effects, None
         effects, sizes = [effects[0].at(strength)], [size * rival / sizes[0]]
-    table = bench.truth(effects)
+    table = measure.whole.truth(effects)
     if not np.all(np.isfinite(table)) or np.max(table[0] / bench.wheel.radius) > DEEPEST:
         return effects, None
     if len(effects) == 2:
         sizes = [measure.size(e, [effects[1 - k]]) for k, e in enumerate(effects)]
-    return tuple(effects), tuple(sizes)
+    return tuple(effects), (tuple(sizes) if np.all(np.isfinite(sizes)) else None)
 
 
 # --- measuring --------------------------------------------------------------------------------------------------------
 
 
 def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> Case:
-    group, bench = GROUPS[task.group], measure.bench
+    group, bench = GROUPS[task.group], measure.whole
     clean = bench.truth(effects)
     noise = np.array(bench.noise)[:, None]
     values = clean + noise * rng.standard_normal(clean.shape)

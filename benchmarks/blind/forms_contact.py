@@ -276,10 +276,10 @@ def linear_fall(contact, s, side):
     contact.mobilised = mobilised
 
 
-@_form("shear_softening", "share of the cohesion that is lost, with a fifth as much of tan phi [-]", 1.0,
+@_form("shear_softening", "share of the cohesion that is lost, with half as much of tan phi [-]", 1.0,
        side=lambda rng, ctx: {"over": float(rng.uniform(0.5, 2.5))}, freedom=2)  # fmt: skip
 def broken_bonds(contact, s, side):
-    """Cohesion is lost as the soil shears and friction little: c [1 - s (1 - e^-x)], tan phi [1 - s (1 - e^-x)/5].
+    """Cohesion is lost as the soil shears, friction half as much: c [1 - s (1 - e^-x)], tan phi [1 - s (1 - e^-x)/2].
 
     Residual strength after Skempton (1964), x = j/(q K).
     """
@@ -287,6 +287,6 @@ def broken_bonds(contact, s, side):
     def hook(tau, arc):
         gone = s * -np.expm1(-np.abs(arc.shear) / (side["over"] * contact.shear_modulus))
         friction = np.maximum(arc.limit - contact.cohesion, 0.0)
-        return tau * (contact.cohesion * (1.0 - gone) + friction * (1.0 - 0.2 * gone)) / np.maximum(arc.limit, 1e-9)
+        return tau * (contact.cohesion * (1.0 - gone) + friction * (1.0 - 0.5 * gone)) / np.maximum(arc.limit, 1e-9)
 
     contact.tangential.append(hook)

@@ -240,7 +240,7 @@ def speed_zero(contact, s, side):
     contact.slip = 1.0 - (1.0 - contact.slip) * (1.0 - error)
 
 
-@_form("slip_bias", "share of the slip [-]", 0.25, **_WRONG_SLIP)
+@_form("slip_bias", "share of the slip [-]", 0.6, **_WRONG_SLIP)
 def slip_gain(contact, s, side):
     """Slip recorded too small in proportion, a carriage that yields as the wheel pulls: i_m [1 + s (1 - i_m)]."""
     contact.slip = contact.slip * (1.0 + s * (1.0 - contact.slip))

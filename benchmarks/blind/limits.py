@@ -46,6 +46,7 @@ class Measure:
     """
 
     def __init__(self, bench: Bench):
+        self.whole = bench
         self.bench = replace(bench, error=None)
         self.kept = bench.measured.ravel()
         noise = np.repeat(np.array(bench.noise), len(bench.rows))
@@ -67,7 +68,7 @@ class Measure:
 
     def white(self, change: np.ndarray) -> np.ndarray:
         """Change of the table [3, N] in units in which all errors are independent and 1."""
-        return solve_triangular(self.factor, change.ravel()[self.kept], lower=True)
+        return solve_triangular(self.factor, change.ravel()[self.kept], lower=True, check_finite=False)
 
     def contribution(self, effect: Hidden, others: Sequence[Hidden] = ()) -> np.ndarray:
         """What an effect adds beside the others, whitened; NaN where the wheel finds no balance."""
@@ -77,14 +78,10 @@ class Measure:
 
     def size(self, effect: Hidden, others: Sequence[Hidden] = ()) -> float:
         """Size of an effect, the strengths of `others` refitted; infinite where the wheel finds no balance."""
-        vector = self.contribution(effect, others)
-        if not np.all(np.isfinite(vector)):
+        vector, free = self.contribution(effect, others), [self.contribution(e) for e in others]
+        if not all(np.all(np.isfinite(v)) for v in (vector, *free)):
             return np.inf
-        return self._length(vector, [self.contribution(e) for e in others], effect.form.freedom)
-
-    def _length(self, vector: np.ndarray, free: Sequence[np.ndarray], freedom: int) -> float:
-        left = without(vector, free)
-        return float(np.sqrt(max(left @ vector, 0.0) / noncentrality(freedom)))
+        return float(np.sqrt(max(without(vector, free) @ vector, 0.0) / noncentrality(effect.form.freedom)))
 
     def strength(
         self, effect: Hidden, wanted: float, others: Sequence[Hidden] = (), rounds: int = 8

@@ -6,6 +6,7 @@ of which seed it is. An entrant is given a copy of the two files of a case, in a
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -22,16 +23,43 @@ from pathlib import Path
 
 from benchmarks.blind.entrants import Answer, entrant
 
+#: Modules of the benchmark, and of the easy set, that the cases follow from.
+DRAWN_BY = (
+    "cases",
+    "effect",
+    "forms",
+    "forms_contact",
+    "forms_run",
+    "groups",
+    "laws",
+    "limits",
+    "plan",
+    "unlisted",
+    "world",
+)
+EASY = ("forms", "forms_contact", "forms_run", "limits", "plan", "unlisted")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
+def generator() -> str:
+    """Hash of the code that the cases follow from."""
+    here = Path(__file__).parent
+    files = [*(here / f"{name}.py" for name in DRAWN_BY), *(here / "easy" / f"{name}.py" for name in EASY)]
+    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()[:12]
+
+
 def begin(folder: Path, seed: int) -> None:
-    """Make the folder of a seed. Raises `ValueError` where it holds another one."""
+    """Make the folder of a seed. Raises `ValueError` where it holds cases of another seed or generator."""
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "study.json"
-    if path.exists() and (begun := json.loads(path.read_text(encoding="utf-8"))["seed"]) != seed:
-        raise ValueError(f"{folder}: holds cases of seed {begun}, not {seed}: expected another --out")
-    _write(path, {"seed": seed})
+    path, about = folder / "study.json", {"seed": seed, "generator": generator()}
+    if path.exists():
+        begun = json.loads(path.read_text(encoding="utf-8"))
+        for key, value in about.items():
+            if begun.get(key) != value:
+                raise ValueError(
+                    f"{folder}: holds cases of {key} {begun.get(key)}, not {value}: expected another --out"
+                )
+    _write(path, about)
 
 
 def draw(seed: int, folder: Path, name: str) -> None:

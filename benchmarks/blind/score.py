@@ -44,10 +44,11 @@ def judged(truth: dict, answer: Answer) -> Judged:
     there = {*listed, *truth["also"]}
     wrong = any(p > MORE_LIKELY and name not in there for name, p in stated(answer).items())
     if kind == "one":
-        first = bool(named) and named[0] == listed[0]
+        own = [name for name in named if name == listed[0] or name not in truth["also"]]
+        first = bool(own) and own[0] == listed[0]
         return Judged(first, first or listed[0] in (*named, *answer.alternatives), None, None, None, wrong)
     if kind == "two":
-        return Judged(None, None, len(named) == 2 and set(named) == set(listed), None, None, wrong)
+        return Judged(None, None, set(listed) <= set(named) <= there, None, None, wrong)
     strangers = [name for name in named if name not in truth["also"]]
     fitting = answer.verdict in (("unlisted",) if kind == "unlisted" else ("none", "undetermined"))
     return Judged(None, None, None, not strangers and not wrong, fitting, wrong)
