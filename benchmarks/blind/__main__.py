@@ -61,6 +61,7 @@ def _run(options: argparse.Namespace) -> int:
     label = options.label or re.sub(r"\W+", "_", options.entrant)[:40]
     entrant(options.entrant)  # before the work: that there is one
     run.begin(options.out, options.seed)
+    run.describe(options.out, label, options.entrant)
     done = run.answered(options.out, label)
     left = [n for n in _names(options) if n not in done]
     run.in_processes(partial(run.ask, options.entrant, label, options.seed, options.out), left, options.jobs)
@@ -80,11 +81,13 @@ def _score(options: argparse.Namespace) -> int:
     for label in labels:
         records = score.read_records(options.out, label, names)
         if records:
-            result["entrants"][label] = score.figures(records)
+            about = options.out / "answers" / f"{label}.json"
+            known = json.loads(about.read_text(encoding="utf-8")) if about.exists() else {}
+            result["entrants"][label] = known | score.figures(records)
             result["groups"] = score.group_counts(records)
-    page.write(result, options.out)
+    page.write(result, options.publish or options.out)
     print(page.summary(result))
-    print(f"written: {options.out / 'score.json'} and score.md")
+    print(f"written: {(options.publish or options.out) / 'blind_scores.md'}, .json and pictures")
     return 0
 
 
@@ -113,6 +116,8 @@ def _parser() -> argparse.ArgumentParser:
         q.add_argument(
             "--limit", metavar="N", type=whole_number(1), help=f"only the first N of {IN_ALL}, a fair sample"
         )
+        if name in ("run", "score"):
+            q.add_argument("--publish", metavar="DIR", type=Path, help="folder of the scores (default: that of --out)")
         q.add_argument("--group", action="append", choices=list(GROUPS), default=[], metavar="GROUP",
                        help="only this group, see list; may be given several times")  # fmt: skip
         if name != "score":

@@ -1,4 +1,4 @@
-"""score.json, and score.md with the pictures of the reliability."""
+"""blind_scores.json, and blind_scores.md with the pictures of the reliability."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from benchmarks.blind.groups import SIZES
 from benchmarks.blind.score import LEAST_IN_BIN, TARGETS
+from soil_env._io.files import replace_file
 
 CALIBRATED = 0.05  # largest deviation of stated probabilities that is asked for
 
@@ -40,6 +41,10 @@ def _by(entrants: dict, key: str, values, words: str) -> str:
     return "".join(parts)
 
 
+def _cases(entrants: dict) -> str:
+    return ", ".join(f"{k} {f['cases']} (soil_env {f.get('soil_env', '-')})" for k, f in entrants.items())
+
+
 def markdown(result: dict) -> str:
     """The page of the scores."""
     entrants = result["entrants"]
@@ -54,8 +59,10 @@ def markdown(result: dict) -> str:
     closest = [f"{label} {percent(f['closest'])}" for label, f in entrants.items()]
     return f"""# Scores of the blind benchmark
 
-Seed {result["seed"]}, {max(f["cases"] for f in entrants.values())} cases. Shares in % with 95 % intervals
-(Wilson) of the cases at or above twice the detection limit; deviations in points, of bins of {LEAST_IN_BIN} and more.
+Seed {result["seed"]}, generator {result.get("generator", "-")}; [how](blind_benchmark.md).
+Cases: {_cases(entrants)}.
+Shares in % with 95 % intervals (Wilson) of the cases at or above twice the detection limit; deviations in points, of
+bins of {LEAST_IN_BIN} and more.
 
 ## At 10 % law error, rich tables of one and two wheels
 
@@ -71,7 +78,7 @@ Cases in which the best listed form of the hidden mechanism is closer to the tru
 {_mechanisms(entrants)}
 ## Stated probabilities
 
-{"".join(f"![{label}](reliability_{label}.svg)" + chr(10) for label in entrants)}
+{"".join(f"![{label}](blind_scores_{label}.svg)" + chr(10) for label in entrants)}
 {_reliability(entrants)}
 ## Cases below twice the detection limit
 
@@ -163,11 +170,12 @@ def _diagram(bins: list[dict], left: int, words: str) -> list[str]:
 
 
 def write(result: dict, folder: Path) -> None:
-    """score.json, score.md and a picture for each entrant."""
-    (folder / "score.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    """blind_scores.json, blind_scores.md and a picture for each entrant."""
+    folder.mkdir(parents=True, exist_ok=True)
     for label, f in result["entrants"].items():
-        (folder / f"reliability_{label}.svg").write_text(picture(f, label), encoding="utf-8")
-    (folder / "score.md").write_text(markdown(result), encoding="utf-8")
+        replace_file(folder / f"blind_scores_{label}.svg", picture(f, label))
+    replace_file(folder / "blind_scores.json", json.dumps(result, indent=1) + "\n")
+    replace_file(folder / "blind_scores.md", markdown(result))
 
 
 def summary(result: dict) -> str:

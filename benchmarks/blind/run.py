@@ -97,6 +97,19 @@ def _write(path: Path, content: dict) -> None:
     part.replace(path)
 
 
+def describe(folder: Path, label: str, who: str) -> None:
+    """Keep beside the answers who gave them and by what version of soil_env, its sources hashed."""
+    import soil_env
+
+    package = Path(soil_env.__file__).parent
+    sources = hashlib.sha256(b"".join(f.read_bytes() for f in sorted(package.rglob("*.py")))).hexdigest()[:12]
+    about = {"entrant": who, "soil_env": f"{soil_env.__version__}+{sources}"}
+    path = folder / "answers" / f"{label}.json"
+    if path.exists() and (begun := json.loads(path.read_text(encoding="utf-8"))) != about:
+        raise ValueError(f"{path}: answers of {begun}, now {about}: expected another --label")
+    _write(path, about)
+
+
 def answered(folder: Path, label: str) -> set[str]:
     """Names of the cases that an entrant has answered."""
     return {p.stem for p in (folder / "answers" / label).glob("*.json") if not p.name.startswith(".")}

@@ -270,7 +270,8 @@ def truth(kind, *names, also=(), counts=True, error=0.1):
 @pytest.mark.parametrize(
     ("told", "answer", "expected"),
     [
-        (truth("one", "grade"), Answer("named", ("grade",), (), {"grade": 0.9}), {"first": True, "included": True, "wrong": False}),
+        (truth("one", "grade"), Answer("named", ("grade",), (), {"grade": 0.9}),
+         {"first": True, "included": True, "wrong": False}),
         (truth("one", "grade"), Answer("named", ("grousers",)), {"first": False, "included": False, "wrong": True}),
         (truth("one", "grade"), Answer("ambiguous", ("grousers",), ("grade",), {"grousers": 0.45, "grade": 0.4}),
          {"first": False, "included": True, "wrong": False}),
@@ -281,13 +282,15 @@ def truth(kind, *names, also=(), counts=True, error=0.1):
         (truth("one", "grade"), Answer("unlisted", (), (), {"grade": 0.4}), {"first": False, "wrong": False}),
         (truth("two", "grade", "grousers"), Answer("named", ("grousers", "grade")), {"both": True, "wrong": False}),
         (truth("two", "grade", "grousers"), Answer("named", ("grousers",)), {"both": False, "wrong": False}),
-        (truth("two", "grade", "grousers"), Answer("named", ("grousers", "grade", "multipass")), {"both": False, "wrong": True}),
+        (truth("two", "grade", "grousers"), Answer("named", ("grousers", "grade", "multipass")),
+         {"both": False, "wrong": True}),
         (truth("none"), Answer("none", (), (), {"grade": 0.3}), {"silent": True, "fitting": True, "wrong": False}),
         (truth("none"), Answer("unlisted"), {"silent": True, "fitting": False}),
         (truth("none"), Answer("ambiguous", ("grade",), (), {"grade": 0.4}), {"silent": False, "wrong": False}),
         (truth("none", also=["rear_contact"]), Answer("named", ("rear_contact",)), {"silent": True, "wrong": False}),
         (truth("unlisted", "crosstalk"), Answer("unlisted"), {"silent": True, "fitting": True, "wrong": False}),
-        (truth("unlisted", "crosstalk"), Answer("partly", ("grade",), (), {"grade": 0.7}), {"silent": False, "wrong": True}),
+        (truth("unlisted", "crosstalk"), Answer("partly", ("grade",), (), {"grade": 0.7}),
+         {"silent": False, "wrong": True}),
         (truth("unlisted", "crosstalk"), Answer("none", (), (), {"grade": 0.7}), {"wrong": True}),
     ],
 )  # fmt: skip
@@ -307,8 +310,8 @@ def test_figures_and_page_say_what_was_counted(tmp_path):
     assert f["below"]["0.1"]["cases"] == 5 and f["mechanisms"]["grade"]["instead"] == {"multipass": 2}
     result = {"seed": 100001, "entrants": {"mine": f}, "groups": {}}
     page.write(result, tmp_path)
-    text = (tmp_path / "score.md").read_text()
-    assert "80.0 [49.0, 94.3] of 10" in text and (tmp_path / "reliability_mine.svg").read_text().count("<circle") >= 2
+    text = (tmp_path / "blind_scores.md").read_text()
+    assert "80.0 [49.0, 94.3] of 10" in text and (tmp_path / "blind_scores_mine.svg").read_text().count("<circle") >= 2
 
 
 def test_reliability_by_hand():
@@ -363,7 +366,7 @@ def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
     assert command.main(options) == 0
     after = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "answers" / "grade").iterdir()}
     assert asked == [t.name for t in wanted[2:]] and before.items() <= after.items() and len(after) == 4
-    assert json.loads((tmp_path / "score.json").read_text())["entrants"]["grade"]["cases"] == 4
+    assert json.loads((tmp_path / "blind_scores.json").read_text())["entrants"]["grade"]["cases"] == 4
     capsys.readouterr()
     assert command.main([*options[:5], "--seed", "100011", "--out", str(tmp_path)]) == 2
     assert "holds cases of seed 100010, not 100011" in capsys.readouterr().err
