@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from functools import partial
 from multiprocessing import get_context
@@ -136,6 +137,8 @@ def in_processes(work: Callable[[str], object], names: Iterable[str], jobs: int,
         for done, future in enumerate(as_completed(waiting), start=1):
             future.result()
             say(done, len(names), waiting[future])
+    except BrokenProcessPool:
+        raise ValueError("a process died (memory?): go on with the same command, or with fewer --jobs") from None
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         for process in list((pool._processes or {}).values()):
