@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
+from benchmarks.blind.easy.limits import noncentrality
 from benchmarks.blind.entrants import Answer
 from benchmarks.blind.forms import MECHANISMS
 from benchmarks.blind.groups import GROUPS, SIZES, tasks
@@ -123,21 +125,48 @@ def figures(records: list[Record]) -> dict:
     plain = [r for r in rich if r.truth["design"] == "rich" and not r.truth["sort"]]
     named = [r for r in records if r.truth["kind"] == "one" and r.truth["counts"]]
     tenth = [r for r in records if r.truth["law_error"] == 0.1]
+    main = [r for r in rich if r.truth["law_error"] == 0.1]
     return {
         "cases": len(records),
         "counting": sum(r.truth["counts"] for r in records),
         "errors": sum(r.answer.verdict == "error" for r in records),
-        "targets": targets([r for r in rich if r.truth["law_error"] == 0.1]),
+        "targets": targets(main),
         "by_law": {f"{size:g}": targets([r for r in plain if r.truth["law_error"] == size]) for size in SIZES},
         "by_design": {d: targets([r for r in tenth if _design(r) == d]) for d in dict.fromkeys(map(_design, tenth))},
         "below": {f"{size:g}": _below([r for r in records if r.truth["law_error"] == size]) for size in SIZES},
         "mechanisms": {m: _mechanism([r for r in named if r.truth["effects"][0]["name"] == m]) for m in MECHANISMS},
-        "closest": share(e["own_left"] < e["rival_left"] for r in named for e in r.truth["effects"] if e["rival"]),
+        "closest": share(_nearest(r) for r in named),
+        "ideal": _ideal([r for r in main if r.truth["kind"] == "one" and r.truth["counts"]]),
+        "nearest": targets([r for r in main if _nearest(r)]),
         "verdicts": _verdicts(records),
         "calibration": {"first": reliability(_firsts(records)), "all": reliability(_all(records)),
                         "first_at_10": reliability(_firsts(tenth)), "all_at_10": reliability(_all(tenth))},
         "seconds": _quantiles([r.seconds for r in records]),
     }  # fmt: skip
+
+
+def _nearest(r: Record) -> bool:
+    """Whether the best listed form of every hidden mechanism leaves less than that of any other."""
+    return bool(r.truth["effects"]) and all(
+        e["own_left"] is not None and (e["rival_left"] is None or e["own_left"] < e["rival_left"])
+        for e in r.truth["effects"]
+    )
+
+
+def _ideal(records: list[Record]) -> float | None:
+    """Mean chance that the own listed form beats its best rival by distance, the covariance of all errors known.
+
+    For whitened truth d and forms a, b the chance is Phi[(|d - b|^2 - |d - a|^2)/(2 |a - b|)], and |a - b| is at most
+    the sum of both distances: a lower bound where a is nearer, an upper one where b is; one rival only.
+    """
+    effects = [
+        e for r in records for e in r.truth["effects"] if e["own_left"] is not None and e["rival_left"] is not None
+    ]
+    if not effects:
+        return None
+    return float(
+        np.mean([ndtr(0.5 * math.sqrt(noncentrality(1)) * (e["rival_left"] - e["own_left"])) for e in effects])
+    )
 
 
 def _design(r: Record) -> str:

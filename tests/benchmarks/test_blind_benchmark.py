@@ -308,6 +308,8 @@ def test_figures_and_page_say_what_was_counted(tmp_path):
     assert (f["targets"]["first"]["count"], f["targets"]["first"]["of"]) == (8, 10)
     assert f["targets"]["wrong"]["value"] == 0.2 and f["targets"]["none"]["of"] == 3
     assert f["below"]["0.1"]["cases"] == 5 and f["mechanisms"]["grade"]["instead"] == {"multipass": 2}
+    # own form 0.5, rival 2.0 limits away: Phi(1.5 sqrt(17.81)/2) = Phi(3.165)
+    assert f["ideal"] == pytest.approx(0.99922, abs=1e-4) and f["nearest"]["first"]["of"] == 10
     result = {"seed": 100001, "entrants": {"mine": f}, "groups": {}}
     page.write(result, tmp_path)
     text = (tmp_path / "blind_scores.md").read_text()
