@@ -73,6 +73,7 @@ def _score(options: argparse.Namespace) -> int:
         about = json.loads((options.out / "study.json").read_text(encoding="utf-8"))
     except OSError as error:
         raise ParameterError(f"{options.out}: no study ({error.strerror}); expected the folder of a run") from None
+    run.recorded(options.out)
     labels = sorted(p.name for p in (options.out / "answers").glob("*") if p.is_dir())
     if not labels:
         raise ParameterError(f"{options.out}: no answers; expected those of a run")

@@ -111,6 +111,21 @@ def describe(folder: Path, label: str, who: str) -> None:
     _write(path, about)
 
 
+def recorded(folder: Path) -> None:
+    """Put the recorded answers (recorded/LABEL.jsonl, the first line says of what) to cases that are in the folder."""
+    about = json.loads((folder / "study.json").read_text(encoding="utf-8"))
+    for path in sorted((Path(__file__).parent / "recorded").glob("*.jsonl")):
+        head, *lines = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
+        if {key: head.pop(key) for key in about} != about:
+            continue
+        for line in lines:
+            name = line.pop("case")
+            place = folder / "answers" / path.stem / f"{name}.json"
+            if (folder / "truth" / f"{name}.json").exists() and not place.exists():
+                _write(place, line)
+                _write(folder / "answers" / f"{path.stem}.json", head)
+
+
 def answered(folder: Path, label: str) -> set[str]:
     """Names of the cases that an entrant has answered."""
     return {p.stem for p in (folder / "answers" / label).glob("*.json") if not p.name.startswith(".")}

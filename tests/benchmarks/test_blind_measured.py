@@ -1,5 +1,6 @@
 """The measured part of the blind benchmark: what is left out is not seen, and the errors are those of it."""
 
+import json
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.blind import measured
+from benchmarks.blind import measured, run
 from soil_env.parameters import Soil
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
@@ -43,12 +44,12 @@ def test_each_slip_is_left_out_once_and_its_errors_are_counted(monkeypatch):
     """Pull is 10 slip too high for the base model: its error is that, and the anonymous law has none."""
     seen = []
 
-    def run(rows, setup, bootstrap):
+    def says_none(rows, setup, bootstrap):
         seen.append(set(rows.slip.round(3)))
         gap = {"drawbar_pull": SimpleNamespace(after=1.5), "sinkage": SimpleNamespace(after=None)}
         return SimpleNamespace(base_model=MODEL, model=MODEL, effects=(), verdict="none", gap=gap)
 
-    monkeypatch.setattr(measured, "run", run)
+    monkeypatch.setattr(measured, "run", says_none)
     result = measured.held_out(table(lambda slip: 10.0 * slip), say=lambda text: None)
     everything = set(SLIPS.round(3))
     assert seen[0] == everything
@@ -70,3 +71,22 @@ def test_the_tables_at_hand_are_read():
     dem = found["discrete elements, lugged wheel"]
     assert len(dem.rows) == 11 and dem.setup["wheel"]["grouser_height"] == 0.01
     assert {row["grouser_height"] for row in found["CMU, both wheels"].rows} == {"0", "0.005"}
+
+
+def test_recorded_answers_join_the_cases_they_are_of(tmp_path):
+    """Those of the same seed and generator, for cases that are in the folder; answers that are there stay."""
+    kept = next((Path(run.__file__).parent / "recorded").glob("*.jsonl"))
+    head, first, second = (json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()[:3])
+    (tmp_path / "study.json").write_text(json.dumps({"seed": head["seed"], "generator": "other"}))
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth" / f"{first['case']}.json").write_text("{}")
+    run.recorded(tmp_path)
+    assert not (tmp_path / "answers").exists()
+    (tmp_path / "study.json").write_text(json.dumps({"seed": head["seed"], "generator": head["generator"]}))
+    run.recorded(tmp_path)
+    assert run.answered(tmp_path, kept.stem) == {first["case"]} and second["case"] != first["case"]
+    place = tmp_path / "answers" / kept.stem / f"{first['case']}.json"
+    assert json.loads(place.read_text())["verdict"] == first["verdict"]
+    place.write_text("mine")
+    run.recorded(tmp_path)
+    assert place.read_text() == "mine"
