@@ -32,6 +32,7 @@ from soil_env._io.files import make_folder, replace_files
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import cmu, run
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
+from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.validity import OutsideValidity
 
 NAME = "benchmarks.blind.measured"
@@ -41,11 +42,11 @@ SHOWN = {"sinkage": ("mm", 1e3), "drawbar_pull": ("N", 1.0), "torque": ("N m", 1
 DEGREES = (0, 1, 2, 3)  # of the anonymous law
 #: Discrete elements. Noise: about the least scatter in time within a run (NOTE.md); friction: that of the grains.
 DEM_SETUP = {
-    "wheel": {"radius": 0.1, "width": 0.1, "grouser_height": 0.01},
+    "wheel": {"radius": 0.1, "width": 0.1, "grouser_height": 0.01, "grouser_count": 18},
+    "slip_reference": "tip",
     "soil": {"friction_angle_deg": {"value": 36.7, "sd": 5.0}, "density": 1700.0},
     "noise": {"sinkage": 0.0005, "drawbar_pull": 0.5, "torque": 0.05},
 }
-DEM_MORE = {"wheel": {"grouser_count": 18}, "slip_reference": "tip"}  # keys that a setup may know
 
 
 @dataclass(frozen=True)
@@ -104,29 +105,18 @@ def tables(home: Path) -> list[Measured]:
                 for m in wheels.values() for row in m.rows]  # fmt: skip
         out += [*wheels.values(), Measured("CMU, both wheels", both, wheels["smooth"].setup, 0.1)]
     if dem.exists():
-        out.append(Measured("discrete elements, lugged wheel", _read(dem), _dem_setup(), 0.02))
+        out.append(Measured("discrete elements, lugged wheel", _read(dem), DEM_SETUP, 0.02))
     if not out:
         raise ParameterError(f"{home}: expected cmu_single_wheel or dem_kyoto (see --help)")
     return out
 
 
-def _dem_setup() -> dict:
-    """The setup of the simulated wheel, with the keys about its lugs where the reader knows them."""
-    more = DEM_SETUP | {"wheel": DEM_SETUP["wheel"] | DEM_MORE["wheel"], "slip_reference": DEM_MORE["slip_reference"]}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "setup.yaml"
-        path.write_text(yaml.safe_dump(more), encoding="utf-8")
-        try:
-            read_setup(path)
-        except ParameterError:
-            return DEM_SETUP
-    return more
-
-
 # --- hold-out ---------------------------------------------------------------------------------------------------------
 
 
-def _predicted(model, table: Table) -> np.ndarray:
+def _predicted(model: WheelSoilModel, table: Table, setup: Setup) -> np.ndarray:
+    """Table [3, N] of a model, whose slip is that of the rim."""
+    table = replace(table, slip=table.rim_slip(setup))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OutsideValidity)  # that is what leaving out the outermost slip means
         p = model.predict(table)
@@ -167,15 +157,15 @@ def fold(table: Table, setup: Setup, out: np.ndarray, same: float) -> dict:
     report = run(seen, setup, bootstrap=0)
     base = report.base_model
     named = replace(report.model, residual=()) if report.effects else base
-    at, residual = _predicted(base, unseen), _measured(seen) - _predicted(base, seen)
+    at, residual = _predicted(base, unseen, setup), _measured(seen) - _predicted(base, seen, setup)
     anonymous = at.copy()
     for j in range(len(CHANNELS)):
         there = np.isfinite(residual[j])
         law = polynomial(seen.slip[there], residual[j][there], same) if there.sum() >= 4 else None
         if law is not None:
             anonymous[j] += np.polyval(law, np.clip(unseen.slip, seen.slip.min(), seen.slip.max()))
-    predicted = {"base": at, "named": _predicted(named, unseen), "anonymous": anonymous,
-                 "workflow": _predicted(report.model, unseen)}  # fmt: skip
+    predicted = {"base": at, "named": _predicted(named, unseen, setup), "anonymous": anonymous,
+                 "workflow": _predicted(report.model, unseen, setup)}  # fmt: skip
     truth = _measured(unseen)
     return {
         "slip": float(np.mean(unseen.slip)), "verdict": report.verdict, "named": [e.name for e in report.effects],
