@@ -170,9 +170,12 @@ class Setup(Checked):
 
 def read_setup(path: str | Path) -> Setup:
     """The setup in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
-    path = Path(path)
-    mapping = read_yaml(path)
-    where = str(path)
+    return setup_of(read_yaml(Path(path)), str(path))
+
+
+def setup_of(mapping: dict[str, Any], where: str) -> Setup:
+    """`read_setup` of the mapping of a file that is at hand already; `where` it comes from, for messages."""
+    mapping = dict(mapping)
     for section in ("soil", "noise", "tilt_deg", "ignore_columns"):
         if section in mapping and mapping[section] is None:
             del mapping[section]  # a heading with nothing below it

@@ -1,0 +1,164 @@
+"""Record a drive of SoilWheel-v0 into a ROS 2 bag (MCAP) with standard messages, read it back, and identify the soil.
+
+The bag has what a rover's would: JointState (wheel speed and torque), Odometry (travel speed), WrenchStamped (drawbar pull
+and load), Imu (orientation), Range (hub to ground) and Float64 (slip). What the identifier makes of the bag is what it
+made of the same readings while driving. `python -m soil_env.logs BAG --map MAP --out DIR` reads it in the same way and
+writes a report. Needs `pip install "soil_env[logs]"`, no ROS.
+
+Examples:
+    python examples/record_bag.py                          writes drive/ (the bag) and drive.map.yaml
+    python examples/record_bag.py --seed 3 --out runs/b    another course, another place
+    python -m soil_env.logs drive --map drive.map.yaml --out drive.report
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import yaml
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from soil_env import ParameterError
+from soil_env.logs import read_map, read_recording, replay
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+T = STORE.types
+CHANNELS = {
+    "wheel_speed": {"topic": "/joint_states", "field": "velocity[wheel]", "unit": "rad/s"},
+    "torque": {"topic": "/joint_states", "field": "effort[wheel]", "unit": "N m"},
+    "speed": {"topic": "/odom", "field": "twist.twist.linear.x", "unit": "m/s"},
+    "drawbar_pull": {"topic": "/wheel/wrench", "field": "wrench.force.x", "unit": "N"},
+    "load": {"topic": "/wheel/wrench", "field": "wrench.force.z", "unit": "N"},
+    "pitch": {"topic": "/imu", "field": "orientation", "unit": "quaternion"},
+    "slip": {"topic": "/wheel/slip", "field": "data"},
+}
+
+
+class Recorder:
+    """A bag that is being written."""
+
+    def __init__(self, path: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> None:
+        self.writer = Writer(path, version=9, storage_plugin=storage)
+        self.writer.open()
+        self.connections = {}
+
+    def write(self, topic: str, seconds: float, kind: str, *values) -> None:
+        """One message; where its type has a header, stamped and recorded at the same time."""
+        nanoseconds = round(seconds * 1e9)
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=STORE)
+        if kind != "std_msgs/msg/Float64":
+            stamp = T["builtin_interfaces/msg/Time"](nanoseconds // 10**9, nanoseconds % 10**9)
+            values = (T["std_msgs/msg/Header"](stamp, "wheel"), *values)
+        data = STORE.serialize_cdr(T[kind](*values), kind)
+        self.writer.write(self.connections[topic], nanoseconds, data)
+
+    def readings(self, seconds: float, reading: dict[str, float], radius: float) -> None:
+        """One set of readings in SI units as messages."""
+        vector, quaternion = T["geometry_msgs/msg/Vector3"], T["geometry_msgs/msg/Quaternion"]
+        none, zero = np.zeros(0), vector(0.0, 0.0, 0.0)
+        speed, torque = np.array([reading["wheel_speed"]]), np.array([reading["torque"]])
+        self.write("/joint_states", seconds, "sensor_msgs/msg/JointState", ["wheel"], none, speed, torque)
+        pose = T["geometry_msgs/msg/Pose"](T["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), quaternion(0.0, 0.0, 0.0, 1.0))
+        twist = T["geometry_msgs/msg/Twist"](vector(reading["speed"], 0.0, 0.0), zero)
+        self.write(
+            "/odom", seconds, "nav_msgs/msg/Odometry", "wheel",
+            T["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
+            T["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+        )  # fmt: skip
+        force = T["geometry_msgs/msg/Wrench"](vector(reading["drawbar_pull"], 0.0, reading["load"]), zero)
+        self.write("/wheel/wrench", seconds, "geometry_msgs/msg/WrenchStamped", force)
+        half = -0.5 * reading["pitch"]  # REP 103: a positive rotation about y, to the left, is nose down
+        up = quaternion(0.0, math.sin(half), 0.0, math.cos(half))
+        unknown = np.array([-1.0, *[0.0] * 8])  # "not measured" of sensor_msgs/Imu
+        self.write("/imu", seconds, "sensor_msgs/msg/Imu", up, np.zeros(9), zero, unknown, zero, unknown)
+        self.write("/range", seconds, "sensor_msgs/msg/Range", 0, 0.1, 0.0, 2.0, radius - reading["sinkage"], *_variance())
+        self.write("/wheel/slip", seconds, "std_msgs/msg/Float64", reading["slip"])
+
+
+def _variance() -> tuple[float, ...]:
+    """The last field of a Range, which older definitions of it do not have."""
+    return (0.0,) if "variance" in T["sensor_msgs/msg/Range"].__dataclass_fields__ else ()
+
+
+def drive(recorder: Recorder, seed: int, steps: int):
+    """Drive one course, record it; the scenario and the estimates that the environment gave on the way."""
+    env = gymnasium.make("soil_env:SoilWheel-v0").unwrapped
+    names, scenario = env.observation_names, env.scenario
+    weight, radius = scenario.weight, scenario.wheel.radius
+    top = radius * scenario.wheel.no_load_speed
+    unit = {
+        "slip": 1.0, "sinkage": radius, "drawbar_pull": weight, "load": weight, "torque": weight * radius, "speed": top,
+        "rim_speed": top, "pitch": 1.0,
+    }  # fmt: skip
+    env.reset(seed=seed)
+    online = []
+    for step in range(1, steps + 1):
+        observation, _, terminated, truncated, info = env.step([0.35 + 0.2 * math.sin(0.15 * step)])
+        reading = {name: scale * float(observation[names.index(name)]) for name, scale in unit.items()}
+        reading["wheel_speed"] = reading.pop("rim_speed") / radius
+        recorder.readings(step * scenario.control.period, reading, radius)
+        online.append(info["estimate"])
+        if terminated or truncated:
+            break
+    return scenario, online
+
+
+def map_of(scenario) -> str:
+    """map.yaml of such a bag, with the wheel, the sensors and the belief of the scenario."""
+    wheel, noise, belief, weight = scenario.wheel, scenario.noise, scenario.belief, scenario.weight
+    sd = {
+        "wheel_speed": noise.wheel_speed, "speed": noise.speed, "slip": noise.slip, "pitch": noise.pitch,
+        "drawbar_pull": noise.drawbar_pull * weight, "load": noise.load * weight,
+        "torque": noise.torque * weight * wheel.radius, "sinkage": noise.sinkage,
+    }  # fmt: skip
+    depth = {"topic": "/range", "field": "range", "unit": "m", "sign": -1, "offset": wheel.radius}
+    channels = {name: {**source, "sd": sd[name]} for name, source in {**CHANNELS, "sinkage": depth}.items()}
+    rover = {n: getattr(wheel, n) for n in ("radius", "width", "body_mass", "inertia", "stall_torque", "no_load_speed")}
+    return yaml.safe_dump(
+        {
+            "wheel": rover, "channels": channels, "period": scenario.control.period, "gravity": scenario.gravity,
+            "relaxation": scenario.relaxation, "belief": vars(belief),
+        },
+        sort_keys=False,
+    )  # fmt: skip
+
+
+def main() -> None:
+    """Record, read back, compare."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--seed", type=int, default=0, help="seed of the course")
+    p.add_argument("--steps", type=int, default=600, help="control periods at most")
+    p.add_argument("--out", type=Path, default=Path("drive"), help="folder of the bag, which must not exist")
+    options = p.parse_args()
+    if options.out.exists():
+        p.error(f"--out {options.out}: exists: expected the folder of a new bag")
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    recorder = Recorder(options.out)
+    try:
+        scenario, online = drive(recorder, options.seed, options.steps)
+    finally:
+        recorder.writer.close()
+    place = options.out.with_name(options.out.name + ".map.yaml")
+    place.write_text(map_of(scenario), encoding="utf-8")
+    try:
+        log_map = read_map(place)
+        found = replay(read_recording(options.out, log_map), log_map)
+    except ParameterError as error:
+        p.error(str(error))
+    worst = 0.0
+    for name, values in found.values.items():
+        if name in online[0]:
+            given = np.array([e[name] for e in online])
+            worst = max(worst, float(np.max(np.abs(values - given) / np.maximum(np.abs(given), 1e-9))))
+    print(f"{len(online)} sets of readings; phi {found.values['friction_angle_deg'][-1]:.2f} deg at the end")
+    print(f"largest relative difference of an estimate from the bag to that of the drive: {worst:.1e}")
+
+
+if __name__ == "__main__":
+    main()

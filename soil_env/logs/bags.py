@@ -1,0 +1,241 @@
+"""Messages of ROS 2 bags and MCAP files, one by one, without ROS.
+
+MCAP is read by the library `mcap`, a bag in SQLite by Python's own module, and messages in CDR are decoded by `rosbags`
+with the definitions that the recording bears (those of the current ROS 2 where it bears none). Files are read from
+front to end with no more than a chunk in memory, so that a recording that was cut off gives all that is whole.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+from soil_env._io.loading import ParameterError, read_yaml
+
+SUFFIXES = (".mcap", ".db3")
+_NEEDED = "bags need the extra logs: pip install 'soil_env[logs]'"
+
+Progress = Callable[[int, int], None]  # bytes read, of how many in all
+
+
+class Message(NamedTuple):
+    """A decoded message."""
+
+    topic: str
+    time: int  # [ns] of its recording
+    kind: str  # sensor_msgs/msg/JointState
+    content: Any
+
+
+class Notes:
+    """What a reader has to tell beside the messages."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.topics: dict[str, str] = {}  # seen, with their type
+
+    def add(self, line: str) -> None:
+        """Add a sentence, once."""
+        if line not in self.lines:
+            self.lines.append(line)
+
+
+def bag_files(path: Path) -> list[Path]:
+    """The files of a bag in their order: of its metadata.yaml, or, where a recording ended without one, by name."""
+    if path.is_file():
+        return [path]
+    found = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES)
+    if (path / "metadata.yaml").is_file():
+        named = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information", {}).get("relative_file_paths", [])
+        found = [path / Path(str(name)).name for name in named] or found
+    packed = [p for p in found if p.suffix not in SUFFIXES]
+    if packed:
+        raise ParameterError(f"{packed[0]}: expected .mcap or .db3; a file compressed whole has to be unpacked: zstd -d")
+    if not found:
+        raise ParameterError(f"{path}: no .mcap or .db3 file in this folder: expected a ROS 2 bag")
+    return found
+
+
+def messages(path: Path, wanted: set[str], notes: Notes, progress: Progress) -> Iterator[Message]:
+    """The messages on the topics `wanted` of a bag (a folder) or of one of its files, in the order of recording."""
+    files = bag_files(path)
+    sizes = [p.stat().st_size if p.is_file() else 0 for p in files]
+    for k, file in enumerate(files):
+        if not file.is_file():
+            notes.add(f"{file.name} is named in metadata.yaml and is not there: its part of the recording is missing")
+            continue
+
+        def told(position: int, before: int = sum(sizes[:k])) -> None:
+            progress(before + position, sum(sizes))
+
+        reader = _mcap if file.suffix == ".mcap" else _sqlite
+        yield from reader(file, wanted, notes, told)
+        told(sizes[k])
+
+
+# --- decoding ---------------------------------------------------------------------------------------------------------
+
+
+class _Decoder:
+    """Messages from bytes; one for each file."""
+
+    def __init__(self) -> None:
+        try:
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError:
+            raise ParameterError(_NEEDED) from None
+        self._known = get_typestore(Stores.LATEST)
+        self._own = get_typestore(Stores.EMPTY)
+
+    def define(self, kind: str, text: str) -> None:
+        """Take the definition of a message type that the recording bears."""
+        from rosbags.typesys import get_types_from_msg
+
+        new = {k: v for k, v in get_types_from_msg(text, kind).items() if k not in self._own.types}
+        if new:
+            self._own.register(new)
+
+    def cdr(self, kind: str, data: bytes, where: str) -> Any:
+        """The message of this type; `ParameterError` for a type that nothing defines."""
+        for store in (self._own, self._known):
+            if kind in store.types:
+                return store.deserialize_cdr(data, kind)
+        raise ParameterError(f"{where}: message type {kind} is not known, and the recording does not define it")
+
+
+def _objects(data: bytes) -> Any:
+    return json.loads(data, object_hook=lambda d: SimpleNamespace(**d))
+
+
+# --- MCAP -------------------------------------------------------------------------------------------------------------
+
+
+def _mcap(file: Path, wanted: set[str], notes: Notes, told: Callable[[int], None]) -> Iterator[Message]:
+    try:
+        from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+        from mcap.records import Channel, Chunk, Schema
+        from mcap.records import Message as Record
+        from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
+    except ImportError:
+        raise ParameterError(_NEEDED) from None
+    decoder, schemas, channels = _Decoder(), {}, {}
+    size, last = file.stat().st_size, None
+    with file.open("rb") as stream:
+        records = StreamReader(stream, emit_chunks=True, record_size_limit=max(size, 1)).records
+        while True:
+            try:
+                record = next(records, None)
+                inside = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+            except InvalidMagic:
+                if last is None and not channels:
+                    raise ParameterError(f"{file}: not an MCAP file (its first bytes are others)") from None
+                return _cut(notes, file, stream.tell(), size, last)
+            except CRCValidationError:
+                notes.add(f"{file.name}: a chunk before byte {stream.tell()} is damaged (checksum) and left out")
+                continue
+            except EndOfFile:
+                return _cut(notes, file, stream.tell(), size, last)
+            except (McapError, struct.error, ValueError, RuntimeError, MemoryError, zlib.error, OSError) as error:
+                return _cut(notes, file, stream.tell(), size, last, f" ({error})")
+            if record is None:
+                return
+            for r in inside:
+                if isinstance(r, Schema):
+                    schemas[r.id] = r
+                elif isinstance(r, Channel):
+                    channels[r.id] = r, schemas.get(r.schema_id)
+                    kind = schemas[r.schema_id].name if r.schema_id in schemas else r.message_encoding
+                    notes.topics.setdefault(r.topic, kind)
+                    if r.topic in wanted:
+                        _prepare(decoder, file, r, schemas.get(r.schema_id))
+                elif isinstance(r, Record) and r.channel_id in channels:
+                    channel, schema = channels[r.channel_id]
+                    last = r.log_time
+                    if channel.topic in wanted:
+                        yield _message(decoder, file, channel, schema, r)
+            told(stream.tell())
+
+
+def _prepare(decoder: _Decoder, file: Path, channel, schema) -> None:
+    """Take the type of a topic that is wanted; `ParameterError` for an encoding that is not read."""
+    where = f"{file}: topic {channel.topic}"
+    if channel.message_encoding == "json":
+        return
+    if channel.message_encoding != "cdr" or schema is None or schema.encoding not in ("ros2msg", ""):
+        encoding = f"{channel.message_encoding} with schema {schema.encoding if schema else 'none'}"
+        raise ParameterError(f"{where}: encoding {encoding}: expected cdr with schema ros2msg, or json")
+    if schema.data:
+        decoder.define(schema.name, schema.data.decode("utf-8", "replace"))
+
+
+def _message(decoder: _Decoder, file: Path, channel, schema, record) -> Message:
+    if channel.message_encoding == "json":
+        return Message(channel.topic, record.log_time, schema.name if schema else "json", _objects(record.data))
+    content = decoder.cdr(schema.name, record.data, f"{file}: topic {channel.topic}")
+    return Message(channel.topic, record.log_time, schema.name, content)
+
+
+def _cut(notes: Notes, file: Path, position: int, size: int, last: int | None, why: str = "") -> None:
+    at = "before its first message" if last is None else f"after the message recorded at {last * 1e-9:.3f} s"
+    end = "at its end" if position >= size else f"at byte {position} of {size}"
+    notes.add(f"{file.name} is cut off or damaged {end}{why}, {at}: what is whole was read, the rest is lost")
+
+
+# --- SQLite -----------------------------------------------------------------------------------------------------------
+
+
+def _sqlite(file: Path, wanted: set[str], notes: Notes, told: Callable[[int], None]) -> Iterator[Message]:
+    """Messages of a .db3 file in the order of its rows, which is that of recording."""
+    decoder, last, size = _Decoder(), None, file.stat().st_size
+    with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as base:
+        try:
+            topics = {i: (name, kind) for i, name, kind in base.execute("SELECT id, name, type FROM topics")}
+            tables = {name for (name,) in base.execute("SELECT name FROM sqlite_master")}
+            if "message_definitions" in tables:
+                query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+                for kind, encoding, text in base.execute(query):
+                    if encoding == "ros2msg" and any(k == kind and name in wanted for name, k in topics.values()):
+                        decoder.define(kind, text)
+            rows = _count(base)
+        except sqlite3.DatabaseError as error:
+            raise ParameterError(f"{file}: cannot be read as a ROS 2 bag in SQLite ({error})") from None
+        notes.topics |= dict(topics.values())
+        ids = [i for i, (name, _) in topics.items() if name in wanted]
+        query = f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join('?' * len(ids))})"
+        cursor = base.execute(query + " ORDER BY id", ids)
+        while True:
+            try:
+                row = cursor.fetchone()
+            except sqlite3.DatabaseError as error:
+                return _cut(notes, file, size, size, last, f" ({error})")
+            if row is None:
+                return
+            number, topic, last, data = row
+            name, kind = topics[topic]
+            yield Message(name, last, kind, decoder.cdr(kind, _unpacked(data), f"{file}: topic {name}"))
+            if number % 256 == 0:
+                told(int(size * min(number / max(rows, 1), 1.0)))
+
+
+def _count(base: sqlite3.Connection) -> int:
+    """The largest number of a message; 1 in a file whose end is missing."""
+    try:
+        return base.execute("SELECT max(id) FROM messages").fetchone()[0] or 1
+    except sqlite3.DatabaseError:
+        return 1
+
+
+def _unpacked(data: bytes) -> bytes:
+    """A message, also of a bag whose messages are compressed one by one."""
+    if data[:4] == b"\x28\xb5\x2f\xfd":  # zstd; CDR begins with 00
+        import zstandard
+
+        return zstandard.decompress(data)
+    return data

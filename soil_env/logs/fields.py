@@ -1,0 +1,115 @@
+"""Numbers out of decoded messages: paths as `twist.twist.linear.x`, `velocity[2]`, `velocity[front_left]`."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import re
+from numbers import Real
+from types import SimpleNamespace
+from typing import Any
+
+from soil_env._io.loading import ParameterError
+
+_STEP = re.compile(r"([A-Za-z_]\w*)((?:\[[^\[\]]+\])*)\Z")
+_LISTS_OF_NAMES = ("name", "joint_names", "names")
+
+
+class NotHere(LookupError):
+    """This one message lacks the value; others may have it."""
+
+
+def parse(field: str, where: str) -> tuple[str | int, ...]:
+    """The steps of a path: names of attributes, "[name]" for the place of a name, numbers for places."""
+    steps: list[str | int] = []
+    for part in field.split("."):
+        found = _STEP.match(part)
+        if not found:
+            raise ParameterError(f"{where} = {field!r}: expected a path as twist.twist.linear.x or velocity[front_left]")
+        steps.append(found[1])
+        for inner in re.findall(r"\[([^\[\]]+)\]", found[2]):
+            steps.append(int(inner) if inner.isdecimal() else f"[{inner}]")
+    return tuple(steps)
+
+
+def number(message: Any, steps: tuple[str | int, ...], where: str, quaternion: bool = False) -> float:
+    """The number at a path of a message, or the uphill pitch [rad] of the orientation there.
+
+    Raises `ParameterError` for a path that messages of this type do not have, `NotHere` where only this message lacks
+    it: a list that is too short, or a name that is not in it.
+    """
+    value = message
+    for step in steps:
+        if isinstance(step, int) or step.startswith("["):
+            value = _item(message, value, step, where)
+        elif hasattr(value, step):
+            value = getattr(value, step)
+        else:
+            raise _unknown(message, steps, where)
+    if quaternion:
+        try:
+            return uphill(value.x, value.y, value.z, value.w)
+        except AttributeError:
+            raise ParameterError(f"{where}: expected an orientation with x, y, z and w for unit quaternion") from None
+    if not isinstance(value, Real):
+        raise ParameterError(f"{where}: is no number but {_what(value)}; {_near(message, steps)}")
+    return float(value)
+
+
+def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
+    if not hasattr(values, "__len__") or isinstance(values, str):
+        raise ParameterError(f"{where}: {step} of something that is no list: {_what(values)}")
+    if isinstance(step, str):
+        names = next((getattr(message, key) for key in _LISTS_OF_NAMES if hasattr(message, key)), None)
+        if names is None:
+            raise ParameterError(f"{where}: the message has no list of names: expected a number in brackets")
+        name = step[1:-1]
+        if name not in names:
+            near = difflib.get_close_matches(name, list(names), n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise NotHere(f"{where}: no name {name!r}{hint} (names: {', '.join(map(str, names)) or 'none'})")
+        step = list(names).index(name)
+    if step >= len(values):
+        raise NotHere(f"{where}: the list has {len(values)} values: expected more than {step}")
+    return values[step]
+
+
+def uphill(x: float, y: float, z: float, w: float) -> float:
+    """Pitch [rad] of a body with axes x forward and z up (REP 103), uphill positive; NaN for no orientation."""
+    norm = x * x + y * y + z * z + w * w
+    return math.nan if norm < 1e-6 else -math.asin(min(max(2.0 * (w * y - z * x) / norm, -1.0), 1.0))
+
+
+def paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:
+    """The paths of a message that lead to numbers or lists."""
+    if dataclasses.is_dataclass(value):
+        names = [f.name for f in dataclasses.fields(value) if not f.name.startswith("_")]
+    elif isinstance(value, SimpleNamespace):
+        names = list(vars(value))
+    elif isinstance(value, Real):
+        return [prefix]
+    elif hasattr(value, "__len__") and not isinstance(value, str):
+        return [f"{prefix}[0]"]
+    else:
+        return []
+    if depth == 0:
+        return []
+    return [p for n in names for p in paths(getattr(value, n), f"{prefix}.{n}" if prefix else n, depth - 1)]
+
+
+def _what(value: Any) -> str:
+    return f"a list of {len(value)}" if hasattr(value, "__len__") else type(value).__name__.removesuffix("_")
+
+
+def _near(message: Any, steps: tuple[str | int, ...]) -> str:
+    asked = ".".join(str(s) for s in steps if not isinstance(s, int) and not s.startswith("["))
+    known = paths(message)
+    ends = [p for p in known if p.endswith("." + asked) or p.split("[")[0].endswith("." + asked)]
+    near = ends or difflib.get_close_matches(asked, known, n=1, cutoff=0.4)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return f"{hint}(fields: {', '.join(known[:24])}{', ...' if len(known) > 24 else ''})"
+
+
+def _unknown(message: Any, steps: tuple[str | int, ...], where: str) -> ParameterError:
+    return ParameterError(f"{where}: the message has no such field; {_near(message, steps)}")

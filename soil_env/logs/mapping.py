@@ -1,0 +1,237 @@
+"""map.yaml: which topic and field, or which column, of a recording is which reading, in which unit and with which sign.
+
+Everything is checked when the file is read; what cannot be right is refused with one line (`ParameterError`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, read_yaml, to_dict, unknown_key
+from soil_env.measurement.setup import LARGEST_WHEEL, setup_of
+from soil_env.parameters import Belief, Noise, Wheel, wheels
+
+_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6}
+_TURNING = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0, "rev/s": 2.0 * math.pi}
+_FORCE = {"N": 1.0, "kN": 1e3, "kgf": 9.80665, "lbf": 4.4482216152605}
+_TORQUE = {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3, "lbf ft": 1.3558179483314004}
+#: Units of each reading, the first being the one that readings are turned into. An ampere is one of a motor's current,
+#: a quaternion the orientation of the body: x forward and z up, as in ROS (REP 103), of which the uphill pitch is taken.
+UNITS: dict[str, dict[str, float]] = {
+    "wheel_speed": _TURNING,
+    "speed": _SPEED,
+    "sinkage": _LENGTH,
+    "drawbar_pull": _FORCE,
+    "load": _FORCE,
+    "torque": _TORQUE | {"A": 1.0},
+    "slip": {"": 1.0, "%": 1e-2},
+    "pitch": {"rad": 1.0, "deg": math.pi / 180.0, "quaternion": 1.0},
+    "motor_torque": _TORQUE | {"A": 1.0},
+    "acceleration": {"m/s2": 1.0, "g": 9.80665},
+}
+#: Seconds of each unit of a time column; "iso" is text as 2026-05-04T09:30:00.25
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
+QUANTITIES = tuple(UNITS)
+_GEARED = ("wheel_speed", "torque", "motor_torque")
+
+
+@dataclass(frozen=True)
+class Source(Checked):
+    """Where a reading is in the recording: `topic` and `field` of a bag, or `column` of a table, or a `constant`.
+
+    The reading is sign x number x unit (x motor_constant of a current) + offset. `gear` is turns of the motor to one
+    turn of the wheel, for a speed, a torque or a current measured at the motor; a torque also gets `efficiency`.
+    """
+
+    topic: str = ""
+    field: str = ""  # twist.twist.linear.x, velocity[2], velocity[front_left] by the message's list of names
+    column: str = ""
+    constant: float | None = quantity("", default=None)  # in `unit`
+    unit: str | None = None  # None = the SI unit
+    sign: float = quantity("", -1.0, 1.0, default=1.0)
+    offset: float = quantity("SI", default=0.0, doc="added last, in the SI unit")
+    gear: float = quantity("", 1e-3, 1e5, default=1.0)
+    motor_constant: float | None = quantity("N m/A", 1e-6, 1e3, default=None)
+    efficiency: float = quantity("", 0.01, 1.0, default=1.0)
+    sd: float | None = quantity("", 0.0, default=None, doc="1-sigma of the reading, in `unit`; of a current in A")
+
+    @property
+    def place(self) -> str:
+        """Topic and field, or column, for messages."""
+        if self.constant is not None:
+            return f"constant {self.constant:g}"
+        return f"topic {self.topic}, field {self.field}" if self.topic else f"column {self.column}"
+
+
+@dataclass(frozen=True)
+class Channels:
+    """The readings that a recording has; those left out are not measured. See `soil_env.online.Readings`."""
+
+    wheel_speed: Source | None = None
+    speed: Source | None = None
+    sinkage: Source | None = None
+    drawbar_pull: Source | None = None
+    load: Source | None = None
+    torque: Source | None = None
+    slip: Source | None = None
+    pitch: Source | None = None
+    motor_torque: Source | None = None
+    acceleration: Source | None = None
+
+    def __post_init__(self) -> None:
+        for name, source in self.given().items():
+            try:
+                _check_source(name, source)
+            except ParameterError as error:
+                raise ParameterError(f"channels: {error}") from None
+        if self.wheel_speed is None or (self.speed is None and self.slip is None):
+            raise ParameterError("channels: expected wheel_speed, and speed or slip; without them no slip is known")
+
+    def given(self) -> dict[str, Source]:
+        """The sources by the name of the reading."""
+        return {name: s for name in QUANTITIES if (s := getattr(self, name)) is not None}
+
+
+def _check_source(name: str, s: Source) -> None:
+    kinds = bool(s.topic or s.field) + bool(s.column) + (s.constant is not None)
+    if kinds != 1 or bool(s.topic) != bool(s.field):
+        raise ParameterError(f"{name}: expected topic and field, or column, or constant")
+    if s.unit is not None and s.unit not in UNITS[name]:
+        raise unknown_key(s.unit, UNITS[name], f"{name}.unit")
+    if abs(s.sign) != 1.0:
+        raise ParameterError(f"{name}.sign = {s.sign:g}: expected 1 or -1")
+    if (s.unit == "A") != (s.motor_constant is not None):
+        raise ParameterError(f"{name}: expected motor_constant [N m/A] with unit A, and only there")
+    if s.gear != 1.0 and name not in _GEARED:
+        raise ParameterError(f"{name}.gear: expected only with {', '.join(_GEARED)}")
+    if s.efficiency != 1.0 and "torque" not in name:
+        raise ParameterError(f"{name}.efficiency: expected only with torque or motor_torque")
+
+
+def factor(name: str, source: Source) -> float:
+    """SI value of the reading `name` to one unit of its source, with the sign."""
+    f = source.sign * UNITS[name][source.unit if source.unit is not None else next(iter(UNITS[name]))]
+    if source.motor_constant is not None:
+        f *= source.motor_constant
+    return f / source.gear if name == "wheel_speed" else f * source.gear * source.efficiency
+
+
+@dataclass(frozen=True)
+class RoverWheel(Checked):
+    """The wheel of the rover. What is left out of its motor is not limited by it."""
+
+    radius: float = quantity("m", 0.01, LARGEST_WHEEL)
+    width: float = quantity("m", 0.005, LARGEST_WHEEL)
+    body_mass: float = quantity("kg", 0.1, 1e5, doc="mass on this wheel")
+    inertia: float | None = quantity("kg m2", 1e-6, 1e5, default=None, doc="with the rotor seen through the gear")
+    stall_torque: float = quantity("N m", 1e-3, 1e6, default=1e6)
+    no_load_speed: float = quantity("rad/s", 1e-3, 1e3, default=10.0)
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.wheel()
+
+    def wheel(self) -> Wheel:
+        """As the identifier takes it; an inertia that is not known is the least that a `Wheel` may have."""
+        inertia = 0.02 * self.body_mass * self.radius**2 * (1.0 + 1e-12) if self.inertia is None else self.inertia
+        return Wheel(self.radius, self.width, inertia, self.stall_torque, self.no_load_speed, self.body_mass)
+
+
+@dataclass(frozen=True)
+class TimeColumn(Checked):
+    """The column of a table that has the time stamps."""
+
+    column: str
+    unit: Literal["s", "ms", "us", "ns", "iso"] = "s"
+
+
+@dataclass(frozen=True)
+class Windows(Checked):
+    """What counts as a steady stretch of a log. The changes are those of the means from its first to its second half.
+
+    Sinkage follows the slip over a distance: what counts is how far it still has to go, after the law of slip-sinkage.
+    """
+
+    duration: float = quantity("s", 0.1, 600.0, default=1.0)
+    rim_speed: float = quantity("m/s", 0.0, 40.0, default=0.02, doc="least")
+    slip_change: float = quantity("", 0.0, 1.0, default=0.03)
+    speed_change: float = quantity("of rim speed", 0.0, 1.0, default=0.05)
+    sinkage_left: float = quantity("of radius", 0.0, 1.0, default=0.05)
+    pull_change: float = quantity("of weight", 0.0, 1.0, default=0.04)
+    torque_change: float = quantity("of weight x radius", 0.0, 1.0, default=0.04)
+    pitch_change: float = quantity("rad", 0.0, 1.0, default=0.02)
+
+
+@dataclass(frozen=True)
+class LogMap(Checked):
+    """What a recording holds, and how it is to be read."""
+
+    wheel: RoverWheel
+    channels: Channels
+    time: TimeColumn | None = None  # of a table
+    clock: Literal["header", "log"] = "header"  # of a bag: time stamp in the message, or that of its recording
+    period: float = quantity("s", 1e-3, 1.0, default=0.1, doc="of the common time axis and of the identifier")
+    max_gap: float = quantity("s", 0.0, 60.0, default=0.5, doc="over which readings are interpolated")
+    restart_gap: float = quantity("s", 0.1, 1e6, default=10.0, doc="without readings, after which all starts anew")
+    gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81)
+    relaxation: float = quantity("wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts")
+    belief: Belief = Belief()  # noqa: RUF009 (frozen)
+    soil: dict = dataclasses.field(default_factory=dict)  # what is known of it, for setup.yaml
+    windows: Windows = Windows()  # noqa: RUF009
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.windows.duration < 4.0 * self.period:
+            raise ParameterError(
+                f"windows: duration = {self.windows.duration:g} s: expected at least four periods of {self.period:g} s"
+            )
+
+    @property
+    def weight(self) -> float:
+        """[N] on the wheel."""
+        return self.wheel.body_mass * self.gravity
+
+    def noise(self) -> Noise:
+        """The sensors: `sd` of the channels where given, else the defaults of `Noise`.
+
+        A pull from an accelerometer and a torque from the motor have the noise of the channel that they stand for.
+        """
+        weight, radius, given = self.weight, self.wheel.radius, self.channels.given()
+        scale = {"drawbar_pull": weight, "load": weight, "torque": weight * radius}
+        sd = {n: abs(factor(n, s)) * s.sd for n, s in given.items() if s.sd is not None}
+        mass = {"acceleration": ("drawbar_pull", self.wheel.body_mass), "motor_torque": ("torque", 1.0)}
+        for name, (stands_for, times) in mass.items():
+            if name in sd:
+                value = times * sd.pop(name)
+                if stands_for not in given:
+                    sd[stands_for] = value
+        return Noise(**{name: value / scale.get(name, 1.0) for name, value in sd.items()})
+
+
+def read_map(path: str | Path) -> LogMap:
+    """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
+    mapping, where = read_yaml(Path(path)), str(path)
+    for section in ("wheel", "channels"):
+        if section not in mapping:
+            raise ParameterError(f"{where}: missing {section}: expected wheel and channels")
+    wheel = mapping["wheel"]
+    if isinstance(wheel, str):
+        wheel = {"preset": wheel}
+    if isinstance(wheel, dict) and "preset" in wheel:
+        if wheel["preset"] not in wheels():
+            raise unknown_key(wheel["preset"], wheels(), f"{where}: wheel")
+        wheel = merge(to_dict(wheels()[wheel["preset"]]), {k: v for k, v in wheel.items() if k != "preset"})
+    found: LogMap = load(LogMap, {**mapping, "wheel": wheel}, where)
+    rim = {"radius": found.wheel.radius, "width": found.wheel.width}
+    setup_of({"wheel": rim, "soil": found.soil}, where)
+    try:
+        found.noise()
+    except ParameterError as error:
+        raise ParameterError(f"{where}: channels: sd too large: {error}") from None
+    return found

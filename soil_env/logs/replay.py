@@ -1,0 +1,146 @@
+"""The online identifier over a log: the soil under the wheel and its uncertainty over time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from soil_env.logs.align import Aligned
+from soil_env.logs.mapping import LogMap
+from soil_env.online import Estimate, OnlineIdentifier, Readings, Status
+
+#: Numbers of an estimate, in the order of the columns of estimates.csv.
+ESTIMATED = tuple(n for n in Estimate.__dataclass_fields__ if n not in ("status", "renewed"))
+COLUMNS = (*ESTIMATED, "drawbar_margin", "torque_required")
+_LEARNT = 0.8  # sd over prior sd, below which something was learnt
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Estimates over the steps of a log."""
+
+    time: np.ndarray  # [N] s
+    values: dict[str, np.ndarray]  # [N] each, by `COLUMNS`; the last two NaN before the first estimate
+    status: np.ndarray  # [N] `Status`
+    renewed: np.ndarray  # [N] bool: solved for in this step
+    prior: Estimate
+    restarts: int  # because of gaps
+    warnings: list[str]
+
+    def csv(self) -> str:
+        """One line a step: time, estimate, standard deviations, margin, status."""
+        lines = [",".join(("time", *COLUMNS, "status", "renewed"))]
+        columns = zip(*(self.values[n].tolist() for n in COLUMNS), strict=True)
+        for t, row, status, new in zip(self.time.tolist(), columns, self.status.tolist(), self.renewed, strict=True):
+            cells = ["" if x != x else f"{x:.8g}" for x in row]
+            lines.append(f"{t:.9g},{','.join(cells)},{Status(status).name},{int(new)}")
+        return "\n".join(lines) + "\n"
+
+    def learnt(self) -> dict[str, float]:
+        """Least standard deviation over that of the prior, for each parameter: 1 where nothing was learnt."""
+        return {
+            name: float(np.min(self.values[sd])) / getattr(self.prior, sd)
+            for name, sd in {
+                "friction_angle_deg": "friction_angle_sd_deg",
+                "shear_modulus": "shear_modulus_relative_sd",
+                "sinkage_coefficient": "sinkage_coefficient_relative_sd",
+                "cohesion": "cohesion_sd",
+                "dig_gain": "dig_gain_relative_sd",
+            }.items()
+        }
+
+
+def identifier_of(log_map: LogMap) -> OnlineIdentifier:
+    """The identifier that a map describes."""
+    return OnlineIdentifier(
+        log_map.wheel.wheel(), log_map.belief, log_map.noise(), period=log_map.period, gravity=log_map.gravity,
+        relaxation=log_map.relaxation,
+    )  # fmt: skip
+
+
+def replay(log: Aligned, log_map: LogMap) -> Replay:
+    """Give the readings of a log to the online identifier, step by step.
+
+    After a gap of more than `restart_gap` it starts from the prior again. The drawbar margin and the torque required
+    are those of `OnlineIdentifier.traversability`, renewed with the estimate.
+    """
+    identifier = identifier_of(log_map)
+    prior, size = identifier.estimate, len(log)
+    status, renewed = np.zeros(size, np.int64), np.zeros(size, bool)
+    names = [n for n in Readings._fields if n in log.readings]
+    rows = np.column_stack([log.readings[n] for n in names]).tolist()
+    loads, pitches = (log.readings.get(n, np.full(size, math.nan)).tolist() for n in ("load", "pitch"))
+    restarts, last, numbers = 0, math.nan, _numbers(prior, math.nan, math.nan)
+    table = np.empty((size, len(COLUMNS)))
+    for k, (t, row) in enumerate(zip(log.time.tolist(), rows, strict=True)):
+        if t - last > log_map.restart_gap:
+            identifier.reset()
+            restarts += 1
+            numbers = _numbers(prior, math.nan, math.nan)
+        e = identifier.update(Readings(**dict(zip(names, row, strict=True)), time=t))
+        if e.renewed:
+            load, pitch = loads[k], pitches[k] if pitches[k] == pitches[k] else 0.0
+            way = identifier.traversability(None if load != load else load, pitch)
+            numbers = _numbers(e, way.drawbar_margin, way.torque_required)
+        table[k], status[k], renewed[k], last = numbers, e.status, e.renewed, t
+    values = {name: table[:, i] for i, name in enumerate(COLUMNS)}
+    warnings = _impassable(log, values["drawbar_margin"], status)
+    if restarts:
+        warnings.insert(0, f"Started anew {restarts} times, after gaps of more than {log_map.restart_gap:g} s")
+    return Replay(log.time, values, status, renewed, prior, restarts, warnings)
+
+
+def _numbers(e: Estimate, margin: float, torque: float) -> list[float]:
+    return [*(getattr(e, name) for name in ESTIMATED), margin, torque]
+
+
+def _impassable(log: Aligned, margin: np.ndarray, status: np.ndarray) -> list[str]:
+    """A sentence for each stretch whose ground, by a current estimate, has no drawbar pull to spare over the grade."""
+    bad = (margin <= 0.0) & (status == Status.CONVERGED)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], bad, [False])).astype(int)))
+    lines = []
+    for first, end in edges.reshape(-1, 2):
+        least = float(np.min(margin[first:end]))
+        lines.append(
+            f"{log.time[first]:.1f} to {log.time[end - 1]:.1f} s: impassable as identified, drawbar margin down to "
+            f"{least:.3f} of the load"
+        )
+    return lines
+
+
+def what_can_be_told(found: Replay, measured: set[str]) -> list[str]:
+    """Sentences on what the channels of this log can tell of the soil, and what they did."""
+    pull, torque = measured & {"drawbar_pull", "acceleration"}, measured & {"torque", "motor_torque"}
+    lines = []
+    if "sinkage" not in measured:
+        lines.append(
+            "No sinkage: the online identifier learns nothing, its equations need the arc of contact. The steady points "
+            "still serve the discrepancy workflow."
+        )
+    elif not pull and not torque:
+        lines.append(
+            "Neither drawbar pull nor torque: friction angle, cohesion and K are not told, since nothing measures shear. "
+            "The sinkage coefficient S is, if the load is measured, within what the exponent of the belief allows."
+        )
+    elif not torque:
+        lines.append("No torque: friction angle and K follow from the drawbar pull alone, S from load and pull.")
+    elif not pull:
+        lines.append("No drawbar pull: friction angle and K follow from the torque alone, S from the load.")
+    if "load" not in measured:
+        lines.append("No load: the weight on the wheel stands for it, and Eq. (1), vertical equilibrium, tells nothing.")
+    if "acceleration" in pull and "drawbar_pull" not in pull:
+        lines.append("The drawbar pull is the accelerometer's reading times the mass on the wheel, which must be right.")
+    if "motor_torque" in torque and "torque" not in torque:
+        lines.append("The torque is that of the motor less what accelerates the wheel: friction of the gear is in it.")
+    if "slip" not in measured:
+        lines.append("The slip follows from wheel and travel speed; an error of the wheel radius is an offset of it.")
+    names = {"friction_angle_deg": "friction angle", "shear_modulus": "K", "sinkage_coefficient": "S"}
+    shares = found.learnt()
+    for name, words in names.items():
+        told = "told" if shares[name] < _LEARNT else "not told: this is the prior"
+        lines.append(f"{words}: {told} (standard deviation at best {shares[name]:.2f} of the prior's)")
+    valid = float(np.mean(found.status == Status.CONVERGED)) if found.status.size else 0.0
+    lines.append(f"The estimate was current in {100.0 * valid:.0f} % of the steps.")
+    return lines

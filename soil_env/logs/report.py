@@ -1,0 +1,191 @@
+"""What a log told: tables, pictures and a self-contained page."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from datetime import UTC, datetime
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from soil_env._io.document import Table, html_image, html_page, render
+from soil_env._io.files import plain
+from soil_env.identification.solver import Status
+from soil_env.logs.align import Aligned
+from soil_env.logs.mapping import UNITS, LogMap
+from soil_env.logs.replay import Replay, what_can_be_told
+from soil_env.logs.steady import Steady
+
+ALWAYS = ("report.html", "log.json", "estimates.csv", "estimates.png", "readings.png")
+WITH_STEADY = ("steady.csv", "setup.yaml")
+_MOST_POINTS = 4000  # of a curve in a picture
+_SHOWN = {  # value, sd, scale, label; relative sd where True
+    "friction_angle_deg": ("friction_angle_sd_deg", 1.0, "friction angle [deg]", False),
+    "shear_modulus": ("shear_modulus_relative_sd", 1e3, "K [mm]", True),
+    "sinkage_coefficient": ("sinkage_coefficient_relative_sd", 1.0, "S [N/m^(n+2)]", True),
+}
+
+
+def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, steady: Steady) -> dict[str, bytes | str]:
+    """All files of the folder by name; those of `WITH_STEADY` only where there are steady points."""
+    estimates, readings = _estimates_picture(found), _readings_picture(log, steady, log_map)
+    told = what_can_be_told(found, set(log.readings))
+    body = render(
+        "soil_env.logs:report.html",
+        recording=recording,
+        summary=summary(log),
+        notes=log.notes,
+        channels=channel_table(log),
+        readings=html_image(readings, "Readings over time in SI units; steady stretches are shaded."),
+        told=told,
+        soil=soil_table(found),
+        estimates=html_image(
+            estimates, "The soil as identified, with 95 % intervals; grey where the estimate is the prior or held."
+        ),
+        warnings=found.warnings,
+        steady=steady_sentence(steady),
+        points=_points(steady),
+    )
+    facts = {
+        "recording": recording,
+        "start": log.start,
+        "steps": len(log),
+        "period": log.period,
+        "channels": {name: vars(count) for name, count in log.counts.items()},
+        "notes": log.notes,
+        "told": told,
+        "learnt": found.learnt(),
+        "warnings": found.warnings,
+        "estimate": {name: float(values[-1]) for name, values in found.values.items()},
+        "status": Status(found.status[-1]).name,
+        "steady_points": len(steady.rows),
+        "noise": steady.noise,
+    }
+    files: dict[str, bytes | str] = {
+        "report.html": html_page(f"Log: {recording}", body),
+        "log.json": json.dumps(plain(facts), indent=1, allow_nan=False) + "\n",
+        "estimates.csv": found.csv(),
+        "estimates.png": estimates,
+        "readings.png": readings,
+    }
+    if not steady.reason:
+        files |= {"steady.csv": steady.table(), "setup.yaml": steady.setup(log_map)}
+    return files
+
+
+# --- words and tables -------------------------------------------------------------------------------------------------
+
+
+def summary(log: Aligned) -> str:
+    """Start, length and steps in a sentence."""
+    begin = datetime.fromtimestamp(log.start * 1e-9, UTC).isoformat(timespec="milliseconds")
+    return f"From {begin}, {log.time[-1] - log.time[0]:.1f} s, {len(log)} steps of {log.period:g} s."
+
+
+def channel_table(log: Aligned) -> Table:
+    """Where each reading came from and how often."""
+    length = max(float(log.time[-1] - log.time[0]), log.period)
+    rows = []
+    for name, c in log.counts.items():
+        share = (f"{100 * c.interpolated:.0f} %", f"{100 * c.missing:.0f} %") if c.readings else ("", "")
+        values, unit = log.readings[name], next(iter(UNITS[name]))
+        span = f"{np.nanmin(values):.4g} .. {np.nanmax(values):.4g} {unit}" if np.isfinite(values).any() else "-"
+        rows.append((name, c.place, c.readings or "", f"{c.readings / length:.1f}" if c.readings else "", *share, span))
+    return Table(("reading", "source", "readings", "a second", "interpolated", "missing", "range"), rows)
+
+
+def soil_table(found: Replay) -> Table:
+    """The estimate at the end and how much it knows beyond the prior."""
+    learnt, rows = found.learnt(), []
+    names = {
+        "friction_angle_deg": ("friction angle", "deg", "friction_angle_sd_deg"),
+        "shear_modulus": ("shear deformation modulus K", "m", "shear_modulus_relative_sd"),
+        "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2)", "sinkage_coefficient_relative_sd"),
+        "cohesion": ("cohesion", "Pa", "cohesion_sd"),
+        "dig_gain": ("gain of slip-sinkage", "", "dig_gain_relative_sd"),
+    }
+    for name, (words, unit, sd) in names.items():
+        spread = found.values[sd][-1]
+        error = f"{100 * spread:.0f} %" if "relative" in sd else f"{spread:.3g} {unit}"
+        rows.append((words, f"{found.values[name][-1]:.4g}", error, unit, f"{learnt[name]:.2f}"))
+    header = ("parameter", "at the end", "1 sd", "unit", "least sd / prior sd")
+    return Table(header, rows, f"Status at the end: {Status(found.status[-1]).name}")
+
+
+def steady_sentence(steady: Steady) -> str:
+    """How many there are and what to do with them."""
+    if steady.reason:
+        return f"No measurement table: {steady.reason}."
+    return (
+        f"{len(steady.rows)} steady stretches in steady.csv, with setup.yaml beside it: "
+        "python -m soil_env.identification steady.csv --setup setup.yaml, or soil_env.discrepancy. The noise in "
+        "setup.yaml is the scatter within the stretches; what differs from place to place comes on top."
+    )
+
+
+def _points(steady: Steady) -> Table:
+    names = ("time", "run", "slip", "load", "speed", "sinkage", "drawbar_pull", "torque")
+    rows = [[_cell(row[n]) for n in names] for row in steady.rows[:200]]
+    return Table(names, rows, "The first 200" if len(steady.rows) > 200 else "")
+
+
+def _cell(value: float | str) -> str:
+    return value if isinstance(value, str) else "" if value != value else f"{value:.4g}"
+
+
+# --- pictures ---------------------------------------------------------------------------------------------------------
+
+
+def _thinned(size: int) -> np.ndarray:
+    return np.unique(np.linspace(0, size - 1, min(size, _MOST_POINTS)).astype(int))
+
+
+def _png(figure: Figure) -> bytes:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=110)
+    return stream.getvalue()
+
+
+def _estimates_picture(found: Replay) -> bytes:
+    figure = Figure(figsize=(9.0, 7.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(4, 1, sharex=True, height_ratios=(1, 1, 1, 0.8))
+    k = _thinned(found.time.size)
+    t, valid = found.time[k], found.status[k] == Status.CONVERGED
+    for axis, (name, (sd, scale, label, relative)) in zip(axes, _SHOWN.items(), strict=False):
+        value, spread = scale * found.values[name][k], found.values[sd][k]
+        low, high = (
+            (value * np.exp(-1.96 * spread), value * np.exp(1.96 * spread))
+            if relative
+            else (value - 1.96 * spread, value + 1.96 * spread)
+        )
+        axis.fill_between(t, low, high, color="C0", alpha=0.25, lw=0, where=valid)
+        axis.fill_between(t, low, high, color="0.8", lw=0, where=~valid)
+        axis.plot(t, np.where(valid, value, math.nan), color="C0", lw=1.2)
+        axis.plot(t, np.where(valid, math.nan, value), color="0.5", lw=1.0)
+        axis.set_ylabel(label)
+        if relative:
+            axis.set_yscale("log")
+    axes[3].plot(t, found.values["drawbar_margin"][k], color="C2", lw=1.0)
+    axes[3].axhline(0.0, color="0.3", lw=0.8)
+    axes[3].set(ylabel="drawbar margin\n[of load]", xlabel="time [s]")
+    return _png(figure)
+
+
+def _readings_picture(log: Aligned, steady: Steady, log_map: LogMap) -> bytes:
+    names = list(log.readings)
+    figure = Figure(figsize=(9.0, 1.0 + 1.1 * len(names)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    k = _thinned(log.time.size)
+    for axis, name in zip(axes, names, strict=True):
+        axis.plot(log.time[k], log.readings[name][k], lw=0.8)
+        for start in steady.start:
+            axis.axvspan(start, start + log_map.windows.duration, color="C1", alpha=0.25, lw=0)
+        unit = next(iter(UNITS[name]))
+        axis.set_ylabel(f"{name.replace('_', ' ')}\n[{unit or '-'}]", fontsize=8)
+    axes[-1].set_xlabel("time [s]")
+    return _png(figure)

@@ -1,0 +1,178 @@
+"""Steady stretches of a log as points of a measurement table (`measurement.table`), and the setup beside it.
+
+A stretch is steady where the means of its two halves agree in slip, speed, pull, torque and pitch, and where sinkage
+has come to what the slip makes of it. Sinkage follows dz/dt = A (z_end - z), A = (|V| + recovery |r w - V|)/l
+(`effects.excavation_rate`): from a change dz between the halves, a time T/2 apart, there is dz/(1 - exp(-A T/2)) to go.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import yaml
+
+from soil_env.logs.align import Aligned
+from soil_env.logs.mapping import LogMap
+from soil_env.measurement.table import MEASURED
+from soil_env.online import slips
+
+_COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)
+_LEAST_SD = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Steady:
+    """Steady points, a row each, and the scatter that their means are left with."""
+
+    rows: list[dict[str, float | str]] = field(default_factory=list)  # columns of a measurement table; NaN = none
+    start: list[float] = field(default_factory=list)  # [s] of each stretch
+    noise: dict[str, float] = field(default_factory=dict)  # 1-sigma of a row's value, by column
+    reason: str = ""  # why there is no table, if there is none
+
+    def table(self) -> str:
+        """The measurement table as CSV; columns that no row has are left out."""
+        names = [n for n in _COLUMNS if any(r[n] == r[n] for r in self.rows)]
+        cells = [[_text(r[n]) for n in names] for r in self.rows]
+        return "\n".join(",".join(line) for line in (names, *cells)) + "\n"
+
+    def setup(self, log_map: LogMap) -> str:
+        """setup.yaml beside the table: the wheel, what the map knows of the soil, and the scatter as noise."""
+        wheel = {"radius": log_map.wheel.radius, "width": log_map.wheel.width}
+        noise = {n: float(f"{v:.4g}") for n, v in self.noise.items()}
+        return yaml.safe_dump({"wheel": wheel, "soil": log_map.soil, "noise": noise}, sort_keys=False)
+
+
+def _text(value: float | str) -> str:
+    return value if isinstance(value, str) else "" if value != value else f"{value:.9g}"
+
+
+def steady_windows(log: Aligned, log_map: LogMap) -> Steady:
+    """The steady stretches of a log, none overlapping another, each as long as `log_map.windows.duration`."""
+    columns = _columns(log, log_map)
+    rows, starts, residuals = [], [], {name: [] for name in (*MEASURED, "slip", "load")}
+    n = round(log_map.windows.duration / log.period)
+    runs = _runs(log, columns["rim"], log_map)
+    at = 0
+    while at + n <= len(log):
+        part = {name: values[at : at + n] for name, values in columns.items()}
+        if runs[at] < 0 or runs[at] != runs[at + n - 1] or not is_steady(part, log.period, log_map):
+            at += max(1, n // 4)
+            continue
+        row = _row(part, float(log.time[at]), log.period, int(runs[at]), log_map)
+        if row is not None:
+            rows.append(row)
+            starts.append(float(log.time[at]))
+            for name, scatter in residuals.items():
+                scatter.append(_scatter(part[name]))
+        at += n
+    noise = {}
+    for name, scatter in residuals.items():
+        pooled = math.sqrt(float(np.nanmean(np.square(scatter)))) if np.isfinite(scatter).any() else 0.0
+        if pooled > _LEAST_SD and (name != "load" or "load" in log.readings):
+            noise[name] = pooled / math.sqrt(n)
+    return Steady(rows, starts, noise, _reason(rows))
+
+
+def _reason(rows: list[dict[str, float | str]]) -> str:
+    if not rows:
+        return "no stretch of the log is steady enough (windows in map.yaml) and has sinkage, pull or torque"
+    if len({row["slip"] for row in rows}) < 2:
+        return f"{len(rows)} steady stretch only: a measurement table has at least two slips"
+    return ""
+
+
+def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
+    """What steady points are made of; where a channel is not measured what stands for it, else NaN."""
+    nan = np.full(len(log), math.nan)
+    get = {name: log.readings.get(name, nan) for name in (*MEASURED, "slip", "load", "pitch", "speed", "wheel_speed")}
+    rim = get["wheel_speed"] * log_map.wheel.radius
+    slip = np.where(np.isnan(get["slip"]), slips(rim, get["speed"]), np.clip(get["slip"], -1.0, 1.0))
+    speed = np.where(np.isnan(get["speed"]), np.where(slip >= 0.0, rim * (1.0 - slip), rim / (1.0 + slip)), get["speed"])
+    weight = log_map.weight * np.cos(np.nan_to_num(get["pitch"]))
+    pull = np.where(
+        np.isnan(get["drawbar_pull"]), log.readings.get("acceleration", nan) * log_map.wheel.body_mass,
+        get["drawbar_pull"],
+    )  # fmt: skip
+    motor = log.readings.get("motor_torque", nan)
+    if "motor_torque" in log.readings and len(log) > 1:
+        motor = motor - log_map.wheel.wheel().inertia * np.gradient(get["wheel_speed"], log.time)
+    return {
+        "slip": slip,
+        "speed": speed,
+        "rim": rim,
+        "load": np.where(np.isnan(get["load"]), weight, get["load"]),
+        "pitch": get["pitch"],
+        "sinkage": get["sinkage"],
+        "drawbar_pull": pull,
+        "torque": np.where(np.isnan(get["torque"]), motor, get["torque"]),
+    }
+
+
+def _runs(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
+    """Number [N] of the drive that each step belongs to, a drive being what is between halts and gaps; -1 = halted."""
+    driving = np.abs(rim) > log_map.windows.rim_speed
+    gap = np.diff(log.time, prepend=log.time[:1]) > 1.5 * log.period
+    begins = driving & (gap | ~np.concatenate(([False], driving[:-1])))
+    return np.where(driving, np.cumsum(begins) - 1, -1)
+
+
+def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bool:
+    """Whether the columns [n] of a stretch are steady within the limits of `log_map.windows`."""
+    w, radius, weight = log_map.windows, log_map.wheel.radius, log_map.weight
+    n = part["slip"].size
+    if np.isnan(part["slip"]).any() or np.isnan(part["speed"]).any() or np.mean(part["speed"]) < 0.0:
+        return False
+    rim = float(np.mean(np.abs(part["rim"])))
+    sliding = np.abs(part["rim"] - part["speed"])
+    rate = float(np.mean(np.abs(part["speed"]) + log_map.belief.dig_recovery * sliding))
+    come = -math.expm1(-rate * (n / 2) * period / (log_map.relaxation * radius))
+    limits = {
+        "slip": w.slip_change,
+        "speed": w.speed_change * rim,
+        "rim": w.speed_change * rim,
+        "pitch": w.pitch_change,
+        "load": w.pull_change * weight,
+        "drawbar_pull": w.pull_change * weight,
+        "torque": w.torque_change * weight * radius,
+        "sinkage": w.sinkage_left * radius * come,
+    }
+    return all(_change(part[name]) <= limit for name, limit in limits.items())
+
+
+def _change(values: np.ndarray) -> float:
+    """Between the means of the two halves; 0 of what is not measured."""
+    first, second = values[: values.size // 2], values[values.size // 2 :]
+    if np.isnan(first).all() or np.isnan(second).all():
+        return 0.0
+    return abs(float(np.nanmean(second) - np.nanmean(first)))
+
+
+def _scatter(values: np.ndarray) -> float:
+    """Standard deviation about a straight line; NaN of what is not measured."""
+    if np.isnan(values).any():
+        return math.nan
+    x = np.linspace(-1.0, 1.0, values.size)
+    residual = values - values.mean() - x * (x @ values) / (x @ x)
+    return math.sqrt(float(residual @ residual) / (values.size - 2))
+
+
+def _row(part, start: float, period: float, run: int, log_map: LogMap) -> dict[str, float | str] | None:
+    """The point of a stretch; None where it has nothing that a table needs."""
+
+    def mean(name: str) -> float:
+        values = part[name]
+        return float(np.nanmean(values)) if np.isfinite(values).mean() > 0.5 else math.nan
+
+    row = {
+        "slip": mean("slip"),
+        "load": mean("load"),
+        "speed": mean("speed"),
+        "grade_deg": math.degrees(mean("pitch")),
+        "run": f"drive{run}",
+        "time": start + 0.5 * (part["slip"].size - 1) * period,
+        **{name: mean(name) for name in MEASURED},
+    }
+    measured = any(row[name] == row[name] for name in MEASURED)
+    return row if measured and row["load"] > 0.0 else None

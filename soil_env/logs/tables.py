@@ -1,0 +1,152 @@
+"""Rows of CSV and Parquet files with time stamps, block by block."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError, unknown_key
+from soil_env.logs.bags import Notes
+from soil_env.logs.mapping import TIMES
+
+SUFFIXES = (".csv", ".parquet", ".pq")
+_BLOCK = 4096  # rows
+
+Block = tuple[np.ndarray, dict[str, np.ndarray]]  # time [N] ns, columns [N] with NaN for empty cells
+
+
+def blocks(
+    path: Path, stamps: str, unit: str, columns: dict[str, str], notes: Notes, progress: Callable[[int, int], None]
+) -> Iterator[Block]:
+    """Blocks of rows: time stamps in the column `stamps` of `unit`, and `columns`, each with the reading it is for."""
+    reader = _csv if path.suffix.lower() == ".csv" else _parquet
+    yield from reader(path, stamps, unit, columns, notes, progress)
+
+
+def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str, str]) -> None:
+    for name, what in {stamps: "time", **columns}.items():
+        if name not in header:
+            raise unknown_key(name, header, f"{path}: column of {what}")
+
+
+def _nanoseconds(seconds: float, unit: str) -> int:
+    """A time stamp that is a number, exactly where it is whole."""
+    if unit == "ns" or (float(seconds).is_integer() and unit in ("us", "ms", "s")):
+        return int(seconds) * round(TIMES[unit] * 1e9)
+    return round(float(seconds) * TIMES[unit] * 1e9)
+
+
+def _iso(text: str) -> int:
+    """Nanoseconds of an ISO 8601 text; one without a zone is taken as UTC."""
+    at = datetime.fromisoformat(text)
+    at = at if at.tzinfo else at.replace(tzinfo=UTC)
+    delta = at - datetime(1970, 1, 1, tzinfo=UTC)
+    return (delta.days * 86400 + delta.seconds) * 1_000_000_000 + delta.microseconds * 1000
+
+
+def _stamp(text: str, unit: str) -> int:
+    if unit == "iso":
+        return _iso(text)
+    try:
+        return int(text) * round(TIMES[unit] * 1e9)
+    except ValueError:
+        value = float(text)
+        if not math.isfinite(value):
+            raise
+        return _nanoseconds(value, unit)
+
+
+def _csv(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
+    size = path.stat().st_size
+    try:
+        with path.open("rb") as raw:
+            reader = csv.reader((line.decode("utf-8") for line in raw), strict=True)
+            rows = (cells for cells in reader if any(cells) and not cells[0].startswith("#"))
+            header = [cell.strip().lstrip("\ufeff") for cell in next(rows, [])]
+            _check_columns(path, header, stamps, columns)
+            places, times, values = [header.index(c) for c in columns], [], []
+            at = header.index(stamps)
+            late: str | None = None  # a short row, no matter if it is the last
+            for cells in rows:
+                if late is not None:
+                    raise ParameterError(late)
+                if len(cells) != len(header):
+                    late = f"{path}: row {reader.line_num} has {len(cells)} cells: expected {len(header)}, as the header"
+                    continue
+                times.append(_cell(cells[at], lambda t: _stamp(t, unit), path, reader.line_num, stamps))
+                values.append([_cell(cells[p], _value, path, reader.line_num, header[p]) for p in places])
+                if len(times) == _BLOCK:
+                    progress(raw.tell(), size)
+                    yield _block(times, values, columns)
+                    times, values = [], []
+            if late is not None:
+                notes.add(f"{path.name} is cut off in its last row: that row is left out")
+            if times:
+                yield _block(times, values, columns)
+    except UnicodeDecodeError as error:
+        raise ParameterError(f"{path}: not UTF-8 text (byte {error.start} of a line): expected a CSV file") from None
+    except csv.Error as error:
+        raise ParameterError(f"{path}: not a CSV file ({error})") from None
+    progress(size, size)
+
+
+def _block(times, values, columns) -> Block:
+    matrix = np.array(values, float).reshape(len(times), len(columns))
+    return np.array(times, np.int64), {c: matrix[:, k] for k, c in enumerate(columns)}
+
+
+def _value(text: str) -> float:
+    return float(text) if text.strip() else math.nan
+
+
+def _cell(text: str, convert, path: Path, row: int, column: str):
+    try:
+        return convert(text)
+    except ValueError:
+        raise ParameterError(f"{path}: row {row}, {column} = {text!r}: expected a number in every row") from None
+
+
+def _parquet(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise ParameterError(f"{path}: Parquet needs the extra logs: pip install 'soil_env[logs]'") from None
+    try:
+        with pyarrow.parquet.ParquetFile(path) as file:
+            header = file.schema_arrow.names
+            _check_columns(path, header, stamps, columns)
+            done, size = 0, path.stat().st_size
+            for batch in file.iter_batches(_BLOCK, columns=[stamps, *columns]):
+                times = _arrow_times(path, batch.column(stamps), unit)
+                values = {c: _arrow_numbers(path, batch.column(c), c) for c in columns}
+                done += batch.num_rows
+                progress(int(size * done / max(file.metadata.num_rows, 1)), size)
+                yield times, values
+    except (OSError, pyarrow.ArrowException) as error:
+        said = str(error).splitlines()[0]
+        raise ParameterError(f"{path}: cannot be read as Parquet, whose index is at its end ({said})") from None
+
+
+def _arrow_numbers(path: Path, column, name: str) -> np.ndarray:
+    try:
+        return column.cast("float64", safe=False).to_numpy(zero_copy_only=False)
+    except Exception as error:  # the kinds of error differ by type of the column
+        raise ParameterError(f"{path}: column {name} is {column.type}: expected numbers") from error
+
+
+def _arrow_times(path: Path, column, unit: str) -> np.ndarray:
+    if column.null_count:
+        raise ParameterError(f"{path}: the column of time has {column.null_count} empty cells: expected a time in each")
+    if str(column.type).startswith("timestamp"):
+        return column.to_numpy(zero_copy_only=False).astype("datetime64[ns]").astype(np.int64)
+    if str(column.type) in ("string", "large_string"):
+        return np.array([_cell(t, lambda s: _stamp(s, unit), path, k, "time") for k, t in enumerate(column.to_pylist())])
+    if str(column.type).startswith(("int", "uint")):
+        return column.to_numpy(zero_copy_only=False).astype(np.int64) * round(TIMES[unit] * 1e9)
+    return np.array([_nanoseconds(t, unit) for t in _arrow_numbers(path, column, "time").tolist()], np.int64)
