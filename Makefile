@@ -87,7 +87,7 @@ $(TRAIN_READY): pyproject.toml constraints.txt | $(PY)
 	@touch $@
 
 $(TEST_READY): $(TRAIN_READY)
-	$(PIP) install -q -c constraints.txt -e '.[train,recurrent,export,test,docs]'
+	$(PIP) install -q -c constraints.txt -e '.[train,recurrent,export,logs,test,docs]'
 	@touch $@ $(DOCS_READY)
 
 # The site is made from the sources, none of which is imported: no torch.

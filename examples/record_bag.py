@@ -1,7 +1,7 @@
 """Record a drive of SoilWheel-v0 into a ROS 2 bag (MCAP) with standard messages, read it back, and identify the soil.
 
-The bag has what a rover's would: JointState (wheel speed and torque), Odometry (travel speed), WrenchStamped (drawbar pull
-and load), Imu (orientation), Range (hub to ground) and Float64 (slip). What the identifier makes of the bag is what it
+The bag has what a rover's would: JointState (wheel speed and torque), Odometry (travel speed), WrenchStamped (drawbar
+pull and load), Imu (orientation), Range (hub to ground) and Float64 (slip). What the identifier makes of the bag is what it
 made of the same readings while driving. `python -m soil_env.logs BAG --map MAP --out DIR` reads it in the same way and
 writes a report. Needs `pip install "soil_env[logs]"`, no ROS.
 
@@ -77,7 +77,9 @@ class Recorder:
         up = quaternion(0.0, math.sin(half), 0.0, math.cos(half))
         unknown = np.array([-1.0, *[0.0] * 8])  # "not measured" of sensor_msgs/Imu
         self.write("/imu", seconds, "sensor_msgs/msg/Imu", up, np.zeros(9), zero, unknown, zero, unknown)
-        self.write("/range", seconds, "sensor_msgs/msg/Range", 0, 0.1, 0.0, 2.0, radius - reading["sinkage"], *_variance())
+        self.write(
+            "/range", seconds, "sensor_msgs/msg/Range", 0, 0.1, 0.0, 2.0, radius - reading["sinkage"], *_variance()
+        )
         self.write("/wheel/slip", seconds, "std_msgs/msg/Float64", reading["slip"])
 
 

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from soil_env._numba.compiling import FastCall, root
 from soil_env.identification.online import (
+    IdentifierNumbers,
+    Identifiers,
     SensorReading,
     forget,
     identifier_numbers,
@@ -88,12 +90,12 @@ class Traversability(NamedTuple):
 
 
 @root(nogil=True)
-def _start(ids, numbers):
+def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
     forget(ids, 0, numbers)
 
 
 @root(nogil=True)
-def _take(ids, values, numbers):
+def _take(ids: Identifiers, values: np.ndarray, numbers: IdentifierNumbers) -> int:
     """1 if `values` [7], in the order of `SensorReading`, renewed the estimate, 0 if not, -1 if one is infinite."""
     for i in range(values.size):
         if not np.isfinite(values[i]) and not (i == 0 and np.isnan(values[0])):
@@ -108,7 +110,7 @@ def _take(ids, values, numbers):
 
 
 @root(nogil=True)
-def _fill_slips(rim_speed, speed, out):
+def _fill_slips(rim_speed: np.ndarray, speed: np.ndarray, out: np.ndarray) -> None:
     for i in range(out.size):
         out[i] = slip_ratio(rim_speed[i], speed[i], REST_SPEED)
 
@@ -215,7 +217,7 @@ class OnlineIdentifier:
             slip_sd = math.hypot(self._speed_sd, self._rim_sd * min(abs(speed), larger) / larger) / larger
         renewed = 0
         if rim == rim and speed == speed:
-            changes = {}
+            changes: dict[str, Any] = {}
             if period != numbers.period:
                 changes["period"] = period
             if slip_sd != numbers.slip_sd:

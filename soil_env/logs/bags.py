@@ -10,9 +10,9 @@ from __future__ import annotations
 import json
 import sqlite3
 import struct
-import zlib
+from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -57,7 +57,7 @@ def bag_files(path: Path) -> list[Path]:
         found = [path / Path(str(name)).name for name in named] or found
     packed = [p for p in found if p.suffix not in SUFFIXES]
     if packed:
-        raise ParameterError(f"{packed[0]}: expected .mcap or .db3; a file compressed whole has to be unpacked: zstd -d")
+        raise ParameterError(f"{packed[0]}: expected .mcap or .db3; unpack a file that is compressed whole (zstd -d)")
     if not found:
         raise ParameterError(f"{path}: no .mcap or .db3 file in this folder: expected a ROS 2 bag")
     return found
@@ -120,32 +120,29 @@ def _objects(data: bytes) -> Any:
 def _mcap(file: Path, wanted: set[str], notes: Notes, told: Callable[[int], None]) -> Iterator[Message]:
     try:
         from mcap.exceptions import EndOfFile, InvalidMagic, McapError
-        from mcap.records import Channel, Chunk, Schema
+        from mcap.records import Channel, Chunk, DataEnd, Footer, Schema
         from mcap.records import Message as Record
-        from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
+        from mcap.stream_reader import StreamReader, breakup_chunk
     except ImportError:
         raise ParameterError(_NEEDED) from None
     decoder, schemas, channels = _Decoder(), {}, {}
-    size, last = file.stat().st_size, None
+    size, last, record = file.stat().st_size, None, None
     with file.open("rb") as stream:
         records = StreamReader(stream, emit_chunks=True, record_size_limit=max(size, 1)).records
-        while True:
+        while not isinstance(record, (DataEnd, Footer)):  # the rest is an index
             try:
-                record = next(records, None)
-                inside = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+                record = next(records)
             except InvalidMagic:
-                if last is None and not channels:
-                    raise ParameterError(f"{file}: not an MCAP file (its first bytes are others)") from None
-                return _cut(notes, file, stream.tell(), size, last)
-            except CRCValidationError:
-                notes.add(f"{file.name}: a chunk before byte {stream.tell()} is damaged (checksum) and left out")
-                continue
+                raise ParameterError(f"{file}: not an MCAP file (its first bytes are others)") from None
             except EndOfFile:
                 return _cut(notes, file, stream.tell(), size, last)
-            except (McapError, struct.error, ValueError, RuntimeError, MemoryError, zlib.error, OSError) as error:
+            except (McapError, struct.error, ValueError, MemoryError) as error:
                 return _cut(notes, file, stream.tell(), size, last, f" ({error})")
-            if record is None:
-                return
+            try:
+                inside = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+            except Exception as error:  # checksum, decompression: each library has errors of its own
+                notes.add(f"{file.name}: the chunk before byte {stream.tell()} is damaged and left out ({error})")
+                continue
             for r in inside:
                 if isinstance(r, Schema):
                     schemas[r.id] = r
@@ -195,20 +192,18 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, told: Callable[[int], No
     """Messages of a .db3 file in the order of its rows, which is that of recording."""
     decoder, last, size = _Decoder(), None, file.stat().st_size
     with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as base:
+        base.execute("PRAGMA writable_schema=ON")  # else SQLite reads nothing of a file that lacks its end
         try:
             topics = {i: (name, kind) for i, name, kind in base.execute("SELECT id, name, type FROM topics")}
-            tables = {name for (name,) in base.execute("SELECT name FROM sqlite_master")}
-            if "message_definitions" in tables:
-                query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-                for kind, encoding, text in base.execute(query):
-                    if encoding == "ros2msg" and any(k == kind and name in wanted for name, k in topics.values()):
-                        decoder.define(kind, text)
             rows = _count(base)
         except sqlite3.DatabaseError as error:
             raise ParameterError(f"{file}: cannot be read as a ROS 2 bag in SQLite ({error})") from None
         notes.topics |= dict(topics.values())
+        _define(base, decoder, {kind for name, kind in topics.values() if name in wanted})
         ids = [i for i, (name, _) in topics.items() if name in wanted]
         query = f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join('?' * len(ids))})"
+        held, bytes_held = deque(), 0  # rows that may lie in a page of which a part is missing
+        page, short = _page(file, size)
         cursor = base.execute(query + " ORDER BY id", ids)
         while True:
             try:
@@ -216,12 +211,37 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, told: Callable[[int], No
             except sqlite3.DatabaseError as error:
                 return _cut(notes, file, size, size, last, f" ({error})")
             if row is None:
-                return
-            number, topic, last, data = row
-            name, kind = topics[topic]
-            yield Message(name, last, kind, decoder.cdr(kind, _unpacked(data), f"{file}: topic {name}"))
-            if number % 256 == 0:
-                told(int(size * min(number / max(rows, 1), 1.0)))
+                return _cut(notes, file, size, size, last) if short else None
+            held.append(row)
+            bytes_held += min(len(row[3] or b""), page)
+            while held and (not short or bytes_held > 3 * page):
+                number, topic, last, data = held.popleft()
+                bytes_held -= min(len(data or b""), page)
+                name, kind = topics[topic]
+                yield Message(name, last, kind, decoder.cdr(kind, _unpacked(data), f"{file}: topic {name}"))
+                if number % 256 == 0:
+                    told(int(size * min(number / max(rows, 1), 1.0)))
+
+
+def _page(file: Path, size: int) -> tuple[int, bool]:
+    """Bytes of a page of an SQLite file, and whether the file is shorter than its header says.
+
+    SQLite reads what is missing of a page as zeros, of which nothing tells in the rows that it returns.
+    """
+    with file.open("rb") as stream:
+        header = stream.read(32)
+    page, pages = struct.unpack(">16xH10xI", header)
+    page = 65536 if page == 1 else page
+    return page, size < page * pages
+
+
+def _define(base: sqlite3.Connection, decoder: _Decoder, kinds: set[str]) -> None:
+    """Take the definitions of message types where the bag has them: older ones do not, nor does a cut one."""
+    query = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = 'ros2msg'"
+    with suppress(sqlite3.DatabaseError):
+        for kind, text in base.execute(query):
+            if kind in kinds:
+                decoder.define(kind, text)
 
 
 def _count(base: sqlite3.Connection) -> int:

@@ -26,7 +26,9 @@ def parse(field: str, where: str) -> tuple[str | int, ...]:
     for part in field.split("."):
         found = _STEP.match(part)
         if not found:
-            raise ParameterError(f"{where} = {field!r}: expected a path as twist.twist.linear.x or velocity[front_left]")
+            raise ParameterError(
+                f"{where} = {field!r}: expected a path as twist.twist.linear.x or velocity[front_left]"
+            )
         steps.append(found[1])
         for inner in re.findall(r"\[([^\[\]]+)\]", found[2]):
             steps.append(int(inner) if inner.isdecimal() else f"[{inner}]")

@@ -21,7 +21,7 @@ _TURNING = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0, "rev/
 _FORCE = {"N": 1.0, "kN": 1e3, "kgf": 9.80665, "lbf": 4.4482216152605}
 _TORQUE = {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3, "lbf ft": 1.3558179483314004}
 #: Units of each reading, the first being the one that readings are turned into. An ampere is one of a motor's current,
-#: a quaternion the orientation of the body: x forward and z up, as in ROS (REP 103), of which the uphill pitch is taken.
+#: a quaternion the orientation of the body, x forward and z up as in ROS (REP 103), of which the uphill pitch is taken.
 UNITS: dict[str, dict[str, float]] = {
     "wheel_speed": _TURNING,
     "speed": _SPEED,

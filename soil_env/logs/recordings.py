@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -141,8 +140,8 @@ class _Reader:
             topic = max(late, key=lambda t: abs(late[t]))
             without = ", ".join(sorted(set(delays) - set(mean)))
             notes.add(
-                f"The stamps of {topic} are {late[topic]:.3g} s off the clock of the recording, which {without} has for "
-                "want of stamps: these readings do not belong together in time. Try clock: log"
+                f"The stamps of {topic} are {late[topic]:.3g} s off the clock of the recording, which {without} has "
+                "for want of stamps: these readings do not belong together in time. Try clock: log"
             )
 
 
@@ -155,11 +154,13 @@ def _remarks(found: Aligned, log_map: LogMap) -> list[str]:
         if count.readings == 0:
             lines.append(f"{name} ({count.place}): not one reading")
         if count.unusable:
-            lines.append(f"{name} ({count.place}): {count.unusable} of {count.readings} readings out of range, left out")
+            lines.append(
+                f"{name} ({count.place}): {count.unusable} of {count.readings} readings out of range, left out"
+            )
         if count.interpolated > _SLOW:
             lines.append(
-                f"{name} ({count.place}) comes less often than every {found.period:g} s: {100 * count.interpolated:.0f} % "
-                "of its values are interpolated and count as readings; a longer period would be more honest"
+                f"{name} ({count.place}) comes less often than every {found.period:g} s: "
+                f"{100 * count.interpolated:.0f} % of its values are interpolated and count as readings; a longer period would be more honest"
             )
     jumps = np.flatnonzero(np.diff(found.time) > log_map.max_gap)
     if jumps.size:

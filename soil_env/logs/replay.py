@@ -116,12 +116,12 @@ def what_can_be_told(found: Replay, measured: set[str]) -> list[str]:
     lines = []
     if "sinkage" not in measured:
         lines.append(
-            "No sinkage: the online identifier learns nothing, its equations need the arc of contact. The steady points "
-            "still serve the discrepancy workflow."
+            "No sinkage: the online identifier learns nothing, its equations need the arc of contact. The steady "
+            "points still serve the discrepancy workflow."
         )
     elif not pull and not torque:
         lines.append(
-            "Neither drawbar pull nor torque: friction angle, cohesion and K are not told, since nothing measures shear. "
+            "Neither drawbar pull nor torque: friction angle, cohesion and K are not told: nothing measures shear. "
             "The sinkage coefficient S is, if the load is measured, within what the exponent of the belief allows."
         )
     elif not torque:
@@ -129,9 +129,11 @@ def what_can_be_told(found: Replay, measured: set[str]) -> list[str]:
     elif not pull:
         lines.append("No drawbar pull: friction angle and K follow from the torque alone, S from the load.")
     if "load" not in measured:
-        lines.append("No load: the weight on the wheel stands for it, and Eq. (1), vertical equilibrium, tells nothing.")
+        lines.append("No load: the weight on the wheel stands for it, and vertical equilibrium, Eq. (1), adds nothing.")
     if "acceleration" in pull and "drawbar_pull" not in pull:
-        lines.append("The drawbar pull is the accelerometer's reading times the mass on the wheel, which must be right.")
+        lines.append(
+            "The drawbar pull is the accelerometer's reading times the mass on the wheel, so far as that is known."
+        )
     if "motor_torque" in torque and "torque" not in torque:
         lines.append("The torque is that of the motor less what accelerates the wheel: friction of the gear is in it.")
     if "slip" not in measured:

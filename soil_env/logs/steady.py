@@ -89,7 +89,11 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
     get = {name: log.readings.get(name, nan) for name in (*MEASURED, "slip", "load", "pitch", "speed", "wheel_speed")}
     rim = get["wheel_speed"] * log_map.wheel.radius
     slip = np.where(np.isnan(get["slip"]), slips(rim, get["speed"]), np.clip(get["slip"], -1.0, 1.0))
-    speed = np.where(np.isnan(get["speed"]), np.where(slip >= 0.0, rim * (1.0 - slip), rim / (1.0 + slip)), get["speed"])
+    speed = np.where(
+        np.isnan(get["speed"]),
+        np.where(slip >= 0.0, rim * (1.0 - slip), rim / np.maximum(1.0 + slip, 1e-9)),
+        get["speed"],
+    )
     weight = log_map.weight * np.cos(np.nan_to_num(get["pitch"]))
     pull = np.where(
         np.isnan(get["drawbar_pull"]), log.readings.get("acceleration", nan) * log_map.wheel.body_mass,

@@ -76,7 +76,9 @@ def _csv(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
                 if late is not None:
                     raise ParameterError(late)
                 if len(cells) != len(header):
-                    late = f"{path}: row {reader.line_num} has {len(cells)} cells: expected {len(header)}, as the header"
+                    late = (
+                        f"{path}: row {reader.line_num} has {len(cells)} cells: expected {len(header)}, as the header"
+                    )
                     continue
                 times.append(_cell(cells[at], lambda t: _stamp(t, unit), path, reader.line_num, stamps))
                 values.append([_cell(cells[p], _value, path, reader.line_num, header[p]) for p in places])
@@ -146,7 +148,9 @@ def _arrow_times(path: Path, column, unit: str) -> np.ndarray:
     if str(column.type).startswith("timestamp"):
         return column.to_numpy(zero_copy_only=False).astype("datetime64[ns]").astype(np.int64)
     if str(column.type) in ("string", "large_string"):
-        return np.array([_cell(t, lambda s: _stamp(s, unit), path, k, "time") for k, t in enumerate(column.to_pylist())])
+        return np.array(
+            [_cell(t, lambda s: _stamp(s, unit), path, k, "time") for k, t in enumerate(column.to_pylist())]
+        )
     if str(column.type).startswith(("int", "uint")):
         return column.to_numpy(zero_copy_only=False).astype(np.int64) * round(TIMES[unit] * 1e9)
     return np.array([_nanoseconds(t, unit) for t in _arrow_numbers(path, column, "time").tolist()], np.int64)

@@ -1,0 +1,63 @@
+"""Recordings for the tests: the example's bag, and MCAP files written by the library `mcap` itself."""
+
+import json
+import runpy
+from pathlib import Path
+
+import yaml
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "record_bag.py"
+MAP = {
+    "wheel": "planetary_rover",
+    "channels": {
+        "wheel_speed": {"topic": "/drive", "field": "speed"},
+        "speed": {"topic": "/odom", "field": "twist.x"},
+        "sinkage": {"topic": "/odom", "field": "depth", "unit": "mm"},
+        "torque": {"topic": "/drive", "field": "motor.current", "unit": "A", "motor_constant": 0.05, "gear": 100},
+    },
+}
+
+
+def example():
+    """The names of examples/record_bag.py."""
+    return runpy.run_path(str(EXAMPLE))
+
+
+def write_map(folder, changes=None, name="map.yaml", base=MAP):
+    """A map.yaml: `base` with whole channels and top-level keys replaced; None takes one out."""
+    content = json.loads(json.dumps(base))
+    for key, value in (changes or {}).items():
+        place = content["channels"] if key in ("wheel_speed", "speed", "sinkage", "torque", "load", "pitch", "slip",
+                                               "drawbar_pull", "motor_torque", "acceleration") else content  # fmt: skip
+        place[key] = value
+        if value is None:
+            del place[key]
+    path = folder / name
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def write_json_mcap(path, steps=200, period=0.1, chunk=2000, payload=0, start=1_000_000_000):
+    """An MCAP file with JSON messages on /drive and /odom, and, with `payload`, as many bytes a step on /camera."""
+    from mcap.writer import CompressionType, Writer
+
+    with open(path, "wb") as stream:
+        writer = Writer(stream, chunk_size=chunk, compression=CompressionType.NONE if payload else CompressionType.ZSTD)
+        writer.start()
+        channels = {t: writer.register_channel(t, "json", writer.register_schema(t[1:], "jsonschema", b"{}"))
+                    for t in ("/drive", "/odom", "/camera")}  # fmt: skip
+        image = bytes(range(256)) * (payload // 256)
+
+        def put(topic, time, content):
+            data = content if isinstance(content, bytes) else json.dumps(content).encode()
+            writer.add_message(channels[topic], time, data, time)
+
+        for k in range(steps):
+            time = start + round(k * period * 1e9)
+            speed = 2.0 + 0.5 * (k // 20 % 3)
+            put("/drive", time, {"speed": speed, "motor": {"current": 1.0 + 0.1 * (k // 20 % 3)}})
+            put("/odom", time, {"twist": {"x": 0.15 * speed * 0.8}, "depth": 22.0})
+            if payload:
+                put("/camera", time, image)
+        writer.finish()
+    return path

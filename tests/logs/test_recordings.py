@@ -1,0 +1,246 @@
+"""Recordings of every format to the same readings; what is missing, misnamed, cut off or damaged."""
+
+import math
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from soil_env import ParameterError
+from soil_env.logs import read_map, read_recording, replay
+from tests.logs.bags import example, write_json_mcap, write_map
+
+pytest.importorskip("mcap")
+pytest.importorskip("rosbags")
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory):
+    """A drive of the environment in both storages of ROS 2, with its map: (folder, map, estimates while driving)."""
+    folder, code = tmp_path_factory.mktemp("drives"), example()
+    for name in ("MCAP", "SQLITE3"):
+        recorder = code["Recorder"](folder / name, code["StoragePlugin"][name])
+        scenario, online = code["drive"](recorder, seed=1, steps=250)
+        recorder.writer.close()
+    (folder / "map.yaml").write_text(code["map_of"](scenario))
+    return folder, read_map(folder / "map.yaml"), online
+
+
+@pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
+def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
+    """To the precision of the bag: what is observed is float32, and so is the range of a Range."""
+    folder, log_map, online = drives
+    found = replay(read_recording(folder / storage, log_map), log_map)
+    assert found.time.size == len(online)
+    for name in ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "friction_angle_sd_deg"):
+        assert found.values[name] == pytest.approx([e[name] for e in online], rel=1e-4)
+    assert [s for s in found.status] == [type(found.prior.status)[e["status"]] for e in online]
+    assert found.values["shear_modulus"][-1] != pytest.approx(found.prior.shear_modulus, rel=0.05)
+
+
+def test_one_file_is_the_bag(drives):
+    folder, log_map, _ = drives
+    whole = read_recording(folder / "MCAP", log_map)
+    for name in ("MCAP", "SQLITE3"):
+        file = next(p for p in (folder / name).iterdir() if p.suffix != ".yaml")
+        part = read_recording(file, log_map)
+        assert part.start == whole.start and not part.notes
+        for reading, values in whole.readings.items():
+            assert np.array_equal(part.readings[reading], values)
+
+
+def test_csv_and_parquet_give_what_the_bag_gives(drives, tmp_path):
+    folder, log_map, _ = drives
+    whole = read_recording(folder / "MCAP", log_map)
+    names = list(whole.readings)
+    rows = np.column_stack([whole.time + whole.start * 1e-9, *whole.readings.values()])
+    lines = [",".join(["t", *names]), *(",".join(map(repr, row)) for row in rows.tolist())]
+    (tmp_path / "drive.csv").write_text("# rig 3\n" + "\n".join(lines) + "\n")
+    changes = {name: {"column": name} for name in names} | {"time": {"column": "t", "unit": "s"}}
+    table_map = read_map(write_map(tmp_path, changes))
+    files = ["drive.csv"]
+    try:
+        import pyarrow
+        import pyarrow.parquet
+
+        columns = {"t": pyarrow.array((rows[:, 0] * 1e9).round().astype("int64"), pyarrow.timestamp("ns"))}
+        columns |= {name: rows[:, k + 1] for k, name in enumerate(names)}
+        pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "drive.parquet", row_group_size=64)
+        files.append("drive.parquet")
+    except ImportError:
+        pass
+    for file in files:
+        found = read_recording(tmp_path / file, table_map)
+        assert found.start == pytest.approx(whole.start, abs=1000)
+        for name, values in whole.readings.items():
+            assert found.readings[name] == pytest.approx(values, rel=1e-12), (file, name)
+
+
+def test_units_gear_and_motor_constant(tmp_path):
+    bag = write_json_mcap(tmp_path / "a.mcap", steps=30)
+    changes = {
+        "wheel_speed": {"topic": "/drive", "field": "speed", "unit": "rpm", "gear": 4, "sign": -1},
+        "motor_torque": {"topic": "/drive", "field": "motor.current", "unit": "A", "motor_constant": 0.05, "gear": 100,
+                         "efficiency": 0.5},
+        "sinkage": {"topic": "/odom", "field": "depth", "unit": "mm", "sign": -1, "offset": 0.15},
+        "load": {"constant": 0.15, "unit": "kN"},
+        "torque": None,
+    }  # fmt: skip
+    found = read_recording(bag, read_map(write_map(tmp_path, changes))).readings
+    assert found["wheel_speed"][0] == pytest.approx(-2.0 * 2.0 * math.pi / 60.0 / 4.0)
+    assert found["motor_torque"][0] == pytest.approx(1.0 * 0.05 * 100 * 0.5)
+    assert found["sinkage"][0] == pytest.approx(0.15 - 0.022) and np.all(found["load"] == 150.0)
+    assert found["speed"][25] == pytest.approx(0.15 * 2.5 * 0.8)
+
+
+# --- what is not there ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("channel", "source", "named"),
+    [
+        ("torque", {"topic": "/joint_state", "field": "effort[0]"}, ("/joint_state", "/joint_states")),
+        ("speed", {"topic": "/odom", "field": "twist.linear.x"}, ("/odom", "'twist.twist.linear.x'")),
+        ("speed", {"topic": "/odom", "field": "twist.twist.linear"}, ("/odom", "twist.twist.linear.x")),
+        ("torque", {"topic": "/joint_states", "field": "effort[whel]"}, ("/joint_states", "'whel'", "'wheel'")),
+        ("torque", {"topic": "/joint_states", "field": "position[0]"}, ("/joint_states", "position[0]", "0 values")),
+        ("torque", {"topic": "/joint_states", "field": "effort"}, ("/joint_states", "effort", "number")),
+        ("speed", {"topic": "/odom", "field": "twist..x"}, ("speed.field", "twist..x")),
+        ("pitch", {"topic": "/odom", "field": "twist.twist", "unit": "quaternion"}, ("/odom", "x, y, z and w")),
+        ("sinkage", {"column": "z"}, ("sinkage", "column z", "topic")),
+    ],
+)
+def test_errors_name_topic_and_field_and_the_nearest_known(drives, tmp_path, channel, source, named):
+    folder, _, _ = drives
+    changes = {n: {k: v for k, v in s.items()} for n, s in example()["CHANNELS"].items()} | {"torque": None}
+    changes |= {"sinkage": {"topic": "/range", "field": "range"}, channel: source}
+    with pytest.raises(ParameterError) as error:
+        read_recording(folder / "MCAP", read_map(write_map(tmp_path, changes)))
+    assert all(name in str(error.value) for name in named), str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"torque": {"topic": "/drive", "field": "i", "unit": "Nm"}}, ("torque.unit", "'N m'")),
+        ({"torque": {"topic": "/drive", "field": "i", "unit": "A"}}, ("torque", "motor_constant")),
+        ({"speed": {"topic": "/drive", "field": "v", "gear": 3}}, ("speed.gear",)),
+        ({"speed": {"topic": "/drive", "feild": "v"}}, ("channels.speed", "'feild'", "'field'")),
+        ({"speed": {"topic": "/drive"}}, ("speed", "field")),
+        ({"speed": {"topic": "/d", "field": "v", "column": "v"}}, ("speed", "column")),
+        ({"speed": None}, ("speed", "slip")),
+        ({"sinkage": {"topic": "/d", "field": "z", "sign": 0.5}}, ("sinkage.sign",)),
+        ({"wheel": "planetary_rovr"}, ("wheel", "'planetary_rover'")),
+        ({"wheel": {"radius": 0.15}}, ("wheel", "width", "body_mass")),
+        ({"period": 0.1, "windows": {"duration": 0.3}}, ("windows", "duration")),
+        ({"soil": {"cohesion": {"value": 1}, "phi": 30}}, ("soil", "'phi'")),
+        ({"clocks": "log"}, ("'clocks'", "'clock'")),
+    ],
+)
+def test_a_map_that_cannot_be_right_is_refused(tmp_path, changes, named):
+    with pytest.raises(ParameterError) as error:
+        read_map(write_map(tmp_path, changes))
+    assert all(name in str(error.value) for name in named), str(error.value)
+    assert "map.yaml" in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_recording_of_another_kind_is_refused(tmp_path):
+    log_map = read_map(write_map(tmp_path))
+    (tmp_path / "a.mcap").write_bytes(b"no such thing" * 10)
+    (tmp_path / "a.db3").write_bytes(b"no such thing" * 100)
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0")
+    (tmp_path / "empty").mkdir()
+    for name in ("a.mcap", "a.db3", "a.bag", "empty", "none.mcap"):
+        with pytest.raises(ParameterError, match=name):
+            read_recording(tmp_path / name, log_map)
+
+
+# --- cut off, damaged -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.2, 0.4, 0.6])
+def test_a_cut_mcap_gives_what_is_whole_and_says_so(tmp_path, share):
+    log_map = read_map(write_map(tmp_path))
+    bag = write_json_mcap(tmp_path / "a.mcap")
+    whole, content = read_recording(bag, log_map), bag.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: int(share * len(content))])
+    part = read_recording(tmp_path / "cut.mcap", log_map)
+    assert any("cut.mcap" in note for note in part.notes) and not whole.notes
+    assert 0 < len(part) < len(whole)
+    for name, values in part.readings.items():
+        inside = values[: len(part) - 1]  # messages of the last step may lie on both sides of the cut
+        assert np.array_equal(inside, whole.readings[name][: inside.size])
+
+
+def test_a_cut_index_loses_nothing(tmp_path):
+    log_map = read_map(write_map(tmp_path))
+    bag = write_json_mcap(tmp_path / "a.mcap")
+    whole = read_recording(bag, log_map)
+    bag.write_bytes(bag.read_bytes()[:-100])
+    part = read_recording(bag, log_map)
+    assert len(part) == len(whole) and not part.notes
+
+
+def test_a_damaged_chunk_is_left_out(tmp_path):
+    log_map = read_map(write_map(tmp_path))
+    bag = write_json_mcap(tmp_path / "a.mcap", payload=256)
+    content = bytearray(bag.read_bytes())
+    place = content.index(b'"twist"', len(content) // 2)
+    content[place] ^= 1
+    bag.write_bytes(content)
+    part = read_recording(bag, log_map)
+    assert any("damaged" in note for note in part.notes)
+    assert part.time[-1] == pytest.approx(19.9) and len(part) > 190
+
+
+@pytest.mark.parametrize("share", [0.3, 0.55, 0.6, 0.71])
+def test_a_cut_sqlite_bag_gives_what_is_whole(drives, tmp_path, share):
+    """Cut within a page, of which SQLite reads the rest as zeros."""
+    folder, log_map, _ = drives
+    file = next((folder / "SQLITE3").glob("*.db3"))
+    content = file.read_bytes()
+    (tmp_path / "cut.db3").write_bytes(content[: int(share * len(content)) + 17])
+    part, whole = read_recording(tmp_path / "cut.db3", log_map), read_recording(folder / "SQLITE3", log_map)
+    assert 0 < len(part) < len(whole) and any("cut.db3" in note for note in part.notes)
+    assert np.array_equal(part.readings["speed"][:-1], whole.readings["speed"][: len(part) - 1])
+
+
+def test_a_csv_that_ends_in_the_middle_of_a_row(tmp_path):
+    changes = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")} | {"time": {"column": "t"}}
+    log_map = read_map(write_map(tmp_path, changes))
+    rows = "".join(f"{0.1 * k:.1f},2,0.25,0.02,5\n" for k in range(10))
+    (tmp_path / "a.csv").write_text("t,wheel_speed,speed,sinkage,torque\n" + rows + "1.0,2,0.2")
+    part = read_recording(tmp_path / "a.csv", log_map)
+    assert len(part) == 10 and any("a.csv" in note for note in part.notes)
+    (tmp_path / "a.csv").write_text("t,wheel_speed,speed,sinkage,torque\n1.0,2,0.2\n" + rows)
+    with pytest.raises(ParameterError, match="row 2"):
+        read_recording(tmp_path / "a.csv", log_map)
+    (tmp_path / "a.csv").write_text("t,wheel_speed,speed,sinkage,torque\n" + rows + "1.0,2,fast,0.02,5\n")
+    with pytest.raises(ParameterError, match="row 12, speed = 'fast'"):
+        read_recording(tmp_path / "a.csv", log_map)
+
+
+def test_a_column_that_is_not_there(tmp_path):
+    changes = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")} | {"time": {"column": "t"}}
+    (tmp_path / "a.csv").write_text("t,wheel_spd,speed,sinkage,torque\n0,1,1,1,1\n")
+    with pytest.raises(ParameterError, match="wheel_speed.*wheel_spd"):
+        read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, changes)))
+
+
+# --- large ------------------------------------------------------------------------------------------------------------
+
+
+def test_memory_does_not_grow_with_the_bag(tmp_path):
+    """40 MB with images of 200 kB: no more than a few chunks of 1 MB at a time."""
+    log_map, peaks, seen = read_map(write_map(tmp_path)), [], []
+    for steps in (20, 200):
+        bag = write_json_mcap(tmp_path / f"{steps}.mcap", steps=steps, chunk=1_000_000, payload=200_192)
+        tracemalloc.start()
+        found = read_recording(bag, log_map, lambda done, size: seen.append((done, size)))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert len(found) == steps
+    assert bag.stat().st_size > 39e6 and peaks[1] < 8e6 and peaks[1] < peaks[0] + 2e6
+    done, size = zip(*seen, strict=True)
+    assert done[-1] == size[-1] == bag.stat().st_size and len(set(done)) > 20
