@@ -44,8 +44,9 @@ from soil_env.logs.report import ALWAYS, WITH_STEADY, channel_table, contents, s
 from soil_env.logs.steady import steady_windows
 
 NAME = "soil_env.logs"
-_WRITTEN = """files written into DIR: report.html (self-contained, with plots), log.json (the same as data), estimates.csv
-(the soil, its standard deviations, drawbar margin and status at each step), estimates.png, readings.png, and, where
+_WRITTEN = """\
+files written into DIR: report.html (self-contained, with plots), log.json (the same as data), estimates.csv (the
+soil, its standard deviations, drawbar margin and status at each step), estimates.png, readings.png, and, where
 there are steady stretches, steady.csv and setup.yaml for soil_env.identification and soil_env.discrepancy
 
 examples:

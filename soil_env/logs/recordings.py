@@ -160,7 +160,8 @@ def _remarks(found: Aligned, log_map: LogMap) -> list[str]:
         if count.interpolated > _SLOW:
             lines.append(
                 f"{name} ({count.place}) comes less often than every {found.period:g} s: "
-                f"{100 * count.interpolated:.0f} % of its values are interpolated and count as readings; a longer period would be more honest"
+                f"{100 * count.interpolated:.0f} % of its values are interpolated and count as readings; "
+                "a longer period would be more honest"
             )
     jumps = np.flatnonzero(np.diff(found.time) > log_map.max_gap)
     if jumps.size:
