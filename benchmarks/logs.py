@@ -3,9 +3,9 @@
     python -m benchmarks.logs                 writes a bag of 1 GB, reads it, times the identifier; a minute or two
     python -m benchmarks.logs --gigabytes 0.05
 
-The bag is an MCAP file as a rover writes it: joint states at 100 Hz, odometry at 50 Hz, a force at 100 Hz, and images of
-1 MB in between (random bytes, chunks of 4 MB without compression). Memory is the largest resident size of a process of
-its own, less what it had before it opened the bag.
+The bag is an MCAP file as a rover writes it: joint states at 100 Hz, odometry at 50 Hz, a force at 100 Hz, and images
+of 1 MB in between (random bytes, chunks of 4 MB without compression). Memory is the largest resident size of a process
+of its own, less what it had before it opened the bag.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 import psutil
 import yaml
 
-from benchmarks.common import machine, machine_text
+from benchmarks.common import machine, machine_text, range_text, spread
 from soil_env._io.commands import command_line, command_parser, leave
 from soil_env._io.document import Table
 from soil_env._io.loading import ParameterError
@@ -62,7 +62,8 @@ def write_bag(path: Path, gigabytes: float) -> int:
         channels = {}
         for topic, kind in kinds.items():
             text, _ = store.generate_msgdef(kind, ros_version=2)
-            channels[topic] = writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", text.encode()))
+            schema = writer.register_schema(kind, "ros2msg", text.encode())
+            channels[topic] = writer.register_channel(topic, "cdr", schema)
 
         def put(topic: str, at: int, *values) -> None:
             nonlocal messages
@@ -131,9 +132,9 @@ def main(arguments: list[str] | None = None) -> int:
         raise ParameterError(f"--gigabytes {options.gigabytes:g}: expected a size from 0.001 to 100")
     print(machine_text(machine(), "numpy", "numba"))
     each = 1e6 * updates()
-    medians = np.median(each, axis=1)
-    print(f"update: median {np.median(each):.1f} us, mean of all calls {np.mean(each):.1f} us (rounds of {each.shape[1]}: "
-          f"median {medians.min():.1f} to {medians.max():.1f}), 99 % below {np.percentile(each, 99):.1f} us")  # fmt: skip
+    median, high = np.median(each, axis=1), np.percentile(each, 99, axis=1)
+    print(f"update, {len(each)} rounds of {each.shape[1]}: median {range_text(spread(median), 1)} us, "
+          f"99 % below {range_text(spread(high), 1)} us")  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         bag, map_file = Path(folder) / "large.mcap", Path(folder) / "map.yaml"
         map_file.write_text(yaml.safe_dump({"wheel": "planetary_rover", "channels": _CHANNELS}), encoding="utf-8")

@@ -14,6 +14,8 @@ pytestmark = pytest.mark.documents
 RUNS = {  # script -> (arguments, picture, what it has to print, module it needs)
     "drive": ("--frame 40 --out wheel.png", "wheel.png", r"best_slip_identified: RUNNING at 0\.\d+ m", "gymnasium"),
     "identify_soil": ("", "identified.png", r"friction_angle_deg +31\.4\d", "scipy"),
+    "record_bag": ("--steps 200", "", r"200 sets of readings.*\n.*drive: \d\.\de-0[5-9]", "rosbags"),
+    "live_identifier": ("--steps 120", "", r"\d+ sets of readings; Soil\(", "gymnasium"),
     "find_missing_effect": ("", "gap.png", r"verdict: named\n  slip_sinkage: ", "scipy"),
     "compare_controllers": (
         "--courses 4 --tuning-courses 2",
