@@ -1,4 +1,4 @@
-"""Compile everything that the environments and the steady model need, once: `python -m soil_env.warmup`.
+"""Compile what environments, online identifier and steady model need, once: `python -m soil_env.warmup`.
 
 For an image, a machine without a display of messages, or before many processes start at once.
 """
@@ -13,12 +13,13 @@ import numpy as np
 import soil_env  # noqa: F401  (registers SoilWheel-v0)
 from soil_env._io.commands import command_line, command_parser, leave
 from soil_env._numba.cache import place
-from soil_env.parameters import soils
+from soil_env.online import OnlineIdentifier, Readings
+from soil_env.parameters import soils, wheels
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 
 def warm_up() -> None:
-    """Step one wheel and many, in a world with and without effects, and predict steady states."""
+    """Step one wheel and many, with and without effects, identify by itself, and predict steady states."""
     model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}})
     for world in (None, model):
         env = gymnasium.make("SoilWheel-v0", model=world)
@@ -29,6 +30,9 @@ def warm_up() -> None:
         envs.reset(seed=0)
         envs.step(np.full((64, 1), 0.4, dtype=np.float32))
         envs.close()
+    identifier = OnlineIdentifier(wheels()["planetary_rover"])
+    identifier.update(Readings(2.0, 0.25, 0.02, 10.0, 147.0, 5.0))
+    identifier.traversability()
     model.predict({"slip": np.array([0.1, 0.3]), "load": 100.0})
 
 

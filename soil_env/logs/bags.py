@@ -202,7 +202,7 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, told: Callable[[int], No
         _define(base, decoder, {kind for name, kind in topics.values() if name in wanted})
         ids = [i for i, (name, _) in topics.items() if name in wanted]
         query = f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join('?' * len(ids))})"
-        held, bytes_held = deque(), 0  # rows that may lie in a page of which a part is missing
+        given, held, bytes_held = 0, deque(), 0  # rows that may lie in a page of which a part is missing
         page, short = _page(file, size)
         cursor = base.execute(query + " ORDER BY id", ids)
         while True:
@@ -219,7 +219,8 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, told: Callable[[int], No
                 bytes_held -= min(len(data or b""), page)
                 name, kind = topics[topic]
                 yield Message(name, last, kind, decoder.cdr(kind, _unpacked(data), f"{file}: topic {name}"))
-                if number % 256 == 0:
+                given += 1
+                if given % 64 == 0:
                     told(int(size * min(number / max(rows, 1), 1.0)))
 
 

@@ -16,6 +16,7 @@ from soil_env.logs.mapping import LogMap, Source, factor
 
 # Beyond these [SI] a reading is a fault of its sensor or of its unit; sinkage and slip have limits of their own.
 _FARTHEST = {"wheel_speed": 1e3, "speed": 40.0, "pitch": 1.6, "acceleration": 500.0, "slip": 1.5}
+_LARGEST = 1e12
 _DELAY = 1.0  # [s] between the clocks of header and recording, beyond which it is told
 _SLOW = 0.3  # share of interpolated steps beyond which it is told
 
@@ -64,7 +65,12 @@ class _Reader:
         self.counts = {n: ChannelCount(s.place) for n, s in given.items()}
         self.bins = Bins(list(self.sources), log_map.period)
         self.factors = {n: factor(n, s) for n, s in self.sources.items()}
-        self.limits = {n: _FARTHEST.get(n, math.inf) for n in self.sources} | {"sinkage": log_map.wheel.radius}
+        self.limits = {n: _FARTHEST.get(n, _LARGEST) for n in given} | {"sinkage": log_map.wheel.radius}
+        for name, value in self.constants.items():
+            if not abs(value) <= self.limits[name]:
+                raise ParameterError(
+                    f"channels.{name}: constant {value:g} in SI units: expected at most {self.limits[name]:g}"
+                )
 
     # --- tables ---
 

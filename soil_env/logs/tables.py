@@ -6,6 +6,7 @@ import csv
 import math
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -53,12 +54,9 @@ def _stamp(text: str, unit: str) -> int:
     if unit == "iso":
         return _iso(text)
     try:
-        return int(text) * round(TIMES[unit] * 1e9)
-    except ValueError:
-        value = float(text)
-        if not math.isfinite(value):
-            raise
-        return _nanoseconds(value, unit)
+        return int(Decimal(text.strip()) * round(TIMES[unit] * 1e9))  # a float has not the digits of a time of today
+    except (ArithmeticError, ValueError):
+        raise ValueError(text) from None
 
 
 def _csv(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:

@@ -1,5 +1,6 @@
 """Recordings of every format to the same readings; what is missing, misnamed, cut off or damaged."""
 
+import json
 import math
 import tracemalloc
 
@@ -10,6 +11,7 @@ from soil_env import ParameterError
 from soil_env.logs import read_map, read_recording, replay
 from tests.logs.bags import example, write_json_mcap, write_map
 
+NS = 1_000_000_000
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 
@@ -156,6 +158,50 @@ def test_a_recording_of_another_kind_is_refused(tmp_path):
             read_recording(tmp_path / name, log_map)
 
 
+def stamped(path, delay):
+    """An MCAP file whose /drive has stamps of its own, recorded `delay` seconds later, and whose /odom has none."""
+    from mcap.writer import Writer
+
+    with open(path, "wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        drive, odom = (writer.register_channel(t, "json", schema) for t in ("/drive", "/odom"))
+        for k in range(20):
+            at = 100 * NS + k * NS // 10
+            header = {"stamp": {"sec": at // NS, "nanosec": at % NS}}
+            late = at + round(delay * NS)
+            content = {"header": header, "speed": 2.0 if k != 7 else 1e999, "motor": {"current": 1.0}}
+            writer.add_message(drive, late, json.dumps(content).encode(), late)
+            writer.add_message(odom, late, json.dumps({"twist": {"x": 0.1 * k}, "depth": 20.0}).encode(), late)
+        writer.finish()
+    return path
+
+
+def test_the_clock_is_that_of_the_header_or_of_the_recording(tmp_path):
+    """Readings of the two topics belong together by the clock of the recording; by the header they are 3 s apart."""
+    bag = stamped(tmp_path / "a.mcap", delay=3.0)
+    by_header = read_recording(bag, read_map(write_map(tmp_path)))
+    assert by_header.start == 100 * NS and any("/odom" in note for note in by_header.notes)
+    assert np.isnan(by_header.readings["speed"]).all()
+    by_log = read_recording(bag, read_map(write_map(tmp_path, {"clock": "log"})))
+    assert by_log.start == 103 * NS and by_log.readings["speed"] == pytest.approx(0.1 * np.arange(20))
+    soon = read_recording(stamped(tmp_path / "b.mcap", delay=0.004), read_map(write_map(tmp_path)))
+    assert soon.readings["speed"] == pytest.approx(0.1 * np.arange(20))
+
+
+def test_a_value_that_cannot_be_is_left_out_and_counted(tmp_path):
+    found = read_recording(stamped(tmp_path / "a.mcap", 0.0), read_map(write_map(tmp_path)))
+    assert found.counts["wheel_speed"].unusable == 1 and found.counts["wheel_speed"].readings == 20
+    assert found.readings["wheel_speed"] == pytest.approx(2.0)  # interpolated there
+    millimetres = {"topic": "/odom", "field": "depth", "unit": "m"}
+    found = read_recording(tmp_path / "a.mcap", read_map(write_map(tmp_path, {"sinkage": millimetres})))
+    assert found.counts["sinkage"].unusable == 20 and np.isnan(found.readings["sinkage"]).all()
+    assert sum("sinkage" in note for note in found.notes) == 1
+    with pytest.raises(ParameterError, match="sinkage"):
+        read_recording(tmp_path / "a.mcap", read_map(write_map(tmp_path, {"sinkage": {"constant": 20}})))
+
+
 # --- cut off, damaged -------------------------------------------------------------------------------------------------
 
 
@@ -219,6 +265,27 @@ def test_a_csv_that_ends_in_the_middle_of_a_row(tmp_path):
     (tmp_path / "a.csv").write_text("t,wheel_speed,speed,sinkage,torque\n" + rows + "1.0,2,fast,0.02,5\n")
     with pytest.raises(ParameterError, match="row 12, speed = 'fast'"):
         read_recording(tmp_path / "a.csv", log_map)
+
+
+TIMES = {  # unit -> three stamps a tenth of a second apart
+    "s": ("1770000000.0", "1770000000.1", "1.7700000002e9"),
+    "ms": ("1770000000000", "1770000000100", "1770000000200"),
+    "us": ("1770000000000000", "1770000000100000", "1770000000200000.0"),
+    "ns": ("1770000000000000000", "1770000000100000000", "1770000000200000000"),
+    "iso": ("2026-02-02T02:40:00Z", "2026-02-02T03:40:00.100+01:00", "2026-02-02 02:40:00.2"),
+}
+
+
+@pytest.mark.parametrize("unit", TIMES)
+def test_time_stamps_of_every_unit_and_empty_cells(tmp_path, unit):
+    rows = [f"{t},2,{v},0.02," for t, v in zip(TIMES[unit], ("0.25", "", "0.35"), strict=True)]
+    (tmp_path / "a.csv").write_text("\ufefft,wheel_speed,speed,sinkage,torque\n" + "\n".join(rows) + "\n\n", "utf-8")
+    changes = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")}
+    changes["time"] = {"column": "t", "unit": unit}
+    found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, changes)))
+    assert found.start == 1_770_000_000 * NS
+    assert found.time == pytest.approx([0.0, 0.1, 0.2]) and found.readings["speed"] == pytest.approx([0.25, 0.3, 0.35])
+    assert np.isnan(found.readings["torque"]).all() and found.counts["speed"].readings == 2
 
 
 def test_a_column_that_is_not_there(tmp_path):
