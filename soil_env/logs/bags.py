@@ -106,7 +106,7 @@ class _Decoder:
         """The message of this type; `ParameterError` for a type that nothing defines."""
         for store in (self._own, self._known):
             if kind in store.types:
-                return store.deserialize_cdr(data, kind)
+                return store.deserialize_cdr(_unpacked(data), kind)
         raise ParameterError(f"{where}: message type {kind} is not known, and the recording does not define it")
 
 
@@ -218,7 +218,7 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, told: Callable[[int], No
                 number, topic, last, data = held.popleft()
                 bytes_held -= min(len(data or b""), page)
                 name, kind = topics[topic]
-                yield Message(name, last, kind, decoder.cdr(kind, _unpacked(data), f"{file}: topic {name}"))
+                yield Message(name, last, kind, decoder.cdr(kind, data, f"{file}: topic {name}"))
                 given += 1
                 if given % 64 == 0:
                     told(int(size * min(number / max(rows, 1), 1.0)))

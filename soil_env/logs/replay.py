@@ -114,7 +114,9 @@ def what_can_be_told(found: Replay, measured: set[str]) -> list[str]:
     """Sentences on what the channels of this log can tell of the soil, and what they did."""
     pull, torque = measured & {"drawbar_pull", "acceleration"}, measured & {"torque", "motor_torque"}
     lines = []
-    if "sinkage" not in measured:
+    if "sinkage" not in measured and not pull and not torque:
+        lines.append("Neither sinkage nor a force: the slip is known, and nothing can be told of the soil.")
+    elif "sinkage" not in measured:
         lines.append(
             "No sinkage: the online identifier learns nothing, its equations need the arc of contact. The steady "
             "points still serve the discrepancy workflow."

@@ -51,6 +51,46 @@ def test_one_file_is_the_bag(drives):
             assert np.array_equal(part.readings[reading], values)
 
 
+def test_a_bag_of_several_files_with_and_without_metadata(tmp_path):
+    """Split by the recorder, whose metadata names the files in order; then without it, as after a power cut."""
+    log_map, folder = read_map(write_map(tmp_path)), tmp_path / "bag"
+    folder.mkdir()
+    write_json_mcap(folder / "z_0.mcap", steps=20)
+    write_json_mcap(folder / "a_1.mcap", steps=30, start=3 * NS)
+    named = {"rosbag2_bagfile_information": {"relative_file_paths": ["z_0.mcap", "a_1.mcap", "a_2.mcap"]}}
+    (folder / "metadata.yaml").write_text(json.dumps(named))
+    done = []
+    log = read_recording(folder, log_map, lambda at, size: done.append((at, size)))
+    assert len(log) == 50 and log.start == NS and any("a_2.mcap" in note for note in log.notes)
+    assert done[-1][0] == done[-1][1] and [at for at, _ in done] == sorted(at for at, _ in done)
+    (folder / "metadata.yaml").unlink()
+    bare = read_recording(folder, log_map)  # in the order of the names, which is not that of time
+    assert bare.start == log.start and np.array_equal(bare.readings["speed"], log.readings["speed"])
+    (folder / "a_1.mcap.zstd").write_bytes(b"")
+    (folder / "metadata.yaml").write_text(json.dumps(named).replace("a_1.mcap", "a_1.mcap.zstd"))
+    with pytest.raises(ParameterError, match="a_1.mcap.zstd"):
+        read_recording(folder, log_map)
+
+
+def test_messages_that_are_compressed_one_by_one(tmp_path):
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+    code, reading = example(), {"wheel_speed": 2.0, "torque": 5.0, "speed": 0.25, "drawbar_pull": 9.0, "load": 147.0,
+                                "pitch": 0.1, "sinkage": 0.02, "slip": 0.2}  # fmt: skip
+    recorder = code["Recorder"].__new__(code["Recorder"])
+    recorder.writer, recorder.connections = Writer(tmp_path / "b", version=9, storage_plugin=StoragePlugin.SQLITE3), {}
+    recorder.writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    recorder.writer.open()
+    for k in range(1, 8):
+        recorder.readings(0.1 * k, reading, 0.15)
+    recorder.writer.close()
+    file = next((tmp_path / "b").glob("*.db3"))
+    assert b"\x28\xb5\x2f\xfd" in file.read_bytes()
+    found = read_recording(tmp_path / "b", read_map(write_map(tmp_path, code["CHANNELS"] | {"sinkage": None})))
+    for name, values in found.readings.items():
+        assert values == pytest.approx(np.full(7, reading[name])), name
+
+
 def test_csv_and_parquet_give_what_the_bag_gives(drives, tmp_path):
     folder, log_map, _ = drives
     whole = read_recording(folder / "MCAP", log_map)
