@@ -139,11 +139,9 @@ def correct(study: Study, name: str, here: Path, say: Callable[[str], None]) -> 
     workflow = here / "discrepancy"
     for left in (workflow, *here.glob(".report-*")):  # by a run that was killed
         shutil.rmtree(left, ignore_errors=True)
-    report = find_discrepancy(
-        table, setup, workflow, seed=study.seed, bootstrap=min(study.bootstrap, 50), progress=None
-    )
+    report = find_discrepancy(table, setup, workflow, seed=study.seed, progress=None)
     # effects by name only: a law without a name holds on the bed that it was fitted to
-    named = report.model.effects if report.finding.named else {}
+    named = report.model.effects
     model = WheelSoilModel(hidden.wheel, None, named, (), report.model.gravity)
     model.save(kept)
     return model
