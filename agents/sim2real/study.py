@@ -141,7 +141,7 @@ def correct(study: Study, name: str, here: Path, say: Callable[[str], None]) -> 
         shutil.rmtree(left, ignore_errors=True)
     report = find_discrepancy(table, setup, workflow, seed=study.seed, progress=None)
     # effects by name only: a law without a name holds on the bed that it was fitted to
-    named = report.model.effects
+    named = report.model.effects if report.effects else {}
     model = WheelSoilModel(hidden.wheel, None, named, (), report.model.gravity)
     model.save(kept)
     return model

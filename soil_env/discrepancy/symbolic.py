@@ -58,6 +58,10 @@ class ResidualFit:
     column: np.ndarray  # [M, T] whitened effect of one prior sd of each coefficient
     width: np.ndarray  # [T] that prior sd
 
+    def without(self, fit: Fit) -> ResidualFit:
+        """No law: the fit alone."""
+        return ResidualFit((), fit, np.zeros_like(self.offset), 0.0, self.column[:, :0], self.width[:0])
+
     def covariance(self) -> np.ndarray:
         """[T, T] of the coefficients (Laplace; soil and form errors move with them)."""
         a, _ = with_terms(*self.fit.linearised(), self.column)

@@ -100,10 +100,11 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
             one = problem.fit(one.choices, one.parameters(), final.sizes, one)
             alone[choice.effect,] = held_out_predictions(problem, one)
     if law is not None and law.terms:
-        final = law.fit
-        after = symbolic.held_out_predictions(
-            problem, own.fit, lambda text: say(f"predicting what was held out: {text}")
-        )
+        held = symbolic.held_out_predictions(problem, final, lambda text: say(f"predicting what was held out: {text}"))
+        if (judgement.closed(problem, judgement.gaps(problem, after, held)) or 0.0) > 0.0:
+            final, after = law.fit, held
+        else:  # chosen without a group, it predicts that group worse than no law does
+            law = law.without(final)
     gap = judgement.gaps(problem, before, after)
     corrected = bool(final.choices) or (law is not None and bool(law.terms))
     closed = judgement.closed(problem, gap) if corrected else None

@@ -366,9 +366,9 @@ def _of_gap(report: Report) -> list[str]:
                 f"The held-out error of {TITLES[name]} stays at {g.after / g.noise_floor:.1f} times the noise: form "
                 "error of the laws, or something that is not listed."
             )
-        if report.effects and g.after > (1.0 + WORSE) * g.before:
-            rise, effects = _percent(g.after / g.before - 1.0), "effect" if len(report.effects) == 1 else "effects"
-            out.append(f"The held-out error of {TITLES[name]} rises by {rise} with the named {effects}.")
+        if report.corrected and g.after > (1.0 + WORSE) * g.before:
+            rise = _percent(g.after / g.before - 1.0)
+            out.append(f"The held-out error of {TITLES[name]} rises by {rise} with {_what(report)}.")
     return out
 
 
