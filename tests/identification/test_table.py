@@ -106,7 +106,8 @@ def test_recovers_the_soil_without_noise(tmp_path, known, soil):
 def test_intervals_cover_the_truth(tmp_path, known, noise):
     """60 draws, 95 % intervals: fewer than 51 hits has probability 5e-4 a parameter if they are calibrated.
 
-    The laws of these tables are exact, which the intervals do not know: they are up to twice as wide as needed.
+    The laws of these tables are exact, which the intervals do not know: they are up to four times as wide as needed,
+    most of all that of the angle, which an error of the shear stress that is the same everywhere changes unseen.
     """
     rng, hits, scaled, draws = np.random.default_rng(5), {}, {}, 60
     setup = setup_of(known, noise)
@@ -121,7 +122,7 @@ def test_intervals_cover_the_truth(tmp_path, known, noise):
     assert len(hits) == 5 - len(known)
     for name, count in hits.items():
         assert count >= 51, (name, count)
-        assert 0.4 < np.std(scaled[name]) < 1.35, name
+        assert 0.25 < np.std(scaled[name]) < 1.35, name
         assert abs(np.mean(scaled[name])) < 0.6, name
 
 
