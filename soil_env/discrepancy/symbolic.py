@@ -35,6 +35,7 @@ WIDTH = 0.5  # prior sd of a term's rms over that of the channel
 _SWAPS = 3
 FURTHER_GROUP, ODD_POWER = 4.0, 0.5  # added to the price of a term
 _ROUNDS = 5  # of law and soil in turn
+HELD_OUT = 4  # groups of a way, at most, without which a law is chosen anew
 _HELD_OUT = 24  # terms whose held-out likelihood is looked at
 _CLOSE = 0.02  # [noise sd] largest change of the law at which the turns end
 
@@ -90,11 +91,11 @@ class Library:
         return Library(self.channel[keep], self.powers[keep], self.column[:, keep], self.width[keep], self.price[keep])
 
 
-def symbolic(problem: Problem, fit: Fit) -> ResidualFit:
-    """The simplest law for what `fit` leaves, with the soil refitted to it."""
+def symbolic(problem: Problem, fit: Fit, turns: int = 2) -> ResidualFit:
+    """The simplest law for what `fit` leaves, with the soil refitted to it; chosen so many times in turn with that."""
     best = ResidualFit((), fit, np.zeros_like(problem.data.y), 0.0, np.zeros((fit.residual.size, 0)), np.zeros(0))
     at, offset = fit, best.offset
-    for _ in range(2):  # the second choice starts where the first has moved the soil
+    for _ in range(turns):  # the second choice starts where the first has moved the soil
         chosen = choose(problem, at, offset, library(problem, at, offset))
         if not chosen.channel.size or np.array_equal(chosen.powers, residual_law(best.terms).powers):
             break
@@ -108,17 +109,24 @@ def symbolic(problem: Problem, fit: Fit) -> ResidualFit:
 def held_out_predictions(problem: Problem, fit: Fit, say: Callable[[str], None]) -> np.ndarray:
     """[N, 3] predictions of each value by a law that is chosen and fitted without its group; NaN where not in use.
 
-    Soil, effects, terms and coefficients all come from the other groups. Mean over the ways to cut the table.
+    Soil, effects, terms and coefficients all come from the other groups, of which at most `HELD_OUT` are made of the
+    groups of a way. Mean over the ways to cut the table.
     """
     total = np.zeros_like(problem.data.y)
-    ways = folds(problem.data)
+    ways = [_bundled(way) for way in folds(problem.data)]
     for k, way in enumerate(ways):
         for n, group in enumerate(way):
             say(f"a law without group {n + 1} of {len(way)}, way {k + 1} of {len(ways)}")
             rest = problem.without(group)
             start = rest.fit(fit.choices, fit.parameters(), fit.sizes, rest.restricted(fit, problem.used))
-            total[group] += symbolic(rest, start).fit.output[group] / len(ways)
+            total[group] += symbolic(rest, start, turns=1).fit.output[group] / len(ways)
     return np.where(problem.used, total, math.nan)
+
+
+def _bundled(way: list[np.ndarray]) -> list[np.ndarray]:
+    """At most `HELD_OUT` groups, of every so many of the given ones together."""
+    count = min(HELD_OUT, len(way))
+    return [np.any(way[k::count], axis=0) for k in range(count)]
 
 
 # --- groups and products ----------------------------------------------------------------------------------------------
