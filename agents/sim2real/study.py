@@ -56,7 +56,7 @@ class Study(Checked):
     training_seeds: int = quantity("PPO trainings of each arm", 1, 100, default=2)
     courses: int = quantity("held-out courses", 2, 10**6, default=1000)
     tuning_courses: int = quantity("courses that the classical controllers are tuned on", 1, 10**6, default=100)
-    bootstrap: int = quantity("of the workflow and of the intervals", 10, 10**5, default=1000)
+    bootstrap: int = quantity("of the intervals", 10, 10**5, default=1000)
     commissioning: Commissioning = Commissioning()
     ppo: PPOConfig = PPOConfig()
     version: str = field(default_factory=code_version)
