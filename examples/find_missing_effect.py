@@ -28,7 +28,7 @@ def main() -> None:
     p.add_argument("--out", type=Path, default=Path("gap.png"), help="the picture")
     options = p.parse_args()
 
-    report = run(options.table, options.setup, bootstrap=0)  # bootstrap=200 tells how sure the name is
+    report = run(options.table, options.setup)
     print(f"verdict: {report.verdict}")
     for effect in report.effects:
         print(f"  {effect.name}: " + ", ".join(f"{k} = {v.value:.3g}" for k, v in effect.parameters.items()))

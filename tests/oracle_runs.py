@@ -218,7 +218,7 @@ def discrepancy(csv=None, setup=None, **design) -> dict:
 
     with tempfile.TemporaryDirectory() as folder:
         files = (ROOT / csv, ROOT / setup) if csv else table(folder, setup=setup, **design)
-        out = flat(content(run(*files, seed=2, bootstrap=20)))
+        out = flat(content(run(*files, seed=2)))
     # in the large table of a file a rival that loses ends in one optimum or another as sums are rounded
     return {name: value for name, value in out.items() if not (csv and name.endswith(".score"))}
 

@@ -56,7 +56,7 @@ class Study(Checked):
     training_seeds: int = quantity("PPO trainings of each arm", 1, 100, default=2)
     courses: int = quantity("held-out courses", 2, 10**6, default=1000)
     tuning_courses: int = quantity("courses that the classical controllers are tuned on", 1, 10**6, default=100)
-    bootstrap: int = quantity("of the workflow and of the intervals", 10, 10**5, default=1000)
+    bootstrap: int = quantity("of the intervals", 10, 10**5, default=1000)
     commissioning: Commissioning = Commissioning()
     ppo: PPOConfig = PPOConfig()
     version: str = field(default_factory=code_version)
@@ -139,11 +139,9 @@ def correct(study: Study, name: str, here: Path, say: Callable[[str], None]) -> 
     workflow = here / "discrepancy"
     for left in (workflow, *here.glob(".report-*")):  # by a run that was killed
         shutil.rmtree(left, ignore_errors=True)
-    report = find_discrepancy(
-        table, setup, workflow, seed=study.seed, bootstrap=min(study.bootstrap, 50), progress=None
-    )
+    report = find_discrepancy(table, setup, workflow, seed=study.seed, progress=None)
     # effects by name only: a law without a name holds on the bed that it was fitted to
-    named = report.model.effects if report.finding.named else {}
+    named = report.model.effects if report.effects else {}
     model = WheelSoilModel(hidden.wheel, None, named, (), report.model.gravity)
     model.save(kept)
     return model

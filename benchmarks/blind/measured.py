@@ -154,7 +154,7 @@ def polynomial(slip: np.ndarray, residual: np.ndarray, same: float) -> np.ndarra
 def fold(table: Table, setup: Setup, out: np.ndarray, same: float) -> dict:
     """One slip left out: what the workflow says of the rest, and the errors [3, n] of each model where it is."""
     seen, unseen = subset(table, np.setdiff1d(np.arange(len(table)), out)), subset(table, out)
-    report = run(seen, setup, bootstrap=0)
+    report = run(seen, setup)
     base = report.base_model
     named = replace(report.model, residual=()) if report.effects else base
     at, residual = _predicted(base, unseen, setup), _measured(seen) - _predicted(base, seen, setup)
@@ -182,7 +182,7 @@ def held_out(measured: Measured, say=print) -> dict:
     """The workflow on the whole table, and without each slip in turn."""
     with tempfile.TemporaryDirectory() as place:
         table, setup = measured.read(Path(place))
-    whole = run(table, setup, bootstrap=0)
+    whole = run(table, setup)
     own = {c: None if g.after is None else float(g.after) for c, g in whole.gap.items()}
     folds = []
     for out in slips_of(table, measured.same):

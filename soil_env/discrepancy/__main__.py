@@ -49,7 +49,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from soil_env._io.commands import command_line, leave, table_parser, whole_number
 from soil_env.discrepancy.report import FILES, show
 from soil_env.discrepancy.report.words import check_first, summary
-from soil_env.discrepancy.workflow import MOST_DRAWS, run
+from soil_env.discrepancy.workflow import run
 
 NAME = "soil_env.discrepancy"
 
@@ -59,9 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = _parser().parse_args(arguments)
     with _progress(options.quiet) as say:
-        report = run(
-            options.data, options.setup, options.out, seed=options.seed, bootstrap=options.bootstrap, progress=say
-        )
+        report = run(options.data, options.setup, options.out, seed=options.seed, progress=say)
     if options.quiet:
         first = check_first(report)
         print(f"{report.verdict}: {'CHECK FIRST: ' + ' '.join(first) + ' ' if first else ''}{summary(report)}")
@@ -105,7 +103,7 @@ _WRITTEN = """DIR/report.html (self-contained, with plots), DIR/report.json (the
 corrected model)"""
 _EXAMPLES = """\
     python -m soil_env.discrepancy examples/data/rig.csv --setup examples/data/rig.setup.yaml --out runs/rig
-    python -m soil_env.discrepancy rig.csv --setup rig.setup.yaml --out rig --quiet --bootstrap 0"""
+    python -m soil_env.discrepancy rig.csv --setup rig.setup.yaml --out rig --quiet"""
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -114,10 +112,6 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--seed", type=whole_number(), default=0, metavar="N",
         help="of everything random (default 0); same seed, same report",
-    )  # fmt: skip
-    p.add_argument(
-        "--bootstrap", type=whole_number(), default=200, metavar="N",
-        help=f"redraws of the noise that tell how sure the name is (default 200; 0 for none, at most {MOST_DRAWS})",
     )  # fmt: skip
     p.add_argument("--quiet", action="store_true", help="print only the conclusion, in one line")
     return p

@@ -1,20 +1,19 @@
 """Fit of the model, with or without effects, to a measurement table: the most probable parameters under the priors.
 
 Priors of the soil and the least squares are those of `soil_env.identification` (`priors`, `weighted`), with slip and
-load exact: the objective is
+load exact. The whitened unknowns u minimise
 
-    J(u) = sum ((y - f(u)) / sigma)^2 + |u|^2
+    J(u) = e'C^-1 e + |u|^2,    e = (y - f(u)) / sigma,    C = I + B B'
 
-of the whitened unknowns u. Priors of the setup are widened (`PRIOR_WIDTH`), since a soil a little off its prior must
-not be taken for a missing effect.
-
-No published law of an effect is exact. A model with effects therefore carries *slack*: what an effect adds to a channel
-may be off by a smooth factor 1 + a_0 + a_1 s + a_2 l + ... of the conditions with a ~ N(0, SLACK^2), which enters the
-fit as linear unknowns.
+with the form errors B of `soil_env.identification.form_error`: of the base law, in the stresses, and of each effect, a
+smooth factor on what it adds to each channel. Priors of the setup are widened (`PRIOR_WIDTH`), since a soil a little
+off its prior must not be taken for a missing effect.
 """
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -23,6 +22,7 @@ import numpy as np
 
 from soil_env.discrepancy.data import CHANNELS, Data
 from soil_env.discrepancy.noise import NoiseEstimate, find_noise
+from soil_env.identification.form_error import INPUTS, LENGTHS, SPANS, Process, compressed, stress_changes, whitened
 from soil_env.identification.priors import USUAL_SINKAGE, Unknown, known_digging, soil_state, soil_unknowns
 from soil_env.identification.rig import predict_table
 from soil_env.identification.weighted import differences, finite, most_probable
@@ -32,8 +32,9 @@ from soil_env.terramechanics.effects import NO_EFFECTS, Effects, sliding_speed
 from soil_env.terramechanics.model import Rows
 
 PRIOR_WIDTH = 1.5
-SLACK = 0.01
-SLACK_LIMIT = 2.5  # [SLACK] largest form error of any one kind
+_STRESS_STEP = 1e-3  # relative change of a stress, for differences
+_LAW, _EFFECT, _FREE = 24, 24, 40  # functions of a process at most: law, form of an effect, anonymous contribution
+_LONGER = 1.6  # over which an anonymous contribution of all conditions changes, relative to a form error
 GRAVITY = 9.81
 
 
@@ -54,6 +55,23 @@ class Choice(NamedTuple):
         return {f"{self.effect}_{p}": v for p, v in CATALOGUE[self.effect].forms[self.form].fixed}
 
 
+class Sizes(NamedTuple):
+    """Sizes of the form errors."""
+
+    law: float = 0.0  # alpha, relative, of the stresses of the base law
+    effect: float = 0.0  # beta, relative to what an effect adds
+    free: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of an anonymous contribution, relative to the channel's rms
+    span: int = 0  # of `form_error.SPANS`, that of the base law's error
+
+    @property
+    def laws(self) -> tuple[float, ...]:
+        """Size of the base law's error over each of the spans."""
+        return tuple(self.law if k == self.span else 0.0 for k in range(len(SPANS)))
+
+
+EXACT = Sizes()
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A fitted model. Whitened quantities: residuals in noise sd, unknowns in prior sd."""
@@ -61,43 +79,42 @@ class Fit:
     choices: tuple[Choice, ...]
     unknowns: tuple[Unknown, ...]
     u: np.ndarray  # [p]
-    objective: float  # J, with slack
-    misfit: float  # the part of J without the prior of the unknowns
     output: np.ndarray  # [N, 3] model values
-    slackened: np.ndarray  # [N, 3] model values with the fitted form error
-    residual: np.ndarray  # [M] whitened (y - f - slack) of the values in use
-    jacobian: np.ndarray  # [M, p + slack] d(f)/d(u), whitened; slack columns last
-    slack: np.ndarray  # [q] fitted slack unknowns
-    evidence: float  # log evidence (Laplace), up to what all models share
+    added: tuple[np.ndarray, ...]  # [N, 3] what each effect adds to them
+    residual: np.ndarray  # [M] whitened (y - f) of the values in use
+    jacobian: np.ndarray  # [M, p] d(f)/d(u), whitened
+    law: tuple[np.ndarray, ...]  # [M, R] whitened form error of the base law at the size 1, over each of the spans
+    effect: np.ndarray  # [M, R] of the effects
+    free: tuple[np.ndarray, ...]  # [M, R] of an anonymous contribution to each channel
     converged: bool
-    form_errors: int = 0  # leading slack unknowns that are held within SLACK_LIMIT
+    sizes: Sizes = EXACT  # that the unknowns are most probable under
 
     def parameters(self) -> dict[str, float]:
         """Every unknown by name."""
         return {k.name: k.value(u) for k, u in zip(self.unknowns, self.u, strict=True)}
 
     @property
-    def columns(self) -> int:
-        """Number of unknowns with slack."""
-        return self.jacobian.shape[1]
+    def free_unknowns(self) -> np.ndarray:
+        """[p] which unknowns are not at a bound."""
+        at = [(k.mean + k.sd * u, k) for k, u in zip(self.unknowns, self.u, strict=True)]
+        return np.array([min(x - k.low, k.high - x) > 1e-4 * k.sd for x, k in at], dtype=bool)
 
-    def covariance(self) -> np.ndarray:
-        """[p + slack, p + slack] of the whitened unknowns (Laplace): inv(I + J'J)."""
-        return np.linalg.inv(np.eye(self.columns) + self.jacobian.T @ self.jacobian)
+    def columns(self, sizes: Sizes) -> np.ndarray:
+        """[M, R] whitened form errors at their sizes."""
+        blocks = zip((*self.law, self.effect, *self.free), (*sizes.laws, sizes.effect, *sizes.free), strict=True)
+        return np.concatenate([size * block for block, size in blocks if size > 0.0] or [self.effect[:, :0]], axis=1)
 
-    def linearised(self) -> tuple[np.ndarray, np.ndarray]:
+    def linearised(self, sizes: Sizes | None = None) -> tuple[np.ndarray, np.ndarray]:
         """(A [M + p, k], e [M + p]): the whitened problem about its solution, the priors as the last p rows.
 
-        Unknowns and form errors that lie at a bound do not move.
+        Unknowns come first, then the form errors, of the sizes that it was fitted with. Unknowns at a bound do not
+        move.
         """
-        x = np.concatenate([self.u, self.slack])
-        free = np.ones(x.size, dtype=bool)
-        for k, (unknown, u) in enumerate(zip(self.unknowns, self.u, strict=True)):
-            at = unknown.mean + unknown.sd * u
-            free[k] = min(at - unknown.low, unknown.high - at) > 1e-4 * unknown.sd
-        form = slice(self.u.size, self.u.size + self.form_errors)
-        free[form] = np.abs(x[form]) < SLACK_LIMIT - 1e-3
-        return np.concatenate([self.jacobian, np.eye(x.size)])[:, free], np.concatenate([self.residual, -x])
+        extra = self.columns(self.sizes if sizes is None else sizes)
+        free = np.concatenate([self.free_unknowns, np.ones(extra.shape[1], dtype=bool)])
+        x = np.concatenate([self.u, np.zeros(extra.shape[1])])
+        top = np.concatenate([self.jacobian, extra], axis=1)
+        return np.concatenate([top, np.eye(x.size)])[:, free], np.concatenate([self.residual, -x])
 
 
 #: Parameters about a value that the table sets.
@@ -123,16 +140,19 @@ class Problem:
         self.density = 1500.0 if setup.soil.density is None else setup.soil.density.value
         self.digging = known_digging(setup)
         self._effect_scales()
-        varied, one = self.data.varied, np.ones(self.data.rows.slip.size)
-        common = [one, varied["slip"].scaled]
-        if varied["slip"].levels > 2:
-            common.append(varied["slip"].scaled ** 2)
-        if "load" in varied:
-            common.append(varied["load"].scaled)
-        self.slack_basis = {  # effect -> [N, B]: slip, load and the condition that the effect itself is about
-            e.name: np.stack(common + ([varied[e.varies].scaled] if e.varies in varied else []), axis=1)
-            for e in CATALOGUE.values()
-        }
+        self._processes()
+
+    def _processes(self) -> None:
+        """Form errors over the conditions of the table, and the size of each channel."""
+        at = self.data.conditions
+        own = {e.varies for e in CATALOGUE.values()}
+        spans = [{name: span * length for name, length in LENGTHS.items()} for span in SPANS]
+        self.law_processes = [Process.over(at, INPUTS, most=_LAW, lengths=lengths) for lengths in spans]
+        self.effect_processes = {v: Process.over(at, (*INPUTS, v), most=_EFFECT) for v in own}
+        at, lengths = at | self.data.elapsed, {k: _LONGER * v for k, v in (LENGTHS | {"elapsed": 0.5}).items()}
+        self.free_functions = Process.over(at, additive=True, most=_FREE, lengths=lengths).at_points
+        square = np.where(self.used, np.nan_to_num(self.data.y) ** 2, 0.0)
+        self.size = np.sqrt(square.sum(axis=0) / np.maximum(self.used.sum(axis=0), 1))
 
     def _effect_scales(self) -> None:
         """Prior scales in the units of this rig, and reference speeds that the data set."""
@@ -217,34 +237,47 @@ class Problem:
         """[M] of an array [N, 3]: the values in use over the noise."""
         return (values / (self.noise * self.data.relative_sd))[self.used]
 
+    def without(self, rows: np.ndarray) -> Problem:
+        """The problem without the values of the rows [N] bool."""
+        rest = copy.copy(self)
+        rest.used = self.used & ~rows[:, None]
+        return rest
+
+    def restricted(self, fit: Fit, used: np.ndarray) -> Fit:
+        """A fit to the values `used` [N, 3], with its whitened rows for those that this problem uses."""
+        keep = self.used[used]
+        rows = {k: getattr(fit, k)[keep] for k in ("residual", "jacobian", "effect")}
+        more = {k: tuple(block[keep] for block in getattr(fit, k)) for k in ("law", "free")}
+        return dataclasses.replace(fit, **rows, **more)
+
     # --- the fit ---
 
-    def fit(self, choices: tuple[Choice, ...] = (), start: dict[str, float] | None = None, slack: bool = True,
-            prior_width: float = 1.0) -> Fit:  # fmt: skip
+    def fit(self, choices: tuple[Choice, ...] = (), start: dict[str, float] | None = None,
+            sizes: Sizes = EXACT, near: Fit | None = None) -> Fit:  # fmt: skip
         """Most probable parameters of the model with the given effects.
 
-        `start`: parameters by name; effects that it does not name start a little off neutral. `prior_width` widens the
-        soil's priors further.
+        `start`: parameters by name; effects that it does not name start a little off neutral. With `near`, a fit of
+        the same table, form errors of these `sizes` as they are there are in the covariance; without, there is noise
+        alone.
         """
         unknowns = self.unknowns(choices)
-        if prior_width != 1.0:
-            soil = len(self.soil)
-            unknowns = tuple(k._replace(sd=k.sd * prior_width) for k in unknowns[:soil]) + unknowns[soil:]
         low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
         u = np.array([k.at(start[k.name]) if start and k.name in start else self._first(k) for k in unknowns])
         u = np.clip(u, low + 1e-6 * np.minimum(high - low, 1.0), high - 1e-6 * np.minimum(high - low, 1.0))
         guess = np.zeros(self.data.rows.slip.size)
-        u, ok = self._minimise(unknowns, choices, u, low, high, guess, False)
-        eta = np.zeros(0)
-        if slack and choices:
-            q = 3 * sum(self.slack_basis[c.effect].shape[1] for c in choices)
-            wide = np.full(q, SLACK_LIMIT)
-            both, ok = self._minimise(
-                unknowns, choices, np.concatenate([u, np.zeros(q)]), np.concatenate([low, -wide]),
-                np.concatenate([high, wide]), guess, True,
-            )  # fmt: skip
-            u, eta = both[: u.size], both[u.size :]
-        return self._finish(unknowns, choices, u, eta, guess, ok)
+        known = None if near is None else compressed(near.columns(sizes))
+
+        def model(x):
+            return whitened(known, self.whiten(self.output(unknowns, x, choices, guess)))
+
+        def derivatives(x):
+            return whitened(known, self.derivatives(unknowns, x, choices, guess))
+
+        u, _, converged = most_probable(
+            whitened(known, self.whiten(self.data.y)), model, derivatives, u, (low, high), ftol=1e-5, xtol=1e-4,
+            gtol=1e-4, max_nfev=25,
+        )  # fmt: skip
+        return self._finish(unknowns, choices, u, guess, converged, sizes if near is not None else EXACT)
 
     @staticmethod
     def _first(unknown: Unknown) -> float:
@@ -252,71 +285,77 @@ class Problem:
         bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
         return 0.3 if bounded else 0.0
 
-    def _minimise(self, unknowns, choices, start, low, high, guess, slack):
-        p = len(unknowns)
+    def derivatives(self, unknowns, u, choices, guess) -> np.ndarray:
+        """[M, p] of the whitened output by whitened unknowns (forward differences)."""
 
         def model(x):
-            out, added = self.parts(unknowns, x[:p], choices, guess, slack)
-            return self.whiten(self.with_slack(choices, out, added, x[p:]))
+            return self.whiten(self.output(unknowns, x, choices, guess.copy()))
 
-        def derivatives(x):
-            return self.derivatives(unknowns, x[:p], x[p:], choices, guess)
+        base = model(u)
+        return finite(differences(model, u, unknowns, base), base.size)
 
-        found, _, converged = most_probable(
-            self.whiten(self.data.y), model, derivatives, start, (low, high), ftol=1e-5, xtol=1e-4, gtol=1e-4,
-            max_nfev=25,
-        )  # fmt: skip
-        return found, converged
-
-    def parts(self, unknowns, u, choices, guess, slack=True) -> tuple[np.ndarray, list[np.ndarray]]:
-        """(output [N, 3], what each effect adds to it [N, 3]); the second is empty without `slack`."""
+    def _finish(self, unknowns, choices, u, guess, converged, sizes) -> Fit:
         values = {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
-        full = self.predict(values, choices, guess)
-        if not slack:
-            return full, []
-        rest = (choices[:k] + choices[k + 1 :] for k in range(len(choices)))
-        return full, [full - self.predict(values, others, guess.copy()) for others in rest]
-
-    def with_slack(self, choices, out: np.ndarray, added: list[np.ndarray], eta: np.ndarray) -> np.ndarray:
-        """Output [N, 3] with the form errors eta of each effect."""
-        at = 0
-        for choice, a in zip(choices, added, strict=False):
-            basis = self.slack_basis[choice.effect]
-            weights = eta[at : at + 3 * basis.shape[1]].reshape(3, -1)
-            out = out + SLACK * a * (basis @ weights.T)
-            at += weights.size
-        return out
-
-    def derivatives(self, unknowns, u, eta, choices, guess) -> np.ndarray:
-        """[M, p + q] of the whitened output by whitened unknowns (forward differences) and slack (exact)."""
-        slack = eta.size > 0
-
-        def model(x):
-            there = self.parts(unknowns, x, choices, guess.copy(), slack)
-            return self.whiten(self.with_slack(choices, *there, eta))
-
-        out, added = self.parts(unknowns, u, choices, guess, slack)
-        base = self.whiten(self.with_slack(choices, out, added, eta))
-        columns = differences(model, u, unknowns, base)
-        for choice, a in zip(choices, added, strict=False):
-            for j in range(3):
-                for v in self.slack_basis[choice.effect].T:
-                    column = np.zeros_like(a)
-                    column[:, j] = SLACK * a[:, j] * v
-                    columns.append(self.whiten(column))
-        return finite(columns, base.size)
-
-    def _finish(self, unknowns, choices, u, eta, guess, ok) -> Fit:
-        output, added = self.parts(unknowns, u, choices, guess, eta.size > 0)
-        slack = self.with_slack(choices, output, added, eta)
-        residual = self.whiten(self.data.y) - self.whiten(slack)
+        output = self.predict(values, choices, guess)
+        residual = self.whiten(self.data.y) - self.whiten(output)
         residual = np.where(np.isfinite(residual), residual, 1e3)
-        j = self.derivatives(unknowns, u, eta, choices, guess)
-        misfit = float(residual @ residual + eta @ eta)
-        objective = misfit + float(u @ u)
-        _, logdet = np.linalg.slogdet(np.eye(j.shape[1]) + j.T @ j)
-        return Fit(choices, unknowns, u, objective, misfit, output, slack, residual, j, eta,
-                   -0.5 * objective - 0.5 * logdet, ok, eta.size)  # fmt: skip
+        added = self.added(values, choices, output, guess)
+        law, effect = self.form_errors(values, choices, output, added, guess)
+        free = [self._block(_in_channel(self.free_functions, self.size[j] * unit)) for j, unit in enumerate(np.eye(3))]
+        return Fit(choices, unknowns, u, output, added, residual, self.derivatives(unknowns, u, choices, guess),
+                   tuple(map(self._block, law)), self._block(effect), tuple(free), converged, sizes)  # fmt: skip
+
+    def added(self, values, choices, output, guess) -> tuple[np.ndarray, ...]:
+        """[N, 3] what each effect adds to the output."""
+        rest = (choices[:k] + choices[k + 1 :] for k in range(len(choices)))
+        return tuple(_finite(output - self.predict(values, others, guess.copy())) for others in rest)
+
+    def stresses(self, values, choices, output, guess) -> list[np.ndarray]:
+        """[N, 3] change of the output by a relative change of the normal stress, and of the shear stress."""
+        h = _STRESS_STEP
+        moved = stress_changes(self.known | values, h)
+        there = (self.predict(values | change, choices, guess.copy()) for change in moved)
+        return [_finite((out - output) / h) for out in there]
+
+    def form_errors(self, values, choices, output, added, guess, at=None) -> tuple[list[np.ndarray], np.ndarray]:
+        """Form errors [N, 3, R] at the size 1 of the base law, by span, and of the effects; `at`: other conditions."""
+
+        def functions(process: Process) -> np.ndarray:
+            return process.at_points if at is None else process.at(at)
+
+        law = [functions(process) for process in self.law_processes]
+        stresses = self.stresses(values, choices, output, guess)
+        blocks = [np.zeros((*output.shape, 0))]
+        for choice, factor in zip(choices, added, strict=True):
+            own = functions(self.effect_process(choice))
+            moved = [name in CATALOGUE[choice.effect].moves for name in CHANNELS]
+            blocks += [_in_channel(own, factor * unit) for unit in np.eye(3)[moved]]
+        return (
+            [np.concatenate([s[:, :, None] * own[:, None, :] for s in stresses], axis=2) for own in law],
+            np.concatenate(blocks, axis=2),
+        )
+
+    def effect_process(self, choice: Choice) -> Process:
+        """Form error of an effect: it goes with what the base law knows and with what the effect is about."""
+        return self.effect_processes[CATALOGUE[choice.effect].varies]
+
+    def _block(self, errors: np.ndarray) -> np.ndarray:
+        """[M, R] of form errors [N, 3, R], whitened, of the values in use."""
+        return (errors / (self.noise * self.data.relative_sd)[..., None])[self.used]
+
+    def whiten_all(self, errors: np.ndarray) -> np.ndarray:
+        """[3 N, R] of form errors [N, 3, R], whitened, of every value."""
+        return (errors / self.noise[..., None]).reshape(-1, errors.shape[2])
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    """The values, 0 where the model has none."""
+    return np.where(np.isfinite(values), values, 0.0)
+
+
+def _in_channel(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """[N, 3, R] of functions [N, R] times a factor [3] or [N, 3]."""
+    return functions[:, None, :] * np.broadcast_to(factor, (len(functions), 3))[:, :, None]
 
 
 def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:

@@ -60,6 +60,13 @@ class Data:
         """Conditions [N] by the columns of a table; a speed of 0 is not known."""
         return conditions_of(self.rows)
 
+    @property
+    def elapsed(self) -> dict[str, np.ndarray]:
+        """{"elapsed": time [N] over its span}; empty where the table does not have it or it does not vary."""
+        time = self.table.time
+        known = "time" in self.table.given and np.all(np.isfinite(time)) and np.ptp(time) > 0.0
+        return {"elapsed": (time - time.min()) / np.ptp(time)} if known else {}
+
 
 def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
     """Conditions [N] of rows by the columns of a table."""

@@ -1,7 +1,7 @@
 """Design of the next tests: the conditions that discriminate best between the remaining candidates.
 
 Every candidate predicts a grid of feasible conditions, with its uncertainty: the covariance C = (I + J'J)^-1 of its
-parameters, form error included, carried to the grid. A single extra run separates candidates a and b in a channel by
+parameters and form errors, carried to the grid. A single extra run separates candidates a and b in a channel by
 
     |f_a - f_b| / sqrt(sigma^2 + g_a'C_a g_a + g_b'C_b g_b)
 
@@ -21,14 +21,15 @@ import numpy as np
 
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC, WHEEL
-from soil_env.discrepancy.search import RULED_OUT, Candidate, Finding
+from soil_env.discrepancy.evidence import Evidence
+from soil_env.discrepancy.search import Finding
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import rows_of
 
 MOST = 4  # tests proposed
 LEAST = 1.0  # [sd] below which a test separates nothing
 ENOUGH = 8.0  # [sd] beyond which a test is not better
-RUNNER_UP = 25.0  # [nats] of held-out likelihood by which a candidate is beaten for good
+WITHIN_REACH = 0.01  # least probability of a set of effects that a test is to separate
 CANDIDATES = 5
 DEEPEST = 0.6  # [radii] deepest sinkage of a feasible test
 SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
@@ -61,28 +62,14 @@ class Grid(NamedTuple):
 
 
 def next_tests(problem: Problem, finding: Finding) -> tuple[NextTest, ...]:
-    """The tests that would best separate the candidates that a search left; none where nothing is missing."""
-    return separating(problem, undecided(finding))
+    """The tests that would best separate the most probable set of effects from the others that are within reach."""
+    plain = [h for h in finding.hypotheses if not h.free]
+    first = finding.best(*finding.names) if finding.has(*finding.names) else plain[0]
+    rest = [h for h in plain if {*h.names} != {*first.names} and h.probability >= WITHIN_REACH]
+    return separating(problem, [h.evidence for h in (first, *rest[: CANDIDATES - 1])])
 
 
-def undecided(finding: Finding) -> tuple[Candidate, ...]:
-    """The best candidate and those it was not told from, or else those that come next, best first."""
-    if finding.verdict == "none":
-        return ()
-    pool = sorted((*finding.singles, *finding.pairs), key=lambda c: -c.score)
-    first = finding.best if finding.best.fit.choices else pool[0]
-    rest = [c for c in pool if set(c.names) != set(first.names)]
-    if finding.verdict == "ambiguous":
-        other = {name for named in finding.named for name in named.alternatives}
-        rest = [c for c in rest if len(c.names) == len(first.names) and other & set(c.names)]
-        near = [c for c in rest if c.score > first.score - RULED_OUT]
-        rest = near or rest
-    else:  # a model without one effect of a named pair is no rival to it
-        rest = [c for c in rest if c.score > first.score - RUNNER_UP and not set(c.names) < set(first.names)]
-    return (first, *rest[: CANDIDATES - 1])
-
-
-def separating(problem: Problem, candidates: Sequence[Candidate]) -> tuple[NextTest, ...]:
+def separating(problem: Problem, candidates: Sequence[Evidence]) -> tuple[NextTest, ...]:
     """A handful of different tests, the most telling first."""
     if len(candidates) < 2:
         return ()
@@ -92,7 +79,7 @@ def separating(problem: Problem, candidates: Sequence[Candidate]) -> tuple[NextT
     means, variances, feasible = [], [], True
     for c in candidates:
         mean, variance, ok = predicted(there, c)
-        means.append(mean / problem.noise)
+        means.append(mean)
         variances.append(variance)
         feasible = feasible & ok
     pairs = list(combinations(range(len(candidates)), 2))
@@ -121,7 +108,7 @@ def separating(problem: Problem, candidates: Sequence[Candidate]) -> tuple[NextT
 # --- the grid ---------------------------------------------------------------------------------------------------------
 
 
-def conditions(problem: Problem, candidates: Sequence[Candidate]) -> Grid:
+def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     """Slips to 0.7, half to twice the loads of the table, its wheels, and speeds, passes and grades that matter.
 
     What no candidate knows is the middle speed, the first pass and the least grade of the table.
@@ -171,31 +158,41 @@ def _round(x: float) -> float:
 
 
 def _problem_at(problem: Problem, grid: Grid) -> Problem:
-    """The problem with the grid for rows, every channel in use; the form error is that of the nearest row."""
-    data, count = problem.data, grid.value["slip"].size
-    rows = rows_of(grid.value, data.wheel)
+    """The problem with the grid for rows, every channel in use."""
     there = copy.copy(problem)
-    there.data = dataclasses.replace(data, rows=rows, relative_sd=np.ones((1, 3)))
-    there.used, there.offset = np.ones((count, 3), dtype=bool), None
-    r = data.rows
-    near = [
-        np.log(rows.load)[:, None] - np.log(r.load),
-        2.0 * (rows.slip[:, None] - r.slip),
-        0.5 * np.log(np.maximum(rows.conditions[:, :1], 1e-9) / np.maximum(r.conditions[:, 0], 1e-9)),
-        0.5 * (rows.conditions[:, 1:2] - r.conditions[:, 1]),
-        3.0 * (rows.conditions[:, 2:] - r.conditions[:, 2]),
-    ]
-    nearest = np.argmin(sum(d**2 for d in near), axis=1)
-    there.slack_basis = {name: basis[nearest] for name, basis in problem.slack_basis.items()}
+    there.data = dataclasses.replace(
+        problem.data, rows=rows_of(grid.value, problem.data.wheel), relative_sd=np.ones((1, 3))
+    )
+    there.used, there.offset = np.ones((grid.value["slip"].size, 3), dtype=bool), None
     return there
 
 
-def predicted(there: Problem, candidate: Candidate) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(mean [G, 3], variance [G, 3] in noise variances, feasible [G]) of a candidate at the rows of `there`."""
-    fit, guess = candidate.fit, np.zeros(there.data.rows.slip.size)
-    slack = fit.slack.size > 0
-    out, added = there.parts(fit.unknowns, fit.u, fit.choices, guess, slack)
+def predicted(there: Problem, candidate: Evidence) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(mean [G, 3], variance [G, 3] in noise variances, feasible [G]) of a candidate at the rows of `there`.
+
+    With the form errors as far as the table tells them; beyond its reach they count with their prior variance.
+    """
+    fit, guess, values = candidate.fit, np.zeros(there.data.rows.slip.size), candidate.fit.parameters()
+    sizes, at = candidate.sizes, there.data.conditions
+    out = there.predict(values, fit.choices, guess)
     feasible = (guess > 0.0) & (guess < DEEPEST * there.data.wheel.radius) & np.all(np.isfinite(out), axis=1)
-    mean = there.with_slack(fit.choices, out, added, fit.slack) if slack else out
-    j = there.derivatives(fit.unknowns, fit.u, fit.slack, fit.choices, guess)
-    return mean, np.sum((j @ fit.covariance()) * j, axis=1).reshape(-1, 3), feasible
+    stresses = there.stresses(values, fit.choices, out, guess)
+    added = there.added(values, fit.choices, out, guess)
+    law, effect = there.form_errors(values, fit.choices, out, added, guess, at)
+    a, e = fit.linearised(sizes)
+    inside = fit.free_unknowns
+    top = [
+        there.derivatives(fit.unknowns, fit.u, fit.choices, guess)[:, inside],
+        sizes.law * there.whiten_all(law[sizes.span]),
+    ]
+    if sizes.effect > 0.0:
+        top.append(sizes.effect * there.whiten_all(effect))
+    top = np.concatenate(top, axis=1)
+    covariance = np.linalg.inv(a.T @ a)
+    mean = out / there.noise + (top @ (covariance @ (a.T @ e))).reshape(-1, 3)
+    variance = np.sum((top @ covariance) * top, axis=1).reshape(-1, 3)
+    left = there.law_processes[sizes.span].left(at)[:, None]
+    variance += sizes.law**2 * left * sum((s / there.noise) ** 2 for s in stresses)
+    for choice, x in zip(fit.choices, added, strict=True):
+        variance += sizes.effect**2 * there.effect_process(choice).left(at)[:, None] * (x / there.noise) ** 2
+    return mean, variance, feasible

@@ -1,4 +1,4 @@
-"""Statistics of a finding: intervals, the gap on held-out data, probabilities of the candidates, bootstrap of the name.
+"""Statistics of a finding: intervals, the gap on held-out data, shares of it, the ranking, what would have been seen.
 
 All are linearised about the fits of the search and need no further ones.
 """
@@ -6,32 +6,16 @@ All are linearised about the fits of the search and need no further ones.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env.discrepancy.calibrate import Fit, Problem, Unknown
 from soil_env.discrepancy.data import CHANNELS, folds
-from soil_env.discrepancy.misfit import log_bound, probability
-from soil_env.discrepancy.search import (
-    CHANCE,
-    LOOKS,
-    RULED_OUT,
-    Candidate,
-    Finding,
-    acceptable,
-    groups,
-    possible,
-    predictive,
-    strengths,
-)
+from soil_env.discrepancy.evidence import Evidence
+from soil_env.discrepancy.search import Finding
 
-REFUSED = 1e-4  # p value of the lack of fit that a model which the search refuses has at most
-LISTED = 20.0  # prior odds that what is missing is in the catalogue
-LEAST = 1e-12  # probability that is reported as 0
-_SURE = 1.959964  # [sd] of a 95 % interval
+SURE = 1.959964  # [sd] of a 95 % interval
 _CLOSED_DRAWS = 2000  # of the groups, for the interval of `closed`
 _LEAST_GAP = 0.5  # share of those draws with a gap to close below which no interval is told
 
@@ -52,39 +36,71 @@ class Gap(NamedTuple):
     noise_floor: float
 
 
+class Remainder(NamedTuple):
+    """What the corrected model leaves of a channel beyond the noise, on held-out data."""
+
+    rms: float  # [unit of the channel]
+    share: float | None  # of the mean square above the noise that the base model leaves; None where it leaves none
+
+
 class Rank(NamedTuple):
     """One effect among the candidates."""
 
     name: str
-    score: float
+    score: float  # log odds of the data for it, alone or beside another, against the base model
     probability: float
-
-
-@dataclass(frozen=True)
-class Bootstrap:
-    """Shares of bootstrap draws: of the named effects being found again, and of what was found instead."""
-
-    share: float
-    draws: int
-    instead: dict[tuple[str, ...], float]
 
 
 # --- intervals --------------------------------------------------------------------------------------------------------
 
 
-def intervals(fit: Fit, centre: dict[str, float]) -> dict[str, Interval]:
-    """95 % intervals of every unknown about the values in `centre`: Laplace, inv(I + J'J) of the whitened unknowns.
+def intervals(finding: Finding, own: Evidence, centre: Fit) -> dict[str, Interval]:
+    """95 % intervals of every unknown about its value in the fit `centre`.
 
-    In the logarithm where the unknown is fitted in it; never beyond the bounds.
+    Of the soil over all hypotheses and sizes of form errors, each with its probability; of the effects over the sizes
+    in `own`, their model. In the logarithm where the unknown is fitted in it; never beyond the bounds.
     """
-    sd = np.sqrt(np.diag(fit.covariance()))
-    return {k.name: _interval(k, k.at(centre[k.name]), float(s)) for k, s in zip(fit.unknowns, sd, strict=False)}
+    p = len(finding.best().evidence.fit.unknowns)
+    told = [(h.probability, h.evidence.mean[:p], np.diag(h.evidence.covariance)[:p]) for h in finding.hypotheses]
+    square = sum(w * (variance + (mean - centre.u[:p]) ** 2) for w, mean, variance in told)
+    rest = np.diag(own.covariance)[p:] + (own.mean[p:] - centre.u[p:]) ** 2
+    sd = np.sqrt(np.concatenate([square, rest]))
+    return {k.name: _interval(k, float(u), float(s)) for k, u, s in zip(centre.unknowns, centre.u, sd, strict=True)}
 
 
 def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
-    low = max(u - _SURE * sd, (unknown.low - unknown.mean) / unknown.sd)
-    high = min(u + _SURE * sd, (unknown.high - unknown.mean) / unknown.sd)
+    low = max(u - SURE * sd, (unknown.low - unknown.mean) / unknown.sd)
+    high = min(u + SURE * sd, (unknown.high - unknown.mean) / unknown.sd)
     return Interval(*(float(unknown.value(x)) for x in (u, min(low, u), max(high, u))))
+
+
+# --- what is held out -------------------------------------------------------------------------------------------------
+
+
+def groups(problem: Problem) -> tuple[np.ndarray, int]:
+    """([F, M] which of the values in use each held-out group has, number of ways to cut the table into groups)."""
+    ways, rows = folds(problem.data), np.nonzero(problem.used)[0]
+    return np.stack([group[rows] for way in ways for group in way]), len(ways)
+
+
+def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
+    """[N, 3] what the model predicts of each value, its unknowns fitted to the groups without it; NaN where not in use.
+
+    The fit gives the covariance its form errors; the prediction is that of the laws, as model.yaml has them. Refits are
+    linearised about the fit to all. Mean over the ways to cut the table.
+    """
+    (a, e), (member, ways) = fit.linearised(), groups(problem)
+    top, normal, r = a[: fit.residual.size], a.T @ a, fit.residual
+    laws = int(fit.free_unknowns.sum())
+    error = np.zeros(r.size)
+    for out in member:
+        j = top[out]
+        moved = np.linalg.solve(normal - j.T @ j, a.T @ e - j.T @ r[out])
+        error[out] += (r[out] - j[:, :laws] @ moved[:laws]) / ways
+    predicted = np.full(problem.used.shape, math.nan)
+    scale = np.broadcast_to(problem.noise * problem.data.relative_sd, problem.used.shape)[problem.used]
+    predicted[problem.used] = problem.data.y[problem.used] - error * scale
+    return predicted
 
 
 # --- the gap ----------------------------------------------------------------------------------------------------------
@@ -140,117 +156,37 @@ def closed_interval(
     return float(low), float(high)
 
 
-# --- names ------------------------------------------------------------------------------------------------------------
+# --- shares and names -------------------------------------------------------------------------------------------------
 
 
-def ranking(problem: Problem, finding: Finding) -> tuple[tuple[Rank, ...], dict[str, float]]:
-    """(all candidates, the named ones first; probability of "none" and of "unlisted").
+def remainder(gap: dict[str, Gap]) -> dict[str, Remainder]:
+    """`Remainder` by measured channel."""
+    out = {}
+    for name, g in gap.items():
+        before, after = (max(x**2 - g.noise_floor**2, 0.0) for x in (g.before, g.after))
+        out[name] = Remainder(math.sqrt(after), after / before if before > 0.0 else None)
+    return out
 
-    Nothing missing has the prior 1/2 and the listed effects share the rest, so each has the prior odds LISTED/(1 +
-    LISTED)/count against nothing, times the mean of its gain of held-out likelihood and of evidence (a second effect
-    costs `RULED_OUT` nats), and at most the odds that the chance of its gain allows: B(chance)/B(`CHANCE`) with the
-    bound B(p) = 1/(-e p ln p) for p < 1/e, else 1 (Sellke, Bayarri & Berger 2001, Am. Stat. 55:62-71), so that the
-    search and the odds turn to an effect at the same chance. Something unlisted has 1/`LISTED` of the odds of each
-    model times B(p value of its lack of fit); a model with a significant gain that the search refuses, for an
-    implausible soil or, where it names nothing, for its lack of fit, has a p value of `REFUSED` at most. Where the
-    search finds nothing, no effect has more than even odds, pairs do not count, and only what the base model lacks
-    speaks for something unlisted.
 
-    The probability of a name is that of all models with it. Its score is the gain of held-out log-likelihood by it
-    alone, or by the best pair with it where two effects are named.
+def shares(problem: Problem, before: np.ndarray, held: dict[tuple[str, ...], np.ndarray]) -> dict[str, float | None]:
+    """Share of the gap above the noise that each named effect closes, from held-out predictions of its sets.
+
+    Of two effects the mean of what one closes alone and of what it closes beside the other (Shapley value).
     """
-    base = finding.base
-    none = finding.verdict == "none"
-    models = [base, *finding.singles, *(() if none else finding.pairs)]
-    log_odds = np.array([_log_odds(problem, base, c, len(finding.singles)) for c in models])
-    if none:
-        log_odds = np.minimum(log_odds, 0.0)
-    weight = np.exp(log_odds - log_odds.max())
-    enough = possible if finding.named else acceptable
-    fits = np.array([_listed(problem, base, c, enough(problem, base, c)) for c in models])
-    lacking = weight * (1.0 - fits)
-    if none:
-        fits, lacking[1:] = np.minimum(fits, fits[0]), 0.0
-    share = weight * fits
-    total = share.sum() + lacking.sum()
-    share = share / total
-    other = {"none": _reported(share[0]), "unlisted": _reported(lacking.sum() / total)}
-    named = [n.name for n in finding.named]
-    out = []
-    for c in finding.singles:
-        name = c.names[0]
-        score = max([p.score for p in finding.pairs if name in p.names] + [c.score]) if len(named) == 2 else c.score
-        out.append(
-            Rank(name, float(score), _reported(sum(s for s, m in zip(share, models, strict=True) if name in m.names)))
-        )
-    out.sort(key=lambda r: (named.index(r.name) if r.name in named else len(named), -r.probability, -r.score))
-    return tuple(out), other
+    closes = {names: closed(problem, gaps(problem, before, after)) for names, after in held.items()}
+    full = max(closes, key=len)
+    if closes[full] is None:
+        return dict.fromkeys(full)
+    if len(full) == 1:
+        return {full[0]: closes[full]}
+    return {n: 0.5 * (closes[n,] + closes[full] - sum(closes[m,] for m in full if m != n)) for n in full}
 
 
-def _reported(p: float) -> float:
-    return 0.0 if p < LEAST else min(float(p), 1.0)
-
-
-def chance_of(problem: Problem, base: Candidate, c: Candidate) -> float:
-    """Chance that noise alone would let any of the candidates gain as much as this one does."""
-    p = probability(base.fit.objective - c.fit.objective, strengths(c.fit.choices), problem.freedom)
-    return 1.0 if p >= 1.0 else -math.expm1(LOOKS * math.log1p(-p))
-
-
-def _log_odds(problem: Problem, base: Candidate, c: Candidate, count: int) -> float:
-    """Logarithm of the odds of a model against the base model."""
-    if not c.names:
-        return 0.0
-    gain = 0.5 * (c.score + c.fit.evidence - base.fit.evidence) - RULED_OUT * (len(c.names) - 1)
-    chance = chance_of(problem, base, c)
-    most = log_bound(chance) - log_bound(CHANCE) if chance > CHANCE else math.inf
-    return min(gain + math.log(LISTED / (1.0 + LISTED) / count), most)
-
-
-def _listed(problem: Problem, base: Candidate, c: Candidate, enough: bool) -> float:
-    """Probability that a model lacks nothing; `enough`: whether the search would have it."""
-    p = c.misfit
-    if c.names and chance_of(problem, base, c) <= CHANCE and not enough:
-        p = min(p, REFUSED)
-    return 1.0 / (1.0 + math.exp(log_bound(p)) / LISTED)
-
-
-def bootstrap(
-    problem: Problem, finding: Finding, draws: int, rng: np.random.Generator, say: Callable[[str], None]
-) -> Bootstrap | None:
-    """How often the same names would be found, were they true: a parametric bootstrap; None where nothing is named.
-
-    Noise is drawn about the named model; every rival with as many effects is refitted to first order and judged as in
-    the search: within `RULED_OUT` of the best held-out likelihood, then by likelihood and evidence together.
-    """
-    if not finding.named or draws < 1:
-        return None
-    rivals = [c for c in (*finding.singles, *finding.pairs) if len(c.names) == len(finding.best.names)]
-    own = next((k for k, c in enumerate(rivals) if set(c.names) == set(finding.best.names)), None)
-    if own is None:
-        rivals, own = [finding.best, *rivals], 0
-    truth = problem.whiten(finding.best.fit.slackened)
-    noise = rng.standard_normal((truth.size, draws))
-    score, total = np.empty((len(rivals), draws)), np.empty((len(rivals), draws))
-    for k, c in enumerate(rivals):
-        say(f"how sure the name is: {k + 1} of {len(rivals)} candidates refitted to {draws} draws of the noise")
-        off = truth - problem.whiten(c.fit.slackened)
-        score[k], evidence = _refitted(problem, c.fit, off[:, None] + noise)
-        total[k] = score[k] + evidence
-    near = score > score.max(axis=0) - RULED_OUT
-    winner = np.argmax(np.where(near, total, -math.inf), axis=0)
-    share = np.bincount(winner, minlength=len(rivals)) / draws
-    order = sorted((k for k in range(len(rivals)) if k != own and share[k] > 0.0), key=lambda k: -share[k])
-    return Bootstrap(float(share[own]), draws, {rivals[k].names: float(share[k]) for k in order})
-
-
-def _refitted(problem: Problem, fit: Fit, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(held-out log-likelihood, log evidence) [B] of a model refitted to first order to whitened residuals e [M, B]."""
-    x = np.concatenate([fit.u, fit.slack])
-    a, _ = fit.linearised()
-    j, normal = a[: e.shape[0]], a.T @ a
-    whole = np.concatenate([e, np.repeat(-x[:, None], e.shape[1], axis=1)])
-    left = whole - a @ np.linalg.solve(normal, a.T @ whole)
-    evidence = fit.evidence + 0.5 * fit.objective - 0.5 * np.sum(left**2, axis=0)
-    member, ways = groups(problem)
-    return predictive(member, j, normal, left[: e.shape[0]]) / ways, evidence
+def ranking(finding: Finding) -> tuple[Rank, ...]:
+    """Every effect that was tried: its probability, and the log odds of the data for the best set with it."""
+    names = {}
+    for h in finding.hypotheses:
+        for n in h.names:
+            names[n] = max(names.get(n, -math.inf), h.score)
+    out = [Rank(n, float(score), finding.share(n)) for n, score in names.items()]
+    return tuple(sorted(out, key=lambda r: (r.name not in finding.names, -r.probability, -r.score)))

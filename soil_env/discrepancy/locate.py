@@ -151,7 +151,7 @@ def _p_value(t: float, looks: float, freedom: float) -> float:
 def _disagreement(problem: Problem, fit: Fit, channel: str, found: Boxes, box: int, p: float) -> Disagreement:
     j, varied = CHANNELS.index(channel), problem.data.varied
     inside = found.member[box] & problem.used[:, j]
-    size = float(np.mean((problem.data.y - fit.slackened)[inside, j]))
+    size = float(np.mean((problem.data.y - fit.output)[inside, j]))
     region = {}
     for name, (a, b) in found.limits[box].items():
         value = varied[name].value[(varied[name].level >= a) & (varied[name].level <= b)]

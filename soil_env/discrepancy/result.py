@@ -9,7 +9,7 @@ import numpy as np
 from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.experiment import NextTest
-from soil_env.discrepancy.judgement import Bootstrap, Gap, Interval, Rank
+from soil_env.discrepancy.judgement import Gap, Interval, Rank, Remainder
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.noise import NoiseEstimate
 from soil_env.discrepancy.search import Finding
@@ -24,6 +24,8 @@ class EffectFound:
     name: str
     form: str
     parameters: dict[str, Interval]  # low = high = value where the form or the table sets it
+    probability: float
+    share: float | None  # of the gap above the noise that it closes; None where there is none
     alternatives: tuple[str, ...]  # that these data cannot tell from it
 
 
@@ -34,7 +36,6 @@ class Settings:
     data: str
     setup: str
     seed: int
-    bootstrap: int
     data_sha256: str | None  # None where no file was read
     setup_sha256: str | None
 
@@ -51,9 +52,8 @@ class Report:
     law: ResidualFit | None  # where something unlisted is missing
     soil: dict[str, Interval]
     ranking: tuple[Rank, ...]
-    other: dict[str, float]  # probability that nothing is missing, and that something unlisted is
-    bootstrap: Bootstrap | None
     gap: dict[str, Gap]
+    remainder: dict[str, Remainder]
     closed: float | None  # None where nothing was added
     closed_interval: tuple[float, float] | None  # 95 %
     next_tests: tuple[NextTest, ...]
@@ -67,13 +67,18 @@ class Report:
 
     @property
     def verdict(self) -> str:
-        """named, none, ambiguous or unlisted."""
+        """named, partly, ambiguous, unlisted, none or undetermined."""
         return self.finding.verdict
 
     @property
     def channels(self) -> tuple[str, ...]:
         """Measured channels."""
         return tuple(name for j, name in enumerate(CHANNELS) if self.problem.used[:, j].any())
+
+    @property
+    def law_error(self) -> float:
+        """Relative error of the stress laws that the table suggests, root mean square over its probabilities."""
+        return self.finding.best(*self.finding.names).evidence.typical("law")
 
     @property
     def corrected(self) -> bool:

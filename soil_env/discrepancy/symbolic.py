@@ -4,14 +4,17 @@ The law is a sum of at most `TERMS` products of powers of the groups of `residua
 one after the other, each fitted jointly with the fit's own parameters (to first order, so that the soil may move): a
 term must lower the objective by more than its price, that of a parameter under BIC and of the choice among all laws as
 simple; of those that do, the one is taken that gains most by the mean of that and of the likelihood of held-out
-conditions. Then law and soil are refitted in turn.
+conditions. Then law and soil are refitted in turn. The form errors of the fit stay in the covariance, so that a law is
+sought only for what is more than that.
+
+What the law does to held-out values is found by choosing it anew without each group (`held_out_predictions`).
 """
 
 from __future__ import annotations
 
 import copy
-import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import NamedTuple
@@ -19,13 +22,12 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.calibrate import GRAVITY, Fit, Problem
-from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.search import groups, predictive
+from soil_env.discrepancy.data import CHANNELS, folds
+from soil_env.discrepancy.judgement import SURE, groups
 from soil_env.terramechanics.model import add_residual
 from soil_env.terramechanics.residual import GROUPS, ResidualTerm, dimensionless_groups, residual_law
 
 TERMS = 3
-SURE = 1.959964  # [sd] of a 95 % interval
 POWERS = (1.0, 2.0, 0.5, -1.0, -0.5, 3.0)
 POWERS_OF_THREE = (1.0, 2.0, 0.5)  # where three groups are multiplied
 LEAST_SPREAD = 0.05  # relative spread of a group below which it does not vary
@@ -33,6 +35,7 @@ WIDTH = 0.5  # prior sd of a term's rms over that of the channel
 _SWAPS = 3
 FURTHER_GROUP, ODD_POWER = 4.0, 0.5  # added to the price of a term
 _ROUNDS = 5  # of law and soil in turn
+HELD_OUT = 4  # groups of a way, at most, without which a law is chosen anew
 _HELD_OUT = 24  # terms whose held-out likelihood is looked at
 _CLOSE = 0.02  # [noise sd] largest change of the law at which the turns end
 
@@ -50,18 +53,21 @@ class ResidualFit:
     """A fit with a residual law; no terms where none is worth its price."""
 
     terms: tuple[ResidualTerm, ...]
-    fit: Fit  # soil refitted with the law; the coefficients, in prior sd, are the last of its slack
+    fit: Fit  # soil and effects refitted with the law in the model
     offset: np.ndarray  # [N, 3] what the law adds, as `Problem.offset` takes it
     gain: float  # fall of the objective beyond the price of the terms
+    column: np.ndarray  # [M, T] whitened effect of one prior sd of each coefficient
+    width: np.ndarray  # [T] that prior sd
+
+    def without(self, fit: Fit) -> ResidualFit:
+        """No law: the fit alone."""
+        return ResidualFit((), fit, np.zeros_like(self.offset), 0.0, self.column[:, :0], self.width[:0])
 
     def covariance(self) -> np.ndarray:
-        """[T, T] of the coefficients (Laplace; the soil moves with them)."""
-        fit, count = self.fit, len(self.terms)
-        whole = fit.covariance()[-count:, -count:]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            width = np.array([t.coefficient for t in self.terms]) / fit.slack[-count:]  # prior sd of each
-        width = np.where(np.isfinite(width), width, 0.0)
-        return whole * np.outer(width, width)
+        """[T, T] of the coefficients (Laplace; soil and form errors move with them)."""
+        a, _ = with_terms(*self.fit.linearised(), self.column)
+        count = len(self.terms)
+        return np.linalg.inv(a.T @ a)[a.shape[1] - count :, a.shape[1] - count :] * np.outer(self.width, self.width)
 
     def coefficients(self) -> list[Coefficient]:
         """The coefficients of the terms, in their order."""
@@ -85,19 +91,42 @@ class Library:
         return Library(self.channel[keep], self.powers[keep], self.column[:, keep], self.width[keep], self.price[keep])
 
 
-def symbolic(problem: Problem, fit: Fit) -> ResidualFit:
-    """The simplest law for what `fit` leaves, with the soil refitted to it."""
-    best = ResidualFit((), fit, np.zeros_like(problem.data.y), 0.0)
+def symbolic(problem: Problem, fit: Fit, turns: int = 2) -> ResidualFit:
+    """The simplest law for what `fit` leaves, with the soil refitted to it; chosen so many times in turn with that."""
+    best = ResidualFit((), fit, np.zeros_like(problem.data.y), 0.0, np.zeros((fit.residual.size, 0)), np.zeros(0))
     at, offset = fit, best.offset
-    for _ in range(2):  # the second choice starts where the first has moved the soil
+    for _ in range(turns):  # the second choice starts where the first has moved the soil
         chosen = choose(problem, at, offset, library(problem, at, offset))
         if not chosen.channel.size or np.array_equal(chosen.powers, residual_law(best.terms).powers):
             break
-        now, at = refit(problem, fit, at, offset, chosen)
+        now = refit(problem, fit, at, offset, chosen)
         if now.gain <= best.gain:
             break
-        best, offset = now, now.offset
+        best, at, offset = now, now.fit, now.offset
     return best
+
+
+def held_out_predictions(problem: Problem, fit: Fit, say: Callable[[str], None]) -> np.ndarray:
+    """[N, 3] predictions of each value by a law that is chosen and fitted without its group; NaN where not in use.
+
+    Soil, effects, terms and coefficients all come from the other groups, of which at most `HELD_OUT` are made of the
+    groups of a way. Mean over the ways to cut the table.
+    """
+    total = np.zeros_like(problem.data.y)
+    ways = [_bundled(way) for way in folds(problem.data)]
+    for k, way in enumerate(ways):
+        for n, group in enumerate(way):
+            say(f"a law without group {n + 1} of {len(way)}, way {k + 1} of {len(ways)}")
+            rest = problem.without(group)
+            start = rest.fit(fit.choices, fit.parameters(), fit.sizes, rest.restricted(fit, problem.used))
+            total[group] += symbolic(rest, start, turns=1).fit.output[group] / len(ways)
+    return np.where(problem.used, total, math.nan)
+
+
+def _bundled(way: list[np.ndarray]) -> list[np.ndarray]:
+    """At most `HELD_OUT` groups, of every so many of the given ones together."""
+    count = min(HELD_OUT, len(way))
+    return [np.any(way[k::count], axis=0) for k in range(count)]
 
 
 # --- groups and products ----------------------------------------------------------------------------------------------
@@ -156,11 +185,11 @@ def at_groups(problem: Problem, groups: np.ndarray, channel: np.ndarray, powers:
             if p != 0.0:
                 x_p = np.where(x > 0.0, np.abs(np.where(x > 0.0, x, 1.0)) ** p, x**p if p in (1.0, 2.0, 3.0) else 0.0)
                 value[:, powers[:, g] == p] *= x_p[:, None]
-    radius = rows.wheels[:, 0]
-    scale = np.stack([radius, rows.load, rows.load * radius], axis=1) / problem.noise
+    radius, sd = rows.wheels[:, 0], problem.noise * problem.data.relative_sd
+    scale = np.stack([radius, rows.load, rows.load * radius], axis=1) / sd
     row, of = np.nonzero(problem.used)
     column = np.where(of[:, None] == channel, value[row] * scale[row, of][:, None], 0.0)
-    size = [np.linalg.norm((problem.data.y / problem.noise)[problem.used[:, j], j]) for j in range(3)]
+    size = [np.linalg.norm((problem.data.y / sd)[problem.used[:, j], j]) for j in range(3)]
     width = WIDTH * np.array(size)[channel] / np.maximum(np.linalg.norm(column, axis=0), 1e-300)
     return Library(channel, powers, column * width, width, price)
 
@@ -189,7 +218,8 @@ def choose(problem: Problem, fit: Fit, offset: np.ndarray, found: Library) -> Li
 
 def _next(problem: Problem, fit: Fit, offset: np.ndarray, found: Library, picked: list[int]) -> int | None:
     """The best further term, None where none is worth its price."""
-    a, e = _with_terms(problem, fit, offset, found.column[:, picked])
+    plain = without_offset(problem, fit, offset)
+    a, e = with_terms(*plain, found.column[:, picked])
     q = np.linalg.qr(a)[0]
     m = found.column.shape[0]
     whole = np.einsum("mc,mc->c", found.column, found.column)
@@ -206,8 +236,7 @@ def _next(problem: Problem, fit: Fit, offset: np.ndarray, found: Library, picked
     member, ways = groups(problem)
     base = held_out(member, a, e)
     gain = [
-        2.0 / ways * (held_out(member, *_with_terms(problem, fit, offset, found.column[:, [*picked, k]])) - base)
-        - found.price[k]
+        2.0 / ways * (held_out(member, *with_terms(*plain, found.column[:, [*picked, k]])) - base) - found.price[k]
         for k in best
     ]
     gain = 0.5 * (np.array(gain) + worth[best])  # held-out values alone do not mind an implausible soil
@@ -221,49 +250,68 @@ def _likelihood(problem: Problem, fall: np.ndarray) -> np.ndarray:
     return fall if math.isinf(f) else f * np.log1p(fall / f)
 
 
-def _with_terms(problem: Problem, fit: Fit, offset: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(A, e) of the linearised fit without its offset, terms added as unknowns with a unit prior."""
+def without_offset(problem: Problem, fit: Fit, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(A, e) of the linearised fit without its offset."""
     a, e = fit.linearised()
-    m, extra = fit.residual.size, column.shape[1]
-    e = np.concatenate([e, np.zeros(extra)])
-    e[:m] += problem.whiten(offset)
-    side = np.concatenate([column, np.zeros((a.shape[0] - m, extra)), np.eye(extra)])
-    return np.concatenate([np.concatenate([a, np.zeros((extra, a.shape[1]))]), side], axis=1), e
+    return a, e + np.concatenate([problem.whiten(offset), np.zeros(e.size - fit.residual.size)])
+
+
+def with_terms(a: np.ndarray, e: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(A, e) with terms [M, T] added as unknowns with a unit prior."""
+    extra = column.shape[1]
+    side = np.concatenate([column, np.zeros((a.shape[0] - column.shape[0], extra)), np.eye(extra)])
+    return np.concatenate([np.concatenate([a, np.zeros((extra, a.shape[1]))]), side], axis=1), np.concatenate(
+        [e, np.zeros(extra)]
+    )
+
+
+def predictive(member: np.ndarray, top: np.ndarray, normal: np.ndarray, r: np.ndarray) -> float:
+    """Log-likelihood of groups of values, `member` [F, M], each predicted from the others, of a linear model.
+
+    With the residuals r [M] of the fit to all, J the rows of the Jacobian `top` [M, p] that are held out and N = A'A of
+    the whole problem: the predictive covariance of what is held out is S = (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J',
+    and its error S r.
+    """
+    whole, total = np.linalg.slogdet(normal)[1], 0.0
+    for out in member:
+        j, held = top[out], r[out]
+        rest, pull = normal - j.T @ j, j.T @ held
+        total -= 0.5 * (held @ held + pull @ np.linalg.solve(rest, pull))
+        total -= 0.5 * (whole - np.linalg.slogdet(rest)[1])
+    return total
 
 
 def held_out(member: np.ndarray, a: np.ndarray, e: np.ndarray) -> float:
-    """`search.predictive` of the linear model A [M + p, k] with the right side e, fitted to all."""
+    """`predictive` of the linear model A [M + p, k] with the right side e, fitted to all."""
     normal, m = a.T @ a, member.shape[1]
-    return float(predictive(member, a[:m], normal, (e - a @ np.linalg.solve(normal, a.T @ e))[:m]))
+    return predictive(member, a[:m], normal, (e - a @ np.linalg.solve(normal, a.T @ e))[:m])
 
 
 # --- refit ------------------------------------------------------------------------------------------------------------
 
 
-def refit(problem: Problem, base: Fit, at: Fit, offset: np.ndarray, chosen: Library) -> tuple[ResidualFit, Fit]:
-    """(law and soil fitted in turn, the fit of the soil alone), starting from the fit `at` with its `offset`."""
-    powers, shifted = chosen.powers, copy.copy(problem)
+def refit(problem: Problem, base: Fit, at: Fit, offset: np.ndarray, chosen: Library) -> ResidualFit:
+    """Law and soil fitted in turn, starting from the fit `at` with its `offset`."""
+    shifted = copy.copy(problem)
     for _ in range(_ROUNDS):
         here = at_groups(problem, groups_of(problem, at, offset), chosen.channel, chosen.powers, chosen.price)
-        a, e = _with_terms(problem, at, offset, here.column)
-        solved = np.linalg.lstsq(a, e, rcond=None)[0][-powers.shape[0] :]
+        a, e = with_terms(*without_offset(problem, at, offset), here.column)
+        solved = np.linalg.lstsq(a, e, rcond=None)[0][a.shape[1] - chosen.price.size :]
         terms = _terms(problem, at, offset, here, solved * here.width)
         shifted.offset = law_offset(problem, at, offset, terms)
         moved = problem.whiten(shifted.offset - offset)
-        at, offset = shifted.fit(base.choices, start=at.parameters(), slack=at.slack.size > 0), shifted.offset
+        at, offset = shifted.fit(base.choices, at.parameters(), base.sizes, at), shifted.offset
         if np.max(np.abs(moved)) < _CLOSE:
             break
-    coefficient = np.array([t.coefficient for t in terms]) / here.width
-    slack = np.concatenate([at.slack, coefficient])
-    jacobian = np.concatenate([at.jacobian, here.column], axis=1)
-    misfit = at.misfit + float(coefficient @ coefficient)
-    objective = at.objective + float(coefficient @ coefficient)
-    _, logdet = np.linalg.slogdet(np.eye(slack.size + at.u.size) + jacobian.T @ jacobian)
-    fit = dataclasses.replace(at, slack=slack, jacobian=jacobian, misfit=misfit, objective=objective,
-                              evidence=-0.5 * objective - 0.5 * logdet)  # fmt: skip
     price = float(np.sum(chosen.price)) + math.log(at.residual.size) * len(terms)
-    gain = float(_likelihood(problem, np.array(base.objective - objective))) - price
-    return ResidualFit(terms, fit, offset, gain), at
+    left = [_left(*base.linearised()), _left(*with_terms(*without_offset(problem, at, offset), here.column))]
+    gain = float(_likelihood(problem, np.array(left[0] - left[1]))) - price
+    return ResidualFit(terms, at, offset, gain, here.column, here.width)
+
+
+def _left(a: np.ndarray, e: np.ndarray) -> float:
+    """Least |e - A x|^2."""
+    return float(np.sum((e - a @ np.linalg.lstsq(a, e, rcond=None)[0]) ** 2))
 
 
 def _terms(problem: Problem, fit: Fit, offset: np.ndarray, here: Library, coefficient) -> tuple[ResidualTerm, ...]:

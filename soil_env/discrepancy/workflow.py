@@ -12,23 +12,20 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy import judgement, mistakes
-from soil_env.discrepancy.calibrate import GRAVITY, Choice, Fit, Problem, calibrate
+from soil_env.discrepancy import judgement, mistakes, symbolic
+from soil_env.discrepancy.calibrate import EXACT, GRAVITY, Choice, Fit, Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.experiment import next_tests
-from soil_env.discrepancy.judgement import Interval
+from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.law_tests import law_tests
 from soil_env.discrepancy.locate import locate
 from soil_env.discrepancy.result import EffectFound, Report, Settings
-from soil_env.discrepancy.search import Finding, held_out_predictions, search
-from soil_env.discrepancy.symbolic import symbolic
+from soil_env.discrepancy.search import Finding, search
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.validity import seen
-
-MOST_DRAWS = 100_000  # of the noise
 
 
 def run(
@@ -37,15 +34,13 @@ def run(
     out: str | Path | None = None,
     *,
     seed: int = 0,
-    bootstrap: int = 200,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
     """Find where table and model disagree, name the missing effect, add it, and report how far the gap closes.
 
     Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html and model.yaml,
-    written at the end, all of them or none; `seed` of the simulated null distributions and the bootstrap; `bootstrap`,
-    draws of the noise that say how sure the name is, 0 for none; `progress` is called with what is being done,
-    "stage: step".
+    written at the end, all of them or none; `seed` of the simulated null distributions; `progress` is called with what
+    is being done, "stage: step".
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """
@@ -56,8 +51,6 @@ def run(
         if not os.fspath(out):
             raise ParameterError("out is empty: expected a folder")
         check_folder(Path(out))
-    if bootstrap > MOST_DRAWS:
-        raise ParameterError(f"bootstrap = {bootstrap}: expected at most {MOST_DRAWS} redraws")
     say("reading")
     read = setup if isinstance(setup, Setup) else read_setup(setup)
     rows = table if isinstance(table, Table) else read_table(table, read.wheel, read.ignore_columns)
@@ -65,7 +58,6 @@ def run(
         rows.source,
         "" if isinstance(setup, Setup) else os.fspath(setup),
         seed,
-        bootstrap,
         None if isinstance(table, Table) else _digest(table),
         None if isinstance(setup, Setup) else _digest(setup),
     )
@@ -87,46 +79,55 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     problem, noise = calibrate(data)
     doubts = mistakes.examine(problem)
     finding = search(problem, lambda text: say(f"searching: {text}"))
-    base = finding.base.fit
+    base = finding.best().evidence.fit
     say("locating the disagreement")
-    where = locate(problem, base, settings.seed) if finding.verdict != "none" else ()
-    final, law = base, None
-    if finding.named:
-        # without the form error that the search grants: model.yaml cannot have it
-        best = finding.best.fit
-        final = problem.fit(best.choices, start=best.parameters(), slack=False)
-    elif finding.verdict == "unlisted":
+    where = locate(problem, problem.fit((), base.parameters()), settings.seed)
+    own = finding.best(*finding.names).evidence
+    final, law = own.fit, None
+    if finding.verdict in ("partly", "unlisted"):
         say("looking for a law of what is left")
-        law = symbolic(problem, base)
-        final = law.fit
+        sizes = finding.best(*finding.names, free=True).evidence.sizes
+        final = problem.fit(final.choices, final.parameters(), sizes._replace(free=EXACT.free), final)
+        law = symbolic.symbolic(problem, final)
     say("predicting what was held out")
-    before = held_out_predictions(problem, base)
-    after = before if final is base else held_out_predictions(problem, final)
+    plain = problem.fit((), base.parameters(), final.sizes._replace(effect=0.0), base)
+    before = held_out_predictions(problem, plain)
+    after = held_out_predictions(problem, final) if final.choices else before
+    alone = {tuple(c.effect for c in final.choices): after} if final.choices else {}
+    if len(final.choices) > 1:
+        for choice in final.choices:
+            one = finding.best(choice.effect).evidence.fit
+            one = problem.fit(one.choices, one.parameters(), final.sizes, one)
+            alone[choice.effect,] = held_out_predictions(problem, one)
+    if law is not None and law.terms:
+        held = symbolic.held_out_predictions(problem, final, lambda text: say(f"predicting what was held out: {text}"))
+        if (judgement.closed(problem, judgement.gaps(problem, after, held)) or 0.0) > 0.0:
+            final, after = law.fit, held
+        else:  # chosen without a group, it predicts that group worse than no law does
+            law = law.without(final)
     gap = judgement.gaps(problem, before, after)
-    closed = None if final is base else judgement.closed(problem, gap)
+    corrected = bool(final.choices) or (law is not None and bool(law.terms))
+    closed = judgement.closed(problem, gap) if corrected else None
     rng = np.random.default_rng([settings.seed, 1])
-    redraws = judgement.bootstrap(problem, finding, settings.bootstrap, np.random.default_rng(settings.seed), say)
-    ranking, other = judgement.ranking(problem, finding)
     say("choosing the next tests")
     model = model_of(problem, final, () if law is None else tuple(law.terms))
-    intervals = judgement.intervals(finding.best.fit if finding.named else final, final.parameters())
+    intervals = judgement.intervals(finding, own, final)
     return Report(
         finding=finding,
         problem=problem,
         noise=noise,
         where=where,
-        effects=_effects(problem, finding, intervals),
+        effects=_effects(problem, finding, final, intervals, judgement.shares(problem, before, alone) if alone else {}),
         law=law,
         soil=_soil(problem, intervals),
-        ranking=ranking,
-        other=other,
-        bootstrap=redraws,
+        ranking=judgement.ranking(finding),
         gap=gap,
+        remainder=judgement.remainder(gap),
         closed=closed,
         closed_interval=None if closed is None else judgement.closed_interval(problem, before, after, rng),
-        next_tests=next_tests(problem, finding) if law is None else law_tests(problem, base, law, model),
+        next_tests=next_tests(problem, finding) if law is None else law_tests(problem, plain, law, model),
         fit=final,
-        base_model=model_of(problem, base),
+        base_model=model_of(problem, plain),
         model=model,
         held_before=before,
         held_after=after,
@@ -176,17 +177,19 @@ def _parameters(problem: Problem, choice: Choice, values: dict[str, float]) -> d
     return out
 
 
-def _effects(problem: Problem, finding: Finding, told: dict[str, Interval]) -> tuple[EffectFound, ...]:
+def _effects(problem: Problem, finding: Finding, fit: Fit, told: dict[str, Interval],
+             shares: dict[str, float | None]) -> tuple[EffectFound, ...]:  # fmt: skip
     out = []
-    for named in finding.named:
-        choice = next(c for c in finding.best.fit.choices if c.effect == named.name)
+    for name in finding.names:
+        choice = next(c for c in fit.choices if c.effect == name)
         values = {full: told[full].value for full in choice.free}
         parameters = {
-            name: told.get(f"{named.name}_{name}", Interval(value, value, value))
-            for name, value in _parameters(problem, choice, values).items()
+            p: told.get(f"{name}_{p}", Interval(value, value, value))
+            for p, value in _parameters(problem, choice, values).items()
         }
-        form = CATALOGUE[named.name].forms[choice.form].name
-        out.append(EffectFound(named.name, form, parameters, named.alternatives))
+        form = CATALOGUE[name].forms[choice.form].name
+        probability, others = finding.share(name), finding.alternatives(name)
+        out.append(EffectFound(name, form, parameters, probability, shares[name], others))
     return tuple(out)
 
 

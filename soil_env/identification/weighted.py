@@ -20,12 +20,25 @@ for each channel, until it no longer changes (MacKay 1992, Neural Computation 4:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.special import logsumexp
 
 from soil_env._io.loading import ParameterError
+from soil_env.identification.form_error import (
+    LENGTHS,
+    SIZES,
+    SPANS,
+    Compression,
+    Process,
+    compressed,
+    marginals,
+    size_prior,
+    stress_changes,
+    whitened,
+)
 from soil_env.identification.priors import USUAL_SINKAGE, Unknown, soil_unknowns
 from soil_env.identification.rig import predict_table
 from soil_env.measurement.table import MEASURED, Setup, Table
@@ -36,6 +49,9 @@ SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channe
 STEP = 1e-3  # of a whitened unknown, for differences
 _FAR = 1e3  # [sd] residual where the model has no value
 _STARTS = 8
+_STRESS_STEP = 1e-3  # relative change of a stress, for differences
+_FUNCTIONS = 24  # of the form error at most
+LAW_ERRORS = [(span, float(size)) for span in range(len(SPANS)) for size in SIZES]  # that are marginalised
 _NO_WEIGHT = 0.0  # [N/m3] of the soil, nor on its weight
 
 
@@ -124,6 +140,11 @@ class TableProblem:
                 f"{table.source}: {values} measured values (sinkage, drawbar_pull, torque) for "
                 f"{needed} parameters{unknown}: expected at least {needed + int(self.estimated.sum())}"
             )
+        wheel = dict(zip(("wheel_radius", "wheel_width"), wheels.T, strict=False))
+        at = {"slip": self.rows.slip, "load": self.rows.load, **wheel}
+        spans = [{name: span * length for name, length in LENGTHS.items()} for span in SPANS]
+        self.processes = [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in spans]
+        self.form_error: Compression | None = None  # of the base law, beside the noise; none as long as it is not known
         self.weigh(np.zeros((count, 3, 2)))
 
     def _noise(self) -> None:
@@ -153,9 +174,13 @@ class TableProblem:
         """Sinkage, drawbar pull and torque [N, 3] at the corrected conditions, or at `rows`; 0 where not measured."""
         return np.where(self.measured, self.steady(u, rows or self.corrected), 0.0)
 
-    def steady(self, u: np.ndarray, rows: Rows) -> np.ndarray:
-        """Sinkage, drawbar pull and torque [N, 3] at `rows`, whether measured or not."""
-        return predict_table(self.setup, rows, self.values(u), _NO_WEIGHT, NO_EFFECTS, np.zeros(rows.slip.size))
+    def steady(self, u: np.ndarray, rows: Rows, changed: Mapping[str, float] | None = None) -> np.ndarray:
+        """Sinkage, drawbar pull and torque [N, 3] at `rows`, whether measured or not.
+
+        `changed`: soil parameters in place of those of u.
+        """
+        soil = {**self.values(u), **(changed or {})}
+        return predict_table(self.setup, rows, soil, _NO_WEIGHT, NO_EFFECTS, np.zeros(rows.slip.size))
 
     def by_conditions(self, u: np.ndarray) -> np.ndarray:
         """Derivatives [N, 3, 2] of the model by slip and load at the corrected conditions; 0 where these are exact."""
@@ -186,7 +211,10 @@ class TableProblem:
         return sd**2
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
-        """[3 N] of an array [N, 3]."""
+        """[3 N] of an array [N, 3], under noise and form error."""
+        return whitened(self.form_error, self._by_noise(values))
+
+    def _by_noise(self, values: np.ndarray) -> np.ndarray:
         return np.einsum("kcd,kd->kc", self._whitener, values).ravel()
 
     def target(self) -> np.ndarray:
@@ -216,6 +244,37 @@ class TableProblem:
         """[p, p] of the whitened unknowns: inverse of the normal matrix with the priors."""
         j = self.derivatives(u)
         return np.linalg.inv(np.eye(u.size) + j.T @ j)
+
+    # --- form error of the base law ---
+
+    def law_errors(self, u: np.ndarray, span: int) -> np.ndarray:
+        """[3 N, R] form error of the stress laws at the size 1, over one of the spans, whitened by the noise."""
+        known, h, base = self.values(u), _STRESS_STEP, self.predict(u)
+        functions = self.processes[span].at_points
+        blocks = []
+        for change in stress_changes(known, h):
+            moved = np.where(self.measured, self.steady(u, self.corrected, change) - base, 0.0) / h
+            blocks.append(np.where(np.isfinite(moved), moved, 0.0)[:, :, None] * functions[:, None, :])
+        errors = np.concatenate(blocks, axis=2)
+        return np.stack([self._by_noise(errors[:, :, k]) for k in range(errors.shape[2])], axis=1)
+
+    def by_size(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(probability, mean [p] and covariance [p, p] of the unknowns, by size and span), linearised at u.
+
+        The S = spans times sizes are in the order of `LAW_ERRORS`.
+        """
+        kept, self.form_error = self.form_error, None
+        j, e = self.derivatives(u), self._by_noise(self.residual(u))
+        blocks = [self.law_errors(u, span) for span in range(len(SPANS))]
+        sizes = np.array([[size * (k == span) for k in range(len(SPANS))] for span, size in LAW_ERRORS])
+        log, mean, covariance = marginals(j, blocks, sizes, np.where(np.isfinite(e), e, _FAR), u)
+        self.form_error = kept
+        log += np.log(np.tile(size_prior(), len(SPANS)))
+        return np.exp(log - logsumexp(log)), mean, covariance
+
+    def allow_form_error(self, u: np.ndarray, span: int, size: float) -> None:
+        """Take a form error of this span and size, as it is at u, into the weights."""
+        self.form_error = compressed(size * self.law_errors(u, span))
 
     # --- solution ---
 

@@ -10,7 +10,7 @@ from tests.discrepancy.files import PLANTED, table_text, write_files
 def planted_files(tmp_path_factory):
     """(report, folder of its files) of a table with slip-sinkage."""
     folder = tmp_path_factory.mktemp("planted")
-    return run(*write_files(folder, table_text(PLANTED)), folder / "out", seed=1, bootstrap=40), folder / "out"
+    return run(*write_files(folder, table_text(PLANTED)), folder / "out", seed=1), folder / "out"
 
 
 @pytest.fixture(scope="session")
@@ -23,4 +23,4 @@ def planted(planted_files):
 def nothing(tmp_path_factory):
     """Report of a table of the base model."""
     folder = tmp_path_factory.mktemp("nothing")
-    return run(*write_files(folder, table_text({}, loads=(100, 200))), bootstrap=20)
+    return run(*write_files(folder, table_text({}, loads=(100, 200))))

@@ -28,7 +28,7 @@ def names(folder):
 
 def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
     write_files(tmp_path, TABLE)
-    assert call(tmp_path, "--bootstrap", "5") == 0
+    assert call(tmp_path) == 0
     shown = capsys.readouterr()
     assert names(tmp_path / "out") == NAMES and names(tmp_path) == ["data.csv", "out", "setup.yaml"]
     for name in NAMES:
@@ -110,18 +110,13 @@ def test_a_missing_file_is_one_line(tmp_path, capsys, missing):
 
 
 @pytest.mark.parametrize(
-    "out, more, message",
-    [
-        ("out", ("--bootstrap", "100001"), r"bootstrap = 100001: expected at most 100000"),
-        ("data.csv", (), "is a file: expected a folder"),
-        ("held", (), r"model\.yaml: is a folder"),
-    ],
+    "out, message", [("data.csv", "is a file: expected a folder"), ("held", r"model\.yaml: is a folder")]
 )
-def test_what_cannot_end_well_is_refused_before_the_work(tmp_path, capsys, monkeypatch, out, more, message):
+def test_what_cannot_end_well_is_refused_before_the_work(tmp_path, capsys, monkeypatch, out, message):
     write_files(tmp_path, TABLE)
     (tmp_path / "held" / "model.yaml").mkdir(parents=True)
     monkeypatch.setattr("soil_env.discrepancy.workflow.read_setup", pytest.fail)
-    refused(tmp_path, capsys, message, *more, out=out)
+    refused(tmp_path, capsys, message, out=out)
     assert names(tmp_path / "held") == ["model.yaml"]
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from soil_env.discrepancy.calibrate import Choice
 from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.evidence import settle
 from soil_env.discrepancy.experiment import (
     DEEPEST,
     LEAST,
@@ -15,9 +16,8 @@ from soil_env.discrepancy.experiment import (
     conditions,
     next_tests,
     separating,
-    undecided,
 )
-from soil_env.discrepancy.search import Finding, Named, judge
+from soil_env.discrepancy.search import Finding, Hypothesis
 from soil_env.parameters import Soil
 from soil_env.terramechanics.model import WheelSoilModel
 from tests.discrepancy.tables import NOISE, WHEEL, problem, table
@@ -28,7 +28,8 @@ ONE_LOAD = {"loads": (150.0,)}
 def rivals(effects, names, seed=1, **plan):
     """(problem, candidates) of a table with hidden effects."""
     p = problem(table(effects, **plan), np.random.default_rng(seed))
-    return p, [judge(p, p.fit((Choice(name, 0),), slack=False)) for name in names]
+    base = settle(p, ())
+    return p, [settle(p, (Choice(name, 0),), base) for name in names]
 
 
 def model(candidate):
@@ -74,7 +75,7 @@ def test_uncertainty_of_the_predictions_is_the_spread_of_refits(case):
         q.data = dataclasses.replace(p.data, y=base + NOISE * rng.normal(size=base.shape))
         q.soil = tuple(k._replace(mean=k.mean + k.sd * (centre[k.name] + rng.normal())) for k in p.soil)
         for c in candidates:
-            fitted = dataclasses.replace(c, fit=q.fit(c.fit.choices, start=c.fit.parameters(), slack=False))
+            fitted = dataclasses.replace(c, fit=q.fit(c.fit.choices, c.fit.parameters(), c.sizes, c.fit))
             errors[c.names[0]].append(getattr(model(fitted).predict(at), t.channel)[0] / NOISE[j])
     mean = [np.mean(e) for e in errors.values()]
     spread = np.sqrt(1.0 + sum(np.var(e) for e in errors.values()))
@@ -98,7 +99,8 @@ def test_running_it_decides(case):
             ))  # fmt: skip
             q = copy.copy(p)
             q.data, q.used = dataclasses.replace(p.data, y=y, rows=rows), np.ones_like(y, dtype=bool)
-            a, b = (q.fit(c.fit.choices, start=c.fit.parameters(), slack=False).evidence for c in candidates)
+            q._processes()
+            a, b = (settle(q, c.fit.choices, start=c.fit.parameters()).log for c in candidates)
             lead.append(a - b)
         return lead[1] - lead[0]
 
@@ -174,23 +176,20 @@ def test_channel_that_was_not_measured_is_not_asked_for(case):
     p = copy.copy(p)
     p.used = p.used.copy()
     p.used[:, CHANNELS.index(first)] = False
-    tests = separating(p, [judge(p, p.fit(c.fit.choices, slack=False)) for c in candidates])
+    tests = separating(p, [settle(p, c.fit.choices) for c in candidates])
     assert all(t.channel != first for t in tests)
 
 
 def test_who_is_left():
-    p, found = rivals({"bulldozing": {"rankine": 0.5}}, ("bulldozing", "sinkage_offset", "grousers"), **ONE_LOAD)
-    a, b, c = (dataclasses.replace(x, score=s) for x, s in zip(found, (20.0, 18.0, -90.0), strict=True))
-    base = judge(p, p.fit())
+    p, (a, b, c) = rivals({"bulldozing": {"rankine": 0.5}}, ("bulldozing", "sinkage_offset", "grousers"), **ONE_LOAD)
+    base = settle(p, ())
 
-    def finding(verdict, *named):
-        return Finding(verdict, named, base, a if named else base, (a, b, c), (), {}, 0.0)
+    def finding(*shares):
+        sets = zip(shares, (a, b, c, base), strict=True)
+        found = [Hypothesis(e.names, False, share, 0.0, e) for share, e in sets]
+        return Finding(tuple(sorted(found, key=lambda h: -h.probability)), {}, {})
 
-    assert undecided(finding("none")) == ()
-    assert next_tests(p, finding("none")) == ()
-    ambiguous = finding("ambiguous", Named("bulldozing", ("sinkage_offset",)))
-    assert undecided(ambiguous) == (a, b)
-    assert next_tests(p, ambiguous) == separating(p, (a, b))
-    assert undecided(finding("named", Named("bulldozing", ()))) == (a, b)  # the third is beaten for good
-    assert undecided(finding("unlisted")) == (a, b)
+    assert next_tests(p, finding(0.6, 0.399, 0.0005, 0.0005)) == separating(p, (a, b))  # the others are out of reach
+    assert next_tests(p, finding(0.2, 0.1, 0.0, 0.7)) == separating(p, (base, a, b))
+    assert next_tests(p, finding(0.996, 0.002, 0.001, 0.001)) == ()
     assert separating(p, (a,)) == ()

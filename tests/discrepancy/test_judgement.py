@@ -1,7 +1,5 @@
-"""What a finding is worth: intervals, the share of the gap that is closed, probabilities, redraws of the noise."""
+"""What a finding is worth: intervals, the share of the gap that is closed, shares of it, the ranking."""
 
-import copy
-import dataclasses
 import math
 from types import SimpleNamespace
 
@@ -14,35 +12,44 @@ from soil_env.discrepancy import judgement
 from soil_env.discrepancy.calibrate import Problem, Unknown
 from soil_env.discrepancy.data import folds
 from soil_env.discrepancy.judgement import closed_interval
-from soil_env.discrepancy.search import Named, held_out
+from soil_env.discrepancy.search import Finding, Hypothesis
 from tests.discrepancy.files import PLANTED, world
 from tests.discrepancy.tables import NOISE, table
 
 # --- intervals and the gap --------------------------------------------------------------------------------------------
 
 
-def linear(slope, unknown):
-    """A fit of one unknown with this whitened slope: its covariance by hand."""
-    return SimpleNamespace(unknowns=(unknown,), covariance=lambda: np.array([[1.0 / (1.0 + slope * slope)]]))
+def linear(unknown, u, *parts):
+    """(finding, evidence, fit) of one unknown: (probability, mean, variance) of each hypothesis."""
+    fit = SimpleNamespace(unknowns=(unknown,), u=np.array([u]))
+    own = [SimpleNamespace(mean=np.array([m]), covariance=np.array([[v]]), fit=fit) for _, m, v in parts]
+    hypotheses = tuple(Hypothesis((), False, w, 0.0, e) for (w, _, _), e in zip(parts, own, strict=True))
+    return Finding(hypotheses, {}, {}), own[0], fit
 
 
 def test_intervals_are_those_of_a_linear_problem():
-    """One unknown with prior sd 2 seen once with noise 1: the posterior variance is 1/(1/4 + 1)."""
+    """One unknown with prior sd 2 seen once with noise 1: posterior variance 1/(1/4 + 1), 0.2 of the prior's."""
     unknown = Unknown("x", 5.0, 2.0, -math.inf, math.inf, False)
-    told = judgement.intervals(linear(2.0, unknown), {"x": 6.0})
+    told = judgement.intervals(*linear(unknown, 0.5, (1.0, 0.5, 0.2)))
     assert told["x"].value == pytest.approx(6.0)
     assert told["x"].high - told["x"].value == pytest.approx(1.959964 * math.sqrt(0.8))
     logarithmic = Unknown("x", 0.0, 2.0, -math.inf, math.inf, True)
-    told = judgement.intervals(linear(2.0, logarithmic), {"x": 3.0})
+    told = judgement.intervals(*linear(logarithmic, 0.5, (1.0, 0.5, 0.2)))
     assert told["x"].high / told["x"].value == pytest.approx(told["x"].value / told["x"].low)
 
 
-@given(st.floats(-50, 50), st.floats(1e-3, 10), st.floats(0.1, 5))
+def test_intervals_are_over_all_hypotheses():
+    unknown = Unknown("x", 0.0, 1.0, -math.inf, math.inf, False)
+    told = judgement.intervals(*linear(unknown, 0.0, (0.5, 0.0, 0.01), (0.5, 1.0, 0.01)))
+    assert told["x"].high == pytest.approx(1.959964 * math.sqrt(0.51))
+
+
+@given(st.floats(-50, 50), st.floats(1e-6, 10), st.floats(0.1, 5))
 @settings(max_examples=50, deadline=None)
-def test_intervals_stay_within_the_bounds(u, slope, sd):
+def test_intervals_stay_within_the_bounds(u, variance, sd):
     unknown = Unknown("x", 0.0, sd, -1.0, 1.0, False)
-    value = min(max(unknown.value(u), -1.0), 1.0)
-    told = judgement.intervals(linear(slope, unknown), {"x": value})["x"]
+    at = unknown.at(min(max(unknown.value(u), -1.0), 1.0))
+    told = judgement.intervals(*linear(unknown, at, (1.0, at, variance)))["x"]
     assert -1.0 - 1e-9 <= told.low <= told.value <= told.high <= 1.0 + 1e-9
 
 
@@ -62,38 +69,30 @@ def test_closed_weighs_what_is_above_the_noise(planted):
     assert judgement.closed(planted.problem, {"sinkage": judgement.Gap(0.5, 0.5, 0.6)}) is None
 
 
-def test_the_named_effect_heads_the_ranking_whatever_its_score(planted):
-    last = planted.ranking[-1].name
-    finding = dataclasses.replace(planted.finding, named=(Named(last, ()),))
-    ranks, other = judgement.ranking(planted.problem, finding)
-    assert ranks[0].name == last and ranks[1].name == "slip_sinkage"
-    assert sum(r.probability for r in ranks) + sum(other.values()) == pytest.approx(1.0, abs=1e-6)
+def test_the_named_effect_heads_the_ranking(planted):
+    ranks = judgement.ranking(planted.finding)
+    assert ranks[0].name == "slip_sinkage" and ranks[0].probability == planted.finding.share("slip_sinkage")
+    assert [r.probability for r in ranks[1:]] == sorted((r.probability for r in ranks[1:]), reverse=True)
+    assert all(r.score <= ranks[0].score for r in ranks if r.probability < 1e-3)
 
 
-def test_the_bootstrap_judges_the_data_themselves_as_the_search_did(planted):
-    """Refitted to the residuals of the table, a model gains what its fit had left to gain, and moves no further."""
-    for c in planted.finding.singles:
-        a, e = c.fit.linearised()
-        gain = (a.T @ e) @ np.linalg.solve(a.T @ a, a.T @ e)  # of the objective, to its optimum
-        score, evidence = judgement._refitted(planted.problem, c.fit, c.fit.residual[:, None])
-        assert evidence[0] - c.fit.evidence == pytest.approx(0.5 * gain, rel=1e-3, abs=1e-6), c.names
-        assert abs(score[0] - held_out(planted.problem, c.fit)) < 4.0 * np.sqrt(gain) + 1e-3, c.names
+def test_remainder_is_what_is_above_the_noise():
+    gap = {"sinkage": judgement.Gap(5.0, 2.0, 1.0), "torque": judgement.Gap(0.9, 0.8, 1.0)}
+    told = judgement.remainder(gap)
+    assert told["sinkage"] == (pytest.approx(math.sqrt(3.0)), pytest.approx(3.0 / 24.0))
+    assert told["torque"] == (0.0, None)
 
 
-def test_the_bootstrap_takes_its_noise_from_the_generator(planted):
-    """With noise five times as large the name is found less often, and equally often for the same seed."""
-    problem = copy.copy(planted.problem)
-    problem.noise = 5.0 * problem.noise
-    weak = [dataclasses.replace(c, fit=_weaker(c.fit)) for c in planted.finding.singles]
-    finding = dataclasses.replace(planted.finding, singles=tuple(weak), best=weak[0])
-    seeds = (1, 1, 2, 3)
-    told = [judgement.bootstrap(problem, finding, 101, np.random.default_rng(k), lambda text: None) for k in seeds]
-    assert told[0] == told[1] and len({t.share for t in told}) > 1
-    assert 0.2 < told[0].share < 1.0 and told[0].share + sum(told[0].instead.values()) == pytest.approx(1.0)
-
-
-def _weaker(fit):
-    return dataclasses.replace(fit, jacobian=fit.jacobian / 5.0, residual=fit.residual / 5.0)
+def test_shares_of_two_effects_sum_to_what_both_close(problem):
+    rng = np.random.default_rng(5)
+    before = predictions(problem, 4.0, rng)
+    held = {("a",): predictions(problem, 3.0, rng), ("b",): predictions(problem, 2.0, rng),
+            ("a", "b"): predictions(problem, 1.2, rng)}  # fmt: skip
+    shares = judgement.shares(problem, before, held)
+    both = judgement.closed(problem, judgement.gaps(problem, before, held["a", "b"]))
+    assert sum(shares.values()) == pytest.approx(both) and shares["b"] > shares["a"] > 0.0
+    alone = judgement.shares(problem, before, {("b",): held["b",]})
+    assert alone["b"] == judgement.closed(problem, judgement.gaps(problem, before, held["b",]))
 
 
 @pytest.fixture(scope="module")
@@ -132,40 +131,3 @@ def test_nothing_closed_and_no_gap(problem):
     before = predictions(problem, 3.0, rng)
     assert closed_interval(problem, before, before, np.random.default_rng(0)) == pytest.approx((0.0, 0.0))
     assert closed_interval(problem, problem.data.y, problem.data.y, np.random.default_rng(0)) is None
-
-
-# --- probabilities ----------------------------------------------------------------------------------------------------
-
-
-@given(st.floats(0.0041, 1.0), st.floats(-50, 4.5), st.floats(-50, 50), st.floats(0, 60))
-@settings(max_examples=50, deadline=None)
-def test_with_nothing_missing_that_is_the_most_probable(nothing, misfit, score, evidence, gain):
-    """Whatever the likelihoods of the candidates are and however much the base model lacks beyond the threshold."""
-    finding = nothing.finding
-    assert nothing.verdict == "none" and nothing.other["none"] > 0.5 and nothing.other["unlisted"] < 0.1
-    objective = finding.base.fit.objective - gain
-    fits = [
-        dataclasses.replace(c.fit, evidence=c.fit.evidence + evidence, objective=objective) for c in finding.singles
-    ]
-    singles = tuple(dataclasses.replace(c, score=score, fit=f) for c, f in zip(finding.singles, fits, strict=True))
-    base = dataclasses.replace(finding.base, misfit=misfit)
-    finding = dataclasses.replace(finding, base=base, singles=singles, pairs=singles)
-    ranks, other = judgement.ranking(nothing.problem, finding)
-    assert other["none"] > max(other["unlisted"], *(r.probability for r in ranks))
-    assert sum(r.probability for r in ranks) + sum(other.values()) == pytest.approx(1.0)
-
-
-def test_the_chance_counts_all_that_were_tried(nothing):
-    finding = nothing.finding
-    for c in finding.singles:
-        assert judgement.chance_of(nothing.problem, finding.base, c) >= finding.chance - 1e-12
-    assert judgement.chance_of(nothing.problem, finding.base, finding.base) == 1.0
-
-
-def test_a_clear_name_has_the_prior_of_the_catalogue(planted):
-    """20 to 1 that what is missing is listed: Sellke's bound says nothing against a model that fits."""
-    best = dataclasses.replace(planted.finding.singles[0], misfit=0.9, score=500.0)
-    finding = dataclasses.replace(planted.finding, singles=(best, *planted.finding.singles[1:]), pairs=())
-    ranks, other = judgement.ranking(planted.problem, finding)
-    assert ranks[0].probability == pytest.approx(20.0 / 21.0) and other["unlisted"] == pytest.approx(1.0 / 21.0)
-    assert other["none"] == 0.0

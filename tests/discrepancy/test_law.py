@@ -27,18 +27,17 @@ TERMS = (
 
 @pytest.fixture(scope="module")
 def law(problem):
-    """A law with known coefficients: whitened value 2 and unit information, so the sd is value / 2 / sqrt 2."""
+    """A law with known coefficients: prior sd half of each and unit information, so the sd is value / 2 / sqrt 2."""
     fit = problem.fit()
     count = len(TERMS)
-    jacobian = np.zeros((fit.jacobian.shape[0], fit.jacobian.shape[1] + count))
-    jacobian[:, :-count] = fit.jacobian
-    for k in range(count):
-        jacobian[k, fit.jacobian.shape[1] + k] = 1.0
-    jacobian[:count, : fit.jacobian.shape[1]] = 0.0
-    fit = dataclasses.replace(fit, slack=np.full(count, 2.0), jacobian=jacobian)
+    column = np.zeros((fit.residual.size, count))
+    column[np.arange(count), np.arange(count)] = 1.0
+    jacobian = fit.jacobian.copy()
+    jacobian[:count] = 0.0
     offset = np.zeros_like(problem.data.y)
     offset[7] = [-5 * NOISE[0], 0.0, 0.0]
-    return ResidualFit(TERMS, fit, offset, 10.0)
+    width = np.array([t.coefficient for t in TERMS]) / 2.0
+    return ResidualFit(TERMS, dataclasses.replace(fit, jacobian=jacobian), offset, 10.0, column, width)
 
 
 def test_the_intervals_of_a_law(law):
@@ -50,7 +49,7 @@ def test_the_intervals_of_a_law(law):
 def test_the_tests_of_a_law_repeat_its_largest_and_go_beyond_the_table(problem, law):
     base = problem.fit()
     quiet = tuple(dataclasses.replace(t, coefficient=c) for t, c in zip(TERMS, (-0.4, 0.01, 0.4), strict=True))
-    law = dataclasses.replace(law, terms=quiet)
+    law = dataclasses.replace(law, terms=quiet, width=np.array([t.coefficient for t in quiet]) / 2.0)
     model = model_of(problem, base, quiet)
     first, *rest = law_tests(problem, base, law, model)
     assert first.separates == ("the law", "the base model") and first.channel == "sinkage"
@@ -70,6 +69,7 @@ def test_without_a_law_the_test_is_the_largest_misfit(problem):
     shifted.y[20, 2] += 8 * NOISE[2]
     p = Problem(shifted, NOISE.copy(), problem.used)
     fit = p.fit()
-    found = law_tests(p, fit, ResidualFit((), fit, np.zeros_like(shifted.y), 0.0), model_of(p, fit))
+    none = ResidualFit((), fit, np.zeros_like(shifted.y), 0.0, np.zeros((fit.residual.size, 0)), np.zeros(0))
+    found = law_tests(p, fit, none, model_of(p, fit))
     assert len(found) == 1 and found[0].channel == "torque"
     assert found[0].conditions["slip"] == pytest.approx(shifted.rows.slip[20])

@@ -104,7 +104,7 @@ def test_doubts_come_first_everywhere(tmp_path, capsys):
 
     data, setup = write_files(tmp_path, changed(table_text({}, loads=(100, 200)), "torque", 1 / 9.81))
     out = tmp_path / "out"
-    assert main([str(data), "--setup", str(setup), "--out", str(out), "--bootstrap", "0"]) == 0
+    assert main([str(data), "--setup", str(setup), "--out", str(out)]) == 0
     shown = capsys.readouterr().out
     assert shown.index("With torque as") < re.search(r"\b(unlisted|named|ambiguous|none)\b", shown).start()
     report = json.loads((out / "report.json").read_text())

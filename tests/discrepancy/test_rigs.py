@@ -178,7 +178,7 @@ def test_a_report_of_two_wheels_on_a_rig_that_is_not_level(tmp_path):
     """The whole workflow: the lugs are named, a curve is drawn for each wheel, the tilt stands beside the soil."""
     lines = two_wheels(tilt=1.0).splitlines()
     data, setup = write_files(tmp_path, "\n".join(lines) + "\n", SETUP + "tilt_deg: {value: 0, sd: 1}\n")
-    report = run(data, setup, tmp_path / "out", bootstrap=0)
+    report = run(data, setup, tmp_path / "out")
     assert "grousers" in {e.name for e in report.effects}
     assert report.soil["tilt_deg"].low < 1.0 < report.soil["tilt_deg"].high
     page = (tmp_path / "out" / "report.html").read_text()

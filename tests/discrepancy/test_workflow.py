@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_the_planted_effect_is_named(planted):
     assert planted.verdict == "named" and [e.name for e in planted.effects] == ["slip_sinkage"]
     assert planted.effects[0].alternatives == ()
-    assert planted.bootstrap.share > 0.9 and planted.bootstrap.draws == 40
+    assert planted.effects[0].probability > 0.9 and planted.effects[0].share == planted.closed
     assert planted.where[0].channel == "sinkage" and planted.where[0].p_value < 1e-3
 
 
@@ -34,19 +34,17 @@ def test_the_gap_closes(planted):
 
 def test_the_held_out_gap_is_that_of_refits_without_the_group(planted):
     """The linearised held-out predictions against true refits, one slip left out after the other."""
-    problem, fit = planted.problem, planted.finding.base.fit
+    problem = planted.problem
+    near = planted.finding.best().evidence.fit
+    fit = problem.fit((), near.parameters(), planted.fit.sizes._replace(effect=0.0), near)
     varied = problem.data.varied
     ways = [varied["slip"].level, varied["load"].level]
     predicted = np.zeros_like(problem.data.y)
-    everything = problem.used.copy()
-    try:
-        for level in ways:
-            for k in range(level.max() + 1):
-                problem.used = everything & (level != k)[:, None]
-                there = problem.fit(start=fit.parameters())
-                predicted[level == k] += there.output[level == k] / len(ways)
-    finally:
-        problem.used = everything
+    for level in ways:
+        for k in range(level.max() + 1):
+            rest = problem.without(level == k)
+            there = rest.fit((), fit.parameters(), fit.sizes, rest.restricted(fit, problem.used))
+            predicted[level == k] += there.output[level == k] / len(ways)
     refitted = judgement.gaps(problem, predicted, predicted)
     for name, g in planted.gap.items():
         assert refitted[name].before == pytest.approx(g.before, rel=0.1), name
@@ -71,7 +69,7 @@ def test_the_model_file_predicts_what_the_fit_predicts(planted):
     """`WheelSoilModel` of a fit against the fit's own output, with effects that need what the table sets."""
     problem = planted.problem
     for name in ("grousers", "bulldozing", "shear_softening", "sinkage_offset"):
-        fit = problem.fit((Choice(name, 0),), slack=False)
+        fit = problem.fit((Choice(name, 0),))
         p = model_of(problem, fit).predict(problem.data.table)
         np.testing.assert_allclose(np.stack(p[:3], axis=1), fit.output, rtol=1e-5, atol=1e-6)
 
@@ -79,7 +77,7 @@ def test_the_model_file_predicts_what_the_fit_predicts(planted):
 def test_rates_keep_the_reference_speed_of_the_table(tmp_path):
     effect = {"penetration_rate": {"exponent": 0.25, "reference_speed": 0.05}}
     text = table_text(effect, loads=(150,), speed=(0.02, 0.06, 0.2))
-    report = run(*write_files(tmp_path, text), bootstrap=10)
+    report = run(*write_files(tmp_path, text))
     found = next(e for e in report.effects if e.name == "penetration_rate")
     assert 0.02 < found.parameters["reference_speed"].value < 0.2
     assert found.parameters["reference_speed"].low == found.parameters["reference_speed"].high
@@ -90,7 +88,7 @@ def test_rates_keep_the_reference_speed_of_the_table(tmp_path):
 
 def test_the_same_seed_gives_the_same_files(planted_files, tmp_path):
     _, folder = planted_files
-    run(folder.parent / "data.csv", folder.parent / "setup.yaml", tmp_path / "again", seed=1, bootstrap=40)
+    run(folder.parent / "data.csv", folder.parent / "setup.yaml", tmp_path / "again", seed=1)
     for name in ("report.json", "report.html", "model.yaml"):
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes(), name
 
@@ -99,7 +97,7 @@ def test_tables_in_memory_and_progress(nothing, tmp_path):
     """Read objects give what the files give; progress is told."""
     paths = write_files(tmp_path, table_text({}, loads=(100, 200)))
     setup, said = read_setup(paths[1]), []
-    report = run(read_table(paths[0], setup.wheel), setup, bootstrap=20, progress=said.append)
+    report = run(read_table(paths[0], setup.wheel), setup, progress=said.append)
     assert report.ranking == nothing.ranking and report.gap == nothing.gap
     assert report.settings.data_sha256 is None and len(nothing.settings.data_sha256) == 64
     assert said[0] == "reading" and any(text.startswith("searching: ") for text in said)
@@ -111,7 +109,7 @@ def test_tables_in_memory_and_progress(nothing, tmp_path):
 @pytest.mark.parametrize("channels", [("sinkage",), ("drawbar_pull",), ("torque",), ("drawbar_pull", "torque")])
 def test_a_few_channels_are_enough_for_a_report(tmp_path, channels):
     text = table_text(PLANTED, loads=(150,), channels=channels)
-    report = run(*write_files(tmp_path, text), tmp_path / "out", bootstrap=10)
+    report = run(*write_files(tmp_path, text), tmp_path / "out")
     assert tuple(report.gap) == channels
     assert report.channels == channels
     WheelSoilModel.load(tmp_path / "out" / "model.yaml")
@@ -120,7 +118,7 @@ def test_a_few_channels_are_enough_for_a_report(tmp_path, channels):
 def test_two_rows_are_enough_for_a_report(tmp_path):
     text = table_text({}, loads=(150,), slips=(0.1, 0.4), channels=("sinkage",))
     report = run(*write_files(tmp_path, text), tmp_path / "out")
-    assert report.verdict == "none"
+    assert report.verdict == "undetermined"
 
 
 def test_a_soil_that_is_known_altogether(tmp_path):
@@ -128,7 +126,7 @@ def test_a_soil_that_is_known_altogether(tmp_path):
         "soil: {friction_angle_deg: 31, cohesion: 3500, shear_modulus: 0.028, sinkage_coefficient: 740000, "
         "sinkage_exponent: 0.64, density: 1600}\nnoise:" + SETUP.split("noise:")[1]
     )
-    report = run(*write_files(tmp_path, table_text(PLANTED, loads=(150,)), setup), bootstrap=10)
+    report = run(*write_files(tmp_path, table_text(PLANTED, loads=(150,)), setup))
     assert [e.name for e in report.effects] == ["slip_sinkage"]
     assert all(p.low == p.value == p.high for p in report.soil.values())
 
@@ -151,20 +149,19 @@ def test_no_fit_leaves_the_catalogue_s_bounds(tmp_path):
 
 def test_braked_wheels(tmp_path):
     text = table_text({}, loads=(100, 200), slips=(-0.5, -0.3, -0.1))
-    assert run(*write_files(tmp_path, text)).verdict == "none"
+    assert run(*write_files(tmp_path, text)).verdict in ("none", "undetermined")
 
 
 def test_a_law_stands_in_for_what_is_unlisted(tmp_path):
-    """A drawbar pull that depends on the square of the load is in no catalogue."""
-    lines = table_text({}, loads=(60, 100, 150, 220)).splitlines()
+    """A drawbar pull that falls with the square of the speed, all else unchanged, is in no catalogue."""
+    lines = table_text({}, loads=(60, 100, 150, 220), speed=(0.02, 0.06, 0.2)).splitlines()
     out = [lines[0]]
     for line in lines[1:]:
-        load, slip, z, pull, torque = (float(x) for x in line.split(","))
-        wave = 9.0 * math.sin(9.0 * slip) * (load / 150.0) ** 2
-        out.append(f"{load},{slip},{z},{pull + wave},{torque}")
-    report = run(*write_files(tmp_path, "\n".join(out) + "\n"), tmp_path / "out", bootstrap=10)
+        load, speed, slip, z, pull, torque = (float(x) for x in line.split(","))
+        out.append(f"{load},{speed},{slip},{z},{pull - 600.0 * speed**2},{torque}")
+    report = run(*write_files(tmp_path, "\n".join(out) + "\n"), tmp_path / "out")
     assert report.verdict == "unlisted" and report.effects == () and report.where
     model = WheelSoilModel.load(tmp_path / "out" / "model.yaml")
     assert not model.effects and model.residual
     assert report.gap["drawbar_pull"].after < report.gap["drawbar_pull"].before
-    assert 0.0 < report.closed <= 1.0 and report.other["unlisted"] > 0.5
+    assert 0.0 < report.closed <= 1.0 and report.finding.unlisted > 0.5

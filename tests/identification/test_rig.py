@@ -113,7 +113,7 @@ def test_a_vertical_load_is_resolved(tmp_path):
     e = identify_table(t, setup_of(load="vertical"))
     assert within(e) and not any("grade" in w or "does not fit" in w for w in e.warnings)
     normal = identify_table(t, setup_of())
-    assert not within(normal) and any("taken as level" in w for w in normal.warnings)
+    assert normal.law_error > 1.5 * e.law_error and any("taken as level" in w for w in normal.warnings)
 
 
 def test_free_climbing_tells_the_soil(tmp_path):
@@ -161,7 +161,7 @@ def test_a_tilt_is_fitted_with_the_soil(tmp_path, tilt):
     known = identify_table(t, setup_of(tilt_deg=Prior(tilt, 0.0)))
     assert known.parameters["tilt_deg"].known and within(known)
     level = identify_table(t, setup_of())
-    assert not within(level) and "tilt_deg" not in level.parameters
+    assert level.law_error > 2.0 * e.law_error and "tilt_deg" not in level.parameters
 
 
 def test_a_tilt_adds_to_the_grade_of_a_vertical_load(tmp_path):

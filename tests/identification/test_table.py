@@ -104,7 +104,11 @@ def test_recovers_the_soil_without_noise(tmp_path, known, soil):
     ids=["3", "4", "5", "5, noise estimated"],
 )
 def test_intervals_cover_the_truth(tmp_path, known, noise):
-    """60 draws, 95 % intervals: fewer than 51 or hits has probability 5e-4 a parameter if they are calibrated."""
+    """60 draws, 95 % intervals: fewer than 51 hits has probability 5e-4 a parameter if they are calibrated.
+
+    The laws of these tables are exact, which the intervals do not know: they are up to four times as wide as needed,
+    most of all that of the angle, which an error of the shear stress that is the same everywhere changes unseen.
+    """
     rng, hits, scaled, draws = np.random.default_rng(5), {}, {}, 60
     setup = setup_of(known, noise)
     for _ in range(draws):
@@ -118,8 +122,26 @@ def test_intervals_cover_the_truth(tmp_path, known, noise):
     assert len(hits) == 5 - len(known)
     for name, count in hits.items():
         assert count >= 51, (name, count)
-        assert 0.7 < np.std(scaled[name]) < 1.35, name
+        assert 0.25 < np.std(scaled[name]) < 1.35, name
         assert abs(np.mean(scaled[name])) < 0.6, name
+
+
+def test_intervals_cover_the_truth_under_wrong_laws(tmp_path):
+    """30 draws of smooth relative errors of 8 % in sinkage, pull and torque, eight to ten times the noise."""
+    rng, hits, setup = np.random.default_rng(8), {}, setup_of(("cohesion", "sinkage_exponent"))
+    for _ in range(30):
+        rows = clean().copy()
+        at = np.stack([np.log1p(rows[:, 0] / 0.05), np.log(rows[:, 1])], axis=1)
+        for k in (2, 3, 4):
+            wave = np.cos(at @ rng.normal(size=2) + rng.uniform(0.0, 2.0 * np.pi))
+            rows[:, k] += 0.08 * math.sqrt(2.0) * wave * np.abs(rows[:, k])
+        e = identify_table(table_of(tmp_path, rows, rng), setup)
+        assert 0.02 < e.law_error < 0.3
+        for name, truth in zip(NAMES, SAND, strict=True):
+            p = e.parameters[name]
+            if not p.known:
+                hits[name] = hits.get(name, 0) + (p.low <= truth <= p.high)
+    assert all(count >= 18 for count in hits.values()), hits
 
 
 def test_large_errors_of_sinkage_do_not_bias(tmp_path):
@@ -170,7 +192,7 @@ def test_names_what_the_data_cannot_tell(tmp_path):
     e = identify_table(table, setup_of((), sinkage_exponent=Prior(0.9, 0.02)))
     words = " ".join(e.warnings)
     assert "cannot tell the sinkage exponent" in words
-    assert "friction angle and cohesion together" in words or "cannot tell the cohesion" in words
+    assert "friction angle and cohesion together" in words or "cannot tell the friction angle" in words
     p = e.parameters["sinkage_exponent"]
     assert p.told > 0.7 and p.high - p.low == pytest.approx(2 * 1.96 * 0.02, rel=0.3)
     assert e.condition > identify_table(table_of(tmp_path, clean()), setup_of()).condition

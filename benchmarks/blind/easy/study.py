@@ -129,7 +129,7 @@ def solve(seed: int, task: Task) -> dict:
         write_case(case, Path(seen), Path(unseen) / "truth.json")
         wall, cpu = time.perf_counter(), time.process_time()
         try:
-            said = _said(run(Path(seen) / "data.csv", Path(seen) / "setup.yaml", bootstrap=0))
+            said = _said(run(Path(seen) / "data.csv", Path(seen) / "setup.yaml"))
         except (ParameterError, ArithmeticError, ValueError, RuntimeError, LookupError) as error:
             said = {"verdict": "error", "named": [], "gap": {}, "error": f"{type(error).__name__}: {error}"}
         record |= said | {"seconds": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
@@ -142,7 +142,7 @@ def _warm() -> None:
     case = draw_case(np.random.default_rng(0), "none", "poor")
     with tempfile.TemporaryDirectory() as folder:
         write_case(case, Path(folder), Path(folder) / "truth.json")
-        run(Path(folder) / "data.csv", Path(folder) / "setup.yaml", bootstrap=0)
+        run(Path(folder) / "data.csv", Path(folder) / "setup.yaml")
 
 
 def _truth(case: Case) -> dict:
@@ -167,7 +167,6 @@ def _said(report: Report) -> dict:
     return {
         "verdict": report.verdict,
         "named": [{"name": e.name, "alternatives": list(e.alternatives)} for e in report.effects],
-        "chance": report.finding.chance,
         "probability": {r.name: r.probability for r in report.ranking[:3]},
         "gap": {name: g._asdict() for name, g in report.gap.items()},
         "closed": report.closed,

@@ -8,11 +8,11 @@ from benchmarks.blind.entrants import Answer
 
 
 def answer(data: Path, setup: Path) -> Answer:
-    """What `soil_env.discrepancy.run` says of a table, without the redraws of the noise."""
+    """What `soil_env.discrepancy.run` says."""
     from soil_env.discrepancy import run
     from soil_env.discrepancy.report import content
 
-    return from_report(content(run(data, setup, bootstrap=0)))
+    return from_report(content(run(data, setup)))
 
 
 def from_report(report: dict) -> Answer:

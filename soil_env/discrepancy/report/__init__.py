@@ -22,13 +22,13 @@ from soil_env.discrepancy.result import Report
 __all__ = ["FILES", "check_folder", "content", "page", "show", "text", "write"]
 
 FILES = ("report.json", "report.html", "model.yaml")
-COLOURS = {"named": "green", "none": "green", "ambiguous": "yellow", "unlisted": "yellow"}
+COLOURS = {"named": "green", "none": "green"}
 _SHOWN = 8  # candidates of the ranking on the terminal
 _STYLE = """
 body { max-width: 66rem; } p, ul { max-width: 50rem; }
 .summary { border-left: 6px solid #1f6f8b; background: #eef5f7; padding: .8rem 1.1rem; font-size: 1.08rem;
            max-width: none; }
-.ambiguous, .unlisted { border-color: #c2871a; background: #fbf5e6; }
+.ambiguous, .unlisted, .partly, .undetermined { border-color: #c2871a; background: #fbf5e6; }
 .check { border-color: #b3261e; background: #fbeceb; margin-bottom: .8rem; }
 .verdict { font-size: .78rem; font-weight: 600; letter-spacing: .06em; text-transform: uppercase; color: #555;
            display: block; }
@@ -93,7 +93,7 @@ def _common(report: Report) -> dict:
 
 def show(report: Report, console: Console) -> None:
     """Print the conclusion with its tables."""
-    first, colour = words.check_first(report), COLOURS[report.verdict]
+    first, colour = words.check_first(report), COLOURS.get(report.verdict, "yellow")
     if first:
         console.print(Panel(Text(" ".join(first)), title="[bold]check first[/]", title_align="left", style="red"))
     title = f"[bold]{report.verdict}[/]"

@@ -14,6 +14,9 @@ from soil_env.discrepancy.report import words
 from soil_env.discrepancy.report.blocks import blocks
 from soil_env.discrepancy.report.equations import SYMBOLS
 from soil_env.discrepancy.result import Report
+from soil_env.terramechanics.catalogue import CATALOGUE
+
+LEAST = 1e-3  # probability below which a hypothesis is not listed
 
 
 def content(report: Report) -> dict:
@@ -26,7 +29,8 @@ def content(report: Report) -> dict:
         "summary": words.summary(report),
         "effects": [
             {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
-             "alternatives": e.alternatives, "symbols": SYMBOLS[e.name], **block}
+             "probability": e.probability, "share": e.share, "alternatives": e.alternatives,
+             "symbols": SYMBOLS[e.name], **block}
             for e, block in zip(report.effects, shown, strict=False)
         ],
         "where": [
@@ -36,21 +40,29 @@ def content(report: Report) -> dict:
         ],
         "ranking": [r._asdict() for r in report.ranking],
         "gap": {name: g._asdict() for name, g in report.gap.items()},
+        "remainder": {name: r._asdict() for name, r in report.remainder.items()},
         "closed": report.closed,
         "closed_interval": report.closed_interval,
         "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],
+        "detectable": {name: d.size for name, d in report.finding.detectable.items()},
+        "detectable_as": {
+            name: {"form": d.form, "parameter": d.parameter, "unit": CATALOGUE[name].parameter(d.parameter).unit,
+                   "power": d.power}
+            for name, d in report.finding.detectable.items()
+        },
         "next_tests": [
             {"conditions": t.conditions, "channel": t.channel, "separates": t.separates,
              "expected_sigma": t.expected_sigma, "words": words.next_test(report, t)}
             for t in report.next_tests
         ],
         "residual": _law(report, shown),
-        "probability": report.other,
-        "chance": report.finding.chance,
-        "confidence": None if report.bootstrap is None else {
-            "share": report.bootstrap.share, "draws": report.bootstrap.draws,
-            "instead": [{"names": names, "share": share} for names, share in report.bootstrap.instead.items()],
-        },
+        "probability": {"none": report.finding.none, "unlisted": report.finding.unlisted,
+                        "remainder": report.finding.remainder},
+        "hypotheses": [
+            {"effects": h.names, "unlisted": h.free, "probability": h.probability, "score": h.score}
+            for h in report.finding.hypotheses if h.probability >= LEAST
+        ],
+        "law_error": report.law_error,
         "soil": {name: v._asdict() | {"known": report.known(name)} for name, v in report.soil.items()},
         "noise": {name: {"sd": report.noise.sd[j], "origin": report.noise.origin[j]} for name, j in noise.items()},
         "left_out": [{"row": row, "channel": name} for row, name in report.left_out],

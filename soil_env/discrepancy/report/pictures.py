@@ -17,6 +17,7 @@ from soil_env.discrepancy.result import Report
 from soil_env.terramechanics.catalogue import CATALOGUE
 
 BEFORE, AFTER, MEASURED = "#c2571a", "#1f6f8b", "#222222"
+LIGHT = "#7fb2c2"
 MANY = 1200  # points of a plot above which they are drawn as an image
 CURVES = 4  # groups of rows whose curves over slip are drawn
 CAPTIONS = {
@@ -24,17 +25,18 @@ CAPTIONS = {
     "slip": "Measured values and models over slip, in a few groups of rows that differ in slip alone, from where "
     "the base model does best (top) to where it does worst. A red cross was left out as an outlier.",
     "residual": "Held-out residuals over slip in standard deviations of the noise; grey: twice the noise.",
-    "ranking": "Gain of held-out likelihood by each candidate over the base model. Dark: named; light: its "
-    "alternatives; grey: neither.",
+    "ranking": "Probability of each effect, and that nothing listed is missing. Dark: stated; light: alternatives.",
+    "shares": "The gap: mean square of the held-out error above the noise that the base model leaves, as what each "
+    "stated effect, or the law, closes and what remains.",
 }
 _STYLE = {"font.size": 9, "axes.titlesize": 10, "axes.spines.top": False, "axes.spines.right": False,
           "axes.edgecolor": "#888888", "axes.linewidth": 0.7, "svg.hashsalt": "soil_env"}  # fmt: skip
 
 
 def pictures(report: Report, form: str = "svg") -> dict[str, bytes]:
-    """{name: picture} of "predicted", "slip", "residual" and "ranking"; `form` is "svg" or "png"."""
+    """{name: picture} of "shares", "predicted", "slip", "residual" and "ranking"; `form` is "svg" or "png"."""
     with matplotlib.rc_context(_STYLE):
-        drawn = {"predicted": _predicted, "slip": _slip, "residual": _residual, "ranking": _ranking}
+        drawn = {"shares": _shares, "predicted": _predicted, "slip": _slip, "residual": _residual, "ranking": _ranking}
         return {name: _saved(draw(report), form) for name, draw in drawn.items()}
 
 
@@ -189,16 +191,45 @@ def _residual(report: Report) -> Figure:
 
 
 def _ranking(report: Report) -> Figure:
-    """Gain of held-out likelihood by each candidate."""
-    ranks = report.ranking[::-1]
-    named = {e.name for e in report.effects}
+    """Probability of each effect, and of nothing and something unlisted."""
+    finding, named = report.finding, {e.name for e in report.effects}
     near = {a for e in report.effects for a in e.alternatives}
-    figure = _figure(7.0, 0.9 + 0.24 * len(ranks))
+    bars = [(title(r.name), r.probability, AFTER if r.name in named else LIGHT if r.name in near else "0.75")
+            for r in report.ranking]  # fmt: skip
+    bars += [("something unlisted as well", finding.remainder - finding.unlisted, "0.75"),
+             ("something unlisted alone", finding.unlisted, BEFORE), ("nothing", finding.none, "0.5")]  # fmt: skip
+    figure = _figure(7.0, 0.9 + 0.24 * len(bars))
     ax = figure.subplots()
-    colors = [AFTER if r.name in named else "#7fb2c2" if r.name in near else "0.75" for r in ranks]
-    ax.barh([title(r.name) for r in ranks], [max(r.score, 0.0) for r in ranks], color=colors, height=0.7)
-    for k, r in enumerate(ranks):
-        ax.text(max(r.score, 0.0), k, f" {fixed(r.score, 1)}", va="center", fontsize=8)
-    ax.set_xlabel("gain of held-out log-likelihood over the base model [nats]")
-    ax.margins(x=0.1)
+    labels, shares, colors = zip(*bars[::-1], strict=True)
+    ax.barh(labels, shares, color=colors, height=0.7)
+    for k, share in enumerate(shares):
+        ax.text(share, k, f" {fixed(share, 3)}", va="center", fontsize=8)
+    ax.set(xlabel="probability", xlim=(0.0, 1.12))
+    return figure
+
+
+def _shares(report: Report) -> Figure:
+    """The gap of each channel in its parts, over the noise."""
+    figure = _figure(7.0, 0.9 + 0.42 * len(report.channels))
+    ax = figure.subplots()
+    closed = [max(e.share or 0.0, 0.0) for e in report.effects]
+    parts = [(title(e.name), c) for e, c in zip(report.effects, closed, strict=True)]
+    if report.model.residual:
+        parts.append(("a law without a name", 1.0))
+    weight = sum(c for _, c in parts) or 1.0
+    for k, (name, g) in enumerate(list(report.gap.items())[::-1]):
+        left = min(
+            report.remainder[name].rms ** 2 / g.noise_floor**2, whole := max(g.before**2 / g.noise_floor**2 - 1.0, 0.0)
+        )
+        at = 0.0
+        for n, (label, c) in enumerate(parts):
+            size = (whole - left) * c / weight
+            ax.barh(
+                k, size, left=at, color=(AFTER, LIGHT, "#b7cfd8")[n % 3], height=0.6, label=label if k == 0 else None
+            )
+            at += size
+        ax.barh(k, left if parts else whole, left=at, color="0.8", height=0.6, label="remains" if k == 0 else None)
+    ax.set_yticks(range(len(report.gap)), [TITLES[name] for name in list(report.gap)[::-1]])
+    ax.set_xlabel("mean square above the noise, in noise variances (held out)")
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure

@@ -54,9 +54,18 @@ def gap(report: Report) -> Table:
 def ranking(report: Report, most: int | None = None) -> Table:
     """The candidates, the first `most` of them."""
     rows = [(title(r.name), fixed(r.score, 1), fixed(r.probability, 3)) for r in report.ranking[:most]]
-    return Table(("effect", "held-out gain [nats]", "probability"), rows)
+    return Table(("effect", "log odds of the data", "probability"), rows)
 
 
 def untestable(report: Report) -> Table:
     """The effects that the table cannot show, and why."""
     return Table(("effect", "reason"), [(title(k), v) for k, v in report.finding.untestable.items()])
+
+
+def detectable(report: Report) -> Table:
+    """The smallest strength of each effect that would have been seen."""
+    rows = []
+    for name, d in report.finding.detectable.items():
+        unit = CATALOGUE[name].parameter(d.parameter).unit
+        rows.append((title(name), d.parameter.replace("_", " "), figures(d.size, 2), unit, f"{100.0 * d.power:.0f} %"))
+    return Table(("effect", "parameter", "smallest", "unit", "larger before the table"), rows)

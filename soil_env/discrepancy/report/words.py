@@ -10,10 +10,9 @@ import numpy as np
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS, WHEEL
 from soil_env.discrepancy.experiment import NextTest
-from soil_env.discrepancy.judgement import LISTED, chance_of
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.result import Report
-from soil_env.discrepancy.search import RULED_OUT
+from soil_env.discrepancy.search import COUNT_PRIOR, FREE_PRIOR, NAMED, TOLD
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import DEEPEST
 from soil_env.terramechanics.validity import in_words
@@ -21,7 +20,7 @@ from soil_env.terramechanics.validity import in_words
 FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
 FEW = 6  # conditions below which hardly anything can be told
 WORSE = 0.1  # rise of a held-out error that is worth a caution
-WEAK = 0.05  # chance below which an effect that is not named is mentioned
+MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
 LEFT = 1.5  # [noise] of a held-out error after the correction that is worth a caution
 SOIL = {
     "friction_angle_deg": ("friction angle", "deg"),
@@ -151,58 +150,88 @@ def _place(point: Mapping[str, float]) -> str:
 
 
 def summary(report: Report) -> str:
-    """One or two sentences: what is missing, how sure that is, and how far the gap closes."""
-    return {"none": _nothing, "unlisted": _unlisted, "ambiguous": _ambiguous, "named": _named}[report.verdict](report)
+    """What is missing, how sure that is, and how far the gap closes: one sentence each, of the stated probabilities."""
+    finding = report.finding
+    parts = {
+        "named": _names, "partly": _names, "ambiguous": _either, "unlisted": _unlisted, "none": _nothing,
+        "undetermined": _undetermined,
+    }[report.verdict](report)  # fmt: skip
+    if report.corrected:
+        parts.append(f"With {_what(report)}, {_shrinks(report)}.")
+        parts += [text for text in _of_gap(report) if "rises" in text]
+    if report.verdict in ("named", "ambiguous") and finding.remainder >= MENTIONED:
+        parts.append(
+            f"That something else is missing which no listed effect explains has {_percent(finding.remainder)}."
+        )
+    return " ".join(parts)
 
 
-def _nothing(report: Report) -> str:
-    unseen = len(report.finding.untestable)
-    return (
-        f"Nothing is missing that these {int(report.problem.used.sum())} values could show: the calibrated model fits "
-        f"to the noise.{_weak_signs(report)}"
-    ) + (f" {_plural(unseen, 'effect')} cannot be seen in this table." if unseen else "")
+def _what(report: Report) -> str:
+    """What the corrected model has beyond the base model."""
+    names = [title(e.name) for e in report.effects]
+    return listed([*names, *(["a law without a name"] if report.model.residual else [])])
 
 
-def _unlisted(report: Report) -> str:
-    text = "Something is missing that no listed effect explains"
+def _sure(p: float) -> str:
+    """A probability in words."""
+    return "more than 99.9 %" if p > 0.999 else "less than 0.1 %" if p < 0.001 else f"{100.0 * p:.3g} %"
+
+
+def _names(report: Report) -> list[str]:
+    each = listed(f"{title(e.name)} (probability {_sure(e.probability)})" for e in report.effects)
+    others = list(dict.fromkeys(a for e in report.effects for a in e.alternatives))
+    parts = [f"Missing from the model: {each}."]
+    if others:
+        parts.append(f"Not ruled out instead: {listed((title(a) for a in others), 'or')}.")
+    if report.verdict == "partly":
+        left = listed(
+            f"{amount(name, r.rms)} of {TITLES[name]}" for name, r in report.remainder.items() if r.rms > 0.0
+        ) if any(r.rms > 0.0 for r in report.remainder.values()) else "little"  # fmt: skip
+        parts.append(f"Beside that something is missing that is in no catalogue: {left} are left beyond the noise.")
+    return parts
+
+
+def _either(report: Report) -> list[str]:
+    sets = [h for h in report.finding.hypotheses if h.names and h.probability >= TOLD][:4]
+    said = "; ".join(f"{title(' and '.join(h.names))} ({_sure(h.probability)})" for h in sets)
+    rest = f"; that nothing is missing has {_sure(report.finding.none)}" if report.finding.none >= TOLD else ""
+    text = f"Something is missing, and these data cannot tell what: {said}" if said else "Something is missing"
+    return [f"{text}{rest}."]
+
+
+def _unlisted(report: Report) -> list[str]:
+    text = f"Something is missing that no listed effect explains (probability {_sure(report.finding.unlisted)})"
     text += f": {disagreement(report, report.where[0])}." if report.where else "."
     if report.model.residual:
         groups = list(dict.fromkeys(GROUPS[g] for t in report.model.residual for g in t.powers))
         by = f", of {listed(groups)}," if groups else ""
-        text += f" A law without a name{by} stands in for it. With it, {_shrinks(report)}."
-    return text
+        text += f" A law without a name{by} stands in for it."
+    return [text]
 
 
-def _ambiguous(report: Report) -> str:
-    first = listed(title(e.name) for e in report.effects)
-    either = "; ".join(
-        listed([title(e.name), *(title(a) for a in e.alternatives)], "or") for e in report.effects if e.alternatives
-    )
-    sure = ", ".join(title(e.name) for e in report.effects if not e.alternatives)
-    text = f"Missing from the model: {sure}, and" if sure else "Missing from the model:"
-    return f"{text} {either}; these data cannot tell which. With {first}, {_shrinks(report)}."
+def _nothing(report: Report) -> list[str]:
+    values, unseen = int(report.problem.used.sum()), len(report.finding.untestable)
+    parts = [f"Nothing is missing that these {values} values could show (probability {_sure(report.finding.none)})."]
+    left = max((g.before / g.noise_floor for g in report.gap.values()), default=0.0)
+    if left > LEFT:
+        parts.append(
+            f"The calibrated model misses by up to {left:.1f} times the noise, as stress laws do that are off by about "
+            f"{figure(100.0 * report.law_error)} %."
+        )
+    nearest = next((r for r in report.ranking if r.probability >= TOLD), None)
+    if nearest is not None:
+        parts.append(f"The nearest effect is {title(nearest.name)} ({_sure(nearest.probability)}).")
+    return parts + ([f"{_plural(unseen, 'effect')} cannot be seen in this table."] if unseen else [])
 
 
-def _named(report: Report) -> str:
-    one = len(report.effects) == 1
-    first = listed(title(e.name) for e in report.effects)
-    text = f"Missing from the model: {first}. With {'it' if one else 'them'}, {_shrinks(report)}."
-    if report.bootstrap is not None:
-        share = f"{_percent(report.bootstrap.share)} of {report.bootstrap.draws} redraws of the noise"
-        text += f" The {'name is' if one else 'names are'} found again in {share}."
-    return text
-
-
-def _weak_signs(report: Report) -> str:
-    """The effect that is nearest to being named, or a misfit, where either is unlikely to be chance."""
-    finding = report.finding
-    if finding.chance >= WEAK:
-        return ""
-    found = [(chance_of(report.problem, finding.base, c), title(c.names[0])) for c in finding.singles]
-    chance, name = min(found, default=(1.0, ""))
-    if chance >= WEAK:
-        return f" There are weak signs of a misfit (chance {finding.chance:.2g}), and no effect accounts for them."
-    return f" There are weak signs of {name} (chance {chance:.2g}), not enough to name it."
+def _undetermined(report: Report) -> list[str]:
+    seen = report.finding.detectable
+    weak = [title(n) for n, d in seen.items() if d.power < NAMED]
+    return [
+        f"These {int(report.problem.used.sum())} values do not tell whether anything is missing: that nothing is has "
+        f"{_sure(report.finding.none)}, but of {_plural(len(seen), 'effect')} that could be looked for, {len(weak)} "
+        "would more probably have been overlooked than seen at their usual size."
+    ]
 
 
 def _shrinks(report: Report) -> str:
@@ -222,28 +251,13 @@ def _shrinks(report: Report) -> str:
 
 
 def rule(report: Report) -> str:
-    """When an effect is named, and what the probabilities and the redraws rest on."""
-    prior = f"{LISTED / (1.0 + LISTED):.3f} = {LISTED:.0f}/{1.0 + LISTED:.0f}"
-    text = (
-        f"An effect is named only where every rival that fits the table, with a plausible soil, falls {RULED_OUT} nats "
-        "of held-out likelihood behind; otherwise the verdict is ambiguous. A listed effect reaches a probability of "
-        f"at most {prior}, the prior that what is missing is in the catalogue."
+    """What the probabilities rest on."""
+    none, one, two = (_percent(p) for p in COUNT_PRIOR)
+    return (
+        f"Before the table, nothing is missing with {none}, one effect with {one}, two with {two}, and something "
+        f"unlisted with {_percent(FREE_PRIOR)} beside them. The laws of the base model and of each effect count as "
+        "approximate, by an amount that the table decides. What has 50 % or more is stated."
     )
-    if report.bootstrap is not None:
-        text += " The redraws of the noise assume the named model: they do not see a wrong form."
-    return text
-
-
-def bootstrap(report: Report) -> str:
-    """How often the names are found again, and what is found instead; empty where nothing was drawn."""
-    sure = report.bootstrap
-    if sure is None:
-        return ""
-    names = listed(title(e.name) for e in report.effects)
-    text = f"With the noise drawn again {sure.draws} times about the corrected model, {names} "
-    text += f"{'is' if len(report.effects) == 1 else 'are'} found again in {100.0 * sure.share:.1f} %"
-    instead = [f"{title(' and '.join(k))} in {100.0 * share:.1f} %" for k, share in list(sure.instead.items())[:4]]
-    return f"{text}; instead {', '.join(instead)}." if instead else f"{text}."
 
 
 def validity(report: Report) -> str:
@@ -347,14 +361,14 @@ def not_tiny(value: float) -> float:
 def _of_gap(report: Report) -> list[str]:
     out = []
     for name, g in report.gap.items():
-        if report.verdict != "none" and g.after > LEFT * g.noise_floor:
+        if g.after > LEFT * g.noise_floor:
             out.append(
-                f"The held-out error of {TITLES[name]} stays at {g.after / g.noise_floor:.1f} times the noise: "
-                "something is left, or the held-out conditions lie too far from the others."
+                f"The held-out error of {TITLES[name]} stays at {g.after / g.noise_floor:.1f} times the noise: form "
+                "error of the laws, or something that is not listed."
             )
-        if report.effects and g.after > (1.0 + WORSE) * g.before:
-            rise, effects = _percent(g.after / g.before - 1.0), "effect" if len(report.effects) == 1 else "effects"
-            out.append(f"The held-out error of {TITLES[name]} rises by {rise} with the named {effects}.")
+        if report.corrected and g.after > (1.0 + WORSE) * g.before:
+            rise = _percent(g.after / g.before - 1.0)
+            out.append(f"The held-out error of {TITLES[name]} rises by {rise} with {_what(report)}.")
     return out
 
 

@@ -17,7 +17,8 @@ from soil_env.discrepancy.report import blocks, tables, words
 from soil_env.terramechanics.catalogue import CATALOGUE
 from tests.discrepancy.files import SETUP, table_text, write_files
 
-KEYS = ("verdict", "effects", "where", "ranking", "gap", "closed", "untestable", "next_tests")
+KEYS = ("verdict", "effects", "where", "ranking", "gap", "closed", "untestable", "next_tests", "remainder",
+        "detectable")  # fmt: skip
 
 
 # --- report.json ------------------------------------------------------------------------------------------------------
@@ -29,7 +30,7 @@ def test_report_json_has_the_keys_of_the_contract(planted_files):
     assert content == json.loads(json.dumps(drawn.content(report), allow_nan=False))
     assert set(KEYS) <= set(content) and content["verdict"] == "named"
     for effect in content["effects"]:
-        assert {"name", "parameters", "alternatives"} <= set(effect) and effect["name"] in CATALOGUE
+        assert {"name", "parameters", "share", "alternatives"} <= set(effect) and effect["name"] in CATALOGUE
         for p in effect["parameters"].values():
             assert set(p) == {"value", "low", "high"} and p["low"] <= p["value"] <= p["high"]
     for d in content["where"]:
@@ -40,14 +41,18 @@ def test_report_json_has_the_keys_of_the_contract(planted_files):
     assert all(set(u) == {"name", "reason"} for u in content["untestable"])
     tried = {r["name"] for r in content["ranking"]} | {u["name"] for u in content["untestable"]}
     assert tried == set(CATALOGUE) and content["ranking"][0]["name"] == "slip_sinkage"
-    assert sum(r["probability"] for r in content["ranking"]) <= 1.0 + 1e-9
+    assert all(0.0 <= r["probability"] <= 1.0 + 1e-9 for r in content["ranking"])
+    assert all(set(r) == {"rms", "share"} for r in content["remainder"].values())
+    assert set(content["remainder"]) == set(CHANNELS)
+    assert set(content["detectable"]) == {r["name"] for r in content["ranking"]}
+    assert all(size > 0.0 for size in content["detectable"].values())
 
 
 def test_every_key_is_there_when_nothing_is_missing(nothing):
     content = drawn.content(nothing)
     assert set(KEYS) <= set(content)
     assert content["verdict"] == "none" and content["effects"] == [] and content["where"] == []
-    assert content["closed"] is None and content["confidence"] is None and content["next_tests"] == []
+    assert content["closed"] is None and content["probability"]["none"] > 0.5
     assert all(g["before"] == g["after"] for g in content["gap"].values())
     json.dumps(content, allow_nan=False)
 
@@ -65,7 +70,7 @@ def test_the_page_escapes_what_a_file_name_brings(tmp_path):
     folder = tmp_path / "<b>&"
     folder.mkdir()
     files = write_files(folder, table_text({}, loads=(100,), slips=(0.1, 0.3, 0.5)))
-    run(*files, tmp_path / "out", bootstrap=0)
+    run(*files, tmp_path / "out")
     text = (tmp_path / "out" / "report.html").read_text()
     assert "<b>" not in text and "&lt;b&gt;&amp;" in text
     assert not re.search(r"<(script|link|iframe)|@import|(?:src|href)=.(?!data:|#)", text)  # it stands alone
@@ -91,18 +96,29 @@ def test_a_named_effect_is_shown_as_an_equation(planted_files):
 # --- sentences and tables ---------------------------------------------------------------------------------------------
 
 
-def test_weak_signs_are_told(nothing):
-    c, base = nothing.finding.singles[0], nothing.finding.base
-    gain = 15.0 if len(c.fit.choices[0].free) > 1 else 12.0
-    weak = dataclasses.replace(c, fit=dataclasses.replace(c.fit, objective=base.fit.objective - gain))
-    chance = judgement.chance_of(nothing.problem, base, weak)
-    assert 0.004 < chance < 0.05
-    finding = dataclasses.replace(nothing.finding, singles=(weak,), chance=chance)
-    said = words.summary(dataclasses.replace(nothing, finding=finding))
-    assert f"weak signs of {words.title(c.names[0])} (chance {chance:.2g})" in said
-    assert "weak signs" not in words.summary(nothing)
-    finding = dataclasses.replace(nothing.finding, chance=0.01)
-    assert "weak signs of a misfit" in words.summary(dataclasses.replace(nothing, finding=finding))
+def test_the_summary_says_what_the_probabilities_say(planted, nothing):
+    finding = planted.finding
+    assert f"probability {words._sure(finding.share('slip_sinkage'))}" in words.summary(planted)
+    assert words._sure(nothing.finding.none) in words.summary(nothing)
+    one = finding.best("slip_sinkage")
+    other = finding.best("bulldozing")
+    base = finding.best()
+
+    def told(*shares):
+        parts = (one, other, dataclasses.replace(one, free=True), base, dataclasses.replace(base, free=True))
+        found = [dataclasses.replace(h, probability=p) for h, p in zip(parts, shares, strict=True)]
+        found = tuple(sorted(found, key=lambda h: -h.probability))
+        finding_ = dataclasses.replace(finding, hypotheses=found)
+        first = planted.effects[0]
+        first = dataclasses.replace(
+            first, probability=finding_.share(first.name), alternatives=finding_.alternatives(first.name)
+        )
+        return words.summary(dataclasses.replace(planted, finding=finding_, effects=(first,)))
+
+    assert "cannot tell what: slip-sinkage (45 %); bulldozing (40 %)" in told(0.45, 0.4, 0.0, 0.15, 0.0)
+    assert "in no catalogue" in told(0.2, 0.0, 0.7, 0.1, 0.0)
+    assert "Not ruled out instead: bulldozing" in told(0.7, 0.3, 0.0, 0.0, 0.0)
+    assert "no listed effect explains (probability 90 %)" in told(0.1, 0.0, 0.0, 0.0, 0.9)
 
 
 def test_cautions_are_of_the_soil_that_is_shown(planted):
@@ -123,6 +139,7 @@ def test_the_headline_quotes_the_channel_that_gains_most(planted):
     changed = dataclasses.replace(planted, gap=gap)
     assert "torque goes from 5.00 to 1.00 times the noise" in words.summary(changed)
     assert any("drawbar pull rises by 20 %" in text for text in words.cautions(changed))
+    assert "drawbar pull rises by 20 %" in words.summary(changed)
     assert words.check_first(changed) == []
     gap["sinkage"] = judgement.Gap(30.0, 29.0, 1.0)  # a real soil can be as far from its law
     assert words.check_first(changed) == []
@@ -131,5 +148,5 @@ def test_the_headline_quotes_the_channel_that_gains_most(planted):
 def test_a_density_that_is_given_is_known(nothing, tmp_path):
     assert nothing.known("density")
     setup = SETUP.replace("  density: 1600\n", "")
-    report = run(*write_files(tmp_path, table_text({}, loads=(100,), slips=(0.1, 0.3)), setup), bootstrap=0)
+    report = run(*write_files(tmp_path, table_text({}, loads=(100,), slips=(0.1, 0.3)), setup))
     assert not report.known("density") and tables.soil(report).rows[-1][2] == "assumed"

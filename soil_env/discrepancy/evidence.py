@@ -1,0 +1,243 @@
+"""Evidence of a model: its probability of the table, with the sizes of the form errors marginalised.
+
+About a fit the model is linear in the unknowns and in the form errors, all with unit priors, so under given sizes the
+table has a normal density (Laplace; `form_error.marginals`). Sizes are on a grid with the priors below. Noise that is
+estimated from few values has its own scale on the grid. A strength that may not be negative has a truncated prior, and
+its evidence the ratio of the posterior to the prior probability of being allowed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.special import log_ndtr, logsumexp, ndtr
+from scipy.stats import chi2
+
+from soil_env.discrepancy.calibrate import Choice, Fit, Problem, Sizes
+from soil_env.identification.form_error import SIZES, SPANS, marginals, mixed, size_prior
+from soil_env.identification.priors import Unknown
+from soil_env.identification.weighted import finite
+from soil_env.terramechanics.catalogue import CATALOGUE
+
+#: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to 30 % of it.
+EFFECT_SIZES, EFFECT_PRIOR = (0.03, 0.12, 0.3), (0.35, 0.5, 0.15)
+#: Sizes of an anonymous contribution to a channel, relative to its root mean square; each as probable as another, and
+#: each set of channels as another.
+FREE_SIZES = (0.03, 0.15, 0.5)
+_LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it
+_NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
+_ROUNDS = 2  # of fit and sizes in turn
+_SLIGHT = 1e-3  # share of sizes that do not count
+_LITTLE = 0.05  # [prior sd] strength at which an effect's first order is taken
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A fitted model and how probable it makes the table."""
+
+    fit: Fit
+    log: float  # log evidence, up to what all models of the table share
+    sizes: Sizes  # most probable
+    share: dict[Sizes, float]  # posterior of the sizes
+    mean: np.ndarray  # [p] of the whitened unknowns, over the sizes
+    covariance: np.ndarray  # [p, p] of them
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its effects."""
+        return tuple(c.effect for c in self.fit.choices)
+
+    def typical(self, kind: str) -> float:
+        """Root mean square of a size over its posterior."""
+        return math.sqrt(sum(p * getattr(s, kind) ** 2 for s, p in self.share.items()))
+
+
+def grid(effects: bool) -> tuple[list[Sizes], np.ndarray]:
+    """(sizes of the form errors, log prior of each)."""
+    effect = list(zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)) if effects else [(0.0, 1.0)]
+    law = list(zip(SIZES.tolist(), size_prior(), strict=True))
+    span = range(len(SPANS))
+    points = [(Sizes(a, e, span=k), p * q / len(SPANS)) for (a, p), (e, q), k in product(law, effect, span)]
+    return [s for s, _ in points], np.log([p for _, p in points])
+
+
+def free_grid(problem: Problem, plain: Evidence) -> tuple[list[Sizes], np.ndarray]:
+    """`grid` with an anonymous contribution to one measured channel or more, beside the likely sizes of the others."""
+    likely = sorted(plain.share, key=lambda s: -plain.share[s])
+    likely = list(dict.fromkeys([*likely[:_LIKELY], *(s._replace(law=law) for s in likely[:1] for law in _COARSE)]))
+    prior = dict(zip(*grid(bool(plain.fit.choices)), strict=True))
+    log = np.array([prior[s] for s in likely])
+    measured = problem.used.any(axis=0)
+    options = [(0.0, *FREE_SIZES) if m else (0.0,) for m in measured]
+    free = [f for f in product(*options) if any(f)]
+    cost = np.array([-math.log(len(FREE_SIZES)) * np.count_nonzero(f) for f in free])
+    cost -= logsumexp(cost)
+    points = [s._replace(free=f) for s in likely for f in free]
+    return points, ((log - logsumexp(log))[:, None] + cost).ravel()
+
+
+def noise_scales(freedom: float) -> np.ndarray:
+    """Noise over its estimate, equally probable values, where the estimate has so many degrees of freedom."""
+    if not math.isfinite(freedom):
+        return np.ones(1)
+    return np.sqrt(freedom / chi2.ppf(_NOISE_QUANTILES, freedom))
+
+
+def weigh(problem: Problem, fit: Fit, plain: Evidence | None = None) -> Evidence:
+    """`Evidence` of a fit, linearised about it; with `plain`, its evidence, with an anonymous contribution as well."""
+    sizes, log_prior = grid(bool(fit.choices)) if plain is None else free_grid(problem, plain)
+    errors = (*fit.law, fit.effect) if plain is None else (*fit.law, fit.effect, *fit.free)
+    table = np.array([(*s.laws, s.effect, *s.free) for s in sizes])[:, : len(errors)]
+    parts = []
+    for noise in noise_scales(problem.freedom):
+        blocks = [b / noise for b in errors]
+        log, mean, covariance = marginals(fit.jacobian / noise, blocks, table, fit.residual / noise, fit.u)
+        log += log_prior - fit.residual.size * math.log(noise) + _allowed(fit, mean, covariance)
+        parts.append((log, mean, covariance))
+    log, mean, covariance = (np.concatenate(x) for x in zip(*parts, strict=True))
+    total = float(logsumexp(log))
+    share = np.exp(log - total)
+    of = dict(zip(sizes, share.reshape(len(parts), -1).sum(axis=0).tolist(), strict=True))
+    return Evidence(fit, total - math.log(len(parts)), max(of, key=of.get), of, *mixed(share, mean, covariance))
+
+
+def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """[S] log of the posterior over the prior probability that every unknown is within its bounds."""
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    out = np.zeros(len(mean))
+    for k, unknown in enumerate(fit.unknowns):
+        low, high = unknown.bounds
+        out += _between((low - mean[:, k]) / sd[:, k], (high - mean[:, k]) / sd[:, k])
+        out -= _between(np.array([low]), np.array([high]))[0]
+    return out
+
+
+def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """log(Phi(b) - Phi(a)), a < b."""
+    turn = a > 0.0
+    a, b = np.where(turn, -b, a), np.where(turn, -a, b)
+    upper, lower = log_ndtr(b), log_ndtr(a)
+    return upper + np.log1p(-np.exp(np.minimum(lower - upper, -1e-12)))
+
+
+def settle(problem: Problem, choices: tuple[Choice, ...], near: Evidence | None = None,
+           start: dict[str, float] | None = None) -> Evidence:  # fmt: skip
+    """Evidence of a model, fitted under the form errors that are most probable with it, and linearised there.
+
+    `near`, a model of the same table, is where the first fit takes its form errors from.
+    """
+    first = Sizes() if near is None else Sizes(min(near.sizes.law, 0.05), span=near.sizes.span)
+    if start is None and near is not None:
+        start = near.fit.parameters()
+    best = weigh(problem, problem.fit(choices, start, first, None if near is None else near.fit))
+    for _ in range(_ROUNDS):
+        sizes = best.sizes
+        now = weigh(problem, problem.fit(choices, best.fit.parameters(), sizes, best.fit))
+        done = now.sizes == sizes and abs(now.log - best.log) < 0.1
+        best = now
+        if done:
+            break
+    return best
+
+
+class _Further:
+    """Strengths of further effects beside a fitted model as linear unknowns [M, K], under each size of the law's error.
+
+    Under the covariance of noise and form errors, the model's unknowns free, the strengths x have the normal matrix
+    `normal` [K, K] and the pull `pull` [K] of the table.
+    """
+
+    def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]):
+        self.fit, self.choices = first.fit, choices
+        self.unknowns, columns, self.owner = [], [], []
+        base, guess = problem.whiten(first.fit.output), problem.sinkage_guess(first.fit)
+        for k, choice in enumerate(choices):
+            own = [u for u in problem.unknowns((choice,)) if u.name in choice.free]
+            for moved in (u for u in own if not u.log):
+                trial = {u.name: u.value(0.0) for u in own} | {moved.name: moved.value(_LITTLE)}
+                values, all_ = first.fit.parameters() | trial, (*first.fit.choices, choice)
+                columns.append((problem.whiten(problem.predict(values, all_, guess.copy())) - base) / _LITTLE)
+                self.unknowns.append(moved)
+                self.owner.append(k)
+        self.columns = finite(columns, base.size)
+        blocks = (first.fit.jacobian, *first.fit.law, first.fit.effect)
+        self.known, self.width = np.concatenate(blocks, axis=1), [b.shape[1] for b in blocks]
+        self.effect = first.sizes.effect
+        self.gram, self.cross = self.known.T @ self.known, self.known.T @ self.columns
+        self.along = self.known.T @ first.fit.residual
+        self.own_gram, self.own_along = self.columns.T @ self.columns, self.columns.T @ first.fit.residual
+
+    def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
+        """(log evidence of the model alone, normal [K, K], pull [K]) at a size of the law's error."""
+        fit = self.fit
+        d = np.repeat([1.0, *sizes.laws, self.effect], self.width)
+        seen = d > 0.0
+        start, d = np.concatenate([fit.u, np.zeros(d.size - fit.u.size)])[seen], d[seen]
+        factor = cholesky(d[:, None] * self.gram[np.ix_(seen, seen)] * d + np.eye(d.size), lower=True)
+        right = np.column_stack([d * self.along[seen] - start, d[:, None] * self.cross[seen]])
+        half = solve_triangular(factor, right, lower=True)
+        square = fit.residual @ fit.residual + fit.u @ fit.u - half[:, 0] @ half[:, 0]
+        normal = self.own_gram - half[:, 1:].T @ half[:, 1:]
+        return -0.5 * square - np.sum(np.log(np.diag(factor))), normal, self.own_along - half[:, 1:].T @ half[:, 0]
+
+
+def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[float]:
+    """Log evidence that a further effect promises in each of its forms beside those of `first`, to first order."""
+    further = _Further(problem, first, choices)
+    one_sided = np.array([u.low >= u.mean for u in further.unknowns])
+    of = [np.flatnonzero(np.array(further.owner) == k) for k in range(len(choices))]
+    sizes, log_prior = grid(False)
+    out = np.empty((len(sizes), len(choices)))
+    for s, (of_law, prior) in enumerate(zip(sizes, log_prior, strict=True)):
+        log, normal, pull = further.under(of_law)
+        out[s] = [log + prior + _gain(normal[np.ix_(k, k)], pull[k], one_sided[k]) for k in of]
+    return [float(logsumexp(column)) for column in out.T]
+
+
+def _gain(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> float:
+    """Gain of log evidence by unknowns with unit priors; those that may not be negative stay at 0 where they would."""
+    while pull.size:
+        whole = normal + np.eye(pull.size)
+        solved = np.linalg.solve(whole, pull)
+        wrong = one_sided & (solved < 0.0)
+        if not wrong.any():
+            return float(0.5 * pull @ solved - 0.5 * np.linalg.slogdet(whole)[1])
+        normal, pull, one_sided = normal[np.ix_(~wrong, ~wrong)], pull[~wrong], one_sided[~wrong]
+    return 0.0
+
+
+class Detectable(NamedTuple):
+    """The smallest strength of an effect that a table would have shown."""
+
+    size: float  # in the unit of the parameter
+    parameter: str
+    form: str
+    power: float  # probability that the strength is larger, by its prior
+
+
+def detectable(problem: Problem, base: Evidence, choices: list[Choice], threshold: float) -> Detectable:
+    """`Detectable` of an effect, in the form of `choices` that shows best.
+
+    A strength of x prior standard deviations with the normal n under the form errors of the base model is expected to
+    gain x^2 n/2 - ln(1 + n)/2 nats; it is seen where that exceeds the `threshold` that its prior sets.
+    """
+    further = _Further(problem, base, choices)
+    normal = sum(p * np.maximum(np.diag(further.under(s)[1]), 1e-12) for s, p in base.share.items() if p > _SLIGHT)
+    x = np.sqrt((2.0 * threshold + np.log1p(normal)) / normal)
+    power = np.array([_beyond(u, float(at)) for u, at in zip(further.unknowns, x, strict=True)])
+    k = int(np.argmax(power + 1e-9 / x))
+    moved, choice = further.unknowns[k], choices[further.owner[k]]
+    form = CATALOGUE[choice.effect].forms[choice.form].name
+    return Detectable(float(x[k] * moved.sd), moved.name[len(choice.effect) + 1 :], form, float(power[k]))
+
+
+def _beyond(unknown: Unknown, x: float) -> float:
+    """Prior probability of a strength further than x standard deviations from its mean, within its bounds."""
+    low, high = unknown.bounds
+    inside = ndtr(high) - ndtr(low)
+    return float((max(ndtr(high) - ndtr(max(x, low)), 0.0) + max(ndtr(min(-x, high)) - ndtr(low), 0.0)) / inside)

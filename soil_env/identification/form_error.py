@@ -1,0 +1,191 @@
+"""Form error: the laws of a model are approximations, and what they miss is a smooth function of the conditions.
+
+What is measured is taken to be
+
+    y = f(u) + sum_k s_k B_k w_k + noise,    w_k ~ N(0, 1),
+
+where the columns B_k span a Gaussian process over the conditions and s_k is the unknown size of a kind of form error
+(Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464; Brynjarsdottir & O'Hagan 2014, Inverse Problems 30:114007). The
+error of the base law acts in the stresses: relative errors of the normal and of the shear stress, two independent
+processes of the same size, which reach sinkage, drawbar pull and torque together through the steady state.
+
+A process is written in its leading eigenfunctions at the rows of the table (Karhunen-Loeve), so that its covariance
+becomes ordinary linear unknowns with unit prior.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+#: Correlation lengths of form errors: of ln(1 + slip/0.05), as shear displacements go; of the logarithm of load, speed,
+#: pass, the wheel's radius and width, and its lug height (1 mm added); of the grade [deg].
+LENGTHS = {"slip": 0.8, "load": 0.8, "speed": 1.5, "pass": 1.0, "grade_deg": 10.0, "wheel_radius": 0.7,
+           "wheel_width": 0.7, "grouser_height": 1.5}  # fmt: skip
+SPANS = (1.0, 2.5)  # times these lengths that the error of the base law is tried with, one as probable as another
+_LITTLE_SLIP = 0.05  # below which a law changes with slip rather than with its logarithm
+LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width", "grouser_height")
+INPUTS = ("slip", "load", "wheel_radius", "wheel_width", "grouser_height")  # what the base law itself depends on
+OUTSIDE = 0.1  # share of the variance of a law's error that goes with conditions that the law does not know
+_LEFT = 1e-3  # share of the variance that may be left out of a basis
+_NUGGET = 1e-9
+_SHORTER = 3.0  # times over which a contribution of one condition may change faster than one of all
+_UNSEEN = 1e-10  # share of the largest variance, or of the noise, below which a direction does not count
+
+#: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is exact, else log-normal
+#: about 5 %, 2 to 20 % within two standard deviations. Fits of Bekker's and Janosi's laws to plates and shear rings
+#: scatter by so much (Wong 2010, Terramechanics and Off-Road Vehicle Engineering, ch. 4).
+SIZES = np.array([0.001, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.3])
+
+
+def size_prior() -> np.ndarray:
+    """Probabilities of `SIZES`."""
+    weight = np.exp(-0.5 * ((np.log(SIZES) - np.log(0.05)) / 0.8) ** 2)
+    weight[0] = weight[1:].sum() / 9.0
+    return weight / weight.sum()
+
+
+@dataclass(frozen=True, eq=False)
+class Process:
+    """A Gaussian process of unit variance over the conditions, in its leading functions at the rows of a table.
+
+    Its covariance is exp(-d^2/2), d the distance in correlation lengths: of the conditions `inner` alone for a share
+    1 - `outside` of the variance, of all for the rest. Where it is `additive`, half of the variance goes with all
+    conditions together, over these lengths, and half with each on its own, over a third of them.
+    """
+
+    names: tuple[str, ...]
+    lengths: np.ndarray  # [d]
+    inner: np.ndarray  # [d] bool
+    outside: float
+    additive: bool
+    points: np.ndarray  # [P, d]
+    weights: np.ndarray  # [P, R]
+
+    @classmethod
+    def over(
+        cls,
+        conditions: Mapping[str, np.ndarray],
+        inner: Sequence[str] | None = None,
+        outside: float = OUTSIDE,
+        *,
+        additive: bool = False,
+        most: int = 40,
+        lengths: Mapping[str, float] = LENGTHS,
+    ) -> Process:
+        """The process over the conditions [N] that vary, with at most `most` functions; `inner` None: all of them."""
+        names = tuple(n for n in lengths if n in conditions and np.ptp(_scale(n, conditions[n])) > 1e-6)
+        empty = cls(
+            names, np.array([lengths[n] for n in names]), np.array([inner is None or n in inner for n in names], bool),
+            outside, additive, _points(conditions, names), np.zeros((0, 0)),
+        )  # fmt: skip
+        values, vectors = np.linalg.eigh(empty._covariance(empty.points))
+        values, vectors = values[::-1], vectors[:, ::-1]
+        left = values.sum() - np.cumsum(values)
+        keep = min(int(np.sum(left > _LEFT * values.sum())) + 1, most, int(np.sum(values > _NUGGET * values[0])))
+        return replace(empty, weights=vectors[:, :keep] / np.sqrt(values[:keep]))
+
+    def _covariance(self, x: np.ndarray) -> np.ndarray:
+        """[N, P] with the points of the table."""
+        square = ((x[:, None, :] - self.points[None, :, :]) / self.lengths) ** 2
+        common = np.exp(-0.5 * square[:, :, self.inner].sum(axis=2))
+        if not self.inner.all():
+            rest = np.exp(-0.5 * square[:, :, ~self.inner].sum(axis=2))
+            common *= 1.0 - self.outside + self.outside * rest
+        if self.additive and self.names:
+            common = 0.5 * common + 0.5 * np.exp(-0.5 * _SHORTER**2 * square).mean(axis=2)
+        return common
+
+    def at(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+        """[N, R] of the functions at conditions [N]."""
+        return self._covariance(_points(conditions, self.names)) @ self.weights
+
+    @cached_property
+    def at_points(self) -> np.ndarray:
+        """[P, R] of the functions at the rows of the table."""
+        return self._covariance(self.points) @ self.weights
+
+    def left(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+        """[N] share of the variance at conditions [N] that the functions do not have: 1 far from the table."""
+        return np.clip(1.0 - np.sum(self.at(conditions) ** 2, axis=1), 0.0, 1.0)
+
+
+def _scale(name: str, value: np.ndarray) -> np.ndarray:
+    if name == "slip":
+        return np.sign(value) * np.log1p(np.abs(value) / _LITTLE_SLIP)
+    if name not in LOGARITHMIC:
+        return value
+    return np.log(value + 1e-3) if name == "grouser_height" else np.log(np.maximum(value, 1e-6))
+
+
+def _points(conditions: Mapping[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
+    size = np.size(next(iter(conditions.values())))
+    return np.stack([_scale(n, conditions[n]) for n in names], axis=1) if names else np.zeros((size, 0))
+
+
+Compression = tuple[np.ndarray, np.ndarray]
+
+
+def stress_changes(soil: Mapping[str, float], h: float) -> tuple[dict[str, float], dict[str, float]]:
+    """Soil parameters with which the normal stress, and the shear stress, is larger by the relative change h."""
+    tangent = (1.0 + h) * math.tan(math.radians(soil["friction_angle_deg"]))
+    return (
+        {"sinkage_coefficient": (1.0 + h) * soil["sinkage_coefficient"]},
+        {"cohesion": (1.0 + h) * soil["cohesion"], "friction_angle_deg": math.degrees(math.atan(tangent))},
+    )
+
+
+def compressed(columns: np.ndarray) -> Compression:
+    """(U [M, R], share [R]) with which C^-1/2 v = v - U share U'v for the covariance C = I + B B' of `columns` B."""
+    square, v = np.linalg.eigh(columns.T @ columns)  # robust where columns are as good as zero
+    seen = square > _UNSEEN * max(1.0, float(square[-1]) if square.size else 0.0)
+    return columns @ v[:, seen] / np.sqrt(square[seen]), 1.0 - 1.0 / np.sqrt(1.0 + square[seen])
+
+
+def whitened(compression: Compression | None, v: np.ndarray) -> np.ndarray:
+    """C^-1/2 v of `compressed`; v [M] or [M, B]."""
+    if compression is None:
+        return v
+    u, share = compression
+    return v - u @ ((share if v.ndim == 1 else share[:, None]) * (u.T @ v))
+
+
+def marginals(
+    jacobian: np.ndarray, errors: Sequence[np.ndarray], sizes: np.ndarray, residual: np.ndarray, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(log evidence [S], mean [S, p], covariance [S, p, p] of the unknowns) under each row of sizes [S, K].
+
+    The whitened problem is linear about u [p]: residual [M], `jacobian` [M, p], K form errors [M, R] at the size 1;
+    the unknowns have unit priors about 0. With A the Jacobian and the form errors, and D their sizes,
+
+        ln p = -(e'e + |u|^2 - h'N^-1 h)/2 - ln|N|/2,    N = I + D A'A D,    h = D A'e - u.
+    """
+    a, p = np.concatenate([jacobian, *errors], axis=1), u.size
+    width = [p, *(b.shape[1] for b in errors)]
+    gram, along, count = a.T @ a, a.T @ residual, a.shape[1]
+    start, square = np.concatenate([u, np.zeros(count - p)]), float(residual @ residual + u @ u)
+    log, mean, covariance = np.empty(len(sizes)), np.empty((len(sizes), p)), np.empty((len(sizes), p, p))
+    for s, of in enumerate(sizes):
+        scale = np.repeat([1.0, *of], width)
+        seen = scale > 0.0
+        d = scale[seen]
+        normal = d[:, None] * gram[np.ix_(seen, seen)] * d
+        normal[np.arange(d.size), np.arange(d.size)] += 1.0
+        factor = cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
+        right = np.column_stack([d * along[seen] - start[seen], np.eye(d.size, p)])
+        half = solve_triangular(factor, right, lower=True, check_finite=False)
+        log[s] = -0.5 * (square - half[:, 0] @ half[:, 0]) - np.sum(np.log(np.diag(factor)))
+        mean[s], covariance[s] = u + half[:, 1:].T @ half[:, 0], half[:, 1:].T @ half[:, 1:]
+    return log, mean, covariance
+
+
+def mixed(share: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(mean [p], covariance [p, p]) of normal distributions that have the probabilities `share` [S]."""
+    centre = share @ mean
+    off = mean - centre
+    return centre, np.einsum("s,spq->pq", share, covariance) + np.einsum("s,sp,sq->pq", share, off, off)

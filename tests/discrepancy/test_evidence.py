@@ -1,0 +1,125 @@
+"""Evidence of a model under form errors: against normal densities written out, and what it promises and detects."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal, norm
+
+from soil_env.discrepancy import evidence
+from soil_env.discrepancy.calibrate import Choice, Sizes
+from soil_env.discrepancy.search import forms
+from tests.discrepancy.tables import NOISE, problem, table
+
+SPEEDS = (0.03, 0.12)
+
+
+@pytest.fixture(scope="module")
+def data():
+    return table(speeds=SPEEDS)
+
+
+def density(fit, sizes):
+    """Log density of the whitened table of a linear model, unknowns and form errors normal, less its constant."""
+    j, b = fit.jacobian, fit.columns(sizes)
+    mean = -j @ fit.u  # of the residual, under the prior
+    covariance = np.eye(j.shape[0]) + j @ j.T + b @ b.T
+    return multivariate_normal.logpdf(fit.residual, mean, covariance) + 0.5 * j.shape[0] * math.log(2.0 * math.pi)
+
+
+@pytest.mark.parametrize("effect", [None, "bulldozing"])
+def test_the_evidence_is_the_density_of_the_table(data, effect):
+    """Soil unknowns are far within their bounds; a one-sided strength has its share of the prior beside."""
+    p = problem(data, np.random.default_rng(0))
+    fit = p.fit(() if effect is None else (Choice(effect, 0),))
+    sizes, log_prior = evidence.grid(effect is not None)
+    told = evidence.weigh(p, fit)
+    logs = np.array([density(fit, s) for s in sizes]) + log_prior
+    allowed = np.zeros(len(sizes))
+    for k, s in enumerate(sizes):
+        b, j = fit.columns(s), fit.jacobian
+        precision = np.linalg.inv(np.eye(j.shape[0]) + b @ b.T)
+        cov = np.linalg.inv(np.eye(fit.u.size) + j.T @ precision @ j)
+        mean = fit.u + cov @ (j.T @ precision @ fit.residual - fit.u)
+        for i, unknown in enumerate(fit.unknowns):
+            low, high = unknown.bounds
+            at, sd = norm(mean[i], math.sqrt(cov[i, i])), norm()
+            allowed[k] += math.log((at.cdf(high) - at.cdf(low)) / (sd.cdf(high) - sd.cdf(low)))
+    assert told.log == pytest.approx(np.logaddexp.reduce(logs + allowed), abs=1e-6)
+    assert sum(told.share.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.1])
+def test_the_size_of_the_law_error_is_learned(data, size):
+    rng = np.random.default_rng(1)
+    law = problem(data, rng).fit().law[0]
+    errors = np.zeros_like(data.y)
+    errors[data.measured] = law @ (size * rng.normal(size=law.shape[1]))
+    told = evidence.settle(problem(data, rng, errors * NOISE), ())
+    assert told.typical("law") < 0.05 if size == 0.0 else 0.05 < told.typical("law") < 0.2
+
+
+def test_the_posterior_covers_the_soil_under_a_law_error(data):
+    """Intervals under form error cover soils where those of noise alone do not."""
+    rng = np.random.default_rng(2)
+    true = {"friction_angle_deg": 31.0, "shear_modulus": 0.028, "sinkage_coefficient": 740000.0}
+    inside = {"form error": 0, "noise alone": 0}
+    for _ in range(15):
+        law = problem(data, rng).fit().law[0]
+        errors = np.zeros_like(data.y)
+        errors[data.measured] = law @ (0.1 * rng.normal(size=law.shape[1]))
+        p = problem(data, rng, errors * NOISE)
+        told, plain = evidence.settle(p, ()), p.fit()
+        a, _ = plain.linearised()
+        for k, unknown in enumerate(plain.unknowns):
+            if unknown.name in true:
+                at = unknown.at(true[unknown.name])
+                inside["form error"] += abs(told.mean[k] - at) < 2.0 * math.sqrt(told.covariance[k, k])
+                inside["noise alone"] += abs(plain.u[k] - at) < 2.0 * math.sqrt(np.linalg.inv(a.T @ a)[k, k])
+    assert inside["form error"] >= 39 > inside["noise alone"] + 5  # of 45
+
+
+def test_a_promise_is_near_what_the_fit_gives(data):
+    p = problem(table({"bulldozing": {"rankine": 0.5}}, speeds=SPEEDS), np.random.default_rng(3))
+    base = evidence.settle(p, ())
+    choices = [Choice("bulldozing", 0), Choice("sinkage_offset", 0), Choice("drivetrain_friction", 0)]
+    promised = evidence.promised(p, base, choices)
+    fitted = [evidence.settle(p, (c,), base).log for c in choices]
+    assert np.argmax(promised) == np.argmax(fitted) == 0
+    assert promised[0] - base.log == pytest.approx(fitted[0] - base.log, rel=0.25)
+
+
+@pytest.mark.parametrize("name", ["drivetrain_friction", "bulldozing", "sinkage_offset"])
+def test_what_is_detectable_is_detected(data, name):
+    """An effect twice as strong as the least is favoured over none; one of a third is not."""
+    threshold = math.log(2.0 * 13.0)
+    p = problem(data, np.random.default_rng(4))
+    base = evidence.settle(p, ())
+    least = evidence.detectable(p, base, forms(p, name), threshold)
+    assert 0.0 <= least.power <= 1.0
+    for factor, seen in ((2.5, True), (0.3, False)):
+        there = table({name: {least.parameter: factor * least.size}}, speeds=SPEEDS)
+        q = problem(there, np.random.default_rng(5))
+        alone = evidence.settle(q, ())
+        gain = max(evidence.settle(q, (c,), alone).log for c in forms(q, name)) - alone.log
+        assert (gain > threshold) == seen, (factor, gain)
+
+
+def test_noise_that_is_hardly_known_says_less(data):
+    p = problem(table({"bulldozing": {"rankine": 0.4}}, speeds=SPEEDS), np.random.default_rng(6))
+    gains = []
+    for p.freedom in (math.inf, 4.0):
+        base = evidence.settle(p, ())
+        gains.append(evidence.settle(p, (Choice("bulldozing", 0),), base).log - base.log)
+    assert 0.0 < gains[1] < gains[0]
+    assert evidence.noise_scales(math.inf) == pytest.approx([1.0]) and evidence.noise_scales(4.0)[2] > 1.0
+
+
+def test_an_anonymous_contribution_is_found_in_its_channel(data):
+    wave = 6.0 * NOISE[1] * np.sin(20.0 * data.rows.slip) * np.sign(data.rows.load - 150.5)
+    p = problem(data, np.random.default_rng(7), np.outer(wave, [0.0, 1.0, 0.0]))
+    base = evidence.settle(p, ())
+    free = evidence.weigh(p, base.fit, base)
+    assert free.log > base.log + 10.0
+    assert free.sizes.free[1] > 0.0 == free.sizes.free[2]
+    assert base.sizes.free == Sizes().free

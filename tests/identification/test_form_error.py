@@ -1,0 +1,83 @@
+"""Form errors: the process, its compression, and unknowns with the sizes marginalised."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from soil_env.identification import form_error
+from soil_env.identification.form_error import INPUTS, Process
+
+RNG = np.random.default_rng(0)
+CONDITIONS = {"slip": RNG.uniform(0.0, 0.6, 60), "load": np.exp(RNG.uniform(4.0, 5.5, 60)),
+              "pass": RNG.integers(1, 4, 60).astype(float), "speed": np.full(60, 0.05)}  # fmt: skip
+
+
+def kernel(names, a=CONDITIONS, b=CONDITIONS):
+    """exp(-d^2/2) of the conditions, by its definition."""
+    square = 0.0
+    for name in names:
+        x, y = (np.log(c[name]) if name != "slip" else np.log1p(c[name] / 0.05) for c in (a, b))
+        square = square + ((x[:, None] - y[None, :]) / form_error.LENGTHS[name]) ** 2
+    return np.exp(-0.5 * square)
+
+
+def test_the_functions_have_the_covariance_of_the_process():
+    process = Process.over(CONDITIONS)
+    assert set(process.names) == {"slip", "load", "pass"}  # the speed does not vary
+    assert process.at_points @ process.at_points.T == pytest.approx(kernel(("slip", "load", "pass")), abs=0.03)
+    partial = Process.over(CONDITIONS, INPUTS, 0.2)
+    common, rest = kernel(("slip", "load")), kernel(("pass",))
+    assert partial.at_points @ partial.at_points.T == pytest.approx(common * (0.8 + 0.2 * rest), abs=0.03)
+
+
+def test_beyond_the_table_the_variance_is_open():
+    process = Process.over(CONDITIONS)
+    assert np.max(process.left(CONDITIONS)) < 0.05
+    far = {k: v[:1] for k, v in CONDITIONS.items()} | {"load": np.array([1e5])}
+    assert process.left(far) == pytest.approx([1.0], abs=1e-3)
+    assert process.at(CONDITIONS) == pytest.approx(process.at_points)
+
+
+def test_compression_whitens():
+    b = RNG.normal(size=(40, 7)) * 3.0
+    b[:, 3] = 1e-13 * b[:, 3]  # as good as zero
+    whole = form_error.whitened(form_error.compressed(b), np.eye(40))
+    assert whole @ (np.eye(40) + b @ b.T) @ whole.T == pytest.approx(np.eye(40), abs=1e-7)
+    v = RNG.normal(size=40)
+    assert form_error.whitened(form_error.compressed(b), v) == pytest.approx(whole @ v)
+    assert form_error.whitened(None, v) is v
+
+
+def test_marginals_are_those_of_the_joint_normal():
+    j, b, e, u = RNG.normal(size=(30, 3)), RNG.normal(size=(30, 5)), RNG.normal(size=30), RNG.normal(size=3)
+    sizes = np.array([[0.0], [0.4], [2.0]])
+    log, mean, covariance = form_error.marginals(j, [b], sizes, e, u)
+    expected = []
+    for k, (size,) in enumerate(sizes):
+        c = np.eye(30) + size**2 * b @ b.T
+        expected.append(multivariate_normal.logpdf(e, -j @ u, c + j @ j.T))
+        posterior = np.linalg.inv(np.eye(3) + j.T @ np.linalg.solve(c, j))
+        assert covariance[k] == pytest.approx(posterior)
+        assert mean[k] == pytest.approx(posterior @ j.T @ np.linalg.solve(c, e + j @ u))
+    assert log - log[0] == pytest.approx(np.array(expected) - expected[0])
+
+
+def test_a_mixture_has_the_moments_of_its_parts():
+    share, mean = np.array([0.25, 0.75]), np.array([[0.0], [2.0]])
+    centre, covariance = form_error.mixed(share, mean, np.array([[[1.0]], [[4.0]]]))
+    assert centre == pytest.approx([1.5]) and covariance[0, 0] == pytest.approx(0.25 + 3.0 + 0.25 * 0.75 * 4.0)
+
+
+def test_stress_changes_scale_the_stresses():
+    soil = {"friction_angle_deg": 30.0, "cohesion": 1000.0, "sinkage_coefficient": 1e6}
+    normal, shear = form_error.stress_changes(soil, 0.1)
+    assert normal == {"sinkage_coefficient": pytest.approx(1.1e6)}
+    assert shear["cohesion"] == pytest.approx(1100.0)
+    assert np.tan(np.radians(shear["friction_angle_deg"])) == pytest.approx(1.1 * np.tan(np.radians(30.0)))
+
+
+def test_the_prior_of_the_size():
+    prior = form_error.size_prior()
+    assert prior.sum() == pytest.approx(1.0) and prior[0] == pytest.approx(0.1)
+    ordinary = (form_error.SIZES > 0.015) & (form_error.SIZES < 0.25)
+    assert prior[ordinary].sum() > 0.75
