@@ -32,6 +32,7 @@ from soil_env.identification.linearised import (
 
 # of a point at most: readings, [m], range of slip, relative range of rim speed
 _READINGS, _LENGTH, _SLIP, _RIM = 5, 0.06, 0.05, 0.1
+_SPINNING = 0.85  # slip beyond which a wheel digs on the spot and is passed over
 _SLOWEST = 0.02  # [m/s] rim speed below which readings say nothing of shear
 _FADES = 0.05  # [m] in which the doubt that is added at a border fades
 _FOUND = 0.1  # [m] from where a soil begins to change to where the filter finds it out
@@ -92,6 +93,7 @@ def take(banks, k, reading, numbers):
     before, time = p.last_rim[k], p.time[k]
     _advance_clocks(p, k, reading, numbers)
     useless = abs(reading.rim_speed) < _SLOWEST or reading.sinkage < 1e-3 * numbers.radius
+    useless = useless or abs(reading.slip) > _SPINNING
     if p.readings[k] > 0.0:
         other = abs(reading.rim_speed - p.first_rim[k]) > _RIM * max(abs(p.first_rim[k]), 0.05)
         other = other or abs(reading.slip - p.first_slip[k]) > _SLIP
