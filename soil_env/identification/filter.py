@@ -92,7 +92,8 @@ def take(banks, k, reading, numbers):
         return False
     before, time = p.last_rim[k], p.time[k]
     _advance_clocks(p, k, reading, numbers)
-    useless = abs(reading.rim_speed) < _SLOWEST or reading.sinkage < 1e-3 * numbers.radius
+    # a wheel that turns backwards, as when a halt throws it back, is none that the model predicts
+    useless = reading.rim_speed < _SLOWEST or reading.sinkage < 1e-3 * numbers.radius
     useless = useless or abs(reading.slip) > _SPINNING
     if p.readings[k] > 0.0:
         other = abs(reading.rim_speed - p.first_rim[k]) > _RIM * max(abs(p.first_rim[k]), 0.05)

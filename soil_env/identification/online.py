@@ -218,7 +218,7 @@ def _observe_by_window(ids, k, reading, numbers):
         digging, k, reading.speed, reading.rim_speed - reading.speed, dt, numbers.dig_gain, numbers.dig_recovery,
         numbers.relaxation,
     )  # fmt: skip
-    if abs(reading.rim_speed) < _MINIMUM_RIM_SPEED or reading.sinkage < 1e-3 * numbers.reading.radius:
+    if reading.rim_speed < _MINIMUM_RIM_SPEED or reading.sinkage < 1e-3 * numbers.reading.radius:
         return False
     full, done = False, False
     if sums.readings[k] > 0.0:

@@ -239,7 +239,7 @@ def test_garbage_readings_never_give_nan(data):
     fed, wild = Fed(), st.floats(-1e6, 1e6)
     for _ in range(data.draw(st.integers(5, 30))):
         r = SensorReading(data.draw(st.floats(-1.0, 1.0)), data.draw(st.floats(-0.2, 0.4)), *[data.draw(wild)] * 3,
-                          *[data.draw(st.floats(-3.0, 3.0)) for _ in range(2)])  # fmt: skip
+                          *[data.draw(st.floats(-3.0, 3.0)) for _ in range(5)])  # fmt: skip
         fed.feed([r] * 5)
         assert np.all(np.isfinite(fed.estimate)) and np.all(np.isfinite(fed.sd)) and np.all(fed.sd > 0.0)
         assert np.all(fed.estimate >= LOWER) and np.all(fed.estimate <= UPPER)

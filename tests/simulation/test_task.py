@@ -188,13 +188,13 @@ def test_the_observation_follows_from_readings_alone(variant):
         sim.step(0, 0.3)
     worlds, numbers, seen = sim.worlds, sim.numbers.task, []
     streams = worlds.streams.copy()
-    reading, pitch = sensors.sense(worlds.state, 0, streams, numbers.sensors)
+    reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
     for factor in (1.0, 1.7):
         for name in worlds.state.NAMES:
             if name not in ("last_action", "halt_left", "odometer"):
                 worlds.state[name] *= factor
         out = np.zeros_like(worlds.observation[0])
-        task.write_observation(out, worlds.state, worlds.counts, 0, reading, pitch, worlds.courses, worlds.ids, numbers)
+        task.write_observation(out, worlds.state, worlds.counts, 0, reading, worlds.courses, worlds.ids, numbers)
         seen.append(out)
     np.testing.assert_array_equal(*seen)
 
