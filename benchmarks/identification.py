@@ -23,7 +23,7 @@ import numpy as np
 from scipy.integrate import quad
 from scipy.optimize import root
 
-from benchmarks import identification_online, identification_page
+from benchmarks import identification_bound, identification_online, identification_page
 from benchmarks.common import study_parser
 from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.files import check_outputs, make_folder, write_json
@@ -31,7 +31,7 @@ from soil_env.identification import Reading, Status, generalized_newton_raphson,
 from soil_env.identification.point import Points, weigh
 from soil_env.identification.solver import solve
 from soil_env.identification.uniqueness import other_soil
-from soil_env.parameters import Soil, SoilState, soils
+from soil_env.parameters import Soil, SoilState, load_scenario, soils
 from soil_env.terramechanics.model import steady_state
 
 PAPER = Reading(cohesion=3000.0, exponent=0.47, radius=0.6274, width=0.1524)  # the wheel and sand of the source paper
@@ -313,6 +313,7 @@ def study(seed: int, smoke: bool) -> dict:
         ("identifiability", identifiability),
         ("speed", lambda: speed(rngs[2], 3 if smoke else 50)),
         ("online", lambda: identification_online.run(2 if smoke else 200, seed)),
+        ("bound", lambda: identification_bound.study(load_scenario("mixed"), 2 if smoke else 200, seed)),
     ):
         start = time.perf_counter()
         result[name] = part()

@@ -13,12 +13,18 @@ from soil_env.identification.normal_equations import gain_share
 from soil_env.identification.online import SensorReading, forget, identifier_numbers, new_identifiers, observe
 from soil_env.identification.point import Reading, channels_at, predict, weights, whitened
 from soil_env.identification.solver import LOWER, UPPER, Status
-from soil_env.parameters import Scenario
+from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.effects import excavation_rate
 
 PARAMETERS = ("phi_deg", "ln_K", "ln_S")
-CONTENDERS = ("ours", "newton_raphson", "linear", "ukf", "ukf_joint", "batch", "batch_joint")
+CONTENDERS = ("ours", "library", "window", "newton_raphson", "linear", "ukf", "ukf_joint", "batch", "batch_joint")
 _CONVERGED = Status.CONVERGED.value
+#: Identifiers of `soil_env`, by what they change in the scenario.
+COMPILED = {
+    "ours": lambda scenario: {},
+    "library": lambda scenario: {"belief": {"soils": dict(scenario.soils), "spread": scenario.spread}},
+    "window": lambda scenario: {"belief": {"method": "window"}},
+}
 
 
 # --- contenders -------------------------------------------------------------------------------------------------------
@@ -250,6 +256,7 @@ class Batch(Contender):
 
     def __init__(self, scenario):
         super().__init__(scenario)
+        self.numbers = self.numbers._replace(by_filter=False)
         self.ids = new_identifiers(1)
         forget(self.ids, 0, self.numbers)
         self.start, self.held = self.numbers.prior.copy(), False
@@ -305,7 +312,9 @@ def make(name: str, scenario: Scenario) -> Contender:
     """A contender by name."""
     from benchmarks.identification_kalman import UnscentedKalman, UnscentedKalmanJoint
 
-    classes = (Ours, NewtonRaphson, LinearLeastSquares, UnscentedKalman, UnscentedKalmanJoint, Batch, BatchJoint)
+    if name in COMPILED:
+        return Ours(load_scenario(scenario, COMPILED[name](scenario)))
+    classes = (NewtonRaphson, LinearLeastSquares, UnscentedKalman, UnscentedKalmanJoint, Batch, BatchJoint)
     return {c.name: c for c in classes}[name](scenario)
 
 
@@ -320,7 +329,7 @@ def replay_compiled(readings, ids, numbers, estimate, sd, valid):
     for t in range(len(readings)):
         reading = SensorReading(
             readings[t, 0], readings[t, 1], readings[t, 2], readings[t, 3], readings[t, 4], readings[t, 5],
-            readings[t, 6],
+            readings[t, 6], readings[t, 7], readings[t, 8], readings[t, 9],
         )  # fmt: skip
         if observe(ids, 0, reading, numbers):
             solves += 1
@@ -334,9 +343,10 @@ def replay_compiled(readings, ids, numbers, estimate, sd, valid):
 def replay(name: str, scenario: Scenario, readings: np.ndarray):
     """One contender over one log: (estimate [T, 3], sd [T, 3], valid [T], seconds of each update [T]).
 
-    `ours` runs compiled, and its seconds are the mean of the loop; the others are called from Python.
+    Those of `COMPILED` run compiled, and their seconds are the mean of the loop; the others are called from Python.
     """
-    if name == "ours":
+    if name in COMPILED:
+        scenario = load_scenario(scenario, COMPILED[name](scenario))
         T, numbers, ids = len(readings), identifier_numbers(scenario), new_identifiers(1)
         estimate, sd, valid = np.empty((T, 3)), np.empty((T, 3)), np.empty(T, dtype=bool)
         replay_compiled(readings[:1], ids, numbers, estimate, sd, valid)

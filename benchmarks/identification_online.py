@@ -6,13 +6,15 @@ has one, and whether it holds its estimate for valid. An estimate that is not va
 
 | name | method | per |
 |------|--------|-----|
-| ours | `soil_env.identification.online.observe` | point |
+| ours | `soil_env.identification.online.observe`: the filter bank, with motor torque and acceleration | point |
+| library | the same, told which soils may come (`Belief.soils`) | point |
+| window | `observe` by the moving window (`Belief.method`) | point |
 | newton_raphson | the source paper's: three points, drawbar pull, Newton's iteration as it stands | point |
 | linear | linear least squares for (c, phi) on linearised stresses, K known (Iagnemma et al. 2004) | reading |
 | ukf | unscented Kalman filter on drawbar pull, load and torque, random walk of the soil over the distance | reading |
 | ukf_joint | the same with cohesion and gain of digging in its state, and digging followed as ours does | reading |
-| batch | scipy.optimize.least_squares for phi, K and S on the window, weights and prior of ours | point |
-| batch_joint | the same for all five unknowns of ours: the same estimator, solved by scipy | point |
+| batch | scipy.optimize.least_squares for phi, K and S on the window, weights and prior of the window | point |
+| batch_joint | the same for all five unknowns of the window: the same estimator, solved by scipy | point |
 
 A point is the mean of up to five readings. `newton_raphson` and `ukf` take the digging ratio from the law of sinkage at
 the gain of the belief, `linear` knows no digging. All hold the exponent at the value of the belief, and cohesion too
@@ -91,17 +93,20 @@ def _log_truth(state, counts, courses, border, exponent, out):
 def record(scenario: Scenario, courses: int, seed: int) -> tuple[list[dict], dict]:
     """Drive the courses: a log for each and what the drive was like.
 
-    A log has `readings` [T, 7] (columns of `SensorReading`), all that a contender sees, and for the judge `truth`
+    A log has `readings` [T, 10] (columns of `SensorReading`), all that a contender sees, and for the judge `truth`
     [T, 3], `since` [T] m since the last border or the start, `patch` [T] and `halted` [T].
     """
     controller = SwingingSpeed(scenario)
     force, radius, top_speed = scenario.weight, scenario.wheel.radius, controller.top_speed
-    scale = np.array([1.0, radius, force, force, force * radius, top_speed, top_speed])
+    scale = np.array(
+        [1.0, radius, force, force, force * radius, top_speed, top_speed, 1.0, force * radius, scenario.gravity]
+    )
+    columns = [*range(8), 11, 12]  # of the observation
     readings, truth, running = [], [], []
     for w, alive in drive(controller, scenario, seed, 0, courses, threads=2):
         row = np.empty((courses, 6))
         _log_truth(w.state, w.counts, w.courses, scenario.course.border, scenario.belief.sinkage_exponent, row)
-        readings.append(w.observation[:, :7] * scale)
+        readings.append(w.observation[:, columns] * scale)
         truth.append(row)
         running.append(alive)
     readings, truth, running = np.array(readings), np.array(truth), np.array(running)

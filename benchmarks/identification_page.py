@@ -9,20 +9,22 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from benchmarks import identification_online
+from benchmarks import identification_bound, identification_online
 from soil_env._io.document import Table, render, wrapped
 from soil_env._io.files import replace_file, save_figure
 
 _NAMES = ("phi", "K", "S")
 _UNKNOWNS = ("phi_deg", "ln_K", "ln_S")
 _CONTENDERS = {
-    "ours": "ours",
+    "ours": "ours (filter bank)",
+    "library": "ours, told the library of soils",
+    "window": "the moving window",
     "newton_raphson": "three-point Newton-Raphson (the paper)",
     "linear": "linear least squares, c and phi (Iagnemma & Dubowsky 2004)",
     "ukf": "unscented Kalman filter of phi, K, S",
-    "ukf_joint": "unscented Kalman filter of what ours solves for",
-    "batch": "scipy least_squares for phi, K, S on our window",
-    "batch_joint": "scipy least_squares for what ours solves for, on our window",
+    "ukf_joint": "unscented Kalman filter of the five unknowns of the window",
+    "batch": "scipy least_squares for phi, K, S on the window",
+    "batch_joint": "scipy least_squares for all five unknowns of the window",
 }
 
 
@@ -39,7 +41,7 @@ def markdown(result: dict) -> str:
     """The page."""
     online, runs, speed = result["online"], result["convergence"].values(), result["speed"]
     ours, prior, ratios = online["contenders"]["ours"], online["prior_rms"], online["time"]["ratio_per_reading"]
-    rivals = [name for name in online["contenders"] if name not in ("ours", "batch_joint")]
+    rivals = [name for name in online["contenders"] if name not in ("ours", "library", "window", "batch_joint")]
     quickest = min((name for name in rivals if name != "linear"), key=lambda name: ratios[name])
     text = render(
         "benchmarks:identification.md",
@@ -59,6 +61,7 @@ def markdown(result: dict) -> str:
         efficiency=_efficiency(result["efficiency"]),
         identifiability=_identifiability(result["identifiability"]),
         contenders=_contenders(online),
+        bound=identification_bound.table(result["bound"]),
         speed=_speed(speed),
     )
     return wrapped(text)

@@ -38,15 +38,16 @@ def _drive(worlds, numbers, what, commands):
 def _sense(worlds, numbers, what, readings):
     for k in range(what.size):
         if what[k] == STEP:
-            r, pitch = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
-            for i in range(7):
+            r = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
+            for i in range(10):
                 readings[k, i] = r[i]
-            readings[k, 7] = pitch
 
 
 @inlined
 def _reading(a, k):
-    return SensorReading(a[k, 0], a[k, 1], a[k, 2], a[k, 3], a[k, 4], a[k, 5], a[k, 6])
+    return SensorReading(
+        a[k, 0], a[k, 1], a[k, 2], a[k, 3], a[k, 4], a[k, 5], a[k, 6], a[k, 7], a[k, 8], a[k, 9]
+    )  # fmt: skip
 
 
 @root
@@ -64,7 +65,7 @@ def _report(worlds, numbers, what, readings):
             worlds.cause[k] = cause
             reward_terms(worlds.state, k, cause, 0.0, 0.0, numbers.task, worlds.terms[k])
             write_observation(
-                worlds.observation[k], worlds.state, worlds.counts, k, _reading(readings, k), readings[k, 7],
+                worlds.observation[k], worlds.state, worlds.counts, k, _reading(readings, k),
                 worlds.courses, worlds.ids, numbers.task,
             )  # fmt: skip
 
@@ -93,7 +94,7 @@ def parts(wheels: int, steps: int, rounds: int) -> dict:
         sim.seed(k, rng)
     sim.restart_where(np.ones(wheels, dtype=np.bool_))
     calls = {name: FastCall(f) for name, f in _PARTS.items()}
-    readings, what = np.zeros((wheels, 8)), np.full(wheels, STEP)
+    readings, what = np.zeros((wheels, 10)), np.full(wheels, STEP)
     w, clock = sim.worlds, time.process_time
     found, solves, resets, patches = {name: [] for name in calls}, 0, 0, 0
     for turn in range(rounds + 1):  # the first warms up and spreads the ages

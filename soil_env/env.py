@@ -99,6 +99,8 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | 8 | last_action | - | -1 | 1 |
     | 9 | odometry | of course length | -5 | 5 |
     | 10 | halted | 0 or 1 | 0 | 1 |
+    | 11 | motor_torque | of weight x radius | -10 | 10 |
+    | 12 | acceleration | of gravity, accelerometer along the course: of travel, and sin(grade) | -10 | 10 |
 
     Odometry integrates the readings of the speed sensor, noise and all, times a scale drawn once an episode
     (`noise={"odometry_scale": ...}`, 1.5 %): its difference says nothing that the speed does not.
@@ -107,29 +109,29 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
-    | 11 | friction_angle | rad, phi | 0 | 1.6 |
-    | 12 | log10_shear_modulus | log10 m, K | -5 | 1 |
-    | 13 | log10_sinkage_coefficient | log10 N/m^(n+2), S at the exponent of the prior | 0 | 15 |
-    | 14 | friction_angle_sd | rad | 0 | 2 |
-    | 15 | shear_modulus_sd | relative | 0 | 20 |
-    | 16 | sinkage_coefficient_sd | relative | 0 | 20 |
-    | 17 | estimate_valid | 1 while the estimate is current, 0 while it is the prior or held | 0 | 1 |
-    | 18 | cohesion | kPa | 0 | 1000 |
-    | 19 | dig_gain | -, of slip-sinkage | 0 | 100 |
-    | 20 | cohesion_sd | kPa | 0 | 1000 |
-    | 21 | dig_gain_sd | relative | 0 | 20 |
+    | 13 | friction_angle | rad, phi | 0 | 1.6 |
+    | 14 | log10_shear_modulus | log10 m, K | -5 | 1 |
+    | 15 | log10_sinkage_coefficient | log10 N/m^(n+2), S at the exponent of the prior | 0 | 15 |
+    | 16 | friction_angle_sd | rad | 0 | 2 |
+    | 17 | shear_modulus_sd | relative | 0 | 20 |
+    | 18 | sinkage_coefficient_sd | relative | 0 | 20 |
+    | 19 | estimate_valid | 1 while the estimate is current, 0 while it is the prior or held | 0 | 1 |
+    | 20 | cohesion | kPa | 0 | 1000 |
+    | 21 | dig_gain | -, of slip-sinkage | 0 | 100 |
+    | 22 | cohesion_sd | kPa | 0 | 1000 |
+    | 23 | dig_gain_sd | relative | 0 | 20 |
 
     `"true_soil"`, for reference only, adds the undisturbed soil under the wheel instead:
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
-    | 11 | friction_angle | rad | 0 | 1.6 |
-    | 12 | log10_shear_modulus | log10 m | -5 | 1 |
-    | 13 | log10_sinkage_coefficient | log10 N/m^(n+2), at the true exponent | 0 | 15 |
-    | 14 | cohesion | kPa | 0 | 1000 |
-    | 15 | sinkage_exponent | - | 0 | 4 |
-    | 16 | dig_gain | - | 0 | 100 |
-    | 17 | dig_recovery | - | 0 | 10 |
+    | 13 | friction_angle | rad | 0 | 1.6 |
+    | 14 | log10_shear_modulus | log10 m | -5 | 1 |
+    | 15 | log10_sinkage_coefficient | log10 N/m^(n+2), at the true exponent | 0 | 15 |
+    | 16 | cohesion | kPa | 0 | 1000 |
+    | 17 | sinkage_exponent | - | 0 | 4 |
+    | 18 | dig_gain | - | 0 | 100 |
+    | 19 | dig_recovery | - | 0 | 10 |
 
     ## Rewards
     The sum of the terms in `info["reward_terms"]`, with weights `reward={...}`:

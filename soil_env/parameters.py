@@ -191,6 +191,8 @@ class Noise(Checked):
     wheel_speed: float = quantity("rad/s", 0.0, 10.0, default=0.01)
     pitch: float = quantity("rad", 0.0, 1.0, default=0.003)
     odometry_scale: float = quantity("", 0.0, 0.3, default=0.015, doc="scale error of odometry, constant on a course")
+    motor_torque: float = quantity("of weight x radius", 0.0, 1.0, default=0.01, doc="from the motor's current")
+    acceleration: float = quantity("m/s2", 0.0, 10.0, default=0.03, doc="accelerometer along the course")
 
 
 @dataclass(frozen=True)
@@ -213,11 +215,20 @@ class Belief(Checked):
     cohesion: float = quantity("Pa", 0.0, 2e5, default=550.0)
     cohesion_sd: float = quantity("Pa", 0.0, 2e5, default=450.0)
     sinkage_exponent: float = quantity("", 0.1, 3.0, default=1.07)
+    sinkage_exponent_sd: float = quantity("", 0.0, 1.0, default=0.07, doc="of the filter; the window holds it")
     dig_gain: float = quantity("", 0.0, 20.0, default=2.2)
     dig_gain_sd: float = quantity("", 0.0, 5.0, default=0.7, doc="relative")
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5)
     model_error: float = quantity("of load", 0.0, 1.0, default=0.01, doc="1-sigma misfit of the model itself")
-    memory: float = quantity("m", 0.01, 1e3, default=1.5, doc="distance after which a measured point is forgotten")
+    memory: float = quantity("m", 0.01, 1e3, default=1.5, doc="distance after which the window forgets a point")
+    method: Literal["filter", "window"] = "filter"
+    friction_cohesion: float = quantity("", -0.99, 0.99, default=-0.6, doc="correlation, of the filter")
+    friction_stiffness: float = quantity("", -0.99, 0.99, default=0.5, doc="correlation, of the filter")
+    stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4, doc="correlation, of the filter")
+    soils: dict[str, float] = field(
+        default_factory=dict
+    )  # library of soils that may come, with weights; {} = not known
+    spread: SoilSpread = SoilSpread()  # of the soils of that library
 
 
 @dataclass(frozen=True)
@@ -311,6 +322,11 @@ class Scenario(Checked):
             if not (math.isfinite(weight) and weight >= 0.0):
                 raise ParameterError(f"Scenario.soils.{name} = {weight!r}: expected a weight >= 0")
             library[name].lumped(self.wheel.width)
+        for name, weight in self.belief.soils.items():
+            if name not in library:
+                raise unknown_key(name, library, "Scenario.belief.soils")
+            if not (math.isfinite(weight) and weight > 0.0):
+                raise ParameterError(f"Scenario.belief.soils.{name} = {weight!r}: expected a weight > 0")
         if sum(self.soils.values()) <= 0.0:
             raise ParameterError("Scenario.soils: expected at least one weight > 0")
 

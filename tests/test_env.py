@@ -51,7 +51,7 @@ def test_registration_in_a_fresh_process(code):
     code += "; print(type(e.unwrapped).__name__, e.observation_space.shape)"
     done = subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "SoilWheelEnv (22,)"
+    assert done.stdout.strip() == "SoilWheelEnv (24,)"
 
 
 # --- determinism ------------------------------------------------------------------------------------------------------

@@ -23,6 +23,10 @@ from soil_env._numba.compiling import inlined, part
 from soil_env._numba.lanes import COUNT, fill, first, from_array, lane, smallest
 from soil_env._numba.rows import copy_column, rows, scratch_rows, zero_column
 from soil_env.identification.digging import KEPT, Digging, DiggingPlaces, close_point, note, roll
+from soil_env.identification.filter import take
+from soil_env.identification.filter_bank import FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
+from soil_env.identification.filter_update import publish
+from soil_env.identification.mixture_prior import moments, prior_of_belief
 from soil_env.identification.normal_equations import (
     COHESION,
     GAIN,
@@ -82,6 +86,9 @@ class SensorReading(NamedTuple):
     torque: float  # [N m]
     speed: float  # [m/s]
     rim_speed: float  # [m/s]
+    pitch: float  # [rad], uphill positive
+    motor_torque: float  # [N m]
+    acceleration: float  # [m/s2] of an accelerometer along the course: that of travel, and g sin(grade)
 
 
 class Identifiers(NamedTuple):
@@ -98,6 +105,7 @@ class Identifiers(NamedTuple):
     trial: np.ndarray  # [wheels, 5] the newest solution, published or not
     covariance: np.ndarray  # [wheels, 5, 5] of it
     condition: np.ndarray  # [wheels] largest posterior over prior standard deviation (1 = nothing learnt)
+    banks: FilterBanks  # of the method "filter"
 
 
 class IdentifierNumbers(NamedTuple):
@@ -115,6 +123,8 @@ class IdentifierNumbers(NamedTuple):
     relaxation: float  # [m]
     memory: float  # [m]
     period: float  # [s]
+    by_filter: bool
+    filter: FilterNumbers
 
 
 def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
@@ -124,6 +134,9 @@ def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
     prior = [math.radians(b.friction_angle_deg), math.log(b.shear_modulus), math.log(b.sinkage_coefficient)]
     sd = [math.radians(b.friction_sd_deg), b.shear_modulus_sd, b.sinkage_coefficient_sd]
     sd += [max(b.cohesion_sd, KNOWN * weight / (w.radius * w.width)), max(b.dig_gain_sd, KNOWN)]
+    if b.method == "filter" and b.soils:  # the first two moments of the library
+        mean, covariance = moments(prior_of_belief(scenario))
+        prior, sd = [*mean[:3]], [*np.sqrt(np.diag(covariance))[:3], *sd[3:]]
     forces_sd = np.array([n.drawbar_pull * weight, n.load * weight, n.torque * weight * w.radius])
     return IdentifierNumbers(
         Reading(b.cohesion, b.sinkage_exponent, w.radius, w.width, 0, False),
@@ -138,6 +151,8 @@ def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
         scenario.relaxation * w.radius,
         b.memory,
         scenario.control.period,
+        b.method == "filter",
+        filter_numbers(scenario),
     )
 
 
@@ -155,6 +170,7 @@ def new_identifiers(wheels: int) -> Identifiers:
         np.zeros((wheels, SIZE)),
         np.zeros((wheels, SIZE, SIZE)),
         np.ones(wheels),
+        new_banks(wheels),
     )
 
 
@@ -169,18 +185,40 @@ def forget(ids, k, numbers):
         ids.sd[k, i] = 1.0 / math.sqrt(numbers.precision[i])
     ids.status[k] = Status.NO_DATA.value
     ids.condition[k] = 1.0
+    restart(ids.banks, k, numbers.filter)
 
 
 @inlined
 def observe(ids, k, reading, numbers):
-    """Take one set of readings; True if it completed a point and the estimate was solved again."""
+    """Take one set of readings; True if it completed a point and the estimate was renewed."""
+    if numbers.by_filter:
+        return _observe_by_filter(ids, k, reading, numbers)
+    return _observe_by_window(ids, k, reading, numbers)
+
+
+@part
+def _observe_by_filter(ids, k, reading, numbers):
+    if not take(ids.banks, k, reading, numbers.filter):
+        return False
+    publish(ids.banks, k, numbers.filter, ids.estimate[k], ids.sd[k], ids.covariance[k])
+    learnt = 0.0
+    for i in range(2):  # friction and shear deformation modulus need a range of slip
+        learnt = max(learnt, ids.sd[k, i] * math.sqrt(numbers.precision[i]))
+    ids.condition[k] = learnt
+    ids.status[k] = Status.CONVERGED.value if learnt <= 0.6 else Status.NOT_EXCITED.value
+    return True
+
+
+@inlined
+def _observe_by_window(ids, k, reading, numbers):
+    """`observe` by the moving window."""
     sums, digging, dt = ids.open, ids.digging, numbers.period
     sums.odometer[k] += reading.speed * dt
     roll(
         digging, k, reading.speed, reading.rim_speed - reading.speed, dt, numbers.dig_gain, numbers.dig_recovery,
         numbers.relaxation,
     )  # fmt: skip
-    if abs(reading.rim_speed) < _MINIMUM_RIM_SPEED or reading.sinkage < 1e-3 * numbers.reading.radius:
+    if reading.rim_speed < _MINIMUM_RIM_SPEED or reading.sinkage < 1e-3 * numbers.reading.radius:
         return False
     full, done = False, False
     if sums.readings[k] > 0.0:

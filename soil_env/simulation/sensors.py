@@ -29,7 +29,8 @@ class SensorNumbers(NamedTuple):
     """What the sensors take from a `Scenario`."""
 
     radius: float
-    noise: np.ndarray  # [8] sd of slip, sinkage, pull, load, torque, speed, rim speed, pitch, in their own units
+    # [10] sd of slip, sinkage, pull, load, torque, speed, rim speed, pitch, motor torque, acceleration
+    noise: np.ndarray
     odometry_scale: float  # sd
     period: float  # [s]
     errors: SensorErrors
@@ -41,7 +42,7 @@ def sensor_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> S
     effects = NO_EFFECTS if model is None else model.numbers
     noise = [
         n.slip, n.sinkage, n.drawbar_pull * weight, n.load * weight, n.torque * weight * r, n.speed,
-        n.wheel_speed * r, n.pitch,
+        n.wheel_speed * r, n.pitch, n.motor_torque * weight * r, n.acceleration,
     ]  # fmt: skip
     errors = SensorErrors(*(getattr(effects, name) for name in SensorErrors._fields))
     return SensorNumbers(r, np.array(noise), n.odometry_scale, scenario.control.period, errors)
@@ -64,14 +65,15 @@ def roll_odometer(state, k, speed, sensors):
 
 @inlined
 def sense(state, k, streams, sensors):
-    """Noisy readings of wheel k and its pitch [rad]: (SensorReading, pitch)."""
+    """Noisy `SensorReading` of wheel k."""
     sd, slip, depth = sensors.noise, state.slip[k], state.sinkage[k]
     a, b, c, d, e, f, g, h = eight_normals(streams, k)
+    i, j = normal_pair(streams, k)
     fx = sensors.errors
     sinkage = depth + fx.sinkage_offset_offset
     if fx.slip_sinkage_apparent > 0.0:
         sinkage += depth * (slip_sinkage_ratio(slip, fx.slip_sinkage_gain, fx.slip_sinkage_recovery) - 1.0)
-    reading = SensorReading(
+    return SensorReading(
         min(max(measured_slip(slip, fx) + sd[0] * a, -1.0), 1.0),
         sinkage + sd[1] * b,
         state.drawbar_pull[k] + sd[2] * c,
@@ -79,5 +81,7 @@ def sense(state, k, streams, sensors):
         state.torque[k] + sd[4] * e,
         state.speed[k] + sd[5] * f,
         state.wheel_speed[k] * sensors.radius + sd[6] * g,
+        state.grade[k] + sd[7] * h,
+        state.motor_torque[k] + sd[8] * i,
+        state.drawbar_pull[k] / state.mass[k] + sd[9] * j,
     )
-    return reading, state.grade[k] + sd[7] * h

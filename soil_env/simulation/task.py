@@ -65,6 +65,8 @@ _BLIND = (
     ObservedNumber("last_action", "-", -1.0, 1.0),
     ObservedNumber("odometry", "of course length", -5.0, 5.0),
     ObservedNumber("halted", "0 or 1", 0.0, 1.0),
+    ObservedNumber("motor_torque", "of weight x radius", -10.0, 10.0),
+    ObservedNumber("acceleration", "of gravity", -10.0, 10.0),
 )
 _IDENTIFIED = (
     ObservedNumber("friction_angle", "rad", 0.0, 1.6),
@@ -158,7 +160,7 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
 
 
 @inlined
-def write_observation(out, state, counts, k, reading, pitch, courses, ids, task):
+def write_observation(out, state, counts, k, reading, courses, ids, task):
     """Fill the observation `out` [D] of wheel k, cut to the bounds of the layout."""
     out[0] = reading.slip
     out[1] = reading.sinkage / task.radius
@@ -167,23 +169,25 @@ def write_observation(out, state, counts, k, reading, pitch, courses, ids, task)
     out[4] = reading.torque / (task.weight * task.radius)
     out[5] = reading.speed / task.top_speed
     out[6] = reading.rim_speed / task.top_speed
-    out[7] = pitch
+    out[7] = reading.pitch
     out[8] = state.last_action[k]
     out[9] = state.odometer[k] / task.length
     out[10] = 1.0 if state.halt_left[k] > 0.0 else 0.0
+    out[11] = reading.motor_torque / (task.weight * task.radius)
+    out[12] = reading.acceleration / task.gravity
     if task.variant == 1:
         mean, sd = ids.estimate[k], ids.sd[k]
-        out[11], out[12], out[13] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
-        out[14], out[15], out[16] = sd[0], sd[1], sd[2]
-        out[17] = 1.0 if ids.status[k] == _CONVERGED else 0.0
-        out[18], out[19] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
-        out[20], out[21] = sd[3] / 1000.0, sd[4]
+        out[13], out[14], out[15] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
+        out[16], out[17], out[18] = sd[0], sd[1], sd[2]
+        out[19] = 1.0 if ids.status[k] == _CONVERGED else 0.0
+        out[20], out[21] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
+        out[22], out[23] = sd[3] / 1000.0, sd[4]
     elif task.variant == 2:
         soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], task.border)
-        out[11] = math.atan(soil.tan_phi)
-        out[12], out[13] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
-        out[14], out[15] = soil.cohesion / 1000.0, soil.sinkage_exponent
-        out[16], out[17] = soil.dig_gain, soil.dig_recovery
+        out[13] = math.atan(soil.tan_phi)
+        out[14], out[15] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
+        out[16], out[17] = soil.cohesion / 1000.0, soil.sinkage_exponent
+        out[18], out[19] = soil.dig_gain, soil.dig_recovery
     for i in range(out.size):
         out[i] = min(max(out[i], task.low[i]), task.high[i])
 

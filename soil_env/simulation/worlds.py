@@ -118,14 +118,14 @@ def restart(worlds, numbers, k):
         worlds.terms[k, i] = 0.0
     worlds.solved[k] = False
     start_odometry(worlds.state, k, worlds.streams, numbers.task.sensors)
-    reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
-    _observation(worlds, numbers, k, reading, pitch)
+    reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
+    _observation(worlds, numbers, k, reading)
 
 
 @part
-def _observation(worlds, numbers, k, reading, pitch):
+def _observation(worlds, numbers, k, reading):
     write_observation(
-        worlds.observation[k], worlds.state, worlds.counts, k, reading, pitch, worlds.courses, worlds.ids, numbers.task
+        worlds.observation[k], worlds.state, worlds.counts, k, reading, worlds.courses, worlds.ids, numbers.task
     )  # fmt: skip
 
 
@@ -133,7 +133,7 @@ def _observation(worlds, numbers, k, reading, pitch):
 def after_period(worlds, numbers, k):
     """After a control period of wheel k: draw the course ahead, sense, identify, judge, reward, observe."""
     draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], _course(numbers))
-    reading, pitch = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
+    reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
     roll_odometer(worlds.state, k, reading.speed, numbers.task.sensors)
     paid, prior = numbers.task.reward_information > 0.0, numbers.identifier.precision
     before = knowledge(worlds.ids, k, prior) if paid else 0.0
@@ -144,7 +144,7 @@ def after_period(worlds, numbers, k):
     after = knowledge(worlds.ids, k, prior) if paid else 0.0
     reward_terms(worlds.state, k, cause, before, after, numbers.task, terms)
     worlds.reward[k] = terms[0] + terms[1] + terms[2] + terms[3]
-    _observation(worlds, numbers, k, reading, pitch)
+    _observation(worlds, numbers, k, reading)
 
 
 @inlined

@@ -159,15 +159,22 @@ def shear_integrals(frame, nodes, at, rim, travel, K, r, law):
 
 
 @inlined
-def integrals_alone(arc, rim, travel, K, n, law):
-    """`ArcIntegrals` of one wheel's `Arc`, without derivatives."""
-    nodes, shear, r = _one_arc(), _shear_at_nodes(), arc.radius
-    frame = store_nodes(arc, n, nodes, 0)
+def integrals_at_nodes(frame, nodes, at, rim, travel, K, r, law):
+    """`ArcIntegrals` of the nodes of `store_nodes` at one motion, without derivatives."""
+    shear = _shear_at_nodes()
     for k in range(turns(frame.theta1)):
-        a, z, a2, z2 = _levers(frame, nodes, k * COUNT, k, r)
+        a, z, a2, z2 = _levers(frame, nodes, at + k * COUNT, k, r)
         to_array(mobilised(fma(rim, a, travel * z), K, law)[0], shear.e_front, k * COUNT)
         to_array(mobilised(fma(rim, a2, travel * z2), K, law)[0], shear.e_rear, k * COUNT)
-    return _integrals(frame, _sums(frame, nodes, 0, shear.e_front, shear.e_rear))
+    return _integrals(frame, _sums(frame, nodes, at, shear.e_front, shear.e_rear))
+
+
+@inlined
+def integrals_alone(arc, rim, travel, K, n, law):
+    """`ArcIntegrals` of one wheel's `Arc`, without derivatives."""
+    nodes = _one_arc()
+    frame = store_nodes(arc, n, nodes, 0)
+    return integrals_at_nodes(frame, nodes, 0, rim, travel, K, arc.radius, law)
 
 
 @inlined

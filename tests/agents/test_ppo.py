@@ -338,7 +338,7 @@ def test_a_batch_that_does_not_divide_the_rollout_is_refused(num_envs, n_steps, 
 def test_an_observation_of_another_layout_is_refused(tmp_path):
     save(build(load_scenario(), "blind", TINY, 0), tmp_path / "model.zip")
     agent = load_agent(tmp_path / "model.zip")
-    for shape in ((22,), (3, 22), ()):
-        with pytest.raises(ParameterError, match=r"expected 11 numbers, those of observation 'blind'"):
+    for shape in ((24,), (3, 24), ()):
+        with pytest.raises(ParameterError, match=r"expected 13 numbers, those of observation 'blind'"):
             agent.predict(np.zeros(shape))
-    assert agent.predict(np.zeros((3, 11)))[0].shape == (3, 1)
+    assert agent.predict(np.zeros((3, 13)))[0].shape == (3, 1)

@@ -51,8 +51,8 @@ def documented(variant):
             tables.append({})
         tables[-1][number] = row
         previous = number
-    (blind_and_identified, true_soil) = tables  # 0-10 and 11-17 count on, the last table starts at 11 again
-    rows = {k: v for k, v in blind_and_identified.items() if variant == "identified" or k <= 10}
+    (blind_and_identified, true_soil) = tables  # 0-12 and 13-23 count on, the last table starts at 13 again
+    rows = {k: v for k, v in blind_and_identified.items() if variant == "identified" or k <= 12}
     if variant == "true_soil":
         rows |= true_soil
     assert sorted(rows) == list(range(len(rows)))
@@ -106,8 +106,8 @@ def observed_again(sim, ground=None, estimate=None):
     if ground is not None:
         courses = courses._replace(soils=courses.soils * ground)
     ids = worlds.ids if estimate is None else worlds.ids._replace(estimate=worlds.ids.estimate + estimate)
-    reading, pitch = sensors.sense(worlds.state, 0, streams, numbers.sensors)
-    task.write_observation(out, worlds.state, worlds.counts, 0, reading, pitch, courses, ids, numbers)
+    reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
+    task.write_observation(out, worlds.state, worlds.counts, 0, reading, courses, ids, numbers)
     return out
 
 
@@ -120,7 +120,7 @@ def test_only_true_soil_shows_the_soil(variant):
     changed = before != after
     expected = np.zeros(len(before), dtype=bool)
     if variant == "true_soil":
-        expected[11:] = True
+        expected[13:] = True
     np.testing.assert_array_equal(changed, expected)
 
 
@@ -130,7 +130,7 @@ def test_true_soil_is_the_undisturbed_soil_under_the_wheel():
     sim.worlds.courses.modulus[:] = 0.5
     tan_phi, c, k, s, n, gain, recovery = sim.worlds.courses.soils[0, 1]
     expected = [math.atan(tan_phi), math.log10(k), math.log10(s), c / 1000.0, n, gain, recovery]
-    np.testing.assert_allclose(observed_again(sim)[11:], expected, rtol=1e-6)
+    np.testing.assert_allclose(observed_again(sim)[13:], expected, rtol=1e-6)
 
 
 def test_estimate_in_the_observation():
@@ -140,41 +140,43 @@ def test_estimate_in_the_observation():
         sim.step(0, 0.3 + 0.2 * math.sin(0.5 * k))
         ids, seen = sim.worlds.ids, sim.worlds.observation[0]
         x = ids.estimate[0]
-        np.testing.assert_allclose(seen[11:14], [x[0], x[1] / math.log(10), x[2] / math.log(10)], rtol=1e-6)
-        np.testing.assert_allclose(seen[14:17], ids.sd[0, :3], rtol=1e-6)
+        np.testing.assert_allclose(seen[13:16], [x[0], x[1] / math.log(10), x[2] / math.log(10)], rtol=1e-6)
+        np.testing.assert_allclose(seen[16:19], ids.sd[0, :3], rtol=1e-6)
         belief = load_scenario("mixed").belief
-        np.testing.assert_allclose(seen[18:20], [x[3] / 1000.0, belief.dig_gain * math.exp(x[4])], rtol=1e-6)
-        np.testing.assert_allclose(seen[20:], [ids.sd[0, 3] / 1000.0, ids.sd[0, 4]], rtol=1e-6)
-        assert seen[17] == (ids.status[0] == Status.CONVERGED)
-        rows.append(seen[17])
+        np.testing.assert_allclose(seen[20:22], [x[3] / 1000.0, belief.dig_gain * math.exp(x[4])], rtol=1e-6)
+        np.testing.assert_allclose(seen[22:], [ids.sd[0, 3] / 1000.0, ids.sd[0, 4]], rtol=1e-6)
+        assert seen[19] == (ids.status[0] == Status.CONVERGED)
+        rows.append(seen[19])
     assert {0.0, 1.0} == set(rows)
     changed = observed_again(sim) != observed_again(sim, estimate=0.01)
-    np.testing.assert_array_equal(np.flatnonzero(changed), [11, 12, 13, 18, 19])
+    np.testing.assert_array_equal(np.flatnonzero(changed), [13, 14, 15, 20, 21])
 
 
 def test_readings_scatter_as_stated():
     """Mean and standard deviation of 20 000 readings of one state, in the units of the observation."""
     sim = simulation("blind")
-    for name, value in {"slip": 0.4, "speed": 0.3, "wheel_speed": 3.3, "drawbar_pull": 20.0, "torque": 8.0}.items():
+    for name, value in {"slip": 0.4, "speed": 0.3, "wheel_speed": 3.3, "drawbar_pull": 20.0, "torque": 8.0,
+                        "motor_torque": 9.0}.items():  # fmt: skip
         sim.worlds.state[name] = value
     w, n, radius = sim.wheel(0), sim.scenario.noise, sim.scenario.wheel.radius
     weight, top = sim.scenario.weight, sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
-    out, rows, streams = np.zeros(11, np.float32), [], sim.worlds.streams.copy()
+    out, rows, streams = np.zeros(13, np.float32), [], sim.worlds.streams.copy()
     for _ in range(20_000):
-        reading, pitch = sensors.sense(sim.worlds.state, 0, streams, sim.numbers.task.sensors)
+        reading = sensors.sense(sim.worlds.state, 0, streams, sim.numbers.task.sensors)
         task.write_observation(
-            out, sim.worlds.state, sim.worlds.counts, 0, reading, pitch, sim.worlds.courses, sim.worlds.ids,
+            out, sim.worlds.state, sim.worlds.counts, 0, reading, sim.worlds.courses, sim.worlds.ids,
             sim.numbers.task,
         )  # fmt: skip
-        rows.append(out[:8].copy())
+        rows.append(out[[*range(8), 11, 12]].copy())
     rows = np.array(rows, dtype=float)
     truth = [w["slip"], w["sinkage"] / radius, w["drawbar_pull"] / weight, w["load"] / weight,
-             w["torque"] / weight / radius, w["speed"] / top, w["wheel_speed"] * radius / top, w["grade"]]  # fmt: skip
+             w["torque"] / weight / radius, w["speed"] / top, w["wheel_speed"] * radius / top, w["grade"],
+             w["motor_torque"] / weight / radius, w["drawbar_pull"] / w["mass"] / sim.scenario.gravity]  # fmt: skip
     sd = [n.slip, n.sinkage / radius, n.drawbar_pull, n.load, n.torque, n.speed / top,
-          n.wheel_speed * radius / top, n.pitch]  # fmt: skip
+          n.wheel_speed * radius / top, n.pitch, n.motor_torque, n.acceleration / sim.scenario.gravity]  # fmt: skip
     assert np.all(np.abs(rows.mean(axis=0) - truth) < 4.5 * np.array(sd) / math.sqrt(20_000))
     np.testing.assert_allclose(rows.std(axis=0), sd, rtol=0.03)
-    correlation = np.corrcoef(rows.T) - np.eye(8)
+    correlation = np.corrcoef(rows.T) - np.eye(10)
     assert np.abs(correlation).max() < 0.04
 
 
@@ -186,13 +188,13 @@ def test_the_observation_follows_from_readings_alone(variant):
         sim.step(0, 0.3)
     worlds, numbers, seen = sim.worlds, sim.numbers.task, []
     streams = worlds.streams.copy()
-    reading, pitch = sensors.sense(worlds.state, 0, streams, numbers.sensors)
+    reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
     for factor in (1.0, 1.7):
         for name in worlds.state.NAMES:
             if name not in ("last_action", "halt_left", "odometer"):
                 worlds.state[name] *= factor
         out = np.zeros_like(worlds.observation[0])
-        task.write_observation(out, worlds.state, worlds.counts, 0, reading, pitch, worlds.courses, worlds.ids, numbers)
+        task.write_observation(out, worlds.state, worlds.counts, 0, reading, worlds.courses, worlds.ids, numbers)
         seen.append(out)
     np.testing.assert_array_equal(*seen)
 

@@ -39,7 +39,8 @@ def model_of(effects, residual=(), soil=None):
 STILL = {
     "course": {"length": 40.0},
     "noise": dict.fromkeys(
-        ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "wheel_speed", "pitch"), 0.0
+        ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "wheel_speed", "pitch", "motor_torque",
+         "acceleration"), 0.0
     ),
 }  # fmt: skip
 
@@ -54,7 +55,7 @@ def readings(wheels, effects):
     """What the sensors read of the wheel."""
     model = None if effects is None else model_of(effects)
     task = task_numbers(load_scenario("mixed", STILL), "blind", model)
-    return sense(wheels.state, 0, np.ones(1, dtype=np.uint64), task.sensors)[0]
+    return sense(wheels.state, 0, np.ones(1, dtype=np.uint64), task.sensors)
 
 
 def ground_of(w, soil, grade, passes, world):

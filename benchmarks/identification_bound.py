@@ -1,0 +1,235 @@
+"""The posterior Cramer-Rao bound of the online identification along logged courses, beside what is reached.
+
+    python -m benchmarks.identification_bound                the table of docs/identification.md; a few minutes
+    python -m benchmarks.identification_bound --courses 20   in seconds
+
+The bound (Tichavsky, Muravchik & Nehorai 1998, IEEE Trans. Signal Processing 46:1386-1396) is that of the sensors
+named: the covariance of a Kalman filter linearised at the truth, with the prior of the belief, that is told where the
+borders are and how one soil passes into the next. Soil (phi, ln K, S, c, n, gain of digging) is unknown in each patch,
+mass in each course; the sinkage follows its law without error, the slip of each reading is a nuisance. The prior is
+Gaussian and the truth is not drawn from it, so that an estimator may be below the bound where soils are near its mean.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from agents.evaluate import drive
+from benchmarks.common import study_parser
+from benchmarks.identification_contenders import replay
+from benchmarks.identification_online import SwingingSpeed
+from soil_env._io.commands import command_line, leave, whole_number
+from soil_env._io.document import Table
+from soil_env._io.files import make_folder, write_json
+from soil_env._numba.compiling import root
+from soil_env._numba.lanes import COUNT
+from soil_env.identification.filter_bank import filter_numbers
+from soil_env.identification.linearised import COLUMNS, LN_DEPTH, STATES, Linearised, Reference, linearise
+from soil_env.identification.mixture_prior import plain
+from soil_env.parameters import Scenario, load_scenario
+from soil_env.simulation.terrain import ground_at
+
+SENSORS = {"all sensors": (True, True), "without motor torque and acceleration": (False, False)}
+ESTIMATORS = {"filter bank": "ours", "filter bank, told the library": "library", "moving window": "window"}
+#: Steps by the distance from the last border [m]: the first patch has none and counts as far as it goes.
+PLACES = {"all": (-1.0, 1e9), "0.1-0.2 m": (0.1, 0.2), "within 1.5 m": (-1.0, 1.5), "beyond 1.5 m": (1.5, 1e9)}
+_UNIT = np.array([math.degrees(1.0), 1.0, 1.0])
+_SOIL = 6  # unknowns of a patch: (phi, ln K, q, c, n, ln g)
+_BEFORE, _NOW, _SINKAGE, _MASS, _SIZE = 0, _SOIL, 2 * _SOIL, 2 * _SOIL + 1, 2 * _SOIL + 2
+_AT = Reference(0.02, 1e4)
+_STATE = ("x", "slip", "sinkage", "mass", "grade", "wheel_speed", "bearing_sinkage", "halt_left")
+
+
+@root
+def _soils(state, counts, courses, border, out):
+    for k in range(len(out)):
+        soil, _, patch = ground_at(courses, k, state.x[k], counts.patch[k], border)
+        for j in range(7):
+            out[k, j] = soil[j]
+        out[k, 7] = state.x[k] - courses.edges[k, patch]
+
+
+def record(scenario: Scenario, courses: int, seed: int) -> list[dict]:
+    """Drive the courses: of each the readings [T, 10], the truth by name [T] and the borders [m]."""
+    controller, rows, readings, running = SwingingSpeed(scenario), [], [], []
+    force, r, top = scenario.weight, scenario.wheel.radius, controller.top_speed
+    scale = np.array([1.0, r, force, force, force * r, top, top, 1.0, force * r, scenario.gravity])
+    for w, alive in drive(controller, scenario, seed, 0, courses, threads=1):
+        soils = np.empty((courses, 8))
+        _soils(w.state, w.counts, w.courses, scenario.course.border, soils)
+        rows.append(np.column_stack([soils, *(np.array(w.state[name]) for name in _STATE)]))
+        readings.append(w.observation[:, [*range(8), 11, 12]] * scale)
+        running.append(alive.copy())
+    rows, readings, running = np.array(rows), np.array(readings, dtype=float), np.array(running)
+    logs, n = [], scenario.belief.sinkage_exponent
+    for k in range(courses):
+        a = rows[: int(running[:, k].sum()), k]
+        log = dict(zip(_STATE, a[:, 8:].T, strict=True))
+        q = np.log(a[:, 3]) + (a[:, 4] - n) * LN_DEPTH
+        depth = np.log(np.maximum(log["bearing_sinkage"], 1e-4)) - LN_DEPTH
+        log["soil"] = np.column_stack([
+            np.arctan(a[:, 0]), np.log(a[:, 2]), q, a[:, 1], a[:, 4], np.log(a[:, 5] / scenario.belief.dig_gain)
+        ])  # fmt: skip
+        log["truth"] = np.column_stack([log["soil"][:, 0], log["soil"][:, 1], q + (a[:, 4] - n) * depth])
+        edges = w.courses.edges[k, 1 : w.courses.patches[k]]
+        log |= {"depth": depth, "since": a[:, 7], "readings": np.ascontiguousarray(readings[: len(a), k])}
+        log["edges"] = edges[np.isfinite(edges) & (edges < log["x"].max() + 1.0)]
+        logs.append(log)
+    return logs
+
+
+@root
+def _linearise(x, cos_pitch, numbers, out):
+    linearise(x, cos_pitch, _AT, numbers, out)
+
+
+def jacobians(log: dict, scenario: Scenario) -> np.ndarray:
+    """Of (drawbar pull, torque, ln bearing sinkage) at the truth: the derivatives and, last, the values [T, 3, 10].
+
+    By (phi, ln K, q, c, n, ln g, sinkage, mass, slip).
+    """
+    soil, T = log["soil"], len(log["slip"])
+    share = -np.expm1(-_AT.displacement / np.exp(soil[:, 1]))
+    rate = -_AT.displacement / np.exp(soil[:, 1]) * (1.0 - share)
+    strength = np.tan(soil[:, 0]) + soil[:, 3] / _AT.stress
+    states = [strength * share, *soil.T[1:], log["sinkage"], log["mass"], np.clip(log["slip"], -0.95, 0.98)]
+    x, numbers, out = np.array(states), filter_numbers(scenario), Linearised(COLUMNS)
+    found = np.empty((T, 3, STATES + 1))
+    for t in range(0, T, COUNT):
+        take = np.minimum(np.arange(t, t + COUNT), T - 1)
+        _linearise(np.ascontiguousarray(x[:, take]).ravel(), math.cos(float(log["grade"][t])), numbers, out)
+        values = np.array([out["pull"], out["torque"], out["ln_bearing"]]).reshape(3, STATES + 1, COUNT)
+        found[take] = values.transpose(2, 0, 1)
+    by_strength = found[:, :, 0].copy()
+    found[:, :, 0] = by_strength * ((1.0 + np.tan(soil[:, 0]) ** 2) * share)[:, None]
+    found[:, :, 1] += by_strength * (strength * rate)[:, None]
+    found[:, :, 3] += by_strength * (share / _AT.stress)[:, None]
+    return found
+
+
+def bound(log: dict, scenario: Scenario, motor: bool, accelerometer: bool) -> np.ndarray:
+    """Standard deviations [T, 3] of (phi, ln K, ln S) of the soil under the wheel."""
+    numbers, J, T = filter_numbers(scenario), jacobians(log, scenario), len(log["slip"])
+    prior, sd, r, border = plain(scenario)[2], numbers.noise, numbers.radius, scenario.course.border
+    P, out, passed = np.zeros((_SIZE, _SIZE)), np.empty((T, 3)), 0
+    P[:_SOIL, :_SOIL] = P[_NOW:_SINKAGE, _NOW:_SINKAGE] = prior
+    P[_SINKAGE, _SINKAGE], P[_MASS, _MASS] = sd[1] ** 2, (0.2 * scenario.wheel.body_mass) ** 2
+    variances = np.array([sd[2] ** 2, sd[4] ** 2, sd[3] ** 2, sd[1] ** 2])
+    rim = np.maximum(log["wheel_speed"] * r, 0.0)
+    for t in range(T):
+        while passed < len(log["edges"]) and log["x"][t] >= log["edges"][passed] - 0.5 * border:
+            passed += 1  # into the next soil
+            P[:_SOIL, :], P[:, :_SOIL] = P[_NOW:_SINKAGE, :].copy(), P[:, _NOW:_SINKAGE].copy()
+            P[:_SOIL, :_SOIL] = P[_NOW:_SINKAGE, _NOW:_SINKAGE]
+            P[_NOW:_SINKAGE, :] = P[:, _NOW:_SINKAGE] = 0.0
+            P[_NOW:_SINKAGE, _NOW:_SINKAGE] = prior
+        s = 1.0 if not passed else min((log["x"][t] - log["edges"][passed - 1]) / border + 0.5, 1.0)
+        share = max(s, 0.0) ** 2 * (3.0 - 2.0 * max(s, 0.0))
+        spread = np.zeros((STATES - 1, _SIZE))  # from the unknowns to what the Jacobian is by, but the slip
+        spread[:_SOIL, :_SOIL], spread[:_SOIL, _NOW:_SINKAGE] = (1.0 - share) * np.eye(_SOIL), share * np.eye(_SOIL)
+        spread[6, _SINKAGE] = spread[7, _MASS] = 1.0
+        u = rim[t]
+        if u >= 0.02:
+            P = _driven(P, J[t], spread, log, t, u, numbers)
+            P = _measured(P, J[t], spread, log, t, u, numbers, variances, motor, accelerometer)
+        rows = spread[:3].copy()
+        rows[2] += log["depth"][t] * spread[4]
+        out[t] = np.sqrt(np.einsum("ip,pq,iq->i", rows, P, rows))
+    return out
+
+
+def _driven(P, J, spread, log, t, u, numbers):
+    """The sinkage after one period of its law, as `filter_update`."""
+    slip, step = log["slip"][t], numbers.period / numbers.relaxation
+    v = u * (1.0 - slip) if slip >= 0.0 else u / (1.0 + slip)
+    sliding = abs(u - v) * step
+    a = abs(v) * step + numbers.dig_recovery * sliding
+    bearing, gain = log["bearing_sinkage"][t], numbers.dig_gain * math.exp(log["soil"][t, 5])
+    come = 1.0 - math.exp(-a)
+    dug = gain * sliding * come / max(a, 1e-12) * bearing
+    row = (come * bearing + dug) * (J[2, :8] @ spread)
+    row[_SINKAGE] += 1.0 - come
+    row += dug * spread[5]
+    if log["sinkage"][t] < bearing:
+        lag = bearing * (J[2, :8] @ spread)
+        lag[_SINKAGE] -= 1.0
+        row += (1.0 - math.exp(-10.0 * numbers.period)) * lag
+    F = np.eye(_SIZE)
+    F[_SINKAGE] = row
+    P = F @ P @ F.T
+    P[_SINKAGE, _SINKAGE] += 1e-10
+    return P
+
+
+def _measured(P, J, spread, log, t, u, numbers, variances, motor, accelerometer):
+    """The covariance after the channels of one reading, whose slip is known from its own sensor and the speeds."""
+    sd, mass, cos_pitch = numbers.noise, log["mass"][t], math.cos(log["grade"][t])
+    pull, torque = J[0, :8] @ spread, J[1, :8] @ spread
+    H, by_slip, R = [pull, torque], [J[0, 8], J[1, 8]], list(variances[:2])
+    load, sinkage = np.zeros(_SIZE), np.zeros(_SIZE)
+    load[_MASS], sinkage[_SINKAGE] = numbers.gravity * cos_pitch, 1.0
+    H, by_slip, R = [*H, load, sinkage], [*by_slip, 0.0, 0.0], [*R, *variances[2:]]
+    if motor:
+        spin = numbers.inertia / numbers.radius / numbers.period * sd[6]
+        H, by_slip, R = [*H, torque], [*by_slip, J[1, 8]], [*R, sd[8] ** 2 + 2.0 * spin**2]
+    if accelerometer:
+        force = pull / mass
+        force[_MASS] -= J[0, STATES] / mass**2
+        H, by_slip, R = [*H, force], [*by_slip, J[0, 8] / mass], [*R, sd[9] ** 2]
+    H, by_slip = np.array(H), np.array(by_slip)
+    slip_variance = 1.0 / (1.0 / sd[0] ** 2 + u**2 / (sd[5] ** 2 + sd[6] ** 2))
+    S = H @ P @ H.T + np.diag(R) + slip_variance * np.outer(by_slip, by_slip)
+    P = P - P @ H.T @ np.linalg.solve(S, H @ P)
+    return 0.5 * (P + P.T)
+
+
+def study(scenario: Scenario, courses: int, seed: int) -> dict:
+    """{"rms": {row: {place: [3]}}, "inside_68": {row: [3]}} of bounds and estimators over all driven steps."""
+    logs = record(scenario, courses, seed)
+    driven = [log["halt_left"] == 0.0 for log in logs]
+    since = np.concatenate([log["since"][d] for log, d in zip(logs, driven, strict=True)])
+    squares, inside = {}, {}
+    for name, (motor, accelerometer) in SENSORS.items():
+        sds = [bound(log, scenario, motor, accelerometer)[d] for log, d in zip(logs, driven, strict=True)]
+        squares[f"bound, {name}"] = np.concatenate(sds) ** 2
+    for label, name in ESTIMATORS.items():
+        replays = [replay(name, scenario, log["readings"]) for log in logs]
+        error = np.concatenate([(e - log["truth"])[d] for (e, *_), log, d in zip(replays, logs, driven, strict=True)])
+        sd = np.concatenate([s[d] for (_, s, *_), d in zip(replays, driven, strict=True)])
+        squares[label], inside[label] = error**2, (np.abs(error) < sd).mean(axis=0).tolist()
+    places = {name: (since >= low) & (since < high) for name, (low, high) in PLACES.items()}
+    rms = {
+        label: {name: (np.sqrt(v[here].mean(axis=0)) * _UNIT).tolist() for name, here in places.items()}
+        for label, v in squares.items()
+    }
+    return {"courses": courses, "seed": seed, "steps": len(since), "rms": rms, "inside_68": inside}
+
+
+def table(result: dict) -> Table:
+    """RMS errors phi [deg] / ln K / ln S by distance from the last border, and what 68 % intervals hold."""
+    rows = []
+    for label, by_place in result["rms"].items():
+        cells = [f"{phi:.2f} / {K:.3f} / {S:.3f}" for phi, K, S in by_place.values()]
+        share = result["inside_68"].get(label)
+        rows.append((label, *cells, " / ".join(f"{100 * v:.0f}" for v in share) if share else ""))
+    return Table(("phi [deg] / ln K / ln S, RMS", *PLACES, "68 % intervals hold [%]"), rows)
+
+
+@command_line("benchmarks.identification_bound")
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table and write bound.json; returns the exit status."""
+    p = study_parser("python -m benchmarks.identification_bound", __doc__, "bound.json", None)
+    p.add_argument("--courses", metavar="N", type=whole_number(1), default=200, help="courses (default 200)")
+    p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the courses (default 0)")
+    options = p.parse_args(arguments)
+    make_folder(options.out)
+    result = study(load_scenario("mixed"), 3 if options.smoke else options.courses, options.seed)
+    write_json(options.out / "bound.json", result)
+    print(table(result).markdown())
+    return 0
+
+
+if __name__ == "__main__":
+    leave(main())

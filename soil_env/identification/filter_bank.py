@@ -1,0 +1,191 @@
+"""Memory of the filter (`filter`): what a bank of eight filters holds, and its prior."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import exp
+from soil_env._numba.lanes import COUNT, fill, from_array, to_array, total
+from soil_env._numba.rows import rows, zero_column
+from soil_env.identification.linearised import (
+    COHESION,
+    LN_DEPTH,
+    LN_K,
+    MASS,
+    SINKAGE,
+    STATES,
+    STRENGTH,
+    Reference,
+    mobilised_share,
+)
+from soil_env.identification.mixture_prior import MixturePrior, mixture_prior
+from soil_env.parameters import Scenario
+
+PUBLISHED = 5  # (phi, ln K, ln S, c, ln g)
+TRIANGLE = STATES * (STATES + 1) // 2
+MEANS, COVARIANCES = STATES * COUNT, TRIANGLE * COUNT
+_FAR = 100.0  # [m] behind a border: nothing is left of it
+#: The open point of each bank, sums over its readings, and its clocks; `share` is that of the soil behind the last
+#: border in what is under the wheel.
+FilterPoint = rows(
+    "FilterPoint", "slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_speed", "pitch", "motor_torque",
+    "acceleration", "path_sum", "sliding_sum", "shock_sum", "time_sum", "readings", "length", "first_slip", "first_rim",
+    "path", "sliding", "shock", "time",  # integrals of A dt, |r w - V| dt / l and |d(r w)| dt / l since `forget`; [s]
+    "path_at", "sliding_at", "shock_at", "time_at",  # at the last point
+    "last_speed", "last_rim", "rim_at", "rim_time", "misfit", "since", "points", "displacement", "stress",
+    "share",
+)  # fmt: skip
+
+
+class FilterBanks(NamedTuple):
+    """Memory of many banks of filters; eight numbers, one a filter, lie side by side."""
+
+    mean: np.ndarray  # [wheels, STATES x 8]
+    covariance: np.ndarray  # [wheels, TRIANGLE x 8], the lower triangle row by row
+    log_weight: np.ndarray  # [wheels, 8]
+    ln_bearing: np.ndarray  # [wheels, 8] ln of the bearing sinkage [m] at the last point
+    point: FilterPoint
+    before: np.ndarray  # [wheels, SINKAGE + PUBLISHED] the soil before the last border: means, standard deviations
+
+
+class FilterNumbers(NamedTuple):
+    """What the filter takes from a `Scenario`."""
+
+    radius: float
+    width: float
+    inertia: float
+    gravity: float
+    exponent: float  # of the belief
+    dig_gain: float
+    dig_recovery: float
+    relaxation: float  # [m]
+    period: float
+    prior: MixturePrior
+    noise: np.ndarray  # [10] of slip, sinkage, pull, load, torque, speed, rim speed, pitch, motor torque, acceleration
+    model_error: float  # of the load
+
+
+def filter_numbers(scenario: Scenario) -> FilterNumbers:
+    """Pack what `take` needs; noise and priors are floored so that all stays finite."""
+    b, n, w = scenario.belief, scenario.noise, scenario.wheel
+    weight = scenario.weight
+    twist, top = weight * w.radius, w.radius * w.no_load_speed
+    noise = [n.slip, n.sinkage, n.drawbar_pull * weight, n.load * weight, n.torque * twist, n.speed,
+             n.wheel_speed * w.radius, n.pitch, n.motor_torque * twist, n.acceleration]  # fmt: skip
+    floor = [1e-3, 1e-4 * w.radius, 1e-3 * weight, 1e-3 * weight, 1e-3 * twist, 1e-3 * top, 1e-4 * top, 1e-4,
+             1e-3 * twist, 1e-3 * scenario.gravity]  # fmt: skip
+    return FilterNumbers(
+        w.radius, w.width, w.inertia, scenario.gravity, b.sinkage_exponent, b.dig_gain, b.dig_recovery,
+        scenario.relaxation * w.radius, scenario.control.period, mixture_prior(scenario),
+        np.maximum(noise, floor), max(0.4 * b.model_error, 1e-3),
+    )  # fmt: skip
+
+
+def new_banks(wheels: int) -> FilterBanks:
+    """Empty banks; `restart` sets one to the prior."""
+    return FilterBanks(
+        np.zeros((wheels, MEANS)),
+        np.zeros((wheels, COVARIANCES)),
+        np.zeros((wheels, COUNT)),
+        np.full((wheels, COUNT), LN_DEPTH),
+        FilterPoint(wheels),
+        np.zeros((wheels, SINKAGE + PUBLISHED)),
+    )
+
+
+@inlined
+def element(i, j):
+    """Place of element (i, j) of a packed symmetric matrix."""
+    return (i * (i + 1) // 2 + j) * COUNT if i >= j else (j * (j + 1) // 2 + i) * COUNT
+
+
+@inlined
+def reference_of(banks, k):
+    return Reference(banks.point.displacement[k], banks.point.stress[k])
+
+
+@inlined
+def prior_mean(i, numbers, reference):
+    """Mean of soil state i of the filters of a bank at its start."""
+    prior = numbers.prior
+    if i != STRENGTH:
+        return from_array(prior.mean, i * COUNT)
+    share, _ = mobilised_share(from_array(prior.mean, LN_K * COUNT), reference)
+    strength = from_array(prior.tangent, 0) + (1.0 / reference.stress) * from_array(prior.mean, COHESION * COUNT)
+    return strength * share
+
+
+@inlined
+def _with_strength(j, numbers, reference):
+    """Covariance at the start of the strength mobilised, to first order, with the friction angle (j = 0) or state j."""
+    prior = numbers.prior
+    share, rate = mobilised_share(from_array(prior.mean, LN_K * COUNT), reference)
+    tangent = from_array(prior.tangent, 0)
+    strength = tangent + (1.0 / reference.stress) * from_array(prior.mean, COHESION * COUNT)
+    return (
+        share * (1.0 + tangent * tangent) * from_array(prior.covariance, element(0, j))
+        + rate * strength * from_array(prior.covariance, element(LN_K, j))
+        + (1.0 / reference.stress) * share * from_array(prior.covariance, element(COHESION, j))
+    )
+
+
+@inlined
+def prior_covariance(i, j, numbers, reference):
+    """Covariance of soil states i >= j of the filters of a bank at its start."""
+    if j != STRENGTH:
+        return from_array(numbers.prior.covariance, element(i, j))
+    if i != STRENGTH:
+        return _with_strength(i, numbers, reference)
+    share, rate = mobilised_share(from_array(numbers.prior.mean, LN_K * COUNT), reference)
+    tangent = from_array(numbers.prior.tangent, 0)
+    strength = tangent + (1.0 / reference.stress) * from_array(numbers.prior.mean, COHESION * COUNT)
+    return (
+        share * (1.0 + tangent * tangent) * _with_strength(0, numbers, reference)
+        + rate * strength * _with_strength(LN_K, numbers, reference)
+        + (1.0 / reference.stress) * share * _with_strength(COHESION, numbers, reference)
+    )
+
+
+@inlined
+def prior_of_soil(banks, k, numbers):
+    """Put the soil of bank k back to its prior; mass and sinkage become those of the mixture in all filters."""
+    mean, covariance, weights = banks.mean[k], banks.covariance[k], banks.log_weight[k]
+    w = exp(from_array(weights, 0))
+    w = w / total(w)
+    for i in range(SINKAGE, MASS + 1):
+        x, place = from_array(mean, i * COUNT), element(i, i)
+        middle = total(w * x)
+        spread = total(w * (from_array(covariance, place) + (x - middle) * (x - middle)))
+        to_array(fill(middle), mean, i * COUNT)
+        to_array(fill(spread), covariance, place)
+    for i in range(STATES):
+        for j in range(i + 1):
+            if i != j:
+                to_array(fill(0.0), covariance, element(i, j))
+    reference = reference_of(banks, k)
+    for i in range(SINKAGE):
+        to_array(prior_mean(i, numbers, reference), mean, i * COUNT)
+        for j in range(i + 1):
+            to_array(prior_covariance(i, j, numbers, reference), covariance, element(i, j))
+    to_array(from_array(numbers.prior.log_weight, 0), weights, 0)
+    banks.point.misfit[k] = 0.0
+    banks.point.points[k] = 0.0
+
+
+@part
+def restart(banks, k, numbers):
+    """Set bank k back to its prior: nothing known of mass and sinkage either."""
+    zero_column(banks.point, k)
+    for i in range(MEANS):
+        banks.mean[k, i] = 0.0
+    for i in range(COVARIANCES):
+        banks.covariance[k, i] = 0.0
+    for i in range(COUNT):
+        banks.log_weight[k, i], banks.ln_bearing[k, i] = 0.0, LN_DEPTH
+    banks.point.share[k] = 1.0
+    banks.point.displacement[k], banks.point.stress[k] = 0.1 * numbers.radius, 1.0 / (numbers.radius * numbers.width)
+    prior_of_soil(banks, k, numbers)
+    banks.point.since[k] = _FAR
