@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import FastCall, root
+from soil_env._numba.lanes import COUNT
+from soil_env.identification.linearised import SINKAGE
 from soil_env.identification.online import (
     IdentifierNumbers,
     Identifiers,
@@ -28,12 +30,18 @@ from soil_env.identification.online import (
 from soil_env.identification.solver import Status
 from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
 from soil_env.terramechanics.contact import slip_ratio
+from soil_env.terramechanics.model import steady_state
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.traversability import best_working_point
 
 __all__ = ["Estimate", "OnlineIdentifier", "Readings", "Status", "Traversability", "slips"]
 
 _NAN = math.nan
+_UNKNOWN = 1e2  # standard deviation, in weights and the like, of what is not measured: nothing beside what is
+#: Columns of `SensorReading` that may be missing; the speed where it, or the slip, follows from the other.
+_FILTERED = (1, 2, 3, 4, 5, 8, 9)
+_LEAST_SLIP_SD = 1e-3
+_LEAST_SHARE = 1e-6  # of the weight: least standard deviation of what stands for a force
 _LONGEST = 1.5  # |slip| beyond which a reading is no noise but another unit
 
 
@@ -51,8 +59,8 @@ class Readings(NamedTuple):
     torque: float = _NAN  # [N m] soil on wheel
     slip: float = _NAN  # [-] where a sensor gives it; else it follows from the two speeds
     pitch: float = _NAN  # [rad]
-    motor_torque: float = _NAN  # [N m] at the wheel, behind the gear; used where `torque` is not measured
-    acceleration: float = _NAN  # [m/s2] accelerometer along the course; used where `drawbar_pull` is not measured
+    motor_torque: float = _NAN  # [N m] at the wheel, behind the gear
+    acceleration: float = _NAN  # [m/s2] of an accelerometer along the course: that of travel, and g sin(pitch)
     time: float = _NAN  # [s] of any epoch; left out, one `period` after the last
 
 
@@ -96,7 +104,7 @@ def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
 
 @root(nogil=True)  # type: ignore[untyped-decorator]
 def _take(ids: Identifiers, values: np.ndarray, numbers: IdentifierNumbers) -> int:
-    """1 if `values` [7], in the order of `SensorReading`, renewed the estimate, 0 if not, -1 if one is infinite."""
+    """1 if `values` [10], in the order of `SensorReading`, renewed the estimate, 0 if not, -1 if one is infinite."""
     for i in range(values.size):
         if not np.isfinite(values[i]) and not (i == 0 and np.isnan(values[0])):
             return -1
@@ -104,7 +112,8 @@ def _take(ids: Identifiers, values: np.ndarray, numbers: IdentifierNumbers) -> i
     if np.isnan(slip):
         slip = slip_ratio(rim, speed, REST_SPEED)
     reading = SensorReading(
-        min(max(slip, -1.0), 1.0), values[1], values[2], values[3], values[4], speed, rim
+        min(max(slip, -1.0), 1.0), values[1], values[2], values[3], values[4], speed, rim, values[7], values[8],
+        values[9],
     )  # fmt: skip
     return 1 if observe(ids, 0, reading, numbers) else 0
 
@@ -125,19 +134,21 @@ def slips(rim_speed: np.ndarray, speed: np.ndarray) -> np.ndarray:
 class OnlineIdentifier:
     """Identifies friction angle, shear deformation modulus K and sinkage coefficient S under one driven wheel.
 
-    `wheel`: its radius, width and the mass on it; the motor only where a motor torque stands for the torque of the soil
-    and for `traversability`. `belief`: the prior, which should be that of the ground to be expected. `noise`: standard
-    deviations of the sensors. `period` [s]: time between two updates whose readings bear no time. `relaxation` [wheel
+    `wheel`: its radius, width and the mass on it; its inertia where there is a motor torque; the motor only for
+    `traversability`. `belief`: the prior, which should be that of the ground to be expected, and the method, the filter
+    or the window. `noise`: standard deviations of the sensors. `period` [s]: time between two updates whose readings bear no time. `relaxation` [wheel
     radii]: distance in which sinkage adapts. `gravity` [m/s2].
 
     What is not measured is left NaN:
 
-    * no torque or no pull: the channel has no weight. In their place a motor torque counts, less what accelerates the
-      wheel, J dw/dt, and an accelerometer times the mass on the wheel (the component of gravity along the slope is in
-      both its reading and the pull);
-    * no load: the weight m g cos(pitch) is taken for known where one is needed, and is no measurement;
+    * no torque, pull, motor torque or acceleration: the channel has no weight. The filter reads all four. To the window
+      a motor torque, less what accelerates the wheel, J dw/dt, stands for a torque that is missing, and an
+      accelerometer times the mass on the wheel for a pull (gravity along the slope is in both);
+    * no load: the weight m g cos(pitch) stands for it, of a mass that the filter doubts by 20 %; to the window it is
+      known where one is needed, and is no measurement;
     * no slip: it follows from the two speeds, with their noise;
-    * no sinkage: the motion is followed, and nothing is learnt of the soil;
+    * no sinkage: the filter follows it by the law of slip-sinkage, from that of the belief under the weight; with the
+      window nothing is learnt of the soil;
     * no wheel speed or no speed, and no slip in its place: the readings are passed over.
 
     Readings are averaged over a few periods; a channel that comes less often than once a period should be given with
@@ -177,16 +188,27 @@ class OnlineIdentifier:
         wheel, noise = scenario.wheel, scenario.noise
         self._radius, self._inertia, self._weight = wheel.radius, wheel.inertia, scenario.weight
         self._rim_sd, self._speed_sd = noise.wheel_speed * wheel.radius, noise.speed
+        twist = self._weight * wheel.radius
+        self._motor_sd, self._accelerometer_sd = noise.motor_torque * twist, noise.acceleration
         self._take, self._start, self._best = FastCall(_take), FastCall(_start), FastCall(best_working_point)
         self._numbers = identifier_numbers(scenario)
         self._force_sd = self._numbers.force_sd.tolist()  # of pull, load, torque where they are measured
+        self._sd = self._numbers.filter.noise.tolist()  # of `SensorReading` where it is measured
+        top = wheel.radius * wheel.no_load_speed
+        units = (1.0, wheel.radius, self._weight, self._weight, twist, top, top, 1.0, twist, scenario.gravity)
+        self._unknown = [_UNKNOWN * unit for unit in units]
+        self._put = self._put_for_filter if self._numbers.by_filter else self._put_for_window
+        self._first_sinkage = _bearing_sinkage(scenario)
         self._ids, self._values = new_identifiers(1), np.zeros(len(SensorReading._fields))
         self.reset()
 
     def reset(self) -> None:
         """Forget all readings: back to the prior."""
         self._start(self._ids, self._numbers)
-        self._missing = [False, False, False]  # pull, load, torque, in a reading of the open point
+        # in a reading of the open point: pull, load, torque of the window, `_FILTERED` of the filter
+        self._missing = [False] * (len(_FILTERED) if self._numbers.by_filter else 3)
+        self._slip_sd = 0.0  # largest of the open point
+        self._sinkage = self._first_sinkage  # as predicted, where none is measured
         self._time = self._last_wheel_speed = _NAN
         self._estimate = self._published(False)
 
@@ -211,25 +233,23 @@ class OnlineIdentifier:
         rim, speed = r.wheel_speed * self._radius, r.speed
         if rim != rim or speed != speed:
             rim, speed = _completed(rim, speed, r.slip)
-        slip_sd = numbers.slip_sd
+        slip_sd = 0.0  # that of the sensor
         if r.slip != r.slip:  # from the speeds, to first order
             larger = max(abs(rim), abs(speed), REST_SPEED)
             slip_sd = math.hypot(self._speed_sd, self._rim_sd * min(abs(speed), larger) / larger) / larger
         renewed = 0
         if rim == rim and speed == speed:
-            changes: dict[str, Any] = {}
-            if period != numbers.period:
-                changes["period"] = period
-            if slip_sd != numbers.slip_sd:
-                changes["slip_sd"] = slip_sd
-            now = self._fill(r, rim, speed, period)
-            renewed = self._take(self._ids, self._values, numbers._replace(**changes) if changes else numbers)
+            now = self._put(r, rim, speed, period)
+            numbers = self._numbers_now(period, slip_sd)
+            renewed = self._take(self._ids, self._values, numbers)
             if renewed < 0:
                 raise ValueError(f"{r}: expected finite numbers, NaN where nothing was measured")
-            if renewed:
-                self._missing = now
+            self._missing = now if renewed else [a or b for a, b in zip(self._missing, now, strict=True)]
+            self._slip_sd = slip_sd if renewed else max(slip_sd, self._slip_sd)
         self._time, self._last_wheel_speed = r.time, r.wheel_speed
         if renewed:
+            if now[0] and numbers.by_filter:
+                self._sinkage = self._followed_sinkage()
             self._estimate = self._published(True)
         elif self._estimate.renewed:
             self._estimate = self._published(False)
@@ -269,7 +289,41 @@ class OnlineIdentifier:
             raise ValueError(f"time = {time!r} s: expected later than that of the last readings, {self._time!r} s")
         return time - self._time
 
-    def _fill(self, r: Readings, rim: float, speed: float, period: float) -> list[bool]:
+    def _numbers_now(self, period: float, slip_sd: float) -> IdentifierNumbers:
+        """The numbers of the identifier for readings `period` [s] after the last; `slip_sd` of a slip from the speeds.
+
+        The window closes a point with the readings of now in it, the filter one without them.
+        """
+        numbers = self._numbers
+        if numbers.by_filter:
+            numbers.filter.noise[0] = max(self._slip_sd, _LEAST_SLIP_SD) if self._slip_sd else self._sd[0]
+            changed = period != numbers.period
+            return numbers._replace(period=period, filter=numbers.filter._replace(period=period)) if changed else numbers
+        changes: dict[str, Any] = {}
+        if period != numbers.period:
+            changes["period"] = period
+        if slip_sd:
+            changes["slip_sd"] = slip_sd
+        return numbers._replace(**changes) if changes else numbers
+
+    def _put_for_filter(self, r: Readings, rim: float, speed: float, period: float) -> list[bool]:
+        """Put the readings where the compiled code takes them; which of `_FILTERED` are missing now.
+
+        What was missing in the open point, which these readings may close, gets no weight in it.
+        """
+        pitch = 0.0 if r.pitch != r.pitch else r.pitch
+        load = self._weight * math.cos(pitch) if r.load != r.load else r.load
+        sinkage = self._sinkage if r.sinkage != r.sinkage else r.sinkage
+        channels = (r.drawbar_pull, r.torque, r.motor_torque, r.acceleration)
+        pull, torque, motor, acceleration = (0.0 if x != x else x for x in channels)
+        self._values[:] = r.slip, sinkage, pull, load, torque, speed, rim, pitch, motor, acceleration
+        noise = self._numbers.filter.noise
+        for column, missing in zip(_FILTERED, self._missing, strict=True):
+            noise[column] = self._unknown[column] if missing else self._sd[column]
+        given = (r.sinkage, r.drawbar_pull, r.load, r.torque, r.speed + r.slip, r.motor_torque, r.acceleration)
+        return [x != x for x in given]
+
+    def _put_for_window(self, r: Readings, rim: float, speed: float, period: float) -> list[bool]:
         """Put the readings where the compiled code takes them; which of pull, load and torque are missing now.
 
         What is missing gets no weight in the point that is averaged at present.
@@ -277,20 +331,27 @@ class OnlineIdentifier:
         sd = list(self._force_sd)
         pull, load, torque = r.drawbar_pull, r.load, r.torque
         if pull != pull:
-            pull = r.acceleration * (self._weight / self.scenario.gravity)
+            mass = self._weight / self.scenario.gravity
+            pull, sd[0] = r.acceleration * mass, max(self._accelerometer_sd * mass, _LEAST_SHARE * self._weight)
         if torque != torque and r.motor_torque == r.motor_torque:
             rate = (r.wheel_speed - self._last_wheel_speed) / period
             torque = r.motor_torque - self._inertia * rate
-            sd[2] = math.hypot(sd[2], self._inertia * math.sqrt(2.0) * self._rim_sd / (self._radius * period))
+            turning = self._inertia * math.sqrt(2.0) * self._rim_sd / (self._radius * period)
+            sd[2] = max(math.hypot(self._motor_sd, turning), _LEAST_SHARE * self._weight)
         now = [pull != pull, load != load, torque != torque]
         if now[1]:
             load = self._weight * math.cos(r.pitch if r.pitch == r.pitch else 0.0)
         for i in range(3):
-            self._missing[i] = self._missing[i] or now[i]
-            self._numbers.force_sd[i] = math.inf if self._missing[i] else sd[i]
-        sinkage = 0.0 if r.sinkage != r.sinkage else r.sinkage  # the identifier takes 0 for a wheel off the ground
-        self._values[:] = r.slip, sinkage, 0.0 if now[0] else pull, load, 0.0 if now[2] else torque, speed, rim
+            self._numbers.force_sd[i] = math.inf if now[i] or self._missing[i] else sd[i]
+        sinkage = 0.0 if r.sinkage != r.sinkage else r.sinkage  # the window takes 0 for a wheel off the ground
+        self._values[:7] = r.slip, sinkage, 0.0 if now[0] else pull, load, 0.0 if now[2] else torque, speed, rim
         return now
+
+    def _followed_sinkage(self) -> float:
+        """Sinkage [m] that the filter predicts: the mean of its mixture."""
+        weights = np.exp(self._ids.banks.log_weight[0])
+        depths = self._ids.banks.mean[0, SINKAGE * COUNT : (SINKAGE + 1) * COUNT]
+        return min(max(float(weights @ depths), 0.01 * self._radius), self._radius)
 
     def _published(self, renewed: bool) -> Estimate:
         x, sd = self._ids.estimate[0].tolist(), self._ids.sd[0].tolist()
@@ -298,6 +359,16 @@ class OnlineIdentifier:
             math.degrees(x[0]), math.exp(x[1]), math.exp(x[2]), x[3], self.scenario.belief.dig_gain * math.exp(x[4]),
             math.degrees(sd[0]), sd[1], sd[2], sd[3], sd[4], _STATUS[self._ids.status.item(0)], renewed,
         )  # fmt: skip
+
+
+def _bearing_sinkage(scenario: Scenario) -> float:
+    """Sinkage [m] of the wheel at rest under its weight on the soil of the belief."""
+    b, wheel = scenario.belief, scenario.wheel
+    soil = SoilState(
+        math.tan(math.radians(b.friction_angle_deg)), b.cohesion, b.shear_modulus, b.sinkage_coefficient,
+        b.sinkage_exponent, 0.0, b.dig_recovery,
+    )  # fmt: skip
+    return float(steady_state(0.0, scenario.weight, soil, wheel.radius, wheel.width).sinkage)
 
 
 _STATUS = {status.value: status for status in Status}

@@ -225,6 +225,9 @@ class Belief(Checked):
     friction_cohesion: float = quantity("", -0.99, 0.99, default=-0.6, doc="correlation, of the filter")
     friction_stiffness: float = quantity("", -0.99, 0.99, default=0.5, doc="correlation, of the filter")
     stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4, doc="correlation, of the filter")
+    border: float = quantity(
+        "m", 0.01, 10.0, default=0.3, doc="length over which one soil passes into the next, of the filter"
+    )
     soils: dict[str, float] = field(
         default_factory=dict
     )  # library of soils that may come, with weights; {} = not known

@@ -36,12 +36,13 @@ _SPINNING = 0.85  # slip beyond which a wheel digs on the spot and is passed ove
 _SLOWEST = 0.02  # [m/s] rim speed below which readings say nothing of shear
 _FADES = 0.05  # [m] in which the doubt that is added at a border fades
 _FOUND = 0.1  # [m] from where a soil begins to change to where the filter finds it out
-_BORDER = 0.3  # [m] over which one soil passes into the next
-#: Of the sum of what the chi-squared of points exceeds `_EXPECTED` by, where the soil is another. Both were set on
-#: courses of seed 7001, docs/identification.md.
-CONTRADICTION = 25.0
+#: Of the sum of what the chi-squared of successive points exceeds `_EXPECTED` by, where the soil is another. Both were
+#: set on courses of seed 7001, docs/identification.md.
+CONTRADICTION_OF_POINTS = 25.0
 _EXPECTED = 10.0  # chi-squared of a point, of seven channels, that raises no suspicion
 _AT_BORDER = 1.0  # 1-sigma of the model at a border, of the load
+_MASS_VARIANCE = 0.04  # relative, of the mass that the first load gives
+_SINKAGE_SD = 0.1  # of the radius, of the first sinkage: reached where none is measured
 
 
 # --- readings to points -----------------------------------------------------------------------------------------------
@@ -138,9 +139,9 @@ def _close(p, k, rim, time, numbers):
 
 
 @inlined
-def _share_at(since):
+def _share_at(since, border):
     """Share of the new soil so far [m] behind where a border was found, as `terrain.ground_at` blends them."""
-    t = min((since + _FOUND) / _BORDER, 1.0)
+    t = min((since + _FOUND) / border, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
@@ -171,25 +172,29 @@ def _complete(banks, k, rim, time, numbers):
     p = banks.point
     point = _close(p, k, rim, time, numbers)
     mean, covariance = banks.mean[k], banks.covariance[k]
+    unsure = _SINKAGE_SD * numbers.radius
     if covariance[element(MASS, MASS)] == 0.0:
-        weight = max(point.load / (numbers.gravity * point.cos_pitch), 1e-3 * numbers.noise[3])
-        to_array(fill(weight), mean, MASS * COUNT)
-        to_array(fill(0.04 * weight * weight), covariance, element(MASS, MASS))
+        least = 1e-3 * numbers.noise[3] / numbers.gravity
+        mass = max(point.load / (numbers.gravity * point.cos_pitch), least)
+        to_array(fill(mass), mean, MASS * COUNT)
+        to_array(fill(_MASS_VARIANCE * mass * mass), covariance, element(MASS, MASS))
         to_array(fill(point.sinkage), mean, SINKAGE * COUNT)
-        to_array(fill(1e2 * numbers.noise[1] * numbers.noise[1]), covariance, element(SINKAGE, SINKAGE))
+        variance = min(1e2 * numbers.noise[1] * numbers.noise[1], unsure * unsure)
+        to_array(fill(variance), covariance, element(SINKAGE, SINKAGE))
         to_array(fill(point.slip), mean, SLIP * COUNT)
         _refer(p, k, point, numbers)
         prior_of_soil(banks, k, numbers)
-    p.share[k] = _share_at(p.since[k])
+    p.share[k] = _share_at(p.since[k], numbers.border)
     misfit = renew(banks, k, point, numbers)
     if not _sound(banks, k, misfit):  # readings that no wheel gives
         restart(banks, k, numbers)
         return
     p.misfit[k] = max(p.misfit[k] + misfit - _EXPECTED, 0.0)
     p.points[k] += 1.0
-    if p.misfit[k] > CONTRADICTION and p.points[k] > 2.0:
+    if p.misfit[k] > CONTRADICTION_OF_POINTS and p.points[k] > 2.0:
         _refer(p, k, point, numbers)
         prior_of_soil(banks, k, numbers)
-        p.since[k], p.share[k] = 0.0, _share_at(0.0)
+        p.since[k], p.share[k] = 0.0, _share_at(0.0, numbers.border)
         to_array(fill(point.sinkage), mean, SINKAGE * COUNT)
-        to_array(fill(numbers.noise[1] * numbers.noise[1] / point.readings), covariance, element(SINKAGE, SINKAGE))
+        variance = min(numbers.noise[1] * numbers.noise[1] / point.readings, unsure * unsure)
+        to_array(fill(variance), covariance, element(SINKAGE, SINKAGE))

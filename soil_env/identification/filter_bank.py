@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from soil_env._numba.lanes import COUNT, fill, from_array, to_array, total
 from soil_env._numba.rows import rows, zero_column
 from soil_env.identification.linearised import (
     COHESION,
+    GAIN,
     LN_DEPTH,
     LN_K,
     MASS,
@@ -66,6 +68,7 @@ class FilterNumbers(NamedTuple):
     prior: MixturePrior
     noise: np.ndarray  # [10] of slip, sinkage, pull, load, torque, speed, rim speed, pitch, motor torque, acceleration
     model_error: float  # of the load
+    border: float  # [m] over which one soil passes into the next, as believed
 
 
 def filter_numbers(scenario: Scenario) -> FilterNumbers:
@@ -80,7 +83,7 @@ def filter_numbers(scenario: Scenario) -> FilterNumbers:
     return FilterNumbers(
         w.radius, w.width, w.inertia, scenario.gravity, b.sinkage_exponent, b.dig_gain, b.dig_recovery,
         scenario.relaxation * w.radius, scenario.control.period, mixture_prior(scenario),
-        np.maximum(noise, floor), max(0.4 * b.model_error, 1e-3),
+        np.maximum(noise, floor), max(0.4 * b.model_error, 1e-3), b.border,
     )  # fmt: skip
 
 
@@ -175,6 +178,19 @@ def prior_of_soil(banks, k, numbers):
     banks.point.points[k] = 0.0
 
 
+@inlined
+def _prior_before(banks, k, numbers):
+    """The prior as what is known of the soil before the first border."""
+    before, prior = banks.before[k], numbers.prior
+    w = exp(from_array(prior.log_weight, 0))
+    for i in range(SINKAGE):
+        before[i] = total(w * from_array(prior.mean, i * COUNT))
+    for i in range(PUBLISHED):
+        j = GAIN if i == GAIN - 1 else i
+        away = from_array(prior.mean, j * COUNT) - before[j]
+        before[SINKAGE + i] = math.sqrt(total(w * (from_array(prior.covariance, element(j, j)) + away * away)))
+
+
 @part
 def restart(banks, k, numbers):
     """Set bank k back to its prior: nothing known of mass and sinkage either."""
@@ -188,4 +204,5 @@ def restart(banks, k, numbers):
     banks.point.share[k] = 1.0
     banks.point.displacement[k], banks.point.stress[k] = 0.1 * numbers.radius, 1.0 / (numbers.radius * numbers.width)
     prior_of_soil(banks, k, numbers)
+    _prior_before(banks, k, numbers)
     banks.point.since[k] = _FAR

@@ -23,7 +23,7 @@ from soil_env._numba.compiling import inlined, part
 from soil_env._numba.lanes import COUNT, fill, first, from_array, lane, smallest
 from soil_env._numba.rows import copy_column, rows, scratch_rows, zero_column
 from soil_env.identification.digging import KEPT, Digging, DiggingPlaces, close_point, note, roll
-from soil_env.identification.filter import take
+from soil_env.identification.filter import CONTRADICTION_OF_POINTS, take
 from soil_env.identification.filter_bank import FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
 from soil_env.identification.filter_update import publish
 from soil_env.identification.mixture_prior import moments, prior_of_belief
@@ -55,7 +55,7 @@ _BUCKET_LENGTH = 0.06  # [m] travelled within one point, at most
 _BUCKET_SLIP = 0.05  # slip range within one point, at most
 # chi-squared of three channels beyond which a point belongs to another soil. Low, since the doubts that a point is
 # weighed with are larger than what differs between neighbours; set on courses of seeds 7 and 8, docs/identification.md
-CONTRADICTION = 3.0
+CONTRADICTION_OF_POINT = 3.0
 RATIO_ERROR = 0.07  # relative error of the digging ratio that the law of sinkage itself makes
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
 _MINIMUM_RIM_SPEED = 0.02  # [m/s] below which readings say nothing of shear
@@ -205,7 +205,10 @@ def _observe_by_filter(ids, k, reading, numbers):
     for i in range(2):  # friction and shear deformation modulus need a range of slip
         learnt = max(learnt, ids.sd[k, i] * math.sqrt(numbers.precision[i]))
     ids.condition[k] = learnt
-    ids.status[k] = Status.CONVERGED.value if learnt <= 0.6 else Status.NOT_EXCITED.value
+    if ids.banks.point.misfit[k] > CONTRADICTION_OF_POINTS:
+        ids.status[k] = Status.MISFIT.value
+    else:
+        ids.status[k] = Status.CONVERGED.value if learnt <= 0.6 else Status.NOT_EXCITED.value
     return True
 
 
@@ -319,7 +322,7 @@ def contradicts(points, p, predicted, gain, exponent, covariance):
     y1 = u[1] - l10 * u[0]
     y2 = u[2] - l20 * u[0] - l21 * y1
     d2 = m22 - l20 * m20 - l21 * l21 * d1
-    return u[0] * u[0] / m00 + y1 * y1 / d1 + y2 * y2 / d2 > CONTRADICTION
+    return u[0] * u[0] / m00 + y1 * y1 / d1 + y2 * y2 / d2 > CONTRADICTION_OF_POINT
 
 
 @inlined

@@ -41,6 +41,7 @@ class Status(enum.IntEnum):
     AT_BOUND = 3  # the solution lies on a bound
     DIVERGED = 4  # no convergence within the allowed iterations
     AMBIGUOUS = 5  # converged, but another soil explains the three measured values as exactly
+    MISFIT = 6  # online: the last readings are further from their prediction than their errors explain
 
 
 #: Bounds of the unknowns: of (phi, ln K, ln S) the box of the paper's Table 4, widened.

@@ -150,9 +150,9 @@ def test_a_point_contradicts_by_its_error_and_that_of_the_estimate(seed):
             J[:, i] = W @ (predicted(x + h, moved) - predicted(x - h, moved)) / (2.0 * h[i])
         u = W @ (measured(moved) - predicted(x, moved))
         chi_squared = u @ np.linalg.solve(np.eye(3) + J @ covariance @ J.T, u)
-        if abs(chi_squared - identifier.CONTRADICTION) > 1e-3:
+        if abs(chi_squared - identifier.CONTRADICTION_OF_POINT) > 1e-3:
             found = identifier.contradicts(points, 7, y, gain, READING.exponent, covariance)
-            assert found == (chi_squared > identifier.CONTRADICTION)
+            assert found == (chi_squared > identifier.CONTRADICTION_OF_POINT)
 
 
 # --- digging ----------------------------------------------------------------------------------------------------------
