@@ -1,7 +1,7 @@
 """Record a drive of SoilWheel-v0 into a ROS 2 bag (MCAP) with standard messages, read it back, and identify the soil.
 
 The bag has what a rover's would: JointState (wheel speed and torque), Odometry (travel speed), WrenchStamped (drawbar
-pull and load), Imu (orientation), Range (hub to ground) and Float64 (slip). What the identifier makes of the bag is
+pull and load), Imu (orientation, acceleration), Range (hub to ground) and Float64 (slip, motor torque). What the identifier makes of the bag is
 what it made of the same readings while driving. `python -m soil_env.logs BAG --map MAP --out DIR` reads it likewise and
 writes a report. Needs `pip install "soil_env[logs]"`, no ROS.
 
@@ -25,6 +25,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from soil_env import ParameterError
 from soil_env.logs import read_map, read_recording, replay
+from soil_env.parameters import to_dict
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 T = STORE.types
@@ -36,6 +37,8 @@ CHANNELS = {
     "load": {"topic": "/wheel/wrench", "field": "wrench.force.z", "unit": "N"},
     "pitch": {"topic": "/imu", "field": "orientation", "unit": "quaternion"},
     "slip": {"topic": "/wheel/slip", "field": "data"},
+    "motor_torque": {"topic": "/motor/torque", "field": "data", "unit": "N m"},
+    "acceleration": {"topic": "/imu", "field": "linear_acceleration.x", "unit": "m/s2"},
 }
 
 
@@ -76,11 +79,13 @@ class Recorder:
         half = -0.5 * reading["pitch"]  # REP 103: a positive rotation about y, to the left, is nose down
         up = quaternion(0.0, math.sin(half), 0.0, math.cos(half))
         unknown = np.array([-1.0, *[0.0] * 8])  # "not measured" of sensor_msgs/Imu
-        self.write("/imu", seconds, "sensor_msgs/msg/Imu", up, np.zeros(9), zero, unknown, zero, unknown)
+        felt = vector(reading["acceleration"], 0.0, 0.0)
+        self.write("/imu", seconds, "sensor_msgs/msg/Imu", up, np.zeros(9), zero, unknown, felt, np.zeros(9))
         self.write(
             "/range", seconds, "sensor_msgs/msg/Range", 0, 0.1, 0.0, 2.0, radius - reading["sinkage"], *_variance()
         )
         self.write("/wheel/slip", seconds, "std_msgs/msg/Float64", reading["slip"])
+        self.write("/motor/torque", seconds, "std_msgs/msg/Float64", reading["motor_torque"])
 
 
 def _variance() -> tuple[float, ...]:
@@ -96,7 +101,7 @@ def drive(recorder: Recorder, seed: int, steps: int):
     top = radius * scenario.wheel.no_load_speed
     unit = {
         "slip": 1.0, "sinkage": radius, "drawbar_pull": weight, "load": weight, "torque": weight * radius, "speed": top,
-        "rim_speed": top, "pitch": 1.0,
+        "rim_speed": top, "pitch": 1.0, "motor_torque": weight * radius, "acceleration": scenario.gravity,
     }  # fmt: skip
     env.reset(seed=seed)
     online = []
@@ -118,6 +123,7 @@ def map_of(scenario) -> str:
         "wheel_speed": noise.wheel_speed, "speed": noise.speed, "slip": noise.slip, "pitch": noise.pitch,
         "drawbar_pull": noise.drawbar_pull * weight, "load": noise.load * weight,
         "torque": noise.torque * weight * wheel.radius, "sinkage": noise.sinkage,
+        "motor_torque": noise.motor_torque * weight * wheel.radius, "acceleration": noise.acceleration,
     }  # fmt: skip
     depth = {"topic": "/range", "field": "range", "unit": "m", "sign": -1, "offset": wheel.radius}
     channels = {name: {**source, "sd": sd[name]} for name, source in {**CHANNELS, "sinkage": depth}.items()}
@@ -125,7 +131,7 @@ def map_of(scenario) -> str:
     return yaml.safe_dump(
         {
             "wheel": rover, "channels": channels, "period": scenario.control.period, "gravity": scenario.gravity,
-            "relaxation": scenario.relaxation, "belief": vars(belief),
+            "relaxation": scenario.relaxation, "belief": to_dict(belief),
         },
         sort_keys=False,
     )  # fmt: skip

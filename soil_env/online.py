@@ -221,14 +221,14 @@ class OnlineIdentifier:
         """Take one set of readings; the estimate after it, renewed about every fifth time.
 
         Raises ValueError, and takes nothing, for a time that is not later than the last, an infinite value, a sinkage
-        of more than the wheel radius and a slip far outside [-1, 1].
+        of more than the wheel's diameter and a slip far outside [-1, 1].
         """
         r, numbers = readings, self._numbers
         period = self._period(r.time)
-        if r.sinkage > self._radius or r.slip > _LONGEST or r.slip < -_LONGEST:
+        if r.sinkage > 2.0 * self._radius or r.slip > _LONGEST or r.slip < -_LONGEST:
             raise ValueError(
-                f"sinkage = {r.sinkage:g} m, slip = {r.slip:g}: expected at most the wheel radius {self._radius:g} m, "
-                "and a slip in [-1, 1]"
+                f"sinkage = {r.sinkage:g} m, slip = {r.slip:g}: expected at most the diameter, {2.0 * self._radius:g} "
+                "m, and a slip in [-1, 1]"
             )
         rim, speed = r.wheel_speed * self._radius, r.speed
         if rim != rim or speed != speed:

@@ -198,19 +198,10 @@ class LogMap(Checked):
         return self.wheel.body_mass * self.gravity
 
     def noise(self) -> Noise:
-        """The sensors: `sd` of the channels where given, else the defaults of `Noise`.
-
-        A pull from an accelerometer and a torque from the motor have the noise of the channel that they stand for.
-        """
+        """The sensors: `sd` of the channels where given, else the defaults of `Noise`."""
         weight, radius, given = self.weight, self.wheel.radius, self.channels.given()
-        scale = {"drawbar_pull": weight, "load": weight, "torque": weight * radius}
+        scale = {"drawbar_pull": weight, "load": weight, "torque": weight * radius, "motor_torque": weight * radius}
         sd = {n: abs(factor(n, s)) * s.sd for n, s in given.items() if s.sd is not None}
-        mass = {"acceleration": ("drawbar_pull", self.wheel.body_mass), "motor_torque": ("torque", 1.0)}
-        for name, (stands_for, times) in mass.items():
-            if name in sd:
-                value = times * sd.pop(name)
-                if stands_for not in given:
-                    sd[stands_for] = value
         return Noise(**{name: value / scale.get(name, 1.0) for name, value in sd.items()})
 
 

@@ -26,6 +26,7 @@ class Replay:
     status: np.ndarray  # [N] `Status`
     renewed: np.ndarray  # [N] bool: solved for in this step
     prior: Estimate
+    method: str  # of the belief: "filter", "window"
     restarts: int  # because of gaps
     warnings: list[str]
 
@@ -89,7 +90,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     warnings = _impassable(log, values["drawbar_margin"], status)
     if restarts:
         warnings.insert(0, f"Started anew {restarts} times, after gaps of more than {log_map.restart_gap:g} s")
-    return Replay(log.time, values, status, renewed, prior, restarts, warnings)
+    return Replay(log.time, values, status, renewed, prior, log_map.belief.method, restarts, warnings)
 
 
 def _numbers(e: Estimate, margin: float, torque: float) -> list[float]:
@@ -113,13 +114,18 @@ def _impassable(log: Aligned, margin: np.ndarray, status: np.ndarray) -> list[st
 def what_can_be_told(found: Replay, measured: set[str]) -> list[str]:
     """Sentences on what the channels of this log can tell of the soil, and what they did."""
     pull, torque = measured & {"drawbar_pull", "acceleration"}, measured & {"torque", "motor_torque"}
-    lines = []
+    lines, followed = [], found.method == "filter"
     if "sinkage" not in measured and not pull and not torque:
         lines.append("Neither sinkage nor a force: the slip is known, and nothing can be told of the soil.")
+    elif "sinkage" not in measured and followed:
+        lines.append(
+            "No sinkage: the filter follows it by the law of slip-sinkage from that of the belief under the weight. The "
+            "soil is told by the forces alone; S, which shows in the sinkage, hardly."
+        )
     elif "sinkage" not in measured:
         lines.append(
-            "No sinkage: the online identifier learns nothing, its equations need the arc of contact. The steady "
-            "points still serve the discrepancy workflow."
+            "No sinkage: the window learns nothing, its equations need the arc of contact (belief: {method: filter} "
+            "does without). The steady points still serve the discrepancy workflow."
         )
     elif not pull and not torque:
         lines.append(
@@ -130,7 +136,9 @@ def what_can_be_told(found: Replay, measured: set[str]) -> list[str]:
         lines.append("No torque: friction angle and K follow from the drawbar pull alone, S from load and pull.")
     elif not pull:
         lines.append("No drawbar pull: friction angle and K follow from the torque alone, S from the load.")
-    if "load" not in measured:
+    if "load" not in measured and followed:
+        lines.append("No load: the weight on the wheel stands for it, doubted by 20 %; S is no better known than that.")
+    elif "load" not in measured:
         lines.append("No load: the weight on the wheel stands for it, and vertical equilibrium, Eq. (1), adds nothing.")
     if "acceleration" in pull and "drawbar_pull" not in pull:
         lines.append(

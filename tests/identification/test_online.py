@@ -304,10 +304,11 @@ def simulate(changes=None, wheels=1, mode="wheel_speed", spread=NO_SPREAD, grade
     return sim, unknowns(sim.worlds.courses.soils[:, 0])
 
 
+@pytest.mark.parametrize("method", ["filter", "window"])
 @pytest.mark.parametrize("hide", [False, True])
-def test_only_readings_enter(hide):
+def test_only_readings_enter(hide, method):
     """Soil and state are changed at will between sensing and identifying: the estimate must not notice."""
-    sim, _ = simulate()
+    sim, _ = simulate({"belief": TRUE_BELIEF | {"method": method}})
     w, n = sim.worlds, sim.numbers
     other = identifier.new_identifiers(1)
     identifier.forget(other, 0, n.identifier)
@@ -319,8 +320,8 @@ def test_only_readings_enter(hide):
         identifier.observe(other, 0, readings, n.identifier)
         kept = w.courses.soils.copy(), w.state.copy()
         if hide:
-            w.courses.soils[:] *= 1.7
-            for name in ("sinkage", "load", "torque", "drawbar_pull", "slip", "bearing_sinkage", "mass"):
+            w.courses.soils[:] *= 1.7  # with n and c
+            for name in w.state.NAMES:
                 w.state[name] *= 1.3
         identifier.observe(w.ids, 0, readings, n.identifier)
         w.courses.soils[:], w.state.data[:] = kept[0], kept[1].data
