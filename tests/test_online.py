@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 import soil_env  # noqa: F401  (registers SoilWheel-v0)
+from soil_env._numba.lanes import COUNT
+from soil_env.identification.filter_bank import element
+from soil_env.identification.linearised import MASS
 from soil_env.identification.online import observe
 from soil_env.online import OnlineIdentifier, Readings, Status, slips
 from soil_env.parameters import Belief, Noise, load_scenario, wheels
@@ -109,8 +112,8 @@ def test_without_a_channel_less_is_known(drive):
     for names in ({"torque": nan}, {"drawbar_pull": nan}, {"load": nan}):
         part = least(scenario, readings, **names)[1]  # of another estimate, and so not less to the last digit
         assert 0.9 * whole < part < 0.5 * belief.shear_modulus_sd
-    _, K, s, _ = least(scenario, readings, **NO_PULL_OR_TORQUE)
-    assert K > 0.8 * belief.shear_modulus_sd and s < 0.7 * belief.sinkage_coefficient_sd
+    _, K, s, _ = least(scenario, readings[:100], **NO_PULL_OR_TORQUE)  # in one soil
+    assert K > 0.75 * belief.shear_modulus_sd and s < 0.7 * belief.sinkage_coefficient_sd
 
 
 @pytest.mark.parametrize("drive", ["window"], indirect=True)
@@ -127,11 +130,20 @@ def test_what_the_window_cannot_do_without(drive):
 
 @pytest.mark.parametrize("drive", ["filter"], indirect=True)
 def test_the_filter_knows_stiffness_no_better_than_the_mass(drive):
-    """Without any force S follows from sinkage under a weight that is doubted by 20 %: 1/sd^2 = 1/0.2^2 + 1/0.6^2."""
+    """Without any force S follows from the sinkage under a weight that is doubted by 20 %: 1/sd^2 = 1/0.2^2 + 1/0.6^2,
+    and a little less by what S has to do with K and friction. Nothing tells the mass."""
     scenario, readings, _ = drive
-    s = least(scenario, readings, load=math.nan, **NO_PULL_OR_TORQUE)[2]
-    bound = 1.0 / math.hypot(1.0 / 0.2, 1.0 / scenario.belief.sinkage_coefficient_sd)
-    assert 0.95 * bound < s < 1.3 * bound
+    identifier = OnlineIdentifier.of_scenario(scenario)
+    for r in readings[:100]:  # in one soil
+        e = identifier.update(r._replace(load=math.nan, **NO_PULL_OR_TORQUE))
+    alone = 1.0 / math.hypot(1.0 / 0.2, 1.0 / scenario.belief.sinkage_coefficient_sd)
+    assert 0.85 * alone < e.sinkage_coefficient_relative_sd < 1.1 * alone
+    banks = identifier._ids.banks
+    weights, place = np.exp(banks.log_weight[0]), element(MASS, MASS)
+    mass, variance = (weights @ x for x in (banks.mean[0, MASS * COUNT : (MASS + 1) * COUNT],
+                                            banks.covariance[0, place : place + COUNT]))  # fmt: skip
+    assert 0.17 < math.sqrt(variance) / mass <= 0.201
+    assert mass == pytest.approx(scenario.wheel.body_mass, rel=0.1)
 
 
 def drives_without(channels, wheels=16, steps=160):

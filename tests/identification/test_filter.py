@@ -199,6 +199,47 @@ def test_a_reading_that_is_not_a_number_is_passed_over():
     np.testing.assert_array_equal(numbers_of(ids), before)
 
 
+CONTRARY = SensorReading(0.25, 0.022, 14.0, 147.0, 5.5, 0.28, 0.375, 0.0, 12.0, -3.0)
+
+
+def test_readings_that_contradict_each_other_give_no_current_estimate():
+    """A motor torque of twice the torque and an acceleration against the pull, for sensors next to exact.
+
+    The filter takes them for a new soil time and again: what it states is about the prior, or marked.
+    """
+    exact = dict.fromkeys(("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "motor_torque"), 1e-6)
+    scenario = load_scenario("mixed", {"noise": exact})
+    numbers, ids, seen = identifier.identifier_numbers(scenario), identifier.new_identifiers(1), set()
+    identifier.forget(ids, 0, numbers)
+    for _ in range(100):
+        identifier.observe(ids, 0, CONTRARY, numbers)
+        seen.add(Status(ids.status[0]))
+        if ids.status[0] != Status.MISFIT:
+            assert np.all(np.abs(ids.estimate[0, :3] - numbers.prior[:3]) < 3.0 / np.sqrt(numbers.precision[:3]))
+    assert Status.CONVERGED not in seen and Status.MISFIT in seen
+
+
+def test_a_border_before_anything_was_learnt_blends_with_the_prior():
+    """Not with zeros, nor with the soil of the course before; `forget` leaves nothing of it."""
+    numbers, fresh = identifier.identifier_numbers(SCENARIO), identifier.new_identifiers(1)
+    sim = Simulation(1, SCENARIO, "identified", threads=1)
+    sim.seed(0, np.random.default_rng(1))
+    sim.restart(0)
+    for k in range(80):
+        sim.step(0, 0.35 + 0.15 * math.sin(0.1 * k))
+    used = sim.worlds.ids
+    for ids in (used, fresh):
+        identifier.forget(ids, 0, numbers)
+        for _ in range(60):
+            identifier.observe(ids, 0, CONTRARY._replace(load=14.7), numbers)
+    np.testing.assert_array_equal(numbers_of(used), numbers_of(fresh))
+    np.testing.assert_array_equal(used.banks.before, fresh.banks.before)
+
+
+def test_the_length_of_a_border_is_believed():
+    assert filter_numbers(load_scenario("mixed", {"belief": {"border": 0.5}})).border == 0.5
+
+
 def test_the_library_may_be_what_is_believed():
     sim = Simulation(1, load_scenario("mixed", LIBRARY), "identified", threads=1)
     sim.seed(0, np.random.default_rng(0))

@@ -92,18 +92,26 @@ def test_a_gap_starts_the_identifier_anew(log_map):
     assert two.values["shear_modulus"][-1] != one.values["shear_modulus"][-1]
 
 
-def test_what_is_told_is_what_was_learnt(log_map):
+@pytest.mark.parametrize("method", ["filter", "window"])
+def test_what_is_told_is_what_was_learnt(log_map, method):
+    log_map = dataclasses.replace(log_map, belief=dataclasses.replace(log_map.belief, method=method))
     log = made(log_map, [(s, 2.0) for s in (0.1, 0.4, 0.2, 0.6)], noise=1.0)
     whole = replay(log, log_map).learnt()
     assert whole["friction_angle_deg"] < 0.8 and whole["shear_modulus"] < 0.8
     kept = {n: v for n, v in log.readings.items() if n not in ("drawbar_pull", "torque")}
     part = replay(Aligned(0, log.time, kept, {}, log.period), log_map)
-    assert part.learnt()["friction_angle_deg"] > 0.9 and part.learnt()["sinkage_coefficient"] < 0.8
+    assert part.learnt()["friction_angle_deg"] > (0.7 if method == "filter" else 0.9)  # correlations of the belief
+    assert part.learnt()["sinkage_coefficient"] < 0.8
     lines = [len(what_can_be_told(part, set(kept))), len(what_can_be_told(part, set(log.readings)))]
     assert lines[0] > lines[1]
     del kept["sinkage"]
     blind = replay(Aligned(0, log.time, kept, {}, log.period), log_map)
-    assert min(blind.learnt().values()) == pytest.approx(1.0)
+    assert min(blind.learnt().values()) == pytest.approx(1.0, abs=0.15 if method == "filter" else 1e-6)
+    seen = {n: v for n, v in log.readings.items() if n != "sinkage"}
+    unseen = replay(Aligned(0, log.time, seen, {}, log.period), log_map)
+    assert (unseen.learnt()["shear_modulus"] < 0.5) == (method == "filter")
+    said = next(line for line in what_can_be_told(unseen, set(seen)) if line.startswith("No sinkage"))
+    assert ("follows" in said) == (method == "filter")
 
 
 def test_command(tmp_path, capsys):
