@@ -103,15 +103,18 @@ def read(bag: Path, map_file: Path, out) -> None:
     out.put((len(log), time.perf_counter() - start, (peak - before) / 1e6, before / 1e6))
 
 
-def updates(rounds: int = 7, steps: int = 2000) -> np.ndarray:
+def updates(method: str, rounds: int = 7, steps: int = 2000) -> np.ndarray:
     """Seconds [rounds, steps] of single updates, compiled before; the slips vary so that most points are new."""
-    scenario = load_scenario("mixed")
+    scenario = load_scenario("mixed", {"belief": {"method": method}})
     identifier, rng = OnlineIdentifier.of_scenario(scenario), np.random.default_rng(0)
     slip = 0.35 + 0.3 * np.sin(0.1 * np.arange(steps)) + 0.01 * rng.normal(size=steps)
     readings = [
-        Readings(2.0, 0.3 * (1.0 - i), 0.02 + 0.02 * i + 1e-3 * e, 40.0 * i, 147.0, 3.0 + 8.0 * i, time=0.1 * k)
+        Readings(
+            2.0, 0.3 * (1.0 - i), 0.02 + 0.02 * i + 1e-3 * e, 40.0 * i, 147.0, 3.0 + 8.0 * i, i, 0.0, 3.0 + 8.0 * i,
+            40.0 * i / 15.0, 0.1 * k,
+        )
         for k, (i, e) in enumerate(zip(slip.tolist(), rng.normal(size=steps).tolist(), strict=True))
-    ]
+    ]  # fmt: skip
     out = np.empty((rounds, steps))
     for r in range(-1, rounds):
         identifier.reset()
@@ -131,10 +134,11 @@ def main(arguments: list[str] | None = None) -> int:
     if not 0.001 <= options.gigabytes <= 100.0:
         raise ParameterError(f"--gigabytes {options.gigabytes:g}: expected a size from 0.001 to 100")
     print(machine_text(machine(), "numpy", "numba"))
-    each = 1e6 * updates()
-    median, high = np.median(each, axis=1), np.percentile(each, 99, axis=1)
-    print(f"update, {len(each)} rounds of {each.shape[1]}: median {range_text(spread(median), 1)} us, "
-          f"99 % below {range_text(spread(high), 1)} us")  # fmt: skip
+    for method in ("filter", "window"):
+        each = 1e6 * updates(method)
+        median, mean, high = np.median(each, axis=1), np.mean(each, axis=1), np.percentile(each, 99, axis=1)
+        print(f"update, {method}, {len(each)} rounds of {each.shape[1]}: median {range_text(spread(median), 1)} us, "
+              f"mean {range_text(spread(mean), 1)} us, 99 % below {range_text(spread(high), 1)} us")  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         bag, map_file = Path(folder) / "large.mcap", Path(folder) / "map.yaml"
         map_file.write_text(yaml.safe_dump({"wheel": "planetary_rover", "channels": _CHANNELS}), encoding="utf-8")

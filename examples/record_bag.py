@@ -1,9 +1,9 @@
 """Record a drive of SoilWheel-v0 into a ROS 2 bag (MCAP) with standard messages, read it back, and identify the soil.
 
 The bag has what a rover's would: JointState (wheel speed and torque), Odometry (travel speed), WrenchStamped (drawbar
-pull and load), Imu (orientation, acceleration), Range (hub to ground) and Float64 (slip, motor torque). What the identifier makes of the bag is
-what it made of the same readings while driving. `python -m soil_env.logs BAG --map MAP --out DIR` reads it likewise and
-writes a report. Needs `pip install "soil_env[logs]"`, no ROS.
+pull and load), Imu (orientation, acceleration), Range (hub to ground) and Float64 (slip, motor torque). What the
+identifier makes of the bag is what it made of the same readings while driving. `python -m soil_env.logs BAG --map MAP
+--out DIR` reads it likewise and writes a report. Needs `pip install "soil_env[logs]"`, no ROS.
 
 Examples:
     python examples/record_bag.py                          writes drive/ (the bag) and drive.map.yaml

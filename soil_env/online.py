@@ -136,8 +136,8 @@ class OnlineIdentifier:
 
     `wheel`: its radius, width and the mass on it; its inertia where there is a motor torque; the motor only for
     `traversability`. `belief`: the prior, which should be that of the ground to be expected, and the method, the filter
-    or the window. `noise`: standard deviations of the sensors. `period` [s]: time between two updates whose readings bear no time. `relaxation` [wheel
-    radii]: distance in which sinkage adapts. `gravity` [m/s2].
+    or the window. `noise`: standard deviations of the sensors. `period` [s]: time between two updates whose readings
+    bear no time. `relaxation` [wheel radii]: distance in which sinkage adapts. `gravity` [m/s2].
 
     What is not measured is left NaN:
 
@@ -297,8 +297,9 @@ class OnlineIdentifier:
         numbers = self._numbers
         if numbers.by_filter:
             numbers.filter.noise[0] = max(self._slip_sd, _LEAST_SLIP_SD) if self._slip_sd else self._sd[0]
-            changed = period != numbers.period
-            return numbers._replace(period=period, filter=numbers.filter._replace(period=period)) if changed else numbers
+            if period != numbers.period:
+                numbers = numbers._replace(period=period, filter=numbers.filter._replace(period=period))
+            return numbers
         changes: dict[str, Any] = {}
         if period != numbers.period:
             changes["period"] = period

@@ -119,8 +119,8 @@ def what_can_be_told(found: Replay, measured: set[str]) -> list[str]:
         lines.append("Neither sinkage nor a force: the slip is known, and nothing can be told of the soil.")
     elif "sinkage" not in measured and followed:
         lines.append(
-            "No sinkage: the filter follows it by the law of slip-sinkage, from that of the belief under the weight. The "
-            "soil is told by the forces alone, S with wider intervals."
+            "No sinkage: the filter follows it by the law of slip-sinkage, from that of the belief under the weight. "
+            "The soil is told by the forces alone, S with wider intervals."
         )
     elif "sinkage" not in measured:
         lines.append(
@@ -132,8 +132,8 @@ def what_can_be_told(found: Replay, measured: set[str]) -> list[str]:
             "Neither drawbar pull nor torque: friction angle, cohesion and K are not told: nothing measures shear. "
             "The sinkage coefficient S is, if the load is measured, within what the exponent of the belief allows."
         )
-    if "sinkage" in measured and not pull and not torque and followed:
-        lines.append("What the filter says of friction angle, cohesion and K here comes by what the belief has them to do with S.")
+        if followed:
+            lines.append("What the filter says of them here comes by what the belief has them to do with S.")
     elif not torque:
         lines.append("No torque: friction angle and K follow from the drawbar pull alone, S from load and pull.")
     elif not pull:

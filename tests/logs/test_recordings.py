@@ -76,7 +76,8 @@ def test_messages_that_are_compressed_one_by_one(tmp_path):
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
     code, reading = example(), {"wheel_speed": 2.0, "torque": 5.0, "speed": 0.25, "drawbar_pull": 9.0, "load": 147.0,
-                                "pitch": 0.1, "sinkage": 0.02, "slip": 0.2, "motor_torque": 5.2, "acceleration": 0.7}  # fmt: skip
+                                "pitch": 0.1, "sinkage": 0.02, "slip": 0.2, "motor_torque": 5.2,
+                                "acceleration": 0.7}  # fmt: skip
     recorder = code["Recorder"].__new__(code["Recorder"])
     recorder.writer, recorder.connections = Writer(tmp_path / "b", version=9, storage_plugin=StoragePlugin.SQLITE3), {}
     recorder.writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
