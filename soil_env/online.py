@@ -144,8 +144,8 @@ class OnlineIdentifier:
     * no torque, pull, motor torque or acceleration: the channel has no weight. The filter reads all four. To the window
       a motor torque, less what accelerates the wheel, J dw/dt, stands for a torque that is missing, and an
       accelerometer times the mass on the wheel for a pull (gravity along the slope is in both);
-    * no load: the weight m g cos(pitch) stands for it, of a mass that the filter doubts by 20 %; to the window it is
-      known where one is needed, and is no measurement;
+    * no load: the weight m g cos(pitch) stands for it, of a mass that the filter doubts by 20 % as far as no force
+      tells more; to the window it is known where one is needed, and is no measurement;
     * no slip: it follows from the two speeds, with their noise;
     * no sinkage: the filter follows it by the law of slip-sinkage, from that of the belief under the weight; with the
       window nothing is learnt of the soil;

@@ -139,7 +139,7 @@ def what_can_be_told(found: Replay, measured: set[str]) -> list[str]:
     elif not pull:
         lines.append("No drawbar pull: friction angle and K follow from the torque alone, S from the load.")
     if "load" not in measured and followed:
-        lines.append("No load: the weight on the wheel stands for it, doubted by 20 %; S is no better known than that.")
+        lines.append("No load: the weight on the wheel stands for it, doubted by 20 % as far as no force tells more.")
     elif "load" not in measured:
         lines.append("No load: the weight on the wheel stands for it, and vertical equilibrium, Eq. (1), adds nothing.")
     if "acceleration" in pull and "drawbar_pull" not in pull:
