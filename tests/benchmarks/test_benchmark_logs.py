@@ -13,5 +13,6 @@ pytest.importorskip("rosbags")
 def test_a_small_bag(importable, capsys):
     assert main(["--gigabytes", "0.01"]) == 0
     said = capsys.readouterr().out
-    assert re.search(r"update, 7 rounds of 2000: median \d+\.\d \(", said)
+    for method in ("filter", "window"):
+        assert re.search(rf"update, {method}, 7 rounds of 2000: median \d+\.\d \(", said)
     assert re.search(r"^0\.01 GB +260 +11 ", said, re.MULTILINE)  # one second, ten images in it
