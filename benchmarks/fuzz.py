@@ -85,7 +85,8 @@ def run_case(case: Case, rng: np.random.Generator, tally: Tally, wheels: int = W
         actions, before = commands(rng, wheels, step), env.simulation.worlds.state.copy()
         out = env.step(actions)
         ended = out[2] | out[3]
-        tally.causes.update(Cause(c).name for c in out[4]["cause"][ended])
+        cause = out[4].get("final_info", out[4])["cause"]  # in SAME_STEP mode `info` is of after the reset
+        tally.causes.update(Cause(c).name for c in cause[ended])
         tally.steps += wheels - int(done.sum())
         if mode == AutoresetMode.SAME_STEP:  # the state is that of the new course already
             stepped, done = ~ended, np.zeros(wheels, dtype=bool)

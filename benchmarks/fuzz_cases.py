@@ -30,6 +30,9 @@ from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import GROUPS, ResidualTerm
 
+#: Correlations that, drawn anywhere within their bounds, soon contradict others.
+CONTRADICTING = ("friction_stiffness", "friction_shear_modulus", "stiffness_shear_modulus")
+
 
 class Choices(Protocol):
     """Source of the numbers of a case."""
@@ -90,8 +93,9 @@ def _within(c: Choices, f: dataclasses.Field) -> float:
 
 
 def _half(c: Choices, cls: type, leave: tuple[str, ...] = ()) -> dict[str, float]:
-    """About half of the parameters of a class, each anywhere within its bounds."""
-    return {f.name: _within(c, f) for f in dataclasses.fields(cls) if f.name not in leave and c.pick([True, False])}
+    """About half of the parameters of a class that have bounds, each anywhere within them."""
+    bounded = [f for f in dataclasses.fields(cls) if "low" in f.metadata and f.name not in leave]
+    return {f.name: _within(c, f) for f in bounded if c.pick([True, False])}
 
 
 def _scenario(c: Choices, most_substeps: int) -> dict:
@@ -103,13 +107,12 @@ def _scenario(c: Choices, most_substeps: int) -> dict:
     if wheel is not None or c.pick([True, False]):
         names = sorted(soils())
         out["soils"] = {c.pick(names): c.number(0.1, 1.0) for _ in range(c.pick([1, 2, 3]))}
-    correlations = "friction_stiffness", "friction_shear_modulus", "stiffness_shear_modulus"  # soon contradict others
-    spread = _half(c, SoilSpread, correlations)
+    spread = _half(c, SoilSpread, CONTRADICTING)
     if spread and c.pick([True, False]):
         out["spread"] = spread
     out["course"] = _course(c)
     out["noise"] = _noise(c)
-    out["belief"] = _half(c, Belief) if c.pick([True, False]) else {}
+    out["belief"] = _belief(c) if c.pick([True, False]) else {}
     out["limits"] = _half(c, Limits)
     out["reward"] = {name: c.pick([0.0, 1.0, 10.0, c.number(0.0, 1e4)]) for name in
                      ("progress", "energy", "immobilisation")}  # fmt: skip
@@ -120,6 +123,16 @@ def _scenario(c: Choices, most_substeps: int) -> dict:
         "period": period, "substep": min(max(substep, period / most_substeps, 1e-4), 0.5),
         "time_limit": _log(c, 1.0, 300.0), "action": c.pick(["torque", "wheel_speed"]),
     }  # fmt: skip
+    return out
+
+
+def _belief(c: Choices) -> dict:
+    """A prior of either identifier; that of the filter sometimes has a library of soils."""
+    out = _half(c, Belief, CONTRADICTING) | {"method": c.pick(["filter", "filter", "window"])}
+    if c.pick([True, False, False]):
+        names = sorted(soils())
+        out["soils"] = {c.pick(names): c.number(0.1, 1.0) for _ in range(c.pick([1, 3, 12]))}
+        out["spread"] = _half(c, SoilSpread, CONTRADICTING)
     return out
 
 

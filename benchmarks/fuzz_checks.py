@@ -98,27 +98,31 @@ def ledger(before: WheelState, worlds, scenario) -> Ledger:
 def faults(env, actions, before, stepped, out) -> dict[str, np.ndarray]:
     """{name of an invariant: wheels [N] that break it} of one step of a vector env; those that hold are left out.
 
-    `stepped` [N] are the wheels that were driven, the others were reset; `out` is what `step` returned.
+    `stepped` [N] are the wheels that were driven, the others were reset; `out` is what `step` returned. Of wheels that
+    ended and were reset in this step (SAME_STEP) the terms of the reward are those of `final_info`.
     """
     observation, reward, terminated, truncated, info = out
     worlds, scenario = env.simulation.worlds, env.scenario
     state, r = worlds.state, scenario.wheel.radius
     space = env.single_observation_space
-    terms = sum(info[f"reward_{name}"] for name in REWARD_TERMS)
+    term = {name: info[f"reward_{name}"] for name in REWARD_TERMS}
+    if "final_info" in info:
+        ended, finals = info["_final_info"], info["final_info"]
+        term = {name: np.where(ended, finals[f"reward_{name}"], value) for name, value in term.items()}
     stall = scenario.wheel.stall_torque * (1.0 + 1e-12)
     found = {
         "observation finite": ~np.isfinite(observation).all(axis=1),
         "observation in its bounds": ~((observation >= space.low) & (observation <= space.high)).all(axis=1),
         "reward finite": ~np.isfinite(reward),
-        "reward is the sum of its terms": ~np.isclose(reward, terms, rtol=1e-12, atol=1e-12),
-        "energy term <= 0": ~(info["reward_energy"] <= 0.0),
+        "reward is the sum of its terms": ~np.isclose(reward, sum(term.values()), rtol=1e-12, atol=1e-12),
+        "energy term <= 0": ~(term["energy"] <= 0.0),
         "state finite": ~np.logical_and.reduce([np.isfinite(state[name]) for name in state.NAMES]),
         "sinkage in [1e-4, 1.5] radii": ~((state["sinkage"] >= 0.99e-4 * r) & (state["sinkage"] <= 1.5 * r * 1.000001)),
         "slip in [-1, 1]": ~(np.abs(state["slip"]) <= 1.0),
         "motor within its stall torque": ~(np.abs(state["motor_torque"]) <= stall),
         "not both terminated and truncated": terminated & truncated,
         "progress term is the distance": stepped & ~np.isclose(
-            info["reward_progress"], scenario.reward.progress * (state["x"] - before["x"])
+            term["progress"], scenario.reward.progress * (state["x"] - before["x"])
             / scenario.course.length, rtol=1e-6, atol=1e-9),
         "command applied": stepped & (before["halt_left"] <= 0.0) & (
             state["last_action"] != np.clip(np.asarray(actions, dtype=np.float64)[:, 0], -1.0, 1.0)),

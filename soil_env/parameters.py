@@ -126,19 +126,22 @@ class SoilSpread(Checked):
 
     def factor(self) -> np.ndarray:
         """Lower Cholesky factor [5, 5] of the correlations of (friction, cohesion, K, stiffness, dig gain)."""
-        c = np.eye(5)
-        for (i, j), name in {
-            (0, 1): "friction_cohesion",
-            (0, 3): "friction_stiffness",
-            (0, 2): "friction_shear_modulus",
-            (2, 3): "stiffness_shear_modulus",
-            (3, 4): "stiffness_dig_gain",
-        }.items():
-            c[i, j] = c[j, i] = getattr(self, name)
-        try:
-            return np.linalg.cholesky(c)
-        except np.linalg.LinAlgError:
-            raise ParameterError("SoilSpread: the correlations contradict each other (not positive definite)") from None
+        return _factor(self, 5, {
+            (0, 1): "friction_cohesion", (0, 3): "friction_stiffness", (0, 2): "friction_shear_modulus",
+            (2, 3): "stiffness_shear_modulus", (3, 4): "stiffness_dig_gain",
+        })  # fmt: skip
+
+
+def _factor(owner: Checked, size: int, names: dict[tuple[int, int], str]) -> np.ndarray:
+    """Lower Cholesky factor [size, size] of the correlations that `owner` has under these names, by row and column."""
+    c = np.eye(size)
+    for (i, j), name in names.items():
+        c[i, j] = c[j, i] = getattr(owner, name)
+    try:
+        return np.linalg.cholesky(c)
+    except np.linalg.LinAlgError:
+        where = type(owner).__name__
+        raise ParameterError(f"{where}: the correlations contradict each other (not positive definite)") from None
 
 
 # --- wheel ------------------------------------------------------------------------------------------------------------
@@ -232,6 +235,10 @@ class Belief(Checked):
         default_factory=dict
     )  # library of soils that may come, with weights; {} = not known
     spread: SoilSpread = SoilSpread()  # of the soils of that library
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _factor(self, 4, {(0, 1): "friction_cohesion", (0, 2): "friction_stiffness", (2, 3): "stiffness_shear_modulus"})
 
 
 @dataclass(frozen=True)

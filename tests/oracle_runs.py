@@ -71,7 +71,8 @@ def drive_many(count: int, steps: int = 200, **options) -> dict:
         levels = np.array([[action(k + 7 * j, 0.2 + 0.06 * j)] for j in range(count)])
         observation, reward, terminated, truncated, info = env.step(levels)
         total, over = total + reward, terminated | truncated
-        ends += [f"{k} {j} {info['cause'][j]}" for j in np.flatnonzero(over)]
+        cause = info.get("final_info", info)["cause"]  # in SameStep mode `info` is of after the reset
+        ends += [f"{k} {j} {cause[j]}" for j in np.flatnonzero(over)]
         if k % 25 == 24:
             for name, value in zip(out, (float(k), observation, total, info["x"]), strict=True):
                 out[name].append(value.copy() if isinstance(value, np.ndarray) else value)

@@ -99,6 +99,7 @@ BAD_SCENARIO = [
     ({"course": {"grade_deg": [1, 2, 3]}}, ["grade_deg", "[1, 2, 3]"]),
     ({"course": {"lenght": 5}}, ["lenght", "'length'"]),
     ({"spread": {"friction_cohesion": 0.9, "friction_stiffness": 0.9}}, ["correlations"]),
+    ({"belief": {"friction_cohesion": 0.9, "friction_stiffness": 0.9}}, ["belief", "correlations"]),
     ({"control": {"action": "voltage"}}, ["action", "voltage"]),
     ({"control": {"substep": 0.6}}, ["substep", "0.6"]),
     ({"wheel": {"preset": "planetary_rover", "inertia": 1e-5}}, ["inertia", "1e-05", "0.00675"]),

@@ -5,6 +5,7 @@ import shutil
 import pytest
 
 from agents.evaluate.__main__ import main
+from soil_env.task import layout
 from tests.agents.evaluating import SHORT, evaluate
 from tests.agents.saved import edit, rewrite
 
@@ -68,7 +69,10 @@ def test_nothing_at_all_is_refused(capsys, tmp_path):
 @pytest.mark.parametrize(
     "change, part",
     [
-        (lambda p: edit(p, observation_names=[f"n{k}" for k in range(11)]), "another observation layout"),
+        (
+            lambda p: edit(p, observation_names=[f"n{k}" for k in range(len(layout("blind")))]),
+            "another observation layout",
+        ),
         (lambda p: edit(p, scenario={"control": {"action": "wheel_speed"}}), "trained with action 'wheel_speed'"),
         (lambda p: rewrite(p, b"{"), "not a model saved by train.py"),
         (lambda p: p.write_bytes(p.read_bytes()[:-3000]), "not a model of Stable-Baselines3"),

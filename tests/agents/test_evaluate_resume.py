@@ -154,14 +154,15 @@ def test_a_worker_with_other_code_is_refused(monkeypatch, done):
 
 
 def test_disk_full_while_driving_keeps_whole_blocks(capsys, tmp_path, done, models):
-    """A limit on the size of files in the middle of the fourth block."""
+    """A limit on the size of files in the middle of a block, beyond the size of study.yaml."""
     out, controllers = tmp_path / "out", everything(models)
     lines = (done / "courses.jsonl").read_bytes().splitlines(keepends=True)
-    with limited_files(sum(map(len, lines[:3])) + 100):
+    whole = next(k for k in range(len(lines)) if sum(map(len, lines[:k])) > (done / "study.yaml").stat().st_size)
+    with limited_files(sum(map(len, lines[:whole])) + 100):
         assert evaluate(out, controllers, "--settings.fixed_slip.slip=0.2") == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "courses.jsonl: File too large" in error
-    assert (out / "courses.jsonl").read_bytes() == b"".join(lines[:3])
+    assert (out / "courses.jsonl").read_bytes() == b"".join(lines[:whole])
     assert main(["--resume", str(out)]) == 0
     same(out, done)
 

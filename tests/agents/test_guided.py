@@ -13,10 +13,12 @@ from agents.ppo import PPOConfig, TrainConfig, build, load_agent, resume, save
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario
+from soil_env.task import layout
 from tests.agents.saved import edit
 
 TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=8)
 SETTINGS = {"start": 0.2}
+BLIND = len(layout("blind"))
 VARIANT = {"fixed_slip": "blind", "best_slip_identified": "identified", "best_slip_true": "true_soil"}
 
 
@@ -50,7 +52,7 @@ def test_an_agent_that_does_nothing_drives_as_its_guide(tmp_path, scenario, name
 
 def test_the_trim_multiplies_the_rim_speed(scenario):
     one = guide(scenario, "fixed_slip", trim=0.5)
-    observation = np.zeros((3, 11))
+    observation = np.zeros((3, BLIND))
     observation[:, 5] = 0.3  # travel speed, of the top rim speed
     seen, state = one.observe(observation, None, np.ones(3, dtype=bool))
     start, lead = 0.2, 0.2 * 0.2
@@ -91,17 +93,17 @@ def test_the_last_observation_of_a_course_has_the_guide_s_entries(scenario):
     seen = env.reset()
     memory = None
     for step in range(10):
-        _, memory = one.observe(seen[:, :11], memory, np.full(3, step == 0))
+        _, memory = one.observe(seen[:, :BLIND], memory, np.full(3, step == 0))
         command = one.act(np.zeros((3, 1)), memory)
         _, _, done, infos = plain.step(command)
         seen, _, _, theirs = env.step(np.zeros((3, 1)))
     assert done.all()
     for k in range(3):
         last = theirs[k]["terminal_observation"]
-        np.testing.assert_array_equal(last[:11], infos[k]["terminal_observation"])
+        np.testing.assert_array_equal(last[:BLIND], infos[k]["terminal_observation"])
         own, _ = one.observe(np.array([infos[k]["terminal_observation"]] * 3), memory, np.zeros(3, dtype=bool))
         np.testing.assert_array_equal(last, own[k])
-    assert seen.shape == (3, 13)
+    assert seen.shape == (3, BLIND + 2)
 
 
 def test_guides_that_cannot_be(scenario):
@@ -116,5 +118,5 @@ def test_guides_that_cannot_be(scenario):
 def test_the_size_of_the_normalisation_is_checked(tmp_path, scenario):
     save(build(scenario, "blind", TINY, 0, guide=guide(scenario, "fixed_slip")), tmp_path / "model.zip")
     edit(tmp_path / "model.zip", guide=None)
-    with pytest.raises(ParameterError, match="11 numbers"):
+    with pytest.raises(ParameterError, match=f"{BLIND} numbers"):
         ppo.read_meta(tmp_path / "model.zip")

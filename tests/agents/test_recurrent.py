@@ -10,6 +10,7 @@ from agents.guided import Guide
 from agents.ppo import PPOConfig, TrainConfig
 from agents.training import make_run_folder, open_run, train
 from soil_env.parameters import load_scenario
+from soil_env.task import layout
 
 TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=4)
 
@@ -28,7 +29,7 @@ def test_a_saved_agent_drives_with_its_memory_and_goes_on(tmp_path, scenario, gu
     path = tmp_path / "model.zip"
     ppo.save(model, path)
     agent = load_model(path, scenario)
-    x = np.linspace(-0.1, 0.1, 33).reshape(3, 11)
+    x = np.linspace(-0.1, 0.1, 3 * len(layout("blind"))).reshape(3, -1)
     first, state = agent.predict(x, episode_start=np.ones(3, dtype=bool))
     second, _ = agent.predict(x, state, np.zeros(3, dtype=bool))
     afresh, _ = agent.predict(x, state, np.ones(3, dtype=bool))

@@ -137,7 +137,7 @@ def result():
         record("repeats_one", 0, said=(), verdict="error", gap={}, closed=None, probability={}),
     ]  # fmt: skip
     cases[-4]["truth"][0] |= {"shown": 0.6}
-    return {"command": "python -m benchmarks.blind", "seed": 3, "smoke": False, "code": "1+abc", "machine": "here",
+    return {"command": "python -m benchmarks.blind.easy", "seed": 3, "smoke": False, "code": "1+abc", "machine": "here",
             "figures": figures(cases), "cases": cases}  # fmt: skip
 
 

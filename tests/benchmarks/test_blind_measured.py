@@ -44,7 +44,7 @@ def test_each_slip_is_left_out_once_and_its_errors_are_counted(monkeypatch):
     """Pull is 10 slip too high for the base model: its error is that, and the anonymous law has none."""
     seen = []
 
-    def says_none(rows, setup, bootstrap):
+    def says_none(rows, setup):
         seen.append(set(rows.slip.round(3)))
         gap = {"drawbar_pull": SimpleNamespace(after=1.5), "sinkage": SimpleNamespace(after=None)}
         return SimpleNamespace(base_model=MODEL, model=MODEL, effects=(), verdict="none", gap=gap)
