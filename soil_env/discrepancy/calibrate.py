@@ -225,8 +225,14 @@ class Problem:
 
     def predict(self, values: dict[str, float], choices, guess: np.ndarray, rows: Rows | None = None) -> np.ndarray:
         """Model values [N, 3] of a set of parameters, at other `rows` than those of the table if given."""
-        rows, setup, fx = rows or self.data.rows, self.data.setup, self.effects(choices, values)
-        out = predict_table(setup, rows, self.known | values, self.density * GRAVITY, fx, guess)
+        return self.predict_with(self.known | values, self.effects(choices, values), guess, rows)
+
+    def predict_with(
+        self, soil: dict[str, float], fx: Effects, guess: np.ndarray, rows: Rows | None = None
+    ) -> np.ndarray:
+        """`predict` of soil parameters and effects."""
+        rows, setup = rows or self.data.rows, self.data.setup
+        out = predict_table(setup, rows, soil, self.density * GRAVITY, fx, guess)
         return out if self.offset is None else out + self.offset
 
     def sinkage_guess(self, fit: Fit) -> np.ndarray:
@@ -311,10 +317,14 @@ class Problem:
         return tuple(_finite(output - self.predict(values, others, guess.copy())) for others in rest)
 
     def stresses(self, values, choices, output, guess) -> list[np.ndarray]:
-        """[N, 3] change of the output by a relative change of the normal stress, and of the shear stress."""
-        h = _STRESS_STEP
-        moved = stress_changes(self.known | values, h)
-        there = (self.predict(values | change, choices, guess.copy()) for change in moved)
+        """[N, 3] change of the output by each `stress_changes`, relative."""
+        h, known = _STRESS_STEP, self.known | values
+        sinkage = float(np.nanmedian(output[:, 0]))
+        there = []
+        for soil, more in stress_changes(known, h, sinkage):
+            fx = self.effects(choices, values)
+            fx = fx._replace(**{k: getattr(fx, k) + v for k, v in more.items()})
+            there.append(self.predict_with(known | soil, fx, guess.copy()))
         return [_finite((out - output) / h) for out in there]
 
     def form_errors(self, values, choices, output, added, guess, at=None) -> tuple[list[np.ndarray], np.ndarray]:

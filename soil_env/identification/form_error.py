@@ -6,8 +6,9 @@ What is measured is taken to be
 
 where the columns B_k span a Gaussian process over the conditions and s_k is the unknown size of a kind of form error
 (Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464; Brynjarsdottir & O'Hagan 2014, Inverse Problems 30:114007). The
-error of the base law acts in the stresses: relative errors of the normal and of the shear stress, two independent
-processes of the same size, which reach sinkage, drawbar pull and torque together through the steady state.
+error of the base law acts in the stresses: relative errors of the normal and of the shear stress, and of where along
+the arc the normal stress acts and how concentrated it is (`stress_changes`): independent processes of the same size,
+which reach sinkage, drawbar pull and torque together through the steady state.
 
 A process is written in its leading eigenfunctions at the rows of the table (Karhunen-Loeve), so that its covariance
 becomes ordinary linear unknowns with unit prior.
@@ -19,6 +20,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -35,6 +37,9 @@ OUTSIDE = 0.1  # share of the variance of a law's error that goes with condition
 _LEFT = 1e-3  # share of the variance that may be left out of a basis
 _NUGGET = 1e-9
 _SHORTER = 3.0  # times over which a contribution of one condition may change faster than one of all
+#: By an error of size 1: shift of the stress peak [of the entry angle] and change of the sinkage exponent that move and
+#: spread a parabola of stress as much; and the depth, over the sinkage, at which such a change leaves the pressure.
+_MOVED, _SPREAD, _MEAN_DEPTH = 0.25, 0.32, 0.75
 _UNSEEN = 1e-10  # share of the largest variance, or of the noise, below which a direction does not count
 
 #: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is exact, else log-normal
@@ -131,12 +136,35 @@ def _points(conditions: Mapping[str, np.ndarray], names: tuple[str, ...]) -> np.
 Compression = tuple[np.ndarray, np.ndarray]
 
 
-def stress_changes(soil: Mapping[str, float], h: float) -> tuple[dict[str, float], dict[str, float]]:
-    """Soil parameters with which the normal stress, and the shear stress, is larger by the relative change h."""
+class StressChange(NamedTuple):
+    """Soil parameters in place of others, and what is added to effects, under which a stress is another."""
+
+    soil: dict[str, float]
+    effects: dict[str, float]
+
+
+def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple[StressChange, ...]:
+    """What a form error of the relative size h does to the stresses; `sinkage` [m], a typical one.
+
+    The normal stress can be larger all along the arc; so can the shear stress. Where the error of the normal stress
+    changes along the arc, its resultant moves, and it is more or less concentrated: both by as much as an error that is
+    correlated over half of the arc moves and spreads a parabola of stress, written as a shift of the peak and as a
+    change of the sinkage exponent at the same mean pressure.
+    """
     tangent = (1.0 + h) * math.tan(math.radians(soil["friction_angle_deg"]))
+    more = _SPREAD * h
+    depth = _MEAN_DEPTH * max(sinkage, 1e-6)
+    flatter = {
+        "sinkage_exponent": soil["sinkage_exponent"] + more,
+        "sinkage_coefficient": soil["sinkage_coefficient"] * depth**-more,
+    }
     return (
-        {"sinkage_coefficient": (1.0 + h) * soil["sinkage_coefficient"]},
-        {"cohesion": (1.0 + h) * soil["cohesion"], "friction_angle_deg": math.degrees(math.atan(tangent))},
+        StressChange({"sinkage_coefficient": (1.0 + h) * soil["sinkage_coefficient"]}, {}),
+        StressChange(
+            {"cohesion": (1.0 + h) * soil["cohesion"], "friction_angle_deg": math.degrees(math.atan(tangent))}, {}
+        ),
+        StressChange({}, {"stress_peak_shift_offset": _MOVED * h}),
+        StressChange(flatter, {}),
     )
 
 

@@ -20,7 +20,7 @@ for each channel, until it no longer changes (MacKay 1992, Neural Computation 4:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -33,6 +33,7 @@ from soil_env.identification.form_error import (
     SPANS,
     Compression,
     Process,
+    StressChange,
     compressed,
     marginals,
     size_prior,
@@ -174,13 +175,12 @@ class TableProblem:
         """Sinkage, drawbar pull and torque [N, 3] at the corrected conditions, or at `rows`; 0 where not measured."""
         return np.where(self.measured, self.steady(u, rows or self.corrected), 0.0)
 
-    def steady(self, u: np.ndarray, rows: Rows, changed: Mapping[str, float] | None = None) -> np.ndarray:
-        """Sinkage, drawbar pull and torque [N, 3] at `rows`, whether measured or not.
-
-        `changed`: soil parameters in place of those of u.
-        """
-        soil = {**self.values(u), **(changed or {})}
-        return predict_table(self.setup, rows, soil, _NO_WEIGHT, NO_EFFECTS, np.zeros(rows.slip.size))
+    def steady(self, u: np.ndarray, rows: Rows, changed: StressChange | None = None) -> np.ndarray:
+        """Sinkage, drawbar pull and torque [N, 3] at `rows`, measured or not; `changed`: with other stresses."""
+        soil, fx = self.values(u), NO_EFFECTS
+        if changed is not None:
+            soil, fx = {**soil, **changed.soil}, fx._replace(**changed.effects)
+        return predict_table(self.setup, rows, soil, _NO_WEIGHT, fx, np.zeros(rows.slip.size))
 
     def by_conditions(self, u: np.ndarray) -> np.ndarray:
         """Derivatives [N, 3, 2] of the model by slip and load at the corrected conditions; 0 where these are exact."""
@@ -252,7 +252,7 @@ class TableProblem:
         known, h, base = self.values(u), _STRESS_STEP, self.predict(u)
         functions = self.processes[span].at_points
         blocks = []
-        for change in stress_changes(known, h):
+        for change in stress_changes(known, h, float(np.median(self.steady(u, self.corrected)[:, 0]))):
             moved = np.where(self.measured, self.steady(u, self.corrected, change) - base, 0.0) / h
             blocks.append(np.where(np.isfinite(moved), moved, 0.0)[:, :, None] * functions[:, None, :])
         errors = np.concatenate(blocks, axis=2)

@@ -106,7 +106,7 @@ def test_what_is_detectable_is_detected(data, name):
 
 
 def test_noise_that_is_hardly_known_says_less(data):
-    p = problem(table({"bulldozing": {"rankine": 0.4}}, speeds=SPEEDS), np.random.default_rng(6))
+    p = problem(table({"bulldozing": {"rankine": 0.8}}, speeds=SPEEDS), np.random.default_rng(6))
     gains = []
     for p.freedom in (math.inf, 4.0):
         base = evidence.settle(p, ())

@@ -69,11 +69,39 @@ def test_a_mixture_has_the_moments_of_its_parts():
 
 
 def test_stress_changes_scale_the_stresses():
-    soil = {"friction_angle_deg": 30.0, "cohesion": 1000.0, "sinkage_coefficient": 1e6}
-    normal, shear = form_error.stress_changes(soil, 0.1)
-    assert normal == {"sinkage_coefficient": pytest.approx(1.1e6)}
-    assert shear["cohesion"] == pytest.approx(1100.0)
-    assert np.tan(np.radians(shear["friction_angle_deg"])) == pytest.approx(1.1 * np.tan(np.radians(30.0)))
+    soil = {"friction_angle_deg": 30.0, "cohesion": 1000.0, "sinkage_coefficient": 1e6, "sinkage_exponent": 1.0}
+    normal, shear, moved, spread = form_error.stress_changes(soil, 0.1, 0.02)
+    assert normal == ({"sinkage_coefficient": pytest.approx(1.1e6)}, {})
+    assert shear.soil["cohesion"] == pytest.approx(1100.0)
+    assert np.tan(np.radians(shear.soil["friction_angle_deg"])) == pytest.approx(1.1 * np.tan(np.radians(30.0)))
+    assert not moved.soil and set(moved.effects) == {"stress_peak_shift_offset"}
+    depth = form_error._MEAN_DEPTH * 0.02  # where the pressure stays
+    pressure = spread.soil["sinkage_coefficient"] * depth ** spread.soil["sinkage_exponent"]
+    assert pressure == pytest.approx(1e6 * depth) and spread.soil["sinkage_exponent"] > 1.0
+
+
+def test_resultant_and_spread_move_as_errors_along_the_arc_move_them():
+    """Errors correlated over half of the arc, multiplying a stress of n = 1 with its peak midway."""
+    x = np.linspace(0.0, 1.0, 81)  # theta over the entry angle
+
+    def stress(peak, n):  # (7), (8)
+        front = np.where(x > peak, x, 1.0 - x / peak * (1.0 - peak))
+        sigma = np.maximum(np.cos(0.5 * front) - np.cos(0.5), 0.0) ** n
+        return sigma / sigma.sum()
+
+    def moments(w):
+        return x @ w, (x - x @ stress(0.5, 1.0)) ** 2 @ w
+
+    kernel = np.exp(-0.5 * ((x[:, None] - x) / 0.5) ** 2) + 1e-9 * np.eye(x.size)
+    errors = np.linalg.cholesky(kernel) @ np.random.default_rng(0).standard_normal((x.size, 20000))
+    size = 0.01
+    wrong = stress(0.5, 1.0)[:, None] * (1.0 + size * errors)
+    place, spread = (np.std(m) / size for m in moments(wrong / wrong.sum(axis=0)))
+    step = 0.01
+    by_peak = (moments(stress(0.5 + step, 1.0))[0] - moments(stress(0.5, 1.0))[0]) / step
+    by_exponent = (moments(stress(0.5, 1.0 + step))[1] - moments(stress(0.5, 1.0))[1]) / step
+    assert form_error._MOVED == pytest.approx(place / by_peak, rel=0.05)
+    assert form_error._SPREAD == pytest.approx(-spread / by_exponent, rel=0.05)
 
 
 def test_the_prior_of_the_size():
