@@ -298,6 +298,11 @@ def speed(rng: np.random.Generator, repeats: int) -> dict:
 # --- all --------------------------------------------------------------------------------------------------------------
 
 
+def _bound(courses: int, seed: int) -> dict:
+    every = identification_bound.ESTIMATORS | identification_bound.OTHERS
+    return identification_bound.study(load_scenario("mixed"), courses, seed, every)
+
+
 def study(seed: int, smoke: bool) -> dict:
     """All parts, as plain values."""
     seeds = np.random.SeedSequence(seed).spawn(3)
@@ -313,7 +318,7 @@ def study(seed: int, smoke: bool) -> dict:
         ("identifiability", identifiability),
         ("speed", lambda: speed(rngs[2], 3 if smoke else 50)),
         ("online", lambda: identification_online.run(2 if smoke else 200, seed)),
-        ("bound", lambda: identification_bound.study(load_scenario("mixed"), 2 if smoke else 200, seed)),
+        ("bound", lambda: _bound(2 if smoke else 200, seed)),
     ):
         start = time.perf_counter()
         result[name] = part()

@@ -9,12 +9,15 @@ import numpy as np
 from benchmarks.identification_contenders import PARAMETERS
 from soil_env._io.files import save_figure
 
-_COLOURS = {"ours": "#0072b2", "newton_raphson": "#d55e00", "linear": "#999999", "ukf": "#009e73",
-            "ukf_joint": "#56b4e9", "batch": "#cc79a7", "batch_joint": "#000000"}  # fmt: skip
+_COLOURS = {"ours": "#0072b2", "library": "#1f3a8a", "window": "#e69f00", "newton_raphson": "#d55e00",
+            "linear": "#999999", "ekf_joint": "#8c6d1f", "ukf": "#009e73", "ukf_joint": "#56b4e9", "batch": "#cc79a7",
+            "batch_joint": "#000000"}  # fmt: skip
 _LABELS = {
-    "ours": "ours", "newton_raphson": "Newton-Raphson, 3 points", "linear": "linear least squares (c, phi)",
-    "ukf": "unscented Kalman filter", "ukf_joint": "Kalman filter, unknowns of ours",
-    "batch": "scipy least_squares, same window", "batch_joint": "scipy, unknowns of ours",
+    "ours": "filter bank", "library": "filter bank, told the library", "window": "moving window",
+    "newton_raphson": "Newton-Raphson, 3 points", "linear": "linear least squares (c, phi)",
+    "ekf_joint": "extended Kalman filter, 5 unknowns", "ukf": "unscented Kalman filter, 3 unknowns",
+    "ukf_joint": "unscented Kalman filter, 5 unknowns", "batch": "scipy on the window, 3 unknowns",
+    "batch_joint": "scipy on the window, 5 unknowns",
 }  # fmt: skip
 _AXES = {"phi_deg": "friction angle [deg]", "ln_K": "ln K [-]", "ln_S": "ln S [-]"}
 
@@ -96,4 +99,4 @@ def _times(axis, result: dict, names: list[str]) -> None:
     axis.set_yticks([])
     axis.set_xscale("log")
     axis.set_xlim(0.5 * min(times[n] for n in names), 3000.0 * max(times[n] for n in names))
-    axis.set_xlabel("time a reading [us] (ours compiled)")
+    axis.set_xlabel("time a reading [us] (soil_env's three compiled)")
