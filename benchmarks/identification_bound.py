@@ -194,7 +194,7 @@ def _measured(P, J, spread, log, t, u, numbers, variances, motor, accelerometer)
     return 0.5 * (P + P.T)
 
 
-def study(scenario: Scenario, courses: int, seed: int, estimators: dict[str, str] = ESTIMATORS) -> dict:
+def study(scenario: Scenario, courses: int, seed: int, estimators: dict[str, str] = ESTIMATORS, replay=replay) -> dict:
     """{"rms": {row: {place: [3]}}, "inside_68": {row: [3]}, ...} of bounds and estimators over all driven steps.
 
     "ratio": {estimator: RMS error over the bound of all sensors, with its 95 % interval over courses}; "loss": rows of
@@ -222,7 +222,8 @@ def study(scenario: Scenario, courses: int, seed: int, estimators: dict[str, str
     best = squares["bound, all sensors"]
     return {
         "courses": courses, "seed": seed, "steps": len(since), "rms": rms, "inside_68": inside,
-        "ratio": _ratios(squares, estimators, starts, seed), "loss": _loss(since, best, squares[next(iter(estimators))]),
+        "ratio": _ratios(squares, estimators, starts, seed),
+        "loss": _loss(since, best, squares[next(iter(estimators))]),
     }  # fmt: skip
 
 

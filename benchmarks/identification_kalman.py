@@ -15,17 +15,20 @@ from soil_env.identification.solver import LOWER, UPPER
 
 
 class UnscentedKalman(Contender):
-    """Unscented Kalman filter of (phi, ln K, ln S): random walk over the distance, three channels a reading.
+    """Unscented Kalman filter of (phi, ln K, ln S): three channels a reading, back to the prior with the distance.
+
+    The soil is an Ornstein-Uhlenbeck process over the distance whose stationary distribution is the prior; a random
+    walk without that return leaves along the ridge of phi and K.
 
     `walk` [prior sd per sqrt(m)] and `inflation` (of the measurement variance, as readings in a row share their model
-    error) were tuned by `tune_ukf` on other courses. Measurement noise: channels, effective variance of slip and
+    error) were tuned by `tune_ukf` on 6 other courses. Measurement noise: channels, effective variance of slip and
     sinkage, and model error, at the present mean (`point.weigh`). It is valid when the sd of phi and K are below 0.6
     of the prior, as ours. Digging ratio: `Digging`.
     """
 
     name = "ukf"
-    walk = 1.0
-    inflation = 0.3
+    walk = 2.0
+    inflation = 3.0
     size = 3
 
     def __init__(self, scenario):
@@ -49,8 +52,10 @@ class UnscentedKalman(Contender):
         """Time update over the distance travelled, measurement update by one reading."""
         n = self.numbers
         ratio = self.dug(reading)
-        q = self.walk**2 * abs(reading.speed) * n.period * self.variances
-        self.P = self.P + np.diag(np.minimum(q, np.maximum(self.variances - np.diag(self.P), 0.0)))
+        kept = math.exp(-0.5 * self.walk**2 * abs(reading.speed) * n.period)
+        free = slice(self.size)
+        self.mean[free] = n.prior[free] + kept * (self.mean[free] - n.prior[free])
+        self.P = kept**2 * self.P + (1.0 - kept**2) * np.diag(self.variances)
         self.solved = is_informative(reading, n)
         if self.solved:
             self._measure(reading, *ratio)
@@ -107,7 +112,6 @@ class UnscentedKalmanJoint(UnscentedKalman):
     """The same with the five unknowns of the window, and its way to follow the digging, at each reading."""
 
     name = "ukf_joint"
-    walk = 2.0
     size = 5
 
     def __init__(self, scenario):
@@ -129,6 +133,7 @@ class ExtendedKalmanJoint(UnscentedKalmanJoint):
     """The same, linearised at its mean by central differences."""
 
     name = "ekf_joint"
+    inflation = 10.0
 
     def _moments(self, at):
         mean, step = self.mean[: self.size].copy(), 1e-4 * np.sqrt(self.variances)

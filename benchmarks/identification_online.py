@@ -12,7 +12,7 @@ has one, and whether it holds its estimate for valid. An estimate that is not va
 | newton_raphson | the source paper's: three points, drawbar pull, Newton's iteration as it stands | point |
 | linear | linear least squares for (c, phi) on linearised stresses, K known (Iagnemma et al. 2004) | reading |
 | ekf_joint | extended Kalman filter of the five unknowns of the window, digging followed as by the window | reading |
-| ukf | unscented Kalman filter on drawbar pull, load and torque, random walk of the soil over the distance | reading |
+| ukf | unscented Kalman filter on drawbar pull, load and torque, soil back to its prior over the distance | reading |
 | ukf_joint | the same with cohesion and gain of digging in its state, and digging followed as by the window | reading |
 | batch | scipy.optimize.least_squares for phi, K and S on the window, weights and prior of the window | point |
 | batch_joint | the same for all five unknowns of the window: the same estimator, solved by scipy | point |
@@ -254,7 +254,9 @@ def measure(logs: list[dict], replays: list[tuple], scenario: Scenario, seed: in
     }
 
 
-def run(courses: int = 200, seed: int = 0, progress=None, contenders=CONTENDERS, draws: int = 1000) -> dict:
+def run(
+    courses: int = 200, seed: int = 0, progress=None, contenders=CONTENDERS, draws: int = 1000, replay=replay
+) -> dict:
     """Record, replay, measure: one JSON-serialisable dict. `progress`, where given, is called with lines of text."""
     say = progress or (lambda line: None)
     scenario = load_scenario("mixed")
@@ -330,8 +332,8 @@ def tune_ukf(courses: int = 30, seed: int = 0, progress=print, base=UnscentedKal
     scenario = load_scenario("mixed")
     logs, _ = record(scenario, courses, TUNING_SET + seed)
     scores = {}
-    for walk in (1.0, 2.0, 4.0, 8.0, 16.0):
-        for inflation in (3.0, 10.0, 30.0, 100.0, 300.0):
+    for walk in (0.5, 1.0, 2.0, 4.0):
+        for inflation in (1.0, 3.0, 10.0, 30.0):
             kind = type("Tuned", (base,), {"walk": walk, "inflation": inflation})
             replays = []
             for log in logs:

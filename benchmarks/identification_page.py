@@ -48,6 +48,7 @@ def markdown(result: dict) -> str:
     text = render(
         "benchmarks:identification.md",
         r=result,
+        made=_made(result["made"]),
         online=online,
         solved=min(t["recovered"] / t["identifiable"] for t in runs),
         wrong=sum(t["silently_wrong"] for t in runs),
@@ -67,7 +68,7 @@ def markdown(result: dict) -> str:
         loss=identification_bound.loss_table(bound),
         over_bound=_intervals(bound["ratio"]["filter bank"]),
         window_over_bound=_intervals(bound["ratio"]["moving window"]),
-        near=_triple([sum(max(row[5][j], 0.0) for row in bound["loss"] if row[1] <= 1.0) for j in range(3)], "{:.0%}"),
+        near=_triple([sum(row[5][j] for row in bound["loss"] if row[1] <= 1.0) for j in range(3)], "{:.0%}"),
         near_steps=sum(row[2] for row in bound["loss"] if row[1] <= 1.0),
         speed=_speed(speed),
     )
@@ -79,6 +80,14 @@ def _best(online: dict, rivals: list[str], key: str) -> str:
     found = {name: online["contenders"][name]["rms"].get(key) for name in rivals}
     name = min((n for n, error in found.items() if error), key=lambda n: found[n]["value"])
     return f"{found[name]['value']:.2f} ({_CONTENDERS[name]})"
+
+
+def _made(made: dict) -> list[str]:
+    """Lines that say which parts come from which command."""
+    by_command: dict = {}
+    for part, how in made.items():
+        by_command.setdefault((how["command"], how["seed"], how["machine"]), []).append(part)
+    return [f"{', '.join(parts)}: `{c}`, seed {seed} ({on})" for (c, seed, on), parts in by_command.items()]
 
 
 def _intervals(ratio: dict) -> str:
