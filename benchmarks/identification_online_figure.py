@@ -81,7 +81,8 @@ def _coverage(axis, result: dict, names: list[str], level: str) -> None:
                 continue
             x = j + (i - 0.5 * (len(names) - 1)) * 0.8 / len(names)
             axis.bar(x, 100.0 * c["value"], 0.7 / len(names), color=_COLOURS[name])
-            axis.plot([x, x], [100.0 * c["low"], 100.0 * c["high"]], color="k", lw=1)
+            if c["low"] is not None:  # None where draws of courses have no valid estimate
+                axis.plot([x, x], [100.0 * c["low"], 100.0 * c["high"]], color="k", lw=1)
     axis.axhline(float(level), color="k", ls=":", lw=1)
     axis.set_xticks(range(3), ["phi", "ln K", "ln S"])
     axis.set_ylim(0, 100)
