@@ -65,7 +65,7 @@ def rates(result: dict) -> str:
     return (
         Table(["operation", "numbers", "ns"], rows).markdown()
         + f"\n\nA wheel takes {b['wheel']:,} bytes; a step reads or writes about {b['step']:,} of them, and "
-        f"{b['solve']:,} more where it solves."
+        f"{b['solve']:,} more where it completes a point of the estimator."
     )
 
 

@@ -267,11 +267,11 @@ def size(value) -> int:
 
 
 def _memory() -> dict:
-    """Bytes of one wheel, and of those what a step reads or writes."""
+    """Bytes of one wheel, and of those what a step reads or writes, and more where a point of the filter is complete."""
     w = Simulation(1, load_scenario("mixed"), "identified", threads=1).worlds
-    state, points = size((w.state, w.counts)), size(w.ids.points)
-    step = 2 * state + size(w.ids) - points + w.observation.nbytes + 2 * 7 * 8 + 64
-    return {"wheel": state + size(w.ids) + size(w.courses), "step": step, "solve": points}
+    state, open_point = size((w.state, w.counts)), size(w.ids.banks.point)
+    step = 2 * state + open_point + w.observation.nbytes + 2 * 10 * 8 + 64
+    return {"wheel": state + size(w.ids) + size(w.courses), "step": step, "solve": size(w.ids.banks) - open_point}
 
 
 # --- accuracy ---------------------------------------------------------------------------------------------------------
