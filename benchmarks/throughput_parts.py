@@ -267,7 +267,7 @@ def size(value) -> int:
 
 
 def _memory() -> dict:
-    """Bytes of one wheel, and of those what a step reads or writes, and more where a point of the filter is complete."""
+    """Bytes of one wheel, and of those what a step reads or writes, and more where a point is complete."""
     w = Simulation(1, load_scenario("mixed"), "identified", threads=1).worlds
     state, open_point = size((w.state, w.counts)), size(w.ids.banks.point)
     step = 2 * state + open_point + w.observation.nbytes + 2 * 10 * 8 + 64
