@@ -373,7 +373,7 @@ def main(arguments: list[str] | None = None) -> int:
     if set(options.parts) != set(PARTS):
         file = options.out / "identification.json"
         kept = json.loads(file.read_text(encoding="utf-8"))
-        if missing := set(PARTS) - set(options.parts) - set(kept["made"]):
+        if missing := set(PARTS) - set(options.parts) - set(kept.get("made", {})):
             raise ParameterError(f"{file}: has no {', '.join(sorted(missing))}; give --parts with them, or without it")
     result = kept | study(options.seed, options.smoke, options.courses, options.parts)
     result["made"] = kept.get("made", {}) | dict.fromkeys(options.parts, _made(options))
