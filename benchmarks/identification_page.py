@@ -171,7 +171,7 @@ def _speed(s: dict) -> Table:
     rows = [
         (what, times(s[seconds], 1e6, " us"), times(s[ratio]) if ratio else "1")
         for what, seconds, ratio in (
-            ("compiled `solve`", "compiled_solve_s", "ratio_compiled"),
+            ("`solve`, called from Python", "compiled_solve_s", "ratio_compiled"),
             ("the same, and the search for a second soil", "checked_solve_s", "ratio_checked"),
             ("`newton_raphson` from Python, checks included", "newton_raphson_s", "ratio"),
             ("scipy", "scipy_s", ""),
