@@ -2,6 +2,7 @@
 
     python -m benchmarks.identification_bound                the table of docs/identification.md; a few minutes
     python -m benchmarks.identification_bound --courses 20   in seconds
+    python -m benchmarks.identification_bound --courses 60 --swing 0.6   a rim speed that swings twice as much
 
 The bound (Tichavsky, Muravchik & Nehorai 1998, IEEE Trans. Signal Processing 46:1386-1396) is that of the sensors
 named: the covariance of a Kalman filter linearised at the truth, with the prior of the belief, that is told where the
@@ -19,16 +20,18 @@ import numpy as np
 from agents.evaluate import drive
 from benchmarks.common import study_parser
 from benchmarks.identification_contenders import replay
-from benchmarks.identification_online import SwingingSpeed, ratio_of_sums
+from benchmarks.identification_online import SWING, SwingingSpeed, ratio_of_sums
 from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.document import Table
 from soil_env._io.files import make_folder, write_json
+from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import root
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.filter_bank import filter_numbers
 from soil_env.identification.linearised import COLUMNS, LN_DEPTH, STATES, Linearised, Reference, linearise
 from soil_env.identification.mixture_prior import plain
 from soil_env.parameters import Scenario, load_scenario
+from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
 
 SENSORS = {"all sensors": (True, True), "without motor torque and acceleration": (False, False)}
@@ -48,7 +51,7 @@ _UNIT = np.array([math.degrees(1.0), 1.0, 1.0])
 _SOIL = 6  # unknowns of a patch: (phi, ln K, q, c, n, ln g)
 _BEFORE, _NOW, _SINKAGE, _MASS, _SIZE = 0, _SOIL, 2 * _SOIL, 2 * _SOIL + 1, 2 * _SOIL + 2
 _AT = Reference(0.02, 1e4)
-_STATE = ("x", "slip", "sinkage", "mass", "grade", "wheel_speed", "bearing_sinkage", "halt_left")
+_STATE = ("x", "slip", "sinkage", "mass", "grade", "wheel_speed", "bearing_sinkage", "halt_left", "motor_work")
 
 
 @root
@@ -60,9 +63,9 @@ def _soils(state, counts, courses, border, out):
         out[k, 7] = state.x[k] - courses.edges[k, patch]
 
 
-def record(scenario: Scenario, courses: int, seed: int) -> list[dict]:
-    """Drive the courses: of each the readings [T, 10], the truth by name [T] and the borders [m]."""
-    controller, rows, readings, running = SwingingSpeed(scenario), [], [], []
+def record(scenario: Scenario, courses: int, seed: int, swing: float = SWING) -> list[dict]:
+    """Drive the courses: of each the readings [T, 10], the truth by name [T], the borders [m] and how it was driven."""
+    controller, rows, readings, running = SwingingSpeed(scenario, swing), [], [], []
     force, r, top = scenario.weight, scenario.wheel.radius, controller.top_speed
     scale = np.array([1.0, r, force, force, force * r, top, top, 1.0, force * r, scenario.gravity])
     for w, alive in drive(controller, scenario, seed, 0, courses, threads=1):
@@ -82,6 +85,10 @@ def record(scenario: Scenario, courses: int, seed: int) -> list[dict]:
             np.arctan(a[:, 0]), np.log(a[:, 2]), q, a[:, 1], a[:, 4], np.log(a[:, 5] / scenario.belief.dig_gain)
         ])  # fmt: skip
         log["truth"] = np.column_stack([log["soil"][:, 0], log["soil"][:, 1], q + (a[:, 4] - n) * depth])
+        log |= {
+            "distance": float(w.state["best_x"][k]),
+            "immobilised": w.cause[k] in (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED),
+        }
         edges = w.courses.edges[k, 1 : w.courses.patches[k]]
         log |= {"depth": depth, "since": a[:, 7], "readings": np.ascontiguousarray(readings[: len(a), k])}
         log["edges"] = edges[np.isfinite(edges) & (edges < log["x"].max() + 1.0)]
@@ -194,14 +201,21 @@ def _measured(P, J, spread, log, t, u, numbers, variances, motor, accelerometer)
     return 0.5 * (P + P.T)
 
 
-def study(scenario: Scenario, courses: int, seed: int, estimators: dict[str, str] = ESTIMATORS, replay=replay) -> dict:
+def study(
+    scenario: Scenario,
+    courses: int,
+    seed: int,
+    estimators: dict[str, str] = ESTIMATORS,
+    replay=replay,
+    swing: float = SWING,
+) -> dict:
     """{"rms": {row: {place: [3]}}, "inside_68": {row: [3]}, ...} of bounds and estimators over all driven steps.
 
     "ratio": {estimator: RMS error over the bound of all sensors, with its 95 % interval over courses}; "loss": rows of
     (from [m], to [m], share of the steps, RMS of the bound, RMS of the first estimator, share of its squared error
     above the bound).
     """
-    logs = record(scenario, courses, seed)
+    logs = record(scenario, courses, seed, swing)
     driven = [log["halt_left"] == 0.0 for log in logs]
     since = np.concatenate([log["since"][d] for log, d in zip(logs, driven, strict=True)])
     squares, inside = {}, {}
@@ -220,8 +234,13 @@ def study(scenario: Scenario, courses: int, seed: int, estimators: dict[str, str
     }
     starts = np.cumsum([0, *(int(d.sum()) for d in driven[:-1])])
     best = squares["bound, all sensors"]
+    drive = {
+        "swing": swing,
+        "energy_per_metre": sum(log["motor_work"].sum() for log in logs) / sum(log["distance"] for log in logs),
+        "immobilised": sum(log["immobilised"] for log in logs),
+    }
     return {
-        "courses": courses, "seed": seed, "steps": len(since), "rms": rms, "inside_68": inside,
+        "courses": courses, "seed": seed, "drive": drive, "steps": len(since), "rms": rms, "inside_68": inside,
         "ratio": _ratios(squares, estimators, starts, seed),
         "loss": _loss(since, best, squares[next(iter(estimators))]),
     }  # fmt: skip
@@ -281,10 +300,20 @@ def main(arguments: list[str] | None = None) -> int:
     p = study_parser("python -m benchmarks.identification_bound", __doc__, "bound.json", None)
     p.add_argument("--courses", metavar="N", type=whole_number(1), default=200, help="courses (default 200)")
     p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the courses (default 0)")
+    p.add_argument(
+        "--swing", metavar="SHARE", type=float, default=SWING, help=f"of the rim speed, up and down (default {SWING:g})"
+    )
     options = p.parse_args(arguments)
+    if not 0.0 <= options.swing < 1.0:
+        raise ParameterError(f"--swing {options.swing:g}: expected a share in [0, 1)")
     make_folder(options.out)
-    result = study(load_scenario("mixed"), 3 if options.smoke else options.courses, options.seed)
+    result = study(load_scenario("mixed"), 3 if options.smoke else options.courses, options.seed, swing=options.swing)
     write_json(options.out / "bound.json", result)
+    drive = result["drive"]
+    print(
+        f"Rim speed +-{drive['swing']:.0%}: {drive['energy_per_metre']:.1f} J/m, "
+        f"immobilised on {drive['immobilised']} of {result['courses']} courses\n"
+    )
     print(table(result).markdown(), loss_table(result).markdown(), sep="\n\n")
     return 0
 

@@ -67,14 +67,18 @@ _UNIT = np.array([math.degrees(1.0), 1.0, 1.0])
 
 
 class SwingingSpeed(ConstantSpeed):
-    """`ConstantSpeed` whose rim speed swings slowly by `SWING`, so that slip does."""
+    """`ConstantSpeed` whose rim speed swings slowly by a share, `SWING` by default, so that slip does."""
 
     name = "swinging_speed"
+
+    def __init__(self, scenario: Scenario, swing: float = SWING):
+        super().__init__(scenario)
+        self.swing = swing
 
     def rim_speed(self, observation, state):
         """The speed of this period [m/s], [n]."""
         t = state["time"] = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
-        return self.speed * (1.0 + SWING * np.sin(2.0 * math.pi * t / SWING_PERIOD))
+        return self.speed * (1.0 + self.swing * np.sin(2.0 * math.pi * t / SWING_PERIOD))
 
 
 @root
