@@ -303,7 +303,7 @@ def speed(rng: np.random.Generator, repeats: int) -> dict:
 # --- all --------------------------------------------------------------------------------------------------------------
 
 
-PARTS = ("convergence", "efficiency", "identifiability", "speed", "online", "bound")
+PARTS = ("convergence", "efficiency", "identifiability", "speed", "online", "bound", "manoeuvre")
 
 
 def _replay_once():
@@ -331,6 +331,7 @@ def study(seed: int, smoke: bool, courses: int = 200, names=PARTS) -> dict:
         "speed": lambda: speed(rngs[2], 3 if smoke else 50),
         "online": lambda: identification_online.run(courses, seed, _say, replay=once),
         "bound": lambda: identification_bound.study(load_scenario("mixed"), courses, seed, every, once),
+        "manoeuvre": lambda: identification_bound.manoeuvre(load_scenario("mixed"), 2 if smoke else 60, seed),
     }
     for name in names:
         start = time.perf_counter()

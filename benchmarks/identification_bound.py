@@ -246,6 +246,30 @@ def study(
     }  # fmt: skip
 
 
+def manoeuvre(scenario: Scenario, courses: int, seed: int, swings=(0.0, 0.3, 0.6)) -> dict:
+    """What swings of the rim speed buy, RMS of bound and filter bank over all driven steps [3], and what they cost."""
+    rows = []
+    for swing in swings:
+        found = study(scenario, courses, seed, {"filter bank": "ours"}, swing=swing)
+        rms = {label: found["rms"][label]["all"] for label in ("bound, all sensors", "filter bank")}
+        rows.append(found["drive"] | {"rms": rms})
+    return {"courses": courses, "rows": rows}
+
+
+def manoeuvre_table(result: dict) -> Table:
+    """`manoeuvre` as a table."""
+    rows = [
+        (
+            f"+-{100 * row['swing']:.0f}",
+            *(" / ".join(f"{v:.3g}" for v in values) for values in row["rms"].values()),
+            f"{row['energy_per_metre']:.1f}",
+            f"{row['immobilised']} of {result['courses']}",
+        )
+        for row in result["rows"]
+    ]
+    return Table(("swing of the rim speed [%]", "bound", "filter bank", "motor work [J/m]", "immobilised"), rows)
+
+
 def _rms(squares: np.ndarray) -> list[float]:
     return (np.sqrt(squares.mean(axis=0)) * _UNIT).tolist()
 

@@ -66,6 +66,7 @@ def markdown(result: dict) -> str:
         contenders=_contenders(online),
         bound=identification_bound.table(bound),
         loss=identification_bound.loss_table(bound),
+        manoeuvre=identification_bound.manoeuvre_table(result["manoeuvre"]),
         over_bound=_intervals(bound["ratio"]["filter bank"]),
         window_over_bound=_intervals(bound["ratio"]["moving window"]),
         near=_triple([sum(row[5][j] for row in bound["loss"] if row[1] <= 1.0) for j in range(3)], "{:.0%}"),
