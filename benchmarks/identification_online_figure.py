@@ -26,14 +26,14 @@ def figure(result: dict, path: Path | str) -> None:
     """Error against distance since the last border, coverage of the reported intervals, and time a reading."""
     import matplotlib.pyplot as plt
 
-    fig, axes = plt.subplots(2, 3, figsize=(13, 7.6))
+    fig, axes = plt.subplots(2, 3, figsize=(13, 8.0))
     names = sorted(result["contenders"], key=lambda n: n == "ours")  # on top
     for axis, parameter in zip(axes[0], PARAMETERS, strict=True):
         _errors(axis, result, names, parameter)
     known = {}
     for axis in axes[0, :2]:
         known |= dict(zip(*axis.get_legend_handles_labels()[::-1], strict=True))
-    fig.legend(known.values(), known.keys(), loc="lower center", ncol=3, fontsize=9, frameon=False)
+    fig.legend(known.values(), known.keys(), loc="lower center", ncol=4, fontsize=9, frameon=False)
     for axis, level in zip(axes[1, :2], ("68", "95"), strict=True):
         _coverage(axis, result, names, level)
     _times(axes[1, 2], result, names)
@@ -43,7 +43,7 @@ def figure(result: dict, path: Path | str) -> None:
         f"Online identifiers on {result['courses']} courses of scenario {result['scenario']!r}; "
         "bars and bands: 95 % intervals over courses"
     )
-    fig.tight_layout(rect=(0, 0.07, 1, 1))
+    fig.tight_layout(rect=(0, 0.1, 1, 1))
     save_figure(fig, path, dpi=120)
     plt.close(fig)
 
@@ -96,8 +96,8 @@ def _times(axis, result: dict, names: list[str]) -> None:
         axis.barh(i, times[name], color=_COLOURS[name])
         share = result["contenders"][name]["valid_share"]["value"]
         words = f" {_LABELS[name]}: {times[name]:.1f} us, valid {100.0 * share:.0f} %"
-        axis.text(times[name], i, words, va="center", fontsize=7.5)
+        axis.text(times[name], i, words, va="center", fontsize=7)
     axis.set_yticks([])
     axis.set_xscale("log")
-    axis.set_xlim(0.5 * min(times[n] for n in names), 3000.0 * max(times[n] for n in names))
+    axis.set_xlim(0.5 * min(times[n] for n in names), 1e5 * max(times[n] for n in names))
     axis.set_xlabel("time a reading [us] (soil_env's three compiled)")
