@@ -2,12 +2,15 @@
 
     python benchmarks/identification.py                  the full study, minutes; writes docs/identification.*
     python benchmarks/identification.py --smoke --out X every part in seconds, numbers without meaning
+    python benchmarks/identification.py --parts bound   this part anew, the others as docs/identification.json has them
 
-Every number of docs/identification.md comes from this command with its default seed.
+Every number of docs/identification.md comes from this command; the page says with what options and seed.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import math
 import platform
 import sys
@@ -25,8 +28,10 @@ from scipy.optimize import root
 
 from benchmarks import identification_bound, identification_online, identification_page
 from benchmarks.common import study_parser
+from benchmarks.identification_contenders import replay
 from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.files import check_outputs, make_folder, write_json
+from soil_env._io.loading import ParameterError
 from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict
 from soil_env.identification.point import Points, weigh
 from soil_env.identification.solver import solve
@@ -298,27 +303,56 @@ def speed(rng: np.random.Generator, repeats: int) -> dict:
 # --- all --------------------------------------------------------------------------------------------------------------
 
 
-def study(seed: int, smoke: bool) -> dict:
-    """All parts, as plain values."""
+PARTS = ("convergence", "efficiency", "identifiability", "speed", "online", "bound", "manoeuvre")
+
+
+def _replay_once():
+    """`replay` that makes each of its replays once: two parts judge the same ones."""
+    made: dict = {}
+
+    def once(name, scenario, readings):
+        key = name, readings.tobytes()
+        if key not in made:
+            made[key] = replay(name, scenario, readings)
+        return made[key]
+
+    return once
+
+
+def study(seed: int, smoke: bool, courses: int = 200, names=PARTS) -> dict:
+    """The named parts, as plain values."""
     seeds = np.random.SeedSequence(seed).spawn(3)
-    rngs = [np.random.default_rng(s) for s in seeds]
-    result: dict = {
-        "command": "python benchmarks/identification.py" + (" --smoke" if smoke else ""),
-        "seed": seed,
-        "machine": f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}",
+    rngs, result, once = [np.random.default_rng(s) for s in seeds], {}, _replay_once()
+    courses, every = 2 if smoke else courses, identification_bound.ESTIMATORS | identification_bound.OTHERS
+    parts = {
+        "convergence": lambda: convergence(rngs[0], 50 if smoke else 10_000),
+        "efficiency": lambda: efficiency(rngs[1], 20 if smoke else 1000),
+        "identifiability": identifiability,
+        "speed": lambda: speed(rngs[2], 3 if smoke else 50),
+        "online": lambda: identification_online.run(courses, seed, _say, replay=once),
+        "bound": lambda: identification_bound.study(load_scenario("mixed"), courses, seed, every, once),
+        "manoeuvre": lambda: identification_bound.manoeuvre(load_scenario("mixed"), 2 if smoke else 60, seed),
     }
-    for name, part in (
-        ("convergence", lambda: convergence(rngs[0], 50 if smoke else 10_000)),
-        ("efficiency", lambda: efficiency(rngs[1], 20 if smoke else 1000)),
-        ("identifiability", identifiability),
-        ("speed", lambda: speed(rngs[2], 3 if smoke else 50)),
-        ("online", lambda: identification_online.run(2 if smoke else 200, seed)),
-        ("bound", lambda: identification_bound.study(load_scenario("mixed"), 2 if smoke else 200, seed)),
-    ):
+    for name in names:
         start = time.perf_counter()
-        result[name] = part()
-        print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
+        result[name] = parts[name]()
+        _say(f"{name}: {time.perf_counter() - start:.0f} s")
     return result
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+def _made(options: argparse.Namespace) -> dict:
+    """How these parts are made."""
+    command = ["python benchmarks/identification.py", *(["--smoke"] if options.smoke else [])]
+    if tuple(options.parts) != PARTS:
+        command += ["--parts", *options.parts]
+    if options.courses != 200:
+        command += ["--courses", str(options.courses)]
+    machine = f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}"
+    return {"command": " ".join(command), "seed": options.seed, "machine": machine}
 
 
 @command_line("benchmarks.identification", interrupted="nothing written")
@@ -328,10 +362,22 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument(
         "--seed", metavar="N", type=whole_number(), default=0, help="of everything random, >= 0 (default: 0)"
     )
+    p.add_argument("--courses", metavar="N", type=whole_number(1), default=200, help="courses driven (default: 200)")
+    p.add_argument(
+        "--parts", metavar="PART", nargs="+", choices=PARTS, default=PARTS,
+        help="parts to make anew, the others are taken from OUT/identification.json; of " + ", ".join(PARTS),
+    )  # fmt: skip
     options = p.parse_args(arguments)
     check_outputs(options.out, ("identification.json", "identification.md", "identification/x.png"))
     make_folder(options.out)
-    result = study(options.seed, options.smoke)
+    kept = {}
+    if set(options.parts) != set(PARTS):
+        file = options.out / "identification.json"
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        if missing := set(PARTS) - set(options.parts) - set(kept.get("made", {})):
+            raise ParameterError(f"{file}: has no {', '.join(sorted(missing))}; give --parts with them, or without it")
+    result = kept | study(options.seed, options.smoke, options.courses, options.parts)
+    result["made"] = kept.get("made", {}) | dict.fromkeys(options.parts, _made(options))
     identification_page.write(result, options.out)
     write_json(options.out / "identification.json", result)
     print(f"Written: {options.out / 'identification.md'}", flush=True)

@@ -2,6 +2,7 @@
 
     python -m benchmarks.identification_bound                the table of docs/identification.md; a few minutes
     python -m benchmarks.identification_bound --courses 20   in seconds
+    python -m benchmarks.identification_bound --courses 60 --swing 0.6   a rim speed that swings twice as much
 
 The bound (Tichavsky, Muravchik & Nehorai 1998, IEEE Trans. Signal Processing 46:1386-1396) is that of the sensors
 named: the covariance of a Kalman filter linearised at the truth, with the prior of the belief, that is told where the
@@ -19,27 +20,38 @@ import numpy as np
 from agents.evaluate import drive
 from benchmarks.common import study_parser
 from benchmarks.identification_contenders import replay
-from benchmarks.identification_online import SwingingSpeed
+from benchmarks.identification_online import SWING, SwingingSpeed, ratio_of_sums
 from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.document import Table
 from soil_env._io.files import make_folder, write_json
+from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import root
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.filter_bank import filter_numbers
 from soil_env.identification.linearised import COLUMNS, LN_DEPTH, STATES, Linearised, Reference, linearise
 from soil_env.identification.mixture_prior import plain
 from soil_env.parameters import Scenario, load_scenario
+from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
 
 SENSORS = {"all sensors": (True, True), "without motor torque and acceleration": (False, False)}
 ESTIMATORS = {"filter bank": "ours", "filter bank, told the library": "library", "moving window": "window"}
+OTHERS = {
+    "extended Kalman filter, 5 unknowns": "ekf_joint",
+    "unscented Kalman filter, 5 unknowns": "ukf_joint",
+    "unscented Kalman filter, 3 unknowns": "ukf",
+    "maximum a posteriori on the window, 5 unknowns": "batch_joint",
+    "maximum a posteriori on the window, 3 unknowns": "batch",
+}
 #: Steps by the distance from the last border [m]: the first patch has none and counts as far as it goes.
 PLACES = {"all": (-1.0, 1e9), "0.1-0.2 m": (0.1, 0.2), "within 1.5 m": (-1.0, 1.5), "beyond 1.5 m": (1.5, 1e9)}
+#: Edges [m] of the bins in which the error above the bound is counted.
+LOSS = (-1.0, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 3.0, 1e9)
 _UNIT = np.array([math.degrees(1.0), 1.0, 1.0])
 _SOIL = 6  # unknowns of a patch: (phi, ln K, q, c, n, ln g)
 _BEFORE, _NOW, _SINKAGE, _MASS, _SIZE = 0, _SOIL, 2 * _SOIL, 2 * _SOIL + 1, 2 * _SOIL + 2
 _AT = Reference(0.02, 1e4)
-_STATE = ("x", "slip", "sinkage", "mass", "grade", "wheel_speed", "bearing_sinkage", "halt_left")
+_STATE = ("x", "slip", "sinkage", "mass", "grade", "wheel_speed", "bearing_sinkage", "halt_left", "motor_work")
 
 
 @root
@@ -51,9 +63,9 @@ def _soils(state, counts, courses, border, out):
         out[k, 7] = state.x[k] - courses.edges[k, patch]
 
 
-def record(scenario: Scenario, courses: int, seed: int) -> list[dict]:
-    """Drive the courses: of each the readings [T, 10], the truth by name [T] and the borders [m]."""
-    controller, rows, readings, running = SwingingSpeed(scenario), [], [], []
+def record(scenario: Scenario, courses: int, seed: int, swing: float = SWING) -> list[dict]:
+    """Drive the courses: of each the readings [T, 10], the truth by name [T], the borders [m] and how it was driven."""
+    controller, rows, readings, running = SwingingSpeed(scenario, swing), [], [], []
     force, r, top = scenario.weight, scenario.wheel.radius, controller.top_speed
     scale = np.array([1.0, r, force, force, force * r, top, top, 1.0, force * r, scenario.gravity])
     for w, alive in drive(controller, scenario, seed, 0, courses, threads=1):
@@ -73,6 +85,10 @@ def record(scenario: Scenario, courses: int, seed: int) -> list[dict]:
             np.arctan(a[:, 0]), np.log(a[:, 2]), q, a[:, 1], a[:, 4], np.log(a[:, 5] / scenario.belief.dig_gain)
         ])  # fmt: skip
         log["truth"] = np.column_stack([log["soil"][:, 0], log["soil"][:, 1], q + (a[:, 4] - n) * depth])
+        log |= {
+            "distance": float(w.state["best_x"][k]),
+            "immobilised": w.cause[k] in (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED),
+        }
         edges = w.courses.edges[k, 1 : w.courses.patches[k]]
         log |= {"depth": depth, "since": a[:, 7], "readings": np.ascontiguousarray(readings[: len(a), k])}
         log["edges"] = edges[np.isfinite(edges) & (edges < log["x"].max() + 1.0)]
@@ -185,36 +201,121 @@ def _measured(P, J, spread, log, t, u, numbers, variances, motor, accelerometer)
     return 0.5 * (P + P.T)
 
 
-def study(scenario: Scenario, courses: int, seed: int) -> dict:
-    """{"rms": {row: {place: [3]}}, "inside_68": {row: [3]}} of bounds and estimators over all driven steps."""
-    logs = record(scenario, courses, seed)
+def study(
+    scenario: Scenario,
+    courses: int,
+    seed: int,
+    estimators: dict[str, str] = ESTIMATORS,
+    replay=replay,
+    swing: float = SWING,
+) -> dict:
+    """{"rms": {row: {place: [3]}}, "inside_68": {row: [3]}, ...} of bounds and estimators over all driven steps.
+
+    "ratio": {estimator: RMS error over the bound of all sensors, with its 95 % interval over courses}; "loss": rows of
+    (from [m], to [m], share of the steps, RMS of the bound, RMS of the first estimator, share of its squared error
+    above the bound).
+    """
+    logs = record(scenario, courses, seed, swing)
     driven = [log["halt_left"] == 0.0 for log in logs]
     since = np.concatenate([log["since"][d] for log, d in zip(logs, driven, strict=True)])
     squares, inside = {}, {}
     for name, (motor, accelerometer) in SENSORS.items():
         sds = [bound(log, scenario, motor, accelerometer)[d] for log, d in zip(logs, driven, strict=True)]
         squares[f"bound, {name}"] = np.concatenate(sds) ** 2
-    for label, name in ESTIMATORS.items():
+    for label, name in estimators.items():
         replays = [replay(name, scenario, log["readings"]) for log in logs]
         error = np.concatenate([(e - log["truth"])[d] for (e, *_), log, d in zip(replays, logs, driven, strict=True)])
         sd = np.concatenate([s[d] for (_, s, *_), d in zip(replays, driven, strict=True)])
         squares[label], inside[label] = error**2, (np.abs(error) < sd).mean(axis=0).tolist()
     places = {name: (since >= low) & (since < high) for name, (low, high) in PLACES.items()}
     rms = {
-        label: {name: (np.sqrt(v[here].mean(axis=0)) * _UNIT).tolist() for name, here in places.items()}
+        label: {name: _rms(v[here]) if here.any() else [math.nan] * 3 for name, here in places.items()}
         for label, v in squares.items()
     }
-    return {"courses": courses, "seed": seed, "steps": len(since), "rms": rms, "inside_68": inside}
+    starts = np.cumsum([0, *(int(d.sum()) for d in driven[:-1])])
+    best = squares["bound, all sensors"]
+    drive = {
+        "swing": swing,
+        "energy_per_metre": sum(log["motor_work"].sum() for log in logs) / sum(log["distance"] for log in logs),
+        "immobilised": sum(log["immobilised"] for log in logs),
+    }
+    return {
+        "courses": courses, "seed": seed, "drive": drive, "steps": len(since), "rms": rms, "inside_68": inside,
+        "ratio": _ratios(squares, estimators, starts, seed),
+        "loss": _loss(since, best, squares[next(iter(estimators))]),
+    }  # fmt: skip
+
+
+def manoeuvre(scenario: Scenario, courses: int, seed: int, swings=(0.0, 0.3, 0.6)) -> dict:
+    """What swings of the rim speed buy, RMS of bound and filter bank over all driven steps [3], and what they cost."""
+    rows = []
+    for swing in swings:
+        found = study(scenario, courses, seed, {"filter bank": "ours"}, swing=swing)
+        rms = {label: found["rms"][label]["all"] for label in ("bound, all sensors", "filter bank")}
+        rows.append(found["drive"] | {"rms": rms})
+    return {"courses": courses, "rows": rows}
+
+
+def manoeuvre_table(result: dict) -> Table:
+    """`manoeuvre` as a table."""
+    rows = [
+        (
+            f"+-{100 * row['swing']:.0f}",
+            *(" / ".join(f"{v:.3g}" for v in values) for values in row["rms"].values()),
+            f"{row['energy_per_metre']:.1f}",
+            f"{row['immobilised']} of {result['courses']}",
+        )
+        for row in result["rows"]
+    ]
+    return Table(("swing of the rim speed [%]", "bound", "filter bank", "motor work [J/m]", "immobilised"), rows)
+
+
+def _rms(squares: np.ndarray) -> list[float]:
+    return (np.sqrt(squares.mean(axis=0)) * _UNIT).tolist()
+
+
+def _ratios(squares: dict, estimators: dict, starts: np.ndarray, seed: int) -> dict:
+    """RMS errors over the bound with 95 % bootstrap intervals over courses, which begin at these rows."""
+    sums = {label: np.add.reduceat(v, starts, axis=0) for label, v in squares.items()}
+    picks = np.random.default_rng([seed, 99]).integers(len(starts), size=(1000, len(starts)))
+    return {label: ratio_of_sums(sums[label], sums["bound, all sensors"], picks, root=True) for label in estimators}
+
+
+def _loss(since: np.ndarray, bound: np.ndarray, error: np.ndarray) -> list[list]:
+    rows, excess = [], (error - bound).sum(axis=0)
+    for low, high in zip(LOSS[:-1], LOSS[1:], strict=True):
+        here = (since >= low) & (since < high)
+        if here.any():
+            share = ((error[here] - bound[here]).sum(axis=0) / excess).tolist()
+            rows.append([low, high, float(here.mean()), _rms(bound[here]), _rms(error[here]), share])
+    return rows
+
+
+def loss_table(result: dict) -> Table:
+    """Where the filter bank loses against the bound, by distance from the last border."""
+    rows = []
+    for low, high, steps, *of, share in result["loss"]:
+        place = f"under {high:g}" if low < 0.0 else f"{low:g} to {high:g}" if high < 1e9 else f"over {low:g}"
+        cells = [" / ".join(f"{v:.2f}" for v in values) for values in of]
+        rows.append((place, f"{100 * steps:.0f}", *cells, " / ".join(f"{100 * v:.0f}" for v in share)))
+    return Table(
+        ("from the border [m]", "of the steps [%]", "bound", "filter bank", "of the squared error above the bound [%]"),
+        rows,
+    )
 
 
 def table(result: dict) -> Table:
-    """RMS errors phi [deg] / ln K / ln S by distance from the last border, and what 68 % intervals hold."""
+    """RMS errors phi [deg] / ln K / ln S by distance from the last border, their ratio to the bound, and what 68 %
+    intervals hold."""
     rows = []
     for label, by_place in result["rms"].items():
         cells = [f"{phi:.2f} / {K:.3f} / {S:.3f}" for phi, K, S in by_place.values()]
-        share = result["inside_68"].get(label)
-        rows.append((label, *cells, " / ".join(f"{100 * v:.0f}" for v in share) if share else ""))
-    return Table(("phi [deg] / ln K / ln S, RMS", *PLACES, "68 % intervals hold [%]"), rows)
+        share, ratio = result["inside_68"].get(label), result["ratio"].get(label)
+        rows.append((
+            label, *cells, " / ".join(f"{v:.2f}" for v in ratio["value"]) if ratio else "",
+            " / ".join(f"{100 * v:.0f}" for v in share) if share else "",
+        ))  # fmt: skip
+    return Table(("phi [deg] / ln K / ln S, RMS", *PLACES, "over the bound, all", "68 % intervals hold [%]"), rows)
 
 
 @command_line("benchmarks.identification_bound")
@@ -223,11 +324,21 @@ def main(arguments: list[str] | None = None) -> int:
     p = study_parser("python -m benchmarks.identification_bound", __doc__, "bound.json", None)
     p.add_argument("--courses", metavar="N", type=whole_number(1), default=200, help="courses (default 200)")
     p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the courses (default 0)")
+    p.add_argument(
+        "--swing", metavar="SHARE", type=float, default=SWING, help=f"of the rim speed, up and down (default {SWING:g})"
+    )
     options = p.parse_args(arguments)
+    if not 0.0 <= options.swing < 1.0:
+        raise ParameterError(f"--swing {options.swing:g}: expected a share in [0, 1)")
     make_folder(options.out)
-    result = study(load_scenario("mixed"), 3 if options.smoke else options.courses, options.seed)
+    result = study(load_scenario("mixed"), 3 if options.smoke else options.courses, options.seed, swing=options.swing)
     write_json(options.out / "bound.json", result)
-    print(table(result).markdown())
+    drive = result["drive"]
+    print(
+        f"Rim speed +-{drive['swing']:.0%}: {drive['energy_per_metre']:.1f} J/m, "
+        f"immobilised on {drive['immobilised']} of {result['courses']} courses\n"
+    )
+    print(table(result).markdown(), loss_table(result).markdown(), sep="\n\n")
     return 0
 
 

@@ -17,7 +17,8 @@ from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.effects import excavation_rate
 
 PARAMETERS = ("phi_deg", "ln_K", "ln_S")
-CONTENDERS = ("ours", "library", "window", "newton_raphson", "linear", "ukf", "ukf_joint", "batch", "batch_joint")
+CONTENDERS = ("ours", "library", "window", "newton_raphson", "linear", "ekf_joint", "ukf", "ukf_joint", "batch",
+              "batch_joint")  # fmt: skip
 _CONVERGED = Status.CONVERGED.value
 #: Identifiers of `soil_env`, by what they change in the scenario.
 COMPILED = {
@@ -83,8 +84,8 @@ class Digging:
 
 
 def is_informative(reading, numbers):
-    """Whether the wheel turns and touches the ground: the condition of `observe`."""
-    return abs(reading.rim_speed) >= 0.02 and reading.sinkage >= 1e-3 * numbers.reading.radius
+    """Whether the wheel turns forwards and touches the ground: the condition of `observe`."""
+    return reading.rim_speed >= 0.02 and reading.sinkage >= 1e-3 * numbers.reading.radius
 
 
 class NewtonRaphson(Contender):
@@ -310,12 +311,12 @@ class BatchJoint(Batch):
 
 def make(name: str, scenario: Scenario) -> Contender:
     """A contender by name."""
-    from benchmarks.identification_kalman import UnscentedKalman, UnscentedKalmanJoint
+    from benchmarks.identification_kalman import ExtendedKalmanJoint, UnscentedKalman, UnscentedKalmanJoint
 
     if name in COMPILED:
         return Ours(load_scenario(scenario, COMPILED[name](scenario)))
-    classes = (NewtonRaphson, LinearLeastSquares, UnscentedKalman, UnscentedKalmanJoint, Batch, BatchJoint)
-    return {c.name: c for c in classes}[name](scenario)
+    kalman = (ExtendedKalmanJoint, UnscentedKalman, UnscentedKalmanJoint)
+    return {c.name: c for c in (NewtonRaphson, LinearLeastSquares, *kalman, Batch, BatchJoint)}[name](scenario)
 
 
 # --- replay -----------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Unscented Kalman filters for `identification_online.py`: of the soil alone, and of what ours solves for."""
+"""Kalman filters for `identification_online.py`: of the soil alone, and of the five unknowns of the window."""
 
 from __future__ import annotations
 
@@ -15,17 +15,20 @@ from soil_env.identification.solver import LOWER, UPPER
 
 
 class UnscentedKalman(Contender):
-    """Unscented Kalman filter of (phi, ln K, ln S): random walk over the distance, three channels a reading.
+    """Unscented Kalman filter of (phi, ln K, ln S): three channels a reading, back to the prior with the distance.
+
+    The soil is an Ornstein-Uhlenbeck process over the distance whose stationary distribution is the prior; a random
+    walk without that return leaves along the ridge of phi and K.
 
     `walk` [prior sd per sqrt(m)] and `inflation` (of the measurement variance, as readings in a row share their model
-    error) were tuned by `tune_ukf` on other courses. Measurement noise: channels, effective variance of slip and
+    error) were tuned by `tune_ukf` on 6 other courses. Measurement noise: channels, effective variance of slip and
     sinkage, and model error, at the present mean (`point.weigh`). It is valid when the sd of phi and K are below 0.6
     of the prior, as ours. Digging ratio: `Digging`.
     """
 
     name = "ukf"
-    walk = 1.0
-    inflation = 0.3
+    walk = 2.0
+    inflation = 3.0
     size = 3
 
     def __init__(self, scenario):
@@ -49,8 +52,10 @@ class UnscentedKalman(Contender):
         """Time update over the distance travelled, measurement update by one reading."""
         n = self.numbers
         ratio = self.dug(reading)
-        q = self.walk**2 * abs(reading.speed) * n.period * self.variances
-        self.P = self.P + np.diag(np.minimum(q, np.maximum(self.variances - np.diag(self.P), 0.0)))
+        kept = math.exp(-0.5 * self.walk**2 * abs(reading.speed) * n.period)
+        free = slice(self.size)
+        self.mean[free] = n.prior[free] + kept * (self.mean[free] - n.prior[free])
+        self.P = kept**2 * self.P + (1.0 - kept**2) * np.diag(self.variances)
         self.solved = is_informative(reading, n)
         if self.solved:
             self._measure(reading, *ratio)
@@ -71,20 +76,17 @@ class UnscentedKalman(Contender):
               math.exp(self.mean[4]))  # fmt: skip
         w = weights(point, 0)
         whiten = np.array([[w[0], 0.0, 0.0], [w[1], w[2], 0.0], [w[3], w[4], w[5]]])
-        mean = self.mean[:u]
-        root = self.spread * np.linalg.cholesky(self.P)
-        sigma = np.clip(np.vstack([mean, mean + root.T, mean - root.T]), self.lower, self.upper)
-        z = np.empty((2 * u + 1, 3))
-        x = self.mean.copy()
-        for i in range(2 * u + 1):
-            x[:u] = sigma[i]
+        mean, x = self.mean[:u], self.mean.copy()
+
+        def at(free):
+            """The three channels, whitened, of a soil."""
+            x[:u] = free
             predict(x, slip, reading.sinkage, r0 + math.exp(x[4]) * r1, self._at(x), self.out, self.jac)
-            z[i] = self.out
-        z = z @ whiten.T
-        z_mean = self.mean_weights @ z
-        dz, dx = z - z_mean, sigma - mean
-        pzz = (dz.T * self.cov_weights) @ dz + self.inflation * np.eye(3)
-        gain = np.linalg.solve(pzz, (dz.T * self.cov_weights) @ dx).T
+            return whiten @ self.out
+
+        z_mean, pzz, pxz = self._moments(at)
+        pzz = pzz + self.inflation * np.eye(3)
+        gain = np.linalg.solve(pzz, pxz.T).T
         self.mean[:u] = np.clip(mean + gain @ (whiten @ measured - z_mean), self.lower, self.upper)
         P = self.P - gain @ pzz @ gain.T
         P = 0.5 * (P + P.T)
@@ -92,16 +94,24 @@ class UnscentedKalman(Contender):
         values, vectors = np.linalg.eigh(P / np.outer(scale, scale))
         self.P = (vectors * np.maximum(values, 1e-7)) @ vectors.T * np.outer(scale, scale)
 
+    def _moments(self, at):
+        """Mean [3] and covariance [3, 3] of what is predicted, and its covariance [size, 3] with the state."""
+        mean, root = self.mean[: self.size], self.spread * np.linalg.cholesky(self.P)
+        sigma = np.clip(np.vstack([mean, mean + root.T, mean - root.T]), self.lower, self.upper)
+        z = np.array([at(point) for point in sigma])
+        z_mean = self.mean_weights @ z
+        dz, dx = z - z_mean, sigma - mean
+        return z_mean, (dz.T * self.cov_weights) @ dz, (dx.T * self.cov_weights) @ dz
+
     def _at(self, x):
         r = self.numbers.reading
         return Reading(float(x[3]), r.exponent, r.radius, r.width, 0, False)
 
 
 class UnscentedKalmanJoint(UnscentedKalman):
-    """The same with the five unknowns of ours, and its way to follow the digging, at each reading."""
+    """The same with the five unknowns of the window, and its way to follow the digging, at each reading."""
 
     name = "ukf_joint"
-    walk = 2.0
     size = 5
 
     def __init__(self, scenario):
@@ -117,3 +127,17 @@ class UnscentedKalmanJoint(UnscentedKalman):
         note(self.memory, 0)
         r0, r1, sd = close_point(self.memory, self.places, 0, 1.0, reading.sinkage, n.sinkage_sd)
         return r0, r1, math.hypot(sd, RATIO_ERROR)
+
+
+class ExtendedKalmanJoint(UnscentedKalmanJoint):
+    """The same, linearised at its mean by central differences."""
+
+    name = "ekf_joint"
+    inflation = 10.0
+
+    def _moments(self, at):
+        mean, step = self.mean[: self.size].copy(), 1e-4 * np.sqrt(self.variances)
+        z, H = at(mean), np.empty((3, self.size))
+        for j, moved in enumerate(np.diag(step)):
+            H[:, j] = (at(mean + moved) - at(mean - moved)) / (2.0 * step[j])
+        return z, H @ self.P @ H.T, self.P @ H.T

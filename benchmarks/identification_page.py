@@ -18,6 +18,7 @@ _UNKNOWNS = ("phi_deg", "ln_K", "ln_S")
 _CONTENDERS = {
     "ours": "ours (filter bank)",
     "library": "ours, told the library of soils",
+    "ekf_joint": "extended Kalman filter of the five unknowns of the window",
     "window": "the moving window",
     "newton_raphson": "three-point Newton-Raphson (the paper)",
     "linear": "linear least squares, c and phi (Iagnemma & Dubowsky 2004)",
@@ -41,11 +42,13 @@ def markdown(result: dict) -> str:
     """The page."""
     online, runs, speed = result["online"], result["convergence"].values(), result["speed"]
     ours, prior, ratios = online["contenders"]["ours"], online["prior_rms"], online["time"]["ratio_per_reading"]
-    rivals = [name for name in online["contenders"] if name not in ("ours", "library", "window", "batch_joint")]
-    quickest = min((name for name in rivals if name != "linear"), key=lambda name: ratios[name])
+    rivals = [name for name in online["contenders"] if name not in ("ours", "library")]
+    quickest = min((name for name in rivals if name not in ("linear", "window")), key=lambda name: ratios[name])
+    bound = result["bound"]
     text = render(
         "benchmarks:identification.md",
         r=result,
+        made=_made(result["made"]),
         online=online,
         solved=min(t["recovered"] / t["identifiable"] for t in runs),
         wrong=sum(t["silently_wrong"] for t in runs),
@@ -61,7 +64,13 @@ def markdown(result: dict) -> str:
         efficiency=_efficiency(result["efficiency"]),
         identifiability=_identifiability(result["identifiability"]),
         contenders=_contenders(online),
-        bound=identification_bound.table(result["bound"]),
+        bound=identification_bound.table(bound),
+        loss=identification_bound.loss_table(bound),
+        manoeuvre=identification_bound.manoeuvre_table(result["manoeuvre"]),
+        over_bound=_intervals(bound["ratio"]["filter bank"]),
+        window_over_bound=_intervals(bound["ratio"]["moving window"]),
+        near=_triple([sum(row[5][j] for row in bound["loss"] if row[1] <= 1.0) for j in range(3)], "{:.0%}"),
+        near_steps=sum(row[2] for row in bound["loss"] if row[1] <= 1.0),
         speed=_speed(speed),
     )
     return wrapped(text)
@@ -72,6 +81,20 @@ def _best(online: dict, rivals: list[str], key: str) -> str:
     found = {name: online["contenders"][name]["rms"].get(key) for name in rivals}
     name = min((n for n, error in found.items() if error), key=lambda n: found[n]["value"])
     return f"{found[name]['value']:.2f} ({_CONTENDERS[name]})"
+
+
+def _made(made: dict) -> list[str]:
+    """Lines that say which parts come from which command."""
+    by_command: dict = {}
+    for part, how in made.items():
+        by_command.setdefault((how["command"], how["seed"], how["machine"]), []).append(part)
+    return [f"{', '.join(parts)}: `{c}`, seed {seed} ({on})" for (c, seed, on), parts in by_command.items()]
+
+
+def _intervals(ratio: dict) -> str:
+    """Three ratios with their 95 % intervals."""
+    rows = zip(ratio["value"], ratio["low"], ratio["high"], strict=True)
+    return ", ".join(f"{value:.2f} [{low:.2f}, {high:.2f}]" for value, low, high in rows)
 
 
 def _settling(settling: dict) -> str:
@@ -149,7 +172,7 @@ def _speed(s: dict) -> Table:
     rows = [
         (what, times(s[seconds], 1e6, " us"), times(s[ratio]) if ratio else "1")
         for what, seconds, ratio in (
-            ("compiled `solve`", "compiled_solve_s", "ratio_compiled"),
+            ("`solve`, called from Python", "compiled_solve_s", "ratio_compiled"),
             ("the same, and the search for a second soil", "checked_solve_s", "ratio_checked"),
             ("`newton_raphson` from Python, checks included", "newton_raphson_s", "ratio"),
             ("scipy", "scipy_s", ""),

@@ -2,6 +2,7 @@
 
     python benchmarks/throughput.py                  minutes; writes docs/performance.json and the tables of
                                                      docs/performance.md
+    python benchmarks/throughput.py --parts          the parts of a step alone, and both estimators in turns
     python benchmarks/throughput.py --smoke --out X  every part in seconds, numbers without meaning
 
 EnvPool and MuJoCo are measured where they are installed (`pip install -e '.[bench]'`). Every figure is a median over
@@ -11,6 +12,7 @@ rounds with the lowest and the highest; what is compared is measured in turns. R
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import subprocess
 import sys
@@ -228,8 +230,8 @@ def startup(rounds: int) -> dict:
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
-def run(smoke: bool, say=lambda text: None) -> dict:
-    """Everything, as plain values."""
+def run(smoke: bool, say=lambda text: None, parts_alone: bool = False) -> dict:
+    """Everything, or the parts of a step with their limit alone, as plain values."""
     seconds, rounds = (0.05, 2) if smoke else (1.0, 7)
     wheels = 64 if smoke else 1024
     sizes = (1, 32) if smoke else (1, 4, 16, 64, 256, 1024, 4096, 16384)
@@ -245,13 +247,15 @@ def run(smoke: bool, say=lambda text: None) -> dict:
             lambda: throughput_parts.limit(
                 2 if smoke else 7,
                 2_000 if smoke else 1_000_000,
-                *(result["parts"][f"{what}_a_step"] for what in ("solves", "patches")),
+                result["parts"]["patches_a_step"],
             ),
         ),
         ("independence", lambda: independence(seconds, rounds, wheels, 10 if smoke else 60)),
         ("accuracy", lambda: throughput_parts.accuracy(20 if smoke else 300)),
         ("startup", lambda: {} if smoke else startup(5)),
     ):
+        if parts_alone and name not in ("parts", "limit"):
+            continue
         start = time.perf_counter()
         result[name] = part()
         say(f"{name}: {time.perf_counter() - start:.1f} s")
@@ -262,8 +266,21 @@ def run(smoke: bool, say=lambda text: None) -> dict:
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     parser = study_parser("python benchmarks/throughput.py", __doc__, "performance.json and performance.md")
+    parser.add_argument(
+        "--parts", action="store_true", help="the parts of a step alone, and both estimators in turns: a minute"
+    )
     options = parser.parse_args(arguments)
     make_folder(options.out)
+    if options.parts:
+        result = run(options.smoke, print, parts_alone=True)
+        sections = {name: throughput_page.SECTIONS[name](result) for name in ("parts", "rates", "estimators")}
+        file = options.out / "performance.json"
+        kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+        new = {"parts": result["parts"], "limit": result["limit"], "machine_of_parts": result["machine"]}
+        write_json(file, kept | new)
+        renew_page(ROOT / "docs" / "performance.md", sections, options.out / "performance.md")
+        print("\n\n".join(sections.values()))
+        return 0
     result = run(options.smoke, print)
     for note in result["notes"]:
         print(note)

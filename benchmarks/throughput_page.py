@@ -51,8 +51,8 @@ def parts(result: dict) -> str:
     rows.append(["all", f"{total:.3f}", "100 %", f"{least:.3f}", f"{100 * least / total:.0f} %"])
     text = Table(["part", "us a wheel and step, one core", "share", "limit, us", "limit / achieved"], rows).markdown()
     often = (
-        f"A step solves {p['solves_a_step']:.2f} windows, draws {p['patches_a_step']:.4f} patches and resets "
-        f"{p['resets_a_step']:.4f} wheels on average."
+        f"A step completes {p['solves_a_step']:.2f} points of the estimator, draws {p['patches_a_step']:.4f} patches "
+        f"and resets {p['resets_a_step']:.4f} wheels on average."
     )
     return text + "\n\n" + often
 
@@ -65,7 +65,7 @@ def rates(result: dict) -> str:
     return (
         Table(["operation", "numbers", "ns"], rows).markdown()
         + f"\n\nA wheel takes {b['wheel']:,} bytes; a step reads or writes about {b['step']:,} of them, and "
-        f"{b['solve']:,} more where it solves."
+        f"{b['solve']:,} more where it completes a point of the estimator."
     )
 
 
@@ -105,9 +105,19 @@ def startup(result: dict) -> str:
     ).markdown()
 
 
+def estimators(result: dict) -> str:
+    """Both estimators, in turns."""
+    rows = [
+        [name, range_text(e["filter"], 3), range_text(e["window"], 3), range_text(e["ratio"])]
+        for name, e in result["parts"]["estimators"].items()
+    ]
+    header = ["us a wheel and step, one core", "filter bank", "window", "ratio"]
+    return Table(header, rows).markdown() + "\n\n" + machine_text(result["machine"], "numba") + "."
+
+
 SECTIONS = {
-    "machine": machine, "targets": targets, "scaling": scaling, "parts": parts, "rates": rates,
-    "independence": independence, "accuracy": accuracy, "startup": startup,
+    "machine": machine, "targets": targets, "scaling": scaling, "parts": parts, "estimators": estimators,
+    "rates": rates, "independence": independence, "accuracy": accuracy, "startup": startup,
 }  # fmt: skip
 
 

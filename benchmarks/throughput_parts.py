@@ -83,46 +83,66 @@ def _ground(worlds, numbers, what):
 _PARTS = {"ground": _ground, "dynamics": _drive, "sensors": _sense, "identification": _identify, "report": _report}
 
 
+class _Drive:
+    """Wheels under held random commands, one thread, the parts of whose steps are timed one by one."""
+
+    def __init__(self, wheels: int, method: str):
+        scenario = load_scenario("mixed", {"belief": {"method": method}})
+        self.simulation, self.rng = Simulation(wheels, scenario, "identified", threads=1), np.random.default_rng(0)
+        for k in range(wheels):
+            self.simulation.seed(k, self.rng)
+        self.simulation.restart_where(np.ones(wheels, dtype=np.bool_))
+        self.calls = {name: FastCall(f) for name, f in _PARTS.items()}
+        self.readings, self.what = np.zeros((wheels, 10)), np.full(wheels, STEP)
+        self.counts = {"solves": 0, "resets": 0, "patches": 0}
+
+    def turn(self, steps: int) -> dict[str, float]:
+        """Processor time a wheel and step [us] of each part, over this many steps."""
+        w, what, clock, spent = self.simulation.worlds, self.what, time.process_time, dict.fromkeys(self.calls, 0.0)
+        for step in range(steps):
+            if step % 8 == 0:
+                commands = self.rng.uniform(0.0, 0.8, what.size)
+            drawn = np.where(what == RESTART, 0, w.courses.patches)
+            for name, call in self.calls.items():
+                extra = {"dynamics": (commands,), "ground": ()}.get(name, (self.readings,))
+                start = clock()
+                call(w, self.simulation.numbers, what, *extra)
+                spent[name] += clock() - start
+            self.counts["solves"] += int(w.solved[what == STEP].sum())
+            self.counts["resets"] += int((what == RESTART).sum())
+            self.counts["patches"] += int((w.courses.patches - drawn).sum())
+            what[:] = np.where(w.cause != Cause.RUNNING, RESTART, STEP)
+        return {name: 1e6 * value / (steps * what.size) for name, value in spent.items()}
+
+
 def parts(wheels: int, steps: int, rounds: int) -> dict:
     """Processor time a wheel and step [us] of each part, one thread; and how often things happen.
 
-    "ground" draws patches and puts wheels at the start of a course.
+    "ground" draws patches and puts wheels at the start of a course. Both estimators are driven in turns on the same
+    courses with the same commands: "estimators" has what each takes, and the ratio, round by round.
     """
-    sim = Simulation(wheels, load_scenario("mixed"), "identified", threads=1)
-    rng = np.random.default_rng(0)
-    for k in range(wheels):
-        sim.seed(k, rng)
-    sim.restart_where(np.ones(wheels, dtype=np.bool_))
-    calls = {name: FastCall(f) for name, f in _PARTS.items()}
-    readings, what = np.zeros((wheels, 10)), np.full(wheels, STEP)
-    w, clock = sim.worlds, time.process_time
-    found, solves, resets, patches = {name: [] for name in calls}, 0, 0, 0
+    drives = {method: _Drive(wheels, method) for method in ("filter", "window")}
+    found: dict[str, list] = {method: [] for method in drives}
     for turn in range(rounds + 1):  # the first warms up and spreads the ages
-        spent = dict.fromkeys(calls, 0.0)
-        for step in range(steps):
-            if step % 8 == 0:
-                commands = rng.uniform(0.0, 0.8, wheels)
-            drawn = np.where(what == RESTART, 0, w.courses.patches)
-            for name, call in calls.items():
-                extra = {"dynamics": (commands,), "ground": ()}.get(name, (readings,))
-                start = clock()
-                call(w, sim.numbers, what, *extra)
-                spent[name] += clock() - start
+        for method, drive in drives.items():
+            if turn == 1:
+                drive.counts = dict.fromkeys(drive.counts, 0)
+            spent = drive.turn(steps)
             if turn > 0:
-                solves += int(w.solved[what == STEP].sum())
-                resets += int((what == RESTART).sum())
-                patches += int((w.courses.patches - drawn).sum())
-            what = np.where(w.cause != Cause.RUNNING, RESTART, STEP)
-        if turn > 0:
-            for name, value in spent.items():
-                found[name].append(1e6 * value / (steps * wheels))
-    made = steps * wheels * rounds
+                found[method].append(spent)
+    ours, made = drives["filter"], steps * wheels * rounds
+    alone = {method: np.array([turn["identification"] for turn in turns]) for method, turns in found.items()}
+    whole = {method: np.array([sum(turn.values()) for turn in turns]) for method, turns in found.items()}
     return {
         "wheels": wheels,
-        "us": {name: spread(values) for name, values in found.items()} | {"Python": spread(_python(wheels, rounds))},
-        "solves_a_step": solves / made,
-        "resets_a_step": resets / made,
-        "patches_a_step": patches / made,
+        "us": {name: spread([turn[name] for turn in found["filter"]]) for name in _PARTS}
+        | {"Python": spread(_python(wheels, rounds))},
+        "estimators": {
+            name: {method: spread(values) for method, values in us.items()}
+            | {"ratio": spread(us["filter"] / us["window"])}
+            for name, us in (("estimator", alone), ("whole step, without Python", whole))
+        },
+        **{f"{name}_a_step": count / made for name, count in ours.counts.items()},
     }
 
 
@@ -199,25 +219,26 @@ def _many_scalar(n):
 _RATES = {"exp": (_many_exp, 4), "log": (_many_log, 4), "sin_cos": (_many_sin_cos, 4), "fma": (_many_fma, 8),
           "scalar": (_many_scalar, 4)}  # fmt: skip
 
-#: Operations in lanes, counted in the code, of what a wheel cannot do without. The lanes are eight wheels, eight points
-#: of the identifier, or the eight nodes of one arc; "scalar": functions of the C library.
+#: Operations in lanes, counted in the code, of what a wheel cannot do without. The lanes are eight wheels
+#: or the eight nodes of one arc; "scalar": functions of the C library.
 WORK = {
     "nodes of eight": {"sin_cos": 18, "log": 8, "exp": 8, "fma": 8 * 20},  # quadrature.store_nodes
     "shear of eight": {"exp": 16, "fma": 8 * 59 + 190},  # quadrature.shear_integrals, the reaction, a step of Newton
     "rest of a substep of eight": {"sin_cos": 1, "log": 1, "exp": 2, "fma": 80},
-    "shear of eight points": {"exp": 16, "fma": 8 * 45 + 80},  # quadrature.shear_integrals_by_modulus
     "nodes of one": {"sin_cos": 3, "log": 1, "exp": 1, "fma": 34, "scalar": 1},
     "shear of one": {"exp": 2, "fma": 101},  # 46 products and sums, 55 for the 20 sums over lanes
     "noise": {"log": 1, "sin_cos": 1, "fma": 10},
 }
 SUBSTEPS = 2
-SOLVE = {"nodes of eight": 1, "shear of eight points": 3, "nodes of one": 2, "shear of one": 2}  # and weighing a point
 STEADY_STATES = 2 * 8  # for a patch: two grounds that are checked, itself and its border, slips of each
 EVALUATIONS = 2  # the fewest that a root takes: one to see it, one to know it
 
 
-def limit(rounds: int, repeats: int, solves: float = 0.28, patches: float = 0.0095) -> dict:
-    """This machine's throughput [ns] for each operation, and the time [us] of a step's operations at that rate."""
+def limit(rounds: int, repeats: int, patches: float = 0.0095) -> dict:
+    """This machine's throughput [ns] for each operation, and the time [us] of a step's operations at that rate.
+
+    The operations of the identification are not counted.
+    """
     ns = {}
     for name, (f, each) in _RATES.items():
         f(10)
@@ -233,7 +254,6 @@ def limit(rounds: int, repeats: int, solves: float = 0.28, patches: float = 0.00
     pieces = {
         "dynamics": SUBSTEPS * substep / 8,
         "sensors": cost["noise"],
-        "identification": ns["scalar"]["low"] + solves * sum(cost[piece] * count for piece, count in SOLVE.items()),
         "ground": patches * STEADY_STATES * EVALUATIONS * evaluation,
     }
     return {"ns": ns, "us": {name: 1e-3 * value for name, value in pieces.items()}, "bytes": _memory()}
@@ -247,11 +267,11 @@ def size(value) -> int:
 
 
 def _memory() -> dict:
-    """Bytes of one wheel, and of those what a step reads or writes."""
+    """Bytes of one wheel, and of those what a step reads or writes, and more where a point is complete."""
     w = Simulation(1, load_scenario("mixed"), "identified", threads=1).worlds
-    state, points = size((w.state, w.counts)), size(w.ids.points)
-    step = 2 * state + size(w.ids) - points + w.observation.nbytes + 2 * 7 * 8 + 64
-    return {"wheel": state + size(w.ids) + size(w.courses), "step": step, "solve": points}
+    state, open_point = size((w.state, w.counts)), size(w.ids.banks.point)
+    step = 2 * state + open_point + w.observation.nbytes + 2 * 10 * 8 + 64
+    return {"wheel": state + size(w.ids) + size(w.courses), "step": step, "solve": size(w.ids.banks) - open_point}
 
 
 # --- accuracy ---------------------------------------------------------------------------------------------------------

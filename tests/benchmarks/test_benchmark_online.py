@@ -96,7 +96,7 @@ def test_linear_least_squares_recovers_its_own_model(phi, c):
         tau = np.interp(th, [0.0, thm, th1], [c, t, 0.0])
         load = r * b * np.trapezoid(sigma * np.cos(th) + tau * np.sin(th), th)
         torque = r * r * b * np.trapezoid(tau, th)
-        x, _, valid = contender.update(SensorReading(slip, z, 0.0, load, torque, 0.2, 0.3))
+        x, _, valid = contender.update(SensorReading(slip, z, 0.0, load, torque, 0.2, 0.3, 0.0, torque, 0.0))
     assert valid and math.degrees(x[0]) == pytest.approx(phi, abs=0.1)
     assert np.all(np.isnan(x[1:]))
 
@@ -111,7 +111,7 @@ def test_newton_raphson_solves_three_noise_free_points():
     for slip, z in ((0.1, 0.03), (0.3, 0.032), (0.6, 0.035)):
         for _ in range(5):
             ratio = contender.digging.ratio
-            probe = SensorReading(slip, z, 0.0, 150.0, 0.0, 0.0, 0.5)
+            probe = SensorReading(slip, z, 0.0, 150.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
             contender.digging.numbers = contender.numbers._replace(relaxation=1e9)  # no digging
             predict(truth, slip, z, ratio, contender.numbers.reading, out, jac)
             x, sd, valid = contender.update(probe._replace(drawbar_pull=float(out[0]), torque=float(out[2])))

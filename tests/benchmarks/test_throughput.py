@@ -20,7 +20,10 @@ def test_smoke_run_measures_every_part(tmp_path):
     parts = result["parts"]
     assert all(v["low"] >= 0.0 for v in parts["us"].values())
     assert 0.0 < parts["solves_a_step"] < 1.0 and 0.0 <= parts["resets_a_step"] < 0.2
-    assert {"dynamics", "identification", "sensors", "ground"} == set(result["limit"]["us"])
+    assert {"dynamics", "sensors", "ground"} == set(result["limit"]["us"])
+    for pair in parts["estimators"].values():
+        low, high = (pair["filter"][a] / pair["window"][b] for a, b in (("low", "high"), ("high", "low")))
+        assert 0.0 < low <= pair["ratio"]["median"] <= high
     assert max(v["high"] for v in result["accuracy"].values()) < 1e-4
     page = (tmp_path / "performance.md").read_text(encoding="utf-8")
     assert all(f"<!-- {name} -->" in page for name in throughput_page.SECTIONS)
