@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import judgement, mistakes, symbolic
-from soil_env.discrepancy.calibrate import EXACT, GRAVITY, Choice, Fit, Problem, calibrate
+from soil_env.discrepancy.calibrate import GRAVITY, Choice, Fit, Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.experiment import next_tests
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
@@ -83,21 +83,21 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     say("locating the disagreement")
     where = locate(problem, problem.fit((), base.parameters()), settings.seed)
     own = finding.best(*finding.names).evidence
-    final, law = own.fit, None
+    # The names follow from fits with form errors. What predicts best with a law as it is, without the form error that
+    # this table shows, is its fit under noise alone (White 1982, Econometrica 50:1-25).
+    plain = problem.fit((), base.parameters())
+    final, law = problem.fit(own.fit.choices, own.fit.parameters()), None
     if finding.verdict in ("partly", "unlisted"):
         say("looking for a law of what is left")
-        sizes = finding.best(*finding.names, free=True).evidence.sizes
-        final = problem.fit(final.choices, final.parameters(), sizes._replace(free=EXACT.free), final)
         law = symbolic.symbolic(problem, final)
     say("predicting what was held out")
-    plain = problem.fit((), base.parameters(), final.sizes._replace(effect=0.0), base)
     before = held_out_predictions(problem, plain)
     after = held_out_predictions(problem, final) if final.choices else before
     alone = {tuple(c.effect for c in final.choices): after} if final.choices else {}
     if len(final.choices) > 1:
         for choice in final.choices:
             one = finding.best(choice.effect).evidence.fit
-            one = problem.fit(one.choices, one.parameters(), final.sizes, one)
+            one = problem.fit(one.choices, one.parameters())
             alone[choice.effect,] = held_out_predictions(problem, one)
     if law is not None and law.terms:
         held = symbolic.held_out_predictions(problem, final, lambda text: say(f"predicting what was held out: {text}"))
