@@ -128,7 +128,7 @@ def test_intervals_cover_the_truth(tmp_path, known, noise):
 
 def test_intervals_cover_the_truth_under_wrong_laws(tmp_path):
     """30 draws of smooth relative errors of 8 % in sinkage, pull and torque, eight to ten times the noise."""
-    rng, hits, setup = np.random.default_rng(8), {}, setup_of(("cohesion", "sinkage_exponent"))
+    rng, hits, sizes, setup = np.random.default_rng(8), {}, [], setup_of(("cohesion", "sinkage_exponent"))
     for _ in range(30):
         rows = clean().copy()
         at = np.stack([np.log1p(rows[:, 0] / 0.05), np.log(rows[:, 1])], axis=1)
@@ -136,12 +136,13 @@ def test_intervals_cover_the_truth_under_wrong_laws(tmp_path):
             wave = np.cos(at @ rng.normal(size=2) + rng.uniform(0.0, 2.0 * np.pi))
             rows[:, k] += 0.08 * math.sqrt(2.0) * wave * np.abs(rows[:, k])
         e = identify_table(table_of(tmp_path, rows, rng), setup)
-        assert 0.02 < e.law_error < 0.3
+        sizes.append(e.law_error)
         for name, truth in zip(NAMES, SAND, strict=True):
             p = e.parameters[name]
             if not p.known:
                 hits[name] = hits.get(name, 0) + (p.low <= truth <= p.high)
     assert all(count >= 18 for count in hits.values()), hits
+    assert min(sizes) > 0.05, sizes  # errors that differ from channel to channel take larger ones of the stresses
 
 
 def test_large_errors_of_sinkage_do_not_bias(tmp_path):
