@@ -1,13 +1,16 @@
 """Work killed with SIGKILL over and over and begun again, until it ends: `python -m tests.agents.killing NAME FOLDER`.
 
-Each process is a fork of this one, which has done the work undisturbed, so that everything is loaded. It is killed
-where it puts a file in its place (`os.replace`, as `soil_env._io.files.replace_file` does), before or after that.
+Each process is a fork of this one, which has imported everything and started no thread: a fork of a process with
+threads (of autograd, of TensorBoard's writer) may crash. It is killed where it puts a file in its place (`os.replace`,
+as `soil_env._io.files.replace_file` does), before or after that.
 """
 
+import faulthandler
 import functools
 import os
 import signal
 import sys
+import traceback
 import types
 from pathlib import Path
 
@@ -16,21 +19,32 @@ MOMENTS = ((1, "after"), (2, "before"), (2, "after"), (6, "before"), (5, "after"
 QUICK = ("weak", "none", "none_poor", "outliers_none")  # cases of `benchmarks.blind.easy`
 
 
+def status_of(work) -> int:
+    """Status, as of `os.waitpid`, of a forked process that does `work`."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            work()
+            status = 0
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stderr.flush()
+            os._exit(status)
+    return os.waitpid(child, 0)[1]
+
+
 def killed_until_done(work) -> int:
     """How many processes it took to do `work`; RuntimeError where one failed otherwise, or they come to no end."""
+
+    def killed_work():
+        kill_at_a_file(*MOMENTS[count % len(MOMENTS)])
+        work()
+
     for count in range(MOST):
-        child = os.fork()
-        if child == 0:
-            status = 1
-            try:
-                kill_at_a_file(*MOMENTS[count % len(MOMENTS)])
-                work()
-                status = 0
-            finally:
-                sys.stderr.flush()
-                os._exit(status)
-        _, status = os.waitpid(child, 0)
-        if os.WIFEXITED(status) and os.WEXITSTATUS(status) == 0:
+        status = status_of(killed_work)
+        if status == 0:
             return count
         if not (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL):
             raise RuntimeError(f"process {count} ended with status {status}")
@@ -102,9 +116,14 @@ def main(name: str, folder: Path) -> None:
     """
     import torch
 
+    import agents.sim2real.study  # noqa: F401  # loaded before the forks
+    import benchmarks.blind.easy.study  # noqa: F401
+
+    faulthandler.enable()
     torch.set_num_threads(1)
     work = {"sim2real": sim2real, "blind": blind_cases}[name]
-    work(folder / "work")
+    if (status := status_of(lambda: work(folder / "work"))) != 0:
+        raise RuntimeError(f"undisturbed work ended with status {status}")
     (folder / "work").rename(folder / "calm")
     print(killed_until_done(lambda: work(folder / "work")))
     (folder / "work").rename(folder / "killed")
