@@ -83,6 +83,7 @@ def start(out, *arguments):
     ("ppo", "", "torque"),
     ("ppo", "fixed_slip", "wheel_speed"),
     ("ppo", "best_slip_true", "torque"),
+    ("ppo", "fixed_slip", "rim_acceleration"),
     ("recurrent_ppo", "", "torque"),
     ("recurrent_ppo", "best_slip_identified", "torque"),
 ])  # fmt: skip
