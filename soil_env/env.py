@@ -14,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, UnknownKeyword
-from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
+from soil_env.parameters import CourseSpec, Scenario, Soil, SoilState, load_scenario
 from soil_env.simulation.infos import IMMOBILISED, Infos
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.terrain import ground_at
@@ -57,9 +57,9 @@ def check_count(name: str, count: object) -> None:
         raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
 
 
-def observation_space(variant: str) -> gymnasium.spaces.Box:
-    """Box of the observation variant, float32."""
-    entries = layout(variant)
+def observation_space(variant: str, course: CourseSpec | None = None) -> gymnasium.spaces.Box:
+    """Box of the observation variant on such a `course`, float32."""
+    entries = layout(variant, course)
     low, high = ([getattr(e, side) for e in entries] for side in ("low", "high"))
     return gymnasium.spaces.Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32)
 
@@ -229,8 +229,8 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             )
         self.scenario = build_scenario(scenario, action, repeat, changes)
         self.observation_variant = observation
-        self.observation_names = tuple(e.name for e in layout(observation))
-        self.observation_space = observation_space(observation)
+        self.observation_names = tuple(e.name for e in layout(observation, self.scenario.course))
+        self.observation_space = observation_space(observation, self.scenario.course)
         self.action_space = action_space()
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.duration))}
