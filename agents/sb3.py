@@ -52,8 +52,9 @@ class SoilWheelVecEnv(VecEnv):
         num_envs = int(num_envs)
         self.render_mode = None
         self.scenario = build_scenario(scenario, action, repeat, changes, _OWN)
-        super().__init__(num_envs, observation_space(observation), action_space())
-        self.observation_names = tuple(e.name for e in layout(observation))
+        super().__init__(num_envs, observation_space(observation, self.scenario.course), action_space())
+        self.observation_variant = observation
+        self.observation_names = tuple(e.name for e in layout(observation, self.scenario.course))
         self.model = load_model(model)
         self.simulation = Simulation(num_envs, self.scenario, observation, threads=threads, model=self.model)
         self._commands = np.zeros(num_envs)

@@ -53,7 +53,7 @@ def onnx_model(agent, description: dict):
         action = guide.act(action)
         kept |= guide.kept()
     batch, shape = "n", {name: ["n", size] if size else ["n"] for name, (size, _) in sizes.items()}
-    inputs = [graph.info(seen, [batch, observation_space(agent.variant).shape[0]])]
+    inputs = [graph.info(seen, [batch, len(description["inputs"])])]
     inputs += [graph.info(fresh, [batch])] if sizes else []
     inputs += [graph.info(memory[name], shape[name]) for name in sizes]
     outputs = [graph.info(_named(graph, action, "action"), [batch, 1])]
@@ -83,12 +83,12 @@ def _normalised(x: Traced, agent) -> Traced:
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:
     """What policy.yaml says before anything was run, as plain values."""
     wheel, control = scenario.wheel, scenario.control
-    space, model = observation_space(agent.variant), agent.model
+    space, model = observation_space(agent.variant, scenario.course), agent.model
     entries = [
         {"index": k, "name": e.name, "unit": e.unit, "low": low, "high": high}
         for k, (e, low, high) in enumerate(
-            zip(layout(agent.variant), *(np.round(a.astype(float), 6).tolist() for a in (space.low, space.high)),
-                strict=True)
+            zip(layout(agent.variant, scenario.course),
+                *(np.round(a.astype(float), 6).tolist() for a in (space.low, space.high)), strict=True)
         )
     ]  # fmt: skip
     guide = getattr(agent, "guide", None)
