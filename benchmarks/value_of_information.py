@@ -206,9 +206,14 @@ def measure(arm: Arm, tries: int, tuning: int, courses: int) -> dict:
     runs = run_courses(SoftStart(scenario, arm, **best, weights=weights), scenario, COURSE_SET, courses)
     return {
         "settings": {name: round(value, 3) for name, value in best.items()},
-        "finished": runs.metric("finished").astype(int).tolist(),
+        "finished": "".join(map(str, runs.metric("finished").astype(int))),  # 1 or 0 for each course
         "immobilised": float(runs.metric("immobilised").mean()),
     }
+
+
+def outcomes(found: dict) -> np.ndarray:
+    """1 for each course that was finished, 0 for the others."""
+    return np.array(list(found["finished"]), dtype=float)
 
 
 def page(results: dict) -> str:
@@ -216,7 +221,7 @@ def page(results: dict) -> str:
     rows = []
     for arm in ARMS:
         found = results[arm.name]
-        done = np.array(found["finished"])
+        done = outcomes(found)
         low, high = wilson(int(done.sum()), done.size)
         settings = "" if arm.rule == "full" else ", ".join(f"{value:g}" for value in found["settings"].values())
         share = f"{100 * done.mean():.1f} [{100 * low:.1f}, {100 * high:.1f}]"
@@ -224,7 +229,7 @@ def page(results: dict) -> str:
     head = ["scenario", "arm", "chooses or limits", "finished [%]", "immobilised [%]", "m/s2, m/s, slip"]
     pairs = []
     for one, other in PAIRS:
-        gain = np.array(results[other]["finished"]) - results[one]["finished"]
+        gain = outcomes(results[other]) - outcomes(results[one])
         samples = draws(0, gain.size).courses @ gain / gain.size
         low, high = interval(float(gain.mean()), samples)
         pairs.append([other, one, f"{100 * gain.mean():+.1f} [{100 * low:.1f}, {100 * high:.1f}]"])
@@ -246,7 +251,7 @@ def main(arguments: list[str] | None = None) -> int:
         if arm.name not in results:
             results[arm.name] = measure(arm, tries, tuning, courses)
             write_json(file, results)
-            print(f"{arm.name}: {100 * np.mean(results[arm.name]['finished']):.1f} % finished", flush=True)
+            print(f"{arm.name}: {100 * outcomes(results[arm.name]).mean():.1f} % finished", flush=True)
     renew_page(_PAGE, {"value": page(results)}, Path(options.out) / _PAGE.name)
     return 0
 
