@@ -11,6 +11,7 @@ from soil_env.parameters import Scenario
 
 from ..studies import save_csv
 from .driving import METRICS, RATES, Runs
+from .limit import limit
 from .statistics import wilson
 
 
@@ -31,9 +32,11 @@ def summary(runs: Runs, seed: int = 0, resamples: int = 2000) -> dict[str, dict[
     return out
 
 
-def comparison(scenario: Scenario, seed: int, runs: dict[str, Runs], settings: dict | None = None) -> dict:
+def comparison(
+    scenario: Scenario, seed: int, runs: dict[str, Runs], settings: dict | None = None, oracle: Runs | None = None
+) -> dict:
     """The content of comparison.json: {"scenario", "courses", "seed", "settings", "controllers": {name: summary},
-    "paired"}.
+    "paired"}, with "limit" (`agents.evaluate.limit`) where the `oracle` has driven the first courses.
 
     "paired": {agent: {other: {"immobilised", "finished", "return"}}}, the agent's mean difference to each other
     controller on the same courses, with its interval.
@@ -54,6 +57,7 @@ def comparison(scenario: Scenario, seed: int, runs: dict[str, Runs], settings: d
         "settings": settings or {},
         "controllers": {name: summary(r) for name, r in runs.items()},
         "paired": paired,
+        **({"limit": limit(oracle, {n: [r] for n, r in runs.items()}, summary(oracle))} if oracle else {}),
     }
 
 

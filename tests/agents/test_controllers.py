@@ -5,17 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from agents.controllers import FixedSlip, make_controller
+from agents.controllers import CONTROLLERS, checked_settings, make_controller
 from agents.evaluate import run_courses
 from agents.sb3 import SoilWheelVecEnv
+from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
 
-NAMES = ("full_throttle", "constant_speed", "fixed_slip", "best_slip_identified", "best_slip_true")
-VARIANT = dict(zip(NAMES, ("blind", "blind", "blind", "identified", "true_soil"), strict=True))
+NAMES = tuple(CONTROLLERS)
+BY_RIM_SPEED = tuple(name for name in NAMES if name not in ("full_throttle", "constant_torque"))
 ACTIONS = ("torque", "wheel_speed")
 QUIET = {
     name: 0.0
@@ -109,7 +110,7 @@ def test_extreme_observations_give_finite_actions_in_range(name):
         assert np.isfinite(actions).all() and np.abs(actions).max() <= 1.0
 
 
-@pytest.mark.parametrize("name", NAMES[1:])
+@pytest.mark.parametrize("name", BY_RIM_SPEED)
 def test_episode_start_resets_only_its_row(name):
     """After the restart of row 1 that row acts as a controller that has seen nothing; the others go on."""
     controller = make_controller(name, load_scenario())
@@ -146,7 +147,7 @@ def test_a_restarted_row_forgets_the_best_slip_of_the_last_episode(name):
     np.testing.assert_array_equal(state["slip"], fresh_slip)
 
 
-@pytest.mark.parametrize("name", NAMES[1:])
+@pytest.mark.parametrize("name", BY_RIM_SPEED)
 def test_state_is_carried_along(name):
     """The integral part grows: the same observation twice gives two actions, unless the state is dropped."""
     controller = make_controller(name, load_scenario())
@@ -158,7 +159,7 @@ def test_state_is_carried_along(name):
     assert (second != first).any()
 
 
-@pytest.mark.parametrize("name", NAMES[1:])
+@pytest.mark.parametrize("name", BY_RIM_SPEED)
 def test_batches_are_rows_of_their_own(name):
     """A row's action does not depend on the rows beside it, over several calls."""
     controller = make_controller(name, load_scenario())
@@ -228,34 +229,109 @@ def test_fixed_slip_holds_its_slip_where_the_slope_needs_that_slip(action, slip)
 
 
 @pytest.mark.parametrize("action", ACTIONS)
-def test_fixed_slip_on_easy_ground_runs_at_its_speed_limit(action):
+def test_fixed_slip_on_easy_ground_runs_at_the_top_speed_of_the_motor(action):
     scenario = uniform(action=action)
-    controller = make_controller("fixed_slip", scenario, slip=0.3)
-    out, _, _ = drive(controller, scenario, 200)
-    late = out["x"] > 2.0
+    out, _, _ = drive(make_controller("fixed_slip", scenario, slip=0.3), scenario, 200)
+    late = out["x"] > 4.0
     assert late.sum() > 30
-    limit = 0.4 * scenario.wheel.radius * scenario.wheel.no_load_speed
-    assert np.abs(out["rim"][late] / limit - 1.0).max() < (0.03 if action == "torque" else 0.12)
-    assert out["slip"][late].max() < 0.3
+    top = scenario.wheel.radius * scenario.wheel.no_load_speed
+    assert out["rim"][late].min() > 0.75 * top and out["slip"][late].max() < 0.3
+
+
+def seen(controller, speed, slip=0.0, halted=0.0):
+    """A blind observation [1, D] of a wheel that travels at `speed` [m/s] with a slip >= 0."""
+    batch = np.zeros((1, len(layout("blind"))))
+    for name, value in (("slip", slip), ("rim_speed", speed / (1.0 - slip) / controller.top_speed), ("halted", halted)):
+        batch[0, controller.column[name]] = value
+    return batch
 
 
 @pytest.mark.parametrize("slip", [0.05, 0.2, 0.5])
 def test_fixed_slip_asks_for_the_rim_speed_of_its_slip(slip):
     """(u - V)/u of the rim speed u that it asks for is its slip, but for the lead that lets it start."""
+    controller = make_controller("fixed_slip", load_scenario(), slip=slip, start=0.04)
+    for speed in (0.08, 0.2, 0.3):
+        for now in (0.0, 0.1, 0.4):
+            rim = controller.rim_speed(seen(controller, speed, now), {})[0]
+            assert 1.0 - speed / (rim - 0.2 * 0.04) == pytest.approx(slip, abs=1e-9)
+    assert controller.rim_speed(seen(controller, 0.0), {})[0] == 0.04  # starts from rest
+    assert controller.rim_speed(seen(controller, -0.5), {})[0] == 0.04  # and out of a backward slide
+    assert controller.rim_speed(seen(controller, 0.74), {})[0] <= controller.top_speed
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_soft_start_rises_at_its_acceleration_anew_after_every_halt(action):
+    scenario = load_scenario("mixed", {"control": {"action": action}, "noise": QUIET})
+    controller = make_controller("soft_start", scenario, acceleration=0.1, speed=0.3)
+    sim = Simulation(1, scenario, "blind", threads=1)
+    sim.seed(0, np.random.default_rng(3))
+    sim.restart(0)
+    state, fresh, left, worst, starts = None, np.ones(1, dtype=bool), 0, [], 0
+    for _ in range(300):
+        halted = sim.worlds.state["halt_left"][0] > 0.0
+        starts += halted and left > 0
+        left = 0 if halted else left + 1  # control periods since rest
+        action_, state = controller.predict(sim.worlds.observation, state, fresh)
+        fresh = np.zeros(1, dtype=bool)
+        sim.step(0, float(action_[0, 0]))
+        rim = sim.worlds.state["wheel_speed"][0] * scenario.wheel.radius
+        if sim.worlds.state["halt_left"][0] == 0.0 and not halted:
+            worst.append(abs(rim - min(0.01 * left, 0.3)))
+        if sim.worlds.cause[0] != Cause.RUNNING.value:
+            break
+    assert starts >= 3 and max(worst) < 0.04
+
+
+def test_slip_limiter_waits_where_a_soft_start_digs():
+    """Up a slope of loose sand, with a steep ramp: the slip stays at its limit once the wheel is under way."""
+    scenario = uniform("dry_sand_loose", grade=6.0)
+    common = {"acceleration": 0.5, "speed": 0.6}
+    free, _, _ = drive(make_controller("soft_start", scenario, **common), scenario, 60)
+    controller = make_controller("slip_limiter", scenario, slip=0.35, start=0.04, **common)
+    out, _, _ = drive(controller, scenario, 200)
+    under_way = (out["rim"] > 0.1) & (np.arange(len(out["rim"])) > 20)
+    assert under_way.sum() > 40
+    assert np.percentile(out["slip"][under_way], 95) < 0.4
+    assert np.percentile(free["slip"][20:], 95) > 0.5
+
+
+@pytest.mark.parametrize("best", [0.15, 0.5])
+def test_extremum_seeking_finds_the_slip_of_the_highest_pull(best):
+    """The wheel has the slip that was asked for, and a pull that is highest at `best`; sensors with their noise."""
     scenario = load_scenario()
-    controller = FixedSlip(scenario, slip)
-    names = [e.name for e in layout("blind")]
-    batch = np.zeros((40, len(names)))
-    speeds = np.linspace(0.08, 0.13, 40)
-    batch[:, names.index("speed")] = speeds / controller.top_speed
-    rim = controller.rim_speed(batch, {})
-    np.testing.assert_allclose(1.0 - speeds / (rim - 0.2 * controller.start_speed), slip, atol=1e-9)
-    batch[:, names.index("speed")] = 0.0
-    assert (controller.rim_speed(batch, {}) > 0.02).all()  # starts from rest
-    batch[:, names.index("speed")] = -0.5
-    assert (controller.rim_speed(batch, {}) > 0.02).all()  # and out of a backward slide
-    batch[:, names.index("speed")] = 2.0
-    np.testing.assert_allclose(controller.rim_speed(batch, {}), 0.4 * controller.top_speed)
+    controller = make_controller("extremum_seeking", scenario, gain=0.5, swing=0.06)
+    rng, state = np.random.default_rng(0), None
+    batch, slip = seen(controller, 0.2), 0.3
+    for step in range(600):
+        batch[0, controller.column["slip"]] = slip + 0.01 * rng.standard_normal()
+        pull = 0.3 - 1.5 * (slip - best) ** 2
+        batch[0, controller.column["drawbar_pull"]] = pull + 0.01 * rng.standard_normal()
+        state = controller.begin(batch, state, np.array([step == 0]))
+        slip = float(controller.target_slip(batch, state)[0])
+    assert state["best"][0] == pytest.approx(best, abs=0.06)
+
+
+def test_constant_torque_holds_its_command():
+    scenario = load_scenario()
+    actions, _ = make_controller("constant_torque", scenario, share=0.37).predict(observations("blind", 3))
+    np.testing.assert_allclose(actions, 0.37, atol=1e-7)
+    assert (make_controller("full_throttle", scenario).predict(observations("blind", 3))[0] == 1.0).all()
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if CONTROLLERS[n].bounds])
+def test_settings_are_kept_and_wrong_ones_refused(name):
+    scenario = load_scenario()
+    top = scenario.wheel.radius * scenario.wheel.no_load_speed
+    for key, setting in CONTROLLERS[name].bounds.items():
+        high = top if setting.rim_speed else setting.high
+        assert 0.0 < make_controller(name, scenario).settings[key] <= high
+        assert make_controller(name, scenario, **{key: 0.5 * high}).settings[key] == 0.5 * high
+        for wrong in (-0.1, 1.001 * high, float("nan"), "much"):
+            with pytest.raises(ParameterError) as error:
+                checked_settings(name, scenario, {key: wrong}, "here")
+            assert str(error.value).startswith(f"here.{key} = ")
+    with pytest.raises(ParameterError, match="unknown key"):
+        make_controller(name, scenario, speeed=0.2)
 
 
 @pytest.mark.parametrize(
