@@ -1,10 +1,10 @@
 """How well the slip controllers hold their slip: on a long steady slope, and on the courses of a scenario.
 
-On a slope a wheel keeps its speed only at the slip whose drawbar pull carries it up there; at more slip it gains speed, at
-less it comes to rest. So the first table drives a uniform slope that needs just the slip that the controller holds, and says
-how often the true slip is within BAND of it, from a quarter of the way on. The second drives random courses: the share
-of the time in which the rim speed is at the start (the least), at the top, or between, where the slip is held, and how
-far the slip is off there.
+On a slope a wheel keeps its speed only at the slip whose drawbar pull carries it up there; at more slip it gains
+speed, at less it comes to rest. So the first table drives a uniform slope that needs just the slip that the controller
+holds, and says how often the true slip is within BAND of it, from a quarter of the way on. The second drives random
+courses: the share of the time in which the rim speed is at the start (the least), at the top, or between, where the
+slip is held, and how far the slip is off there.
 
     python -m benchmarks.holding
 """

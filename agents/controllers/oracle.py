@@ -1,10 +1,10 @@
 """A planner that tries out what will happen, on clones of the true world: the limit of the task, not a rival.
 
-Every half second each wheel is cloned (`soil_env.simulation.cloning`) some dozens of times, and every clone drives by
-a plan of its own to a horizon of many seconds, halts and ruts included: back away, then ramp the rim speed up to a top
-speed, after a while by another ramp to another speed. The wheel goes on by the plan whose clone has come furthest, less
-what sitting deep costs. Plans are the one it follows, variations of that, soft starts of fixed settings, and plans drawn
-at random: random shooting with a warm start, replanned every time (model predictive control by sampling).
+Every half second each wheel is cloned (`soil_env.simulation.cloning`) some dozens of times, and every clone drives
+by a plan of its own to a horizon of many seconds, halts and ruts included: back away, then ramp the rim speed up to a
+top speed, after a while by another ramp to another speed. The wheel goes on by the plan whose clone has come furthest,
+less what sitting deep costs. Plans are the one it follows, variations of that, soft starts of fixed settings, and plans
+drawn at random: random shooting with a warm start, replanned every time (model predictive control by sampling).
 
 The planner knows the true state and all of the ground to come, and where it will be halted next. What the sensors will
 read, and where the halts after that will be, it does not: its clones have random streams of their own. It tries few
@@ -33,6 +33,7 @@ SPEEDS = (0.05, 1.0)  # [of the top rim speed]
 BACKING, BACKING_SHARE = (0.5, 4.0), 0.25  # [s] of going back, and the share of drawn plans that begin so
 BACK = -0.1  # [of the top rim speed]
 FIXED = tuple((a, v) for a in (0.04, 0.09, 0.2, 0.5) for v in (0.2, 0.45, 0.8))  # soft starts that are always tried
+DEEP = 3.0  # [m] that a wheel at the limit of sinkage is worth less than one at none
 VARIED, DRAWN = 10, 14  # plans
 COUNT = 1 + VARIED + len(FIXED) + DRAWN
 _FAILED = (Cause.ENTRAPPED.value, Cause.STALLED.value, Cause.BOGGED.value, Cause.TIME_LIMIT.value)
@@ -178,8 +179,6 @@ class Oracle:
         waited = s["idle_time"][:n] / self.scenario.limits.no_progress_time
         spare = (self.steps - done) * self.driver.period * self.driver.top_speed
         depth = s["sinkage"][:n] / (self.scenario.limits.bogged_sinkage * self.driver.radius)
-        score = s["best_x"][:n] - 0.5 * np.maximum(waited - 0.3, 0.0) - self.deep * depth * depth
+        score = s["best_x"][:n] - 0.5 * np.maximum(waited - 0.3, 0.0) - DEEP * depth * depth
         score = np.where(w.cause[:n] == _FINISHED, self.scenario.course.length + spare, score)
         return np.where(np.isin(w.cause[:n], _FAILED), score - 100.0, score)
-
-    deep = 1.0
