@@ -237,29 +237,28 @@ def print_table(result: dict) -> None:
 
 
 def verdict(result: dict, name: str) -> str:
-    """How the agent compares with the tuned fixed slip, with the best controller that does not know the soil, and
-    with the true-soil reference. Only the first word of a claim depends on the intervals: "less" means that they do
-    not overlap."""
+    """How many courses the agent finishes, against the best controller that does not know the true soil, and the
+    references that do. Only the first word of the claim depends on the intervals: "more" means that they do not
+    overlap."""
     rows = result["controllers"]
-    agent, fixed, true = (rows[n]["immobilised"] for n in (name, "fixed_slip", "best_slip_true"))
     fair = [n for n in rows if n not in (name, "best_slip_true", "ppo_true")]
-    best = min(fair, key=lambda n: rows[n]["immobilised"]["value"] + rows[n]["time_limit"]["value"])
-    text = f"{name} is immobilised {_judgement(agent, fixed)} the tuned fixed slip: "
-    text += f"{percent(agent)} against {percent(fixed)}"
-    gap = fixed["value"] - true["value"]
-    share = (fixed["value"] - agent["value"]) / gap if gap > 0.0 else 0.0
-    if 0.0 < share <= 1.0:
-        text += f"; it covers {share:.0%} of the way to best_slip_true ({true['value']:.1%})"
-    elif share > 1.0:
-        text += f", and {true['value']:.1%} of best_slip_true, which knows the soil"
-    return (
-        f"{text}. Of the others without the true soil, {best} fails least; {name} minus {best}, courses finished: "
-        f"{points(result['paired'][name][best]['finished'])} percentage points. One training seed; the intervals are "
-        "over courses."
+    best = max(fair, key=lambda n: rows[n]["finished"]["value"])
+    agent, other = rows[name]["finished"], rows[best]["finished"]
+    known = {n: rows[n]["finished"] for n in ("best_slip_true",) if n in rows and n != name}
+    known |= {n: metrics["finished"] for n, metrics in limit.rows(result).items()}
+    difference = points(result["paired"][name][best]["finished"])
+    text = (
+        f"{name} finishes {_judgement(agent, other)} {best}, the best of the others without the true soil: "
+        f"{percent(agent)} against {percent(other)}, on the same courses {difference} percentage points"
     )
+    references = ", ".join(f"{n} {percent(m)}" for n, m in known.items())
+    text += f". With the true soil: {references}" if references else ""
+    return f"{text}. One training seed; the intervals are over courses."
 
 
 def _judgement(a: dict, b: dict) -> str:
-    if a["high"] < b["low"]:
-        return "less often than"
-    return "more often than" if a["low"] > b["high"] else "neither less nor more often, within the intervals, than"
+    if a["low"] > b["high"]:
+        return "more courses than"
+    return (
+        "fewer courses than" if a["high"] < b["low"] else "neither more nor fewer courses, within the intervals, than"
+    )

@@ -48,7 +48,7 @@ class Controller:
         self.stall = wheel.stall_torque
         self.weight_torque = scenario.weight * wheel.radius
         self.action, self.period = scenario.control.action, scenario.control.duration  # [s] between two actions
-        self.change = scenario.control.rim_acceleration * self.period / self.top_speed  # of the command by an action of 1
+        self.change = scenario.control.rim_acceleration * self.period / self.top_speed  # of command by an action of 1
         self.gain = wheel.inertia / self.period  # [N m s]: a free wheel is on speed after one period
         self.integral_gain = 0.68 * self.weight_torque  # [N m] per rad
         #: What can be set, as it is.

@@ -1,7 +1,7 @@
 """Compare controllers on the same courses, with confidence intervals.
 
 CONTROLLERS is a list with commas. An entry is
-  full_throttle, fixed_slip, ...   a classical controller (agents/controllers.py)
+  full_throttle, fixed_slip, ...   a classical controller (agents/controllers)
   path/to/model.zip, runs/NAME     a model of train.py, or any model of Stable-Baselines3 or sb3-contrib
   path/to/policy.onnx              an agent as agents.export has written it; its folder will do
   my.module:Thing                  a class (made with the scenario if it takes an argument), a function that makes one,

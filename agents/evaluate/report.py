@@ -33,7 +33,11 @@ REFERENCE = (
     "rover in snow (ASME J. Autonomous Vehicles and Systems 2(3), 031001). Other conditions: another machine, ground, "
     "method and course."
 )
-_CHOSEN = {"untuned": "untuned", "tuned": "tuned on {courses} other courses", "given": "as given with --settings"}
+_CHOSEN = {
+    "untuned": "untuned",
+    "tuned": "tuned on at least {courses} other courses",
+    "given": "as given with --settings",
+}
 _STYLE = ".wide { overflow-x: auto; }"
 
 

@@ -17,7 +17,7 @@ from soil_env.terramechanics.traversability import SLIPS, best_working_point
 
 NAMES = tuple(CONTROLLERS)
 BY_RIM_SPEED = tuple(name for name in NAMES if name not in ("full_throttle", "constant_torque"))
-ACTIONS = ("torque", "wheel_speed")
+ACTIONS = ("torque", "wheel_speed", "rim_acceleration")
 QUIET = {
     name: 0.0
     for name in ("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "wheel_speed", "pitch")

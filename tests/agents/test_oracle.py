@@ -72,7 +72,7 @@ def test_the_same_courses_give_the_same_drive():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("action", ["torque", "wheel_speed"])
+@pytest.mark.parametrize("action", ["torque", "rim_acceleration"])
 def test_the_oracle_finishes_courses_that_a_tuned_soft_start_does_not(action, monkeypatch):
     scenario = load_scenario("mixed", {"control": {"action": action}})
     blind = run_courses(make_controller("soft_start", scenario, acceleration=0.08, speed=0.57), scenario, SEED, 120)

@@ -94,7 +94,9 @@ def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(short, few
     assert len({t["finished"] for t in trials}) > 1
     runs = run_courses(make_controller("constant_torque", short, share=best["share"]), short, TUNING_SET, 8)
     assert runs.metric("finished").mean() == best["finished"] and runs.returns.mean() == best["return"]
-    assert trials[0]["share"] == make_controller("constant_torque", short).settings["share"]  # the defaults are tried first
+    assert (
+        trials[0]["share"] == make_controller("constant_torque", short).settings["share"]
+    )  # the defaults are tried first
 
 
 def test_an_interrupted_tuning_ends_as_one_without_a_break(short, few, tmp_path):
