@@ -13,8 +13,8 @@ Models that train.py did not write are unpickled in part, and modules are import
 Name only what you trust.
 
 Examples:
-  python -m agents.evaluate --controllers full_throttle,fixed_slip,best_slip_identified --out evaluation
-  python -m agents.evaluate --controllers 'fixed_slip,ppo=runs/seed_*' --workers 8 --out evaluation
+  python -m agents.evaluate --controllers full_throttle,soft_start,best_slip_identified --out evaluation
+  python -m agents.evaluate --controllers 'soft_start,ppo=runs/seed_*' --workers 8 --out evaluation
   python -m agents.evaluate --controllers my.module:Controller --scenario my.yaml --changes.course.length 20 --out e2
   python -m agents.evaluate --controllers fixed_slip --settings.fixed_slip.slip 0.2 --out e3
   python -m agents.evaluate --resume evaluation

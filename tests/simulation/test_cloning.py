@@ -21,6 +21,8 @@ def memory(part, wheel, wheels, name="worlds"):
     if isinstance(part, tuple):
         out = {}
         for field in part._fields:
+            if field == "going":  # scratch of a step
+                continue
             out |= memory(getattr(part, field), wheel, wheels, f"{name}.{field}")
         return out
     return {name: part[wheel].copy()}
