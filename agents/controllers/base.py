@@ -10,6 +10,8 @@ import numpy as np
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
 
+_CHOICE = 0.01  # least action that chooses a line; the drive is held meanwhile
+
 
 class Setting(NamedTuple):
     """A number that a controller can be set to. A speed of the rim is bounded by the top rim speed."""
@@ -67,8 +69,26 @@ class Controller:
         batch = np.atleast_2d(np.asarray(observation, dtype=np.float64))
         fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
         state = self.begin(batch, state, fresh)
-        action = self.command(batch, self.rim_speed(batch, state), state)
+        action = self.chosen(batch, self.command(batch, self.rim_speed(batch, state), state), self.beside(batch))
         return (action[0] if np.ndim(observation) == 1 else action), state
+
+    def beside(self, batch: np.ndarray) -> np.ndarray:
+        """Where a line over the next patch is to be chosen: whether the one beside is the better one, [n] bool.
+
+        It is where its margin is higher, as far as the observation tells it, else where it is less steep.
+        """
+        if "choice" not in self.column:
+            return np.zeros(len(batch), dtype=bool)
+        if "ahead_margin" in self.column:
+            return batch[:, self.column["beside_margin"]] > batch[:, self.column["ahead_margin"]]
+        return batch[:, self.column["beside_grade"]] < batch[:, self.column["ahead_grade"]]
+
+    def chosen(self, batch: np.ndarray, action: np.ndarray, beside: np.ndarray) -> np.ndarray:
+        """Actions [n, 1] whose sign chooses a line at the halts where one is to be chosen."""
+        if "choice" not in self.column:
+            return action
+        sign = np.where(beside, np.float32(-_CHOICE), np.maximum(action[:, 0], np.float32(_CHOICE)))
+        return np.where(batch[:, self.column["choice"]] > 0.5, sign, action[:, 0])[:, None]
 
     def command(self, batch: np.ndarray, rim_speed: np.ndarray, state: dict) -> np.ndarray:
         """Actions [n, 1] float32 that follow a `rim_speed` [n] m/s, for observations [n, D]; advances `state`."""

@@ -49,6 +49,7 @@ class Plans(NamedTuple):
     speed: np.ndarray  # [m/s] its top speed
     second: np.ndarray  # of the ramp after it
     later_speed: np.ndarray
+    beside: np.ndarray  # bool: at the next fork, the line beside
 
     def at(self, where) -> Plans:
         """Some of them."""
@@ -78,6 +79,14 @@ class _Driver(Ramped):
         state["ramp"] = np.where(back, 0.0, self.ramp(observation, state, acceleration, speed))
         self.plans = p.after(self.period)
         return np.where(back, BACK * self.top_speed, state["ramp"])
+
+    def beside(self, batch):
+        """As planned."""
+        return self.plans.beside
+
+    def act(self, batch, state) -> np.ndarray:
+        """Actions [n, 1]; advances the plans and the `state`."""
+        return self.chosen(batch, self.command(batch, self.rim_speed(batch, state), state), self.beside(batch))
 
 
 class Oracle:
@@ -112,8 +121,7 @@ class Oracle:
             due = (w.cause == _RUNNING) & (w.state["halt_left"] <= self.every * self.driver.period)
             if due.any():
                 self._plan(batch, memory, np.flatnonzero(due))
-        action = self.driver.command(batch, self.driver.rim_speed(batch, memory), memory)
-        return action, (memory, since + 1)
+        return self.driver.act(batch, memory), (memory, since + 1)
 
     def _plan(self, batch, memory, due) -> None:
         """Choose the plans of the wheels `due` [d] anew."""
@@ -132,16 +140,17 @@ class Oracle:
     def _soft_starts(self, shape, acceleration, share) -> Plans:
         zero = np.zeros(shape)
         a, v = zero + acceleration, zero + np.asarray(share) * self.driver.top_speed
-        return Plans(zero.copy(), zero.copy(), a, v, a.copy(), v.copy())
+        return Plans(zero.copy(), zero.copy(), a, v, a.copy(), v.copy(), np.zeros(shape, dtype=bool))
 
     def _candidates(self, now: Plans) -> Plans:
         """Plans [d, COUNT] to try, the first as `now` [d]."""
         d, top, rng = now.back.size, self.driver.top_speed, self.rng
         fixed = self._soft_starts((d, len(FIXED)), *np.array(FIXED).T)
+        fixed = fixed._replace(beside=rng.random((d, len(FIXED))) < 0.5)
         a, b = (np.exp(rng.uniform(*np.log(ACCELERATIONS), (d, DRAWN))) for _ in range(2))
         v, u = (rng.uniform(*SPEEDS, (d, DRAWN)) * top for _ in range(2))
         back = np.where(rng.random((d, DRAWN)) < BACKING_SHARE, rng.uniform(*BACKING, (d, DRAWN)), 0.0)
-        drawn = Plans(back, rng.uniform(0.0, 0.6 * HORIZON, (d, DRAWN)), a, v, b, u)
+        drawn = Plans(back, rng.uniform(0.0, 0.6 * HORIZON, (d, DRAWN)), a, v, b, u, rng.random((d, DRAWN)) < 0.5)
         low, high = SPEEDS[0] * top, SPEEDS[1] * top
         same, noise = [x[:, None] for x in now], rng.standard_normal((6, d, VARIED))
         varied = Plans(
@@ -151,6 +160,7 @@ class Oracle:
             np.clip(same[3] * np.exp(0.3 * noise[3]), low, high),
             np.clip(same[4] * np.exp(0.4 * noise[4]), *ACCELERATIONS),
             np.clip(same[5] * np.exp(0.3 * noise[5]), low, high),
+            same[6] ^ (rng.random((d, VARIED)) < 0.3),
         )
         return Plans(*(np.concatenate(parts, axis=1) for parts in zip(same, varied, fixed, drawn, strict=True)))
 
@@ -164,7 +174,7 @@ class Oracle:
             if step:
                 batch = w.observation[:n].astype(np.float64)
                 state = self.dreamer.begin(batch, state, np.zeros(n, dtype=bool))
-            commands[:n] = self.dreamer.command(batch, self.dreamer.rim_speed(batch, state), state)[:, 0]
+            commands[:n] = self.dreamer.act(batch, state)[:, 0]
             self.clones.step_all(commands, what)
             ended = (what[:n] == STEP) & (w.cause[:n] != _RUNNING)
             done[ended] = step

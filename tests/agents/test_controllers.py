@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from agents.controllers import CONTROLLERS, checked_settings, make_controller
+from agents.evaluate import drive as evaluation_drive
 from agents.evaluate import run_courses
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
@@ -311,6 +312,46 @@ def test_extremum_seeking_finds_the_slip_of_the_highest_pull(best):
         state = controller.begin(batch, state, np.array([step == 0]))
         slip = float(controller.target_slip(batch, state)[0])
     assert state["best"][0] == pytest.approx(best, abs=0.06)
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+@pytest.mark.parametrize("name", ["soft_start", "best_slip_identified", "best_slip_true"])
+def test_the_line_is_chosen_by_margin_where_it_is_known_else_by_grade(name, action):
+    scenario = load_scenario("two_lines", {"control": {"action": action}})
+    controller = make_controller(name, scenario)
+    sim = Simulation(6, scenario, controller.variant, threads=1)
+    for k in range(6):
+        sim.seed(k, np.random.default_rng(k))
+    sim.restart_where(np.ones(6, dtype=bool))
+    batch, at = sim.worlds.observation.astype(float), controller.column
+    entry = "grade" if name == "soft_start" else "margin"
+    batch[:, [at["ahead_grade"], at["beside_grade"]]] = 0.1
+    batch[:, at["choice"]] = batch[:, at["halted"]] = 1.0
+    batch[:, at[f"ahead_{entry}"]] = [0.1, 0.1, 0.1, 0.1, 0.3, 0.3]
+    batch[:, at[f"beside_{entry}"]] = [0.2, 0.2, 0.0, 0.0, 0.2, 0.4]
+    higher = np.array([True, True, False, False, False, True])
+    beside = ~higher if entry == "grade" else higher
+    actions, _ = controller.predict(batch)
+    np.testing.assert_array_equal(actions[:, 0] < 0.0, beside)
+    assert (actions[~beside, 0] > 0.0).all()
+    batch[:, at["choice"]] = 0.0  # nothing to choose: the action is that of the rim speed
+    batch[:, at["halted"]] = batch[:, at["rim_speed"]] = batch[:, at["rim_command"]] = 0.0
+    assert (controller.predict(batch)[0] > 0.0).all()
+
+
+def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
+    """With the true soil hardly a dead end is taken: only where the grade is seen too flat."""
+    scenario = load_scenario("two_lines")
+    controller, forks, right = make_controller("best_slip_true", scenario), 0, 0
+    *_, (worlds, _) = evaluation_drive(controller, scenario, 5, 0, 40)
+    lines, edges = worlds.courses.lines, worlds.courses.edges
+    for k in range(40):
+        for p in range(worlds.courses.patches[k]):
+            margins = lines.capacities[k, p] - np.tan(lines.grades[k, p])
+            if worlds.state["best_x"][k] > edges[k, p] and margins.min() < 0.0:
+                forks += 1
+                right += margins[lines.taken[k, p]] > 0.0
+    assert forks > 20 and right > 0.9 * forks
 
 
 def test_constant_torque_holds_its_command():
