@@ -12,6 +12,7 @@ from soil_env.parameters import Scenario
 from ..studies import save_csv
 from .driving import METRICS, RATES, Runs
 from .limit import limit
+from .limit import rows as limit_rows
 from .statistics import wilson
 
 
@@ -71,10 +72,10 @@ def paired_difference(a: Runs, b: Runs, metric: str, seed: int = 0, resamples: i
 
 
 def save(result: dict, folder: Path) -> None:
-    """Write comparison.json and comparison.csv into `folder`."""
+    """Write comparison.json and comparison.csv into `folder`; the oracle's row, where there is one, is the last."""
     folder = Path(folder)
     write_json(folder / "comparison.json", result)
     rows = [["controller", *(f"{m}{part}" for m in METRICS for part in ("", "_low", "_high"))]]
-    for name, row in result["controllers"].items():
+    for name, row in (result["controllers"] | limit_rows(result)).items():
         rows.append([name, *(f"{row[m][key]:.6g}" for m in METRICS for key in ("value", "low", "high"))])
     save_csv(folder / "comparison.csv", rows)
