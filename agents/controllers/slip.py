@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import START, Controller, Ramped, Setting
+from .base import SPEED, START, Controller, Ramped, Setting
 
 MOST_SLIP = 0.95  # that a controller can hold: the rim speed for it is V/(1 - i)
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
@@ -39,19 +39,30 @@ class SlipFollower(Ramped):
         return np.minimum(self.of_slip(observation, state), ramp)
 
 
-class FixedSlip(SlipFollower):
-    """A rim speed that holds a slip, from a creeping start up to what the motor gives."""
+class FixedSlip(Controller):
+    """A rim speed that holds a slip by its acceleration, from a creeping start up to a top speed.
+
+    A wheel that gains speed needs more pull than the slope asks for, and so has more slip: the acceleration of the rim
+    is what the slip can be controlled by, for as long as the rim speed is between start and top.
+    """
 
     name = "fixed_slip"
-    bounds = {"slip": _SLIP, "start": START._replace(default=0.04)}
-
-    def target_slip(self, observation, state):
-        """The slip."""
-        return np.full(len(observation), self.settings["slip"])
+    bounds = {"slip": _SLIP, "start": START._replace(default=0.04), "speed": SPEED}
+    memory = {**Controller.memory, "rim": 0, "gain": 0}
+    step = 1.5  # [m/s2] that the acceleration changes by in an action, for a unit of slip
+    most = 1.0  # [m/s2]
 
     def rim_speed(self, observation, state):
-        """`of_slip`, at most the top rim speed."""
-        return np.minimum(self.of_slip(observation, state), self.top_speed)
+        """The rim speed before and what it gains in an action."""
+        start, top = self.settings["start"], self.settings["speed"]
+        error = self.settings["slip"] - observation[:, self.column["slip"]]
+        rest = self.halted(observation)
+        gain = np.clip(np.where(rest, 0.0, state["gain"] + self.step * error), -self.most, self.most)
+        rim = np.where(rest, 0.0, np.maximum(state["rim"], start)) + gain * self.period
+        state["rim"] = np.where(rest, 0.0, np.clip(rim, start, max(top, start)))
+        held = np.where(rim > top, np.minimum(gain, 0.0), gain)  # at its limits the acceleration does not wind up
+        state["gain"] = np.where(rim < start, np.maximum(held, 0.0), held)
+        return state["rim"]
 
 
 class SlipLimiter(SlipFollower):

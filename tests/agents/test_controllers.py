@@ -210,23 +210,19 @@ def test_constant_speed_holds_its_rim_speed(action, speed):
     assert np.abs(held / speed - 1.0).max() < (0.03 if action == "torque" else 0.12)
 
 
-@pytest.mark.parametrize("action", ACTIONS)
-@pytest.mark.parametrize("slip", [0.1, 0.25, 0.45])
-def test_fixed_slip_holds_its_slip_where_the_slope_needs_that_slip(action, slip):
-    """On the grade that a wheel at this slip just holds, slip stays at its target.
-
-    Elsewhere the ground decides: on an easier grade the wheel gains speed up to the controller's limit.
-    """
-    easy = uniform(action=action)
-    wheel = easy.wheel
-    soil = soils()["lete_sand"].state(wheel.width)
-    pull = steady_state(slip, easy.weight, soil, wheel.radius, wheel.width).drawbar_pull / easy.weight
-    scenario = uniform(action=action, grade=math.degrees(math.atan(pull)), length=20.0)
-    controller = make_controller("fixed_slip", scenario, slip=slip)
-    out, cause, _ = drive(controller, scenario, scenario.steps)
-    assert out["x"][-1] > (10.0 if action == "torque" else 1.0), cause
-    late = out["slip"][len(out["slip"]) // 2 :]
-    assert np.abs(late - slip).max() < 0.02
+@pytest.mark.parametrize("slip", [0.15, 0.3])
+def test_fixed_slip_holds_its_slip_where_the_slope_asks_for_less(slip):
+    """A slope on which a wheel at a constant speed has 0.05 less slip: the wheel gains speed at the slip to hold, until
+    it is as fast as the motor lets it be."""
+    easy = uniform(noise={})
+    wheel, soil = easy.wheel, soils()["lete_sand"].state(easy.wheel.width)
+    pull = steady_state(slip - 0.05, easy.weight, soil, wheel.radius, wheel.width).drawbar_pull / easy.weight
+    scenario = uniform(grade=math.degrees(math.atan(pull)), length=20.0, noise={})
+    out, cause, _ = drive(make_controller("fixed_slip", scenario, slip=slip), scenario, scenario.steps)
+    between = (np.arange(len(out["rim"])) > 8) & (out["rim"] < 0.6)
+    assert cause == Cause.FINISHED and between.sum() >= 5
+    assert np.abs(out["slip"][between] - slip).mean() < 0.02
+    assert np.abs(out["slip"][-50:] - slip + 0.05).max() < 0.02  # at the top the slope decides
 
 
 @pytest.mark.parametrize("action", ACTIONS)
@@ -245,19 +241,6 @@ def seen(controller, speed, slip=0.0, halted=0.0):
     for name, value in (("slip", slip), ("rim_speed", speed / (1.0 - slip) / controller.top_speed), ("halted", halted)):
         batch[0, controller.column[name]] = value
     return batch
-
-
-@pytest.mark.parametrize("slip", [0.05, 0.2, 0.5])
-def test_fixed_slip_asks_for_the_rim_speed_of_its_slip(slip):
-    """(u - V)/u of the rim speed u that it asks for is its slip, but for the lead that lets it start."""
-    controller = make_controller("fixed_slip", load_scenario(), slip=slip, start=0.04)
-    for speed in (0.08, 0.2, 0.3):
-        for now in (0.0, 0.1, 0.4):
-            rim = controller.rim_speed(seen(controller, speed, now), {})[0]
-            assert 1.0 - speed / (rim - 0.2 * 0.04) == pytest.approx(slip, abs=1e-9)
-    assert controller.rim_speed(seen(controller, 0.0), {})[0] == 0.04  # starts from rest
-    assert controller.rim_speed(seen(controller, -0.5), {})[0] == 0.04  # and out of a backward slide
-    assert controller.rim_speed(seen(controller, 0.74), {})[0] <= controller.top_speed
 
 
 @pytest.mark.parametrize("action", ACTIONS)
