@@ -8,7 +8,7 @@ import yaml
 from agents.controllers import CONTROLLERS, make_controller
 from agents.evaluate import TUNING_SET, run_courses, tuning
 from agents.evaluate.tuning import Range, kept_settings, load_spaces, shipped_settings, tuned_settings
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, config_dir
 from soil_env.parameters import load_scenario
 
 pytest.importorskip("optuna")
@@ -138,11 +138,14 @@ def test_kept_settings_are_found_once(short, few, tmp_path, monkeypatch):
 # --- settings that come with the package ------------------------------------------------------------------------------
 
 
-def test_shipped_settings_serve_an_unchanged_scenario_only():
-    scenario = load_scenario("mixed")
+@pytest.mark.parametrize("name", sorted(path.stem for path in (config_dir() / tuning.TUNED).glob("*.yaml")))
+def test_shipped_settings_serve_an_unchanged_scenario_only(name):
+    act = {"control": {"action": "rim_acceleration"}}
+    scenario = load_scenario(name, act)
     shipped = shipped_settings(scenario, 200)
     assert set(shipped) == {name for name, c in CONTROLLERS.items() if c.bounds}
     assert tuned_settings(scenario, 200, ("soft_start",)) == ({"soft_start": shipped["soft_start"]}, {})
     assert shipped_settings(scenario, 10**6) == {}  # more courses than they were tuned on
-    assert shipped_settings(load_scenario("mixed", SHORT), 2) == {}
-    assert shipped_settings(load_scenario("mixed", {"reward": {"energy": 3.0}}), 2) == shipped
+    assert shipped_settings(load_scenario(name, act | {"course": {"length": 9.0}}), 2) == {}
+    assert shipped_settings(load_scenario(name, {"control": {"action": "rim_acceleration", "repeat": 2}}), 2) == {}
+    assert shipped_settings(load_scenario(name, act | {"reward": {"energy": 3.0}}), 2) == shipped
