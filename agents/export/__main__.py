@@ -11,7 +11,7 @@ before anything is written; where an action differs by more than 1e-5 nothing is
 Examples:
   python -m agents.export runs/NAME --out policy
   python policy/run_policy.py
-  python -m agents.evaluate --controllers fixed_slip,mine=policy --out evaluation
+  python -m agents.evaluate --controllers soft_start,mine=policy --out evaluation
 """
 
 from __future__ import annotations
