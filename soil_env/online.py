@@ -80,6 +80,7 @@ class Estimate:
     dig_gain_relative_sd: float
     status: Status
     renewed: bool  # whether this call solved for it again
+    borders: int  # to another soil that the filter has found; 0 with the window, which starts anew for less
 
     @property
     def valid(self) -> bool:
@@ -359,6 +360,7 @@ class OnlineIdentifier:
         return Estimate(
             math.degrees(x[0]), math.exp(x[1]), math.exp(x[2]), x[3], self.scenario.belief.dig_gain * math.exp(x[4]),
             math.degrees(sd[0]), sd[1], sd[2], sd[3], sd[4], _STATUS[self._ids.status.item(0)], renewed,
+            int(self._ids.open.borders.item(0)),
         )  # fmt: skip
 
 

@@ -73,6 +73,7 @@ OpenPoint = rows(
     "first_slip",
     "odometer",  # [m] travelled since `forget`
     "held",  # 1 once an estimate has converged on this soil
+    "borders",  # to another soil, which the filter has found since `forget`
 )
 
 
@@ -200,6 +201,8 @@ def observe(ids, k, reading, numbers):
 def _observe_by_filter(ids, k, reading, numbers):
     if not take(ids.banks, k, reading, numbers.filter):
         return False
+    if ids.banks.point.since[k] == 0.0:
+        ids.open.borders[k] += 1.0
     publish(ids.banks, k, numbers.filter, ids.estimate[k], ids.sd[k], ids.covariance[k])
     learnt = 0.0
     for i in range(2):  # friction and shear deformation modulus need a range of slip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -12,7 +13,7 @@ from soil_env.logs.mapping import LogMap
 from soil_env.online import Estimate, OnlineIdentifier, Readings, Status
 
 #: Numbers of an estimate, in the order of the columns of estimates.csv.
-ESTIMATED = tuple(n for n in Estimate.__dataclass_fields__ if n not in ("status", "renewed"))
+ESTIMATED = tuple(n for n in Estimate.__dataclass_fields__ if n not in ("status", "renewed", "borders"))
 COLUMNS = (*ESTIMATED, "drawbar_margin", "torque_required")
 _LEARNT = 0.8  # sd over prior sd, below which something was learnt
 
@@ -25,19 +26,26 @@ class Replay:
     values: dict[str, np.ndarray]  # [N] each, by `COLUMNS`; the last two NaN before the first estimate
     status: np.ndarray  # [N] `Status`
     renewed: np.ndarray  # [N] bool: solved for in this step
+    ground: np.ndarray  # [N] int from 1: one more at each border to another soil that was found, and at each restart
     prior: Estimate
     method: str  # of the belief: "filter", "window"
     restarts: int  # because of gaps
     warnings: list[str]
 
     def csv(self) -> str:
-        """One line a step: time, estimate, standard deviations, margin, status."""
-        lines = [",".join(("time", *COLUMNS, "status", "renewed"))]
+        """One line a step: time, estimate, standard deviations, margin, status, ground."""
+        lines = [",".join(("time", *COLUMNS, "status", "renewed", "ground"))]
         columns = zip(*(self.values[n].tolist() for n in COLUMNS), strict=True)
-        for t, row, status, new in zip(self.time.tolist(), columns, self.status.tolist(), self.renewed, strict=True):
+        states = zip(self.status.tolist(), self.renewed, self.ground, strict=True)
+        for t, row, (status, new, ground) in zip(self.time.tolist(), columns, states, strict=True):
             cells = ["" if x != x else f"{x:.8g}" for x in row]
-            lines.append(f"{t:.9g},{','.join(cells)},{Status(status).name},{int(new)}")
+            lines.append(f"{t:.9g},{','.join(cells)},{Status(status).name},{int(new)},{ground}")
         return "\n".join(lines) + "\n"
+
+    def last_on(self, ground: int) -> dict[str, float] | None:
+        """The last current estimate on a ground, by `COLUMNS`; None where there was none."""
+        current = np.flatnonzero((self.ground == ground) & (self.status == Status.CONVERGED))
+        return {name: float(values[current[-1]]) for name, values in self.values.items()} if current.size else None
 
     def learnt(self) -> dict[str, float]:
         """Least standard deviation over that of the prior, for each parameter: 1 where nothing was learnt."""
@@ -65,22 +73,30 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     """Give the readings of a log to the online identifier, step by step.
 
     After a gap of more than `restart_gap` it starts from the prior again. The drawbar margin and the torque required
-    are those of `OnlineIdentifier.traversability`, renewed with the estimate.
+    are those of `OnlineIdentifier.traversability`, renewed with the estimate. Borders are those that the filter finds,
+    also where the belief asks for the window, which starts anew more often than the soil changes.
     """
     identifier = identifier_of(log_map)
+    by_filter = dataclasses.replace(log_map, belief=dataclasses.replace(log_map.belief, method="filter"))
+    finder = identifier if log_map.belief.method == "filter" else identifier_of(by_filter)
     prior, size = identifier.estimate, len(log)
-    status, renewed = np.zeros(size, np.int64), np.zeros(size, bool)
+    status, renewed, ground = np.zeros(size, np.int64), np.zeros(size, bool), np.ones(size, np.int64)
     names = [n for n in Readings._fields if n in log.readings]
     rows = np.column_stack([log.readings[n] for n in names]).tolist()
     loads, pitches = (log.readings.get(n, np.full(size, math.nan)).tolist() for n in ("load", "pitch"))
-    restarts, last, numbers = 0, math.nan, _numbers(prior, math.nan, math.nan)
+    restarts, before, last, numbers = 0, 0, math.nan, _numbers(prior, math.nan, math.nan)
     table = np.empty((size, len(COLUMNS)))
     for k, (t, row) in enumerate(zip(log.time.tolist(), rows, strict=True)):
         if t - last > log_map.restart_gap:
+            before += finder.estimate.borders
             identifier.reset()
+            finder.reset()
             restarts += 1
             numbers = _numbers(prior, math.nan, math.nan)
-        e = identifier.update(Readings(**dict(zip(names, row, strict=True)), time=t))
+        reading = Readings(**dict(zip(names, row, strict=True)), time=t)
+        e = identifier.update(reading)
+        found = e if finder is identifier else finder.update(reading)
+        ground[k] = 1 + restarts + before + found.borders
         if e.renewed:
             load, pitch = loads[k], pitches[k] if pitches[k] == pitches[k] else 0.0
             way = identifier.traversability(None if load != load else load, pitch)
@@ -90,7 +106,22 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     warnings = _impassable(log, values["drawbar_margin"], status)
     if restarts:
         warnings.insert(0, f"Started anew {restarts} times, after gaps of more than {log_map.restart_gap:g} s")
-    return Replay(log.time, values, status, renewed, prior, log_map.belief.method, restarts, warnings)
+    return Replay(log.time, values, status, renewed, _stretches(log, log_map, ground), prior, log_map.belief.method, restarts, warnings)
+
+
+def _stretches(log: Aligned, log_map: LogMap, ground: np.ndarray) -> np.ndarray:
+    """`ground` [N] numbered anew from 1, a stretch shorter than two borders being a part of the next.
+
+    A soil that the belief does not expect is found out of it twice, and so is a border that is long.
+    """
+    where, out = log.travelled(log_map.wheel.radius), np.zeros(len(log), np.int64)
+    begins, number = 0, 1
+    for k in [*(np.flatnonzero(np.diff(ground)) + 1).tolist(), len(log)]:
+        whole = k == len(log) or log.time[k] - log.time[k - 1] > log_map.restart_gap
+        if whole or where[k - 1] - where[begins] >= 2.0 * log_map.belief.border:
+            out[begins:k] = number
+            begins, number = k, number + 1
+    return out
 
 
 def _numbers(e: Estimate, margin: float, torque: float) -> list[float]:
