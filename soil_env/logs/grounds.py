@@ -1,7 +1,8 @@
 """Steady points by ground: which may be fitted together, and the tables and setups that are written of them.
 
 Points of several soils are no single soil: a fit to all of them is that of none, and what is left over looks like an
-effect. Where the filter found borders, each ground has a table of its own; `steady.csv` has all points, marked by `run`.
+effect. Where the filter found borders, each ground has a table of its own; `steady.csv` has all points, and the column
+`run` says of which ground.
 
 The priors in a setup are those of the belief, not the online estimate, which was made of the same readings. The gain of
 slip-sinkage, which a setup takes as known or not at all, is the online one of that ground.
@@ -129,15 +130,13 @@ def advice(grounds: list[Ground], steady: Steady) -> list[str]:
     if steady.reason:
         return [f"No measurement table: {steady.reason}."]
     count = f"{len(steady.rows)} steady points in steady.csv"
-    noise = (
-        "The noise in the setup is the scatter within the stretches; what differs from place to place comes on top."
-    )
+    noise = "The noise in the setup is the scatter within the stretches; what differs from place to place comes on top."
     if len(grounds) == 1:
         return [f"{count}, all on one ground as far as the filter can tell, with setup.yaml beside it. {noise}"]
     changes = ", ".join(f"{g.begin:.1f}" for g in grounds[1:])
     lines = [
-        f"{count}, on {len(grounds)} grounds: the soil changes at {changes} s, as the filter found. Several soils cannot "
-        "be fitted as one: fit one ground at a time."
+        f"{count}, on {len(grounds)} grounds: the soil changes at {changes} s, as the filter found. Several "
+        "soils cannot be fitted as one: fit one ground at a time."
     ]
     for table, _, g in tables(grounds, steady):
         lines.append(
@@ -146,7 +145,8 @@ def advice(grounds: list[Ground], steady: Steady) -> list[str]:
     few = ", ".join(str(g.number) for g in grounds if g.points.reason)
     if few:
         lines.append(
-            f"Too few points for a table on ground {few}: hold two wheel speeds or more, each for a second, on one ground."
+            f"Too few points for a table on ground {few}: hold two wheel speeds or more, each for a second, on "
+            "one ground."
         )
     return [*lines, noise]
 

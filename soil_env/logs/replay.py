@@ -16,6 +16,7 @@ from soil_env.online import Estimate, OnlineIdentifier, Readings, Status
 ESTIMATED = tuple(n for n in Estimate.__dataclass_fields__ if n not in ("status", "renewed", "borders"))
 COLUMNS = (*ESTIMATED, "drawbar_margin", "torque_required")
 _LEARNT = 0.8  # sd over prior sd, below which something was learnt
+_CONTRADICTS = 0.2  # share of the steps with status MISFIT, beyond which it is told
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +48,15 @@ class Replay:
         current = np.flatnonzero((self.ground == ground) & (self.status == Status.CONVERGED))
         return {name: float(values[current[-1]]) for name, values in self.values.items()} if current.size else None
 
-    def learnt(self) -> dict[str, float]:
-        """Least standard deviation over that of the prior, for each parameter: 1 where nothing was learnt."""
+    def learnt(self, current: bool = False) -> dict[str, float]:
+        """Least standard deviation over that of the prior, for each parameter: 1 where nothing was learnt.
+
+        Of the estimates that the readings do not contradict; `current`: of those with status CONVERGED.
+        """
+        kept = self.status == Status.CONVERGED
+        kept = kept if current else kept | (self.status == Status.NOT_EXCITED)
         return {
-            name: float(np.min(self.values[sd])) / getattr(self.prior, sd)
+            name: float(np.min(self.values[sd], where=kept, initial=getattr(self.prior, sd))) / getattr(self.prior, sd)
             for name, sd in {
                 "friction_angle_deg": "friction_angle_sd_deg",
                 "shear_modulus": "shear_modulus_relative_sd",
@@ -106,7 +112,8 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     warnings = _impassable(log, values["drawbar_margin"], status)
     if restarts:
         warnings.insert(0, f"Started anew {restarts} times, after gaps of more than {log_map.restart_gap:g} s")
-    return Replay(log.time, values, status, renewed, _stretches(log, log_map, ground), prior, log_map.belief.method, restarts, warnings)
+    ground = _stretches(log, log_map, ground)
+    return Replay(log.time, values, status, renewed, ground, prior, log_map.belief.method, restarts, warnings)
 
 
 def _stretches(log: Aligned, log_map: LogMap, ground: np.ndarray) -> np.ndarray:
@@ -182,10 +189,17 @@ def what_can_be_told(found: Replay, measured: set[str]) -> list[str]:
     if "slip" not in measured:
         lines.append("The slip follows from wheel and travel speed; an error of the wheel radius is an offset of it.")
     names = {"friction_angle_deg": "friction angle", "shear_modulus": "K", "sinkage_coefficient": "S"}
-    shares = found.learnt()
+    shares, current = found.learnt(), found.learnt(current=True)
     for name, words in names.items():
-        told = "told" if shares[name] < _LEARNT else "not told: this is the prior"
+        told = "told" if current[name] < _LEARNT else "not told: this is the prior"
+        if shares[name] < _LEARNT <= current[name]:
+            told = "narrowed, by estimates that were never current (no range of slip, or readings that contradict)"
         lines.append(f"{words}: {told} (standard deviation at best {shares[name]:.2f} of the prior's)")
-    valid = float(np.mean(found.status == Status.CONVERGED)) if found.status.size else 0.0
-    lines.append(f"The estimate was current in {100.0 * valid:.0f} % of the steps.")
+    share = {s: float(np.mean(found.status == s)) if found.status.size else 0.0 for s in Status}
+    lines.append(f"The estimate was current in {100.0 * share[Status.CONVERGED]:.0f} % of the steps.")
+    if share[Status.MISFIT] > _CONTRADICTS:
+        lines.append(
+            f"In {100.0 * share[Status.MISFIT]:.0f} % of the steps the readings were further from what the model "
+            "predicts than their errors explain: a wrong unit, sign or wheel in the map, or a wheel that is another."
+        )
     return lines

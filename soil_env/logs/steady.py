@@ -93,7 +93,8 @@ def _reason(rows: list[dict[str, float | str]]) -> str:
         return "no stretch of the log is steady enough (windows in map.yaml) and has sinkage, pull or torque"
     slip = [float(row["slip"]) for row in rows]
     if max(slip) - min(slip) < _LEAST_SPREAD:
-        return f"{len(rows)} steady point{'s' * (len(rows) > 1)} of one slip: a measurement table has at least two slips"
+        many = "1 steady point" if len(rows) == 1 else f"{len(rows)} steady points of one slip"
+        return f"{many}: a measurement table has at least two slips"
     return ""
 
 

@@ -123,6 +123,18 @@ def test_what_is_told_is_what_was_learnt(log_map, method):
     assert ("follows" in said) == (method == "filter")
 
 
+def test_nothing_is_told_by_readings_that_contradict(log_map):
+    """A wheel speed in rpm that is taken for rad/s: no estimate is current, and no parameter is said to be told."""
+    log = made(log_map, [(s, 2.0) for s in (0.1, 0.4, 0.2, 0.6)], noise=1.0)
+    good, measured = replay(log, log_map), set(log.readings)
+    assert sum(": told" in line for line in what_can_be_told(good, measured)) >= 2
+    log.readings["wheel_speed"] = log.readings["wheel_speed"] * 30.0 / math.pi
+    wrong = replay(log, log_map)
+    assert not np.any(wrong.status == wrong.prior.status.CONVERGED)
+    said = what_can_be_told(wrong, measured)
+    assert not any(": told" in line for line in said) and any("0 % of the steps" in line for line in said)
+
+
 def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
     """As the identifier of tables reads them: the same mean and standard deviation, of K and S in their logarithm."""
     log_map = without_digging
