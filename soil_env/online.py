@@ -407,7 +407,7 @@ class OnlineIdentifier:
         return Estimate(
             math.degrees(x[0]), math.exp(x[1]), math.exp(x[2]), x[3], self.scenario.belief.dig_gain * math.exp(x[4]),
             math.degrees(sd[0]), sd[1], sd[2], sd[3], sd[4], _STATUS[self._ids.status.item(0)], renewed,
-            int(self._ids.open.borders.item(0)),
+            int(self._ids.borders[0]),
         )  # fmt: skip
 
 

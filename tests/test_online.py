@@ -20,7 +20,7 @@ from soil_env.simulation.dynamics import STEP, advance
 from soil_env.simulation.sensors import sense
 from soil_env.simulation.worlds import Simulation
 
-WHEEL, NONE = wheels()["planetary_rover"], Belief()
+WHEEL, BELIEF = wheels()["planetary_rover"], Belief()
 
 
 METHODS = ("filter", "window")
@@ -292,7 +292,7 @@ def test_bad_readings_are_refused_and_leave_no_trace(wrong):
         assert a == b
 
 
-@pytest.mark.parametrize("arguments", [("planetary_rover",), (None,), (WHEEL, {"method": "window"}), (WHEEL, NONE, 3)])
+@pytest.mark.parametrize("arguments", [("planetary_rover",), (None,), (WHEEL, {"method": "window"}), (WHEEL, BELIEF, 3)])
 def test_arguments_of_another_type_are_named(arguments):
     with pytest.raises(TypeError, match="^(wheel|belief|noise) = .*: expected a "):
         OnlineIdentifier(*arguments)

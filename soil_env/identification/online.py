@@ -73,7 +73,6 @@ OpenPoint = rows(
     "first_slip",
     "odometer",  # [m] travelled since `forget`
     "held",  # 1 once an estimate has converged on this soil
-    "borders",  # to another soil, which the filter has found since `forget`
 )
 
 
@@ -107,6 +106,7 @@ class Identifiers(NamedTuple):
     covariance: np.ndarray  # [wheels, 5, 5] of it
     condition: np.ndarray  # [wheels] largest posterior over prior standard deviation (1 = nothing learnt)
     banks: FilterBanks  # of the method "filter"
+    borders: np.ndarray  # [wheels] to another soil that the filter has found since `forget`
 
 
 class IdentifierNumbers(NamedTuple):
@@ -172,13 +172,14 @@ def new_identifiers(wheels: int) -> Identifiers:
         np.zeros((wheels, SIZE, SIZE)),
         np.ones(wheels),
         new_banks(wheels),
+        np.zeros(wheels, dtype=np.int64),
     )
 
 
 @part
 def forget(ids, k, numbers):
     """Set identifier k back to its prior."""
-    ids.count[k] = 0
+    ids.count[k] = ids.borders[k] = 0
     zero_column(ids.open, k)
     zero_column(ids.digging, k)
     for i in range(SIZE):
@@ -202,7 +203,7 @@ def _observe_by_filter(ids, k, reading, numbers):
     if not take(ids.banks, k, reading, numbers.filter):
         return False
     if ids.banks.point.since[k] == 0.0:
-        ids.open.borders[k] += 1.0
+        ids.borders[k] += 1
     publish(ids.banks, k, numbers.filter, ids.estimate[k], ids.sd[k], ids.covariance[k])
     learnt = 0.0
     for i in range(2):  # friction and shear deformation modulus need a range of slip
