@@ -292,7 +292,9 @@ def test_bad_readings_are_refused_and_leave_no_trace(wrong):
         assert a == b
 
 
-@pytest.mark.parametrize("arguments", [("planetary_rover",), (None,), (WHEEL, {"method": "window"}), (WHEEL, BELIEF, 3)])
+@pytest.mark.parametrize(
+    "arguments", [("planetary_rover",), (None,), (WHEEL, {"method": "window"}), (WHEEL, BELIEF, 3)]
+)
 def test_arguments_of_another_type_are_named(arguments):
     with pytest.raises(TypeError, match="^(wheel|belief|noise) = .*: expected a "):
         OnlineIdentifier(*arguments)

@@ -133,7 +133,7 @@ def load(cls, mapping, where: str = ""):
         if where == cls.__name__:
             raise
         text = text.removeprefix(own).removeprefix(f"{cls.__name__}: ")
-        of_key = re.match(r"\w+( = |: expected)", text)
+        of_key = re.match(r"[\w.]+( = |: expected)", text)
         raise ParameterError(_below(where, text) if of_key else f"{where}: {text}") from None
 
 
