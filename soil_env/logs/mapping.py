@@ -208,9 +208,8 @@ class LogMap(Checked):
                 unit = scale.get(name, 1.0) / abs(factor(name, source))
                 sd[name] = source.sd / unit
                 if sd[name] > most[name]["high"]:
-                    raise ParameterError(
-                        f"channels.{name}.sd = {source.sd:g}: expected at most {most[name]['high'] * unit:g}, in its unit"
-                    )
+                    limit = most[name]["high"] * unit
+                    raise ParameterError(f"channels.{name}.sd = {source.sd:g}: expected at most {limit:g}, in its unit")
         return Noise(**sd)
 
 
