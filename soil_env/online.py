@@ -123,12 +123,12 @@ class Traversability(NamedTuple):
     passable: bool
 
 
-@root(nogil=True)  # type: ignore[untyped-decorator]
+@root(nogil=True)
 def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
     forget(ids, 0, numbers)
 
 
-@root(nogil=True)  # type: ignore[untyped-decorator]
+@root(nogil=True)
 def _take(ids: Identifiers, values: np.ndarray, limits: np.ndarray, numbers: IdentifierNumbers) -> int:
     """1 if `values` [10], in the order of `SensorReading`, renewed the estimate, 0 if not, -1 if one is too large."""
     for i in range(values.size):
@@ -144,7 +144,7 @@ def _take(ids: Identifiers, values: np.ndarray, limits: np.ndarray, numbers: Ide
     return 1 if observe(ids, 0, reading, numbers) else 0
 
 
-@root(nogil=True)  # type: ignore[untyped-decorator]
+@root(nogil=True)
 def _fill_slips(rim_speed: np.ndarray, speed: np.ndarray, out: np.ndarray) -> None:
     for i in range(out.size):
         out[i] = slip_ratio(rim_speed[i], speed[i], REST_SPEED)

@@ -12,6 +12,7 @@ any other. `scratch_rows(State, n)` are rows on the stack.
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -39,20 +40,20 @@ class Rows:
 
     __slots__ = ("_memory", "count", "data")
     NAMES: tuple[str, ...] = ()
-    KIND = np.float64
+    KIND: type = np.float64
 
-    def __init__(self, count: int, data: np.ndarray | None = None):
+    def __init__(self, count: int, data: np.ndarray | None = None) -> None:
         columns = -(-count // COUNT) * COUNT
         self.count = count
         self.data = np.zeros((len(self.NAMES), columns), self.KIND) if data is None else data
         self._memory = self.data.ctypes.data, self.data.shape[1]  # address, columns
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> np.ndarray:
         if name.startswith("__") or name not in self.NAMES:
             raise AttributeError(f"{type(self).__name__} has no row {name!r}: expected one of {', '.join(self.NAMES)}")
         return self.data[self.NAMES.index(name), : self.count if COMPILED else None]
 
-    def __setattr__(self, name, value):
+    def __setattr__(self, name: str, value: Any) -> None:
         if name in self.NAMES:
             self.data[self.NAMES.index(name), : self.count] = value
         else:
@@ -85,7 +86,7 @@ class Rows:
         return type(self), (self.count, self.data)
 
 
-def rows(name: str, *names: str, kind=np.float64) -> type[Rows]:
+def rows(name: str, *names: str, kind: type = np.float64) -> type[Rows]:
     """A class of `Rows` with these names; `kind`: float64 or int64."""
     module = sys._getframe(1).f_globals["__name__"]
     return type(name, (Rows,), {"__slots__": (), "NAMES": names, "KIND": kind, "__module__": module})

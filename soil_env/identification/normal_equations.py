@@ -12,7 +12,7 @@ from typing import NamedTuple
 from soil_env._numba.compiling import inlined
 from soil_env._numba.elementary import exp, half_sin_cos, log
 from soil_env._numba.lanes import COUNT, fill, first, from_array, lane, made_of, to_array, totals
-from soil_env._numba.rows import rows
+from soil_env._numba.rows import Rows, rows
 from soil_env.identification.point import channels, channels_at, dot, weights, whitened
 from soil_env.terramechanics.arc_integrals import (
     NODE_COLUMNS,
@@ -34,7 +34,7 @@ COHESION, GAIN = 3, 4
 # --- points, eight at a time ------------------------------------------------------------------------------------------
 
 #: What does not depend on the unknowns, of points in blocks of eight: as `arc_integrals.store_nodes` leaves their arcs.
-Prepared = rows("Prepared", "travel", *ArcFrame._fields)
+Prepared: type[Rows] = rows("Prepared", "travel", *ArcFrame._fields)
 
 
 class Workspace(NamedTuple):
