@@ -44,7 +44,7 @@ _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 class Part:
     """A function of compiled code, which Python may call too; `py_func` is its source as a Python function."""
 
-    def __init__(self, function, inline: bool):
+    def __init__(self, function, inline: bool) -> None:
         update_wrapper(self, function)
         self.py_func = function
         self._root = None
@@ -118,7 +118,7 @@ class FastCall:
     the same types as the first; nothing checks that.
     """
 
-    def __init__(self, function):
+    def __init__(self, function) -> None:
         self._function, self._code = function, None if COMPILED else function
 
     def __call__(self, *arguments):

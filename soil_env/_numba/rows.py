@@ -44,8 +44,8 @@ class Rows:
 
     def __init__(self, count: int, data: np.ndarray | None = None) -> None:
         columns = -(-count // COUNT) * COUNT
-        self.count = count
-        self.data = np.zeros((len(self.NAMES), columns), self.KIND) if data is None else data
+        self.count: int = count
+        self.data: np.ndarray = np.zeros((len(self.NAMES), columns), self.KIND) if data is None else data
         self._memory = self.data.ctypes.data, self.data.shape[1]  # address, columns
 
     def __getattr__(self, name: str) -> np.ndarray:
@@ -59,19 +59,19 @@ class Rows:
         else:
             super().__setattr__(name, value)
 
-    def __getitem__(self, which):
+    def __getitem__(self, which: Any) -> Any:
         """The row of a name, or all quantities at one index as a dict."""
         if isinstance(which, str):
             return self.data[self.NAMES.index(which), : self.count]
         return dict(zip(self.NAMES, self.data[:, : self.count][:, which].tolist(), strict=True))
 
-    def __setitem__(self, name: str, value):
+    def __setitem__(self, name: str, value: Any) -> None:
         self.data[self.NAMES.index(name), : self.count] = value
 
-    def __len__(self):
+    def __len__(self) -> int:
         return self.count
 
-    def copy(self):
+    def copy(self) -> Rows:
         """Rows of their own with the same numbers."""
         return type(self)(self.count, self.data.copy())
 
@@ -79,10 +79,10 @@ class Rows:
         """All numbers."""
         return self.data.tobytes()
 
-    def __deepcopy__(self, memo):
+    def __deepcopy__(self, memo: Any) -> Rows:
         return self.copy()
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.count, self.data)
 
 
@@ -96,7 +96,7 @@ def rows(name: str, *names: str, kind: type = np.float64) -> type[Rows]:
 
 
 class _RowsType(types.Type):
-    def __init__(self, cls):
+    def __init__(self, cls) -> None:
         self.cls = cls
         super().__init__(name=f"{cls.__module__}.{cls.__qualname__}{cls.NAMES}")
 
@@ -107,7 +107,7 @@ class _RowsType(types.Type):
 
 @register_model(_RowsType)
 class _RowsModel(models.StructModel):
-    def __init__(self, manager, fe_type):
+    def __init__(self, manager, fe_type) -> None:
         super().__init__(manager, fe_type, [("pointer", types.voidptr), ("columns", types.intp)])
 
 

@@ -7,7 +7,7 @@ paper's Simpson rule and its Eq. (12).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from soil_env._numba.compiling import inlined
 from soil_env._numba.elementary import exp, half_sin_cos, log
@@ -40,8 +40,8 @@ Prepared: type[Rows] = rows("Prepared", "travel", *ArcFrame._fields)
 class Workspace(NamedTuple):
     """Memory of the iteration for so many points."""
 
-    prepared: Prepared
-    nodes: Nodes
+    prepared: Rows  # Prepared
+    nodes: Rows  # Nodes
 
 
 def workspace(points: int) -> Workspace:
@@ -96,11 +96,11 @@ def _soil_of(x):
 class Whitened(NamedTuple):
     """Of points: the misfit and its derivatives by the unknowns, each of three channels, whitened."""
 
-    misfit: tuple
-    phi: tuple
-    K: tuple
-    S: tuple
-    c: tuple
+    misfit: tuple[Any, ...]
+    phi: tuple[Any, ...]
+    K: tuple[Any, ...]
+    S: tuple[Any, ...]
+    c: tuple[Any, ...]
     by_gain: float  # d ln S_effective / d ln g: the derivative by the gain is this share of that by ln S
 
 

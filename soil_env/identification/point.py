@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -63,10 +63,10 @@ class Channels(NamedTuple):
     pull: float
     load: float
     torque: float
-    by_phi: tuple
-    by_K: tuple
-    by_S: tuple
-    by_c: tuple
+    by_phi: tuple[Any, ...]
+    by_K: tuple[Any, ...]
+    by_S: tuple[Any, ...]
+    by_c: tuple[Any, ...]
 
 
 @inlined

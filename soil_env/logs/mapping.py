@@ -9,7 +9,7 @@ import dataclasses
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, read_yaml, to_dict, unknown_key
 from soil_env.measurement.setup import LARGEST_WHEEL, setup_of
@@ -183,7 +183,7 @@ class LogMap(Checked):
     gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81)
     relaxation: float = quantity("wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts")
     belief: Belief = Belief()  # noqa: RUF009 (frozen)
-    soil: dict = dataclasses.field(default_factory=dict)  # what is known of it, for setup.yaml
+    soil: dict[str, Any] = dataclasses.field(default_factory=dict)  # what is known of it, for setup.yaml
     windows: Windows = Windows()  # noqa: RUF009
 
     def __post_init__(self) -> None:
