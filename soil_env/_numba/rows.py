@@ -31,6 +31,7 @@ from numba.extending import (
 )
 from numba.np.arrayobj import make_array, populate_array
 
+from soil_env._numba import interpreted
 from soil_env._numba.compiling import COMPILED
 from soil_env._numba.lanes import COUNT
 
@@ -148,7 +149,7 @@ def _row(context, builder, typ, value, name):
 def scratch_rows(cls: type[Rows], columns: int):
     """A compiled function without arguments that returns rows on the stack of its caller, not set to anything."""
     if not COMPILED:
-        return lambda: cls(columns)
+        return lambda: cls(columns, np.full((len(cls.NAMES), columns), interpreted.UNSET).astype(cls.KIND))
     if columns % COUNT:
         raise ValueError(f"scratch_rows: {columns} columns: expected a multiple of {COUNT}")
 
