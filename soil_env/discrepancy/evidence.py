@@ -91,12 +91,15 @@ def noise_scales(freedom: float) -> np.ndarray:
 def weigh(problem: Problem, fit: Fit, plain: Evidence | None = None) -> Evidence:
     """`Evidence` of a fit, linearised about it; with `plain`, its evidence, with an anonymous contribution as well."""
     sizes, log_prior = grid(bool(fit.choices)) if plain is None else free_grid(problem, plain)
-    errors = (*fit.law, fit.effect) if plain is None else (*fit.law, fit.effect, *fit.free)
-    table = np.array([(*s.laws, s.effect, *s.free) for s in sizes])[:, : len(errors)]
+    if plain is None:
+        errors, first, table = (fit.effect, *fit.law), 1, np.array([(s.effect, *s.laws) for s in sizes])
+    else:
+        errors, first = (fit.effect, *fit.law, *fit.free), 1 + len(fit.law)
+        table = np.array([(s.effect, *s.laws, *s.free) for s in sizes])
     parts = []
     for noise in noise_scales(problem.freedom):
         blocks = [b / noise for b in errors]
-        log, mean, covariance = marginals(fit.jacobian / noise, blocks, table, fit.residual / noise, fit.u)
+        log, mean, covariance = marginals(fit.jacobian / noise, blocks, table, fit.residual / noise, fit.u, first)
         log += log_prior - fit.residual.size * math.log(noise) + _allowed(fit, mean, covariance)
         parts.append((log, mean, covariance))
     log, mean, covariance = (np.concatenate(x) for x in zip(*parts, strict=True))
