@@ -29,6 +29,8 @@ EFFECT_SIZES, EFFECT_PRIOR = (0.03, 0.12, 0.3), (0.35, 0.5, 0.15)
 #: Sizes of an anonymous contribution to a channel, relative to its root mean square; each as probable as another, and
 #: each set of channels as another.
 FREE_SIZES = (0.03, 0.15, 0.5)
+#: Scatter of the values over the noise where each row has a soil of its own: one more kind of anonymous contribution.
+SCATTERS = (1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)
 _LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it
 _NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
 _ROUNDS = 2  # of fit and sizes in turn
@@ -67,7 +69,10 @@ def grid(effects: bool) -> tuple[list[Sizes], np.ndarray]:
 
 
 def free_grid(problem: Problem, plain: Evidence) -> tuple[list[Sizes], np.ndarray]:
-    """`grid` with an anonymous contribution to one measured channel or more, beside the likely sizes of the others."""
+    """`grid` with an anonymous contribution to one measured channel or more, or to every row by itself.
+
+    Beside it are the likely sizes of the other form errors.
+    """
     likely = sorted(plain.share, key=lambda s: -plain.share[s])
     likely = list(dict.fromkeys([*likely[:_LIKELY], *(s._replace(law=law) for s in likely[:1] for law in _COARSE)]))
     prior = dict(zip(*grid(bool(plain.fit.choices)), strict=True))
@@ -75,10 +80,11 @@ def free_grid(problem: Problem, plain: Evidence) -> tuple[list[Sizes], np.ndarra
     measured = problem.used.any(axis=0)
     options = [(0.0, *FREE_SIZES) if m else (0.0,) for m in measured]
     free = [f for f in product(*options) if any(f)]
-    cost = np.array([-math.log(len(FREE_SIZES)) * np.count_nonzero(f) for f in free])
+    cost = [-math.log(len(FREE_SIZES)) * np.count_nonzero(f) for f in free]
+    cost = np.array(cost + [-math.log(len(SCATTERS))] * len(SCATTERS))
     cost -= logsumexp(cost)
-    points = [s._replace(free=f) for s in likely for f in free]
-    return points, ((log - logsumexp(log))[:, None] + cost).ravel()
+    points = [[*(s._replace(free=f) for f in free), *(s._replace(scatter=x) for x in SCATTERS)] for s in likely]
+    return sum(points, []), ((log - logsumexp(log))[:, None] + cost).ravel()
 
 
 def noise_scales(freedom: float) -> np.ndarray:
@@ -96,17 +102,21 @@ def weigh(problem: Problem, fit: Fit, plain: Evidence | None = None) -> Evidence
     else:
         errors, first = (fit.effect, *fit.law, *fit.free), 1 + len(fit.law)
         table = np.array([(s.effect, *s.laws, *s.free) for s in sizes])
-    parts = []
-    for noise in noise_scales(problem.freedom):
-        blocks = [b / noise for b in errors]
-        log, mean, covariance = marginals(fit.jacobian / noise, blocks, table, fit.residual / noise, fit.u, first)
-        log += log_prior - fit.residual.size * math.log(noise) + _allowed(fit, mean, covariance)
-        parts.append((log, mean, covariance))
-    log, mean, covariance = (np.concatenate(x) for x in zip(*parts, strict=True))
+    scatter, p = np.array([s.scatter for s in sizes]), fit.u.size
+    scales = noise_scales(problem.freedom)
+    log, mean, covariance = (np.empty((len(scales), len(sizes), *more)) for more in ((), (p,), (p, p)))
+    for k, noise in enumerate(scales):
+        for more in np.unique(scatter):
+            at, sd = scatter == more, noise * more
+            blocks = [b / sd for b in errors]
+            told = marginals(fit.jacobian / sd, blocks, table[at], fit.residual / sd, fit.u, first)
+            log[k, at] = told[0] + log_prior[at] - fit.residual.size * math.log(sd) + _allowed(fit, *told[1:])
+            mean[k, at], covariance[k, at] = told[1:]
+    log, mean, covariance = (x.reshape(-1, *x.shape[2:]) for x in (log, mean, covariance))
     total = float(logsumexp(log))
     share = np.exp(log - total)
-    of = dict(zip(sizes, share.reshape(len(parts), -1).sum(axis=0).tolist(), strict=True))
-    return Evidence(fit, total - math.log(len(parts)), max(of, key=of.get), of, *mixed(share, mean, covariance))
+    of = dict(zip(sizes, share.reshape(len(scales), -1).sum(axis=0).tolist(), strict=True))
+    return Evidence(fit, total - math.log(len(scales)), max(of, key=of.get), of, *mixed(share, mean, covariance))
 
 
 def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -148,6 +158,18 @@ def settle(problem: Problem, choices: tuple[Choice, ...], near: Evidence | None 
     return best
 
 
+def anonymous(problem: Problem, plain: Evidence) -> Evidence:
+    """Evidence of a model with an anonymous contribution beside it; fitted anew where that is scatter.
+
+    Without scatter its parameters had to explain it, and are far from what they are with it.
+    """
+    free = weigh(problem, plain.fit, plain)
+    if free.sizes.scatter == 1.0:
+        return free
+    again = weigh(problem, problem.fit(plain.fit.choices, None, free.sizes, plain.fit), plain)
+    return max(free, again, key=lambda e: e.log)
+
+
 class _Further:
     """Strengths of further effects beside a fitted model as linear unknowns [M, K], under each size of the law's error.
 
@@ -176,17 +198,18 @@ class _Further:
         self.own_gram, self.own_along = self.columns.T @ self.columns, self.columns.T @ first.fit.residual
 
     def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
-        """(log evidence of the model alone, normal [K, K], pull [K]) at a size of the law's error."""
-        fit = self.fit
-        d = np.repeat([1.0, *sizes.laws, self.effect], self.width)
+        """(log evidence of the model alone, normal [K, K], pull [K]) at a size of the law's error, and scatter."""
+        fit, noise = self.fit, sizes.scatter
+        d = np.repeat([1.0, *sizes.laws, self.effect], self.width) / noise
         seen = d > 0.0
         start, d = np.concatenate([fit.u, np.zeros(d.size - fit.u.size)])[seen], d[seen]
         factor = cholesky(d[:, None] * self.gram[np.ix_(seen, seen)] * d + np.eye(d.size), lower=True)
-        right = np.column_stack([d * self.along[seen] - start, d[:, None] * self.cross[seen]])
+        right = np.column_stack([d * self.along[seen] / noise - start, d[:, None] * self.cross[seen] / noise])
         half = solve_triangular(factor, right, lower=True)
-        square = fit.residual @ fit.residual + fit.u @ fit.u - half[:, 0] @ half[:, 0]
-        normal = self.own_gram - half[:, 1:].T @ half[:, 1:]
-        return -0.5 * square - np.sum(np.log(np.diag(factor))), normal, self.own_along - half[:, 1:].T @ half[:, 0]
+        square = fit.residual @ fit.residual / noise**2 + fit.u @ fit.u - half[:, 0] @ half[:, 0]
+        log = -0.5 * square - np.sum(np.log(np.diag(factor))) - fit.residual.size * math.log(noise)
+        normal, pull = self.own_gram / noise**2, self.own_along / noise**2
+        return log, normal - half[:, 1:].T @ half[:, 1:], pull - half[:, 1:].T @ half[:, 0]
 
 
 def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[float]:
