@@ -63,6 +63,8 @@ class Sizes(NamedTuple):
     free: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of an anonymous contribution, relative to the channel's rms
     span: int = 0  # of `form_error.SPANS`, that of the base law's error
     scatter: float = 1.0  # of every value by itself about the model, over the noise: more than 1 if soils vary by row
+    pattern: str = ""  # an anonymous contribution of one condition in one place (`anonymous.patterns`)
+    part: float = 0.0  # its size, relative to what it changes
 
     @property
     def laws(self) -> tuple[float, ...]:
@@ -313,9 +315,9 @@ class Problem:
         residual = np.where(np.isfinite(residual), residual, 1e3)
         added = self.added(values, choices, output, guess)
         law, effect = self.form_errors(values, choices, output, added, guess)
-        free = [self._block(_in_channel(self.free_functions, self.size[j] * unit)) for j, unit in enumerate(np.eye(3))]
+        free = [self.block(_in_channel(self.free_functions, self.size[j] * unit)) for j, unit in enumerate(np.eye(3))]
         return Fit(choices, unknowns, u, output, added, residual, self.derivatives(unknowns, u, choices, guess),
-                   tuple(map(self._block, law)), self._block(effect), tuple(free), converged, sizes)  # fmt: skip
+                   tuple(map(self.block, law)), self.block(effect), tuple(free), converged, sizes)  # fmt: skip
 
     def added(self, values, choices, output, guess) -> tuple[np.ndarray, ...]:
         """[N, 3] what each effect adds to the output."""
@@ -355,7 +357,7 @@ class Problem:
         """Form error of an effect: it goes with what the base law knows and with what the effect is about."""
         return self.effect_processes[CATALOGUE[choice.effect].varies]
 
-    def _block(self, errors: np.ndarray) -> np.ndarray:
+    def block(self, errors: np.ndarray) -> np.ndarray:
         """[M, R] of form errors [N, 3, R], whitened, of the values in use."""
         return (errors / (self.noise * self.data.relative_sd)[..., None])[self.used]
 

@@ -26,12 +26,6 @@ from soil_env.terramechanics.catalogue import CATALOGUE
 
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to 30 % of it.
 EFFECT_SIZES, EFFECT_PRIOR = (0.03, 0.12, 0.3), (0.35, 0.5, 0.15)
-#: Sizes of an anonymous contribution to a channel, relative to its root mean square; each as probable as another, and
-#: each set of channels as another.
-FREE_SIZES = (0.03, 0.15, 0.5)
-#: Scatter of the values over the noise where each row has a soil of its own: one more kind of anonymous contribution.
-SCATTERS = (1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)
-_LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it
 _NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
 _ROUNDS = 2  # of fit and sizes in turn
 _SLIGHT = 1e-3  # share of sizes that do not count
@@ -59,8 +53,18 @@ class Evidence:
         return math.sqrt(sum(p * getattr(s, kind) ** 2 for s, p in self.share.items()))
 
 
+class Grid(NamedTuple):
+    """Sizes of form errors that are marginalised."""
+
+    sizes: list[Sizes]
+    log_prior: np.ndarray  # [S]
+    errors: tuple[np.ndarray, ...]  # K form errors [M, R] at the size 1, whitened
+    table: np.ndarray  # [S, K] their sizes
+    first: int  # of them are the same in many rows
+
+
 def grid(effects: bool) -> tuple[list[Sizes], np.ndarray]:
-    """(sizes of the form errors, log prior of each)."""
+    """(sizes of the form errors of the base law and of effects, log prior of each)."""
     effect = list(zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)) if effects else [(0.0, 1.0)]
     law = list(zip(SIZES.tolist(), size_prior(), strict=True))
     span = range(len(SPANS))
@@ -68,23 +72,10 @@ def grid(effects: bool) -> tuple[list[Sizes], np.ndarray]:
     return [s for s, _ in points], np.log([p for _, p in points])
 
 
-def free_grid(problem: Problem, plain: Evidence) -> tuple[list[Sizes], np.ndarray]:
-    """`grid` with an anonymous contribution to one measured channel or more, or to every row by itself.
-
-    Beside it are the likely sizes of the other form errors.
-    """
-    likely = sorted(plain.share, key=lambda s: -plain.share[s])
-    likely = list(dict.fromkeys([*likely[:_LIKELY], *(s._replace(law=law) for s in likely[:1] for law in _COARSE)]))
-    prior = dict(zip(*grid(bool(plain.fit.choices)), strict=True))
-    log = np.array([prior[s] for s in likely])
-    measured = problem.used.any(axis=0)
-    options = [(0.0, *FREE_SIZES) if m else (0.0,) for m in measured]
-    free = [f for f in product(*options) if any(f)]
-    cost = [-math.log(len(FREE_SIZES)) * np.count_nonzero(f) for f in free]
-    cost = np.array(cost + [-math.log(len(SCATTERS))] * len(SCATTERS))
-    cost -= logsumexp(cost)
-    points = [[*(s._replace(free=f) for f in free), *(s._replace(scatter=x) for x in SCATTERS)] for s in likely]
-    return sum(points, []), ((log - logsumexp(log))[:, None] + cost).ravel()
+def plain_grid(fit: Fit) -> Grid:
+    """`grid` of a fit."""
+    sizes, log_prior = grid(bool(fit.choices))
+    return Grid(sizes, log_prior, (fit.effect, *fit.law), np.array([(s.effect, *s.laws) for s in sizes]), 1)
 
 
 def noise_scales(freedom: float) -> np.ndarray:
@@ -94,14 +85,9 @@ def noise_scales(freedom: float) -> np.ndarray:
     return np.sqrt(freedom / chi2.ppf(_NOISE_QUANTILES, freedom))
 
 
-def weigh(problem: Problem, fit: Fit, plain: Evidence | None = None) -> Evidence:
-    """`Evidence` of a fit, linearised about it; with `plain`, its evidence, with an anonymous contribution as well."""
-    sizes, log_prior = grid(bool(fit.choices)) if plain is None else free_grid(problem, plain)
-    if plain is None:
-        errors, first, table = (fit.effect, *fit.law), 1, np.array([(s.effect, *s.laws) for s in sizes])
-    else:
-        errors, first = (fit.effect, *fit.law, *fit.free), 1 + len(fit.law)
-        table = np.array([(s.effect, *s.laws, *s.free) for s in sizes])
+def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
+    """`Evidence` of a fit, linearised about it, over the sizes of `plain_grid` or others."""
+    sizes, log_prior, errors, table, first = over or plain_grid(fit)
     scatter, p = np.array([s.scatter for s in sizes]), fit.u.size
     scales = noise_scales(problem.freedom)
     log, mean, covariance = (np.empty((len(scales), len(sizes), *more)) for more in ((), (p,), (p, p)))
@@ -156,18 +142,6 @@ def settle(problem: Problem, choices: tuple[Choice, ...], near: Evidence | None 
         if done:
             break
     return best
-
-
-def anonymous(problem: Problem, plain: Evidence) -> Evidence:
-    """Evidence of a model with an anonymous contribution beside it; fitted anew where that is scatter.
-
-    Without scatter its parameters had to explain it, and are far from what they are with it.
-    """
-    free = weigh(problem, plain.fit, plain)
-    if free.sizes.scatter == 1.0:
-        return free
-    again = weigh(problem, problem.fit(plain.fit.choices, None, free.sizes, plain.fit), plain)
-    return max(free, again, key=lambda e: e.log)
 
 
 class _Further:
