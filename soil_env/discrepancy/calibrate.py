@@ -63,6 +63,9 @@ class Sizes(NamedTuple):
     effect: float = 0.0  # beta, relative to what an effect adds
     free: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of an anonymous contribution, relative to the channel's rms
     span: int = 0  # of `form_error.SPANS`, that of the base law's error
+    scatter: float = 1.0  # of every value by itself about the model, over the noise: more than 1 if soils vary by row
+    pattern: str = ""  # an anonymous contribution of one condition in one place (`anonymous.patterns`)
+    part: float = 0.0  # its size, relative to what it changes
 
     @property
     def laws(self) -> tuple[float, ...]:
@@ -111,11 +114,12 @@ class Fit:
         Unknowns come first, then the form errors, of the sizes that it was fitted with. Unknowns at a bound do not
         move.
         """
-        extra = self.columns(self.sizes if sizes is None else sizes)
+        sizes = self.sizes if sizes is None else sizes
+        extra = self.columns(sizes)
         free = np.concatenate([self.free_unknowns, np.ones(extra.shape[1], dtype=bool)])
         x = np.concatenate([self.u, np.zeros(extra.shape[1])])
-        top = np.concatenate([self.jacobian, extra], axis=1)
-        return np.concatenate([top, np.eye(x.size)])[:, free], np.concatenate([self.residual, -x])
+        top = np.concatenate([self.jacobian, extra], axis=1) / sizes.scatter
+        return np.concatenate([top, np.eye(x.size)])[:, free], np.concatenate([self.residual / sizes.scatter, -x])
 
 
 #: Parameters about a value that the table sets.
@@ -269,26 +273,30 @@ class Problem:
 
         `start`: parameters by name; effects that it does not name start a little off neutral. With `near`, a fit of
         the same table, form errors of these `sizes` as they are there are in the covariance; without, there is noise
-        alone.
+        alone, times the scatter.
         """
         unknowns = self.unknowns(choices)
         low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
         u = np.array([k.at(start[k.name]) if start and k.name in start else self._first(k) for k in unknowns])
         u = np.clip(u, low + 1e-6 * np.minimum(high - low, 1.0), high - 1e-6 * np.minimum(high - low, 1.0))
         guess = np.zeros(self.data.rows.slip.size)
-        known = None if near is None else compressed(near.columns(sizes))
+        known = None if near is None else compressed(near.columns(sizes) / sizes.scatter)
+
+        def scaled(values):
+            return whitened(known, values / sizes.scatter)
 
         def model(x):
-            return whitened(known, self.whiten(self.output(unknowns, x, choices, guess)))
+            return scaled(self.whiten(self.output(unknowns, x, choices, guess)))
 
         def derivatives(x):
-            return whitened(known, self.derivatives(unknowns, x, choices, guess))
+            return scaled(self.derivatives(unknowns, x, choices, guess))
 
         u, _, converged = most_probable(
-            whitened(known, self.whiten(self.data.y)), model, derivatives, u, (low, high), ftol=1e-5, xtol=1e-4,
+            scaled(self.whiten(self.data.y)), model, derivatives, u, (low, high), ftol=1e-5, xtol=1e-4,
             gtol=1e-4, max_nfev=25,
         )  # fmt: skip
-        return self._finish(unknowns, choices, u, guess, converged, sizes if near is not None else EXACT)
+        used = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
+        return self._finish(unknowns, choices, u, guess, converged, used)
 
     @staticmethod
     def _first(unknown: Unknown) -> float:
@@ -314,9 +322,9 @@ class Problem:
         residual = np.where(np.isfinite(residual), residual, 1e3)
         added = self.added(values, choices, output, guess)
         law, effect = self.form_errors(values, choices, output, added, guess)
-        free = [self._block(_in_channel(self.free_functions, self.size[j] * unit)) for j, unit in enumerate(np.eye(3))]
+        free = [self.block(_in_channel(self.free_functions, self.size[j] * unit)) for j, unit in enumerate(np.eye(3))]
         return Fit(choices, unknowns, u, output, added, residual, self.derivatives(unknowns, u, choices, guess),
-                   tuple(map(self._block, law)), self._block(effect), tuple(free), converged, sizes)  # fmt: skip
+                   tuple(map(self.block, law)), self.block(effect), tuple(free), converged, sizes)  # fmt: skip
 
     def added(
         self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray, guess: np.ndarray
@@ -368,7 +376,7 @@ class Problem:
         """Form error of an effect: it goes with what the base law knows and with what the effect is about."""
         return self.effect_processes[CATALOGUE[choice.effect].varies]
 
-    def _block(self, errors: np.ndarray) -> np.ndarray:
+    def block(self, errors: np.ndarray) -> np.ndarray:
         """[M, R] of form errors [N, 3, R], whitened, of the values in use."""
         return (errors / (self.noise * self.data.relative_sd)[..., None])[self.used]
 

@@ -30,7 +30,7 @@ def content(report: Report) -> dict[str, Any]:
         "summary": words.summary(report),
         "effects": [
             {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
-             "probability": e.probability, "share": e.share, "alternatives": e.alternatives,
+             "in_model": report.model.effects[e.name], "probability": e.probability, "share": e.share, "alternatives": e.alternatives,
              "symbols": SYMBOLS[e.name], **block}
             for e, block in zip(report.effects, shown, strict=False)
         ],
@@ -64,7 +64,11 @@ def content(report: Report) -> dict[str, Any]:
             for h in report.finding.hypotheses if h.probability >= LEAST
         ],
         "law_error": report.law_error,
-        "soil": {name: v._asdict() | {"known": report.known(name)} for name, v in report.soil.items()},
+        "soil": {
+            name: v._asdict() | {"known": report.known(name), "in_model": report.fit.parameters().get(name, v.value)}
+            for name, v in report.soil.items()
+        },
+        "scatter": report.finding.scatter,
         "noise": {name: {"sd": report.noise.sd[j], "origin": report.noise.origin[j]} for name, j in noise.items()},
         "left_out": [{"row": row, "channel": name} for row, name in report.left_out],
         "check_first": first,
