@@ -113,7 +113,7 @@ def main(arguments: list[str] | None = None) -> int:
             held, width = np.mean(tables[:, 0]), np.exp(np.median(tables[:, 1]))
             rows.append((words, len(tables), f"{100 * held:.0f} %", f"{width:.3g}"))
     print(
-        f"{len(points)} steady points on {options.courses} courses; {int(sum(points))} of them on the soil of their table"
+        f"{len(points)} steady points on {options.courses} courses; {int(sum(points))} lie on the soil of their table"
     )
     header = ("tables", "number", "95 % intervals that hold phi and K", "high over low of K, median")
     print(Table(header, rows).text())
