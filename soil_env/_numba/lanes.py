@@ -164,7 +164,8 @@ def to_array(typingctx, x, a, i):
 def scratch(size):
     """A compiled function without arguments that returns a float64 array [size] on the stack of its caller.
 
-    It is not set to anything, and gone when the caller returns.
+    It is not set to anything, and gone when the caller returns, also where that is put into its own caller: the caller
+    must not return it.
     """
 
     @intrinsic

@@ -147,7 +147,10 @@ def _row(context, builder, typ, value, name):
 
 
 def scratch_rows(cls: type[Rows], columns: int):
-    """A compiled function without arguments that returns rows on the stack of its caller, not set to anything."""
+    """A compiled function without arguments that returns rows on the stack of its caller, not set to anything.
+
+    The caller must not return them: they are gone with its frame, also where it is put into its own caller.
+    """
     if not COMPILED:
         return lambda: cls(columns, np.full((len(cls.NAMES), columns), interpreted.UNSET).astype(cls.KIND))
     if columns % COUNT:

@@ -30,10 +30,14 @@ from soil_env.simulation.newton import (
     MANY,
     TOLERANCE,
     Period,
+    Substep,
     change_ahead,
     gather_ground,
     load_reaction,
-    scratch_of_substep,
+    new_equations,
+    new_footing,
+    new_newton,
+    new_nodes,
     set_up,
     soil_in_lanes,
     solve_speeds,
@@ -174,7 +178,7 @@ def _drive(state, counts, first, begin, end, period, courses, world, left, longe
     A wheel for which Newton's method fails stays as it was before that stage, with the rest of its time in
     `period.left`; with `anyhow` = 1 it goes on.
     """
-    sub = scratch_of_substep()
+    sub = Substep(new_footing(), new_equations(), new_nodes(), new_newton())
     while left > 1e-9 * longest:
         h = min(longest, left)
         for number in range(2):

@@ -72,27 +72,21 @@ _Newton: type[Rows] = rows(
     "_Newton", "v", "u", *Reaction._fields, "converged",
     "f1", "f2", "motor_slope", "norm", "before", "share", "tries", "passes",
 )  # fmt: skip
-_footing = scratch_rows(Footing, MANY)
-# The last block is that of the wheels that take longer.
-_equations, _newton = scratch_rows(_Equations, MANY + COUNT), scratch_rows(_Newton, MANY + COUNT)
-_nodes = scratch_rows(Nodes, (MANY // COUNT + 1) * NODE_COLUMNS)
+# Scratch of a substep, for `Substep`. The last block is that of the wheels that take longer.
+new_footing = scratch_rows(Footing, MANY)
+new_equations, new_newton = scratch_rows(_Equations, MANY + COUNT), scratch_rows(_Newton, MANY + COUNT)
+new_nodes = scratch_rows(Nodes, (MANY // COUNT + 1) * NODE_COLUMNS)
 _Queue: type[Rows] = rows("_Queue", "wheel", kind=np.int64)
 _queue, _occupants = scratch_rows(_Queue, MANY), scratch_rows(_Queue, COUNT)
 
 
 class Substep(NamedTuple):
-    """Scratch of a substep."""
+    """Scratch of a substep, made by the function that drives it: it is gone with that function's frame."""
 
     footing: object
     equations: object
     nodes: object
     newton: object
-
-
-@inlined
-def scratch_of_substep():
-    """`Substep` on the stack of the caller."""
-    return Substep(_footing(), _equations(), _nodes(), _newton())
 
 
 @inlined
