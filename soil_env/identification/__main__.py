@@ -170,7 +170,10 @@ def report_of(estimate: TableEstimate) -> dict:
             }
             for name, fit in estimate.fits.items()
         },
-        **{key: getattr(estimate, key) for key in ("row", "slip", "load", "values", "exact", "converged", "check_first", "warnings")},
+        **{
+            key: getattr(estimate, key)
+            for key in ("row", "slip", "load", "values", "exact", "converged", "check_first", "warnings")
+        },
     })  # fmt: skip
 
 

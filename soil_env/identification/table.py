@@ -286,7 +286,8 @@ def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[s
 
 def _untold(parameters: dict[str, Parameter], labels, correlation) -> list[str]:
     words = [
-        f"The data cannot tell the {label}: its standard deviation is {100 * parameters[name].told:.0f} % of the prior's."
+        f"The data cannot tell the {label}: its standard deviation is {100 * parameters[name].told:.0f} % of that "
+        "before the table."
         for name, label in zip(NAMES, LABELS, strict=True)
         if name in parameters and parameters[name].told > UNTOLD
     ]
@@ -300,9 +301,7 @@ def _untold(parameters: dict[str, Parameter], labels, correlation) -> list[str]:
     return words
 
 
-def _doubts(
-    problem: TableProblem, u, plain: _Plain, fits: dict[str, ChannelFit], converged: bool
-) -> list[str]:
+def _doubts(problem: TableProblem, u, plain: _Plain, fits: dict[str, ChannelFit], converged: bool) -> list[str]:
     """Told of the solution u with its `fits`; whether the model fits, and agrees with its priors, by the plain one."""
     words = []
     (low, high), label = problem.bounds, dict(zip(NAMES, LABELS, strict=True))
