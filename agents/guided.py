@@ -18,10 +18,10 @@ from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 
 from .config import TrainConfig
-from .controllers import CONTROLLERS, FixedSlip, checked_settings, make_controller
+from .controllers import CONTROLLERS, SlipFollower, checked_settings, make_controller
 
 ENTRIES = ("guide_rim_speed", "guide_slip")
-GUIDES = tuple(name for name, cls in CONTROLLERS.items() if issubclass(cls, FixedSlip))
+GUIDES = tuple(name for name, cls in CONTROLLERS.items() if issubclass(cls, SlipFollower))
 
 
 def check_guide(controller: str, variant: str) -> None:
@@ -47,7 +47,7 @@ class Guide:
     def observe(self, observation: np.ndarray, state: dict | None, fresh: np.ndarray) -> tuple[np.ndarray, dict]:
         """(observation [n, D + 2] float32, the guide's state) for observations [n, D]; `fresh` [n]: new courses."""
         c, batch = self.controller, np.asarray(observation, dtype=np.float64)
-        state = c._begin(batch, None if state is None else state["memory"], fresh)
+        state = c.begin(batch, None if state is None else state["memory"], fresh)
         target = c.rim_speed(batch, state)
         own = np.stack([target / c.top_speed, c.target_slip(batch, state)], axis=1)
         out = np.concatenate([observation, own], axis=1).astype(np.float32)

@@ -23,7 +23,7 @@ from torch import nn
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, load, to_dict
 from soil_env.env import action_space, observation_space
-from soil_env.parameters import Scenario
+from soil_env.parameters import CourseSpec, Scenario
 from soil_env.simulation.task import layout
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -125,7 +125,7 @@ def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
     env = model.get_vec_normalize_env()
     meta = {
         "timesteps": int(model.num_timesteps),
-        "observation": _variant(env),
+        "observation": env.get_attr("observation_variant")[0],
         "observation_names": list(env.get_attr("observation_names")[0]),
         "mean": env.obs_rms.mean.tolist(),
         "var": env.obs_rms.var.tolist(),
@@ -151,9 +151,9 @@ def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
     replace_file(path, stream.getvalue())
 
 
-def _variant(env) -> str:
-    names = env.get_attr("observation_names")[0]
-    return next(v for v in NAMES if tuple(e.name for e in layout(v)) == names)
+def _course(meta: dict) -> CourseSpec:
+    """The course that a model was trained on: what it observes depends on its terrain classes."""
+    return load(CourseSpec, meta.get("scenario", {}).get("course", {}), "scenario: course")
 
 
 @dataclass
@@ -240,10 +240,10 @@ _META_TYPES = {
 }
 
 
-def check_layout(meta: dict, where) -> None:
-    """ParameterError if a model was trained on another observation layout than this version's."""
+def check_layout(meta: dict, where, course: CourseSpec | None = None) -> None:
+    """ParameterError if a model was trained on another observation than this version's on `course` (or its own)."""
     variant = meta["observation"]
-    expected = [e.name for e in layout(variant)]
+    expected = [e.name for e in layout(variant, _course(meta) if course is None else course)]
     found = list(meta["observation_names"])
     if found != expected:
         differing = sorted(set(found) ^ set(expected)) or ["their order"]
@@ -265,7 +265,7 @@ def load_agent(path: Path) -> Agent:
 
 def agent_spaces(meta: dict) -> tuple:
     """Observation and action space of the network of a saved agent."""
-    box = observation_space(meta["observation"])
+    box = observation_space(meta["observation"], _course(meta))
     return spaces_of(box) if "guide" in meta else (box, action_space())
 
 

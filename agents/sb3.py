@@ -22,15 +22,17 @@ from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import STEP, Simulation
 from soil_env.terramechanics.model import load_model
 
-_OWN = ("num_envs", "scenario", "observation", "action", "threads", "model")  # keywords that are no part of a scenario
-_RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value
+#: Keywords that are no part of a scenario.
+_OWN = ("num_envs", "scenario", "observation", "action", "repeat", "threads", "model")
+_RUNNING = Cause.RUNNING.value
 
 
 class SoilWheelVecEnv(VecEnv):
     """`num_envs` wheels for SB3: a finished wheel is reset within the same step, as SB3 expects.
 
-    Infos of finished wheels carry `terminal_observation`, `TimeLimit.truncated`, `episode` {r, l, t} and `cause`; all
-    other wheels share one empty dict, which must not be written to. Keyword arguments as in `SoilWheelEnv`.
+    Infos of finished wheels carry `terminal_observation`, `TimeLimit.truncated` (False: the time limit of the scenario
+    ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all other wheels share one empty dict, which
+    must not be written to. Keyword arguments as in `SoilWheelEnv`.
     """
 
     def __init__(
@@ -39,6 +41,7 @@ class SoilWheelVecEnv(VecEnv):
         scenario="mixed",
         observation="identified",
         action=None,
+        repeat=None,
         threads=None,
         model=None,
         **changes,
@@ -48,9 +51,10 @@ class SoilWheelVecEnv(VecEnv):
             check_count("threads", threads)
         num_envs = int(num_envs)
         self.render_mode = None
-        self.scenario = build_scenario(scenario, action, changes, _OWN)
-        super().__init__(num_envs, observation_space(observation), action_space())
-        self.observation_names = tuple(e.name for e in layout(observation))
+        self.scenario = build_scenario(scenario, action, repeat, changes, _OWN)
+        super().__init__(num_envs, observation_space(observation, self.scenario.course), action_space())
+        self.observation_variant = observation
+        self.observation_names = tuple(e.name for e in layout(observation, self.scenario.course))
         self.model = load_model(model)
         self.simulation = Simulation(num_envs, self.scenario, observation, threads=threads, model=self.model)
         self._commands = np.zeros(num_envs)
@@ -85,7 +89,7 @@ class SoilWheelVecEnv(VecEnv):
         np.clip(numbers(actions, self.num_envs)[:, 0], -1.0, 1.0, out=self._commands)
 
     def step_wait(self):
-        """One control period; (observations, rewards, dones, infos)."""
+        """One action; (observations, rewards, dones, infos)."""
         worlds, start = self.simulation.worlds, time.perf_counter()
         self.simulation.step_all(self._commands, self._drive)
         self._returns += worlds.reward
@@ -97,7 +101,7 @@ class SoilWheelVecEnv(VecEnv):
             for k in np.flatnonzero(done):
                 infos[k] = {
                     "terminal_observation": worlds.observation[k].copy(),
-                    "TimeLimit.truncated": bool(worlds.cause[k] == _TIME_LIMIT),
+                    "TimeLimit.truncated": False,
                     "episode": {"r": float(self._returns[k]), "l": int(self._lengths[k]), "t": now},
                     "cause": Cause(worlds.cause[k]).name,
                 }

@@ -17,6 +17,7 @@ from soil_env._io.loading import ParameterError, to_dict
 from soil_env.env import action_space, observation_space
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
+from soil_env.simulation.wheel import REVERSE
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..evaluate.driving import HELD_OUT_SET, drive
@@ -52,7 +53,7 @@ def onnx_model(agent, description: dict):
         action = guide.act(action)
         kept |= guide.kept()
     batch, shape = "n", {name: ["n", size] if size else ["n"] for name, (size, _) in sizes.items()}
-    inputs = [graph.info(seen, [batch, observation_space(agent.variant).shape[0]])]
+    inputs = [graph.info(seen, [batch, len(description["inputs"])])]
     inputs += [graph.info(fresh, [batch])] if sizes else []
     inputs += [graph.info(memory[name], shape[name]) for name in sizes]
     outputs = [graph.info(_named(graph, action, "action"), [batch, 1])]
@@ -81,13 +82,13 @@ def _normalised(x: Traced, agent) -> Traced:
 
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:
     """What policy.yaml says before anything was run, as plain values."""
-    wheel, by_speed = scenario.wheel, scenario.control.action == "wheel_speed"
-    space, model = observation_space(agent.variant), agent.model
+    wheel, control = scenario.wheel, scenario.control
+    space, model = observation_space(agent.variant, scenario.course), agent.model
     entries = [
         {"index": k, "name": e.name, "unit": e.unit, "low": low, "high": high}
         for k, (e, low, high) in enumerate(
-            zip(layout(agent.variant), *(np.round(a.astype(float), 6).tolist() for a in (space.low, space.high)),
-                strict=True)
+            zip(layout(agent.variant, scenario.course),
+                *(np.round(a.astype(float), 6).tolist() for a in (space.low, space.high)), strict=True)
         )
     ]  # fmt: skip
     guide = getattr(agent, "guide", None)
@@ -113,15 +114,30 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
             "name": "action",
             "low": -1.0,
             "high": 1.0,
-            "meaning": "wheel speed, followed by the drive's own loop" if by_speed else "motor torque",
-            "scale": {"value": wheel.no_load_speed, "unit": "rad/s"} if by_speed
-            else {"value": wheel.stall_torque, "unit": "N m"},
+            **_OUTPUTS[control.action](wheel, control),
         },
-        "rate": {"period": scenario.control.period, "unit": "s"},
+        "rate": {"period": round(control.duration, 9), "unit": "s"},
         "scenario": to_dict(scenario),
         "world": None if world is None else world.content(),
         "versions": _versions(),
     }  # fmt: skip
+
+
+_OUTPUTS = {  # what the action means on a vehicle, and what 1 is
+    "torque": lambda wheel, control: {
+        "meaning": "motor torque", "scale": {"value": wheel.stall_torque, "unit": "N m"}
+    },
+    "wheel_speed": lambda wheel, control: {
+        "meaning": "wheel speed, followed by the drive's own loop",
+        "scale": {"value": wheel.no_load_speed, "unit": "rad/s"},
+    },
+    "rim_acceleration": lambda wheel, control: {
+        "meaning": "rate of the rim speed that the drive's own loop follows; that speed is 0 at the start and in halts",
+        "scale": {"value": control.rim_acceleration, "unit": "m/s2"},
+        "limits": {"value": [-REVERSE * wheel.radius * wheel.no_load_speed, wheel.radius * wheel.no_load_speed],
+                   "unit": "m/s, of that rim speed"},
+    },
+}  # fmt: skip
 
 
 def _versions() -> dict[str, str]:

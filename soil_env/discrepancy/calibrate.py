@@ -15,8 +15,9 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -138,7 +139,7 @@ class Problem:
     scales: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # sd, low, high that the data set
     offset: np.ndarray | None = None  # [N, 3] added to the model, a residual law
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         setup = self.data.setup
         self.soil, self.known = soil_unknowns(setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH)
         self.density = 1500.0 if setup.soil.density is None else setup.soil.density.value
@@ -222,12 +223,16 @@ class Problem:
             fx = fx._replace(**choice.fixed, **{name: values[name] for name in choice.free})
         return fx
 
-    def output(self, unknowns, u, choices, guess: np.ndarray) -> np.ndarray:
+    def output(
+        self, unknowns: Sequence[Unknown], u: np.ndarray, choices: tuple[Choice, ...], guess: np.ndarray
+    ) -> np.ndarray:
         """Model values [N, 3] at whitened unknowns; `guess` [N] of the sinkage is renewed."""
         values = {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
         return self.predict(values, choices, guess)
 
-    def predict(self, values: dict[str, float], choices, guess: np.ndarray, rows: Rows | None = None) -> np.ndarray:
+    def predict(
+        self, values: dict[str, float], choices: tuple[Choice, ...], guess: np.ndarray, rows: Rows | None = None
+    ) -> np.ndarray:
         """Model values [N, 3] of a set of parameters, at other `rows` than those of the table if given."""
         return self.predict_with(self.known | values, self.effects(choices, values), guess, rows)
 
@@ -299,7 +304,9 @@ class Problem:
         bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
         return 0.3 if bounded else 0.0
 
-    def derivatives(self, unknowns, u, choices, guess) -> np.ndarray:
+    def derivatives(
+        self, unknowns: Sequence[Unknown], u: np.ndarray, choices: tuple[Choice, ...], guess: np.ndarray
+    ) -> np.ndarray:
         """[M, p] of the whitened output by whitened unknowns (forward differences)."""
 
         def model(x):
@@ -319,12 +326,16 @@ class Problem:
         return Fit(choices, unknowns, u, output, added, residual, self.derivatives(unknowns, u, choices, guess),
                    tuple(map(self.block, law)), self.block(effect), tuple(free), converged, sizes)  # fmt: skip
 
-    def added(self, values, choices, output, guess) -> tuple[np.ndarray, ...]:
+    def added(
+        self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray, guess: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
         """[N, 3] what each effect adds to the output."""
         rest = (choices[:k] + choices[k + 1 :] for k in range(len(choices)))
         return tuple(_finite(output - self.predict(values, others, guess.copy())) for others in rest)
 
-    def stresses(self, values, choices, output, guess) -> list[np.ndarray]:
+    def stresses(
+        self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray, guess: np.ndarray
+    ) -> list[np.ndarray]:
         """[N, 3] change of the output by each `stress_changes`, relative."""
         h, known = _STRESS_STEP, self.known | values
         sinkage = float(np.nanmedian(output[:, 0]))
@@ -335,7 +346,15 @@ class Problem:
             there.append(self.predict_with(known | soil, fx, guess.copy()))
         return [_finite((out - output) / h) for out in there]
 
-    def form_errors(self, values, choices, output, added, guess, at=None) -> tuple[list[np.ndarray], np.ndarray]:
+    def form_errors(
+        self,
+        values: dict[str, float],
+        choices: tuple[Choice, ...],
+        output: np.ndarray,
+        added: Any,
+        guess: np.ndarray,
+        at: np.ndarray | None = None,
+    ) -> tuple[list[np.ndarray], np.ndarray]:
         """Form errors [N, 3, R] at the size 1 of the base law, by span, and of the effects; `at`: other conditions."""
 
         def functions(process: Process) -> np.ndarray:

@@ -151,7 +151,7 @@ class _Further:
     `normal` [K, K] and the pull `pull` [K] of the table.
     """
 
-    def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]):
+    def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]) -> None:
         self.fit, self.choices = first.fit, choices
         self.unknowns, columns, self.owner = [], [], []
         base, guess = problem.whiten(first.fit.output), problem.sinkage_guess(first.fit)

@@ -170,7 +170,7 @@ def forms(problem: Problem, name: str) -> list[Choice]:
 class _Sets:
     """Evidence of sets of effects in the forms that were tried."""
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.found: dict[tuple[str, ...], dict[tuple[Choice, ...], Evidence]] = {}
 

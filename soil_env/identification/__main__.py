@@ -41,6 +41,7 @@ import json
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -153,7 +154,7 @@ def _rms(off: np.ndarray) -> float:
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def report_of(estimate: TableEstimate) -> dict:
+def report_of(estimate: TableEstimate) -> dict[str, Any]:
     """The estimate as plain values for JSON; null where there is none."""
     keys = ("value", "low", "high", "unit", "known", "told")
     return plain({

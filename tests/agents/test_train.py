@@ -176,25 +176,24 @@ def test_the_same_seed_gives_the_same_comparison(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "agent, best, words, share",
-    [((0.10, 0.08, 0.12), (0.1 - 1 / 30, 0.05, 0.08), "less often than", "86%"),
-     ((0.29, 0.25, 0.33), (0.10, 0.08, 0.12), "neither less nor more often", "5%"),
-     ((0.30, 0.25, 0.33), (0.10, 0.08, 0.12), "neither less nor more often", None),
-     ((0.50, 0.45, 0.55), (0.10, 0.08, 0.12), "more often than", None),
-     ((0.10, 0.05, 0.12), (0.30, 0.27, 0.33), "less often than", None)],
+    "agent, words",
+    [((0.97, 0.95, 0.98), "more courses than soft_start"),
+     ((0.90, 0.87, 0.92), "neither more nor fewer courses, within the intervals, than soft_start"),
+     ((0.60, 0.57, 0.63), "fewer courses than soft_start")],
 )  # fmt: skip
-def test_the_verdict_follows_from_the_intervals(agent, best, words, share):
-    """The share of the gap to the best slip is claimed only where there is a gap, of which some is covered."""
-    rates = {"ppo_blind": agent, "fixed_slip": (0.30, 0.27, 0.33), "best_slip_true": best}
-    rows = {
-        name: {"immobilised": dict(zip(("value", "low", "high"), m, strict=True)), "time_limit": {"value": 0.0}}
-        for name, m in rates.items()
-    }
+def test_the_verdict_follows_from_the_intervals(agent, words):
+    """Against the best of the controllers that do not know the true soil; those that do are named beside it."""
+    rates = {"ppo_blind": agent, "constant_speed": (0.80, 0.77, 0.83), "soft_start": (0.89, 0.87, 0.91),
+             "best_slip_true": (0.93, 0.91, 0.95)}  # fmt: skip
+    rows = {n: {"finished": dict(zip(("value", "low", "high"), m, strict=True))} for n, m in rates.items()}
     even = {"finished": {"value": 0.05, "low": 0.02, "high": 0.08}}
-    paired = {a: dict.fromkeys(rows, even) for a in rows}
-    text = training.verdict({"controllers": rows, "paired": paired}, "ppo_blind")
-    assert words in text
-    assert "of the way" not in text if share is None else f"{share} of the way" in text
+    result = {"controllers": rows, "paired": {a: dict.fromkeys(rows, even) for a in rows}}
+    text = training.verdict(result, "ppo_blind")
+    assert words in text and "+5.0 [+2.0, +8.0] percentage points" in text
+    assert "best_slip_true 93.0 % [91.0, 95.0]" in text and "oracle" not in text
+    oracle = {"finished": {"value": 0.98, "low": 0.9, "high": 1.0}}
+    result["limit"] = {"courses": 50, "metrics": oracle, "avoidable": {}}
+    assert "oracle (first 50 courses) 98.0 % [90.0, 100.0]" in training.verdict(result, "ppo_blind")
 
 
 # --- the command line -------------------------------------------------------------------------------------------------

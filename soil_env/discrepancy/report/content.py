@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from typing import Any
 
 import numpy as np
 import scipy
@@ -19,7 +20,7 @@ from soil_env.terramechanics.catalogue import CATALOGUE
 LEAST = 1e-3  # probability below which a hypothesis is not listed
 
 
-def content(report: Report) -> dict:
+def content(report: Report) -> dict[str, Any]:
     """Plain values for JSON, null where there is no number; every key is always present."""
     shown = [block.content() for block in blocks(report)]
     first = words.check_first(report)
@@ -80,7 +81,7 @@ def content(report: Report) -> dict:
     })  # fmt: skip
 
 
-def _law(report: Report, shown: list[dict]) -> dict | None:
+def _law(report: Report, shown: list[dict]) -> dict[str, Any] | None:
     if report.law is None:
         return None
     return {
