@@ -98,7 +98,7 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
             told = marginals(fit.jacobian / sd, blocks, table[at], fit.residual / sd, fit.u, first)
             log[k, at] = told[0] + log_prior[at] - fit.residual.size * math.log(sd) + _allowed(fit, *told[1:])
             mean[k, at], covariance[k, at] = told[1:]
-    log, mean, covariance = (x.reshape(-1, *x.shape[2:]) for x in (log, mean, covariance))
+    log, mean, covariance = (x.reshape(len(scales) * len(sizes), *x.shape[2:]) for x in (log, mean, covariance))
     total = float(logsumexp(log))
     share = np.exp(log - total)
     of = dict(zip(sizes, share.reshape(len(scales), -1).sum(axis=0).tolist(), strict=True))

@@ -16,7 +16,6 @@ from soil_env.discrepancy.search import Finding
 from soil_env.discrepancy.symbolic import ResidualFit
 from soil_env.terramechanics.model import WheelSoilModel
 
-
 WORSE = 0.1  # rise of a held-out error that is stated
 LEFT = 1.5  # [noise] of a held-out error after the correction above which a remainder is stated
 

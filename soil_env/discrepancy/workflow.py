@@ -95,19 +95,17 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     before = held_out_predictions(problem, plain)
     after = held_out_predictions(problem, final) if final.choices else before
     alone = {tuple(c.effect for c in final.choices): after} if final.choices else {}
-    if len(final.choices) > 1:
-        for choice in final.choices:
-            one = finding.best(choice.effect).evidence.fit
-            one = problem.fit(one.choices, one.parameters(), noise_alone)
-            alone[choice.effect,] = held_out_predictions(problem, one)
+    for choice in final.choices if len(final.choices) > 1 else ():
+        one = finding.best(choice.effect).evidence.fit
+        one = problem.fit(one.choices, one.parameters(), noise_alone)
+        alone[choice.effect,] = held_out_predictions(problem, one)
     if law is not None and law.terms:
         held = symbolic.held_out_predictions(problem, final, lambda text: say(f"predicting what was held out: {text}"))
         if (judgement.closed(problem, judgement.gaps(problem, after, held)) or 0.0) > 0.0:
             final, after = law.fit, held
         else:  # chosen without a group, it predicts that group worse than no law does
             law = law.without(final)
-    gap = judgement.gaps(problem, before, after)
-    corrected = bool(final.choices) or (law is not None and bool(law.terms))
+    gap, corrected = judgement.gaps(problem, before, after), bool(final.choices or (law is not None and law.terms))
     closed = judgement.closed(problem, gap) if corrected else None
     rng = np.random.default_rng([settings.seed, 1])
     say("choosing the next tests")

@@ -171,7 +171,10 @@ def report_of(estimate: TableEstimate) -> dict[str, Any]:
             }
             for name, fit in estimate.fits.items()
         },
-        **{key: getattr(estimate, key) for key in ("row", "slip", "load", "values", "exact", "converged", "check_first", "warnings")},
+        **{
+            key: getattr(estimate, key)
+            for key in ("row", "slip", "load", "values", "exact", "converged", "check_first", "warnings")
+        },
     })  # fmt: skip
 
 

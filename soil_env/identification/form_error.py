@@ -45,7 +45,7 @@ _UNSEEN = 1e-10  # share of the largest variance, or of the noise, below which a
 #: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is exact, else log-normal
 #: about 5 %, 2 to 20 % within two standard deviations. Fits of Bekker's and Janosi's laws to plates and shear rings
 #: scatter by so much (Wong 2010, Terramechanics and Off-Road Vehicle Engineering, ch. 4).
-SIZES = np.array([0.001, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.3, 0.45, 0.7, 1.1])
+SIZES = np.array([0.001, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.3])
 
 
 def size_prior() -> np.ndarray:
@@ -212,7 +212,8 @@ def marginals(
         d = scales[rows[0], outer]
         kept, d = outer[d > 0.0], d[d > 0.0]
         factor = _factor(d[:, None] * gram[np.ix_(kept, kept)] * d)
-        right = np.column_stack([d * along[kept] - start[kept], np.eye(d.size, p), d[:, None] * gram[kept, outer.size :]])
+        cross = d[:, None] * gram[kept, outer.size :]
+        right = np.column_stack([d * along[kept] - start[kept], np.eye(d.size, p), cross])
         half = solve_triangular(factor, right, lower=True, check_finite=False)
         of_data, of_unknowns, rest = half[:, 0], half[:, 1 : 1 + p], half[:, 1 + p :]
         base = -0.5 * (square - of_data @ of_data) - np.sum(np.log(np.diag(factor)))

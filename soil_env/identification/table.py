@@ -102,7 +102,7 @@ def identify_table(table: Table, setup: Setup, *, max_passes: int = _PASSES) -> 
     plain = _Plain(u, _fits(problem, u))
     for _ in range(_FORM_PASSES):
         share = problem.by_size(u)[0]
-        problem.allow_form_error(u, *LAW_ERRORS[int(np.argmax(share))])
+        problem.allow_form_error(u, LAW_ERRORS[int(np.argmax(share))])
         u, converged = _settle(problem, u, max_passes, False)
     if not problem.measured[:, 0].any():
         problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
@@ -191,7 +191,7 @@ def _summary(problem: TableProblem, u, converged: bool, plain: _Plain,
         values=int(problem.measured.sum()),
         exact=_exact(problem),
         converged=converged,
-        law_error=math.sqrt(sum(p * size**2 for p, (_, size) in zip(share, LAW_ERRORS, strict=True))),
+        law_error=math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True))),
         check_first=tuple(first),
         warnings=tuple(warnings),
     )
@@ -286,7 +286,8 @@ def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[s
 
 def _untold(parameters: dict[str, Parameter], labels, correlation) -> list[str]:
     words = [
-        f"The data cannot tell the {label}: its standard deviation is {100 * parameters[name].told:.0f} % of the prior's."
+        f"The data cannot tell the {label}: its standard deviation is {100 * parameters[name].told:.0f} % of that "
+        "before the table."
         for name, label in zip(NAMES, LABELS, strict=True)
         if name in parameters and parameters[name].told > UNTOLD
     ]
@@ -300,9 +301,7 @@ def _untold(parameters: dict[str, Parameter], labels, correlation) -> list[str]:
     return words
 
 
-def _doubts(
-    problem: TableProblem, u, plain: _Plain, fits: dict[str, ChannelFit], converged: bool
-) -> list[str]:
+def _doubts(problem: TableProblem, u, plain: _Plain, fits: dict[str, ChannelFit], converged: bool) -> list[str]:
     """Told of the solution u with its `fits`; whether the model fits, and agrees with its priors, by the plain one."""
     words = []
     (low, high), label = problem.bounds, dict(zip(NAMES, LABELS, strict=True))

@@ -17,6 +17,7 @@ from soil_env._io.files import check_outputs, replace_files
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.report import blocks, tables, words
 from soil_env.discrepancy.report.content import content
+from soil_env.discrepancy.report.numbers import p_value
 from soil_env.discrepancy.report.pictures import CAPTIONS, pictures
 from soil_env.discrepancy.result import Report
 
@@ -87,7 +88,7 @@ def _common(report: Report) -> dict[str, Any]:
         "blocks": blocks.blocks(report),
         "check_first": words.check_first(report),
         "cautions": words.cautions(report),
-        "where": [(words.disagreement(report, d), words.p_value(d.p_value)) for d in report.where],
+        "where": [(words.disagreement(report, d), p_value(d.p_value)) for d in report.where],
         "next_tests": [words.next_test(report, t) for t in report.next_tests],
     }
 

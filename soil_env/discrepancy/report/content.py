@@ -30,8 +30,8 @@ def content(report: Report) -> dict[str, Any]:
         "summary": words.summary(report),
         "effects": [
             {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
-             "in_model": report.model.effects[e.name], "probability": e.probability, "share": e.share, "alternatives": e.alternatives,
-             "symbols": SYMBOLS[e.name], **block}
+             "in_model": report.model.effects[e.name], "probability": e.probability, "share": e.share,
+             "alternatives": e.alternatives, "symbols": SYMBOLS[e.name], **block}
             for e, block in zip(report.effects, shown, strict=False)
         ],
         "where": [

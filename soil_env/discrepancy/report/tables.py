@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from soil_env._io.document import Table
 from soil_env.discrepancy.judgement import Interval
-from soil_env.discrepancy.report.words import SOIL, TITLES, amount, figures, fixed, not_tiny, times, title
+from soil_env.discrepancy.report.numbers import figures, fixed, times
+from soil_env.discrepancy.report.words import SOIL, TITLES, amount, not_tiny, title
 from soil_env.discrepancy.result import Report
 from soil_env.terramechanics.catalogue import CATALOGUE
 

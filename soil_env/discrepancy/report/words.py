@@ -11,6 +11,7 @@ from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS, WHEEL
 from soil_env.discrepancy.experiment import NextTest
 from soil_env.discrepancy.locate import Disagreement
+from soil_env.discrepancy.report.numbers import figure, figures, fixed
 from soil_env.discrepancy.result import LEFT, WORSE, Report
 from soil_env.discrepancy.search import COUNT_PRIOR, FREE_PRIOR, NAMED, TOLD
 from soil_env.terramechanics.catalogue import CATALOGUE
@@ -53,32 +54,6 @@ def listed(names: Iterable[str], last: str = "and") -> str:
 def title(names: str) -> str:
     """What an effect, or two joined by " and ", is called in a sentence."""
     return " and ".join(CATALOGUE[n].title if n in CATALOGUE else n for n in names.split(" and "))
-
-
-def figure(x: float) -> str:
-    """Two digits, without an exponent where the number is large."""
-    return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
-
-
-def figures(value: float, digits: int = 4) -> str:
-    """A number for a table; empty where there is none."""
-    return "" if value is None or not math.isfinite(value) else f"{value + 0.0:.{digits}g}"
-
-
-def fixed(value: float, decimals: int) -> str:
-    """A number with a fixed number of decimals, never -0."""
-    return f"{round(value, decimals) + 0.0:.{decimals}f}"
-
-
-def times(log: float) -> str:
-    """A factor of which the natural logarithm is given."""
-    decades = log / math.log(10.0)
-    return f"{figure(10.0**decades)} times" if -2.0 <= decades < 3.0 else f"10^{decades:.0f} times"
-
-
-def p_value(p: float) -> str:
-    """A p value in a table."""
-    return "< 1e-6" if p < 1e-6 else f"{p:.2g}"
 
 
 def amount(channel: str, value: float, digits: int = 2) -> str:

@@ -14,7 +14,7 @@ from soil_env.discrepancy import report as drawn
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.judgement import Gap
-from soil_env.discrepancy.report import blocks, content, tables, text, words
+from soil_env.discrepancy.report import blocks, content, numbers, tables, text, words
 from soil_env.terramechanics.catalogue import CATALOGUE
 from tests.discrepancy.files import SETUP, table_text, write_files
 
@@ -148,8 +148,8 @@ def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict)
 
 
 def test_odds_are_told_as_factors(planted):
-    assert words.times(math.log(20.0)) == "20 times" and words.times(50.0) == "10^22 times"
-    assert words.times(math.log(0.5)) == "0.5 times" and words.times(-30.0) == "10^-13 times"
+    assert numbers.times(math.log(20.0)) == "20 times" and numbers.times(50.0) == "10^22 times"
+    assert numbers.times(math.log(0.5)) == "0.5 times" and numbers.times(-30.0) == "10^-13 times"
 
 
 def test_cautions_are_of_the_soil_that_is_shown(planted):
