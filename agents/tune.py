@@ -86,9 +86,8 @@ def main(arguments: list[str] | None = None) -> int:
     content = {"courses": asked.courses, "seed": TUNING_SET, "trials": load_spaces().trials_of(asked.courses),
                "version": asked.version, "settings": settings}  # fmt: skip
     file = options.out / f"{name}.yaml"
-    made = (
-        f"# Settings of the classical controllers: python -m agents.tune --scenario {name} --courses {asked.courses}\n"
-    )
+    typed = f"--scenario {name} --courses {asked.courses} --actions {','.join(asked.actions)}"
+    made = f"# Settings of the classical controllers, found by python -m agents.tune {typed}\n"
     replace_file(file, made + yaml.safe_dump(content, sort_keys=False))
     show(Table(["action", "controller", "finished [% of tuning courses]", "settings"], rows), f"Written: {file}")
     return 0

@@ -23,7 +23,7 @@ def test_the_folder_holds_what_is_promised(done):
     result = result_of(done)
     assert list(result["controllers"]) == ["half", "tests.agents.drivers:Counting", "fixed_slip", "ppo"]
     assert result["controllers"]["ppo"]["members"] == 2 and len(result["controllers"]["ppo"]["sources"]) == 2
-    assert result["controllers"]["fixed_slip"]["settings"] == pytest.approx({"slip": 0.2, "start": 0.04 * 0.75})
+    assert result["controllers"]["fixed_slip"]["settings"] == pytest.approx({"slip": 0.2, "start": 0.03, "speed": 0.75})
     assert (result["courses"], result["seed"], result["scenario"]) == (7, 11, "mixed")
     for name, entry in result["controllers"].items():
         assert set(entry["metrics"]) == set(METRICS)
@@ -114,7 +114,7 @@ def test_tuning_is_kept_and_not_done_again(tmp_path, capsys):
     assert evaluate(tmp_path / "out", names, *more) == 0
     assert "Tuning: 2 of 2 courses" in capsys.readouterr().out  # on 2 courses there is one trial
     kept = yaml.safe_load((tmp_path / "out" / "study.yaml").read_text())
-    assert set(kept["tuned"]) == {"fixed_slip"} and set(kept["tuned"]["fixed_slip"]) == {"slip", "start"}
+    assert set(kept["tuned"]) == {"fixed_slip"} and set(kept["tuned"]["fixed_slip"]) == {"slip", "start", "speed"}
     rows = result_of(tmp_path / "out")["controllers"]
     assert rows["fixed_slip"]["settings"] == kept["tuned"]["fixed_slip"]
     assert rows["constant_speed"]["settings"] == {"speed": 0.3}

@@ -50,7 +50,7 @@ def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
 
 def test_what_a_wheel_does_follows_from_its_own_plan():
     """Plans of rows do not mix: what is left of a plan is that of its row."""
-    plans = Plans(*(np.array([[0.0, 2.0, 0.0], [1.0, 0.3, 0.2], *[[1.0, 2.0, 3.0]] * 4])))
+    plans = Plans(*(np.array([[0.0, 2.0, 0.0], [1.0, 0.3, 0.2], *[[1.0, 2.0, 3.0]] * 5])))
     later = plans.after(0.5)
     np.testing.assert_allclose(later.back, [0.0, 1.5, 0.0])
     np.testing.assert_allclose(later.left, [0.5, 0.3, 0.0])  # the ramps begin when the wheel has backed away
