@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from soil_env._io.loading import Checked, ParameterError, load, quantity
+from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.terramechanics.model import WheelSoilModel
 
 #: Name of the PPO agent of each observation variant in tables and files.
@@ -55,7 +56,7 @@ class PPOConfig(Checked):
 class TrainConfig(Checked):
     """A training run: what `train.py` takes from YAML and from its command line."""
 
-    scenario: str = _text("mixed", "name of a scenario in configs/scenarios, or a YAML file")
+    scenario: str = _text(DEFAULT_SCENARIO, "name of a scenario in configs/scenarios, or a YAML file")
     changes: dict = field(default_factory=dict)  # merged over the scenario
     model: dict = field(default_factory=dict, metadata={"doc": "model.yaml with the effects that are on in this world"})
     observation: Literal["blind", "identified", "true_soil"] = _text(

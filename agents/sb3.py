@@ -18,6 +18,7 @@ except ModuleNotFoundError as error:
     raise
 
 from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
+from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import STEP, Simulation
 from soil_env.terramechanics.model import load_model
@@ -38,7 +39,7 @@ class SoilWheelVecEnv(VecEnv):
     def __init__(
         self,
         num_envs: int,
-        scenario="mixed",
+        scenario=DEFAULT_SCENARIO,
         observation="identified",
         action=None,
         repeat=None,

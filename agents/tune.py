@@ -21,7 +21,7 @@ from soil_env._io.commands import command, command_line, leave
 from soil_env._io.document import Table
 from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, quantity, unknown_value
-from soil_env.parameters import Control, load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, Control, load_scenario
 
 from . import studies
 from .cli import as_options, manual_parser
@@ -55,7 +55,10 @@ def parser() -> argparse.ArgumentParser:
     p = manual_parser(command(_NAME), __doc__)
     p.add_argument("--out", metavar="OUT", type=Path, required=True, help="folder, made where it does not exist")
     p.add_argument(
-        "--scenario", metavar="NAME", default="mixed", help="a scenario of configs/scenarios (default: mixed)"
+        "--scenario",
+        metavar="NAME",
+        default=DEFAULT_SCENARIO,
+        help="of configs/scenarios (default: %(default)s)",
     )
     p.add_argument("--actions", metavar="A,B", default=",".join(ACTIONS), help="of the drive (default: all)")
     p.add_argument("--courses", metavar="N", type=int, default=300, help="tuning courses (default: 300)")

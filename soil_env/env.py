@@ -14,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, UnknownKeyword
-from soil_env.parameters import CourseSpec, Scenario, Soil, SoilState, load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec, Scenario, Soil, SoilState, load_scenario
 from soil_env.simulation.infos import IMMOBILISED, Infos
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.terrain import ground_at
@@ -267,7 +267,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
 
     def __init__(
         self,
-        scenario: str | Path | Scenario = "mixed",
+        scenario: str | Path | Scenario = DEFAULT_SCENARIO,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,

@@ -381,13 +381,17 @@ def wheels() -> dict[str, Wheel]:
     return dict(_library("wheels"))
 
 
+#: Scenario of the environments, of training and of evaluation, where none is named.
+DEFAULT_SCENARIO = "two_lines"
+
+
 def scenario_names() -> list[str]:
     """Names of the shipped scenarios."""
     return sorted(p.stem for p in (config_dir() / "scenarios").glob("*.yaml"))
 
 
 def load_scenario(
-    which: str | Path | Scenario = "mixed", changes: dict[str, Any] | None = None, place: str = "changes"
+    which: str | Path | Scenario = DEFAULT_SCENARIO, changes: dict[str, Any] | None = None, place: str = "changes"
 ) -> Scenario:
     """A scenario by name, by path of a YAML file, or as it is, with `changes` (nested mapping) merged over it.
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError
 from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
-from soil_env.parameters import Scenario
+from soil_env.parameters import DEFAULT_SCENARIO, Scenario
 from soil_env.simulation.infos import Infos
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import Simulation
@@ -49,7 +49,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        scenario: str | Path | Scenario = "mixed",
+        scenario: str | Path | Scenario = DEFAULT_SCENARIO,
         observation: str = "identified",
         action: str | None = None,
         repeat: int | None = None,

@@ -51,7 +51,7 @@ def test_registration_in_a_fresh_process(code):
     code += "; print(type(e.unwrapped).__name__, e.observation_space.shape)"
     done = subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "SoilWheelEnv (25,)"
+    assert done.stdout.strip() == "SoilWheelEnv (62,)"
 
 
 # --- determinism ------------------------------------------------------------------------------------------------------
@@ -118,7 +118,7 @@ def test_bad_actions_are_named_and_change_nothing(bad):
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(("wild", "bound"), [(3.0, 1.0), (-1e9, -1.0)])
 def test_actions_are_cut_to_the_bounds(wild, bound, mode):
-    envs = SoilWheelEnv(action=mode), SoilWheelEnv(action=mode)
+    envs = SoilWheelEnv("mixed", action=mode), SoilWheelEnv("mixed", action=mode)
     a, b = (run(env, 0, 15, [x] * 15)[0] for env, x in zip(envs, (wild, bound), strict=True))
     np.testing.assert_array_equal(a, b)
     assert envs[0].simulation.worlds.state[0]["last_action"] == bound
@@ -176,7 +176,7 @@ def test_halts_happen_and_ignore_the_action():
 
 
 def test_halt_intervals_are_those_of_the_scenario():
-    env = SoilWheelEnv(course={"grade_deg": [-1.0, 0.0], "halt_interval": [2.0, 2.0]})
+    env = SoilWheelEnv("mixed", course={"grade_deg": [-1.0, 0.0], "halt_interval": [2.0, 2.0]})
     env.reset(seed=1)
     places = []
     for _ in range(160):
@@ -206,7 +206,7 @@ def test_keyword_arguments_reach_the_scenario():
 
 def test_a_changed_env_does_not_change_the_next():
     SoilWheelEnv(course={"length": 30.0}, reward={"progress": 1.0})
-    assert SoilWheelEnv().scenario == load_scenario("mixed")
+    assert SoilWheelEnv().scenario == load_scenario() == load_scenario("two_lines")
 
 
 @pytest.mark.parametrize(("arguments", "message"), [

@@ -32,7 +32,7 @@ from pathlib import Path
 
 from soil_env._io.commands import command, command_line, leave
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env.parameters import load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import studies
@@ -58,7 +58,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--controllers", metavar="CONTROLLERS", help="what is compared, with commas (see above)")
     p.add_argument("--out", metavar="OUT", type=Path, help="folder of the results, made where it does not exist")
     p.add_argument("--resume", metavar="OUT", type=Path, help="go on with an evaluation; only the engine may be given")
-    p.add_argument("--scenario", metavar="NAME", default="mixed", help="scenario or YAML file (default: mixed)")
+    p.add_argument("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help="or YAML file (default: %(default)s)")
     p.add_argument("--model", metavar="YAML", default="", help="model.yaml with the effects that are on in this world")
     p.add_argument("--courses", metavar="N", type=int, default=1000, help="courses that each drives (default: 1000)")
     p.add_argument(

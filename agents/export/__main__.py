@@ -27,7 +27,7 @@ import yaml
 from soil_env._io.commands import command, command_line, folder, leave, whole_number
 from soil_env._io.files import check_outputs, plain, replace_files, write_json
 from soil_env._io.loading import ParameterError, load
-from soil_env.parameters import Scenario, load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..cli import manual_parser
@@ -113,7 +113,7 @@ def _asked(options) -> tuple[Path, Scenario, WheelSoilModel | None]:
         wrong = f"{options.run}: no model.zip in this folder" if options.run.is_dir() else f"{path}: is not there"
         raise ParameterError(f"{wrong}: expected a run folder of train.py, or a .zip of Stable-Baselines3")
     if zips.read_bytes(path, ppo._META) is None:
-        return path, load_scenario(options.scenario or "mixed"), None
+        return path, load_scenario(options.scenario or DEFAULT_SCENARIO), None
     if options.scenario is not None:
         raise ParameterError(f"--scenario {options.scenario}: {path} has its own")
     meta = ppo.read_meta(path)

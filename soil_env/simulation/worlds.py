@@ -19,6 +19,7 @@ from soil_env.identification.class_memory import (
     clear_of_borders,
     forget_classes,
     judge_class,
+    leaves,
     memory_numbers,
     new_memory,
     remember,
@@ -165,10 +166,12 @@ def _observation(worlds, numbers, k, reading, sight):
 def _learn_class(worlds, numbers, k, reading, renewed, sight):
     """What the camera and the identifier say together of the terrain class under wheel k."""
     here, ids, state = label_here(worlds.courses, k, sight), worlds.ids, worlds.state
-    if renewed and clear_of_borders(sight.since, sight.left, numbers.memory):
+    clear = clear_of_borders(sight.since, sight.left, numbers.memory)
+    if renewed and clear:
         remember(worlds.memory, k, here, sight.patch, ids.estimate[k], ids.sd[k])
-    if state.halt_left[k] == numbers.world.halt_time:  # a halt begins
-        judge_class(worlds.memory, k, here, reading.load, numbers.memory)
+    halts = state.halt_left[k] == numbers.world.halt_time  # a halt begins
+    if leaves(worlds.memory, k, sight.patch, clear) or halts:
+        judge_class(worlds.memory, k, here, sight.patch, reading.load, numbers.memory)
 
 
 @inlined

@@ -197,7 +197,7 @@ def test_models_of_plain_sb3_with_their_vecnormalize(tmp_path, capsys, algorithm
     assert main([str(tmp_path / "model.zip"), f"--out={tmp_path}/out", "--courses=2", "--steps=30"]) == 0
     content = yaml.safe_load((tmp_path / "out" / "policy.yaml").read_text(encoding="utf-8"))
     assert content["algorithm"] == algorithm.__name__ and content["proof"]["largest_difference"] <= 1e-5
-    space = observation_space("blind")
+    space = observation_space("blind", load_scenario().course)
     x = np.random.default_rng(0).uniform(space.low, space.high, (40, *space.shape)).astype(np.float32)
     expected, _ = model.predict(env.normalize_obs(x), deterministic=True)
     found, memory = ExportedAgent(tmp_path / "out" / "policy.onnx").predict(x)

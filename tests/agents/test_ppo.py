@@ -336,7 +336,7 @@ def test_a_batch_that_does_not_divide_the_rollout_is_refused(num_envs, n_steps, 
 
 
 def test_an_observation_of_another_layout_is_refused(tmp_path):
-    save(build(load_scenario(), "blind", TINY, 0), tmp_path / "model.zip")
+    save(build(load_scenario("mixed"), "blind", TINY, 0), tmp_path / "model.zip")
     agent = load_agent(tmp_path / "model.zip")
     for shape in ((24,), (3, 24), ()):
         with pytest.raises(ParameterError, match=r"expected 14 numbers, those of observation 'blind'"):

@@ -11,7 +11,7 @@ from soil_env.simulation.task import VARIANTS
 
 SHORT = {"control": {"time_limit": 3.0}}  # 30 steps
 QUICK_END = {"limits": {"no_progress_time": 0.5}}
-FINISH = {"course": {"length": 1.0, "patch_length": [0.5, 0.9], "grade_deg": [-5.0, 0.0]}}
+FINISH = {"scenario": "mixed", "course": {"length": 1.0, "patch_length": [0.5, 0.9], "grade_deg": [-5.0, 0.0]}}
 
 
 def drive(env, steps, actions):

@@ -48,24 +48,45 @@ def test_estimates_of_patches_are_weighted_by_precision(one):
     np.testing.assert_allclose(one.sd[0, 0], SD / math.sqrt(weights.sum()))
 
 
-def test_capacity_is_the_best_drawbar_pull_of_the_estimated_soil(one):
-    numbers, wheel, belief = memory.memory_numbers(SCENARIO), SCENARIO.wheel, SCENARIO.belief
-    before = one.capacity.copy()
-    memory.judge_class(one, 0, 1, 160.0, numbers)
-    np.testing.assert_array_equal(one.capacity, before)  # not met
-    memory.remember(one, 0, 1, 0, ESTIMATE, SD)
-    memory.judge_class(one, 0, 1, 160.0, numbers)
+def best_pull(estimate, load):
+    """Best steady drawbar pull over the load of an estimate."""
+    wheel, belief = SCENARIO.wheel, SCENARIO.belief
     soil = SoilState(
-        math.tan(0.6), 300.0, math.exp(-4.0), math.exp(13.5), belief.sinkage_exponent,
-        belief.dig_gain * math.exp(0.2), belief.dig_recovery,
+        math.tan(estimate[0]), estimate[3], math.exp(estimate[1]), math.exp(estimate[2]), belief.sinkage_exponent,
+        belief.dig_gain * math.exp(estimate[4]), belief.dig_recovery,
     )  # fmt: skip
-    best = best_working_point(160.0, soil, wheel.radius, wheel.width, wheel.stall_torque)
-    assert one.capacity[0, 1] == pytest.approx(best.drawbar_pull / 160.0, rel=1e-9)
-    assert one.capacity[0, 0] == before[0, 0] == before[0, 2]
+    return best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque).drawbar_pull / load
+
+
+def test_capacity_is_the_mean_of_the_patches_of_a_class(one):
+    """Of each patch that of the last estimate on it; a patch without an estimate changes nothing."""
+    numbers = memory.memory_numbers(SCENARIO)
+    prior = one.capacity[0, 0]
+    assert prior == pytest.approx(best_pull(PRIOR, SCENARIO.weight), rel=1e-9)
+    memory.judge_class(one, 0, 1, 5, 160.0, numbers)
+    np.testing.assert_array_equal(one.capacity[0], prior)  # not met
+    other = ESTIMATE + np.array([0.05, 0.3, -0.2, 100.0, 0.1])
+    for patch, found, expected in (
+        (5, other, best_pull(other, 160.0)),
+        (5, ESTIMATE, best_pull(ESTIMATE, 160.0)),
+        (8, other, 0.5 * (best_pull(ESTIMATE, 160.0) + best_pull(other, 160.0))),
+        (9, ESTIMATE, (2.0 * best_pull(ESTIMATE, 160.0) + best_pull(other, 160.0)) / 3.0),
+    ):
+        memory.remember(one, 0, 1, patch, found, SD)
+        memory.judge_class(one, 0, 1, patch, 160.0, numbers)
+        assert one.capacity[0, 1] == pytest.approx(expected, rel=1e-9)
+    memory.judge_class(one, 0, 2, 10, 160.0, numbers)
+    assert one.capacity[0, 0] == one.capacity[0, 2] == prior
+
+
+def test_the_end_of_a_patch_is_reached_once(one):
+    memory.remember(one, 0, 1, 4, ESTIMATE, SD)
+    found = [memory.leaves(one, 0, patch, clear) for patch, clear in ((4, True), (3, False), (4, False), (4, False))]
+    assert found == [False, False, True, False]
 
 
 def test_what_was_learnt_of_a_class_is_near_its_soil():
-    """After a course, best drawbar pulls of the classes met: a third of their scatter off at most."""
+    """After a course, best drawbar pulls of the classes met: a quarter of their scatter off at most."""
     wheels = 60
     scenario = load_scenario("two_lines", {"control": {"action": "wheel_speed"}, "camera": {"label_error": 0.0},
                                            "course": {"dead_ends": 0.0}})  # fmt: skip
@@ -91,4 +112,4 @@ def test_what_was_learnt_of_a_class_is_near_its_soil():
             found.append(kept.capacity[k, c])
     error = np.array(found) - true
     assert len(error) > 150 and np.std(true) > 0.08
-    assert abs(error.mean()) < 0.03 and error.std() < 0.35 * np.std(true)
+    assert abs(error.mean()) < 0.03 and error.std() < 0.25 * np.std(true)
