@@ -12,9 +12,6 @@ from soil_env.terramechanics.model import WheelSoilModel
 NAMES = {"blind": "ppo_blind", "identified": "ppo_identified", "true_soil": "ppo_true"}
 
 
-_TRIM = 1.4
-
-
 def _text(default: str, doc: str):
     """A dataclass field of text."""
     return field(default=default, metadata={"doc": doc})
@@ -40,6 +37,8 @@ class PPOConfig(Checked):
     activation: Literal["relu", "tanh"] = _text("relu", "what follows a hidden layer: relu or tanh")
     log_std_init: float = quantity("", -5.0, 2.0, default=-1.6, doc="log of the initial standard deviation")
     initial_action: float = quantity("", -1.0, 1.0, default=0.3, doc="mean action of the untrained policy")
+    history: int = quantity("", 0, 1000, default=0, doc="past steps whose readings the network sees (agents.history)")
+    critic: Literal["", "true_soil"] = _text("", "what only the value network sees: nothing or true_soil")
     threads: int = quantity("", 1, 256, default=2, doc="threads of environment and update; the result is the same")
 
     def __post_init__(self):
@@ -62,11 +61,13 @@ class TrainConfig(Checked):
         "identified", "what the agent knows: blind, identified or true_soil"
     )
     algorithm: Literal["ppo", "recurrent_ppo"] = _text("ppo", "ppo, or recurrent_ppo: with a memory, of sb3-contrib")
-    guide: Literal["", "fixed_slip", "best_slip_identified", "best_slip_true"] = _text(
-        "", "slip controller whose rim speed the agent trims; empty: it sets the torque itself"
+    hidden_worlds: int = quantity(
+        "",
+        0,
+        1000,
+        default=0,
+        doc="worlds with a hidden effect mixed into the training (agents.worlds)",
     )
-    guide_settings: dict = field(default_factory=dict, metadata={"doc": "of the guide: slip, start"})
-    trim: float = quantity("", 0.0, 5.0, default=_TRIM, doc="log of the largest factor on the guide's rim speed")
     name: str = _text("", "of the run folder; empty: observation, scenario and time")
     runs: str = _text("runs", "folder of the run folders")
     seed: int = quantity("", 0, 2**31 - 1, default=0, doc="of the training")
@@ -78,9 +79,10 @@ class TrainConfig(Checked):
 
     def __post_init__(self):
         super().__post_init__()
-        for name, unset in (("guide_settings", {}), ("trim", _TRIM)):
-            if not self.guide and getattr(self, name) != unset:
-                raise ParameterError(f"{name} = {getattr(self, name)!r}: expected only with a guide")
+        if self.algorithm == "recurrent_ppo" and (self.ppo.history or self.ppo.critic):
+            raise ParameterError("ppo.history, ppo.critic: expected only with algorithm ppo, not recurrent_ppo")
+        if self.hidden_worlds >= self.ppo.num_envs:
+            raise ParameterError(f"hidden_worlds = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
 
     @property
     def world(self) -> WheelSoilModel | None:

@@ -23,9 +23,9 @@ from .evaluate import HELD_OUT_SET, TUNING_SET
 from .evaluate.models import load_model
 from .evaluate.tables import Column, metric_table, percent, points
 from .evaluate.tuning import tuned_settings
-from .guided import make_guide
 from .progress import Bar, console, show
 from .timing import Times, Timing
+from .worlds import hidden_worlds
 
 #: What `compare` writes into a run folder.
 COMPARISON = ("comparison.json", "comparison.csv", "comparison.png", "course.png", "time.json")
@@ -72,8 +72,7 @@ class _Watch(BaseCallback):
 
 
 def check(config: TrainConfig, scenario: Scenario) -> None:
-    """ParameterError with one line where a training could not begin: a guide that cannot be made, no sb3-contrib."""
-    make_guide(config, scenario)
+    """ParameterError with one line where a training could not begin: no sb3-contrib."""
     if config.algorithm == "recurrent_ppo":
         recurrent.algorithm()
 
@@ -118,7 +117,7 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable =
         console.print(f"{folder} is trained already.")
         return load_model(folder / "model.zip", scenario)
     log = folder / "tensorboard"
-    rest = config.ppo, config.seed, log, config.world, make_guide(config, scenario), config.algorithm
+    rest = config.ppo, config.seed, log, worlds(config, scenario), config.algorithm
     if (folder / "checkpoint.zip").is_file():
         model = ppo.resume(folder / "checkpoint.zip", scenario, config.observation, *rest)
         console.print(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
@@ -140,6 +139,13 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable =
     for left_over in (folder / "checkpoint.zip", *folder.glob(".*.partial*")):
         left_over.unlink(missing_ok=True)
     return load_model(folder / "model.zip", scenario)
+
+
+def worlds(config: TrainConfig, scenario: Scenario) -> ppo.World:
+    """The worlds of a training: that of the config, and the hidden ones mixed into it."""
+    if not config.hidden_worlds:
+        return config.world
+    return [config.world, *hidden_worlds(scenario, config.hidden_worlds, config.seed)]
 
 
 def trained(config: TrainConfig, scenario: Scenario, bar: Callable = Bar) -> Path:

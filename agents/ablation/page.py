@@ -116,7 +116,7 @@ def block(asked: Ablation, result: dict, where: str) -> str:
     sections = [{"title": n, "parts": _scenario(asked, result, n, entry)} for n, entry in result["scenarios"].items()]
     sections += [{"title": f"What is lost on {n}", "parts": [_losses(result, n, e)]} for n, e in result["loss"].items()]
     agents = "; ".join(
-        f"`{n}`: {a['algorithm']}, observation {a['observation']}, {_guided(a)}{a['timesteps']:,} steps"
+        f"`{n}`: {a['algorithm']}, observation {a['observation']}, {_more(a)}{a['timesteps']:,} steps"
         for n, a in result["agents"].items()
     )
     return render(
@@ -129,11 +129,14 @@ def block(asked: Ablation, result: dict, where: str) -> str:
     ).strip()
 
 
-def _guided(agent: dict) -> str:
-    if not agent["guide"]:
-        return "sets the torque, "
-    others = "".join(f" (on `{source}`: `{guide}`)" for source, guide in agent["guides"].items())
-    return f"trims the rim speed of `{agent['guide']}`{others}, "
+def _more(agent: dict) -> str:
+    """What sets an agent apart beside its algorithm and its observation."""
+    parts = (
+        (agent["history"], f"readings of {agent['history']} past steps, "),
+        (agent["critic"], f"critic that sees {agent['critic']}, "),
+        (agent["hidden_worlds"], f"{agent['hidden_worlds']} worlds with hidden effects in the training, "),
+    )
+    return "".join(text for there, text in parts if there)
 
 
 def _scenario(asked: Ablation, result: dict, name: str, entry: dict) -> list[str]:

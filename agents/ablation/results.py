@@ -43,7 +43,8 @@ def result(asked: Ablation, folder: Path) -> dict:
         "seeds": asked.seeds,
         "tuning_courses": asked.tuning_courses,
         "agents": {
-            name: {key: getattr(spec, key) for key in ("observation", "algorithm", "guide", "guides", "timesteps")}
+            name: {key: getattr(spec, key) for key in ("observation", "algorithm", "hidden_worlds", "timesteps")}
+            | {key: getattr(spec.ppo, key) for key in ("history", "critic")}
             for name, spec in asked.agents.items()
         },
         "metrics": {name: {"unit": METRICS[name][0], "meaning": METRICS[name][1]} for name in SHOWN},

@@ -81,7 +81,7 @@ _IDENTIFIED = (
     ObservedNumber("cohesion_sd", "kPa", 0.0, 1000.0),
     ObservedNumber("dig_gain_sd", "relative", 0.0, 20.0),
 )
-_TRUE = (
+TRUE_SOIL = (
     ObservedNumber("friction_angle", "rad", 0.0, 1.6),
     ObservedNumber("log10_shear_modulus", "log10 m", -5.0, 1.0),
     ObservedNumber("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0),
@@ -98,7 +98,7 @@ def layout(variant: str) -> tuple[ObservedNumber, ...]:
         raise ParameterError(f"observation = {variant!r}: expected one of {', '.join(VARIANTS)}")
     if variant not in VARIANTS:
         raise unknown_value(variant, VARIANTS, "observation")
-    return _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": _TRUE}[variant]
+    return _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": TRUE_SOIL}[variant]
 
 
 class TaskNumbers(NamedTuple):
@@ -183,13 +183,19 @@ def write_observation(out, state, counts, k, reading, courses, ids, task):
         out[20], out[21] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
         out[22], out[23] = sd[3] / 1000.0, sd[4]
     elif task.variant == 2:
-        soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], task.border)
-        out[13] = math.atan(soil.tan_phi)
-        out[14], out[15] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
-        out[16], out[17] = soil.cohesion / 1000.0, soil.sinkage_exponent
-        out[18], out[19] = soil.dig_gain, soil.dig_recovery
+        write_true_soil(out, 13, state, counts, k, courses, task)
     for i in range(out.size):
         out[i] = min(max(out[i], task.low[i]), task.high[i])
+
+
+@inlined
+def write_true_soil(out, first, state, counts, k, courses, task):
+    """Fill `out` from its entry `first` with the soil under wheel k, in the layout of `true_soil`."""
+    soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], task.border)
+    out[first] = math.atan(soil.tan_phi)
+    out[first + 1], out[first + 2] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
+    out[first + 3], out[first + 4] = soil.cohesion / 1000.0, soil.sinkage_exponent
+    out[first + 5], out[first + 6] = soil.dig_gain, soil.dig_recovery
 
 
 @inlined

@@ -35,6 +35,7 @@ from soil_env.simulation.dynamics import MANY, advance
 from soil_env.simulation.sensors import roll_odometer, sense, start_odometry
 from soil_env.simulation.task import (
     REWARD_TERMS,
+    TRUE_SOIL,
     Cause,
     TaskNumbers,
     judge,
@@ -42,6 +43,7 @@ from soil_env.simulation.task import (
     reward_terms,
     task_numbers,
     write_observation,
+    write_true_soil,
 )
 from soil_env.simulation.terrain import Courses, new_courses
 from soil_env.simulation.wheel import WheelCounts, WheelState, WorldNumbers, settle, world_numbers
@@ -186,6 +188,13 @@ def step_chunks(worlds, numbers, commands, what, counter):
         start = take(counter, portion)
 
 
+@root(nogil=True)
+def true_soils(worlds, numbers, out):
+    """Fill `out` [wheels, 7] with the soil under each wheel, in the layout of `true_soil`."""
+    for k in range(len(out)):
+        write_true_soil(out[k], 0, worlds.state, worlds.counts, k, worlds.courses, numbers.task)
+
+
 def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -239,6 +248,12 @@ class Simulation:
     def seed(self, k: int, rng: np.random.Generator) -> None:
         """Start the random stream of wheel k from a Generator."""
         self.worlds.streams[k] = seed_stream(rng)
+
+    def true_soils(self) -> np.ndarray:
+        """The soil under each wheel [wheels, 7] float32: what `true_soil` observes beside what `blind` does."""
+        out = np.empty((self.worlds.reward.size, len(TRUE_SOIL)), dtype=np.float32)
+        true_soils(self.worlds, self.numbers, out)
+        return np.clip(out, [e.low for e in TRUE_SOIL], [e.high for e in TRUE_SOIL], dtype=np.float32)
 
     def restart(self, k: int) -> None:
         """New course and fresh start for wheel k."""

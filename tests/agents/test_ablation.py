@@ -27,7 +27,9 @@ CONFIG = {
         "elsewhere": {"scenario": "unseen", "trained_on": "mixed", "changes": SHORT, "model": "effect.yaml"},
     },
     "agents": {
-        "ppo_identified": {"observation": "identified", "guide": "best_slip_identified", "timesteps": 192, "ppo": PPO},
+        "ppo_identified": {
+            "observation": "identified", "hidden_worlds": 1, "timesteps": 192, "ppo": PPO | {"history": 2},
+        },
         "ppo_true": {"observation": "true_soil", "timesteps": 192, "ppo": PPO},
     },
     "seeds": 2, "courses": 6, "tuning_courses": 1, "block": 4, "resamples": 50, "checkpoint_every": 64,
@@ -192,8 +194,8 @@ def test_a_killed_study_goes_on_from_its_checkpoints(tmp_path):
         ({"agents": {}}, "agent"),
         ({"agents": {"a-b": {"observation": "blind"}}}, "a-b"),
         ({"agents": {"fixed_slip": {"observation": "blind"}}}, "fixed_slip"),
-        ({"agents": {"a": {"observation": "blind", "guide": "nobody"}}}, "nobody"),
-        ({"agents": {"a": {"observation": "blind", "guide": "best_slip_true"}}}, "best_slip_true"),
+        ({"agents": {"a": {"observation": "blind", "ppo": {"critic": "soil"}}}}, "critic = 'soil'"),
+        ({"agents": {"a": {"observation": "blind", "hidden_worlds": -1}}}, "hidden_worlds"),
     ],
 )
 def test_a_bad_config_is_refused_in_one_line(tmp_path, capsys, changes, said):

@@ -215,9 +215,9 @@ def test_overrides_are_read_as_yaml():
         (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "32768"]),
         (["--changes.course.lenght", "5"], ["lenght", "did you mean 'length'"]),
         (["--seed", "-1"], ["seed", "-1", "[0, 2147483647]"]),
-        (["--guide", "fixed_slip", "--guide_settings.start", "0"], ["guide_settings.start = 0", "(0, 1]"]),
-        (["--guide", "best_slip_true"], ["best_slip_true", "does not read the observation"]),
-        (["--trim", "2"], ["trim = 2.0: expected only with a guide"]),
+        (["--ppo.critic", "true"], ["critic = 'true'", "true_soil"]),
+        (["--algorithm", "recurrent_ppo", "--ppo.history", "3"], ["ppo.history", "recurrent_ppo"]),
+        (["--hidden_worlds", "512"], ["hidden_worlds = 512", "num_envs"]),
         (["--scenario", "5"], ["unknown value '5'", "mixed"]),
         (["--observation", "seen"], ["observation", "seen", "identified"]),
         (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
@@ -431,9 +431,10 @@ def test_kill_after_a_checkpoint(capsys, tmp_path):
     assert len(rest) == 1 and rest[0] and all(step > reached for step in rest[0])
 
 
-def test_a_run_that_was_killed_ends_as_one_that_was_not(capsys, tmp_path, monkeypatch):
+@pytest.mark.parametrize("more", [[], ["--ppo.history=3", "--ppo.critic=true_soil", "--hidden_worlds=2"]])
+def test_a_run_that_was_killed_ends_as_one_that_was_not(capsys, tmp_path, monkeypatch, more):
     """Killed after a checkpoint, in the middle of the next rollout: the same weights, the same table."""
-    arguments = [*TINY, "--timesteps=640", f"--checkpoint_every={2 * ROLLOUT}", "--runs", tmp_path]
+    arguments = [*TINY, *more, "--timesteps=640", f"--checkpoint_every={2 * ROLLOUT}", "--runs", tmp_path]
     assert run(capsys, *arguments, "--name", "calm")[0] == 0
 
     class Killed(BaseException):
