@@ -144,7 +144,7 @@ def _scenario(asked: Ablation, result: dict, name: str, entry: dict) -> list[str
     seeds = [c["members"] if n in asked.agents else "" for n, c in entry["controllers"].items()]
     rows = [[row[0], count, *row[1:]] for row, count in zip(table.rows, seeds, strict=True)]
     out = [Table([table.header[0], "seeds", *table.header[1:]], rows).markdown()]
-    agent = results.identified(asked)
+    agent = asked.asked_about("identified")
     if agent in entry["paired"]:
         improvement = entry["improvement"][agent]
         rows = [
@@ -176,18 +176,18 @@ def verdicts(result: dict) -> list[str]:
     for g in result["goals"]:
         word, d = {"yes": "Yes", "no": "No", "open": "Not shown"}[g["answer"]], g["details"]
         if g["goal"] == "beats":
-            text = "less often immobilised than every controller that does not know the true soil, intervals apart? "
-            groups = {"apart": "apart from", "lower": "lower, intervals overlap:", "not lower": "not lower than",
-                      "higher": "higher than"}  # fmt: skip
+            text = "finishes more than every controller that does not know the true soil, intervals apart? "
+            groups = {"apart": "apart from", "more": "more, intervals overlap:", "not more": "not more than",
+                      "fewer": "fewer than"}  # fmt: skip
             said = [f"{t} {_names(d, kind)}" for kind, t in groups.items() if kind in d.values()]
             lines.append(f"- `{g['scenario']}`: {text}**{word}**: {'; '.join(said)}.")
-        elif g["goal"] == "within":
-            ((true, m),) = d.items()
-            text = f"at most 5 points more often immobilised than `{true}`? "
-            lines.append(f"- `{g['scenario']}`: {text}**{word}**: {points(m)} points.")
+        elif g["goal"] == "covers":
+            text = f"the identified soil gives at least {results.ENOUGH:.0%} of what the true soil is worth? "
+            worth = f"{points(d['identifier'])} of {points(d['soil'])} points finished, a share of {cell(d['share'])}"
+            lines.append(f"- `{g['scenario']}`: {text}**{word}**: {worth}.")
         else:
             least = ", ".join(f"{points(m)} against `{n}`" for n, m in d.items())
-            text = "loses less than every controller that does not know the true soil? "
+            text = "loses fewer finished courses than every controller that does not know the true soil? "
             lines.append(f"- `{g['scenario']}`: {text}**{word}**: its loss minus theirs, in points: {least}.")
     return lines
 

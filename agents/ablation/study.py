@@ -64,11 +64,21 @@ class AgentSpec(Checked):
 
 
 @dataclass(frozen=True)
+class Question(Checked):
+    """The agents that the verdicts are about; empty = the first that reads `identified`, `blind`, `true_soil`."""
+
+    identified: str = ""
+    blind: str = ""
+    true_soil: str = ""
+
+
+@dataclass(frozen=True)
 class Ablation(Checked):
     """Configuration of an ablation."""
 
     targets: dict[str, Target]
     agents: dict[str, AgentSpec]
+    question: Question = Question()
     seeds: int = quantity("trainings of each agent on each scenario", 1, 1000, default=5)
     courses: int = quantity("held-out courses of each scenario", 2, 10**6, default=1000)
     held_out: int = quantity("seed of the set of those courses", 0, 2**31 - 1, default=HELD_OUT_SET)
@@ -87,6 +97,11 @@ class Ablation(Checked):
         for name in self.agents:
             if name in CONTROLLERS or "-" in name or "/" in name:
                 raise ParameterError(f"agents: {name!r}: expected a name without - and /, not that of a controller")
+        for observation, name in to_dict(self.question).items():
+            if name and name not in self.agents:
+                raise unknown_key(name, self.agents, f"question.{observation}")
+            if name and self.agents[name].observation != observation:
+                raise ParameterError(f"question.{observation}: {name} reads {self.agents[name].observation}")
         if not self.sources or not self.agents:
             raise ParameterError("expected at least one scenario to train on and one agent")
 
@@ -94,6 +109,11 @@ class Ablation(Checked):
     def sources(self) -> list[str]:
         """The targets that are trained on."""
         return [name for name, target in self.targets.items() if not target.trained_on]
+
+    def asked_about(self, observation: str) -> str | None:
+        """The agent with an observation that the verdicts are about."""
+        first = (name for name, spec in self.agents.items() if spec.observation == observation)
+        return getattr(self.question, observation) or next(first, None)
 
     def source(self, target: str) -> str:
         """The target whose agents and controllers are compared on `target`."""
