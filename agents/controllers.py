@@ -3,7 +3,7 @@
 They work on batches of observations [n, D] in the layout of `soil_env.task` and know the scenario's wheel (radius,
 motor, weight), as an engineer would; the soil they know only where the name says so. All but `full_throttle` set a rim
 speed, which a PI loop on the measured rim speed turns into motor torque; where the action is a wheel-speed command
-the drive's own loop does that.
+or its rate the drive's own loop does that.
 
 | name | rim speed | observation |
 |------|-----------|-------------|
@@ -42,9 +42,11 @@ class Controller:
         self.radius, self.top_speed = wheel.radius, wheel.radius * wheel.no_load_speed
         self.stall = wheel.stall_torque
         self.weight_torque = scenario.weight * wheel.radius
-        self.period = scenario.control.period
-        self.by_speed = scenario.control.action == "wheel_speed"
-        self.gain = wheel.inertia / scenario.control.period  # [N m s]: a free wheel is on speed after one period
+        control = scenario.control
+        self.period = control.duration
+        self.by_speed, self.by_rate = control.action == "wheel_speed", control.action == "rim_acceleration"
+        self.change = control.rim_acceleration * self.period / self.top_speed  # of the rim command by an action of 1
+        self.gain = wheel.inertia / self.period  # [N m s]: a free wheel is on speed after one action
         self.integral_gain = 0.68 * self.weight_torque  # [N m] per rad
         self.settings: dict[str, float] = {}  # what can be set, as it is
         self.column = {entry.name: i for i, entry in enumerate(layout(self.variant))}
@@ -63,9 +65,11 @@ class Controller:
 
     def command(self, batch: np.ndarray, rim_speed: np.ndarray, state: dict) -> np.ndarray:
         """Actions [n, 1] float32 that follow a `rim_speed` [n] m/s, for observations [n, D]; advances `state`."""
-        if self.by_speed:
+        if self.by_speed or self.by_rate:
             droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)  # of the drive's loop
             action = rim_speed / self.top_speed + droop
+            if self.by_rate:
+                action = (action - batch[:, self.column["rim_command"]]) / self.change
         else:
             action = self._torque(batch, rim_speed, state) / self.stall
         return np.clip(action, -1.0, 1.0).astype(np.float32)[:, None]

@@ -35,7 +35,7 @@ class ExportedAgent:
         if self.content.get("format") != FORMAT:
             raise ParameterError(f"{path}: not written by agents.export: expected a description {FORMAT!r} inside")
         self.variant = self.content["observation"]
-        self.action = self.content["scenario"]["control"]["action"]
+        self.control = self.content["scenario"]["control"]
         self._check_layout()
         self._states = {x.name: x for x in self.session.get_inputs() if x.name not in ("observation", "new_course")}
         self._outputs = [x.name for x in self.session.get_outputs()]

@@ -24,17 +24,10 @@ from soil_env.simulation.task import TRUE_SOIL, Cause, layout
 from soil_env.simulation.worlds import STEP, Simulation
 from soil_env.terramechanics.model import load_model
 
-_OWN = (
-    "num_envs",
-    "scenario",
-    "observation",
-    "action",
-    "threads",
-    "model",
-    "critic",
-)  # keywords that are no part of a scenario
+#: Keywords that are no part of a scenario.
+_OWN = ("num_envs", "scenario", "observation", "action", "repeat", "threads", "model", "critic")
 CRITICS = ("", "true_soil")  # values of the keyword `critic`
-_RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value
+_RUNNING = Cause.RUNNING.value
 
 
 def privileged(critic: str) -> int:
@@ -54,10 +47,10 @@ def space_of(observation: str, critic: str = "") -> spaces.Box:
 class SoilWheelVecEnv(VecEnv):
     """`num_envs` wheels for SB3: a finished wheel is reset within the same step, as SB3 expects.
 
-    Infos of finished wheels carry `terminal_observation`, `TimeLimit.truncated`, `episode` {r, l, t} and `cause`; all
-    other wheels share one empty dict, which must not be written to. Keyword arguments as in `SoilWheelEnv`, and
-    `critic="true_soil"`: the entries that `true_soil` observes of the soil come after the observation, for the value
-    network of `agents.asymmetric`.
+    Infos of finished wheels carry `terminal_observation`, `TimeLimit.truncated` (False: the time limit of the scenario
+    ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all other wheels share one empty dict, which
+    must not be written to. Keyword arguments as in `SoilWheelEnv`, and `critic="true_soil"`: the entries that
+    `true_soil` observes of the soil come after the observation, for the value network of `agents.asymmetric`.
     """
 
     def __init__(
@@ -66,6 +59,7 @@ class SoilWheelVecEnv(VecEnv):
         scenario="mixed",
         observation="identified",
         action=None,
+        repeat=None,
         threads=None,
         model=None,
         critic="",
@@ -76,7 +70,7 @@ class SoilWheelVecEnv(VecEnv):
             check_count("threads", threads)
         num_envs = int(num_envs)
         self.render_mode = None
-        self.scenario = build_scenario(scenario, action, changes, _OWN)
+        self.scenario = build_scenario(scenario, action, repeat, changes, _OWN)
         self.critic, self.privileged = critic, privileged(critic)
         super().__init__(num_envs, space_of(observation, critic), action_space())
         self.observation_names = tuple(e.name for e in layout(observation))
@@ -114,7 +108,7 @@ class SoilWheelVecEnv(VecEnv):
         np.clip(numbers(actions, self.num_envs)[:, 0], -1.0, 1.0, out=self._commands)
 
     def step_wait(self):
-        """One control period; (observations, rewards, dones, infos)."""
+        """One action; (observations, rewards, dones, infos)."""
         worlds, start = self.simulation.worlds, time.perf_counter()
         self.simulation.step_all(self._commands, self._drive)
         self._returns += worlds.reward
@@ -126,7 +120,7 @@ class SoilWheelVecEnv(VecEnv):
             for k in np.flatnonzero(done):
                 infos[k] = {
                     "terminal_observation": last[k],
-                    "TimeLimit.truncated": bool(worlds.cause[k] == _TIME_LIMIT),
+                    "TimeLimit.truncated": False,
                     "episode": {"r": float(self._returns[k]), "l": int(self._lengths[k]), "t": now},
                     "cause": Cause(worlds.cause[k]).name,
                 }

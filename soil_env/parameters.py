@@ -293,14 +293,38 @@ class RewardWeights(Checked):
     information_discount: float = quantity("a step", 0.0, 1.0, default=0.999, doc="the agent's own discount")
 
 
+#: Control periods that an action lasts unless `Control.repeat` says otherwise.
+HELD = {"torque": 1, "wheel_speed": 1, "rim_acceleration": 5}
+
+
 @dataclass(frozen=True)
 class Control(Checked):
-    """Action of the agent, control period, integrator step and time limit."""
+    """Action of the agent, control period, integrator step and time limit.
 
-    period: float = quantity("s", 1e-3, 1.0, default=0.1, doc="time between two actions")
+    `repeat` is the number of control periods that an action lasts; where it is not given, `HELD[action]`.
+    """
+
+    period: float = quantity("s", 1e-3, 1.0, default=0.1, doc="of sensors, identifier and drive")
     substep: float = quantity("s", 1e-4, 0.5, default=0.1, doc="longest step of the integrator")
-    time_limit: float = quantity("s", 1.0, 1e5, default=90.0, doc="episode length at which it is truncated")
-    action: Literal["torque", "wheel_speed"] = "torque"
+    time_limit: float = quantity("s", 1.0, 1e5, default=90.0, doc="time to finish the course in")
+    action: Literal["torque", "wheel_speed", "rim_acceleration"] = "torque"
+    rim_acceleration: float = quantity("m/s2", 1e-3, 1e3, default=0.3, doc="of the commanded rim, action 1 or -1")
+    repeat: int | None = quantity("control periods", 1, 1e5, default=None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.repeat is not None and self.repeat != int(self.repeat):
+            raise ParameterError(f"Control.repeat = {self.repeat!r}: expected a whole number")
+
+    @property
+    def held(self) -> int:
+        """Control periods that an action lasts."""
+        return HELD[self.action] if self.repeat is None else int(self.repeat)
+
+    @property
+    def duration(self) -> float:
+        """Time that an action lasts [s]."""
+        return self.period * self.held
 
 
 @dataclass(frozen=True)
@@ -351,9 +375,14 @@ class Scenario(Checked):
         return self.wheel.body_mass * self.gravity
 
     @property
+    def periods(self) -> int:
+        """Control periods until the time limit."""
+        return max(1, round(self.control.time_limit / self.control.period))
+
+    @property
     def steps(self) -> int:
         """Actions until the time limit."""
-        return max(1, round(self.control.time_limit / self.control.period))
+        return -(-self.periods // self.control.held)
 
 
 # --- presets ----------------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from soil_env.simulation.task import Cause
 from soil_env.terramechanics.traversability import best_working_point
 from soil_env.vector_env import SoilWheelVectorEnv
 
-MODES = ("torque", "wheel_speed")
+MODES = ("torque", "wheel_speed", "rim_acceleration")
 
 
 def act(value):
@@ -51,7 +51,7 @@ def test_registration_in_a_fresh_process(code):
     code += "; print(type(e.unwrapped).__name__, e.observation_space.shape)"
     done = subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "SoilWheelEnv (24,)"
+    assert done.stdout.strip() == "SoilWheelEnv (25,)"
 
 
 # --- determinism ------------------------------------------------------------------------------------------------------
@@ -128,7 +128,7 @@ def test_actions_are_cut_to_the_bounds(wild, bound, mode):
 def test_actions_matter_and_mean_what_they_say(mode):
     env = SoilWheelEnv(action=mode, course={"halt_interval": [1e5, 1e5], "grade_deg": [-1, 0]})
     env.reset(seed=0)
-    for _ in range(20):
+    for _ in range(5 if mode == "rim_acceleration" else 20):  # half of 0.3 m/s2 over 2.5 s is 0.375 m/s
         info = env.step(act(0.5))[4]
     wheel = env.scenario.wheel
     if mode == "torque":
@@ -310,19 +310,21 @@ def test_info_is_as_documented():
 
 
 @pytest.mark.parametrize(("changes", "expected"), [
-    ({}, (True, False)), ({"control": {"time_limit": 1.0}}, (False, True)),
+    ({}, (True, False, "FINISHED", 0.0)),
+    ({"control": {"time_limit": 1.0}}, (True, False, "TIME_LIMIT", -10.0)),
+    ({"max_episode_steps": 10}, (False, True, "RUNNING", 0.0)),
 ])  # fmt: skip
-def test_terminated_and_truncated(changes, expected):
-    env = SoilWheelEnv(course={"length": 2.0, "grade_deg": [-2, 0]}, **changes)
+def test_only_a_wrapper_truncates(changes, expected):
+    """To be late is to have lost, and costs; to be cut off by the user's own wrapper is neither."""
+    env = gymnasium.make("SoilWheel-v0", course={"length": 2.0, "grade_deg": [-2, 0]}, **changes)
     env.reset(seed=0)
     terminated = truncated = False
     steps = 0
     while not (terminated or truncated):
         _, _, terminated, truncated, info = env.step(act(0.4))
         steps += 1
-    assert (terminated, truncated) == expected
-    assert info["cause"] == ("FINISHED" if terminated else "TIME_LIMIT")
-    assert terminated or steps == 10
+    assert (terminated, truncated, info["cause"], info["reward_terms"]["immobilisation"]) == expected
+    assert not info["immobilised"] and (info["cause"] == "FINISHED" or steps == 10)
 
 
 def test_traversability_is_that_of_the_estimate():

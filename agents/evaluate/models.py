@@ -8,9 +8,9 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, load
 from soil_env.env import observation_space
-from soil_env.parameters import Scenario
+from soil_env.parameters import Control, Scenario
 from soil_env.simulation.task import VARIANTS
 
 from .. import PACKAGE_NAMES
@@ -56,18 +56,27 @@ def load_model(path: Path, scenario: Scenario):
     if ppo._META in names:
         meta = ppo.read_meta(path)
         ppo.check_layout(meta, path)
-        _check_action(path, meta.get("scenario", {}).get("control", {}).get("action"), scenario)
+        _check_action(path, meta.get("scenario", {}).get("control", {}), scenario)
     model = _load(path, data, meta)
     if meta is not None:
         return ppo.agent_of(model, meta)
     return _Plain(model, _variant(model, path), _normalisation(path))
 
 
-def _check_action(path: Path, trained: str | None, scenario: Scenario) -> None:
-    if trained not in (None, scenario.control.action):
+def _check_action(path: Path, trained: dict, scenario: Scenario) -> None:
+    """ParameterError where a model was `trained` (a `Control` as a mapping) to act otherwise than the scenario asks."""
+    if "action" not in trained:
+        return
+    control, own = scenario.control, load(Control, trained, f"controllers: {path}: scenario.control")
+    if own.action != control.action:
         raise ParameterError(
-            f"controllers: {path}: trained with action {trained!r}, scenario {scenario.name!r} takes "
-            f"{scenario.control.action!r}"
+            f"controllers: {path}: trained with action {own.action!r}, scenario {scenario.name!r} takes "
+            f"{control.action!r}"
+        )
+    if own.duration != control.duration:
+        raise ParameterError(
+            f"controllers: {path}: trained with actions that last {own.duration:g} s, those of scenario "
+            f"{scenario.name!r} last {control.duration:g} s"
         )
 
 
@@ -76,7 +85,7 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
         agent = ExportedAgent(path)
     except ParameterError as error:
         raise ParameterError(f"controllers: {error}") from None
-    _check_action(path, agent.action, scenario)
+    _check_action(path, agent.control, scenario)
     return agent
 
 

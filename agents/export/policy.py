@@ -17,6 +17,7 @@ from soil_env._io.loading import ParameterError, to_dict
 from soil_env.env import action_space, observation_space
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
+from soil_env.simulation.wheel import REVERSE
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..evaluate.driving import HELD_OUT_SET, drive
@@ -87,7 +88,7 @@ def _normalised(x: Traced, agent, entries: int) -> Traced:
 
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:
     """What policy.yaml says before anything was run, as plain values."""
-    wheel, by_speed = scenario.wheel, scenario.control.action == "wheel_speed"
+    wheel, control = scenario.wheel, scenario.control
     space, model = observation_space(agent.variant), agent.model
     entries = [
         {"index": k, "name": e.name, "unit": e.unit, "low": low, "high": high}
@@ -117,15 +118,30 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
             "name": "action",
             "low": -1.0,
             "high": 1.0,
-            "meaning": "wheel speed, followed by the drive's own loop" if by_speed else "motor torque",
-            "scale": {"value": wheel.no_load_speed, "unit": "rad/s"} if by_speed
-            else {"value": wheel.stall_torque, "unit": "N m"},
+            **_OUTPUTS[control.action](wheel, control),
         },
-        "rate": {"period": scenario.control.period, "unit": "s"},
+        "rate": {"period": round(control.duration, 9), "unit": "s"},
         "scenario": to_dict(scenario),
         "world": None if world is None else world.content(),
         "versions": _versions(),
     }  # fmt: skip
+
+
+_OUTPUTS = {  # what the action means on a vehicle, and what 1 is
+    "torque": lambda wheel, control: {
+        "meaning": "motor torque", "scale": {"value": wheel.stall_torque, "unit": "N m"}
+    },
+    "wheel_speed": lambda wheel, control: {
+        "meaning": "wheel speed, followed by the drive's own loop",
+        "scale": {"value": wheel.no_load_speed, "unit": "rad/s"},
+    },
+    "rim_acceleration": lambda wheel, control: {
+        "meaning": "rate of the rim speed that the drive's own loop follows; that speed is 0 at the start and in halts",
+        "scale": {"value": control.rim_acceleration, "unit": "m/s2"},
+        "limits": {"value": [-REVERSE * wheel.radius * wheel.no_load_speed, wheel.radius * wheel.no_load_speed],
+                   "unit": "m/s, of that rim speed"},
+    },
+}  # fmt: skip
 
 
 def _versions() -> dict[str, str]:

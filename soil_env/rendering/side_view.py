@@ -126,7 +126,8 @@ class Renderer:
         self.scenario, self.mode, self.size = scenario, mode, tuple(size)
         self._canvas = self._window = self._clock = None
         self._course_key = self._profile = None
-        self._every = max(1, math.ceil(SPAN / scenario.control.period / _POINTS))  # control periods per sample
+        self._step = scenario.control.duration  # [s] from record to record
+        self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
         self._history: deque[tuple] = deque(maxlen=_POINTS + 2)
         self._angle = 0.0  # [rad] the wheel has turned
 
@@ -140,8 +141,8 @@ class Renderer:
         w, ids, world = simulation.wheel(k), simulation.worlds.ids, simulation.numbers.world
         if w["steps"] == 0:
             self.clear()
-        self._angle += float(w["wheel_speed"]) * world.period
-        if w["steps"] % self._every == 0:
+        self._angle += float(w["wheel_speed"]) * self._step
+        if w["steps"] % (self._every * self.scenario.control.held) == 0:
             soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], world.border)
             same = sinkage_coefficient_at(soil, simulation.numbers.identifier.reading.exponent, w["bearing_sinkage"])
             truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
@@ -169,7 +170,7 @@ class Renderer:
         if self.mode == "human":
             self._window.get_surface().blit(surface, (0, 0))
             self._window.flip()
-            self._clock.tick(1.0 / self.scenario.control.period)
+            self._clock.tick(1.0 / self._step)
             return None
         import pygame
 

@@ -41,6 +41,7 @@ from soil_env.simulation.terrain import cell_after, digging_ratio_of, leave_rut
 from soil_env.simulation.wheel import (
     SHALLOWEST,
     bearing_sinkage,
+    commanded,
     finish,
     motor,
     relax_sinkage,
@@ -255,8 +256,8 @@ def _choose_steps(state, first, i, period, world):
 def advance(state, counts, first, count, what, commands, courses, streams, world):
     """One control period of those of the wheels first .. first + count - 1 with what[k] = STEP.
 
-    `commands` [wheels] in [-1, 1]. During a commanded halt the drive ignores the command and holds the wheel with its
-    speed loop. `count` <= MANY; `first` a multiple of eight. `state` (`WheelState`), `counts` (`WheelCounts`),
+    `commands` [wheels] in [-1, 1]: actions, see `commanded`. During a halt the drive ignores them and holds the wheel
+    with its speed loop. `count` <= MANY; `first` a multiple of eight. `state` (`WheelState`), `counts` (`WheelCounts`),
     `courses` and `streams` are renewed in place.
     """
     period = _period()
@@ -270,7 +271,7 @@ def advance(state, counts, first, count, what, commands, courses, streams, world
         if going:
             halted = state.halt_left[k] > 0.0
             period.start[i] = state.x[k]
-            period.command[i] = 0.0 if halted else commands[k]
+            period.command[i] = commanded(state, k, commands[k], halted, world)
             period.by_speed[i] = 1.0 if halted or world.speed_command else 0.0
             state.motor_work[k] = state.soil_work[k] = state.numerical_work[k] = 0.0
     for i in range(0, end, COUNT):
@@ -288,4 +289,4 @@ def advance(state, counts, first, count, what, commands, courses, streams, world
         if period.left[i] > 0.0:
             _drive_alone(state, counts, first, i, period, courses, world)
         counts.converged[first + i] = 1 if period.clean[i] > 0.0 else 0
-        finish(state, counts, first + i, period.command[i], period.start[i], streams, world)
+        finish(state, counts, first + i, period.start[i], streams, world)

@@ -39,6 +39,8 @@ _FINISHED, _ENTRAPPED, _STALLED, _BOGGED = (
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 _CONVERGED = Status.CONVERGED.value
 
+_SENSORS = 14  # entries that every variant has
+
 REWARD_TERMS = ("progress", "energy", "immobilisation", "information")
 VARIANTS = ("blind", "identified", "true_soil")
 
@@ -67,6 +69,7 @@ _BLIND = (
     ObservedNumber("halted", "0 or 1", 0.0, 1.0),
     ObservedNumber("motor_torque", "of weight x radius", -10.0, 10.0),
     ObservedNumber("acceleration", "of gravity", -10.0, 10.0),
+    ObservedNumber("rim_command", "of top rim speed", -1.0, 1.0),
 )
 _IDENTIFIED = (
     ObservedNumber("friction_angle", "rad", 0.0, 1.6),
@@ -112,7 +115,8 @@ class TaskNumbers(NamedTuple):
     length: float
     border: float
     period: float
-    steps: int
+    periods: int  # until the time limit
+    repeat: int  # control periods that an action lasts
     sensors: SensorNumbers
     low: np.ndarray  # [D] float32 bounds of the observation
     high: np.ndarray
@@ -142,7 +146,8 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
         scenario.course.length,
         scenario.course.border,
         scenario.control.period,
-        scenario.steps,
+        scenario.periods,
+        scenario.control.held,
         sensor_numbers(scenario, model),
         np.array([e.low for e in entries], dtype=np.float32),
         np.array([e.high for e in entries], dtype=np.float32),
@@ -175,27 +180,29 @@ def write_observation(out, state, counts, k, reading, courses, ids, task):
     out[10] = 1.0 if state.halt_left[k] > 0.0 else 0.0
     out[11] = reading.motor_torque / (task.weight * task.radius)
     out[12] = reading.acceleration / task.gravity
+    out[13] = state.rim_command[k]
+    soils = out[_SENSORS:]
     if task.variant == 1:
         mean, sd = ids.estimate[k], ids.sd[k]
-        out[13], out[14], out[15] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
-        out[16], out[17], out[18] = sd[0], sd[1], sd[2]
-        out[19] = 1.0 if ids.status[k] == _CONVERGED else 0.0
-        out[20], out[21] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
-        out[22], out[23] = sd[3] / 1000.0, sd[4]
+        soils[0], soils[1], soils[2] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
+        soils[3], soils[4], soils[5] = sd[0], sd[1], sd[2]
+        soils[6] = 1.0 if ids.status[k] == _CONVERGED else 0.0
+        soils[7], soils[8] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
+        soils[9], soils[10] = sd[3] / 1000.0, sd[4]
     elif task.variant == 2:
-        write_true_soil(out, 13, state, counts, k, courses, task)
+        write_true_soil(soils, state, counts, k, courses, task)
     for i in range(out.size):
         out[i] = min(max(out[i], task.low[i]), task.high[i])
 
 
 @inlined
-def write_true_soil(out, first, state, counts, k, courses, task):
-    """Fill `out` from its entry `first` with the soil under wheel k, in the layout of `true_soil`."""
+def write_true_soil(out, state, counts, k, courses, task):
+    """Fill `out` [7] with the soil under wheel k, in the layout of `TRUE_SOIL`."""
     soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], task.border)
-    out[first] = math.atan(soil.tan_phi)
-    out[first + 1], out[first + 2] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
-    out[first + 3], out[first + 4] = soil.cohesion / 1000.0, soil.sinkage_exponent
-    out[first + 5], out[first + 6] = soil.dig_gain, soil.dig_recovery
+    out[0] = math.atan(soil.tan_phi)
+    out[1], out[2] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
+    out[3], out[4] = soil.cohesion / 1000.0, soil.sinkage_exponent
+    out[5], out[6] = soil.dig_gain, soil.dig_recovery
 
 
 @inlined
@@ -205,7 +212,7 @@ def judge(state, counts, k, task):
     A wheel is immobilised when it has not got `no_progress_distance` further than ever before for `no_progress_time`,
     whatever it does meanwhile, or has left the course backwards.
     """
-    out_of_time = counts.steps[k] >= task.steps
+    out_of_time = counts.steps[k] >= task.periods
     if state.halt_left[k] > 0.0:
         return _TIME_LIMIT if out_of_time else _RUNNING
     if state.best_x[k] >= state.mark_x[k] + task.no_progress_distance:
@@ -241,18 +248,18 @@ def knowledge(ids, k, precision):
 
 @inlined
 def reward_terms(state, k, cause, before, after, task, terms):
-    """Fill `terms` [4] (see REWARD_TERMS) for the last step of wheel k; the reward is their sum.
+    """Add the last control period of wheel k to `terms` [4] (see REWARD_TERMS); the reward is their sum.
 
     progress: weight x distance travelled / course length; energy: -weight x motor work (no recuperation) / (weight of
-    the loaded wheel x course length); immobilisation: -weight once, when the wheel is immobilised; information: weight
-    x (discount x `knowledge` `after` the step - knowledge `before` it), where nothing counts as known after a
-    terminated course: shaping by a potential, which leaves the best policy as it is (Ng, Harada & Russell 1999, ICML;
-    its end: Grzes 2017, AAMAS).
+    the loaded wheel x course length); immobilisation: -weight once, when the course ends unfinished, by immobilisation
+    or for want of time; information: weight x (discount x `knowledge` `after` the step - knowledge `before` it), where
+    nothing counts as known after the end: shaping by a potential, which leaves the best policy as it is (Ng, Harada &
+    Russell 1999, ICML; its end: Grzes 2017, AAMAS). Of a step of several periods the first has `before` and the last
+    has `after`, which are 0 in the others.
     """
-    terms[0] = task.reward_progress * state.travel[k] / task.length
+    terms[0] += task.reward_progress * state.travel[k] / task.length
     work = max(state.motor_work[k], 0.0)
-    terms[1] = -task.reward_energy * work / (state.mass[k] * task.gravity * task.length)
-    stuck = cause == _ENTRAPPED or cause == _STALLED or cause == _BOGGED
-    terms[2] = -task.reward_immobilisation if stuck else 0.0
-    kept = 0.0 if stuck or cause == _FINISHED else task.information_discount * after
-    terms[3] = task.reward_information * (kept - before)
+    terms[1] -= task.reward_energy * work / (state.mass[k] * task.gravity * task.length)
+    terms[2] -= task.reward_immobilisation if cause != _RUNNING and cause != _FINISHED else 0.0
+    kept = task.information_discount * after if cause == _RUNNING else 0.0
+    terms[3] += task.reward_information * (kept - before)

@@ -52,10 +52,10 @@ from soil_env.terramechanics.model import WheelSoilModel
 _TRIAL_COURSES = 8
 _RESTARTS = 100  # attempts at a course in the middle of a run, where there is nobody to change the scenario
 _LEAST = 32  # wheels that a thread takes at a time, at least; at most MANY
-#: What to do with a wheel: a control period, a new course, nothing, a whole course drawn for a trial (`reward` is
-#: then the mass on the wheel, or -1 if no passable course was found), the rest of its course drawn.
+#: What to do with a wheel: a step (the control periods of an action), a new course, nothing, a whole course drawn as a
+#: trial (`reward` is then the mass on the wheel, or -1 if no passable course was found), the rest of its course drawn.
 STEP, RESTART, IDLE, TRY, COMPLETE = np.int8(0), np.int8(1), np.int8(2), np.int8(3), np.int8(4)
-_TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
+_RUNNING = Cause.RUNNING.value
 
 
 class Worlds(NamedTuple):
@@ -71,6 +71,7 @@ class Worlds(NamedTuple):
     reward: np.ndarray  # [wheels]
     cause: np.ndarray  # [wheels] `task.Cause`
     solved: np.ndarray  # [wheels] True where the last step renewed the estimate
+    going: np.ndarray  # [wheels] int8, scratch of a step: STEP while the wheel drives
 
 
 def new_worlds(wheels: int, scenario: Scenario, task: TaskNumbers) -> Worlds:
@@ -86,6 +87,7 @@ def new_worlds(wheels: int, scenario: Scenario, task: TaskNumbers) -> Worlds:
         np.zeros(wheels),
         np.zeros(wheels, dtype=np.int64),
         np.zeros(wheels, dtype=np.bool_),
+        np.full(wheels, IDLE),
     )
 
 
@@ -115,13 +117,19 @@ def restart(worlds, numbers, k):
     settle(worlds.state, worlds.counts, k, mass, worlds.courses, worlds.streams, numbers.world)
     forget(worlds.ids, k, numbers.identifier)
     worlds.cause[k] = _RUNNING
+    _clear(worlds, k)
+    start_odometry(worlds.state, k, worlds.streams, numbers.task.sensors)
+    reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
+    _observation(worlds, numbers, k, reading)
+
+
+@inlined
+def _clear(worlds, k):
+    """What a step sums up, at its start."""
     worlds.reward[k] = 0.0
     for i in range(worlds.terms.shape[1]):
         worlds.terms[k, i] = 0.0
     worlds.solved[k] = False
-    start_odometry(worlds.state, k, worlds.streams, numbers.task.sensors)
-    reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
-    _observation(worlds, numbers, k, reading)
 
 
 @part
@@ -132,21 +140,46 @@ def _observation(worlds, numbers, k, reading):
 
 
 @inlined
-def after_period(worlds, numbers, k):
-    """After a control period of wheel k: draw the course ahead, sense, identify, judge, reward, observe."""
+def after_period(worlds, numbers, k, first, last):
+    """After a control period of wheel k: draw the course ahead, sense, identify, judge, reward, observe.
+
+    `first`, `last`: whether it is the first and the last one of the action, if the episode does not end in it.
+    """
     draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], _course(numbers))
     reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
     roll_odometer(worlds.state, k, reading.speed, numbers.task.sensors)
     paid, prior = numbers.task.reward_information > 0.0, numbers.identifier.precision
-    before = knowledge(worlds.ids, k, prior) if paid else 0.0
-    worlds.solved[k] = observe(worlds.ids, k, reading, numbers.identifier)
+    before = knowledge(worlds.ids, k, prior) if paid and first else 0.0
+    if observe(worlds.ids, k, reading, numbers.identifier):
+        worlds.solved[k] = True
     cause = judge(worlds.state, worlds.counts, k, numbers.task)
     worlds.cause[k] = cause
     terms = worlds.terms[k]
-    after = knowledge(worlds.ids, k, prior) if paid else 0.0
+    after = knowledge(worlds.ids, k, prior) if paid and last else 0.0
     reward_terms(worlds.state, k, cause, before, after, numbers.task, terms)
-    worlds.reward[k] = terms[0] + terms[1] + terms[2] + terms[3]
-    _observation(worlds, numbers, k, reading)
+    if last or cause != _RUNNING:
+        worlds.reward[k] = terms[0] + terms[1] + terms[2] + terms[3]
+        _observation(worlds, numbers, k, reading)
+
+
+@inlined
+def _step(worlds, numbers, commands, start, count, steps):
+    """A step of the `steps` wheels start ... start + count - 1 that are `going`: as many control periods as an action
+    lasts, until the episode ends."""
+    repeat = numbers.task.repeat
+    for period in range(repeat):
+        if steps == 0:
+            return
+        advance(
+            worlds.state, worlds.counts, start, count, worlds.going, commands, worlds.courses, worlds.streams,
+            numbers.world,
+        )  # fmt: skip
+        for k in range(start, start + count):
+            if worlds.going[k] == STEP:
+                after_period(worlds, numbers, k, period == 0, period == repeat - 1)
+                if worlds.cause[k] != _RUNNING:
+                    worlds.going[k] = IDLE
+                    steps -= 1
 
 
 @inlined
@@ -168,7 +201,9 @@ def step_chunks(worlds, numbers, commands, what, counter):
     while start < wheels:
         count, steps = min(portion, wheels - start), 0
         for k in range(start, start + count):
+            worlds.going[k] = STEP if what[k] == STEP else IDLE
             if what[k] == STEP:
+                _clear(worlds, k)
                 steps += 1
             elif what[k] == RESTART:
                 restart(worlds, numbers, k)
@@ -176,14 +211,7 @@ def step_chunks(worlds, numbers, commands, what, counter):
                 worlds.reward[k] = draw_course(k, worlds.courses, worlds.streams, _course(numbers))
             elif what[k] == COMPLETE:
                 extend_course(k, worlds.courses, worlds.state.mass[k], np.inf, _course(numbers))
-        if steps > 0:
-            advance(
-                worlds.state, worlds.counts, start, count, what, commands, worlds.courses, worlds.streams,
-                numbers.world,
-            )  # fmt: skip
-            for k in range(start, start + count):
-                if what[k] == STEP:
-                    after_period(worlds, numbers, k)
+        _step(worlds, numbers, commands, start, count, steps)
         portion = _portion(counter, wheels)
         start = take(counter, portion)
 
@@ -192,7 +220,7 @@ def step_chunks(worlds, numbers, commands, what, counter):
 def true_soils(worlds, numbers, out):
     """Fill `out` [wheels, 7] with the soil under each wheel, in the layout of `true_soil`."""
     for k in range(len(out)):
-        write_true_soil(out[k], 0, worlds.state, worlds.counts, k, worlds.courses, numbers.task)
+        write_true_soil(out[k], worlds.state, worlds.counts, k, worlds.courses, numbers.task)
 
 
 def _processors() -> int:
@@ -210,7 +238,6 @@ class Simulation:
         wheels: int,
         scenario: Scenario,
         variant: str,
-        max_episode_steps: int | None = None,
         threads: int | None = None,
         model: WheelSoilModel | None = None,
     ):
@@ -220,8 +247,6 @@ class Simulation:
         self._commands, self._what = np.zeros(wheels), np.full(wheels, IDLE)
         self._counter = np.ones(2, dtype=np.int64)
         task = task_numbers(scenario, variant, model)
-        if max_episode_steps is not None:
-            task = task._replace(steps=min(task.steps, int(max_episode_steps)))
         self.numbers = Numbers(
             world_numbers(scenario, model), course_numbers(scenario, model).drawn, identifier_numbers(scenario), task
         )
@@ -264,7 +289,7 @@ class Simulation:
         self._do(k, COMPLETE)
 
     def step(self, k: int, command: float) -> None:
-        """One control period of wheel k."""
+        """One step of wheel k: the control periods of an action."""
         self._commands[k] = command
         self._do(k, STEP)
 
@@ -277,7 +302,7 @@ class Simulation:
             self._what[k] = IDLE
 
     def step_all(self, commands: np.ndarray, what: np.ndarray) -> None:
-        """One control period with `commands` [wheels] float64; `what` [wheels] int8: STEP, RESTART or IDLE."""
+        """One step with `commands` [wheels] float64; `what` [wheels] int8: STEP, RESTART or IDLE."""
         commands, what = np.ascontiguousarray(commands, np.float64), np.ascontiguousarray(what, np.int8)
         self._in_parallel(commands, what)
 

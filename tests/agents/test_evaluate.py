@@ -159,6 +159,27 @@ def test_runs_equal_a_loop_over_one_wheel(scenario, runs, name):
         assert got.slip[course] == pytest.approx(slip / max(driving, 1), rel=1e-9)
 
 
+@pytest.mark.parametrize("name", ["full_throttle", "constant_speed", "best_slip_identified"])
+def test_a_controller_is_asked_as_often_as_the_scenario_says(scenario, name):
+    """The same courses, causes and returns as from the environment; slip and work of every control period."""
+    held = load_scenario(scenario, {"control": {"action": "rim_acceleration", "repeat": 5}})
+    controller = make_controller(name, held)
+    got = run_courses(controller, held, SEED, 4)
+    for course in range(4):
+        sim = Simulation(1, held, controller.variant, threads=1)
+        sim.seed(0, course_rng(SEED, course))
+        sim.restart(0)
+        returns, state, fresh, w = 0.0, None, np.array([True]), sim.worlds
+        while w.cause[0] == Cause.RUNNING.value:
+            action, state = controller.predict(w.observation.copy(), state, fresh)
+            fresh = np.array([False])
+            sim.step(0, float(action[0, 0]))
+            returns += float(w.reward[0])
+        assert got.cause[course] == w.cause[0] and got.distance[course] == w.state["best_x"][0]
+        assert got.time[course] == pytest.approx(0.1 * w.counts["steps"][0])
+        assert got.returns[course] == pytest.approx(returns, rel=1e-9)
+
+
 def test_return_is_compared_without_the_information_that_an_agent_was_paid_for(scenario, runs):
     paid = load_scenario(scenario, {"reward": {"information": 50.0}})
     controller = make_controller("fixed_slip", paid)

@@ -77,6 +77,7 @@ def start(out, *arguments):
 @pytest.mark.parametrize(("algorithm", "observation", "action", "inputs"), [
     ("ppo", "identified", "torque", {}),
     ("ppo", "blind", "wheel_speed", {"history": 4}),
+    ("ppo", "blind", "rim_acceleration", {"history": 4}),
     ("ppo", "identified", "torque", {"history": 2, "critic": "true_soil"}),
     ("ppo", "true_soil", "torque", {"critic": "true_soil"}),
     ("recurrent_ppo", "identified", "torque", {}),

@@ -339,6 +339,6 @@ def test_an_observation_of_another_layout_is_refused(tmp_path):
     save(build(load_scenario(), "blind", TINY, 0), tmp_path / "model.zip")
     agent = load_agent(tmp_path / "model.zip")
     for shape in ((24,), (3, 24), ()):
-        with pytest.raises(ParameterError, match=r"expected 13 numbers, those of observation 'blind'"):
+        with pytest.raises(ParameterError, match=r"expected 14 numbers, those of observation 'blind'"):
             agent.predict(np.zeros(shape))
-    assert agent.predict(np.zeros((3, 13)))[0].shape == (3, 1)
+    assert agent.predict(np.zeros((3, 14)))[0].shape == (3, 1)
