@@ -1,33 +1,43 @@
 """Past sensor readings beside the observation: a memory of fixed length for a feed-forward network.
 
 The readings of the last `steps` steps, those that say how the wheel answered the ground, follow the present observation
-(as stacked frames follow a picture, Mnih et al. 2015, Nature 518:529; here only of the readings that matter).
+(as stacked frames follow a picture, Mnih et al. 2015, Nature 518:529; here only of the readings that matter). Where a
+camera tells terrain classes apart, averages of the readings on each class follow: what it felt like when it was met.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from soil_env.simulation.task import layout
-
 #: Entries of the observation that are kept. The pitch and what was commanded follow from them or from the observation.
 READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_speed")
 
+SHARE = 0.1  # of a step in the averages on the ground of a terrain class
+
 
 class History:
-    """Which entries of an observation are kept, and for how many steps; keeps nothing itself."""
+    """Which entries of an observation are kept, and for how many steps; keeps nothing itself.
 
-    def __init__(self, variant: str, steps: int):
-        names = [entry.name for entry in layout(variant)]
+    `names`: entries of the layout. With terrain classes (`here_class_1`, ...) the history has, for each class, the
+    moving average of the readings on its ground as well, and how much of it is known: 0 for a class not met, towards 1.
+    """
+
+    def __init__(self, names: Sequence[str], steps: int):
+        names = list(names)
         self.steps, self.entries = steps, len(names)
         self.columns = [names.index(name) for name in READINGS]
-        self.size = steps * len(self.columns)  # numbers that come to the observation
+        self.halted = names.index("halted")
+        self.classes = [k for k, name in enumerate(names) if name.startswith("here_class_")]
+        self.past = steps * len(self.columns)
+        self.size = self.past + len(self.classes) * (len(self.columns) + 1)  # numbers that come to the observation
 
     @property
     def kept(self) -> int:
-        """Numbers that are kept from one step to the next for each wheel: the present readings, then the past ones."""
+        """Numbers that are kept from one step to the next for each wheel: the present readings, then the history."""
         return self.size + len(self.columns)
 
     def observe(self, seen, kept, fresh, others: int = 0):
@@ -37,20 +47,38 @@ class History:
         `fresh` [n] bool, the present readings stand in for the past, whatever `kept` [n, self.kept] holds. All are
         arrays, or values of an ONNX graph (`agents.export`).
         """
-        m, entries = len(self.columns), list(range(self.entries))
-        rest = list(range(self.entries, self.entries + others))
-        moved = np.concatenate([seen[:, self.columns], kept[:, list(range(self.size))]], axis=1)
-        kept = np.where(fresh[:, None], seen[:, self.columns * (self.steps + 1)], moved)
-        past = kept[:, list(range(m, m + self.size))]
-        return np.concatenate([seen[:, entries], past, *([seen[:, rest]] if others else [])], axis=1), kept
+        m = len(self.columns)
+        moved = np.concatenate([seen[:, self.columns], kept[:, _range(0, self.past)]], axis=1)
+        now = [np.where(fresh[:, None], seen[:, self.columns * (self.steps + 1)], moved)]
+        driving = 1.0 - seen[:, [self.halted]]
+        for k, column in enumerate(self.classes):
+            first = m + self.past + k * (m + 1)
+            known = np.where(fresh[:, None], 0.0 * seen[:, [0] * (m + 1)], kept[:, _range(first, first + m + 1)])
+            rate = SHARE * driving * seen[:, [column]]
+            sums = np.concatenate([seen[:, self.columns], 0.0 * driving + 1.0], axis=1)
+            now.append(known + rate * (sums - known))
+        kept = np.concatenate(now, axis=1) if self.classes else now[0]
+        history = [kept[:, _range(m, m + self.past)]]
+        for k in range(len(self.classes)):
+            first = m + self.past + k * (m + 1)
+            share = kept[:, [first + m]]
+            history += [kept[:, _range(first, first + m)] / np.maximum(share, 1e-6), share]
+        rest = [seen[:, _range(self.entries, self.entries + others)]] if others else []
+        return np.concatenate([seen[:, _range(0, self.entries)], *history, *rest], axis=1), kept
 
     def space(self, box: spaces.Box) -> spaces.Box:
         """Observation space with the history in the place where `observe` puts it."""
         bounds = []
-        for side in (box.low, box.high):
+        for side, share in ((box.low, 0.0), (box.high, 1.0)):
             own = side[self.columns]
-            bounds.append(np.concatenate([side[: self.entries], np.tile(own, self.steps), side[self.entries :]]))
+            history = [*np.tile(own, self.steps), *np.tile(np.append(own, share), len(self.classes))]
+            bounds.append(np.concatenate([side[: self.entries], history, side[self.entries :]]).astype(np.float32))
         return spaces.Box(*bounds, dtype=np.float32)
+
+
+def _range(start: int, stop: int) -> list[int]:
+    """Columns as a list: what a graph can gather."""
+    return list(range(start, stop))
 
 
 class HistoryVecEnv(VecEnvWrapper):

@@ -31,7 +31,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 from . import checkpoint, recurrent, zips
 from .asymmetric import AsymmetricPolicy
 from .config import NAMES, PPOConfig, TrainConfig, load_config
-from .history import READINGS, History, HistoryVecEnv
+from .history import History, HistoryVecEnv
 from .learner import Learner, Tanh
 from .sb3 import CRITICS, SoilWheelVecEnv, privileged, space_of
 from .worlds import SeveralWorlds
@@ -112,7 +112,7 @@ def normalised(
     ]
     wheels = parts[0] if len(parts) == 1 else SeveralWorlds(parts)
     if config.history:
-        wheels = HistoryVecEnv(wheels, History(observation, config.history))
+        wheels = HistoryVecEnv(wheels, History(parts[0].observation_names, config.history))
     env = VecNormalize(wheels, gamma=config.gamma)
     env.seed(seed)
     return env
@@ -221,7 +221,7 @@ def agent_of(model, meta: dict) -> Agent:
 
 
 def _history(meta: dict) -> History | None:
-    return History(meta["observation"], meta["history"]) if meta["history"] else None
+    return History(meta["observation_names"], meta["history"]) if meta["history"] else None
 
 
 def read_meta(path: Path) -> dict:
@@ -238,7 +238,8 @@ def read_meta(path: Path) -> dict:
         raise ParameterError(f"{path}: {_META}: observation = {meta['observation']!r}: expected one of {list(NAMES)}")
     if meta["critic"] not in CRITICS or meta["history"] < 0:
         raise ParameterError(f"{path}: {_META}: critic, history = {meta['critic']!r}, {meta['history']}: not known")
-    size = len(meta["observation_names"]) + meta["history"] * len(READINGS) + privileged(meta["critic"])
+    history = _history(meta)
+    size = len(meta["observation_names"]) + (history.size if history else 0) + privileged(meta["critic"])
     for key in ("mean", "var"):
         if len(meta[key]) != size or not all(isinstance(x, (int, float)) for x in meta[key]):
             raise ParameterError(f"{path}: {_META}: {key}: expected {size} numbers")

@@ -197,7 +197,7 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[
     evaluate.save(result, folder)
     with times.part("figures"):
         plots.comparison_figure(result, folder / "comparison.png")
-        classical = min(controllers, key=lambda n: result["controllers"][n]["immobilised"]["value"])
+        classical = max(controllers, key=lambda n: result["controllers"][n]["finished"]["value"])
         drivers = {n: contestants[n] for n in (classical, *agents)}
         course = _telling_course(runs, list(agents))
         plots.course_figure(scenario, HELD_OUT_SET, course, drivers, folder / "course.png", world)
@@ -229,36 +229,28 @@ _COLUMNS = (
 
 
 def print_table(result: dict) -> None:
-    """The comparison as a table, and how far PPO is from the references; all intervals are in comparison.json."""
+    """The comparison as a table, and how PPO compares in courses finished; all intervals are in comparison.json."""
     title = f"{result['courses']} held-out courses of scenario {result['scenario']!r}, the same for all; 95 % intervals"
     show(metric_table(result["controllers"], _COLUMNS, title))
     show(*(verdict(result, name) for name in result["controllers"] if name in ppo.NAMES.values()))
 
 
 def verdict(result: dict, name: str) -> str:
-    """How the agent compares with the tuned fixed slip, with the best controller that does not know the soil, and
-    with the true-soil reference. Only the first word of a claim depends on the intervals: "less" means that they do
-    not overlap."""
-    rows = result["controllers"]
-    agent, fixed, true = (rows[n]["immobilised"] for n in (name, "fixed_slip", "best_slip_true"))
-    fair = [n for n in rows if n not in (name, "best_slip_true", "ppo_true")]
-    best = min(fair, key=lambda n: rows[n]["immobilised"]["value"] + rows[n]["time_limit"]["value"])
-    text = f"{name} is immobilised {_judgement(agent, fixed)} the tuned fixed slip: "
-    text += f"{percent(agent)} against {percent(fixed)}"
-    gap = fixed["value"] - true["value"]
-    share = (fixed["value"] - agent["value"]) / gap if gap > 0.0 else 0.0
-    if 0.0 < share <= 1.0:
-        text += f"; it covers {share:.0%} of the way to best_slip_true ({true['value']:.1%})"
-    elif share > 1.0:
-        text += f", and {true['value']:.1%} of best_slip_true, which knows the soil"
+    """How the agent compares, in courses finished, with the best controller that does not know the true soil and with
+    the slip controller that does. "More" and "fewer" mean that the paired interval leaves 0 out."""
+    rows = {n: row["finished"] for n, row in result["controllers"].items()}
+    others = [n for n in rows if n not in (name, "best_slip_true", ppo.NAMES["true_soil"])]
+    best = max(others, key=lambda n: rows[n]["value"])
+    paired = {n: result["paired"][name][n]["finished"] for n in (best, "best_slip_true")}
     return (
-        f"{text}. Of the others without the true soil, {best} fails least; {name} minus {best}, courses finished: "
-        f"{points(result['paired'][name][best]['finished'])} percentage points. One training seed; the intervals are "
-        "over courses."
+        f"{name} finishes {percent(rows[name])}: {_judgement(paired[best])} {best}, which finishes most of the others "
+        f"without the true soil ({points(paired[best])} percentage points), {_judgement(paired['best_slip_true'])} "
+        f"best_slip_true, which knows it ({points(paired['best_slip_true'])}). One training seed; the intervals "
+        "are over courses."
     )
 
 
-def _judgement(a: dict, b: dict) -> str:
-    if a["high"] < b["low"]:
-        return "less often than"
-    return "more often than" if a["low"] > b["high"] else "neither less nor more often, within the intervals, than"
+def _judgement(difference: dict) -> str:
+    if difference["low"] > 0.0:
+        return "more than"
+    return "fewer than" if difference["high"] < 0.0 else "neither more nor fewer, within the interval, than"

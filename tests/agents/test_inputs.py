@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 import torch
+from gymnasium.spaces import Box
 from stable_baselines3 import PPO
 
 from agents import ppo
 from agents.asymmetric import AsymmetricPolicy
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
-from agents.history import READINGS, History, HistoryVecEnv
+from agents.history import READINGS, SHARE, History, HistoryVecEnv
 from agents.learner import Learner
 from agents.ppo import PPOConfig
 from agents.sb3 import SoilWheelVecEnv, privileged, space_of
@@ -21,7 +22,8 @@ from tests.agents.saved import edit
 from tests.agents.test_learner import updated
 
 TINY = {"num_envs": 8, "n_steps": 16, "batch_size": 64, "n_epochs": 2, "layer": 8}
-BLIND = len(layout("blind"))
+NAMES = [e.name for e in layout("blind")]
+BLIND = len(NAMES)
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +46,9 @@ def driven(env, steps, seed=5):
 def test_the_history_holds_the_readings_of_the_last_steps(scenario, critic):
     """Against a list of all past observations of each course; the last one of a course is of that course still."""
     steps, more = 3, privileged(critic)
-    env = HistoryVecEnv(SoilWheelVecEnv(4, scenario, "blind", critic=critic), History("blind", steps))
+    env = HistoryVecEnv(SoilWheelVecEnv(4, scenario, "blind", critic=critic), History(NAMES, steps))
     plain = SoilWheelVecEnv(4, scenario, "blind", critic=critic)
-    columns = [[e.name for e in layout("blind")].index(name) for name in READINGS]
+    columns = [NAMES.index(name) for name in READINGS]
     first, results = driven(env, 60)
     plain_first, plain_results = driven(plain, 60)
     assert first.shape == (4, BLIND + steps * len(READINGS) + more) == (4, *env.observation_space.shape)
@@ -94,6 +96,32 @@ def test_a_loaded_agent_drives_as_it_was_trained(scenario, tmp_path, critic):
     assert seen.shape == (8, BLIND + 3 * len(READINGS) + privileged(critic))
     alone, state = agent.predict(raw[0])
     assert alone.shape == (1,) and state.shape == (1, 4 * len(READINGS))
+
+
+def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
+    """Against sums over all past steps on a class, weighted by (1 - SHARE)^k; nothing of a course before."""
+    names = [*NAMES, "here_class_1", "here_class_2", "ahead_class_1"]
+    history, rng, n, m = History(names, 2), np.random.default_rng(0), 3, len(READINGS)
+    seen = rng.normal(size=(40, n, len(names))).astype(np.float32)
+    first_class = rng.random((40, n)) < 0.5
+    seen[:, :, -3], seen[:, :, -2] = first_class, ~first_class
+    halted = rng.random((40, n)) < 0.2
+    seen[:, :, history.halted] = halted
+    kept = rng.normal(size=(n, history.kept)).astype(np.float32)  # of courses that have ended
+    for step in range(40):
+        out, kept = history.observe(seen[step], kept, np.full(n, step == 0))
+    assert out.shape == (n, len(names) + history.size) == (n, len(names) + 2 * m + 2 * (m + 1))
+    columns = [names.index(name) for name in READINGS]
+    for k in range(n):
+        for c, there in enumerate((first_class[:, k], ~first_class[:, k])):
+            rows = np.flatnonzero(there & ~halted[:, k])
+            weights = SHARE * (1.0 - SHARE) ** np.arange(len(rows))[::-1]
+            found = out[k, len(names) + 2 * m + c * (m + 1) :][: m + 1]
+            assert found[m] == pytest.approx(weights.sum(), rel=1e-5)
+            expected = (weights[:, None] * seen[rows, k][:, columns]).sum(axis=0) / weights.sum()
+            np.testing.assert_allclose(found[:m], expected, rtol=1e-4, atol=1e-5)
+    low, high = history.space(Box(-1.0, 1.0, (len(names),))).low, history.space(Box(-1.0, 1.0, (len(names),))).high
+    assert low.shape == high.shape == (len(names) + history.size,)
 
 
 def test_a_change_of_history_or_critic_is_refused(scenario, tmp_path):

@@ -176,25 +176,21 @@ def test_the_same_seed_gives_the_same_comparison(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "agent, best, words, share",
-    [((0.10, 0.08, 0.12), (0.1 - 1 / 30, 0.05, 0.08), "less often than", "86%"),
-     ((0.29, 0.25, 0.33), (0.10, 0.08, 0.12), "neither less nor more often", "5%"),
-     ((0.30, 0.25, 0.33), (0.10, 0.08, 0.12), "neither less nor more often", None),
-     ((0.50, 0.45, 0.55), (0.10, 0.08, 0.12), "more often than", None),
-     ((0.10, 0.05, 0.12), (0.30, 0.27, 0.33), "less often than", None)],
+    "low, high, words",
+    [(0.01, 0.05, "more than fixed_slip"), (-0.01, 0.03, "within the interval, than fixed_slip"),
+     (-0.06, -0.02, "fewer than fixed_slip")],
 )  # fmt: skip
-def test_the_verdict_follows_from_the_intervals(agent, best, words, share):
-    """The share of the gap to the best slip is claimed only where there is a gap, of which some is covered."""
-    rates = {"ppo_blind": agent, "fixed_slip": (0.30, 0.27, 0.33), "best_slip_true": best}
-    rows = {
-        name: {"immobilised": dict(zip(("value", "low", "high"), m, strict=True)), "time_limit": {"value": 0.0}}
-        for name, m in rates.items()
-    }
-    even = {"finished": {"value": 0.05, "low": 0.02, "high": 0.08}}
-    paired = {a: dict.fromkeys(rows, even) for a in rows}
-    text = training.verdict({"controllers": rows, "paired": paired}, "ppo_blind")
-    assert words in text
-    assert "of the way" not in text if share is None else f"{share} of the way" in text
+def test_the_verdict_follows_from_the_paired_intervals(low, high, words):
+    """Against the best controller that is not told the true soil."""
+    keys = ("value", "low", "high")
+    rates = {"ppo_blind": (0.9, 0.88, 0.92), "constant_speed": (0.5, 0.47, 0.53), "fixed_slip": (0.88, 0.86, 0.9),
+             "best_slip_true": (0.95, 0.93, 0.97)}  # fmt: skip
+    rows = {name: {"finished": dict(zip(keys, m, strict=True))} for name, m in rates.items()}
+    differences = {"fixed_slip": ((low + high) / 2, low, high), "constant_speed": (0.4, 0.37, 0.43),
+                   "best_slip_true": (-0.05, -0.07, -0.03)}  # fmt: skip
+    paired = {n: {"finished": dict(zip(keys, d, strict=True))} for n, d in differences.items()}
+    text = training.verdict({"controllers": rows, "paired": {"ppo_blind": paired}}, "ppo_blind")
+    assert words in text and "fewer than best_slip_true" in text and "90.0 % [88.0, 92.0]" in text
 
 
 # --- the command line -------------------------------------------------------------------------------------------------
