@@ -49,7 +49,7 @@ class Controller:
         self.gain = wheel.inertia / self.period  # [N m s]: a free wheel is on speed after one action
         self.integral_gain = 0.68 * self.weight_torque  # [N m] per rad
         self.settings: dict[str, float] = {}  # what can be set, as it is
-        self.column = {entry.name: i for i, entry in enumerate(layout(self.variant))}
+        self.column = {entry.name: i for i, entry in enumerate(layout(self.variant, scenario.course))}
 
     def rim_speed(self, observation: np.ndarray, state: dict) -> np.ndarray:
         """Rim speed to follow [m/s], [n]; may keep things in `state`."""

@@ -22,9 +22,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from soil_env._io.files import replace_file
-from soil_env._io.loading import ParameterError, to_dict
+from soil_env._io.loading import ParameterError, load, to_dict
 from soil_env.env import action_space
-from soil_env.parameters import Scenario
+from soil_env.parameters import CourseSpec, Scenario
 from soil_env.simulation.task import layout
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -59,7 +59,7 @@ def build(
     `world`: the model whose effects are on there, or several, on equal shares of the wheels. `algorithm`: as in
     `TrainConfig`.
     """
-    cls, policy, network = _algorithm(algorithm, config)
+    cls, policy, network = _algorithm(algorithm, config, scenario)
     model = cls(
         policy,
         normalised(scenario, observation, config, seed, world),
@@ -75,7 +75,7 @@ def build(
     return model
 
 
-def _algorithm(name: str, config: PPOConfig) -> tuple[type, str, dict]:
+def _algorithm(name: str, config: PPOConfig, scenario: Scenario) -> tuple[type, str, dict]:
     """(class, name of its policy, arguments of its network)."""
     torch.set_num_threads(1)  # its tensors are too small to be shared out; `Learner` shares out whole minibatches
     if name == "recurrent_ppo":
@@ -86,7 +86,7 @@ def _algorithm(name: str, config: PPOConfig) -> tuple[type, str, dict]:
         "optimizer_kwargs": {"fused": True},
     }
     if config.critic:
-        return Learner, AsymmetricPolicy, network | {"privileged": privileged(config.critic)}
+        return Learner, AsymmetricPolicy, network | {"privileged": len(privileged(config.critic, scenario.course))}
     return Learner, "MlpPolicy", network
 
 
@@ -140,7 +140,7 @@ def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
     env = model.get_vec_normalize_env()
     meta = {
         "timesteps": int(model.num_timesteps),
-        "observation": _variant(env),
+        "observation": env.get_attr("observation_variant")[0],
         "observation_names": list(env.get_attr("observation_names")[0]),
         "mean": env.obs_rms.mean.tolist(),
         "var": env.obs_rms.var.tolist(),
@@ -165,9 +165,9 @@ def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
     replace_file(path, stream.getvalue())
 
 
-def _variant(env) -> str:
-    names = env.get_attr("observation_names")[0]
-    return next(v for v in NAMES if tuple(e.name for e in layout(v)) == names)
+def _course(meta: dict) -> CourseSpec:
+    """The course that a model was trained on: what it observes depends on its terrain classes."""
+    return load(CourseSpec, meta.get("scenario", {}).get("course", {}), "scenario: course")
 
 
 @dataclass
@@ -190,7 +190,7 @@ class Agent:
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions for raw observations [n, D] or [D]; as SB3's predict. ParameterError for another number D."""
-        expected, shape = len(layout(self.variant)), np.shape(observation)
+        expected, shape = len(self.meta["observation_names"]), np.shape(observation)
         if not shape or shape[-1] != expected:
             raise ParameterError(
                 f"observation of shape {shape}: expected {expected} numbers, those of observation {self.variant!r}"
@@ -239,7 +239,8 @@ def read_meta(path: Path) -> dict:
     if meta["critic"] not in CRITICS or meta["history"] < 0:
         raise ParameterError(f"{path}: {_META}: critic, history = {meta['critic']!r}, {meta['history']}: not known")
     history = _history(meta)
-    size = len(meta["observation_names"]) + (history.size if history else 0) + privileged(meta["critic"])
+    size = len(meta["observation_names"]) + (history.size if history else 0)
+    size += len(privileged(meta["critic"], _course(meta)))
     for key in ("mean", "var"):
         if len(meta[key]) != size or not all(isinstance(x, (int, float)) for x in meta[key]):
             raise ParameterError(f"{path}: {_META}: {key}: expected {size} numbers")
@@ -263,10 +264,10 @@ _META_TYPES = {
 }
 
 
-def check_layout(meta: dict, where) -> None:
-    """ParameterError if a model was trained on another observation layout than this version's."""
+def check_layout(meta: dict, where, course: CourseSpec | None = None) -> None:
+    """ParameterError if a model was trained on another observation than this version's on `course` (or its own)."""
     variant = meta["observation"]
-    expected = [e.name for e in layout(variant)]
+    expected = [e.name for e in layout(variant, _course(meta) if course is None else course)]
     found = list(meta["observation_names"])
     if found != expected:
         differing = sorted(set(found) ^ set(expected)) or ["their order"]
@@ -288,7 +289,7 @@ def load_agent(path: Path) -> Agent:
 
 def agent_spaces(meta: dict) -> tuple:
     """Observation and action space of the network of a saved agent."""
-    box, history = space_of(meta["observation"], meta["critic"]), _history(meta)
+    box, history = space_of(meta["observation"], _course(meta), meta["critic"]), _history(meta)
     return (box if history is None else history.space(box)), action_space()
 
 
@@ -307,7 +308,7 @@ def resume(
     Where the checkpoint has the state of the training, it goes on as the run would have; else, as with
     recurrent_ppo, its worlds start new courses.
     """
-    cls, _, _ = _algorithm(algorithm, config)
+    cls, _, _ = _algorithm(algorithm, config, scenario)
     meta, env = reopened(path, scenario, observation, config, seed, world)
     rate = schedule(config)
     known = {"learning_rate": rate, "lr_schedule": rate, "clip_range": config.clip_range}

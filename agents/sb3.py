@@ -20,7 +20,8 @@ except ModuleNotFoundError as error:
 
 from soil_env._io.loading import unknown_value
 from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
-from soil_env.simulation.task import TRUE_SOIL, Cause, layout
+from soil_env.parameters import CourseSpec
+from soil_env.simulation.task import Cause, ObservedNumber, layout, truth
 from soil_env.simulation.worlds import STEP, Simulation
 from soil_env.terramechanics.model import load_model
 
@@ -30,16 +31,16 @@ CRITICS = ("", "true_soil")  # values of the keyword `critic`
 _RUNNING = Cause.RUNNING.value
 
 
-def privileged(critic: str) -> int:
+def privileged(critic: str, course: CourseSpec) -> tuple[ObservedNumber, ...]:
     """Entries of an observation that the value network alone reads; ParameterError for an unknown `critic`."""
     if critic not in CRITICS:
         raise unknown_value(critic, CRITICS, "critic")
-    return len(TRUE_SOIL) if critic else 0
+    return truth(course) if critic else ()
 
 
-def space_of(observation: str, critic: str = "") -> spaces.Box:
+def space_of(observation: str, course: CourseSpec, critic: str = "") -> spaces.Box:
     """Observation space of `SoilWheelVecEnv`."""
-    space, more = observation_space(observation), TRUE_SOIL[: privileged(critic)]
+    space, more = observation_space(observation, course), privileged(critic, course)
     low, high = (np.append(getattr(space, side), [getattr(e, side) for e in more]) for side in ("low", "high"))
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
@@ -71,9 +72,11 @@ class SoilWheelVecEnv(VecEnv):
         num_envs = int(num_envs)
         self.render_mode = None
         self.scenario = build_scenario(scenario, action, repeat, changes, _OWN)
-        self.critic, self.privileged = critic, privileged(critic)
-        super().__init__(num_envs, space_of(observation, critic), action_space())
-        self.observation_names = tuple(e.name for e in layout(observation))
+        course = self.scenario.course
+        self.critic, self.privileged = critic, len(privileged(critic, course))
+        super().__init__(num_envs, space_of(observation, course, critic), action_space())
+        self.observation_variant = observation
+        self.observation_names = tuple(e.name for e in layout(observation, course))
         self.model = load_model(model)
         self.simulation = Simulation(num_envs, self.scenario, observation, threads=threads, model=self.model)
         self._commands = np.zeros(num_envs)

@@ -14,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, UnknownKeyword
-from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
+from soil_env.parameters import CourseSpec, Scenario, Soil, SoilState, load_scenario
 from soil_env.simulation.infos import IMMOBILISED, Infos
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.terrain import ground_at
@@ -57,9 +57,9 @@ def check_count(name: str, count: object) -> None:
         raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
 
 
-def observation_space(variant: str) -> gymnasium.spaces.Box:
-    """Box of the observation variant, float32."""
-    entries = layout(variant)
+def observation_space(variant: str, course: CourseSpec | None = None) -> gymnasium.spaces.Box:
+    """Box of the observation variant on such a `course`, float32."""
+    entries = layout(variant, course)
     low, high = ([getattr(e, side) for e in entries] for side in ("low", "high"))
     return gymnasium.spaces.Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32)
 
@@ -75,7 +75,8 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     A rigid, driven wheel with its share of a vehicle has to cross a course of unknown soils and grades without getting
     stuck. Wheel-soil contact follows Hutangkabodee et al. (2006), Eqs. (1)-(10), with slip-sinkage (Lyasko 2010): a
     slipping wheel digs, and a wheel spinning on the spot keeps digging. At commanded halts, about every metre, the
-    drive is held and the agent's action is ignored; afterwards the wheel has to start again where it stands.
+    drive is held and the agent's action is ignored; afterwards the wheel has to start again where it stands. In
+    scenarios with two lines over a patch ("two_lines") the sign of the action at a halt chooses the line to go on.
 
     ## Action space
     `Box(-1, 1, (1,), float32)`, held for `repeat` control periods of 0.1 s:
@@ -144,6 +145,58 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | 18 | sinkage_exponent | - | 0 | 4 |
     | 19 | dig_gain | - | 0 | 100 |
     | 20 | dig_recovery | - | 0 | 10 |
+
+    Where the scenario has terrain classes (`course={"classes": 3}`, as in "two_lines"), a camera's view follows, here
+    for 3 classes and 2 lines; n is the number of entries above. Entries of the patch ahead are 0 while its border is
+    out of sight (`camera={"range": 2}`), and so are those of the line beside where there is none. Labels are wrong now
+    and then, grade and border distance have errors that stay (`Camera`).
+
+    | # | name | unit | min | max |
+    |---|------|------|-----|-----|
+    | n+0 | border_distance | m, to the end of the patch; the range of the camera where that is out of sight | 0 | 100 |
+    | n+1 | here_class_1 | 0 or 1, label of the ground under the wheel | 0 | 1 |
+    | n+2 | here_class_2 | 0 or 1 | 0 | 1 |
+    | n+3 | here_class_3 | 0 or 1 | 0 | 1 |
+    | n+4 | ahead_grade | rad, uphill positive, of the line straight ahead | -1.6 | 1.6 |
+    | n+5 | ahead_class_1 | 0 or 1 | 0 | 1 |
+    | n+6 | ahead_class_2 | 0 or 1 | 0 | 1 |
+    | n+7 | ahead_class_3 | 0 or 1 | 0 | 1 |
+    | n+8 | beside_grade | rad, uphill positive, of the line beside | -1.6 | 1.6 |
+    | n+9 | beside_class_1 | 0 or 1 | 0 | 1 |
+    | n+10 | beside_class_2 | 0 or 1 | 0 | 1 |
+    | n+11 | beside_class_3 | 0 or 1 | 0 | 1 |
+    | n+12 | choice | 0 or 1, 1 while the sign of the action chooses the line: below 0 that beside | 0 | 1 |
+
+    `"identified"` goes on with what was learnt of the class of each line, by its label: `ahead_NAME` and then, in the
+    same order, `beside_NAME`:
+
+    | # | name | unit | min | max |
+    |---|------|------|-----|-----|
+    | n+13 | ahead_met | 0 or 1, 0 while the estimate of that class is the prior | 0 | 1 |
+    | n+14 | ahead_friction_angle | rad | 0 | 1.6 |
+    | n+15 | ahead_log10_shear_modulus | log10 m | -5 | 1 |
+    | n+16 | ahead_log10_sinkage_coefficient | log10 N/m^(n+2) | 0 | 15 |
+    | n+17 | ahead_friction_angle_sd | rad | 0 | 2 |
+    | n+18 | ahead_shear_modulus_sd | relative | 0 | 20 |
+    | n+19 | ahead_sinkage_coefficient_sd | relative | 0 | 20 |
+    | n+20 | ahead_cohesion | kPa | 0 | 1000 |
+    | n+21 | ahead_dig_gain | - | 0 | 100 |
+    | n+22 | ahead_cohesion_sd | kPa | 0 | 1000 |
+    | n+23 | ahead_dig_gain_sd | relative | 0 | 20 |
+    | n+24 | ahead_margin | of weight, best drawbar pull of that estimate over the grade that is seen | -2 | 2 |
+
+    and `"true_soil"` with the true soil of each line:
+
+    | # | name | unit | min | max |
+    |---|------|------|-----|-----|
+    | n+13 | ahead_friction_angle | rad | 0 | 1.6 |
+    | n+14 | ahead_log10_shear_modulus | log10 m | -5 | 1 |
+    | n+15 | ahead_log10_sinkage_coefficient | log10 N/m^(n+2) | 0 | 15 |
+    | n+16 | ahead_cohesion | kPa | 0 | 1000 |
+    | n+17 | ahead_sinkage_exponent | - | 0 | 4 |
+    | n+18 | ahead_dig_gain | - | 0 | 100 |
+    | n+19 | ahead_dig_recovery | - | 0 | 10 |
+    | n+20 | ahead_margin | of weight, best drawbar pull of that soil over the grade that is seen | -2 | 2 |
 
     ## Rewards
     The sum of the terms in `info["reward_terms"]`, with weights `reward={...}`:
@@ -229,8 +282,8 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             )
         self.scenario = build_scenario(scenario, action, repeat, changes)
         self.observation_variant = observation
-        self.observation_names = tuple(e.name for e in layout(observation))
-        self.observation_space = observation_space(observation)
+        self.observation_names = tuple(e.name for e in layout(observation, self.scenario.course))
+        self.observation_space = observation_space(observation, self.scenario.course)
         self.action_space = action_space()
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.duration))}

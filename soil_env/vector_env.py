@@ -74,8 +74,8 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
             raise ParameterError(f"autoreset_mode = {autoreset_mode!r}: expected one of {known}") from None
         self.num_envs = int(num_envs)
         self.scenario = build_scenario(scenario, action, repeat, changes, _OWN)
-        self.observation_names = tuple(e.name for e in layout(observation))
-        self.single_observation_space = observation_space(observation)
+        self.observation_names = tuple(e.name for e in layout(observation, self.scenario.course))
+        self.single_observation_space = observation_space(observation, self.scenario.course)
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)

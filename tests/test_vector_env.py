@@ -75,6 +75,27 @@ def test_next_step_is_the_scalar_env_bit_for_bit(variant, mode):
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
+def test_two_lines_are_the_scalar_env_bit_for_bit(variant):
+    """Camera, choices at halts and the memory of classes too."""
+    kinds = {"scenario": "two_lines", "observation": variant, "action": "wheel_speed"}
+    many, one = SoilWheelVectorEnv(3, **kinds), [SoilWheelEnv(**kinds) for _ in range(3)]
+    observations, _ = many.reset(seed=21)
+    for k, env in enumerate(one):
+        np.testing.assert_array_equal(observations[k], env.reset(seed=21 + k)[0])
+    halted, done = many.observation_names.index("halted"), [False] * 3
+    for step in range(450):
+        beside = (observations[:, halted] > 0.5) & (step // 40 % 2 == 0)
+        a = np.where(beside, -1.0, 0.4)[:, None].astype(np.float32)
+        observations, rewards, terminated, truncated, _ = many.step(a)
+        for k, env in enumerate(one):
+            expected = (*env.reset()[:1], 0.0, False, False) if done[k] else env.step(a[k])
+            np.testing.assert_array_equal(observations[k], expected[0])
+            assert (rewards[k], terminated[k], truncated[k]) == expected[1:4]
+            done[k] = expected[2] or expected[3]
+    assert many.simulation.worlds.courses.lines.taken.any()
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
 def test_same_step_resets_within_the_step(variant):
     many = SoilWheelVectorEnv(WHEELS, observation=variant, autoreset_mode="SameStep", **QUICK)
     one = [SoilWheelEnv(observation=variant, **QUICK) for _ in range(WHEELS)]

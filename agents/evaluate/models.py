@@ -10,8 +10,8 @@ from pathlib import Path
 
 from soil_env._io.loading import ParameterError, load
 from soil_env.env import observation_space
-from soil_env.parameters import Control, Scenario
-from soil_env.simulation.task import VARIANTS
+from soil_env.parameters import Control, CourseSpec, Scenario
+from soil_env.simulation.task import VARIANTS, layout
 
 from .. import PACKAGE_NAMES
 from ..exported import ExportedAgent
@@ -55,12 +55,12 @@ def load_model(path: Path, scenario: Scenario):
     meta = None
     if ppo._META in names:
         meta = ppo.read_meta(path)
-        ppo.check_layout(meta, path)
+        ppo.check_layout(meta, path, scenario.course)
         _check_action(path, meta.get("scenario", {}).get("control", {}), scenario)
     model = _load(path, data, meta)
     if meta is not None:
         return ppo.agent_of(model, meta)
-    return _Plain(model, _variant(model, path), _normalisation(path))
+    return _Plain(model, _variant(model, path, scenario.course), _normalisation(path))
 
 
 def _check_action(path: Path, trained: dict, scenario: Scenario) -> None:
@@ -86,6 +86,9 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
     except ParameterError as error:
         raise ParameterError(f"controllers: {error}") from None
     _check_action(path, agent.control, scenario)
+    own, asked = len(agent.content["inputs"]), len(layout(agent.variant, scenario.course))
+    if own != asked:
+        raise ParameterError(f"controllers: {path}: reads {own} numbers, scenario {scenario.name!r} has {asked}")
     return agent
 
 
@@ -120,12 +123,12 @@ def _load(path: Path, data: dict, meta: dict | None):
         raise ParameterError(f"controllers: {error}") from None
 
 
-def _variant(model, path: Path) -> str:
+def _variant(model, path: Path, course: CourseSpec) -> str:
     for variant in VARIANTS:
-        if model.observation_space == observation_space(variant):
+        if model.observation_space == observation_space(variant, course):
             return variant
     shape = getattr(model.observation_space, "shape", None)
-    expected = ", ".join(f"{v}: {observation_space(v).shape[0]}" for v in VARIANTS)
+    expected = ", ".join(f"{v}: {observation_space(v, course).shape[0]}" for v in VARIANTS)
     raise ParameterError(
         f"controllers: {path}: trained on another observation layout: shape {shape}, other numbers or bounds than "
         f"those of here ({expected})"

@@ -39,7 +39,7 @@ def onnx_model(agent, description: dict):
     if agent.model.action_space != action_space():
         raise ParameterError(f"action space {agent.model.action_space}: expected {action_space()}")
     graph, policy = Graph(), agent.model.policy
-    entries = observation_space(agent.variant).shape[0]
+    entries = len(description["inputs"])
     seen = graph.input("observation", "float32")
     fresh = graph.input("new_course", "bool")
     sizes, history = _states(agent), getattr(agent, "history", None)
@@ -89,12 +89,12 @@ def _normalised(x: Traced, agent, entries: int) -> Traced:
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:
     """What policy.yaml says before anything was run, as plain values."""
     wheel, control = scenario.wheel, scenario.control
-    space, model = observation_space(agent.variant), agent.model
+    space, model = observation_space(agent.variant, scenario.course), agent.model
     entries = [
         {"index": k, "name": e.name, "unit": e.unit, "low": low, "high": high}
         for k, (e, low, high) in enumerate(
-            zip(layout(agent.variant), *(np.round(a.astype(float), 6).tolist() for a in (space.low, space.high)),
-                strict=True)
+            zip(layout(agent.variant, scenario.course),
+                *(np.round(a.astype(float), 6).tolist() for a in (space.low, space.high)), strict=True)
         )
     ]  # fmt: skip
     return {

@@ -23,6 +23,7 @@ from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import below, chosen, larger, smaller, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import scratch_rows
+from soil_env.simulation.lines import choosing, plan_halt, take_line
 from soil_env.simulation.newton import (
     GAMMA,
     LEAD,
@@ -252,6 +253,15 @@ def _choose_steps(state, first, i, period, world):
     to_array(steps, period.steps, i)
 
 
+@inlined
+def _at_fork(state, counts, k, command, courses, world):
+    """Before the halts of a control period are reckoned: what its action chooses, and the halt to come."""
+    fork = choosing(state, counts, k, courses, world)
+    if fork >= 0:
+        take_line(k, courses, fork, 1 if command < 0.0 else 0)
+    plan_halt(state, counts, k, courses, world)
+
+
 @part
 def advance(state, counts, first, count, what, commands, courses, streams, world):
     """One control period of those of the wheels first .. first + count - 1 with what[k] = STEP.
@@ -289,4 +299,6 @@ def advance(state, counts, first, count, what, commands, courses, streams, world
         if period.left[i] > 0.0:
             _drive_alone(state, counts, first, i, period, courses, world)
         counts.converged[first + i] = 1 if period.clean[i] > 0.0 else 0
+        if world.lines > 1:
+            _at_fork(state, counts, first + i, commands[first + i], courses, world)
         finish(state, counts, first + i, period.start[i], streams, world)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +16,10 @@ import numpy as np
 from soil_env._io.loading import ParameterError, unknown_value
 from soil_env._numba.compiling import inlined
 from soil_env.identification import Status
-from soil_env.parameters import Scenario
+from soil_env.parameters import CourseSpec, Scenario
+from soil_env.simulation.camera import CameraNumbers, Sight, camera_numbers, patch_ahead, seen_grade, write_view
 from soil_env.simulation.sensors import SensorNumbers, sensor_numbers
-from soil_env.simulation.terrain import BEHIND, ground_at
+from soil_env.simulation.terrain import BEHIND, ground_at, row_soil
 from soil_env.terramechanics.model import WheelSoilModel
 
 
@@ -84,7 +85,7 @@ _IDENTIFIED = (
     ObservedNumber("cohesion_sd", "kPa", 0.0, 1000.0),
     ObservedNumber("dig_gain_sd", "relative", 0.0, 20.0),
 )
-TRUE_SOIL = (
+_TRUE = (
     ObservedNumber("friction_angle", "rad", 0.0, 1.6),
     ObservedNumber("log10_shear_modulus", "log10 m", -5.0, 1.0),
     ObservedNumber("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0),
@@ -95,13 +96,48 @@ TRUE_SOIL = (
 )
 
 
-def layout(variant: str) -> tuple[ObservedNumber, ...]:
-    """The observation of a variant, number by number; the first entries are those of `blind` in every variant."""
+_AHEAD = {  # of the soil of a line ahead
+    "blind": (),
+    "identified": (
+        ObservedNumber("met", "0 or 1", 0.0, 1.0),
+        *(e for e in _IDENTIFIED if e.name != "estimate_valid"),
+        ObservedNumber("margin", "of weight", -2.0, 2.0),
+    ),
+    "true_soil": (*_TRUE, ObservedNumber("margin", "of weight", -2.0, 2.0)),
+}
+LINES = ("ahead", "beside")
+
+
+def _seen(classes: int, lines: int) -> list[ObservedNumber]:
+    """What the camera tells, of so many terrain classes and lines."""
+    entries = [ObservedNumber("border_distance", "m", 0.0, 100.0)]
+    entries += [ObservedNumber(f"here_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)]
+    for line in LINES[:lines]:
+        entries.append(ObservedNumber(f"{line}_grade", "rad, uphill positive", -1.6, 1.6))
+        entries += [ObservedNumber(f"{line}_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)]
+    return entries + [ObservedNumber("choice", "0 or 1", 0.0, 1.0)] * (lines > 1)
+
+
+def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumber, ...]:
+    """The observation of a variant, number by number; the first entries are those of `blind` in every variant.
+
+    On a `course` with terrain classes what the camera sees follows, and what the variant knows of the lines ahead.
+    """
     if not isinstance(variant, str):
         raise ParameterError(f"observation = {variant!r}: expected one of {', '.join(VARIANTS)}")
     if variant not in VARIANTS:
         raise unknown_value(variant, VARIANTS, "observation")
-    return _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": TRUE_SOIL}[variant]
+    entries = _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": _TRUE}[variant]
+    if course is None or course.classes == 0:
+        return entries
+    ahead = [replace(e, name=f"{line}_{e.name}") for line in LINES[: course.lines] for e in _AHEAD[variant]]
+    return (*entries, *_seen(course.classes, course.lines), *ahead)
+
+
+def truth(course: CourseSpec) -> tuple[ObservedNumber, ...]:
+    """What `true_soil` observes beside what `blind` does."""
+    blind = {entry.name for entry in layout("blind", course)}
+    return tuple(entry for entry in layout("true_soil", course) if entry.name not in blind)
 
 
 class TaskNumbers(NamedTuple):
@@ -130,11 +166,13 @@ class TaskNumbers(NamedTuple):
     reward_information: float
     information_discount: float
     dig_gain: float  # of the belief
+    camera: CameraNumbers
+    seen: int  # number of the entry with which the camera's begin
 
 
 def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None = None) -> TaskNumbers:
     """Pack what the functions below need; `model` brings the effects that are on in this world."""
-    entries = layout(variant)
+    entries = layout(variant, scenario.course)
     lim, w = scenario.limits, scenario.wheel
     weight = scenario.weight
     return TaskNumbers(
@@ -161,11 +199,13 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
         scenario.reward.information,
         scenario.reward.information_discount,
         scenario.belief.dig_gain,
+        camera_numbers(scenario),
+        len(layout(variant)),
     )
 
 
 @inlined
-def write_observation(out, state, counts, k, reading, courses, ids, task):
+def write_observation(out, state, counts, k, reading, courses, ids, memory, sight, task):
     """Fill the observation `out` [D] of wheel k, cut to the bounds of the layout."""
     out[0] = reading.slip
     out[1] = reading.sinkage / task.radius
@@ -190,19 +230,58 @@ def write_observation(out, state, counts, k, reading, courses, ids, task):
         soils[7], soils[8] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
         soils[9], soils[10] = sd[3] / 1000.0, sd[4]
     elif task.variant == 2:
-        write_true_soil(soils, state, counts, k, courses, task)
+        soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], task.border)
+        _write_soil(soils, soil)
+    if task.camera.classes > 0:
+        i = task.seen
+        i += write_view(out[i:], state, counts, k, courses, sight, task.camera)
+        _write_ahead(out[i:], k, courses, memory, sight, task)
     for i in range(out.size):
         out[i] = min(max(out[i], task.low[i]), task.high[i])
 
 
 @inlined
-def write_true_soil(out, state, counts, k, courses, task):
-    """Fill `out` [7] with the soil under wheel k, in the layout of `TRUE_SOIL`."""
-    soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], task.border)
+def _write_soil(out, soil):
+    """Fill `out` [7] with a true soil."""
     out[0] = math.atan(soil.tan_phi)
     out[1], out[2] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
     out[3], out[4] = soil.cohesion / 1000.0, soil.sinkage_exponent
     out[5], out[6] = soil.dig_gain, soil.dig_recovery
+
+
+@inlined
+def write_truth(out, state, counts, k, courses, memory, task):
+    """Fill `out` with the entries of `truth`, from where the wheel truly is; `task` is that of `true_soil`."""
+    x, patch, edges = state.x[k], counts.patch[k], courses.edges
+    soil, _, _ = ground_at(courses, k, x, patch, task.border)
+    _write_soil(out, soil)
+    if task.camera.classes > 0:
+        sight = Sight(patch, x - edges[k, patch], edges[k, patch + 1] - x)
+        _write_ahead(out[7:], k, courses, memory, sight, task)
+
+
+@inlined
+def _write_ahead(out, k, courses, memory, sight, task):
+    """Fill `out` with what is known of the soils of the lines ahead; their margins are over the grade that is seen."""
+    ahead = patch_ahead(courses, k, sight, task.camera)
+    lines, each = courses.lines, out.size // task.camera.lines
+    for line in range(task.camera.lines):
+        o = out[line * each :]
+        there = ahead >= 0 and line < lines.count[k, ahead]
+        for i in range(each):
+            o[i] = 0.0
+        if there and task.variant == 1:
+            label = lines.labels[k, ahead, line]
+            mean, sd = memory.estimate[k, label], memory.sd[k, label]
+            o[0] = 1.0 if memory.met[k, label] else 0.0
+            o[1], o[2], o[3] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
+            o[4], o[5], o[6] = sd[0], sd[1], sd[2]
+            o[7], o[8] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
+            o[9], o[10] = sd[3] / 1000.0, sd[4]
+            o[11] = memory.capacity[k, label] - math.tan(seen_grade(courses, k, ahead, line))
+        elif there and task.variant == 2:
+            _write_soil(o, row_soil(lines.soils[k, ahead, line]))
+            o[7] = lines.capacities[k, ahead, line] - math.tan(seen_grade(courses, k, ahead, line))
 
 
 @inlined

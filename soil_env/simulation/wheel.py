@@ -108,6 +108,8 @@ class WorldNumbers(NamedTuple):
     substeps: int
     speed_command: bool  # the drive follows a commanded rim speed
     rim_step: float  # [of top rim speed] by which an action of 1 changes it in a control period; 0: it is the action
+    lines: int  # between which the wheel may choose
+    sight: float  # [m] before a patch from which its lines are seen
 
 
 def interaction_of(scenario: Scenario, model: WheelSoilModel | None = None) -> Interaction:
@@ -136,6 +138,8 @@ def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> Wo
         math.ceil(c.period / c.substep - 1e-9),
         c.action != "torque",
         c.rim_acceleration * c.period / (w.radius * w.no_load_speed) if c.action == "rim_acceleration" else 0.0,
+        scenario.course.lines,
+        scenario.camera.range,
     )
 
 

@@ -13,6 +13,16 @@ from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import seed_stream
 from soil_env._numba.rows import Rows
 from soil_env._numba.threads import threads
+from soil_env.identification.class_memory import (
+    ClassMemory,
+    MemoryNumbers,
+    clear_of_borders,
+    forget_classes,
+    judge_class,
+    memory_numbers,
+    new_memory,
+    remember,
+)
 from soil_env.identification.online import (
     IdentifierNumbers,
     Identifiers,
@@ -22,6 +32,7 @@ from soil_env.identification.online import (
     observe,
 )
 from soil_env.parameters import Scenario
+from soil_env.simulation.camera import Sight, label_here, look
 from soil_env.simulation.courses import (
     CourseDistribution,
     CourseNumbers,
@@ -35,15 +46,16 @@ from soil_env.simulation.dynamics import MANY, advance
 from soil_env.simulation.sensors import roll_odometer, sense, start_odometry
 from soil_env.simulation.task import (
     REWARD_TERMS,
-    TRUE_SOIL,
+    VARIANTS,
     Cause,
     TaskNumbers,
     judge,
     knowledge,
     reward_terms,
     task_numbers,
+    truth,
     write_observation,
-    write_true_soil,
+    write_truth,
 )
 from soil_env.simulation.terrain import Courses, new_courses
 from soil_env.simulation.wheel import WheelCounts, WheelState, WorldNumbers, settle, world_numbers
@@ -66,6 +78,7 @@ class Worlds(NamedTuple):
     courses: Courses
     streams: np.ndarray  # [wheels] uint64
     ids: Identifiers
+    memory: ClassMemory
     observation: np.ndarray  # [wheels, D] float32
     terms: np.ndarray  # [wheels, 4] reward terms
     reward: np.ndarray  # [wheels]
@@ -82,6 +95,7 @@ def new_worlds(wheels: int, scenario: Scenario, task: TaskNumbers) -> Worlds:
         new_courses(wheels, scenario),
         np.zeros(wheels, dtype=np.uint64),
         new_identifiers(wheels),
+        new_memory(wheels, scenario.course.classes),
         np.zeros((wheels, task.low.size), dtype=np.float32),
         np.zeros((wheels, len(REWARD_TERMS))),
         np.zeros(wheels),
@@ -97,6 +111,7 @@ class Numbers(NamedTuple):
     world: WorldNumbers
     drawn: CourseDistribution
     identifier: IdentifierNumbers
+    memory: MemoryNumbers
     task: TaskNumbers
 
 
@@ -116,11 +131,12 @@ def restart(worlds, numbers, k):
         raise RuntimeError("no passable course found: the soils are too weak for this wheel")
     settle(worlds.state, worlds.counts, k, mass, worlds.courses, worlds.streams, numbers.world)
     forget(worlds.ids, k, numbers.identifier)
+    forget_classes(worlds.memory, k, worlds.ids.estimate[k], worlds.ids.sd[k], numbers.memory)
     worlds.cause[k] = _RUNNING
     _clear(worlds, k)
     start_odometry(worlds.state, k, worlds.streams, numbers.task.sensors)
     reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
-    _observation(worlds, numbers, k, reading)
+    _observation(worlds, numbers, k, reading, _look(worlds, numbers, k))
 
 
 @inlined
@@ -132,11 +148,30 @@ def _clear(worlds, k):
     worlds.solved[k] = False
 
 
+@inlined
+def _look(worlds, numbers, k):
+    """`Sight` of the camera, if there is one."""
+    if numbers.task.camera.classes == 0:
+        return Sight(0, 0.0, 0.0)
+    return look(worlds.state, worlds.counts, k, worlds.courses, worlds.streams, numbers.task.camera)
+
+
 @part
-def _observation(worlds, numbers, k, reading):
+def _observation(worlds, numbers, k, reading, sight):
     write_observation(
-        worlds.observation[k], worlds.state, worlds.counts, k, reading, worlds.courses, worlds.ids, numbers.task
+        worlds.observation[k], worlds.state, worlds.counts, k, reading, worlds.courses, worlds.ids, worlds.memory,
+        sight, numbers.task,
     )  # fmt: skip
+
+
+@inlined
+def _learn_class(worlds, numbers, k, reading, renewed, sight):
+    """What the camera and the identifier say together of the terrain class under wheel k."""
+    here, ids, state = label_here(worlds.courses, k, sight), worlds.ids, worlds.state
+    if renewed and clear_of_borders(sight.since, sight.left, numbers.memory):
+        remember(worlds.memory, k, here, sight.patch, ids.estimate[k], ids.sd[k])
+    if state.halt_left[k] == numbers.world.halt_time:  # a halt begins
+        judge_class(worlds.memory, k, here, reading.load, numbers.memory)
 
 
 @inlined
@@ -150,8 +185,11 @@ def after_period(worlds, numbers, k, first, last):
     roll_odometer(worlds.state, k, reading.speed, numbers.task.sensors)
     paid, prior = numbers.task.reward_information > 0.0, numbers.identifier.precision
     before = knowledge(worlds.ids, k, prior) if paid and first else 0.0
-    if observe(worlds.ids, k, reading, numbers.identifier):
-        worlds.solved[k] = True
+    renewed = observe(worlds.ids, k, reading, numbers.identifier)
+    worlds.solved[k] = worlds.solved[k] or renewed
+    sight = _look(worlds, numbers, k)
+    if numbers.task.camera.classes > 0:
+        _learn_class(worlds, numbers, k, reading, renewed, sight)
     cause = judge(worlds.state, worlds.counts, k, numbers.task)
     worlds.cause[k] = cause
     terms = worlds.terms[k]
@@ -159,7 +197,7 @@ def after_period(worlds, numbers, k, first, last):
     reward_terms(worlds.state, k, cause, before, after, numbers.task, terms)
     if last or cause != _RUNNING:
         worlds.reward[k] = terms[0] + terms[1] + terms[2] + terms[3]
-        _observation(worlds, numbers, k, reading)
+        _observation(worlds, numbers, k, reading, sight)
 
 
 @inlined
@@ -218,9 +256,9 @@ def step_chunks(worlds, numbers, commands, what, counter):
 
 @root(nogil=True)
 def true_soils(worlds, numbers, out):
-    """Fill `out` [wheels, 7] with the soil under each wheel, in the layout of `true_soil`."""
+    """Fill `out` [wheels, D] with the entries of `task.truth`; `numbers` are those of the variant `true_soil`."""
     for k in range(len(out)):
-        write_true_soil(out[k], worlds.state, worlds.counts, k, worlds.courses, numbers.task)
+        write_truth(out[k], worlds.state, worlds.counts, k, worlds.courses, worlds.memory, numbers.task)
 
 
 def _processors() -> int:
@@ -248,7 +286,11 @@ class Simulation:
         self._counter = np.ones(2, dtype=np.int64)
         task = task_numbers(scenario, variant, model)
         self.numbers = Numbers(
-            world_numbers(scenario, model), course_numbers(scenario, model).drawn, identifier_numbers(scenario), task
+            world_numbers(scenario, model),
+            course_numbers(scenario, model).drawn,
+            identifier_numbers(scenario),
+            memory_numbers(scenario),
+            task,
         )
         self.worlds = new_worlds(wheels, scenario, task)
         self._check_passable(task)
@@ -275,10 +317,12 @@ class Simulation:
         self.worlds.streams[k] = seed_stream(rng)
 
     def true_soils(self) -> np.ndarray:
-        """The soil under each wheel [wheels, 7] float32: what `true_soil` observes beside what `blind` does."""
-        out = np.empty((self.worlds.reward.size, len(TRUE_SOIL)), dtype=np.float32)
-        true_soils(self.worlds, self.numbers, out)
-        return np.clip(out, [e.low for e in TRUE_SOIL], [e.high for e in TRUE_SOIL], dtype=np.float32)
+        """What `true_soil` observes of each wheel beside what `blind` does [wheels, D] float32."""
+        entries = truth(self.scenario.course)
+        out = np.empty((self.worlds.reward.size, len(entries)), dtype=np.float32)
+        variant = VARIANTS.index("true_soil")
+        true_soils(self.worlds, self.numbers._replace(task=self.numbers.task._replace(variant=variant)), out)
+        return np.clip(out, [e.low for e in entries], [e.high for e in entries], dtype=np.float32)
 
     def restart(self, k: int) -> None:
         """New course and fresh start for wheel k."""

@@ -16,14 +16,14 @@ from agents.ppo import PPOConfig
 from agents.sb3 import SoilWheelVecEnv, privileged, space_of
 from agents.worlds import HIDDEN, SeveralWorlds, hidden_worlds
 from soil_env._io.loading import ParameterError
-from soil_env.parameters import load_scenario
-from soil_env.simulation.task import TRUE_SOIL, layout
+from soil_env.parameters import CourseSpec, load_scenario
+from soil_env.simulation.task import layout, truth
 from tests.agents.saved import edit
 from tests.agents.test_learner import updated
 
 TINY = {"num_envs": 8, "n_steps": 16, "batch_size": 64, "n_epochs": 2, "layer": 8}
 NAMES = [e.name for e in layout("blind")]
-BLIND = len(NAMES)
+BLIND, TRUE = len(NAMES), len(truth(CourseSpec()))
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def driven(env, steps, seed=5):
 @pytest.mark.parametrize("critic", ["", "true_soil"])
 def test_the_history_holds_the_readings_of_the_last_steps(scenario, critic):
     """Against a list of all past observations of each course; the last one of a course is of that course still."""
-    steps, more = 3, privileged(critic)
+    steps, more = 3, len(privileged(critic, scenario.course))
     env = HistoryVecEnv(SoilWheelVecEnv(4, scenario, "blind", critic=critic), History(NAMES, steps))
     plain = SoilWheelVecEnv(4, scenario, "blind", critic=critic)
     columns = [NAMES.index(name) for name in READINGS]
@@ -93,7 +93,7 @@ def test_a_loaded_agent_drives_as_it_was_trained(scenario, tmp_path, critic):
         np.testing.assert_allclose(own, action, atol=1e-5)
         seen = env.step(action)[0]
         raw, _, fresh, _ = plain.step(action)
-    assert seen.shape == (8, BLIND + 3 * len(READINGS) + privileged(critic))
+    assert seen.shape == (8, BLIND + 3 * len(READINGS) + len(privileged(critic, scenario.course)))
     alone, state = agent.predict(raw[0])
     assert alone.shape == (1,) and state.shape == (1, 4 * len(READINGS))
 
@@ -141,7 +141,7 @@ def test_a_change_of_history_or_critic_is_refused(scenario, tmp_path):
 def test_the_critic_s_entries_are_those_of_the_true_soil(scenario):
     """Also of the last observation of a course; the world itself does not notice."""
     seeing, plain = SoilWheelVecEnv(4, scenario, "blind", critic="true_soil"), SoilWheelVecEnv(4, scenario, "true_soil")
-    assert seeing.observation_space == plain.observation_space == space_of("blind", "true_soil")
+    assert seeing.observation_space == plain.observation_space == space_of("blind", scenario.course, "true_soil")
     first, results = driven(seeing, 60)
     expected, others = driven(plain, 60)
     np.testing.assert_array_equal(first, expected)
@@ -156,13 +156,27 @@ def test_the_critic_s_entries_are_those_of_the_true_soil(scenario):
         SoilWheelVecEnv(2, scenario, critic="soil")
 
 
+def test_the_critic_sees_the_lines_ahead_too():
+    """What `true_soil` observes of them, but for the error of the camera in where the patch begins."""
+    scenario = load_scenario("two_lines", {"camera": {"border_noise": 0.0}})
+    seeing, plain = SoilWheelVecEnv(8, scenario, "blind", critic="true_soil"), SoilWheelVecEnv(8, scenario, "true_soil")
+    names, blind = plain.observation_names, {e.name for e in layout("blind", scenario.course)}
+    columns = [k for k, name in enumerate(names) if name not in blind]
+    assert seeing.privileged == len(columns) > TRUE
+    first, results = driven(seeing, 150)
+    expected, others = driven(plain, 150)
+    rows = np.concatenate([first, *(result[0] for result in results)])[:, -seeing.privileged :]
+    np.testing.assert_array_equal(rows, np.concatenate([expected, *(result[0] for result in others)])[:, columns])
+    assert (rows[:, -1] != 0.0).any()  # a second line has been in sight
+
+
 def test_the_action_does_not_depend_on_what_the_value_network_sees(scenario):
     model = ppo.build(scenario, "blind", PPOConfig(**TINY, critic="true_soil"), 0)
     model.learn(256)
     rng = np.random.default_rng(0)
-    x = rng.normal(size=(20, BLIND + len(TRUE_SOIL))).astype(np.float32)
+    x = rng.normal(size=(20, BLIND + TRUE)).astype(np.float32)
     y = x.copy()
-    y[:, BLIND:] = rng.normal(size=(20, len(TRUE_SOIL)))
+    y[:, BLIND:] = rng.normal(size=(20, TRUE))
     mean, value, log_prob = (t.detach().numpy() for t in model.policy(torch.from_numpy(x), deterministic=True))
     other, other_value, other_prob = (t.detach().numpy() for t in model.policy(torch.from_numpy(y), deterministic=True))
     np.testing.assert_array_equal(mean, other)
@@ -186,11 +200,11 @@ def test_the_update_with_an_asymmetric_critic_is_that_of_sb3(scenario):
 def test_the_policy_works_with_sb3_alone(scenario, tmp_path):
     """As its docstring shows; saved and loaded by SB3 itself."""
     env = SoilWheelVecEnv(4, scenario, "blind", critic="true_soil")
-    model = PPO(AsymmetricPolicy, env, n_steps=16, batch_size=32, policy_kwargs={"privileged": len(TRUE_SOIL)})
+    model = PPO(AsymmetricPolicy, env, n_steps=16, batch_size=32, policy_kwargs={"privileged": TRUE})
     model.learn(64)
     model.save(tmp_path / "plain.zip")
     again = PPO.load(tmp_path / "plain.zip")
-    x = np.ones((3, BLIND + len(TRUE_SOIL)), dtype=np.float32)
+    x = np.ones((3, BLIND + TRUE), dtype=np.float32)
     np.testing.assert_array_equal(again.predict(x, deterministic=True)[0], model.predict(x, deterministic=True)[0])
     x[:, BLIND:] = -5.0
     np.testing.assert_array_equal(again.predict(x, deterministic=True)[0], model.predict(x, deterministic=True)[0])

@@ -10,10 +10,12 @@ from soil_env.env import SoilWheelEnv
 from soil_env.identification import Status
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation import sensors, task
+from soil_env.simulation.camera import Sight
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.simulation.worlds import Simulation
 
 SENSORS = len(task.layout("blind"))  # entries that every variant has
+NOTHING_SEEN = Sight(0, 0.0, 0.0)
 ROW = re.compile(r"^\s*\| (\d+) \| (\w+) \| (.+?) \| (\S+) \| (\S+) \|$", re.MULTILINE)
 
 
@@ -108,7 +110,9 @@ def observed_again(sim, ground=None, estimate=None):
         courses = courses._replace(soils=courses.soils * ground)
     ids = worlds.ids if estimate is None else worlds.ids._replace(estimate=worlds.ids.estimate + estimate)
     reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
-    task.write_observation(out, worlds.state, worlds.counts, 0, reading, courses, ids, numbers)
+    task.write_observation(
+        out, worlds.state, worlds.counts, 0, reading, courses, ids, worlds.memory, NOTHING_SEEN, numbers
+    )  # fmt: skip
     return out
 
 
@@ -166,7 +170,7 @@ def test_readings_scatter_as_stated():
         reading = sensors.sense(sim.worlds.state, 0, streams, sim.numbers.task.sensors)
         task.write_observation(
             out, sim.worlds.state, sim.worlds.counts, 0, reading, sim.worlds.courses, sim.worlds.ids,
-            sim.numbers.task,
+            sim.worlds.memory, NOTHING_SEEN, sim.numbers.task,
         )  # fmt: skip
         rows.append(out[[*range(8), 11, 12]].copy())
     rows = np.array(rows, dtype=float)
@@ -195,7 +199,10 @@ def test_the_observation_follows_from_readings_alone(variant):
             if name not in ("last_action", "rim_command", "halt_left", "odometer"):
                 worlds.state[name] *= factor
         out = np.zeros_like(worlds.observation[0])
-        task.write_observation(out, worlds.state, worlds.counts, 0, reading, worlds.courses, worlds.ids, numbers)
+        task.write_observation(
+            out, worlds.state, worlds.counts, 0, reading, worlds.courses, worlds.ids, worlds.memory, NOTHING_SEEN,
+            numbers,
+        )  # fmt: skip
         seen.append(out)
     np.testing.assert_array_equal(*seen)
 
