@@ -2,7 +2,8 @@
 
 The readings of the last `steps` steps, those that say how the wheel answered the ground, follow the present observation
 (as stacked frames follow a picture, Mnih et al. 2015, Nature 518:529; here only of the readings that matter). Where a
-camera tells terrain classes apart, averages of the readings on each class follow: what it felt like when it was met.
+camera tells terrain classes apart, averages of the readings on each class are kept, and those of the classes that are
+seen ahead follow: what such ground felt like when it was met.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
+from soil_env.simulation.task import LINES
+
 #: Entries of the observation that are kept. The pitch and what was commanded follow from them or from the observation.
 READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_speed")
 
@@ -22,8 +25,9 @@ SHARE = 0.1  # of a step in the averages on the ground of a terrain class
 class History:
     """Which entries of an observation are kept, and for how many steps; keeps nothing itself.
 
-    `names`: entries of the layout. With terrain classes (`here_class_1`, ...) the history has, for each class, the
-    moving average of the readings on its ground as well, and how much of it is known: 0 for a class not met, towards 1.
+    `names`: entries of the layout. With terrain classes (`here_class_1`, ...) the history has, for the class of each
+    line ahead, the moving average of the readings on its ground as well, and how much of it is known: 0 for a class not
+    met or no line in sight, towards 1.
     """
 
     def __init__(self, names: Sequence[str], steps: int):
@@ -32,13 +36,18 @@ class History:
         self.columns = [names.index(name) for name in READINGS]
         self.halted = names.index("halted")
         self.classes = [k for k, name in enumerate(names) if name.startswith("here_class_")]
+        self.lines = [
+            [k for k, name in enumerate(names) if name.startswith(f"{line}_class_")]
+            for line in LINES
+            if f"{line}_class_1" in names
+        ]
         self.past = steps * len(self.columns)
-        self.size = self.past + len(self.classes) * (len(self.columns) + 1)  # numbers that come to the observation
+        self.size = self.past + len(self.lines) * (len(self.columns) + 1)  # numbers that come to the observation
 
     @property
     def kept(self) -> int:
-        """Numbers that are kept from one step to the next for each wheel: the present readings, then the history."""
-        return self.size + len(self.columns)
+        """Numbers that are kept from one step to the next for each wheel: present and past readings, averages."""
+        return len(self.columns) + self.past + len(self.classes) * (len(self.columns) + 1)
 
     def observe(self, seen, kept, fresh, others: int = 0):
         """(observation with its history, what to keep for the next step) for observations [n, D + others].
@@ -59,10 +68,10 @@ class History:
             now.append(known + rate * (sums - known))
         kept = np.concatenate(now, axis=1) if self.classes else now[0]
         history = [kept[:, _range(m, m + self.past)]]
-        for k in range(len(self.classes)):
-            first = m + self.past + k * (m + 1)
-            share = kept[:, [first + m]]
-            history += [kept[:, _range(first, first + m)] / np.maximum(share, 1e-6), share]
+        for line in self.lines:
+            felt = sum(seen[:, [column]] * sums for column, sums in zip(line, now[1:], strict=True))
+            share = felt[:, [m]]
+            history += [felt[:, _range(0, m)] / np.maximum(share, 1e-6), share]
         rest = [seen[:, _range(self.entries, self.entries + others)]] if others else []
         return np.concatenate([seen[:, _range(0, self.entries)], *history, *rest], axis=1), kept
 
@@ -71,7 +80,7 @@ class History:
         bounds = []
         for side, share in ((box.low, 0.0), (box.high, 1.0)):
             own = side[self.columns]
-            history = [*np.tile(own, self.steps), *np.tile(np.append(own, share), len(self.classes))]
+            history = [*np.tile(own, self.steps), *np.tile(np.append(own, share), len(self.lines))]
             bounds.append(np.concatenate([side[: self.entries], history, side[self.entries :]]).astype(np.float32))
         return spaces.Box(*bounds, dtype=np.float32)
 

@@ -199,10 +199,11 @@ class Agent:
             return self.model.predict(self._normalised(observation), state, episode_start, deterministic)
         batch = np.atleast_2d(np.asarray(observation, dtype=np.float32))
         fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
-        kept = np.zeros((len(batch), self.history.kept), dtype=np.float32) if state is None else state
+        empty = np.zeros((len(batch), self.history.kept), dtype=np.float32)
+        kept, memory = (empty, None) if state is None else state
         seen, kept = self.history.observe(batch, kept, fresh)
-        action, _ = self.model.predict(self._normalised(seen), deterministic=deterministic)
-        return (action[0] if np.ndim(observation) == 1 else action), kept
+        action, memory = self.model.predict(self._normalised(seen), memory, episode_start, deterministic)
+        return (action[0] if np.ndim(observation) == 1 else action), (kept, memory)
 
     def _normalised(self, observation):
         """As the network reads it; zeros for what its value network alone does."""

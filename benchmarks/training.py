@@ -63,7 +63,7 @@ def ours(config: ppo.PPOConfig, seed: int) -> PPO:
 def layout(num_envs, n_steps, n_epochs, batch_size, learning_rate, activation, **more) -> ppo.PPOConfig:
     """A layout of the study, on one thread; without a weight on the entropy, which was chosen after it."""
     more = {"ent_coef": 0.0} | more
-    more |= {"activation": activation, "threads": 1}
+    more |= {"activation": activation, "threads": 1, "history": 0}
     return ppo.PPOConfig(num_envs, n_steps, batch_size, n_epochs, learning_rate, **more)
 
 

@@ -252,8 +252,8 @@ def _write_soil(out, soil):
 @inlined
 def write_truth(out, state, counts, k, courses, memory, task):
     """Fill `out` with the entries of `truth`, from where the wheel truly is; `task` is that of `true_soil`."""
-    x, patch, edges = state.x[k], counts.patch[k], courses.edges
-    soil, _, _ = ground_at(courses, k, x, patch, task.border)
+    x, edges = state.x[k], courses.edges
+    soil, _, patch = ground_at(courses, k, x, counts.patch[k], task.border)
     _write_soil(out, soil)
     if task.camera.classes > 0:
         sight = Sight(patch, x - edges[k, patch], edges[k, patch + 1] - x)

@@ -28,7 +28,7 @@ from soil_env._io.loading import ParameterError  # noqa: E402
 from soil_env.env import SoilWheelEnv, observation_space  # noqa: E402
 from soil_env.parameters import load_scenario  # noqa: E402
 
-TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=8)
+TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=8, history=0)
 COURSE = {"course": {"length": 3.0}, "control": {"time_limit": 20.0}}
 
 
@@ -81,6 +81,7 @@ def start(out, *arguments):
     ("ppo", "identified", "torque", {"history": 2, "critic": "true_soil"}),
     ("ppo", "true_soil", "torque", {"critic": "true_soil"}),
     ("recurrent_ppo", "identified", "torque", {}),
+    ("recurrent_ppo", "blind", "torque", {"history": 2}),
 ])  # fmt: skip
 def test_the_runner_alone_drives_courses_as_the_agent_would(tmp_path, scenario, algorithm, observation, action, inputs):
     """1000 steps in closed loop: what the wheel does follows from the runner's actions."""

@@ -95,16 +95,18 @@ def test_a_loaded_agent_drives_as_it_was_trained(scenario, tmp_path, critic):
         raw, _, fresh, _ = plain.step(action)
     assert seen.shape == (8, BLIND + 3 * len(READINGS) + len(privileged(critic, scenario.course)))
     alone, state = agent.predict(raw[0])
-    assert alone.shape == (1,) and state.shape == (1, 4 * len(READINGS))
+    assert alone.shape == (1,) and state[0].shape == (1, 4 * len(READINGS))
 
 
 def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
     """Against sums over all past steps on a class, weighted by (1 - SHARE)^k; nothing of a course before."""
-    names = [*NAMES, "here_class_1", "here_class_2", "ahead_class_1"]
+    names = [*NAMES, *(f"{place}_class_{c}" for place in ("here", "ahead", "beside") for c in (1, 2))]
     history, rng, n, m = History(names, 2), np.random.default_rng(0), 3, len(READINGS)
     seen = rng.normal(size=(40, n, len(names))).astype(np.float32)
     first_class = rng.random((40, n)) < 0.5
-    seen[:, :, -3], seen[:, :, -2] = first_class, ~first_class
+    seen[:, :, -6], seen[:, :, -5] = first_class, ~first_class
+    seen[:, :, -4:] = 0.0
+    seen[-1, :, -3] = seen[-1, :, -2] = 1.0  # ahead the second class, beside the first
     halted = rng.random((40, n)) < 0.2
     seen[:, :, history.halted] = halted
     kept = rng.normal(size=(n, history.kept)).astype(np.float32)  # of courses that have ended
@@ -113,7 +115,7 @@ def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
     assert out.shape == (n, len(names) + history.size) == (n, len(names) + 2 * m + 2 * (m + 1))
     columns = [names.index(name) for name in READINGS]
     for k in range(n):
-        for c, there in enumerate((first_class[:, k], ~first_class[:, k])):
+        for c, there in enumerate((~first_class[:, k], first_class[:, k])):
             rows = np.flatnonzero(there & ~halted[:, k])
             weights = SHARE * (1.0 - SHARE) ** np.arange(len(rows))[::-1]
             found = out[k, len(names) + 2 * m + c * (m + 1) :][: m + 1]

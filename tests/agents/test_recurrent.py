@@ -11,7 +11,7 @@ from agents.training import make_run_folder, open_run, train
 from soil_env.parameters import load_scenario
 from soil_env.task import layout
 
-TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=4)
+TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=4, history=2)
 
 
 @pytest.fixture(scope="module")
