@@ -35,7 +35,7 @@ class PPOConfig(Checked):
     ent_coef: float = quantity("", 0.0, 1.0, default=0.0, doc="weight of the entropy")
     layer: int = quantity("", 1, 4096, default=64, doc="units in each of two hidden layers")
     activation: Literal["relu", "tanh"] = _text("relu", "what follows a hidden layer: relu or tanh")
-    log_std_init: float = quantity("", -5.0, 2.0, default=-1.5, doc="log of the initial standard deviation")
+    log_std_init: float = quantity("", -5.0, 2.0, default=-1.2, doc="log of the initial standard deviation")
     initial_action: float = quantity("", -1.0, 1.0, default=0.2, doc="mean action of the untrained policy")
     history: int = quantity("", 0, 1000, default=7, doc="past steps whose readings the network sees (agents.history)")
     critic: Literal["", "true_soil"] = _text("", "what only the value network sees: nothing or true_soil")
