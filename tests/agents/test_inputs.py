@@ -173,7 +173,7 @@ def test_the_critic_sees_the_lines_ahead_too():
 
 
 def test_the_action_does_not_depend_on_what_the_value_network_sees(scenario):
-    model = ppo.build(scenario, "blind", PPOConfig(**TINY, critic="true_soil"), 0)
+    model = ppo.build(scenario, "blind", PPOConfig(**TINY, history=0, critic="true_soil"), 0)
     model.learn(256)
     rng = np.random.default_rng(0)
     x = rng.normal(size=(20, BLIND + TRUE)).astype(np.float32)
