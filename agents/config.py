@@ -75,6 +75,7 @@ class TrainConfig(Checked):
     checkpoint_every: int = quantity("", 1, 10**12, default=250_000, doc="environment steps between checkpoints")
     courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
     tuning_courses: int = quantity("", 1, 10**6, default=200, doc="courses to tune the classical controllers on")
+    oracle_courses: int = quantity("", 0, 10**6, default=50, doc="of the comparison, that the oracle drives too")
     ppo: PPOConfig = PPOConfig()
 
     def __post_init__(self):

@@ -6,7 +6,7 @@ actions every observation and reward comes back bit for bit, which is checked. D
 where MINARI_DATASETS_PATH says; one of the same name is replaced. The card, README.md, goes beside them.
 
 Examples:
-  python -m agents.dataset --controllers full_throttle,fixed_slip,best_slip_identified --episodes 20
+  python -m agents.dataset --controllers full_throttle,soft_start,best_slip_identified --episodes 20
   python -m agents.dataset --controllers 'ppo=runs/NAME' --scenario mixed --prefix mine
 """
 

@@ -19,7 +19,8 @@ from soil_env.terramechanics.model import WheelSoilModel
 from . import evaluate, plots, ppo, recurrent
 from .config import TrainConfig, load_config
 from .controllers import CONTROLLERS, make_controller
-from .evaluate import HELD_OUT_SET, TUNING_SET
+from .controllers.oracle import Oracle
+from .evaluate import HELD_OUT_SET, limit
 from .evaluate.models import load_model
 from .evaluate.tables import Column, metric_table, percent, points
 from .evaluate.tuning import tuned_settings
@@ -27,6 +28,7 @@ from .progress import Bar, console, show
 from .timing import Times, Timing
 from .worlds import hidden_worlds
 
+_TUNING = "tuning.jsonl"  # trials of the tuning, until the run is finished
 #: What `compare` writes into a run folder.
 COMPARISON = ("comparison.json", "comparison.csv", "comparison.png", "course.png", "time.json")
 
@@ -165,10 +167,15 @@ def finished(folder: Path) -> bool:
     return all((Path(folder) / name).is_file() for name in ("model.zip", *COMPARISON))
 
 
-def tuned_controllers(scenario: Scenario, courses: int, world: WheelSoilModel | None = None) -> tuple[dict, dict]:
-    """({name: classical controller}, settings), each tuned to finish most courses of the tuning set."""
-    chosen, tried = tuned_settings(scenario, TUNING_SET, courses, model=world)
-    settings = {"tuning_courses": courses, **{name: {**chosen[name], "tried": tried[name]} for name in chosen}}
+def tuned_controllers(
+    scenario: Scenario, courses: int, world: WheelSoilModel | None = None, log: Path | None = None
+) -> tuple[dict, dict]:
+    """({name: classical controller}, settings), each tuned to finish most courses of the tuning set.
+
+    With a `log` an interrupted tuning goes on.
+    """
+    chosen, tried = tuned_settings(scenario, courses, model=world, log=log)
+    settings = {"tuning_courses": courses, **{n: {**chosen[n], "tried": tried.get(n, [])} for n in chosen}}
     return {name: make_controller(name, scenario, **chosen.get(name, {})) for name in CONTROLLERS}, settings
 
 
@@ -177,21 +184,20 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[
     and where the wall time of the run went."""
     world, times, folder = config.world, Times(folder), Path(folder)
     with times.part("tuning"):
-        controllers, settings = tuned_controllers(scenario, config.tuning_courses, world)
+        controllers, settings = tuned_controllers(scenario, config.tuning_courses, world, folder / _TUNING)
     contestants = {**controllers, **agents}
-    runs = {}
     with times.part("comparison"):
-        with Bar("Comparing", config.courses * len(contestants), "courses") as bar:
-            for name, contestant in contestants.items():
-                runs[name] = evaluate.run_courses(
-                    contestant,
-                    scenario,
-                    HELD_OUT_SET,
-                    config.courses,
-                    progress=lambda count, name=name: bar.update(advance=count, note=name),
-                    model=world,
-                )
-        result = evaluate.comparison(scenario, HELD_OUT_SET, runs, settings)
+        hard = min(config.oracle_courses, config.courses)
+        with Bar("Comparing", config.courses * len(contestants) + hard, "courses") as bar:
+
+            def driven(name: str, contestant, courses: int, batch: int = 500) -> evaluate.Runs:
+                told = lambda count: bar.update(advance=count, note=name)  # noqa: E731
+                where = scenario, HELD_OUT_SET, courses
+                return evaluate.run_courses(contestant, *where, progress=told, batch=batch, model=world)
+
+            runs = {name: driven(name, contestant, config.courses) for name, contestant in contestants.items()}
+            oracle = driven(limit.ORACLE, Oracle(scenario), hard, limit.BLOCK) if hard else None
+        result = evaluate.comparison(scenario, HELD_OUT_SET, runs, settings, oracle)
     if world is not None:
         result["model"] = world.content()
     evaluate.save(result, folder)
@@ -202,6 +208,7 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[
         course = _telling_course(runs, list(agents))
         plots.course_figure(scenario, HELD_OUT_SET, course, drivers, folder / "course.png", world)
     times.save()
+    (folder / _TUNING).unlink(missing_ok=True)
     print_table(result)
     show(str(times))
     return result
@@ -231,26 +238,33 @@ _COLUMNS = (
 def print_table(result: dict) -> None:
     """The comparison as a table, and how PPO compares in courses finished; all intervals are in comparison.json."""
     title = f"{result['courses']} held-out courses of scenario {result['scenario']!r}, the same for all; 95 % intervals"
-    show(metric_table(result["controllers"], _COLUMNS, title))
+    show(metric_table(result["controllers"] | limit.rows(result), _COLUMNS, title), *limit.lines(result))
     show(*(verdict(result, name) for name in result["controllers"] if name in ppo.NAMES.values()))
 
 
 def verdict(result: dict, name: str) -> str:
-    """How the agent compares, in courses finished, with the best controller that does not know the true soil and with
-    the slip controller that does. "More" and "fewer" mean that the paired interval leaves 0 out."""
-    rows = {n: row["finished"] for n, row in result["controllers"].items()}
-    others = [n for n in rows if n not in (name, "best_slip_true", ppo.NAMES["true_soil"])]
-    best = max(others, key=lambda n: rows[n]["value"])
-    paired = {n: result["paired"][name][n]["finished"] for n in (best, "best_slip_true")}
-    return (
-        f"{name} finishes {percent(rows[name])}: {_judgement(paired[best])} {best}, which finishes most of the others "
-        f"without the true soil ({points(paired[best])} percentage points), {_judgement(paired['best_slip_true'])} "
-        f"best_slip_true, which knows it ({points(paired['best_slip_true'])}). One training seed; the intervals "
-        "are over courses."
+    """How many courses the agent finishes, against the best controller that does not know the true soil, and the
+    references that do. Only the first word of the claim depends on the intervals: "more" means that they do not
+    overlap."""
+    rows = result["controllers"]
+    fair = [n for n in rows if n not in (name, "best_slip_true", "ppo_true")]
+    best = max(fair, key=lambda n: rows[n]["finished"]["value"])
+    agent, other = rows[name]["finished"], rows[best]["finished"]
+    known = {n: rows[n]["finished"] for n in ("best_slip_true",) if n in rows and n != name}
+    known |= {n: metrics["finished"] for n, metrics in limit.rows(result).items()}
+    difference = points(result["paired"][name][best]["finished"])
+    text = (
+        f"{name} finishes {_judgement(agent, other)} {best}, the best of the others without the true soil: "
+        f"{percent(agent)} against {percent(other)}, on the same courses {difference} percentage points"
     )
+    references = ", ".join(f"{n} {percent(m)}" for n, m in known.items())
+    text += f". With the true soil: {references}" if references else ""
+    return f"{text}. One training seed; the intervals are over courses."
 
 
-def _judgement(difference: dict) -> str:
-    if difference["low"] > 0.0:
-        return "more than"
-    return "fewer than" if difference["high"] < 0.0 else "neither more nor fewer, within the interval, than"
+def _judgement(a: dict, b: dict) -> str:
+    if a["low"] > b["high"]:
+        return "more courses than"
+    return (
+        "fewer courses than" if a["high"] < b["low"] else "neither more nor fewer courses, within the intervals, than"
+    )

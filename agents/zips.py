@@ -70,6 +70,10 @@ def read_bytes(path: Path, name: str) -> bytes | None:
             return archive.read(name)
     except ParameterError:
         raise
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except zipfile.BadZipFile:
+        raise ParameterError(f"{path}: not a zip file: expected a model of Stable-Baselines3") from None
     except Exception as error:
         raise ParameterError(f"{path}: {name}: cannot be read ({one_line(error) or type(error).__name__})") from None
 

@@ -3,7 +3,7 @@
 Knowledge is that of the reward term `information` (`task.knowledge`, nat). A bonus for every gain of it could be earned
 again and again: `Rocking` hardly leaves its place and makes the identifier start anew each time.
 
-    python -m benchmarks.paying --controllers 'fixed_slip,rocking=benchmarks.paying:Rocking,ppo=runs/paid_1/seed_*'
+    python -m benchmarks.paying --controllers 'soft_start,rocking=benchmarks.paying:Rocking,ppo=runs/paid_1/seed_*'
 
 CONTROLLERS as of `python -m agents.evaluate`; several models of one name are averaged.
 """

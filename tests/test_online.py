@@ -1,7 +1,9 @@
 """The online identifier by itself: that of the environment, and what it makes of channels that are missing."""
 
+import dataclasses
 import math
 import pickle
+import warnings
 
 import gymnasium
 import numpy as np
@@ -12,13 +14,13 @@ from soil_env._numba.lanes import COUNT
 from soil_env.identification.filter_bank import element
 from soil_env.identification.linearised import MASS
 from soil_env.identification.online import observe
-from soil_env.online import OnlineIdentifier, Readings, Status, slips
+from soil_env.online import OnlineIdentifier, Readings, Status, largest_readings, slips
 from soil_env.parameters import Belief, Noise, load_scenario, wheels
 from soil_env.simulation.dynamics import STEP, advance
 from soil_env.simulation.sensors import sense
 from soil_env.simulation.worlds import Simulation
 
-WHEEL = wheels()["planetary_rover"]
+WHEEL, BELIEF = wheels()["planetary_rover"], Belief()
 
 
 METHODS = ("filter", "window")
@@ -267,20 +269,64 @@ def test_motion_that_is_not_known_is_passed_over():
         assert identifier.update(STEADY._replace(wheel_speed=math.nan, slip=math.nan)) == before
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"sinkage": 22.0}, {"slip": 25.0}, {"torque": math.inf}, {"speed": -math.inf}, {"time": 0.5}, {"time": 0.4}],
-)
+ABSURD = [
+    {"sinkage": 22.0}, {"sinkage": 0.151}, {"slip": 25.0}, {"torque": math.inf}, {"speed": -math.inf}, {"time": 0.5},
+    {"time": 0.4}, {"load": 1e9}, {"load": -1e9}, {"motor_torque": 1e4}, {"pitch": 20.0}, {"speed": 280.0},
+    {"load": "147"}, {"time": "0.6"}, {"wheel_speed": None}, {"torque": [5.5]}, {"sinkage": {}}, {"time": 1j},
+    {"speed": np.array([0.28, 0.28])}, {"wheel_speed": math.nan, "slip": math.nan, "load": "147"},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", ABSURD, ids=str)
 def test_bad_readings_are_refused_and_leave_no_trace(wrong):
     one, other = OnlineIdentifier(WHEEL), OnlineIdentifier(WHEEL)
     for k in range(1, 6):
         one.update(STEADY._replace(time=0.1 * k))
         other.update(STEADY._replace(time=0.1 * k))
-    with pytest.raises(ValueError):
+    numbers = all(isinstance(value, float) for value in wrong.values())
+    with pytest.raises(ValueError if numbers else TypeError) as refusal:
         one.update(STEADY._replace(**({"time": 0.6} | wrong)))
+    assert f"{list(wrong)[-1]} = " in str(refusal.value) and "expected" in str(refusal.value)
     for k in range(6, 16):
         a, b = one.update(STEADY._replace(time=0.1 * k)), other.update(STEADY._replace(time=0.1 * k))
         assert a == b
+
+
+@pytest.mark.parametrize(
+    "arguments", [("planetary_rover",), (None,), (WHEEL, {"method": "window"}), (WHEEL, BELIEF, 3)]
+)
+def test_arguments_of_another_type_are_named(arguments):
+    with pytest.raises(TypeError, match="^(wheel|belief|noise) = .*: expected a "):
+        OnlineIdentifier(*arguments)
+    with pytest.raises(TypeError, match="scenario"):
+        OnlineIdentifier.of_scenario(WHEEL)
+    with pytest.raises(TypeError, match="expected Readings"):
+        OnlineIdentifier(WHEEL).update(STEADY._asdict())
+    with pytest.raises(ValueError, match="load"):
+        OnlineIdentifier(WHEEL).traversability(load=math.nan)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_whatever_is_admitted_gives_a_soil(method):
+    """Readings up to their limits, of any sign, some missing: finite numbers, a valid `Soil`, no warning."""
+    rng, limits = np.random.default_rng(3), largest_readings(WHEEL)[:10]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(40):
+            identifier = OnlineIdentifier(WHEEL, Belief(method=method))
+            size = np.where(rng.random(10) < 0.4, 10.0 ** rng.uniform(-4, 4, 10), 1.0)
+            size *= np.where(rng.random(10) < 0.2, -1.0, 1.0)
+            missing = (rng.random(10) < 0.2) & (np.arange(10) > 0)
+            for _ in range(40):
+                values = np.array([*STEADY[:7], 0.0, 5.5, 0.3]) * size * (1.0 + 0.3 * rng.normal(size=10))
+                values = np.where(missing, math.nan, np.clip(values, np.negative(limits), limits))
+                try:
+                    e = identifier.update(Readings(*values.tolist()))
+                except ValueError:  # a speed from the slip, beyond its own limit
+                    continue
+                assert all(math.isfinite(x) for x in dataclasses.astuple(e)[:10])
+                identifier.soil()
+                assert math.isfinite(identifier.traversability().drawbar_margin)
 
 
 def test_time_stamps_count_as_time():

@@ -228,7 +228,7 @@ def driven_file(folder: Path, target: str, name: str, seed: int) -> Path:
 
 def _tuned(study: Ablation, folder: Path, source: str) -> dict:
     path, target = folder / source / "tuned.json", study.targets[source]
-    quiet = (lambda count, name: None), tuple(CONTROLLERS)
+    quiet = tuple(CONTROLLERS), lambda count, name: None
     return kept_settings(path, target.scenario, study.tuning_courses, *quiet, target.world)
 
 

@@ -168,6 +168,8 @@ def drive(
         sim.seed(k, course_rng(seed, first + k))
     alive = np.ones(count, dtype=bool)
     sim.restart_where(alive)
+    if hasattr(controller, "attach"):  # a planner, that tries out what the world would do
+        controller.attach(sim, threads, model)
     w = sim.worlds
     what = np.full(count, STEP)
     memory, fresh = None, np.ones(count, dtype=bool)

@@ -11,7 +11,7 @@ before anything is written; where an action differs by more than 1e-5 nothing is
 Examples:
   python -m agents.export runs/NAME --out policy
   python policy/run_policy.py
-  python -m agents.evaluate --controllers fixed_slip,mine=policy --out evaluation
+  python -m agents.evaluate --controllers soft_start,mine=policy --out evaluation
 """
 
 from __future__ import annotations
@@ -109,6 +109,9 @@ def _asked(options) -> tuple[Path, Scenario, WheelSoilModel | None]:
     from .. import ppo, zips
 
     path = options.run / "model.zip" if options.run.is_dir() else options.run
+    if not path.is_file():
+        wrong = f"{options.run}: no model.zip in this folder" if options.run.is_dir() else f"{path}: is not there"
+        raise ParameterError(f"{wrong}: expected a run folder of train.py, or a .zip of Stable-Baselines3")
     if zips.read_bytes(path, ppo._META) is None:
         return path, load_scenario(options.scenario or "mixed"), None
     if options.scenario is not None:

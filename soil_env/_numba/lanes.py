@@ -26,7 +26,7 @@ COUNT = 8
 class Lanes(types.Type):
     """Numba type of eight float64."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__(name="float64x8")
 
 
@@ -37,7 +37,7 @@ INTEGERS = ir.VectorType(ir.IntType(64), COUNT)
 
 @register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):
-    def __init__(self, manager, fe_type):
+    def __init__(self, manager, fe_type) -> None:
         super().__init__(manager, fe_type, VECTOR)
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 
 from soil_env._numba.compiling import inlined
-from soil_env._numba.rows import copy_column, rows
+from soil_env._numba.rows import Rows, copy_column, rows
 from soil_env.terramechanics.effects import excavation_rate
 
 #: Points kept as places of reference.
@@ -26,7 +26,7 @@ _FADED = 0.4  # D at which a place is far enough back: the nearest such is taken
 _LEAST, _LEAST_RATIO = 0.1, 0.3  # 1 - D z_0/z and R0 are taken to be no less
 
 #: Observers, a column a wheel. All zero: at rest in soil that carries the wheel, nothing dug.
-Digging = rows(
+Digging: type[Rows] = rows(
     "Digging",
     "path",  # integral of A dt
     "response",  # G
@@ -36,7 +36,7 @@ Digging = rows(
     "dropped",  # 1 once more than KEPT have been passed
 )
 #: Their places of reference, KEPT columns a wheel, the oldest first.
-DiggingPlaces = rows("DiggingPlaces", "path", "response", "sinkage")
+DiggingPlaces: type[Rows] = rows("DiggingPlaces", "path", "response", "sinkage")
 
 
 @inlined

@@ -10,7 +10,7 @@ import numpy as np
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array, total
-from soil_env._numba.rows import rows, zero_column
+from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.identification.linearised import (
     COHESION,
     GAIN,
@@ -32,7 +32,7 @@ MEANS, COVARIANCES = STATES * COUNT, TRIANGLE * COUNT
 _FAR = 100.0  # [m] behind a border: nothing is left of it
 #: The open point of each bank, sums over its readings, and its clocks; `share` is that of the soil behind the last
 #: border in what is under the wheel.
-FilterPoint = rows(
+FilterPoint: type[Rows] = rows(
     "FilterPoint", "slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_speed", "pitch", "motor_torque",
     "acceleration", "path_sum", "sliding_sum", "shock_sum", "time_sum", "readings", "length", "first_slip", "first_rim",
     "path", "sliding", "shock", "time",  # integrals of A dt, |r w - V| dt / l and |d(r w)| dt / l since `forget`; [s]
@@ -49,7 +49,7 @@ class FilterBanks(NamedTuple):
     covariance: np.ndarray  # [wheels, TRIANGLE x 8], the lower triangle row by row
     log_weight: np.ndarray  # [wheels, 8]
     ln_bearing: np.ndarray  # [wheels, 8] ln of the bearing sinkage [m] at the last point
-    point: FilterPoint
+    point: Rows  # FilterPoint
     before: np.ndarray  # [wheels, SINKAGE + PUBLISHED] the soil before the last border: means, standard deviations
 
 

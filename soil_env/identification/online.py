@@ -21,7 +21,7 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.lanes import COUNT, fill, first, from_array, lane, smallest
-from soil_env._numba.rows import copy_column, rows, scratch_rows, zero_column
+from soil_env._numba.rows import Rows, copy_column, rows, scratch_rows, zero_column
 from soil_env.identification.digging import KEPT, Digging, DiggingPlaces, close_point, note, roll
 from soil_env.identification.filter import CONTRADICTION_OF_POINTS, take
 from soil_env.identification.filter_bank import FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
@@ -61,7 +61,7 @@ KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
 _MINIMUM_RIM_SPEED = 0.02  # [m/s] below which readings say nothing of shear
 
 #: The open point of each identifier: sums over its readings, and where it began.
-OpenPoint = rows(
+OpenPoint: type[Rows] = rows(
     "OpenPoint",
     "slip",
     "sinkage",
@@ -94,11 +94,11 @@ class SensorReading(NamedTuple):
 class Identifiers(NamedTuple):
     """Memory of many identifiers: arrays with one row a wheel."""
 
-    points: Points  # WINDOW columns a wheel
+    points: Rows  # Points, WINDOW columns a wheel
     count: np.ndarray  # [wheels] points in the window
-    open: OpenPoint
-    digging: Digging
-    places: DiggingPlaces  # KEPT columns a wheel
+    open: Rows  # OpenPoint
+    digging: Rows  # Digging
+    places: Rows  # DiggingPlaces, KEPT columns a wheel
     estimate: np.ndarray  # [wheels, 5] the published estimate, in the order of `IdentifierNumbers.prior`
     sd: np.ndarray  # [wheels, 5] its standard deviations
     status: np.ndarray  # [wheels] `Status`
@@ -106,6 +106,7 @@ class Identifiers(NamedTuple):
     covariance: np.ndarray  # [wheels, 5, 5] of it
     condition: np.ndarray  # [wheels] largest posterior over prior standard deviation (1 = nothing learnt)
     banks: FilterBanks  # of the method "filter"
+    borders: np.ndarray  # [wheels] to another soil that the filter has found since `forget`
 
 
 class IdentifierNumbers(NamedTuple):
@@ -171,13 +172,14 @@ def new_identifiers(wheels: int) -> Identifiers:
         np.zeros((wheels, SIZE, SIZE)),
         np.ones(wheels),
         new_banks(wheels),
+        np.zeros(wheels, dtype=np.int64),
     )
 
 
 @part
 def forget(ids, k, numbers):
     """Set identifier k back to its prior."""
-    ids.count[k] = 0
+    ids.count[k] = ids.borders[k] = 0
     zero_column(ids.open, k)
     zero_column(ids.digging, k)
     for i in range(SIZE):
@@ -200,6 +202,8 @@ def observe(ids, k, reading, numbers):
 def _observe_by_filter(ids, k, reading, numbers):
     if not take(ids.banks, k, reading, numbers.filter):
         return False
+    if ids.banks.point.since[k] == 0.0:
+        ids.borders[k] += 1
     publish(ids.banks, k, numbers.filter, ids.estimate[k], ids.sd[k], ids.covariance[k])
     learnt = 0.0
     for i in range(2):  # friction and shear deformation modulus need a range of slip

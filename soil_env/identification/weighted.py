@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -65,7 +66,7 @@ def most_probable(
     derivatives: Callable[[np.ndarray], np.ndarray],
     start: np.ndarray,
     bounds: tuple[np.ndarray, np.ndarray],
-    **options,
+    **options: Any,
 ) -> tuple[np.ndarray, float, bool]:
     """(u, J, whether it converged): the least |target - model(u)|^2 + |u|^2 within the bounds.
 
@@ -111,7 +112,7 @@ def finite(columns: list[np.ndarray], size: int) -> np.ndarray:
 class TableProblem:
     """The soil of one table as a weighted least-squares problem; `correct` and `update_noise` re-weight it."""
 
-    def __init__(self, table: Table, setup: Setup):
+    def __init__(self, table: Table, setup: Setup) -> None:
         use = _usable(table, setup)
         count = int(use.sum())
         wheels = np.stack([table.radius(setup.wheel), table.width(setup.wheel), np.zeros(len(table))], axis=1)

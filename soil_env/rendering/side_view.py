@@ -38,6 +38,7 @@ from soil_env.rendering.canvas import (
 from soil_env.rendering.charts import SPAN, draw_charts, nice, ticks
 from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import CELL, CELLS_BEHIND, ground_at
+from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.contact import (
     JANOSI,
     entry_angle,
@@ -69,7 +70,7 @@ class Stresses(NamedTuple):
     shear: np.ndarray  # [points] tau [Pa], Eq. (10), positive where it drives the wheel forward
 
 
-def contact_stresses(simulation, k: int) -> Stresses:
+def contact_stresses(simulation: Simulation, k: int) -> Stresses:
     """`Stresses` under wheel k as it moves now, at the sinkage coefficient that its load mobilises."""
     w, world = simulation.wheel(k), simulation.numbers.world
     r, rim_speed = world.wheel.radius, w["wheel_speed"] * world.wheel.radius
@@ -120,7 +121,7 @@ class Renderer:
 
     _windows: ClassVar[set[int]] = set()  # ids of the open windows of all renderers, which share one event queue
 
-    def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN):
+    def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
         if mode not in MODES:
             raise ValueError(f"render mode {mode!r}: expected one of {', '.join(MODES)}")
         self.scenario, self.mode, self.size = scenario, mode, tuple(size)
@@ -136,7 +137,7 @@ class Renderer:
         self._history.clear()
         self._angle = 0.0
 
-    def record(self, simulation, k: int) -> None:
+    def record(self, simulation: Simulation, k: int) -> None:
         """Add the present state of wheel k to the history; at its reset the history starts anew."""
         w, ids, world = simulation.wheel(k), simulation.worlds.ids, simulation.numbers.world
         if w["steps"] == 0:
@@ -149,7 +150,7 @@ class Renderer:
             now = w["steps"] * world.period, w["slip"], w["sinkage"] / world.wheel.radius
             self._history.append((*now, *ids.estimate[k, :3], *ids.sd[k, :3], *truth))
 
-    def draw(self, simulation, k: int) -> np.ndarray | None:
+    def draw(self, simulation: Simulation, k: int) -> np.ndarray | None:
         """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to the window."""
         if self.mode == "human" and not self._poll():
             return None

@@ -62,7 +62,7 @@ def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
 class Infos:
     """Infos of the wheels of one `Worlds`. `traversability` is that of the last renewed estimate: see `renew`."""
 
-    def __init__(self, scenario: Scenario, kind: str, wheels: int):
+    def __init__(self, scenario: Scenario, kind: str, wheels: int) -> None:
         self.scenario, self.kind = scenario, checked(kind)
         self._best: Callable[..., Any] = FastCall(best_working_point)
         self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate was renewed

@@ -24,7 +24,7 @@ import numpy as np
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp, larger, power, smaller, where_less
 from soil_env._numba.random_streams import between
-from soil_env._numba.rows import rows, zero_column
+from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.parameters import Scenario
 from soil_env.simulation.terrain import cell_at, ground_at
 from soil_env.terramechanics.contact import (
@@ -41,7 +41,7 @@ REVERSE = 0.1  # [of the top rim speed] that rim acceleration can command backwa
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 
 #: Wheels. Numbers that follow from the others in the same step are kept for sensors and info.
-WheelState = rows(
+WheelState: type[Rows] = rows(
     "WheelState",
     "x",  # [m] distance along the course
     "best_x",  # [m] furthest x so far: ground beyond it is fresh
@@ -82,7 +82,7 @@ WheelState = rows(
 )
 
 #: What is counted of wheels.
-WheelCounts = rows(
+WheelCounts: type[Rows] = rows(
     "WheelCounts",
     "converged",  # 1 unless a Newton iteration of the last control period failed at the finest substep
     "patch",  # of the course, under the wheel

@@ -278,7 +278,7 @@ class Simulation:
         variant: str,
         threads: int | None = None,
         model: WheelSoilModel | None = None,
-    ):
+    ) -> None:
         self.scenario = scenario
         self._threads = threads or _processors()
         self._run = FastCall(step_chunks)

@@ -7,7 +7,7 @@ from scipy.stats import binomtest
 
 from agents import plots
 from agents.controllers import CONTROLLERS, make_controller
-from agents.evaluate import Runs, course_rng, run_courses, summary, tune, wilson
+from agents.evaluate import Runs, course_rng, run_courses, summary, wilson
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import Simulation
@@ -241,23 +241,3 @@ def test_the_trace_of_a_course_is_that_of_the_comparison(scenario, runs, tmp_pat
         assert columns["x"].max() == pytest.approx(runs[name].distance[4])
     plots.course_figure(scenario, SEED, 4, controllers, tmp_path / "course.png")
     assert plt.imread(tmp_path / "course.png").std() > 0.01
-
-
-# --- tuning -----------------------------------------------------------------------------------------------------------
-
-
-def test_tune_picks_what_finishes_most_then_the_highest_return(scenario):
-    values = (0.05, 0.25, 0.6)
-
-    def make(slip):
-        return make_controller("fixed_slip", scenario, slip=slip)
-
-    done = []
-    best, tried = tune(make, [{"slip": v} for v in values], scenario, SEED, 6, done.append)
-    returns = {t["slip"]: t["return"] for t in tried}
-    expected = {v: run_courses(make(v), scenario, SEED, 6).returns.mean() for v in values}
-    assert returns == pytest.approx(expected)
-    assert len(set(returns.values())) == 3
-    finished = {t["slip"]: t["finished"] for t in tried}
-    assert best == {"slip": max(expected, key=lambda v: (finished[v], expected[v]))}
-    assert sum(done) == 18

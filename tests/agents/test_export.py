@@ -211,6 +211,16 @@ def test_networks_and_files_that_are_not_known_are_named(tmp_path, scenario, exp
         ExportedAgent(tmp_path / "foreign.onnx")
 
 
+def test_a_folder_or_file_that_is_no_run_is_named_once(tmp_path, capsys):
+    (tmp_path / "no.zip").write_text("text")
+    (tmp_path / "empty").mkdir()
+    for place, words in (("empty", "no model.zip"), ("nowhere", "not there"), ("no.zip", "not a zip file")):
+        assert main([str(tmp_path / place), "--out", str(tmp_path / "out")]) == 2
+        said = capsys.readouterr().err
+        assert words in said and said.count(place) == 1 and said.count("model.zip") <= 1 and said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
 def test_publishing_lists_and_sends_what_it_lists(exported, capsys, monkeypatch, tmp_path):
     from agents import publish
 

@@ -176,21 +176,24 @@ def test_the_same_seed_gives_the_same_comparison(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "low, high, words",
-    [(0.01, 0.05, "more than fixed_slip"), (-0.01, 0.03, "within the interval, than fixed_slip"),
-     (-0.06, -0.02, "fewer than fixed_slip")],
+    "agent, words",
+    [((0.97, 0.95, 0.98), "more courses than soft_start"),
+     ((0.90, 0.87, 0.92), "neither more nor fewer courses, within the intervals, than soft_start"),
+     ((0.60, 0.57, 0.63), "fewer courses than soft_start")],
 )  # fmt: skip
-def test_the_verdict_follows_from_the_paired_intervals(low, high, words):
-    """Against the best controller that is not told the true soil."""
-    keys = ("value", "low", "high")
-    rates = {"ppo_blind": (0.9, 0.88, 0.92), "constant_speed": (0.5, 0.47, 0.53), "fixed_slip": (0.88, 0.86, 0.9),
-             "best_slip_true": (0.95, 0.93, 0.97)}  # fmt: skip
-    rows = {name: {"finished": dict(zip(keys, m, strict=True))} for name, m in rates.items()}
-    differences = {"fixed_slip": ((low + high) / 2, low, high), "constant_speed": (0.4, 0.37, 0.43),
-                   "best_slip_true": (-0.05, -0.07, -0.03)}  # fmt: skip
-    paired = {n: {"finished": dict(zip(keys, d, strict=True))} for n, d in differences.items()}
-    text = training.verdict({"controllers": rows, "paired": {"ppo_blind": paired}}, "ppo_blind")
-    assert words in text and "fewer than best_slip_true" in text and "90.0 % [88.0, 92.0]" in text
+def test_the_verdict_follows_from_the_intervals(agent, words):
+    """Against the best of the controllers that do not know the true soil; those that do are named beside it."""
+    rates = {"ppo_blind": agent, "constant_speed": (0.80, 0.77, 0.83), "soft_start": (0.89, 0.87, 0.91),
+             "best_slip_true": (0.93, 0.91, 0.95)}  # fmt: skip
+    rows = {n: {"finished": dict(zip(("value", "low", "high"), m, strict=True))} for n, m in rates.items()}
+    even = {"finished": {"value": 0.05, "low": 0.02, "high": 0.08}}
+    result = {"controllers": rows, "paired": {a: dict.fromkeys(rows, even) for a in rows}}
+    text = training.verdict(result, "ppo_blind")
+    assert words in text and "+5.0 [+2.0, +8.0] percentage points" in text
+    assert "best_slip_true 93.0 % [91.0, 95.0]" in text and "oracle" not in text
+    oracle = {"finished": {"value": 0.98, "low": 0.9, "high": 1.0}}
+    result["limit"] = {"courses": 50, "metrics": oracle, "avoidable": {}}
+    assert "oracle (first 50 courses) 98.0 % [90.0, 100.0]" in training.verdict(result, "ppo_blind")
 
 
 # --- the command line -------------------------------------------------------------------------------------------------

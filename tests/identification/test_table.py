@@ -15,6 +15,8 @@ from scipy.optimize import brentq
 from scipy.stats import linregress, t
 
 from soil_env._io.loading import ParameterError
+from soil_env.identification.__main__ import text_of
+from soil_env.identification.priors import BROAD
 from soil_env.identification.scatter import Scatter
 from soil_env.identification.table import identify_table
 from soil_env.measurement.table import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup, read_table
@@ -213,7 +215,7 @@ def test_says_that_the_model_does_not_fit(tmp_path):
 def test_says_that_a_prior_is_contradicted(tmp_path):
     prior = {"friction_angle_deg": Prior(38.0, 1.0)}
     e = identify_table(table_of(tmp_path, clean(), np.random.default_rng(2)), setup_of(("cohesion",), **prior))
-    assert any("friction angle came out" in w and "deviations from its prior" in w for w in e.warnings)
+    assert any("the friction angle would be" in w and "deviations from its prior" in w for w in e.warnings)
 
 
 @pytest.mark.parametrize(
@@ -277,7 +279,30 @@ def test_doubts_units(tmp_path):
     words = " ".join(identify_table(table_of(tmp_path, rows), setup_of(("sinkage_exponent",), None)).warnings)
     assert "The median load is 0.12 N" in words and "if it is kN" in words
     odd = identify_table(table, setup_of(("sinkage_exponent",), cohesion=Prior(1.5, 0.5)))
-    assert any("looks like kPa" in w for w in odd.warnings)
+    assert any("looks like kPa" in w for w in odd.check_first) and set(odd.check_first) <= set(odd.warnings)
+    said = text_of(odd)
+    assert said.startswith("CHECK FIRST") and said.count("looks like kPa") == 1
+
+
+def test_what_is_told_of_the_residuals_is_what_the_table_has(tmp_path):
+    """Slip-sinkage that the model lacks: the figure of the warning is that of the column rms / noise."""
+    rows = clean().copy()
+    rows[:, 2] *= 1.0 + 0.8 * rows[:, 0]
+    e = identify_table(table_of(tmp_path, rows), setup_of(("cohesion", "sinkage_exponent")))
+    (said,) = [w for w in e.warnings if "does not fit the sinkage" in w]
+    rms = math.sqrt(float(np.mean(e.fits["sinkage"].residual ** 2)))
+    assert f"residuals are {rms:.1f} times" in said
+
+
+def test_intervals_stay_within_what_a_soil_can_be(tmp_path):
+    """Four rows of one load, whose stated noise is larger than most of their values: next to nothing is told."""
+    noise = {"sinkage": 0.02, "drawbar_pull": 20.0, "torque": 3.0}
+    e = identify_table(table_of(tmp_path, clean()[:4]), setup_of((), noise))
+    for name, (_, _, low, high, logarithmic) in BROAD.items():
+        p = e.parameters[name]
+        low, high = (math.exp(x) if logarithmic else x for x in (low, high))
+        assert low * (1.0 - 1e-9) <= p.low <= p.value <= p.high <= high * (1.0 + 1e-9), name
+    assert e.parameters["friction_angle_deg"].high == pytest.approx(65.0)
 
 
 def test_digging_that_the_setup_knows_is_taken_out(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import yaml
 from markupsafe import Markup
@@ -60,7 +61,7 @@ def write(report: Report, folder: Path) -> None:
         raise ParameterError(f"{folder}: {error.strerror}") from None
 
 
-def page(report: Report, values: dict) -> str:
+def page(report: Report, values: dict[str, Any]) -> str:
     """report.html, which needs no other file; `values` is `content(report)`."""
     images = {name: Markup(html_image(svg, CAPTIONS[name], "svg+xml")) for name, svg in pictures(report).items()}
     names = ", ".join(words.title(e.name) for e in report.effects)
@@ -77,7 +78,7 @@ def text(report: Report) -> str:
     return render(f"{__name__}:report.txt", shown=_SHOWN, **_common(report))
 
 
-def _common(report: Report) -> dict:
+def _common(report: Report) -> dict[str, Any]:
     """What both templates take."""
     return {
         "report": report,
