@@ -214,7 +214,7 @@ def test_overrides_are_read_as_yaml():
         (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "8192"]),
         (["--changes.course.lenght", "5"], ["lenght", "did you mean 'length'"]),
         (["--seed", "-1"], ["seed", "-1", "[0, 2147483647]"]),
-        (["--ppo.critic", "true"], ["critic = 'true'", "true_soil"]),
+        (["--ppo.critic", "true"], ["critic = True", "true_soil"]),
         (["--algorithm", "recurrent_ppo", "--ppo.critic", "true_soil"], ["ppo.critic", "recurrent_ppo"]),
         (["--hidden_worlds", "128"], ["hidden_worlds = 128", "num_envs"]),
         (["--scenario", "5"], ["unknown value '5'", "mixed"]),
