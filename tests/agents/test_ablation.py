@@ -78,7 +78,10 @@ def test_every_controller_is_compared_everywhere(done):
         assert entry["trained_on"] == "mixed" and ("model" in entry) == (name == "elsewhere")
         for key, c in entry["controllers"].items():
             assert c["members"] == len(c["by_seed"]["immobilised"]) == (2 if key.startswith("ppo") else 1)
-    assert result["scenarios"]["mixed"]["controllers"]["fixed_slip"]["settings"].keys() == CONTROLLERS["fixed_slip"].bounds.keys()
+    assert (
+        result["scenarios"]["mixed"]["controllers"]["fixed_slip"]["settings"].keys()
+        == CONTROLLERS["fixed_slip"].bounds.keys()
+    )
 
 
 def test_agents_are_judged_as_they_drive(done):
