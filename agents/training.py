@@ -24,9 +24,9 @@ from .evaluate import HELD_OUT_SET, limit
 from .evaluate.models import load_model
 from .evaluate.tables import Column, metric_table, percent, points
 from .evaluate.tuning import tuned_settings
-from .guided import make_guide
 from .progress import Bar, console, show
 from .timing import Times, Timing
+from .worlds import hidden_worlds
 
 _TUNING = "tuning.jsonl"  # trials of the tuning, until the run is finished
 #: What `compare` writes into a run folder.
@@ -74,8 +74,7 @@ class _Watch(BaseCallback):
 
 
 def check(config: TrainConfig, scenario: Scenario) -> None:
-    """ParameterError with one line where a training could not begin: a guide that cannot be made, no sb3-contrib."""
-    make_guide(config, scenario)
+    """ParameterError with one line where a training could not begin: no sb3-contrib."""
     if config.algorithm == "recurrent_ppo":
         recurrent.algorithm()
 
@@ -120,7 +119,7 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable =
         console.print(f"{folder} is trained already.")
         return load_model(folder / "model.zip", scenario)
     log = folder / "tensorboard"
-    rest = config.ppo, config.seed, log, config.world, make_guide(config, scenario), config.algorithm
+    rest = config.ppo, config.seed, log, worlds(config, scenario), config.algorithm
     if (folder / "checkpoint.zip").is_file():
         model = ppo.resume(folder / "checkpoint.zip", scenario, config.observation, *rest)
         console.print(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
@@ -142,6 +141,13 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable =
     for left_over in (folder / "checkpoint.zip", *folder.glob(".*.partial*")):
         left_over.unlink(missing_ok=True)
     return load_model(folder / "model.zip", scenario)
+
+
+def worlds(config: TrainConfig, scenario: Scenario) -> ppo.World:
+    """The worlds of a training: that of the config, and the hidden ones mixed into it."""
+    if not config.hidden_worlds:
+        return config.world
+    return [config.world, *hidden_worlds(scenario, config.hidden_worlds, config.seed)]
 
 
 def trained(config: TrainConfig, scenario: Scenario, bar: Callable = Bar) -> Path:
@@ -197,7 +203,7 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[
     evaluate.save(result, folder)
     with times.part("figures"):
         plots.comparison_figure(result, folder / "comparison.png")
-        classical = min(controllers, key=lambda n: result["controllers"][n]["immobilised"]["value"])
+        classical = max(controllers, key=lambda n: result["controllers"][n]["finished"]["value"])
         drivers = {n: contestants[n] for n in (classical, *agents)}
         course = _telling_course(runs, list(agents))
         plots.course_figure(scenario, HELD_OUT_SET, course, drivers, folder / "course.png", world)
@@ -230,7 +236,7 @@ _COLUMNS = (
 
 
 def print_table(result: dict) -> None:
-    """The comparison as a table, and how far PPO is from the references; all intervals are in comparison.json."""
+    """The comparison as a table, and how PPO compares in courses finished; all intervals are in comparison.json."""
     title = f"{result['courses']} held-out courses of scenario {result['scenario']!r}, the same for all; 95 % intervals"
     show(metric_table(result["controllers"] | limit.rows(result), _COLUMNS, title), *limit.lines(result))
     show(*(verdict(result, name) for name in result["controllers"] if name in ppo.NAMES.values()))

@@ -13,6 +13,7 @@ from soil_env.env import observation_space
 from soil_env.parameters import Control, CourseSpec, Scenario
 from soil_env.simulation.task import VARIANTS, layout
 
+from .. import PACKAGE_NAMES
 from ..exported import ExportedAgent
 from .contestants import VECNORMALIZE
 
@@ -34,6 +35,7 @@ _ALGORITHMS = (
     ("stable_baselines3.common.policies", {"cg_max_steps"}, ("sb3_contrib", "TRPO")),
     ("stable_baselines3.common.policies", {"clip_range"}, ("stable_baselines3", "PPO")),
     ("stable_baselines3.common.policies", set(), ("stable_baselines3", "A2C")),
+    *((f"{package}.asymmetric", {"clip_range"}, ("stable_baselines3", "PPO")) for package in PACKAGE_NAMES),
 )
 
 

@@ -4,7 +4,7 @@ RUN is a run folder of train.py, or a .zip of Stable-Baselines3 (PPO, A2C, TRPO,
 vecnormalize.pkl beside it where there is one. A zip that train.py did not write is unpickled in part: name only what
 you trust.
 
-The file takes raw observations and gives actions: normalisation, clipping, squashing and the guide are inside, and
+The file takes raw observations and gives actions: normalisation, clipping, squashing and the history are inside, and
 hidden states are inputs and outputs with names. It is compared with the agent over the steps of held-out courses
 before anything is written; where an action differs by more than 1e-5 nothing is.
 

@@ -17,7 +17,7 @@ from soil_env._io.loading import ParameterError, unknown_value
 from soil_env._numba.compiling import inlined
 from soil_env.identification import Status
 from soil_env.parameters import CourseSpec, Scenario
-from soil_env.simulation.camera import CameraNumbers, camera_numbers, patch_ahead, seen_grade, write_view
+from soil_env.simulation.camera import CameraNumbers, Sight, camera_numbers, patch_ahead, seen_grade, write_view
 from soil_env.simulation.sensors import SensorNumbers, sensor_numbers
 from soil_env.simulation.terrain import BEHIND, ground_at, row_soil
 from soil_env.terramechanics.model import WheelSoilModel
@@ -134,6 +134,12 @@ def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumb
     return (*entries, *_seen(course.classes, course.lines), *ahead)
 
 
+def truth(course: CourseSpec) -> tuple[ObservedNumber, ...]:
+    """What `true_soil` observes beside what `blind` does."""
+    blind = {entry.name for entry in layout("blind", course)}
+    return tuple(entry for entry in layout("true_soil", course) if entry.name not in blind)
+
+
 class TaskNumbers(NamedTuple):
     """What the task takes from a `Scenario`."""
 
@@ -241,6 +247,17 @@ def _write_soil(out, soil):
     out[1], out[2] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
     out[3], out[4] = soil.cohesion / 1000.0, soil.sinkage_exponent
     out[5], out[6] = soil.dig_gain, soil.dig_recovery
+
+
+@inlined
+def write_truth(out, state, counts, k, courses, memory, task):
+    """Fill `out` with the entries of `truth`, from where the wheel truly is; `task` is that of `true_soil`."""
+    x, edges = state.x[k], courses.edges
+    soil, _, patch = ground_at(courses, k, x, counts.patch[k], task.border)
+    _write_soil(out, soil)
+    if task.camera.classes > 0:
+        sight = Sight(patch, x - edges[k, patch], edges[k, patch + 1] - x)
+        _write_ahead(out[7:], k, courses, memory, sight, task)
 
 
 @inlined

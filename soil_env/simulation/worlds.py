@@ -47,13 +47,16 @@ from soil_env.simulation.dynamics import MANY, advance
 from soil_env.simulation.sensors import roll_odometer, sense, start_odometry
 from soil_env.simulation.task import (
     REWARD_TERMS,
+    VARIANTS,
     Cause,
     TaskNumbers,
     judge,
     knowledge,
     reward_terms,
     task_numbers,
+    truth,
     write_observation,
+    write_truth,
 )
 from soil_env.simulation.terrain import Courses, new_courses
 from soil_env.simulation.wheel import WheelCounts, WheelState, WorldNumbers, settle, world_numbers
@@ -254,6 +257,13 @@ def step_chunks(worlds, numbers, commands, what, counter):
         start = take(counter, portion)
 
 
+@root(nogil=True)
+def true_soils(worlds, numbers, out):
+    """Fill `out` [wheels, D] with the entries of `task.truth`; `numbers` are those of the variant `true_soil`."""
+    for k in range(len(out)):
+        write_truth(out[k], worlds.state, worlds.counts, k, worlds.courses, worlds.memory, numbers.task)
+
+
 def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -308,6 +318,14 @@ class Simulation:
     def seed(self, k: int, rng: np.random.Generator) -> None:
         """Start the random stream of wheel k from a Generator."""
         self.worlds.streams[k] = seed_stream(rng)
+
+    def true_soils(self) -> np.ndarray:
+        """What `true_soil` observes of each wheel beside what `blind` does [wheels, D] float32."""
+        entries = truth(self.scenario.course)
+        out = np.empty((self.worlds.reward.size, len(entries)), dtype=np.float32)
+        variant = VARIANTS.index("true_soil")
+        true_soils(self.worlds, self.numbers._replace(task=self.numbers.task._replace(variant=variant)), out)
+        return np.clip(out, [e.low for e in entries], [e.high for e in entries], dtype=np.float32)
 
     def restart(self, k: int) -> None:
         """New course and fresh start for wheel k."""

@@ -17,7 +17,7 @@ from soil_env.parameters import load_scenario
 from soil_env.simulation.task import VARIANTS, layout
 from tests.agents.saved import META, edit, rewrite
 
-TINY = PPOConfig(num_envs=8, n_steps=16, batch_size=32, n_epochs=2, layer=8, learning_rate=1e-3)
+TINY = PPOConfig(num_envs=8, n_steps=16, batch_size=32, n_epochs=2, layer=8, learning_rate=1e-3, history=0)
 ROLLOUT = TINY.num_envs * TINY.n_steps
 
 
