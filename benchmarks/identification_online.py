@@ -35,7 +35,7 @@ import numpy as np
 
 from agents.controllers import ConstantSpeed
 from agents.evaluate import TUNING_SET, drive
-from benchmarks.common import study_parser
+from benchmarks.common import TORQUE, study_parser
 from benchmarks.identification_contenders import (
     COMPILED,
     CONTENDERS,
@@ -263,7 +263,7 @@ def run(
 ) -> dict:
     """Record, replay, measure: one JSON-serialisable dict. `progress`, where given, is called with lines of text."""
     say = progress or (lambda line: None)
-    scenario = load_scenario("mixed")
+    scenario = load_scenario("mixed", TORQUE)
     logs, driven = record(scenario, courses, seed)
     say(f"{courses} courses: {driven['readings']} readings over {driven['distance_m']:.0f} m")
     result = {
@@ -333,7 +333,7 @@ def compare_times(scenario: Scenario, logs: list[dict], contenders=CONTENDERS, r
 
 def tune_ukf(courses: int = 30, seed: int = 0, progress=print, base=UnscentedKalman) -> dict:
     """Root mean square of the errors over the prior sd for a grid of (walk, inflation), on courses of their own."""
-    scenario = load_scenario("mixed")
+    scenario = load_scenario("mixed", TORQUE)
     logs, _ = record(scenario, courses, TUNING_SET + seed)
     scores = {}
     for walk in (0.5, 1.0, 2.0, 4.0):

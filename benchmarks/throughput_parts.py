@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from benchmarks.common import spread
+from benchmarks.common import TORQUE, spread
 from soil_env._numba import elementary, lanes
 from soil_env._numba.compiling import FastCall, inlined, root
 from soil_env._numba.rows import Rows
@@ -87,7 +87,7 @@ class _Drive:
     """Wheels under held random commands, one thread, the parts of whose steps are timed one by one."""
 
     def __init__(self, wheels: int, method: str):
-        scenario = load_scenario("mixed", {"belief": {"method": method}})
+        scenario = load_scenario("mixed", {**TORQUE, "belief": {"method": method}})
         self.simulation, self.rng = Simulation(wheels, scenario, "identified", threads=1), np.random.default_rng(0)
         for k in range(wheels):
             self.simulation.seed(k, self.rng)
@@ -148,7 +148,7 @@ def parts(wheels: int, steps: int, rounds: int) -> dict:
 
 def _python(wheels: int, rounds: int) -> list[float]:
     """Processor time a wheel and step [us] of `SoilWheelVectorEnv.step` without what is compiled."""
-    env, found = SoilWheelVectorEnv(wheels, threads=1), []
+    env, found = SoilWheelVectorEnv(wheels, action="torque", threads=1), []
     env.reset(seed=0)
     env.simulation.step_all = lambda commands, what: None
     actions = np.zeros((wheels, 1), dtype=np.float32)
@@ -268,7 +268,7 @@ def size(value) -> int:
 
 def _memory() -> dict:
     """Bytes of one wheel, and of those what a step reads or writes, and more where a point is complete."""
-    w = Simulation(1, load_scenario("mixed"), "identified", threads=1).worlds
+    w = Simulation(1, load_scenario("mixed", TORQUE), "identified", threads=1).worlds
     state, open_point = size((w.state, w.counts)), size(w.ids.banks.point)
     step = 2 * state + open_point + w.observation.nbytes + 2 * 10 * 8 + 64
     return {"wheel": state + size(w.ids) + size(w.courses), "step": step, "solve": size(w.ids.banks) - open_point}
