@@ -5,8 +5,8 @@
 
 The environment resets a wheel within the step that ends its course (SAME_STEP): the observation that step returns is
 the first of the next course, the last one is in info["final_obs"]. A course that a limit of yours cuts off
-(`max_episode_steps`) is not lost: the value of its last observation is added to its last reward. At the end the agent and full throttle drive the
-same courses; the picture shows the return over training.
+(`max_episode_steps`) is not lost: the value of its last observation is added to its last reward. At the end the agent
+and full throttle drive the same courses; the picture shows the return over training.
 """
 
 import argparse
