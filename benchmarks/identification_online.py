@@ -78,7 +78,7 @@ class SwingingSpeed(ConstantSpeed):
     def rim_speed(self, observation, state):
         """The speed of this period [m/s], [n]."""
         t = state["time"] = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
-        return self.speed * (1.0 + self.swing * np.sin(2.0 * math.pi * t / SWING_PERIOD))
+        return self.settings["speed"] * (1.0 + self.swing * np.sin(2.0 * math.pi * t / SWING_PERIOD))
 
 
 @root
@@ -126,7 +126,7 @@ def record(scenario: Scenario, courses: int, seed: int) -> tuple[list[dict], dic
     slip = np.concatenate([log["readings"][~log["halted"], 0] for log in logs])
     causes = [Cause(c).name.lower() for c in w.cause]
     driven = {
-        "controller": f"rim speed {controller.speed:.3f} m/s +-{SWING:.0%}, sine of {SWING_PERIOD:g} s",
+        "controller": f"rim speed {controller.settings['speed']:.3f} m/s +-{SWING:.0%}, sine of {SWING_PERIOD:g} s",
         "readings": int(running.sum()),
         "patches": int(sum(np.unique(log["patch"]).size for log in logs)),
         "distance_m": float(w.state["best_x"].sum()),

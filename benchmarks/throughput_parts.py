@@ -13,6 +13,7 @@ from soil_env._numba.compiling import FastCall, inlined, root
 from soil_env._numba.rows import Rows
 from soil_env.identification.online import SensorReading, observe
 from soil_env.parameters import load_scenario
+from soil_env.simulation.camera import Sight
 from soil_env.simulation.courses import CourseNumbers, draw_ahead
 from soil_env.simulation.dynamics import MANY, advance
 from soil_env.simulation.sensors import sense
@@ -21,6 +22,8 @@ from soil_env.simulation.worlds import RESTART, STEP, Simulation, restart
 from soil_env.terramechanics import arc_integrals as quadrature
 from soil_env.terramechanics import contact
 from soil_env.vector_env import SoilWheelVectorEnv
+
+NOTHING_SEEN = Sight(0, 0.0, 0.0)  # by a camera, which "mixed" does not have
 
 # --- parts: of a step of the wheels with what[k] = STEP ---------------------------------------------------------------
 
@@ -66,7 +69,7 @@ def _report(worlds, numbers, what, readings):
             reward_terms(worlds.state, k, cause, 0.0, 0.0, numbers.task, worlds.terms[k])
             write_observation(
                 worlds.observation[k], worlds.state, worlds.counts, k, _reading(readings, k),
-                worlds.courses, worlds.ids, numbers.task,
+                worlds.courses, worlds.ids, worlds.memory, NOTHING_SEEN, numbers.task,
             )  # fmt: skip
 
 
