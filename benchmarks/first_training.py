@@ -100,6 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--observation", default="identified")
     p.add_argument("--steps", type=whole_number(1), default=300_000)
     p.add_argument("--seeds", type=whole_number(1), default=3, help="number of seeds (default: 3)")
+    p.add_argument("--seed", type=whole_number(), default=0, help="the first of them (default: 0)")
     p.add_argument("--courses", type=whole_number(1), default=500, help="to be judged on (default: 500)")
     options = p.parse_args(arguments)
     scenario = load_scenario(options.scenario)
@@ -112,7 +113,7 @@ def main(arguments: list[str] | None = None) -> int:
                 print(f"constant {action} {level:g}: {said(runs)}", flush=True)
             continue
         learner(name)
-        for seed in range(options.seeds):
+        for seed in range(options.seed, options.seed + options.seeds):
             agent = trained(name, options.scenario, options.observation, options.steps, seed)
             runs = run_courses(agent, scenario, HELD_OUT_SET, options.courses)
             print(f"{name}, {options.steps:,} steps, seed {seed}: {said(runs)}", flush=True)
