@@ -32,7 +32,7 @@ from soil_env.parameters import load_scenario  # noqa: E402
 from soil_env.terramechanics.traversability import best_points  # noqa: E402
 
 TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=8)
-COURSE = {"course": {"length": 3.0}, "control": {"time_limit": 20.0}}
+COURSE = {"course": {"length": 3.0}, "control": {"action": "torque", "time_limit": 20.0}}
 READS = {"": "identified", "fixed_slip": "blind", "best_slip_identified": "identified", "best_slip_true": "true_soil"}
 
 
