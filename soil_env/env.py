@@ -83,9 +83,9 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
 
     | `action=` | `repeat=` | meaning of -1 ... 1 |
     |-----------|-----------|---------------------|
-    | "torque" | 1 | motor torque as a share of the stall torque, within the motor's torque-speed line (default) |
+    | "torque" | 1 | motor torque as a share of the stall torque, within the motor's torque-speed line |
     | "wheel_speed" | 1 | wheel speed as a share of the no-load speed, followed by the drive's own speed loop |
-    | "rim_acceleration" | 5 | rate of a commanded rim speed over 0.3 m/s2, followed by the drive's own speed loop |
+    | "rim_acceleration" | 5 | rate of a commanded rim speed over 0.3 m/s2, followed by the drive's own loop (default) |
 
     The rate is `control={"rim_acceleration": ...}`. The commanded rim speed starts at 0, is back at 0 after each halt,
     and stays between a tenth of the top rim speed backwards and the top rim speed. Within a step sensors, identifier

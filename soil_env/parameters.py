@@ -282,7 +282,7 @@ class Control(Checked):
     period: float = quantity("s", 1e-3, 1.0, default=0.1, doc="of sensors, identifier and drive")
     substep: float = quantity("s", 1e-4, 0.5, default=0.1, doc="longest step of the integrator")
     time_limit: float = quantity("s", 1.0, 1e5, default=90.0, doc="time to finish the course in")
-    action: Literal["torque", "wheel_speed", "rim_acceleration"] = "torque"
+    action: Literal["torque", "wheel_speed", "rim_acceleration"] = "rim_acceleration"
     rim_acceleration: float = quantity("m/s2", 1e-3, 1e3, default=0.3, doc="of the commanded rim, action 1 or -1")
     repeat: int | None = quantity("control periods", 1, 1e5, default=None)
 

@@ -156,7 +156,7 @@ def test_order_is_enforced():
 def test_halts_happen_and_ignore_the_action():
     halts = []
     for action_in_halt in (0.5, -1.0):
-        env = SoilWheelEnv(course={"grade_deg": [-1.0, 0.0]})
+        env = SoilWheelEnv(action="torque", course={"grade_deg": [-1.0, 0.0]})
         observation, _ = env.reset(seed=1)
         rows = [observation]
         for _ in range(80):
@@ -171,12 +171,14 @@ def test_halts_happen_and_ignore_the_action():
     assert np.all(halts[0][first[1:], 8] == 0.0)  # the command that was in force
     assert abs(halts[0][first[-1], 5]) < 0.02  # it stands
     assert halts[0][first[0] - 1, 5] > 0.1  # it did not before
-    with_no_halts = run(SoilWheelEnv(course={"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]}), 1, 80)[0]
+    with_no_halts = run(
+        SoilWheelEnv(action="torque", course={"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]}), 1, 80
+    )[0]
     assert not with_no_halts[:, 10].any()
 
 
 def test_halt_intervals_are_those_of_the_scenario():
-    env = SoilWheelEnv("mixed", course={"grade_deg": [-1.0, 0.0], "halt_interval": [2.0, 2.0]})
+    env = SoilWheelEnv("mixed", action="torque", course={"grade_deg": [-1.0, 0.0], "halt_interval": [2.0, 2.0]})
     env.reset(seed=1)
     places = []
     for _ in range(160):
@@ -238,14 +240,14 @@ def test_the_length_of_an_episode_is_that_of_the_scenario():
         gymnasium.make("SoilWheel-v0", course={"length": 50.0}, control={"time_limit": 100.0}), normalize_time=True
     )
     observation, _ = env.reset(seed=0)
-    assert env.spec.max_episode_steps == 1000 and observation[-1] == 0.0
+    assert env.spec.max_episode_steps == 200 and observation[-1] == 0.0
     steps, over = 0, False
     while not over:
         observation, _, terminated, truncated, info = env.step(act(0.35))
         steps, over = steps + 1, terminated or truncated
-        assert observation[-1] == pytest.approx(steps / 1000)
+        assert observation[-1] == pytest.approx(steps / 200)
     again = gymnasium.make(env.unwrapped.spec)
-    assert again.unwrapped.scenario == env.unwrapped.scenario and again.spec.max_episode_steps == 1000
+    assert again.unwrapped.scenario == env.unwrapped.scenario and again.spec.max_episode_steps == 200
     assert gymnasium.spec("SoilWheel-v0").max_episode_steps is None
 
 
@@ -296,7 +298,7 @@ def check_info(info, observation, env):
 
 
 def test_info_is_as_documented():
-    env = SoilWheelEnv(course={"length": 3.0})
+    env = SoilWheelEnv(course={"length": 3.0}, action="torque")
     causes = set()
     for seed in range(6):
         rows, rewards, infos, ended = run(env, seed, 900, [0.3 if seed % 2 else 1.0] * 900)
@@ -316,7 +318,7 @@ def test_info_is_as_documented():
 ])  # fmt: skip
 def test_only_a_wrapper_truncates(changes, expected):
     """To be late is to have lost, and costs; to be cut off by the user's own wrapper is neither."""
-    env = gymnasium.make("SoilWheel-v0", course={"length": 2.0, "grade_deg": [-2, 0]}, **changes)
+    env = gymnasium.make("SoilWheel-v0", course={"length": 2.0, "grade_deg": [-2, 0]}, repeat=1, **changes)
     env.reset(seed=0)
     terminated = truncated = False
     steps = 0

@@ -29,7 +29,7 @@ METHODS = ("filter", "window")
 @pytest.fixture(scope="module", params=METHODS)
 def drive(request):
     """(scenario, readings, infos) of 520 periods, the readings out of the observation (float32)."""
-    env = gymnasium.make("SoilWheel-v0", belief={"method": request.param}).unwrapped
+    env = gymnasium.make("SoilWheel-v0", action="torque", belief={"method": request.param}).unwrapped
     env.reset(seed=3)
     scenario, readings, infos = env.scenario, [], []
     weight, r = scenario.weight, scenario.wheel.radius
@@ -79,7 +79,7 @@ def test_it_is_the_identifier_of_the_environment(drive):
 def test_the_same_readings_give_the_same_bits(method):
     """Beside the identifier of a simulated wheel; its radius is a power of two, so that the rim speed is exact."""
     changes = {"wheel": {"preset": "planetary_rover", "radius": 0.125}, "belief": {"method": method}}
-    sim = Simulation(1, load_scenario("mixed", changes), "identified", threads=1)
+    sim = Simulation(1, load_scenario("mixed", {"control": {"action": "torque"}, **changes}), "identified", threads=1)
     sim.seed(0, np.random.default_rng(4))
     sim.restart(0)
     w, n, what = sim.worlds, sim.numbers, np.full(1, STEP, dtype=np.int8)
@@ -150,7 +150,7 @@ def test_the_filter_knows_stiffness_no_better_than_the_mass(drive):
 
 def drives_without(channels, wheels=16, steps=160):
     """Errors and standard deviations (phi, ln K, ln S) [wheels, 3] in the first soil of courses, channels left out."""
-    sim = Simulation(wheels, load_scenario("mixed"), "identified", threads=1)
+    sim = Simulation(wheels, load_scenario("mixed", {"control": {"action": "torque"}}), "identified", threads=1)
     w, n, what = sim.worlds, sim.numbers, np.full(wheels, STEP, dtype=np.int8)
     ids = [OnlineIdentifier.of_scenario(sim.scenario) for _ in range(wheels)]
     r, exponent, beyond = sim.scenario.wheel.radius, sim.scenario.belief.sinkage_exponent, np.zeros(wheels, bool)

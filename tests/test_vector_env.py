@@ -13,8 +13,11 @@ from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.vector_env import SoilWheelVectorEnv
 
 WHEELS, STEPS = 5, 260
-SHORT = {"course": {"length": 2.0}}  # episodes of a few seconds: several ends and resets within STEPS
-QUICK = SHORT | {"control": {"time_limit": 4.5}}
+SHORT = {
+    "course": {"length": 2.0},
+    "control": {"action": "torque"},
+}  # episodes of a few seconds: several ends and resets within STEPS
+QUICK = SHORT | {"control": {"action": "torque", "time_limit": 4.5}}
 
 
 def actions(seed=0, wheels=WHEELS, steps=STEPS):

@@ -23,6 +23,7 @@ QUIET = {
     name: 0.0
     for name in ("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "wheel_speed", "pitch")
 }  # fmt: skip
+TORQUE = {"control": {"action": "torque"}}
 EVEN = {
     name: 0.0 for name in ("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain")
 }  # fmt: skip
@@ -101,7 +102,7 @@ def test_predict_shapes_types_and_range(name, action):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_extreme_observations_give_finite_actions_in_range(name):
-    controller = make_controller(name, load_scenario("mixed"))
+    controller = make_controller(name, load_scenario("mixed", TORQUE))
     entries = layout(controller.variant)
     low, high = (np.array([getattr(e, side) for e in entries]) for side in ("low", "high"))
     corners = np.random.default_rng(0).uniform(0.0, 1.0, (200, len(entries))).round() * (high - low) + low
@@ -114,7 +115,7 @@ def test_extreme_observations_give_finite_actions_in_range(name):
 @pytest.mark.parametrize("name", BY_RIM_SPEED)
 def test_episode_start_resets_only_its_row(name):
     """After the restart of row 1 that row acts as a controller that has seen nothing; the others go on."""
-    controller = make_controller(name, load_scenario("mixed"))
+    controller = make_controller(name, load_scenario("mixed", TORQUE))
     early, late = observations(controller.variant, 3, seed=0), observations(controller.variant, 3, seed=50)
 
     def after(starts):
@@ -133,7 +134,7 @@ def test_episode_start_resets_only_its_row(name):
 @pytest.mark.parametrize("name", ["best_slip_identified", "best_slip_true"])
 def test_a_restarted_row_forgets_the_best_slip_of_the_last_episode(name):
     """Same soil, other load: the restarted row must work out its slip as a fresh controller does."""
-    scenario = load_scenario("mixed")
+    scenario = load_scenario("mixed", TORQUE)
     controller = make_controller(name, scenario)
     load = [e.name for e in layout(controller.variant)].index("load")
     light = observations(controller.variant, 12, seed=3)
@@ -151,7 +152,7 @@ def test_a_restarted_row_forgets_the_best_slip_of_the_last_episode(name):
 @pytest.mark.parametrize("name", BY_RIM_SPEED)
 def test_state_is_carried_along(name):
     """The integral part grows: the same observation twice gives two actions, unless the state is dropped."""
-    controller = make_controller(name, load_scenario("mixed"))
+    controller = make_controller(name, load_scenario("mixed", TORQUE))
     batch = observations(controller.variant)
     first, state = controller.predict(batch, None, np.ones(6, dtype=bool))
     second, _ = controller.predict(batch, state, np.zeros(6, dtype=bool))
@@ -163,7 +164,7 @@ def test_state_is_carried_along(name):
 @pytest.mark.parametrize("name", BY_RIM_SPEED)
 def test_batches_are_rows_of_their_own(name):
     """A row's action does not depend on the rows beside it, over several calls."""
-    controller = make_controller(name, load_scenario("mixed"))
+    controller = make_controller(name, load_scenario("mixed", TORQUE))
     series = [observations(controller.variant, 5, seed=s) for s in (0, 20, 40)]
     state, alone = None, None
     for t, batch in enumerate(series):
@@ -177,7 +178,7 @@ def test_batches_are_rows_of_their_own(name):
 
 @pytest.mark.parametrize("name", ["best_slip_identified", "best_slip_true"])
 def test_best_slip_depends_on_the_soil_it_sees(name):
-    controller = make_controller(name, load_scenario("mixed"))
+    controller = make_controller(name, load_scenario("mixed", TORQUE))
     names = [e.name for e in layout(controller.variant)]
     batch = np.repeat(observations(controller.variant, 1), 2, axis=0)
     batch[:, names.index("log10_shear_modulus")] = [-2.5, -1.3]
@@ -284,7 +285,7 @@ def test_slip_limiter_waits_where_a_soft_start_digs():
 @pytest.mark.parametrize("best", [0.15, 0.5])
 def test_extremum_seeking_finds_the_slip_of_the_highest_pull(best):
     """The wheel has the slip that was asked for, and a pull that is highest at `best`; sensors with their noise."""
-    scenario = load_scenario("mixed")
+    scenario = load_scenario("mixed", TORQUE)
     controller = make_controller("extremum_seeking", scenario, gain=0.5, swing=0.06)
     rng, state = np.random.default_rng(0), None
     batch, slip = seen(controller, 0.2), 0.3
@@ -338,7 +339,7 @@ def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
 
 
 def test_constant_torque_holds_its_command():
-    scenario = load_scenario("mixed")
+    scenario = load_scenario("mixed", TORQUE)
     actions, _ = make_controller("constant_torque", scenario, share=0.37).predict(observations("blind", 3))
     np.testing.assert_allclose(actions, 0.37, atol=1e-7)
     assert (make_controller("full_throttle", scenario).predict(observations("blind", 3))[0] == 1.0).all()
@@ -346,7 +347,7 @@ def test_constant_torque_holds_its_command():
 
 @pytest.mark.parametrize("name", [n for n in NAMES if CONTROLLERS[n].bounds])
 def test_settings_are_kept_and_wrong_ones_refused(name):
-    scenario = load_scenario("mixed")
+    scenario = load_scenario("mixed", TORQUE)
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
     for key, setting in CONTROLLERS[name].bounds.items():
         high = top if setting.rim_speed else setting.high
@@ -395,7 +396,7 @@ def test_every_controller_crosses_easy_ground(name, action):
 
 def test_a_halt_does_not_wind_up_the_integral():
     """During a halt the wheel stands and the error stays: without care the wheel would jump afterwards."""
-    controller = make_controller("constant_speed", load_scenario("mixed"))
+    controller = make_controller("constant_speed", load_scenario("mixed", TORQUE))
     names = [e.name for e in layout("blind")]
     batch = np.zeros((1, len(names)))
     first, state = controller.predict(batch, None, np.array([True]))
@@ -408,7 +409,7 @@ def test_a_halt_does_not_wind_up_the_integral():
 
 
 def test_the_integral_stays_bounded_on_a_wheel_that_does_not_turn():
-    scenario = load_scenario("mixed")
+    scenario = load_scenario("mixed", TORQUE)
     controller = make_controller("constant_speed", scenario)
     batch = np.zeros((1, len(layout("blind"))))
     state = None

@@ -13,7 +13,7 @@ from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import Simulation
 
 SEED = 12345
-SHORT = {"control": {"time_limit": 25.0}}
+SHORT = {"control": {"time_limit": 25.0, "action": "torque"}}
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ SEED = 4242
 
 @pytest.fixture(scope="module")
 def scenario():
-    return load_scenario("mixed", {"control": {"time_limit": 20.0}})
+    return load_scenario("mixed", {"control": {"action": "torque", "time_limit": 20.0}})
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ from soil_env.env import SoilWheelEnv, observation_space  # noqa: E402
 from soil_env.parameters import load_scenario  # noqa: E402
 
 TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=8, history=0)
-COURSE = {"course": {"length": 3.0}, "control": {"time_limit": 20.0}}
+COURSE = {"course": {"length": 3.0}, "control": {"action": "torque", "time_limit": 20.0}}
 
 
 @pytest.fixture(scope="module")

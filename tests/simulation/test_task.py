@@ -20,8 +20,8 @@ ROW = re.compile(r"^\s*\| (\d+) \| (\w+) \| (.+?) \| (\S+) \| (\S+) \|$", re.MUL
 
 
 def simulation(variant="identified", seed=0, changes=None):
-    """A `Simulation` of one wheel after a reset."""
-    sim = Simulation(1, load_scenario("mixed", changes or {}), variant)
+    """A `Simulation` of one wheel after a reset; the action is a torque unless `changes` say otherwise."""
+    sim = Simulation(1, load_scenario(load_scenario("mixed", {"control": {"action": "torque"}}), changes), variant)
     sim.seed(0, np.random.default_rng(seed))
     sim.restart(0)
     return sim
