@@ -156,7 +156,8 @@ def drive(
     courses were still under way in that period [count] bool. The controller is asked as often as the scenario says
     (`control.repeat`); between, its action is held. Rows of ended courses stay as they ended. Raises
     `ControllerError` where an action is not of shape [count, 1] or not finite. The reward has no term `information`,
-    whatever the scenario says: it helps to learn, and is no merit of a drive. `warnings`: whether `worlds.recent` is kept.
+    whatever the scenario says: it helps to learn, and is no merit of a drive. `warnings`: whether the last seconds of
+    the sensors are kept in `worlds.recent`.
     """
     held, longest = scenario.control.held, scenario.periods
     scenario = replace(

@@ -78,6 +78,7 @@ def train_and_judge(out: Path, weights: Path, sizes: study.Sizes, smoke: bool) -
         **settings,
         "alarm": "probability within 5 s at which the alarm is false for 5 % of the driving time on finished courses",
         "on_test_courses": {name: ours[name] for name in ("auc", "warned", "time", "mean_time", "false")},
+        "sample": study.sample(learnt.network, sizes),
     }
     write_json(weights, content(learnt.network, alarm, card), indent=None)
     show(f"Written: {weights}")

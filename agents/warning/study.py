@@ -223,3 +223,10 @@ def leakage(learnt: Learnt, test: list[Drives], sizes: Sizes, progress: Callable
     known = all_scored(("mixed",), DRIVERS, TRAINING_SET, min(sizes.training, BLOCK), learnt, progress)
     sets = {"courses of the training": known, "courses of the test": of(test, ("mixed",), DRIVERS)}
     return {name: judging.auc([d.signals[NETWORK] for d in found], found) for name, found in sets.items()}
+
+
+def sample(net: Network, sizes: Sizes) -> dict:
+    """What a network does on a few courses of the test, for the card: quick to do again."""
+    scenario, driver, courses = SCENARIOS[0], DRIVERS[0], min(100, sizes.test)
+    d = drives(scenario, driver, TEST_SET, 0, courses)
+    return {"scenario": scenario, "driver": driver, "courses": courses, "auc": judging.auc([of_network(net, d)], [d])}
