@@ -37,7 +37,9 @@ class Drives:
     family: str
     period: float  # [s]
     inputs: np.ndarray  # [periods, courses, inputs] float32
-    ground: np.ndarray  # [periods, courses, ...] float32: the true ground here and ahead; no columns where not asked for
+    ground: (
+        np.ndarray
+    )  # [periods, courses, ...] float32: the true ground here and ahead; no columns where not asked for
     alive: np.ndarray  # bool
     driving: np.ndarray  # bool: alive, and not at a halt
     patch: np.ndarray  # under the wheel

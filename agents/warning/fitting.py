@@ -40,7 +40,8 @@ def fit(rows: Rows, epochs: int, seed: int = 0, hidden: tuple[int, int] = HIDDEN
     """The weights of highest likelihood (with weight decay): each output is the log-odds of one hazard.
 
     The first is learnt from all rows, the second from those that are not immobilised within the first horizon: the
-    likelihood of the time of immobilisation in intervals (discrete hazards, Gensheimer & Narasimhan 2019, PeerJ 7:e6257).
+    likelihood of the time of immobilisation in intervals (discrete hazards, Gensheimer & Narasimhan 2019, PeerJ
+    7:e6257).
     """
     import torch
 

@@ -3,7 +3,8 @@
 A score is a number for every control period and course; the alarm comes on where it reaches a threshold and goes off
 when it has been below for `RELEASE` s of driving.
 
-- *Warned*: share of immobilised courses on which the alarm is on in the last control period with progress (`Drives.stop`).
+- *Warned*: share of immobilised courses on which the alarm is on in the last control period with progress
+  (`Drives.stop`).
 - *Lead*: time [s] and way [m] from when that alarm came on to that period; halts in between count as time. Of courses
   that were not warned of it is 0. `strict` is the lead before the last 0.1 m began, `declared` that before the end.
 - *False*, per second: share of the driving time under alarm on courses that were finished. Per course: share of them on

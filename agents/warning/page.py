@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,7 +16,34 @@ from .study import FOREIGN, SCENARIOS
 
 FIGURE = "warning.png"
 _HORIZONS = ("3 s", "5 s")
-_WORTH = ("AUC", "warned [%]", "lead [s], median", "mean", "lead [m], median", "false [% of time]", "false [% of courses]")
+
+
+class Shown(NamedTuple):
+    """A figure in a table."""
+
+    key: str
+    heading: str
+    factor: float = 1.0
+    digits: int = 1
+
+
+_AUC = Shown("auc", "AUC", digits=3)
+_WARNED = Shown("warned", "warned [%]", 100.0)
+_MEDIAN, _MEAN = Shown("time", "lead [s], median"), Shown("mean_time", "mean lead [s]")
+_FALSE = (Shown("false", "false [% of time]", 100.0), Shown("false_courses", "false [% of courses]", 100.0, 0))
+_WORTH = (_AUC, _WARNED, _MEDIAN, _MEAN, Shown("way", "lead [m], median", digits=2), *_FALSE)
+_RIVALS = (
+    _AUC,
+    Shown("auc_after", "AUC, with the time after the stop", digits=3),
+    _WARNED,
+    _MEDIAN,
+    _MEAN,
+    Shown("strict", "before the last 0.1 m [s]"),
+    Shown("declared", "before the end [s]"),
+    *_FALSE,
+    Shown("early", "early [% of time]", 100.0),
+)
+_KEPT = (_AUC, _WARNED, _MEDIAN, _MEAN)
 
 
 def text(m: dict, factor: float = 1.0, digits: int = 2) -> str:
@@ -25,60 +54,53 @@ def text(m: dict, factor: float = 1.0, digits: int = 2) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def _worth(m: dict) -> list[str]:
-    return [
-        text(m["auc"], 1.0, 3), text(m["warned"], 100.0, 1), text(m["time"], 1.0, 1), text(m["mean_time"], 1.0, 1),
-        text(m["way"]), text(m["false"], 100.0, 1), text(m["false_courses"], 100.0, 0),
-    ]  # fmt: skip
+def _cells(m: dict, shown: Iterable[Shown]) -> list[str]:
+    return [text(m[s.key], s.factor, s.digits) for s in shown]
+
+
+def _headings(shown: Iterable[Shown], prefix: str = "") -> list[str]:
+    return [prefix + s.heading for s in shown]
 
 
 def _named(name: str) -> str:
     return f"`{name}`"
 
 
+def _calibrated(c: dict) -> list[str]:
+    return [*(f"{100.0 * c[key]:.1f}" for key in ("mean", "observed", "error")), f"{c['skill']:.2f}"]
+
+
 def tables(found: dict) -> dict[str, str]:
     """{marker in the page: Markdown}."""
+    worth, place = _headings(_WORTH), ["scenario", "driver"]
+    places = {part: [[_named(c["scenario"]), _named(c["driver"])] for c in found[part]] for part in ("cells", "own")}
     cells = [
-        [_named(c["scenario"]), _named(c["driver"]), c["immobilised"]["value"], *_worth(c)] for c in found["cells"]
+        [*at, c["immobilised"]["value"], *_cells(c, _WORTH)]
+        for at, c in zip(places["cells"], found["cells"], strict=True)
     ]
-    own = [[_named(c["scenario"]), _named(c["driver"]), *_worth(c)] for c in found["own"]]
-    rivals = [
-        [name, text(m["auc"], 1.0, 3), text(m["auc_after"], 1.0, 3), text(m["warned"], 100.0, 1),
-         text(m["time"], 1.0, 1), text(m["mean_time"], 1.0, 1), text(m["strict"], 1.0, 1), text(m["declared"], 1.0, 1),
-         text(m["false"], 100.0, 1), text(m["false_courses"], 100.0, 0), text(m["early"], 100.0, 1)]
-        for name, m in found["rivals"].items()
-    ]  # fmt: skip
+    own = [[*at, *_cells(c, _WORTH)] for at, c in zip(places["own"], found["own"], strict=True)]
+    rivals = [[name, *_cells(m, _RIVALS)] for name, m in found["rivals"].items()]
     kept = [
-        [_named(key), *(cell for m in (both["with"], both["without"])
-                        for cell in (text(m["auc"], 1.0, 3), text(m["warned"], 100.0, 1), text(m["mean_time"], 1.0, 1)))]
+        [_named(key), *_cells(both["with"], _KEPT), *_cells(both["without"], _KEPT)]
         for key, both in found["kept_from"].items()
-    ]  # fmt: skip
-    limits = [
-        [name, *(f"{text(by[f]['auc'], 1.0, 3)}; {text(by[f]['time'], 1.0, 1)}" for f in by)]
-        for name, by in found["limits"].items()
     ]
-    calibrated = [
-        [name, *(cell for h in _HORIZONS
-                 for c in (by[h],) for cell in (f"{100 * c['mean']:.1f}", f"{100 * c['observed']:.1f}",
-                                                f"{100 * c['error']:.1f}", f"{c['skill']:.2f}"))]
-        for name, by in found["calibration"].items()
-    ]  # fmt: skip
-    heads = [f"{what}, {h}" for h in _HORIZONS for what in ("mean [%]", "observed [%]", "error [points]", "skill")]
     drivers = list(next(iter(found["limits"].values())))
+    limits = [
+        [name, *("; ".join(_cells(by[f], (_AUC, _MEDIAN))) for f in drivers)] for name, by in found["limits"].items()
+    ]
+    calibration = [
+        [name, *(cell for h in _HORIZONS for cell in _calibrated(by[h]))] for name, by in found["calibration"].items()
+    ]
+    heads = [f"{what}, {h}" for h in _HORIZONS for what in ("mean [%]", "observed [%]", "error [points]", "skill")]
     return {
-        "cells": Table(["scenario", "driver", "immobilised", *_WORTH], cells).markdown(),
-        "own": Table(["scenario", "driver", *_WORTH], own).markdown(),
-        "rivals": Table(
-            ["score", "AUC", "AUC, with the time after the stop", "warned [%]", "lead [s], median", "mean",
-             "before the last 0.1 m", "before the end", "false [% of time]", "false [% of courses]", "early [% of time]"],
-            rivals).markdown(),
-        "kept": Table(
-            ["kept from", "AUC, all seen", "warned [%]", "mean lead [s]", "AUC, not seen", "warned [%]", "mean lead [s]"],
-            kept).markdown(),
+        "cells": Table([*place, "immobilised", *worth], cells).markdown(),
+        "own": Table([*place, *worth], own).markdown(),
+        "rivals": Table(["score", *_headings(_RIVALS)], rivals).markdown(),
+        "kept": Table(["kept from", *_headings(_KEPT, "seen: "), *_headings(_KEPT, "kept from it: ")], kept).markdown(),
         "limits": Table(["network that knows", *map(_named, drivers)], limits).markdown(),
-        "calibration": Table(["courses", *heads], calibrated).markdown(),
+        "calibration": Table(["courses", *heads], calibration).markdown(),
         "facts": facts(found),
-    }  # fmt: skip
+    }
 
 
 def facts(found: dict) -> str:
@@ -88,9 +110,9 @@ def facts(found: dict) -> str:
         f"- Training: {found['courses_of_training']:,} courses of set {found['sets']['training']} "
         f"({', '.join(map(_named, found['scenarios']))}; {len(found['families'])} families of drivers), "
         f"{found['rows_of_training']:,} control periods of them, {sizes['epochs']} epochs. Threshold of the alarm: "
-        f"{found['alarm']:.3f}, set on {sizes['tuning']} courses of set {found['sets']['tuning']} with each driver. Tests: "
-        f"{sizes['test']} courses of set {found['sets']['test']} with each.\n"
-        f"- Area under the ROC curve on {', '.join(f'{name}: {text(m, 1.0, 3)}' for name, m in leak.items())} (`mixed`).\n"
+        f"{found['alarm']:.3f}, set on {sizes['tuning']} courses of set {found['sets']['tuning']} with each driver. "
+        f"Tests: {sizes['test']} courses of set {found['sets']['test']} with each.\n"
+        f"- AUC on {', '.join(f'{name}: {text(m, 1.0, 3)}' for name, m in leak.items())} (`mixed`).\n"
         f"- Another patch than the one it stopped on was under {100 * found['other_ground']:.0f} % of the immobilised "
         "wheels 2.9 s before."
     )
@@ -125,5 +147,3 @@ def write(found: dict, out: Path, page: Path | None) -> None:
     save_figure(figure(found), out / FIGURE, dpi=110)
     if page is not None:
         replace_file(page, renewed(page.read_text(encoding="utf-8"), tables(found), page))
-
-

@@ -1,4 +1,4 @@
-"""The study: training, the threshold of the alarm, tests on other courses, and networks that were kept from seeing some.
+"""The study: training, threshold of the alarm, tests on other courses, and networks that were kept from seeing some.
 
 Courses of training, of tuning and of the tests are disjoint, whoever drives.
 """

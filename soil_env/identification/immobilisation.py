@@ -218,7 +218,9 @@ def network(content: dict[str, Any], where: str = "weights") -> Network:
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, ParameterError):
             raise
-        raise ParameterError(f"{where}: {error}: expected 'inputs' and the arrays {', '.join(Network._fields)}") from None
+        raise ParameterError(
+            f"{where}: {error}: expected 'inputs' and the arrays {', '.join(Network._fields)}"
+        ) from None
     net = Network(**arrays)
     n, a, b = len(INPUTS), net.first_bias.size, net.second_bias.size
     shapes = ((n,), (n,), (n, a), (a,), (a, b), (b,), (b, 2), (2,))

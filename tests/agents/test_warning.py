@@ -1,4 +1,4 @@
-"""The study behind the warning of immobilisation: events, alarms and calibration against scripts; the shipped weights."""
+"""The study behind the warning of immobilisation: events, alarms, calibration against scripts; shipped weights."""
 
 import dataclasses
 import json
@@ -34,7 +34,7 @@ def script(*courses, period=0.1, mark=0.1):
 
 @pytest.fixture(scope="module")
 def made():
-    """5 s of progress, 1 s halt in it, then 10 s stuck; 10 s to the end; out of time after 8 s and 2 s without progress."""
+    """5 s of progress, 1 s halt in it, then 10 s stuck; 10 s to the end; out of time, the last 2 s without progress."""
     stuck = (ENTRAPPED, [0.02] * 30 + [0.0] * 10 + [0.02] * 20 + [0.0] * 100, "d" * 30 + "h" * 10 + "d" * 120)
     return script(stuck, (FINISHED, [0.1] * 100, "d" * 100), (LATE, [0.02] * 80 + [0.0] * 20, "d" * 100))
 
@@ -76,7 +76,9 @@ def test_an_alarm_that_has_gone_off_or_comes_late_warns_of_nothing(made):
 
 def random_drives(rng, courses=60, periods=120):
     causes = rng.choice([ENTRAPPED, FINISHED], courses)
-    return script(*((c, [0.02] * (periods - 40) + [0.02 if c == FINISHED else 0.0] * 40, "d" * periods) for c in causes))
+    return script(
+        *((c, [0.02] * (periods - 40) + [0.02 if c == FINISHED else 0.0] * 40, "d" * periods) for c in causes)
+    )
 
 
 def test_the_threshold_keeps_to_the_share_of_false_alarm():

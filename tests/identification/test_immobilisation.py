@@ -77,7 +77,7 @@ def test_halts_are_left_out():
 
 
 def test_a_wheel_of_another_size_reads_the_same():
-    """Lengths by the radius, forces by the load, speeds in radii a second: what is similar is the same to the network."""
+    """Lengths by the radius, forces by the load, speeds in radii a second: similar wheels are the same to it."""
     plain = load_scenario("mixed")
     wheel = {"radius": 0.45, "width": 0.45, "body_mass": 15.0 * 8.0, "stall_torque": 35.0 * 24.0, "inertia": 40.0}
     large = load_scenario("mixed", {"wheel": wheel})
