@@ -136,4 +136,5 @@ def test_held_actions_miss_no_reading():
             *_, first = one.step([0.4])
         *_, second = five.step([0.4])
     np.testing.assert_array_equal(one.simulation.worlds.recent, five.simulation.worlds.recent)
-    assert first["traversability"] == second["traversability"]
+    for horizon in ("immobilised_within_3_s", "immobilised_within_5_s"):
+        assert first["traversability"][horizon] == second["traversability"][horizon]
