@@ -7,6 +7,7 @@ their card (immobilisation.json), what was found (warning.json), and docs/warnin
 Examples:
   python -m agents.warning --smoke --out /tmp/w                    every part in a minute, numbers without meaning
   python -m agents.warning --out docs --weights soil_env/identification/immobilisation.json
+  python -m agents.warning --out docs --others                     only what it is compared with again, and the page
   python -m agents.warning --out docs --draw                       page and figure again, from warning.json
 """
 
@@ -42,6 +43,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--weights", metavar="FILE", type=Path, help=f"where the weights go (default: DIR/{WEIGHTS})")
     p.add_argument("--page", metavar="MD", type=Path, help="put the tables between the markers of this page")
     p.add_argument("--draw", action="store_true", help="only page and figure, from the warning.json of DIR")
+    p.add_argument("--others", action="store_true", help="only what it is compared with, into the warning.json of DIR")
     p.add_argument("--smoke", action="store_true", help="every part in a minute, numbers without meaning")
     return p
 
@@ -82,6 +84,7 @@ def train_and_judge(out: Path, weights: Path, sizes: study.Sizes, smoke: bool) -
     }
     write_json(weights, content(learnt.network, alarm, card), indent=None)
     show(f"Written: {weights}")
+    found["others"] = study.others(sizes, show)
     found["leakage"] = study.leakage(learnt, test, sizes, show)
     del tuning, test
     found["limits"] = study.limits(sizes, show)
@@ -96,16 +99,19 @@ def main(arguments: list[str] | None = None) -> int:
     if options.page is not None:
         page.check(options.page)
     make_folder(options.out)
-    if options.draw:
+    sizes = study.SMOKE if options.smoke else study.Sizes()
+    if options.draw or options.others:
         try:
             found = json.loads((options.out / RESULT).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise ParameterError(f"{options.out / RESULT}: {error}: expected what this command has written") from None
+        if options.others:
+            found["others"] = study.others(sizes, show)
+            write_json(options.out / RESULT, found)
     else:
         with needing_train(_NAME):
             import torch
         torch.set_num_threads(1)
-        sizes = study.SMOKE if options.smoke else study.Sizes()
         found = train_and_judge(options.out, options.weights or options.out / WEIGHTS, sizes, options.smoke)
     page.write(found, options.out, options.page)
     return 0

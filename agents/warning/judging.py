@@ -96,7 +96,9 @@ def joined(parts: Sequence[Alarms]) -> Alarms:
 
 def threshold_at(scores: Sequence[np.ndarray], drives: Sequence[Drives], false: float = FALSE) -> float:
     """The lowest threshold, to a thousandth of the range, with at most this share of false alarm."""
-    low, high = min(float(s.min()) for s in scores), max(float(s.max()) for s in scores) + 1e-6
+    found = np.concatenate([s[d.driving] for s, d in zip(scores, drives, strict=True)])
+    found = found[np.isfinite(found)]
+    low, high = float(found.min()), float(found.max()) + 1e-6
     for _ in range(10):
         middle = 0.5 * (low + high)
         found = joined([alarms(s, middle, d) for s, d in zip(scores, drives, strict=True)])

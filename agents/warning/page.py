@@ -79,7 +79,7 @@ def tables(found: dict) -> dict[str, str]:
         for at, c in zip(places["cells"], found["cells"], strict=True)
     ]
     own = [[*at, *_cells(c, _WORTH)] for at, c in zip(places["own"], found["own"], strict=True)]
-    rivals = [[name, *_cells(m, _RIVALS)] for name, m in found["rivals"].items()]
+    rivals = [[name, *_cells(m, _RIVALS)] for name, m in (found["rivals"] | found["others"]).items()]
     kept = [
         [_named(key), *_cells(both["with"], _KEPT), *_cells(both["without"], _KEPT)]
         for key, both in found["kept_from"].items()

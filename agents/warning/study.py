@@ -45,7 +45,6 @@ class Learnt:
     """Networks, and what they were made of."""
 
     network: Network
-    logistic: Callable[[np.ndarray], np.ndarray]
     kept_from: dict[str, Network]  # {"all", a family or a scenario: network of less training that has not seen it}
     rows: int
     courses: int
@@ -72,13 +71,13 @@ def learn(sizes: Sizes, progress: Callable[[str], None]) -> Learnt:
     order = rng.permutation(len(rows.ahead))
     rows = Rows(rows.inputs[order], rows.ahead[order])
     progress("fit")
-    network, logistic = fit(rows, sizes.epochs), fit_logistic(rows)
+    network = fit(rows, sizes.epochs)
     kept_from = {}
     for left_out in ("all", *DRIVERS, *SCENARIOS):
         progress(f"fit without {left_out}" if left_out != "all" else "fit of little training")
         seen = together([_some(p, sizes.small, rng) for key, p in parts.items() if left_out not in key])
         kept_from[left_out] = fit(seen, sizes.small_epochs)
-    return Learnt(network, logistic, kept_from, len(rows.ahead), driven)
+    return Learnt(network, kept_from, len(rows.ahead), driven)
 
 
 def _some(rows: Rows, share: float, rng: np.random.Generator) -> Rows:
@@ -102,8 +101,6 @@ def of_network(net: Network, d: Drives, horizon: int = 1) -> np.ndarray:
 def scored(d: Drives, learnt: Learnt) -> Drives:
     """The drives with all scores among their signals, and without the inputs."""
     scores = {NETWORK: of_network(learnt.network, d), SHORT: of_network(learnt.network, d, 0)}
-    scores[LOGISTIC] = np.full(d.alive.shape, -np.inf)
-    scores[LOGISTIC][d.alive] = learnt.logistic(d.inputs[d.alive])
     for key in ("all", d.family, d.scenario):
         if key in learnt.kept_from:
             scores[f"without {key}"] = of_network(learnt.kept_from[key], d)
@@ -145,19 +142,17 @@ def of(all_drives: Iterable[Drives], scenarios: Sequence[str] = (), families: Se
 
 # --- what is found ----------------------------------------------------------------------------------------------------
 
-RIVALS = (NETWORK, SHORT, LOGISTIC, "criterion of the paper", "slip, least of the last second", "sinkage",
-          "time without progress")  # fmt: skip
+OTHERS = (LOGISTIC, "criterion of the paper", "slip, least of the last second", "sinkage", "time without progress")
 
 
 def judged(learnt: Learnt, tuning: list[Drives], test: list[Drives]) -> dict:
-    """The content of warning.json but for `limits` and `leakage`."""
+    """The content of warning.json but for `others`, `limits` and `leakage`."""
     ours, one = of(test, SCENARIOS, DRIVERS), threshold(NETWORK, tuning)
     cells = [(s, f) for s in (*SCENARIOS, *FOREIGN) for f in FAMILIES if of(test, [s], [f])]
     own = {}
     for s, f in cells:
         if of(tuning, [s], [f]):
             own[s, f] = worth(NETWORK, threshold(NETWORK, of(tuning, [s], [f])), of(test, [s], [f]))
-    at = {name: 0.5 if name == "criterion of the paper" else threshold(name, tuning) for name in RIVALS}
     kept = {}
     for key in (*DRIVERS, *SCENARIOS):
         groups = [of(d, [key], DRIVERS) if key in SCENARIOS else of(d, SCENARIOS, [key]) for d in (tuning, test)]
@@ -165,13 +160,39 @@ def judged(learnt: Learnt, tuning: list[Drives], test: list[Drives]) -> dict:
         kept[key] = {with_it: worth(name, threshold(name, groups[0]), groups[1]) for with_it, name in names.items()}
     return {
         "alarm": one,
-        "rivals": {name: worth(name, at[name], ours) for name in RIVALS},
+        "rivals": {name: worth(name, threshold(name, tuning), ours) for name in (NETWORK, SHORT)},
         "cells": [{"scenario": s, "driver": f, **worth(NETWORK, one, of(test, [s], [f]))} for s, f in cells],
         "own": [{"scenario": s, "driver": f, **value} for (s, f), value in own.items()],
         "kept_from": kept,
         "calibration": _calibrations(test),
         "other_ground": other_ground(ours),
     }
+
+
+def others(sizes: Sizes, progress: Callable[[str], None]) -> dict:
+    """{what an expert would try first: its worth}, over all scenarios and drivers.
+
+    The logistic regression reads what the network reads; it is fitted on the first courses of the training.
+    """
+    rng, first = np.random.default_rng([TRAINING_SET, 2]), min(BLOCK, sizes.training)
+    rows = []
+    for s in SCENARIOS:
+        for f in FAMILIES:
+            rows += [rows_of(d, sizes.share, rng) for d in blocks(s, f, TRAINING_SET, first, progress)]
+    known = together(rows)
+    order = rng.permutation(len(known.ahead))
+    logistic = fit_logistic(Rows(known.inputs[order], known.ahead[order]))
+    sets = []
+    for seed, courses in ((TUNING_SET, sizes.tuning), (TEST_SET, sizes.test)):
+        found = []
+        for d in (d for s in SCENARIOS for f in DRIVERS for d in blocks(s, f, seed, courses, progress)):
+            score = np.full(d.alive.shape, -np.inf)
+            score[d.alive] = logistic(d.inputs[d.alive])
+            found.append(replace(d, signals=d.signals | {LOGISTIC: score}, inputs=d.inputs[:, :, :0]))
+        sets.append(found)
+    tuning, test = sets
+    at = {name: 0.5 if name == "criterion of the paper" else threshold(name, tuning) for name in OTHERS}
+    return {name: worth(name, at[name], test) for name in OTHERS}
 
 
 def _calibrations(test: list[Drives]) -> dict:
