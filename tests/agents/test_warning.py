@@ -90,6 +90,16 @@ def test_the_threshold_keeps_to_the_share_of_false_alarm():
     assert 0.03 < judging._ratio(alarms.under, alarms.driven) <= judging.FALSE
 
 
+def test_a_score_that_is_not_defined_at_first_has_a_threshold_too():
+    rng = np.random.default_rng(5)
+    made = [random_drives(rng)]
+    score = rng.random(made[0].alive.shape).cumsum(axis=0) / 60.0
+    score[:10] = -np.inf
+    at = judging.threshold_at([score], made)
+    found = judging.alarms(score, at, made[0])
+    assert np.isfinite(at) and 0.02 < judging._ratio(found.under, found.driven) <= judging.FALSE
+
+
 def test_areas_under_the_curve_of_known_scores():
     rng = np.random.default_rng(1)
     made = [random_drives(rng) for _ in range(3)]
