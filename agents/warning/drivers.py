@@ -3,7 +3,7 @@
 | family | drives |
 |--------|--------|
 | full_throttle | full command |
-| best_slip_identified | the slip of the best drawbar pull on the identified soil |
+| best_slip | the rim speed of the slip of the best drawbar pull on the identified soil |
 | constant_speed | a rim speed, drawn for each course |
 | soft_start | a rim speed that rises from rest at a drawn rate up to a drawn one, after every halt anew |
 | slip | the rim speed of a drawn slip, between a drawn start and a drawn cap |
@@ -20,6 +20,7 @@ import numpy as np
 from soil_env.parameters import Scenario
 
 from ..controllers import Controller, make_controller
+from ..controllers.soil import BestSlipIdentified
 
 
 class Drawn(Controller):
@@ -121,6 +122,19 @@ class RandomThrottle(RandomSpeed):
         return (rim_speed / self.top_speed).astype(np.float32)[:, None]
 
 
+class BestSlip(BestSlipIdentified):
+    """The rim speed of the best slip on the identified soil, at once, with no ramp."""
+
+    def __init__(self, scenario: Scenario, rng: np.random.Generator):
+        super().__init__(scenario)
+
+    def rim_speed(self, observation, state):
+        """V/(1 - i) with the measured V and a lead, between 10 and 40 % of the top rim speed."""
+        speed = np.maximum(observation[:, self.column["speed"]] * self.top_speed, 0.0)
+        slip, start = np.minimum(self.target_slip(observation, state), 0.95), 0.1 * self.top_speed
+        return np.clip(speed / (1.0 - slip) + 0.2 * start, start, 4.0 * start)
+
+
 FAMILIES = {
     "constant_speed": DrawnSpeed,
     "soft_start": SoftStart,
@@ -128,7 +142,7 @@ FAMILIES = {
     "random_speed": RandomSpeed,
     "random_throttle": RandomThrottle,
     "full_throttle": None,
-    "best_slip_identified": None,
+    "best_slip": BestSlip,
 }
 #: Families that somebody might drive with: what the warning is judged on.
 DRIVERS = tuple(name for name in FAMILIES if not name.startswith("random"))

@@ -152,8 +152,8 @@ def summary(found: Alarms, seed: int = 0) -> dict[str, dict[str, float]]:
 
 def auc(scores: Sequence[np.ndarray], drives: Sequence[Drives], seed: int = 0, after: bool = False) -> dict[str, float]:
     """Area under the ROC curve with its interval over courses; `after`: with the periods after the stop as well."""
-    edges = np.unique(np.quantile(np.concatenate([s[d.driving] for s, d in zip(scores, drives, strict=True)]),
-                                  np.linspace(0, 1, _BINS + 1)[1:-1]))  # fmt: skip
+    found = np.concatenate([s[d.driving] for s, d in zip(scores, drives, strict=True)])
+    edges = np.unique(np.quantile(found[np.isfinite(found)], np.linspace(0, 1, _BINS + 1)[1:-1]))
     counts = []
     for s, d in zip(scores, drives, strict=True):
         counted = d.driving & d.known & (after | (d.ahead > -1e-9))
