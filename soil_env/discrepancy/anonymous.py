@@ -35,9 +35,7 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     """[M, R] of each pattern at the size 1, whitened, about a fit."""
     at, lengths = problem.data.conditions | problem.data.elapsed, LENGTHS | {"elapsed": _ELAPSED}
     moved = problem.stresses(fit.parameters(), fit.choices, fit.output, problem.sinkage_guess(fit))
-    channels = {
-        n: np.broadcast_to(problem.size * u, fit.output.shape) for n, u in zip(CHANNELS, np.eye(3), strict=True)
-    }
+    channels = {n: np.broadcast_to(problem.size * u, fit.output.shape) for n, u in zip(CHANNELS, np.eye(3), strict=True)}
     channels = {n: x for j, (n, x) in enumerate(channels.items()) if problem.used[:, j].any()}
     alone = [n for n in lengths if n in at and np.ptp(at[n]) > 0.0]
     out = {}

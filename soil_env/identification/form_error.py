@@ -212,9 +212,7 @@ def marginals(
         d = scales[rows[0], outer]
         kept, d = outer[d > 0.0], d[d > 0.0]
         factor = _factor(d[:, None] * gram[np.ix_(kept, kept)] * d)
-        right = np.column_stack(
-            [d * along[kept] - start[kept], np.eye(d.size, p), d[:, None] * gram[kept, outer.size :]]
-        )
+        right = np.column_stack([d * along[kept] - start[kept], np.eye(d.size, p), d[:, None] * gram[kept, outer.size :]])
         half = solve_triangular(factor, right, lower=True, check_finite=False)
         of_data, of_unknowns, rest = half[:, 0], half[:, 1 : 1 + p], half[:, 1 + p :]
         base = -0.5 * (square - of_data @ of_data) - np.sum(np.log(np.diag(factor)))

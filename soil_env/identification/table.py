@@ -300,7 +300,9 @@ def _untold(parameters: dict[str, Parameter], labels, correlation) -> list[str]:
     return words
 
 
-def _doubts(problem: TableProblem, u, plain: _Plain, fits: dict[str, ChannelFit], converged: bool) -> list[str]:
+def _doubts(
+    problem: TableProblem, u, plain: _Plain, fits: dict[str, ChannelFit], converged: bool
+) -> list[str]:
     """Told of the solution u with its `fits`; whether the model fits, and agrees with its priors, by the plain one."""
     words = []
     (low, high), label = problem.bounds, dict(zip(NAMES, LABELS, strict=True))
