@@ -22,7 +22,7 @@ import numpy as np
 
 import soil_env
 from soil_env._io.commands import command, command_line, folder, leave
-from soil_env._io.files import make_folder, write_json
+from soil_env._io.files import make_folder, plain, write_json
 from soil_env._io.loading import ParameterError
 from soil_env.identification.immobilisation import HORIZONS, INPUTS, SCALES, Network
 
@@ -113,7 +113,7 @@ def main(arguments: list[str] | None = None) -> int:
             import torch
         torch.set_num_threads(1)
         found = train_and_judge(options.out, options.weights or options.out / WEIGHTS, sizes, options.smoke)
-    page.write(found, options.out, options.page)
+    page.write(plain(found), options.out, options.page)
     return 0
 
 

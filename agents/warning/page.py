@@ -50,7 +50,7 @@ def text(m: dict, factor: float = 1.0, digits: int = 2) -> str:
     """A figure with its 95 % interval, a dash where it is not defined."""
     if m["value"] is None:
         return "-"
-    value, low, high = (None if m[k] is None else f"{factor * m[k] + 0.0:.{digits}f}" for k in ("value", "low", "high"))
+    value, low, high = (f"{factor * m[k]:.{digits}f}" if m[k] is not None else "-" for k in ("value", "low", "high"))
     return f"{value} [{low}, {high}]"
 
 
