@@ -240,7 +240,8 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | estimate | dict: phi [deg], K [m], S [N/m^(n+2)], cohesion [Pa], slip-sinkage gain, their standard deviations, |
     |          | status of the identifier |
     | traversability | dict, from sensors and estimate only: best slip, drawbar margin there over the grade [of load; |
-    |                | at least -1], torque required there and available [N m], passable; renewed with the estimate |
+    |                | at least -1], torque required there and available [N m], passable; renewed with the estimate; |
+    |                | probability that it stops for good within 3 s and within 5 s of driving |
     | state | dict of the true x, speed, wheel speed, slip, sinkage, load, drawbar pull, torques, grade, in SI units |
 
     This is `info="full"`. `"numeric"` has the same numbers without nesting, `cause` and `estimate_status` as numbers of
@@ -288,8 +289,9 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.duration))}
         self.model = load_model(model)
-        self.simulation = Simulation(1, self.scenario, observation, threads=1, model=self.model)
         self.infos = Infos(self.scenario, info, 1)
+        warnings = info in ("full", "numeric")
+        self.simulation = Simulation(1, self.scenario, observation, 1, self.model, warnings)
         self._renderer: Renderer | None = None
         self._seeded = False
         self._over = True

@@ -81,14 +81,14 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.autoreset_mode = mode
-        self.simulation = Simulation(
-            self.num_envs, self.scenario, observation, threads=threads, model=load_model(model)
-        )
-        # [control periods] after which an episode is truncated
-        self._longest = np.inf if max_episode_steps is None else max_episode_steps * self.scenario.control.held
         self.infos = Infos(self.scenario, info, self.num_envs)
         finals = mode == AutoresetMode.SAME_STEP and info != "none"
         self._follow = finals or info in ("full", "numeric")  # whether anybody asks for the traversability
+        self.simulation = Simulation(
+            self.num_envs, self.scenario, observation, threads, load_model(model), self._follow
+        )
+        # [control periods] after which an episode is truncated
+        self._longest = np.inf if max_episode_steps is None else max_episode_steps * self.scenario.control.held
         self._rngs: list[np.random.Generator | None] | None = None
         self._done = np.ones(self.num_envs, dtype=np.bool_)
 

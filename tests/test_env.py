@@ -281,7 +281,10 @@ def check_info(info, observation, env):
     assert info["immobilised"] is (info["cause"] in ("ENTRAPPED", "STALLED", "BOGGED"))
     assert set(info["reward_terms"]) == {"progress", "energy", "immobilisation", "information"}
     assert set(info["traversability"]) == {
-        "best_slip", "drawbar_margin", "torque_required", "torque_available", "passable"}  # fmt: skip
+        "best_slip", "drawbar_margin", "torque_required", "torque_available", "passable", "immobilised_within_3_s",
+        "immobilised_within_5_s"}  # fmt: skip
+    soon, later = (info["traversability"][f"immobilised_within_{s}_s"] for s in (3, 5))
+    assert 0.0 <= soon <= later <= 1.0
     assert info["traversability"]["passable"] == (info["traversability"]["drawbar_margin"] > 0.0)
     e, names = info["estimate"], dict(zip(env.observation_names, observation, strict=True))
     assert math.radians(e["friction_angle_deg"]) == pytest.approx(names["friction_angle"], rel=1e-5)
@@ -338,7 +341,7 @@ def test_traversability_is_that_of_the_estimate():
         before = info["traversability"]
         observation, _, ended, _, info = env.step(act(0.3 + 0.2 * math.sin(0.5 * k)))
         found = info["traversability"]
-        if found != before:
+        if found["best_slip"] != before["best_slip"] or found["drawbar_margin"] != before["drawbar_margin"]:
             renewed += 1
             load = max(float(observation[3]), 0.05) * env.scenario.weight
             soil = env.estimate().state(wheel.width)

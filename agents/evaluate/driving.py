@@ -148,6 +148,7 @@ def drive(
     count: int,
     threads: int | None = None,
     model: WheelSoilModel | None = None,
+    warnings: bool = False,
 ) -> Iterator[tuple[Worlds, np.ndarray]]:
     """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
 
@@ -155,7 +156,8 @@ def drive(
     courses were still under way in that period [count] bool. The controller is asked as often as the scenario says
     (`control.repeat`); between, its action is held. Rows of ended courses stay as they ended. Raises
     `ControllerError` where an action is not of shape [count, 1] or not finite. The reward has no term `information`,
-    whatever the scenario says: it helps to learn, and is no merit of a drive.
+    whatever the scenario says: it helps to learn, and is no merit of a drive. `warnings`: whether the last seconds of
+    the sensors are kept in `worlds.recent`.
     """
     held, longest = scenario.control.held, scenario.periods
     scenario = replace(
@@ -163,7 +165,7 @@ def drive(
         reward=replace(scenario.reward, information=0.0),
         control=replace(scenario.control, repeat=1),
     )
-    sim = Simulation(count, scenario, controller.variant, threads=threads, model=model)
+    sim = Simulation(count, scenario, controller.variant, threads=threads, model=model, warnings=warnings)
     for k in range(count):
         sim.seed(k, course_rng(seed, first + k))
     alive = np.ones(count, dtype=bool)

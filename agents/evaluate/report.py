@@ -21,6 +21,8 @@ _COLUMNS = (
     Column("warned", "warned [%]", 100.0, 0, bounds=False),
     Column("warning_distance", "ahead [m]", bounds=False),
     Column("warning_time", "ahead [s]", digits=1, bounds=False),
+    Column("foreseen", "foreseen [%]", 100.0, 0, bounds=False),
+    Column("foreseen_time", "by [s]", digits=1, bounds=False),
     Column("time", "time [s]", digits=0, bounds=False),
     Column("energy_per_metre", "energy [J/m]", digits=0, bounds=False),
     Column("tractive_efficiency", "tractive eff.", bounds=False),

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import soil_env
 from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env.identification import immobilisation
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -34,7 +35,7 @@ LOG = "courses.jsonl"
 def code_version() -> str:
     """Version of soil_env, with a hash of the code that results follow from (not of its compiled form)."""
     here, there = Path(soil_env.__file__).parent, Path(__file__).parents[1]
-    files = sorted(here.rglob("*.py")) + sorted((there / "controllers").rglob("*.py"))
+    files = [*sorted(here.rglob("*.py")), immobilisation.FILE, *sorted((there / "controllers").rglob("*.py"))]
     files += [there / "evaluate" / name for name in ("driving.py", "records.py", "warning.py")]
     return studies.fingerprint(files)
 

@@ -24,6 +24,7 @@ from soil_env.identification.class_memory import (
     new_memory,
     remember,
 )
+from soil_env.identification.immobilisation import MEMORY, WarningNumbers, begin, follow, warning_numbers
 from soil_env.identification.online import (
     IdentifierNumbers,
     Identifiers,
@@ -86,10 +87,11 @@ class Worlds(NamedTuple):
     cause: np.ndarray  # [wheels] `task.Cause`
     solved: np.ndarray  # [wheels] True where the last step renewed the estimate
     going: np.ndarray  # [wheels] int8, scratch of a step: STEP while the wheel drives
+    recent: np.ndarray  # [wheels, MEMORY] the last seconds of the sensors, for warnings; no rows where none are wanted
 
 
-def new_worlds(wheels: int, scenario: Scenario, task: TaskNumbers) -> Worlds:
-    """Worlds for `wheels` wheels, to be restarted."""
+def new_worlds(wheels: int, scenario: Scenario, task: TaskNumbers, warnings: bool = False) -> Worlds:
+    """Worlds for `wheels` wheels, to be restarted; `warnings`: whether they keep the last seconds of the sensors."""
     return Worlds(
         WheelState(wheels),
         WheelCounts(wheels),
@@ -103,6 +105,7 @@ def new_worlds(wheels: int, scenario: Scenario, task: TaskNumbers) -> Worlds:
         np.zeros(wheels, dtype=np.int64),
         np.zeros(wheels, dtype=np.bool_),
         np.full(wheels, IDLE),
+        np.zeros((wheels if warnings else 0, MEMORY)),
     )
 
 
@@ -114,6 +117,7 @@ class Numbers(NamedTuple):
     identifier: IdentifierNumbers
     memory: MemoryNumbers
     task: TaskNumbers
+    warning: WarningNumbers
 
 
 @inlined
@@ -137,6 +141,8 @@ def restart(worlds, numbers, k):
     _clear(worlds, k)
     start_odometry(worlds.state, k, worlds.streams, numbers.task.sensors)
     reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
+    if worlds.recent.shape[0] > 0:
+        begin(worlds.recent, k, reading, numbers.warning)
     _observation(worlds, numbers, k, reading, _look(worlds, numbers, k))
 
 
@@ -186,6 +192,8 @@ def after_period(worlds, numbers, k, first, last):
     draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], _course(numbers))
     reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
     roll_odometer(worlds.state, k, reading.speed, numbers.task.sensors)
+    if worlds.recent.shape[0] > 0:
+        follow(worlds.recent, k, reading, worlds.state.halt_left[k] > 0.0, numbers.warning)
     paid, prior = numbers.task.reward_information > 0.0, numbers.identifier.precision
     before = knowledge(worlds.ids, k, prior) if paid and first else 0.0
     renewed = observe(worlds.ids, k, reading, numbers.identifier)
@@ -272,6 +280,7 @@ class Simulation:
     """`wheels` wheels under one scenario with one observation variant.
 
     Arrays in `worlds` are overwritten by each step. All randomness of wheel k follows from the seed given to `seed`.
+    `warnings`: whether `worlds.recent` follows the sensors, for `identification.immobilisation`.
     """
 
     def __init__(
@@ -281,6 +290,7 @@ class Simulation:
         variant: str,
         threads: int | None = None,
         model: WheelSoilModel | None = None,
+        warnings: bool = False,
     ) -> None:
         self.scenario = scenario
         self._threads = threads or _processors()
@@ -294,8 +304,9 @@ class Simulation:
             identifier_numbers(scenario),
             memory_numbers(scenario),
             task,
+            warning_numbers(scenario),
         )
-        self.worlds = new_worlds(wheels, scenario, task)
+        self.worlds = new_worlds(wheels, scenario, task, warnings)
         self._check_passable(task)
 
     def _check_passable(self, task: TaskNumbers) -> None:
