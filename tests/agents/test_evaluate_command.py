@@ -24,7 +24,7 @@ def test_the_folder_holds_what_is_promised(done):
     assert list(result["controllers"]) == ["half", "tests.agents.drivers:Counting", "fixed_slip", "ppo"]
     assert result["controllers"]["ppo"]["members"] == 2 and len(result["controllers"]["ppo"]["sources"]) == 2
     assert result["controllers"]["fixed_slip"]["settings"] == pytest.approx({"slip": 0.2, "start": 0.03, "speed": 0.75})
-    assert (result["courses"], result["seed"], result["scenario"]) == (7, 11, "mixed")
+    assert (result["courses"], result["seed"], result["scenario"]) == (7, 11, "two_lines")
     for name, entry in result["controllers"].items():
         assert set(entry["metrics"]) == set(METRICS)
         for metric, m in entry["metrics"].items():
