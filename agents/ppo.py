@@ -239,7 +239,10 @@ def read_meta(path: Path) -> dict:
         raise ParameterError(f"{path}: {_META}: observation = {meta['observation']!r}: expected one of {list(NAMES)}")
     if meta["critic"] not in CRITICS or meta["history"] < 0:
         raise ParameterError(f"{path}: {_META}: critic, history = {meta['critic']!r}, {meta['history']}: not known")
-    history = _history(meta)
+    try:
+        history = _history(meta)
+    except ValueError as error:
+        raise ParameterError(f"{path}: trained on another observation layout: {error}") from None
     size = len(meta["observation_names"]) + (history.size if history else 0)
     size += len(privileged(meta["critic"], _course(meta)))
     for key in ("mean", "var"):

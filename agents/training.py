@@ -117,6 +117,7 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable =
     folder = Path(folder)
     if (folder / "model.zip").is_file():
         console.print(f"{folder} is trained already.")
+        _tidy(folder)
         return load_model(folder / "model.zip", scenario)
     log = folder / "tensorboard"
     rest = config.ppo, config.seed, log, worlds(config, scenario), config.algorithm
@@ -138,9 +139,14 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable =
                 raise
     times.save()
     ppo.save(model, folder / "model.zip")
+    _tidy(folder)
+    return load_model(folder / "model.zip", scenario)
+
+
+def _tidy(folder: Path) -> None:
+    """Remove what a training needs only while it runs; a kill may have left it beside the model."""
     for left_over in (folder / "checkpoint.zip", *folder.glob(".*.partial*")):
         left_over.unlink(missing_ok=True)
-    return load_model(folder / "model.zip", scenario)
 
 
 def worlds(config: TrainConfig, scenario: Scenario) -> ppo.World:

@@ -49,5 +49,5 @@ def _copy(a, wheels, b, places, count, into, name):
     elif a.shape[1:] != b.shape[1:]:
         raise ParameterError(f"clone: {name} is {a.shape[1:]} in one simulation and {b.shape[1:]} in the other: "
                              "expected the same scenario")  # fmt: skip
-    else:
+    elif len(a) and len(b):  # the readings of the warning are kept only where `info` asks for it
         b[places] = a[wheels]
