@@ -25,7 +25,7 @@ def memory(part, wheel, wheels, name="worlds"):
                 continue
             out |= memory(getattr(part, field), wheel, wheels, f"{name}.{field}")
         return out
-    return {name: part[wheel].copy()}
+    return {name: part[wheel].copy()} if len(part) else {}
 
 
 def driven(scenario, variant, steps=60, seed=4):
