@@ -148,7 +148,7 @@ def cross_where_the_grade_changes(banks, k, numbers):
 def cross_here(banks, k, numbers):
     """`begin` where the forces tell of a border."""
     ahead = _FOUND * numbers.border
-    place, spread = banks.point.odometer[k] + ahead, numbers.grade_change * numbers.grade_change
+    place, spread = banks.point.odometer[k] + ahead, max(numbers.grade_change * numbers.grade_change, 1e-12)
     begin(banks, k, numbers, place, ahead * ahead, 0.0, spread, 0.0)
 
 

@@ -120,7 +120,7 @@ def _normal_share(x):
     return share, 0.3989422804014327 * exp(-0.5 * smaller(x * x, 1400.0))
 
 
-@part
+@inlined
 def _drive(mean, covariance, ground, gain_slopes, out, size, last_bearing, point, numbers):
     """The sinkage of a bank from the last point to this one (`effects.excavation_rate`), and a slip not yet updated."""
     slopes, product, r = _slopes(), _gain(), numbers.radius
@@ -182,9 +182,9 @@ def _correct(mean, covariance, product, misfit, expected, size):
     return misfit * step, log(expected)
 
 
-@part
-def absorb(mean, covariance, at, slopes, predicted, measured, variance, size):
-    """Kalman update by one value, linearised at `at`: (chi-squared, ln of its expected variance)."""
+@inlined
+def _absorb(mean, covariance, at, slopes, predicted, measured, variance, size):
+    """The update of both: of `size` states."""
     product = _gain()
     misfit = measured - predicted
     for i in range(size):
@@ -194,8 +194,27 @@ def absorb(mean, covariance, at, slopes, predicted, measured, variance, size):
 
 
 @part
+def absorb(mean, covariance, at, slopes, predicted, measured, variance):
+    """`absorb_on_border` with the states of one soil only; apart, so that the loops have constant bounds."""
+    return _absorb(mean, covariance, at, slopes, predicted, measured, variance, STATES)
+
+
+@part
+def absorb_on_border(mean, covariance, at, slopes, predicted, measured, variance):
+    """Kalman update by one value, linearised at `at`: (chi-squared, ln of its expected variance)."""
+    return _absorb(mean, covariance, at, slopes, predicted, measured, variance, CROSSING)
+
+
+@inlined
+def _absorb_any(mean, covariance, at, slopes, predicted, measured, variance, size):
+    if size > STATES:
+        return absorb_on_border(mean, covariance, at, slopes, predicted, measured, variance)
+    return absorb(mean, covariance, at, slopes, predicted, measured, variance)
+
+
+@inlined
 def _absorb_state(mean, covariance, at, state, slope, predicted, measured, variance, size):
-    """`absorb` a value that depends on one state only."""
+    """As `_absorb`, of a value that depends on one state only."""
     product = _gain()
     for i in range(size):
         to_array(slope * from_array(covariance, element(i, state)), product, i * COUNT)
@@ -222,18 +241,18 @@ def _measure(mean, covariance, at, out, size, point, numbers):
     x2, logs = x2 + a, logs + b
     pull, torque = from_array(out.pull, size * COUNT), from_array(out.torque, size * COUNT)
     v, twist = model * model, (model * numbers.radius) * (model * numbers.radius)
-    a, b = absorb(mean, covariance, at, out.pull, pull, fill(point.drawbar_pull), fill(sd[2] * sd[2] / n + v), size)
+    a, b = _absorb_any(mean, covariance, at, out.pull, pull, fill(point.drawbar_pull), fill(sd[2] * sd[2] / n + v), size)
     x2, logs = x2 + a, logs + b
-    a, b = absorb(mean, covariance, at, out.torque, torque, fill(point.torque), fill(sd[4] * sd[4] / n + twist), size)
+    a, b = _absorb_any(mean, covariance, at, out.torque, torque, fill(point.torque), fill(sd[4] * sd[4] / n + twist), size)
     x2, logs = x2 + a, logs + b
     v = fill(point.motor_variance + twist)
-    a, b = absorb(mean, covariance, at, out.torque, torque, fill(point.motor_torque), v, size)
+    a, b = _absorb_any(mean, covariance, at, out.torque, torque, fill(point.motor_torque), v, size)
     x2, logs = x2 + a, logs + b
     for i in range(size):
         to_array(from_array(out.pull, i * COUNT) / mass, slopes, i * COUNT)
     to_array(from_array(slopes, MASS * COUNT) - pull / (mass * mass), slopes, MASS * COUNT)
     v = (model / mass) * (model / mass) + sd[9] * sd[9] / n
-    a, b = absorb(mean, covariance, at, slopes, pull / mass, fill(point.acceleration), v, size)
+    a, b = _absorb_any(mean, covariance, at, slopes, pull / mass, fill(point.acceleration), v, size)
     return x2 + a, logs + b
 
 
@@ -246,7 +265,7 @@ def _measure_grade(mean, covariance, at, b, grade, grades, point, numbers):
     to_array(b.share, slopes, RISE * COUNT)
     to_array(b.by_place * rise, slopes, PLACE * COUNT)
     variance = numbers.noise[7] * numbers.noise[7] * (1.0 / point.readings + 1.0 / max(min(grades, 60.0), 1.0))
-    return absorb(mean, covariance, at, slopes, b.share * rise, fill(point.pitch - grade), fill(variance), CROSSING)
+    return absorb_on_border(mean, covariance, at, slopes, b.share * rise, fill(point.pitch - grade), fill(variance))
 
 
 @inlined
