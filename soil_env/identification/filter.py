@@ -31,7 +31,8 @@ from soil_env.identification.linearised import (
 )
 
 # of a point at most: readings, [m], range of slip, relative range of rim speed
-_READINGS, _LENGTH, _SLIP, _RIM = 5, 0.06, 0.05, 0.1
+_READINGS, _LENGTH, _SLIP, _RIM = 8, 0.1, 0.05, 0.1
+_ON_BORDER = 0.6  # of the readings and the length where the soil changes
 _SPINNING = 0.85  # slip beyond which a wheel digs on the spot and is passed over
 _SLOWEST = 0.02  # [m/s] rim speed below which readings say nothing of shear
 #: Of the sum of what the chi-squared of successive points exceeds `_EXPECTED` by, where the soil is another. Both were
@@ -101,7 +102,8 @@ def take(banks, k, reading, numbers):
     if p.readings[k] > 0.0:
         other = abs(reading.rim_speed - p.first_rim[k]) > _RIM * max(abs(p.first_rim[k]), 0.05)
         other = other or abs(reading.slip - p.first_slip[k]) > _SLIP
-        if useless or other or p.readings[k] >= _READINGS or p.length[k] > _LENGTH:
+        most = _ON_BORDER if p.crossing[k] > 0.0 else 1.0
+        if useless or other or p.readings[k] >= most * _READINGS or p.length[k] > most * _LENGTH:
             _complete(banks, k, before, time, numbers)
             done = True
     if useless:
