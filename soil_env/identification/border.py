@@ -70,7 +70,7 @@ class Blend(NamedTuple):
 @inlined
 def search(banks, k, numbers):
     """Begin to look for a border, ahead of where the wheel is."""
-    banks.point.nearest[k] = banks.point.odometer[k] - 0.5 * numbers.border + numbers.offsets[1]
+    banks.point.nearest[k] = banks.point.place[k] - 0.5 * numbers.border + numbers.offsets[1]
     for i in range(2 * CANDIDATES):
         banks.candidates[k, i] = 0.0
 
@@ -85,7 +85,7 @@ def _share(x, place, length):
 @part
 def note_grade(banks, k, pitch, numbers):
     """Take a reading of the pitch [rad]."""
-    p, found, x = banks.point, banks.candidates[k], banks.point.odometer[k]
+    p, found, x = banks.point, banks.candidates[k], banks.point.place[k]
     if p.grades[k] == 0.0 or abs(x - p.nearest[k]) > 2.0 * numbers.border:
         search(banks, k, numbers)
     if p.crossing[k] == 0.0:
@@ -148,7 +148,7 @@ def cross_where_the_grade_changes(banks, k, numbers):
 def cross_here(banks, k, numbers):
     """`begin` where the forces tell of a border."""
     ahead = _FOUND * numbers.border
-    place, spread = banks.point.odometer[k] + ahead, max(numbers.grade_change * numbers.grade_change, 1e-12)
+    place, spread = banks.point.place[k] + ahead, max(numbers.grade_change * numbers.grade_change, 1e-12)
     begin(banks, k, numbers, place, ahead * ahead, 0.0, spread, 0.0)
 
 
@@ -201,7 +201,7 @@ def begin(banks, k, numbers, place, place_variance, rise, rise_variance, both):
     to_array(fill(both), covariance, element(RISE, PLACE))
     to_array(from_array(banks.log_weight[k], 0) + math.log(1.0 - _SAME), banks.log_weight[k], 0)
     banks.log_weight[k, STAYS] = math.log(_SAME)
-    p.crossing[k], p.place[k], p.grade_used[k] = 1.0, place, 0.0
+    p.crossing[k], p.border[k], p.grade_used[k] = 1.0, place, 0.0
 
 
 @inlined
@@ -276,10 +276,20 @@ def by_both_soils(row, mean, b, out):
 @inlined
 def _of_ground(i, source, mean, b):
     """Soil state i of the ground of a quantity that is given by both soils and the place, to first order."""
-    new, old, place = from_array(source, i * COUNT), from_array(source, (OLD + i) * COUNT), from_array(source, PLACE * COUNT)
+    new, old, place = (
+        from_array(source, i * COUNT),
+        from_array(source, (OLD + i) * COUNT),
+        from_array(source, PLACE * COUNT),
+    )
     if i == STRENGTH:
         K, old_K = from_array(source, LN_K * COUNT), from_array(source, (OLD + LN_K) * COUNT)
-        return b.strength * new + b.strength_K * K + b.old_strength * old + b.old_strength_K * old_K + b.strength_place * place
+        return (
+            b.strength * new
+            + b.strength_K * K
+            + b.old_strength * old
+            + b.old_strength_K * old_K
+            + b.strength_place * place
+        )
     if i == GAIN:
         return b.gain * new + b.old_gain * old + b.gain_place * place
     change = b.by_place * (from_array(mean, i * COUNT) - from_array(mean, (OLD + i) * COUNT))

@@ -21,6 +21,7 @@ from soil_env._numba.compiling import inlined
 from soil_env._numba.elementary import smaller
 from soil_env._numba.lanes import COUNT, fill, from_array, smallest, to_array, total
 from soil_env.identification.border import cross_here, cross_where_the_grade_changes, end, note_grade
+from soil_env.identification.digging import onto_fresh_ground
 from soil_env.identification.filter_bank import CROSSING, element, prior_of_soil, restart
 from soil_env.identification.filter_update import Point, renew
 from soil_env.identification.linearised import (
@@ -54,12 +55,12 @@ def _advance_clocks(p, k, reading, numbers):
     mean_v, mean_u = 0.5 * (v + p.last_speed[k]), 0.5 * (u + p.last_rim[k])
     step = numbers.period / numbers.relaxation
     sliding = abs(mean_u - mean_v) * step
-    p.path[k] += abs(mean_v) * step + numbers.dig_recovery * sliding
+    travel = onto_fresh_ground(p, k, mean_v * numbers.period)
+    p.path[k] += travel / numbers.relaxation + numbers.dig_recovery * sliding
     p.sliding[k] += sliding
     p.shock[k] += abs(u - p.last_rim[k]) * step
     p.time[k] += numbers.period
     p.last_speed[k], p.last_rim[k] = v, u
-    p.odometer[k] += mean_v * numbers.period
 
 
 @inlined
@@ -78,7 +79,7 @@ def _collect(p, k, r):
     p.sliding_sum[k] += p.sliding[k]
     p.shock_sum[k] += p.shock[k]
     p.time_sum[k] += p.time[k]
-    place = p.odometer[k] - p.first_place[k]
+    place = p.place[k] - p.first_place[k]
     p.place_sum[k] += place
     p.place_square[k] += place * place
     p.readings[k] += 1.0
@@ -110,7 +111,7 @@ def take(banks, k, reading, numbers):
         return done
     if p.readings[k] == 0.0:
         p.first_slip[k], p.first_rim[k] = reading.slip, reading.rim_speed
-        p.rim_at[k], p.rim_time[k], p.first_place[k] = before, time, p.odometer[k]
+        p.rim_at[k], p.rim_time[k], p.first_place[k] = before, time, p.place[k]
     _collect(p, k, reading)
     p.length[k] += abs(reading.speed) * numbers.period
     return done
@@ -190,7 +191,7 @@ def _complete(banks, k, rim, time, numbers):
     if p.crossing[k] == 0.0:
         if numbers.grade_change > 0.0:
             cross_where_the_grade_changes(banks, k, numbers)
-    elif first > p.place[k] + 0.5 * numbers.border:
+    elif first > p.border[k] + 0.5 * numbers.border:
         end(banks, k, numbers)
     misfit = renew(banks, k, point, numbers)
     if not _sound(banks, k, misfit):  # readings that no wheel gives

@@ -16,10 +16,8 @@ from soil_env._numba.lanes import COUNT, from_array, to_array
 from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.identification.linearised import (
     COHESION,
-    GAIN,
     LN_DEPTH,
     LN_K,
-    MASS,
     SINKAGE,
     STATES,
     STRENGTH,
@@ -43,10 +41,11 @@ FilterPoint: type[Rows] = rows(
     "path", "sliding", "shock", "time",  # integrals of A dt, |r w - V| dt / l and |d(r w)| dt / l since `forget`; [s]
     "path_at", "sliding_at", "shock_at", "time_at",  # at the last point
     "last_speed", "last_rim", "rim_at", "rim_time", "misfit", "points", "displacement", "stress",
-    "odometer", "first_place", "place_sum", "place_square",  # [m]; of the readings of the open point, from its first on
+    "place", "furthest", "lowest",  # [m] of the wheel, by slip and rim speed; `digging.onto_fresh_ground`
+    "first_place", "place_sum", "place_square",  # [m] of the readings of the open point, the sums from its first on
     "bearing",  # [m] bearing sinkage at the last point
-    "crossing", "place",  # 1 on a border; where it is
-    "grade", "grades", "grade_used",  # [rad] of this soil; readings of it; 1 if those of the open point are used already
+    "crossing", "border",  # 1 on a border; [m] where its middle is
+    "grade", "grades", "grade_used",  # [rad] of this soil; readings of it; 1 if those of the open point are used
     "nearest",  # [m] first of the places of a border that are tested
 )  # fmt: skip
 
@@ -94,7 +93,7 @@ def filter_numbers(scenario: Scenario) -> FilterNumbers:
     return FilterNumbers(
         w.radius, w.width, w.inertia, scenario.gravity, b.sinkage_exponent, b.dig_gain, b.dig_recovery,
         scenario.relaxation * w.radius, scenario.control.period, mixture_prior(scenario),
-        np.maximum(noise, floor), max(0.4 * b.model_error, 1e-3), b.border, math.radians(b.grade_change_deg),
+        np.maximum(noise, floor), max(0.55 * b.model_error, 1e-3), b.border, math.radians(b.grade_change_deg),
         b.border * np.arange(CANDIDATES) / (CANDIDATES - 1),
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Updates of a bank of filters (`filter`) by a point, and the estimate that it gives."""
+"""Updates of a bank of filters (`filter`) by a point."""
 
 from __future__ import annotations
 
@@ -8,36 +8,27 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import asin_root, exp, larger, log, root, smaller, tanh
+from soil_env._numba.elementary import exp, larger, log, root, smaller, tanh
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
 from soil_env._numba.rows import scratch_rows
-from soil_env.identification.border import blend, by_both_soils, covariance_of_ground
+from soil_env.identification.border import blend, by_both_soils
 from soil_env.identification.filter_bank import (
-    COVARIANCES,
     CROSSING,
     MEANS,
     OLD,
     PLACE,
-    PUBLISHED,
     RISE,
     element,
     reference_of,
 )
 from soil_env.identification.linearised import (
-    COHESION,
     COLUMNS,
-    EXPONENT,
     GAIN,
-    LN_DEPTH,
-    LN_K,
     MASS,
     SINKAGE,
     SLIP,
     STATES,
-    STRENGTH,
     Linearised,
-    Q,
-    friction,
     linearise,
 )
 
@@ -50,7 +41,6 @@ _LOWEST = np.array([0.005, math.log(2e-4), math.log(1e3), -1000.0, 0.3, -3.0, 1e
 _HIGHEST = np.array([5.0, math.log(0.3), math.log(1e13), 2e5, 2.5, 3.0, 6.0, 1e6, 0.98])
 _at, _ground, _slopes, _gain = scratch(MEANS), scratch(MEANS), scratch(MEANS), scratch(MEANS)
 _linear, _expanded = scratch_rows(Linearised, COLUMNS), scratch_rows(Linearised, (CROSSING + 1) * COUNT)
-_of_ground = scratch(COVARIANCES)
 
 
 class Point(NamedTuple):
@@ -97,7 +87,7 @@ def _clip(x, size):
 
 
 @inlined
-def _times(covariance, slopes, out, size):
+def times(covariance, slopes, out, size):
     """Covariance times slopes, both of `size` states, into `out`; slopes . covariance . slopes."""
     square = fill(0.0)
     for i in range(size):
@@ -137,7 +127,7 @@ def _drive(mean, covariance, ground, gain_slopes, out, size, last_bearing, point
         to_array(by_bearing - 1.0 if i == SINKAGE else by_bearing, slopes, i * COUNT)
     to_array(fill(0.0), slopes, SLIP * COUNT)
     # comes up to the bearing sinkage: a share of the mean of what it lacks, where it lacks any
-    variance = _times(covariance, slopes, product, size)
+    variance = times(covariance, slopes, product, size)
     spread, lag = root(variance + 1e-7 * r * r), bearing - z
     likely, density = _normal_share(lag / spread)
     lacking = lag * likely + spread * density
@@ -149,7 +139,7 @@ def _drive(mean, covariance, ground, gain_slopes, out, size, last_bearing, point
         to_array(v + rise * (now * from_array(out.ln_bearing, i * COUNT)), slopes, i * COUNT)
     to_array(from_array(slopes, SINKAGE * COUNT) + left, slopes, SINKAGE * COUNT)
     to_array(fill(0.0), slopes, SLIP * COUNT)
-    variance = _times(covariance, slopes, product, size)
+    variance = times(covariance, slopes, product, size)
     after = come * bearing + dug + left * z + yields * lacking
     move, jolt, changed = _MOVE * (after - z), _JOLT * point.shock * z, (_CHANGE * come) * change
     own = (
@@ -189,7 +179,7 @@ def _absorb(mean, covariance, at, slopes, predicted, measured, variance, size):
     misfit = measured - predicted
     for i in range(size):
         misfit = misfit - from_array(slopes, i * COUNT) * (from_array(mean, i * COUNT) - from_array(at, i * COUNT))
-    expected = _times(covariance, slopes, product, size) + variance
+    expected = times(covariance, slopes, product, size) + variance
     return _correct(mean, covariance, product, misfit, expected, size)
 
 
@@ -240,10 +230,14 @@ def _measure(mean, covariance, at, out, size, point, numbers):
     a, b = _absorb_state(mean, covariance, at, SLIP, slope, speed, fill(point.speed), v, size)
     x2, logs = x2 + a, logs + b
     pull, torque = from_array(out.pull, size * COUNT), from_array(out.torque, size * COUNT)
-    v, twist = model * model, (model * numbers.radius) * (model * numbers.radius)
-    a, b = _absorb_any(mean, covariance, at, out.pull, pull, fill(point.drawbar_pull), fill(sd[2] * sd[2] / n + v), size)
+    twist = (model * numbers.radius) * (model * numbers.radius)
+    a, b = _absorb_any(
+        mean, covariance, at, out.pull, pull, fill(point.drawbar_pull), fill(sd[2] * sd[2] / n + v), size
+    )
     x2, logs = x2 + a, logs + b
-    a, b = _absorb_any(mean, covariance, at, out.torque, torque, fill(point.torque), fill(sd[4] * sd[4] / n + twist), size)
+    a, b = _absorb_any(
+        mean, covariance, at, out.torque, torque, fill(point.torque), fill(sd[4] * sd[4] / n + twist), size
+    )
     x2, logs = x2 + a, logs + b
     v = fill(point.motor_variance + twist)
     a, b = _absorb_any(mean, covariance, at, out.torque, torque, fill(point.motor_torque), v, size)
@@ -292,7 +286,7 @@ def _finish(banks, k, at, out, size):
     to_array(ln_bearing, banks.ln_bearing[k], 0)
     p.bearing[k] = total(w * exp(smaller(ln_bearing, 1.0)))
     if size > STATES:
-        p.place[k] = total(w * from_array(mean, PLACE * COUNT))
+        p.border[k] = total(w * from_array(mean, PLACE * COUNT))
 
 
 @part
@@ -350,69 +344,3 @@ def renew(banks, k, point, numbers):
     if banks.point.crossing[k] > 0.0:
         return _renew_on_border(banks, k, point, numbers)
     return _renew_on_one_soil(banks, k, point, numbers)
-
-
-# --- the estimate -----------------------------------------------------------------------------------------------------
-
-
-@inlined
-def publish(banks, k, numbers, estimate, sd, covariance):
-    """Of the soil under the wheel: mean [5], standard deviations [5], covariance [5, 5] of (phi, ln K, ln S, c, ln g).
-
-    ln S is that at the exponent of the belief which bears the same pressure at the bearing sinkage.
-    """
-    if banks.point.crossing[k] > 0.0:
-        ground, of_ground = _ground(), _of_ground()
-        b = blend(banks.mean[k], banks.point.odometer[k], 0.0, reference_of(banks, k), ground, numbers)
-        covariance_of_ground(banks.covariance[k], banks.mean[k], b, of_ground)
-        _publish(banks, k, ground, of_ground, numbers, estimate, sd, covariance)
-    else:
-        _publish(banks, k, banks.mean[k], banks.covariance[k], numbers, estimate, sd, covariance)
-
-
-@part
-def _publish(banks, k, x, P, numbers, estimate, sd, covariance):
-    """`publish` from the soil states x and their covariance P, eight filters each."""
-    w = exp(from_array(banks.log_weight[k], 0))
-    depth = from_array(banks.ln_bearing[k], 0) - LN_DEPTH
-    rows_, n = _at(), from_array(x, EXPONENT * COUNT)
-    for i in range(PUBLISHED):
-        j = GAIN if i == GAIN - 1 else i
-        to_array(from_array(x, j * COUNT), rows_, i * COUNT)
-    tan = friction(
-        from_array(x, STRENGTH * COUNT),
-        from_array(x, LN_K * COUNT),
-        from_array(x, COHESION * COUNT),
-        reference_of(banks, k),
-    )
-    angle = 2.0 * asin_root(0.5 - 0.5 / root(1.0 + tan.tangent * tan.tangent))
-    to_array(angle, rows_, 0)
-    to_array(from_array(x, Q * COUNT) + (n - numbers.exponent) * depth, rows_, Q * COUNT)
-    for i in range(PUBLISHED):
-        estimate[i] = total(w * from_array(rows_, i * COUNT))
-    rate, slopes, product = 1.0 / (1.0 + tan.tangent * tan.tangent), _slopes(), _gain()
-    for i in range(PUBLISHED):
-        for j in range(SINKAGE):
-            to_array(fill(0.0), slopes, j * COUNT)
-        to_array(fill(1.0), slopes, (GAIN if i == GAIN - 1 else i) * COUNT)
-        if i == STRENGTH:
-            to_array(rate * tan.by_strength, slopes, STRENGTH * COUNT)
-            to_array(rate * tan.by_ln_K, slopes, LN_K * COUNT)
-            to_array(rate * tan.by_cohesion, slopes, COHESION * COUNT)
-        elif i == Q:
-            to_array(depth, slopes, EXPONENT * COUNT)
-        _times(P, slopes, product, SINKAGE)
-        away = from_array(rows_, i * COUNT) - estimate[i]
-        for j in range(i + 1):
-            b = GAIN if j == GAIN - 1 else j
-            v = from_array(product, b * COUNT)
-            if j == STRENGTH:
-                v = rate * (
-                    tan.by_strength * v + tan.by_ln_K * from_array(product, LN_K * COUNT)
-                    + tan.by_cohesion * from_array(product, COHESION * COUNT)
-                )  # fmt: skip
-            elif j == Q:
-                v = v + depth * from_array(product, EXPONENT * COUNT)
-            covariance[i, j] = covariance[j, i] = total(w * (v + away * (from_array(rows_, j * COUNT) - estimate[j])))
-        sd[i] = math.sqrt(max(covariance[i, i], 1e-18))
-    estimate[COHESION] = max(estimate[COHESION], 0.0)

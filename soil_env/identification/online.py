@@ -25,7 +25,7 @@ from soil_env._numba.rows import Rows, copy_column, rows, scratch_rows, zero_col
 from soil_env.identification.digging import KEPT, Digging, DiggingPlaces, close_point, note, roll
 from soil_env.identification.filter import CONTRADICTION_OF_POINTS, take
 from soil_env.identification.filter_bank import STAYS, FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
-from soil_env.identification.filter_update import publish
+from soil_env.identification.filter_estimate import publish
 from soil_env.identification.mixture_prior import moments, prior_of_belief
 from soil_env.identification.normal_equations import (
     COHESION,
