@@ -231,13 +231,11 @@ def _measure(mean, covariance, at, out, size, point, numbers):
     x2, logs = x2 + a, logs + b
     pull, torque = from_array(out.pull, size * COUNT), from_array(out.torque, size * COUNT)
     twist = (model * numbers.radius) * (model * numbers.radius)
-    a, b = _absorb_any(
-        mean, covariance, at, out.pull, pull, fill(point.drawbar_pull), fill(sd[2] * sd[2] / n + v), size
-    )
+    v = fill(sd[2] * sd[2] / n + model * model)
+    a, b = _absorb_any(mean, covariance, at, out.pull, pull, fill(point.drawbar_pull), v, size)
     x2, logs = x2 + a, logs + b
-    a, b = _absorb_any(
-        mean, covariance, at, out.torque, torque, fill(point.torque), fill(sd[4] * sd[4] / n + twist), size
-    )
+    v = fill(sd[4] * sd[4] / n + twist)
+    a, b = _absorb_any(mean, covariance, at, out.torque, torque, fill(point.torque), v, size)
     x2, logs = x2 + a, logs + b
     v = fill(point.motor_variance + twist)
     a, b = _absorb_any(mean, covariance, at, out.torque, torque, fill(point.motor_torque), v, size)
