@@ -149,7 +149,9 @@ def cross_here(banks, k, numbers):
     """`begin` where the forces tell of a border."""
     ahead = _FOUND * numbers.border
     place, spread = banks.point.place[k] + ahead, max(numbers.grade_change * numbers.grade_change, 1e-12)
+    misfit = banks.point.misfit[k]
     begin(banks, k, numbers, place, ahead * ahead, 0.0, spread, 0.0)
+    banks.point.misfit[k] = misfit  # until the next point
 
 
 # --- both soils in the state ------------------------------------------------------------------------------------------
@@ -211,7 +213,7 @@ def end(banks, k, numbers):
     p.crossing[k] = 0.0
     w = exp(from_array(banks.log_weight[k], 0))
     p.grade[k] += total(w * from_array(banks.mean[k], RISE * COUNT)) / total(w)
-    p.grades[k] = 5.0
+    p.grades[k], p.points[k] = 5.0, 0.0
     search(banks, k, numbers)
 
 

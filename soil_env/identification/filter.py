@@ -198,7 +198,8 @@ def _complete(banks, k, rim, time, numbers):
         restart(banks, k, numbers)
         return
     p.grade_used[k] = 0.0
-    p.misfit[k] = max(p.misfit[k] + misfit - _EXPECTED - p.crossing[k], 0.0)
+    before = p.misfit[k] if p.points[k] > 0.0 else 0.0
+    p.misfit[k] = max(before + misfit - _EXPECTED - p.crossing[k], 0.0)
     p.points[k] += 1.0
     if p.misfit[k] > CONTRADICTION_OF_POINTS and p.points[k] > 2.0 and p.crossing[k] == 0.0:
         cross_here(banks, k, numbers)

@@ -198,26 +198,29 @@ def _begin(banks, numbers, place):
     begin(banks, 0, numbers, place, 1e-4, 0.1, 1e-3, 0.0)
 
 
-def crossing(scenario, seeds, steps=420):
-    """Of each border that a wheel comes to: (found at [m] before its middle, error of its place behind it [m])."""
+def found_borders(scenario, seeds, steps=420):
+    """Of each border that a wheel passes: how far before its middle [m] one was found, and the error [m] of its place
+    behind it, of the nearest one found."""
     sim, rows = Simulation(1, scenario, "identified", threads=1), []
     w, p = sim.worlds, sim.worlds.ids.banks.point
     for seed in seeds:
         sim.seed(0, np.random.default_rng(seed))
         sim.restart(0)
-        was = 0.0
+        was, begun, middles = 0.0, [], []
         for step in range(steps):
             sim.step(0, 0.42 + 0.1 * math.sin(0.1 * step))
             if w.cause[0] != 0:
                 break
             if was == 0.0 and p.crossing[0] == 1.0:
-                begun = w.state.x[0]
+                begun.append(w.state.x[0])
             if was == 1.0 and p.crossing[0] == 0.0:
-                middle = p.border[0] + w.state.x[0] - p.place[0]
-                edges = w.courses.edges[0, 1 : w.courses.patches[0]]
-                edge = edges[np.argmin(np.abs(edges - middle))]
-                rows.append((edge - begun, middle - edge))
+                middles.append(p.border[0] + w.state.x[0] - p.place[0])
             was = p.crossing[0]
+        edges = w.courses.edges[0, 1 : w.courses.patches[0]]
+        for edge in edges[edges < w.state.x[0] - 0.5]:
+            at = np.array(begun)[np.argmin(np.abs(np.array(begun) - edge))] if begun else np.inf
+            middle = np.array(middles)[np.argmin(np.abs(np.array(middles) - edge))] if middles else np.inf
+            rows.append((edge - at, middle - edge))
     return np.array(rows)
 
 
@@ -225,15 +228,15 @@ WHEEL_SPEED = {"control": {"action": "wheel_speed"}}
 
 
 def test_the_grade_tells_of_a_border_before_its_middle():
-    """And its place behind it is right to about a centimetre."""
-    rows = crossing(load_scenario("mixed", WHEEL_SPEED), range(10))
+    """And its place behind it is right to two centimetres in most cases."""
+    rows = found_borders(load_scenario("mixed", WHEEL_SPEED), range(10))
     assert len(rows) >= 15
     assert np.median(rows[:, 0]) > 0.03  # m
-    assert np.median(np.abs(rows[:, 1])) < 0.015
+    assert np.median(np.abs(rows[:, 1])) < 0.02
 
 
 def test_the_forces_alone_find_borders_later():
-    rows = crossing(load_scenario("mixed", WHEEL_SPEED | {"belief": {"grade_change_deg": 0.0}}), range(10))
+    rows = found_borders(load_scenario("mixed", WHEEL_SPEED | {"belief": {"grade_change_deg": 0.0}}), range(10))
     assert len(rows) >= 15
     assert -0.2 < np.median(rows[:, 0]) < 0.03
 
