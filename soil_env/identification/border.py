@@ -151,7 +151,7 @@ def cross_here(banks, k, numbers):
     place, spread = banks.point.place[k] + ahead, max(numbers.grade_change * numbers.grade_change, 1e-12)
     misfit = banks.point.misfit[k]
     begin(banks, k, numbers, place, ahead * ahead, 0.0, spread, 0.0)
-    banks.point.misfit[k] = misfit  # until the next point
+    banks.point.misfit[k], banks.point.by_forces[k] = misfit, 1.0  # the misfit until the next point
 
 
 # --- both soils in the state ------------------------------------------------------------------------------------------
@@ -203,7 +203,7 @@ def begin(banks, k, numbers, place, place_variance, rise, rise_variance, both):
     to_array(fill(both), covariance, element(RISE, PLACE))
     to_array(from_array(banks.log_weight[k], 0) + math.log(1.0 - _SAME), banks.log_weight[k], 0)
     banks.log_weight[k, STAYS] = math.log(_SAME)
-    p.crossing[k], p.border[k], p.grade_used[k] = 1.0, place, 0.0
+    p.crossing[k], p.border[k], p.grade_used[k], p.by_forces[k] = 1.0, place, 0.0, 0.0
 
 
 @inlined

@@ -44,7 +44,7 @@ FilterPoint: type[Rows] = rows(
     "place", "furthest", "lowest",  # [m] of the wheel, by slip and rim speed; `digging.onto_fresh_ground`
     "first_place", "place_sum", "place_square",  # [m] of the readings of the open point, the sums from its first on
     "bearing",  # [m] bearing sinkage at the last point
-    "crossing", "border",  # 1 on a border; [m] where its middle is
+    "crossing", "border", "by_forces",  # 1 on a border; [m] where its middle is; 1 if the forces told of it
     "grade", "grades", "grade_used",  # [rad] of this soil; readings of it; 1 if those of the open point are used
     "nearest",  # [m] first of the places of a border that are tested
 )  # fmt: skip

@@ -201,19 +201,21 @@ def observe(ids, k, reading, numbers):
 
 @part
 def _observe_by_filter(ids, k, reading, numbers):
-    crossed = ids.banks.point.crossing[k] > 0.0
+    p, crossed = ids.banks.point, ids.banks.point.crossing[k]
     done = take(ids.banks, k, reading, numbers.filter)
-    if not done and ids.banks.point.crossing[k] == 0.0:
+    if not done and p.crossing[k] == 0.0:
         return False
-    if crossed and ids.banks.point.crossing[k] == 0.0 and ids.banks.log_weight[k, STAYS] < _HALF:
-        ids.borders[k] += 1
+    if p.crossing[k] > crossed:
+        ids.borders[k] += int(p.by_forces[k])
+    elif p.crossing[k] < crossed and p.by_forces[k] == 0.0 and ids.banks.log_weight[k, STAYS] < _HALF:
+        ids.borders[k] += 1  # the grade told of a border, and it was one of soil
     # on a border the soil under the wheel changes from reading to reading
     publish(ids.banks, k, numbers.filter, ids.estimate[k], ids.sd[k], ids.covariance[k])
     learnt = 0.0
     for i in range(2):  # friction and shear deformation modulus need a range of slip
         learnt = max(learnt, ids.sd[k, i] * math.sqrt(numbers.precision[i]))
     ids.condition[k] = learnt
-    if ids.banks.point.misfit[k] > CONTRADICTION_OF_POINTS:
+    if p.misfit[k] > CONTRADICTION_OF_POINTS:
         ids.status[k] = Status.MISFIT.value
     else:
         ids.status[k] = Status.CONVERGED.value if learnt <= 0.6 else Status.NOT_EXCITED.value
