@@ -35,7 +35,10 @@ from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
 
 SENSORS = {"all sensors": (True, True), "without motor torque and acceleration": (False, False)}
-ESTIMATORS = {"filter bank": "ours", "filter bank, told the library": "library", "moving window": "window"}
+ESTIMATORS = {
+    "filter bank": "ours", "filter bank, told the library": "library",
+    "filter bank, borders by the forces alone": "forces", "moving window": "window",
+}  # fmt: skip
 OTHERS = {
     "extended Kalman filter, 5 unknowns": "ekf_joint",
     "unscented Kalman filter, 5 unknowns": "ukf_joint",

@@ -73,7 +73,7 @@ class SwingingSpeed(ConstantSpeed):
 
     def __init__(self, scenario: Scenario, swing: float = SWING):
         super().__init__(scenario)
-        self.swing = swing
+        self.swing, self.speed = swing, self.settings["speed"]
 
     def rim_speed(self, observation, state):
         """The speed of this period [m/s], [n]."""

@@ -237,6 +237,10 @@ class Belief(Checked):
     border: float = quantity(
         "m", 0.01, 10.0, default=0.3, doc="length over which one soil passes into the next, of the filter"
     )
+    grade_change_deg: float = quantity(
+        "deg", 0.0, 60.0, default=8.0,
+        doc="sd of the change of grade from one soil to the next, of the filter; 0 = the grade says nothing of soil",
+    )  # fmt: skip
     soils: dict[str, float] = field(
         default_factory=dict
     )  # library of soils that may come, with weights; {} = not known

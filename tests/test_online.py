@@ -204,10 +204,10 @@ STEADY = Readings(2.5, 0.28, 0.022, 14.0, 147.0, 5.5, 0.25)
 
 
 def five(method, third, first=0.0):
-    """Estimate of S and phi after five readings, which make a point, and, for the filter, a sixth, which closes it:
+    """Estimate of S and phi after five readings, which make a point, for the filter eight and one that closes it:
     `third` the torque of the third, `first` added to that of the first."""
     identifier = OnlineIdentifier(WHEEL, Belief(method=method))
-    torques = [5.5 + first, 5.5, third, 5.5, 5.5] + [5.5] * (method == "filter")
+    torques = [5.5 + first, 5.5, third, 5.5, 5.5] + [5.5] * (4 if method == "filter" else 0)
     slow = STEADY._replace(wheel_speed=0.75, speed=0.75 * 0.15 * 0.75)
     last = [identifier.update(slow._replace(torque=t)) for t in torques][-1]
     assert last.renewed

@@ -90,7 +90,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     names = [n for n in Readings._fields if n in log.readings]
     rows = np.column_stack([log.readings[n] for n in names]).tolist()
     loads, pitches = (log.readings.get(n, np.full(size, math.nan)).tolist() for n in ("load", "pitch"))
-    restarts, before, last, numbers = 0, 0, math.nan, _numbers(prior, math.nan, math.nan)
+    restarts, before, last, ahead = 0, 0, math.nan, (math.nan, math.nan)
     table = np.empty((size, len(COLUMNS)))
     for k, (t, row) in enumerate(zip(log.time.tolist(), rows, strict=True)):
         if t - last > log_map.restart_gap:
@@ -98,7 +98,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
             identifier.reset()
             finder.reset()
             restarts += 1
-            numbers = _numbers(prior, math.nan, math.nan)
+            ahead = math.nan, math.nan
         reading = Readings(**dict(zip(names, row, strict=True)), time=t)
         e = identifier.update(reading)
         found = e if finder is identifier else finder.update(reading)
@@ -106,8 +106,9 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         if e.renewed:
             load, pitch = loads[k], pitches[k] if pitches[k] == pitches[k] else 0.0
             way = identifier.traversability(None if load != load else load, pitch)
-            numbers = _numbers(e, way.drawbar_margin, way.torque_required)
-        table[k], status[k], renewed[k], last = numbers, e.status, e.renewed, t
+            ahead = way.drawbar_margin, way.torque_required
+        # on a border the estimate changes between two renewals too
+        table[k], status[k], renewed[k], last = _numbers(e, *ahead), e.status, e.renewed, t
     values = {name: table[:, i] for i, name in enumerate(COLUMNS)}
     warnings = _impassable(log, values["drawbar_margin"], status)
     if restarts:
