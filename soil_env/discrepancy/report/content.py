@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-from typing import Any
 
 import numpy as np
 import scipy
@@ -20,7 +19,7 @@ from soil_env.terramechanics.catalogue import CATALOGUE
 LEAST = 1e-3  # probability below which a hypothesis is not listed
 
 
-def content(report: Report) -> dict[str, Any]:
+def content(report: Report) -> dict:
     """Plain values for JSON, null where there is no number; every key is always present."""
     shown = [block.content() for block in blocks(report)]
     first = words.check_first(report)
@@ -30,8 +29,8 @@ def content(report: Report) -> dict[str, Any]:
         "summary": words.summary(report),
         "effects": [
             {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
-             "in_model": report.model.effects[e.name], "probability": e.probability, "share": e.share,
-             "alternatives": e.alternatives, "symbols": SYMBOLS[e.name], **block}
+             "probability": e.probability, "share": e.share, "alternatives": e.alternatives,
+             "symbols": SYMBOLS[e.name], **block}
             for e, block in zip(report.effects, shown, strict=False)
         ],
         "where": [
@@ -64,11 +63,7 @@ def content(report: Report) -> dict[str, Any]:
             for h in report.finding.hypotheses if h.probability >= LEAST
         ],
         "law_error": report.law_error,
-        "soil": {
-            name: v._asdict() | {"known": report.known(name), "in_model": report.fit.parameters().get(name, v.value)}
-            for name, v in report.soil.items()
-        },
-        "scatter": report.finding.scatter,
+        "soil": {name: v._asdict() | {"known": report.known(name)} for name, v in report.soil.items()},
         "noise": {name: {"sd": report.noise.sd[j], "origin": report.noise.origin[j]} for name, j in noise.items()},
         "left_out": [{"row": row, "channel": name} for row, name in report.left_out],
         "check_first": first,
@@ -81,7 +76,7 @@ def content(report: Report) -> dict[str, Any]:
     })  # fmt: skip
 
 
-def _law(report: Report, shown: list[dict]) -> dict[str, Any] | None:
+def _law(report: Report, shown: list[dict]) -> dict | None:
     if report.law is None:
         return None
     return {
