@@ -52,7 +52,7 @@ format: $(TEST_READY)  ## let ruff format the code and repair what it can
 	$(BIN)/ruff format .
 
 kernels: $(TEST_READY)  ## compile what most tests use, once for all test processes
-	$(PY) -m tests.kernels
+	$(PY) -m soil_env.warmup
 
 docs: $(DOCS_READY)  ## build the documentation into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -17,6 +17,9 @@ from stable_baselines3 import PPO
 from soil_env._io.loading import ParameterError
 from soil_env._numba.rows import Rows
 
+from .history import HistoryVecEnv
+from .sb3 import SoilWheelVecEnv
+from .worlds import SeveralWorlds
 from .zips import one_line
 
 
@@ -55,16 +58,26 @@ def restore(model: PPO, state: bytes, where: Path) -> None:
         model._last_obs, model._last_episode_starts = parts["last_obs"], parts["last_episode_starts"]
     except Exception as error:  # zipfile and numpy fail in many ways
         raise ParameterError(f"{where}: the state of the training cannot be restored ({one_line(error)})") from None
-    model.env.unwrapped._unseeded = False
+    for wheels in _parts(model):
+        wheels._unseeded = False
 
 
 def _arrays(model: PPO) -> dict[str, np.ndarray]:
     """The arrays of the environments by name, to be written into; all of them are written in place by a step."""
     normalised = model.get_vec_normalize_env()
-    wheels = normalised.unwrapped
-    out = {"returns": wheels._returns, "lengths": wheels._lengths, "discounted": normalised.returns}
-    _collect("worlds", wheels.simulation.worlds, out)
+    out = {"discounted": normalised.returns}
+    if isinstance(normalised.venv, HistoryVecEnv):
+        out["history"] = normalised.venv.kept
+    for k, wheels in enumerate(_parts(model)):
+        out |= {f"returns{k}": wheels._returns, f"lengths{k}": wheels._lengths}
+        _collect(f"worlds{k}", wheels.simulation.worlds, out)
     return out
+
+
+def _parts(model: PPO) -> list[SoilWheelVecEnv]:
+    """The vector environments of a training, one for each of its worlds."""
+    wheels = model.env.unwrapped
+    return wheels.parts if isinstance(wheels, SeveralWorlds) else [wheels]
 
 
 def _collect(name: str, value, out: dict[str, np.ndarray]) -> None:

@@ -6,13 +6,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from soil_env._io.loading import Checked, ParameterError, load, quantity
+from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.terramechanics.model import WheelSoilModel
 
 #: Name of the PPO agent of each observation variant in tables and files.
 NAMES = {"blind": "ppo_blind", "identified": "ppo_identified", "true_soil": "ppo_true"}
-
-
-_TRIM = 1.4
 
 
 def _text(default: str, doc: str):
@@ -27,19 +25,21 @@ class PPOConfig(Checked):
     docs/training.md says how the layout was chosen.
     """
 
-    num_envs: int = quantity("", 1, 65536, default=512, doc="wheels stepped together")
+    num_envs: int = quantity("", 1, 65536, default=128, doc="wheels stepped together")
     n_steps: int = quantity("", 8, 65536, default=64, doc="steps of each wheel per update")
-    batch_size: int = quantity("", 8, 1_000_000, default=4096, doc="transitions per gradient step")
-    n_epochs: int = quantity("", 1, 100, default=4, doc="passes over a rollout")
+    batch_size: int = quantity("", 8, 1_000_000, default=2048, doc="transitions per gradient step")
+    n_epochs: int = quantity("", 1, 100, default=6, doc="passes over a rollout")
     learning_rate: float = quantity("", 1e-7, 1.0, default=1e-3, doc="step of Adam at the start")
-    gamma: float = quantity("", 0.5, 1.0, default=0.999, doc="discount a step")
-    gae_lambda: float = quantity("", 0.0, 1.0, default=0.9, doc="bias against variance of the advantages")
+    gamma: float = quantity("", 0.5, 1.0, default=0.999, doc="discount an action")
+    gae_lambda: float = quantity("", 0.0, 1.0, default=0.95, doc="bias against variance of the advantages")
     clip_range: float = quantity("", 0.01, 1.0, default=0.2, doc="how far an update may move a probability ratio")
-    ent_coef: float = quantity("", 0.0, 1.0, default=0.003, doc="weight of the entropy")
+    ent_coef: float = quantity("", 0.0, 1.0, default=0.0, doc="weight of the entropy")
     layer: int = quantity("", 1, 4096, default=64, doc="units in each of two hidden layers")
     activation: Literal["relu", "tanh"] = _text("relu", "what follows a hidden layer: relu or tanh")
-    log_std_init: float = quantity("", -5.0, 2.0, default=-1.6, doc="log of the initial standard deviation")
-    initial_action: float = quantity("", -1.0, 1.0, default=0.3, doc="mean action of the untrained policy")
+    log_std_init: float = quantity("", -5.0, 2.0, default=-1.0, doc="log of the initial standard deviation")
+    initial_action: float = quantity("", -1.0, 1.0, default=0.1, doc="mean action of the untrained policy")
+    history: int = quantity("", 0, 1000, default=7, doc="past steps whose readings the network sees (agents.history)")
+    critic: Literal["", "true_soil"] = _text("", "what only the value network sees: nothing or true_soil")
     threads: int = quantity("", 1, 256, default=2, doc="threads of environment and update; the result is the same")
 
     def __post_init__(self):
@@ -55,32 +55,38 @@ class PPOConfig(Checked):
 class TrainConfig(Checked):
     """A training run: what `train.py` takes from YAML and from its command line."""
 
-    scenario: str = _text("mixed", "name of a scenario in configs/scenarios, or a YAML file")
+    scenario: str = _text(DEFAULT_SCENARIO, "name of a scenario in configs/scenarios, or a YAML file")
     changes: dict = field(default_factory=dict)  # merged over the scenario
     model: dict = field(default_factory=dict, metadata={"doc": "model.yaml with the effects that are on in this world"})
     observation: Literal["blind", "identified", "true_soil"] = _text(
         "identified", "what the agent knows: blind, identified or true_soil"
     )
     algorithm: Literal["ppo", "recurrent_ppo"] = _text("ppo", "ppo, or recurrent_ppo: with a memory, of sb3-contrib")
-    guide: Literal["", "fixed_slip", "best_slip_identified", "best_slip_true"] = _text(
-        "", "slip controller whose rim speed the agent trims; empty: it sets the torque itself"
+    hidden_worlds: int = quantity(
+        "",
+        0,
+        1000,
+        default=0,
+        doc="worlds with a hidden effect mixed into the training (agents.worlds)",
     )
-    guide_settings: dict = field(default_factory=dict, metadata={"doc": "of the guide: slip, start"})
-    trim: float = quantity("", 0.0, 5.0, default=_TRIM, doc="log of the largest factor on the guide's rim speed")
     name: str = _text("", "of the run folder; empty: observation, scenario and time")
     runs: str = _text("runs", "folder of the run folders")
     seed: int = quantity("", 0, 2**31 - 1, default=0, doc="of the training")
-    timesteps: int = quantity("", 1, 10**12, default=20_000_000, doc="environment steps of the training")
-    checkpoint_every: int = quantity("", 1, 10**12, default=1_000_000, doc="environment steps between checkpoints")
+    timesteps: int = quantity("", 1, 10**12, default=3_000_000, doc="environment steps of the training")
+    checkpoint_every: int = quantity("", 1, 10**12, default=500_000, doc="environment steps between checkpoints")
     courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
     tuning_courses: int = quantity("", 1, 10**6, default=200, doc="courses to tune the classical controllers on")
+    oracle_courses: int = quantity("", 0, 10**6, default=50, doc="of the comparison, that the oracle drives too")
     ppo: PPOConfig = PPOConfig()
 
     def __post_init__(self):
         super().__post_init__()
-        for name, unset in (("guide_settings", {}), ("trim", _TRIM)):
-            if not self.guide and getattr(self, name) != unset:
-                raise ParameterError(f"{name} = {getattr(self, name)!r}: expected only with a guide")
+        if self.algorithm == "recurrent_ppo" and self.ppo.critic:
+            raise ParameterError(
+                f"ppo.critic = {self.ppo.critic!r}: expected only with algorithm ppo, not recurrent_ppo"
+            )
+        if self.hidden_worlds >= self.ppo.num_envs:
+            raise ParameterError(f"hidden_worlds = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
 
     @property
     def world(self) -> WheelSoilModel | None:

@@ -6,7 +6,7 @@ actions every observation and reward comes back bit for bit, which is checked. D
 where MINARI_DATASETS_PATH says; one of the same name is replaced. The card, README.md, goes beside them.
 
 Examples:
-  python -m agents.dataset --controllers full_throttle,fixed_slip,best_slip_identified --episodes 20
+  python -m agents.dataset --controllers full_throttle,soft_start,best_slip_identified --episodes 20
   python -m agents.dataset --controllers 'ppo=runs/NAME' --scenario mixed --prefix mine
 """
 
@@ -23,7 +23,7 @@ from soil_env._io.commands import command, command_line, leave, whole_number
 from soil_env._io.document import Table, wrapped
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError
-from soil_env.parameters import Scenario, load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, Scenario, load_scenario
 
 from .cli import manual_parser
 from .evaluate import contestants, loading
@@ -38,7 +38,7 @@ def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = manual_parser(command(_NAME), __doc__)
     p.add_argument("--controllers", metavar="CONTROLLERS", required=True, help="whose drives, with commas")
-    p.add_argument("--scenario", metavar="NAME", default="mixed", help="scenario or YAML file (default: mixed)")
+    p.add_argument("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help="or YAML file (default: %(default)s)")
     p.add_argument("--episodes", metavar="N", type=whole_number(1), default=20, help="of each (default: 20)")
     p.add_argument("--seed", metavar="N", type=whole_number(), default=SEED, help=f"of episode 0 (default: {SEED})")
     p.add_argument("--prefix", metavar="NAME", default="soil", help="namespace of the data sets (default: soil)")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, load
+from soil_env.parameters import CourseSpec
 from soil_env.simulation.task import VARIANTS, layout
 
 POLICY, FORMAT = "policy.onnx", "soil_env policy 1"  # file in the folder of an export; what its description begins with
@@ -35,15 +36,16 @@ class ExportedAgent:
         if self.content.get("format") != FORMAT:
             raise ParameterError(f"{path}: not written by agents.export: expected a description {FORMAT!r} inside")
         self.variant = self.content["observation"]
-        self.action = self.content["scenario"]["control"]["action"]
+        self.control = self.content["scenario"]["control"]
         self._check_layout()
         self._states = {x.name: x for x in self.session.get_inputs() if x.name not in ("observation", "new_course")}
         self._outputs = [x.name for x in self.session.get_outputs()]
 
     def _check_layout(self) -> None:
         """ParameterError if the file reads another observation than this version's of the same name."""
+        course = load(CourseSpec, self.content["scenario"]["course"], f"{self.path}: scenario.course")
         entries = [(e["name"], e["low"], e["high"]) for e in self.content["inputs"]]
-        known = [(e.name, e.low, e.high) for e in layout(self.variant)] if self.variant in VARIANTS else []
+        known = [(e.name, e.low, e.high) for e in layout(self.variant, course)] if self.variant in VARIANTS else []
         if entries != known:
             raise ParameterError(
                 f"{self.path}: reads another observation layout: {len(entries)} numbers, here {self.variant!r} has "

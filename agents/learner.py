@@ -97,8 +97,8 @@ class Learner(PPO):
         """Gradients of the loss over `share` of a minibatch of `rows`, and its share of what `train` logs [6]."""
         observations, actions, old, advantages, returns = share
         policy = self.policy
-        mean = policy.action_net(policy.mlp_extractor.policy_net(observations))
-        values = policy.value_net(policy.mlp_extractor.value_net(observations))[:, 0]
+        mean = policy.action_net(policy.mlp_extractor.forward_actor(observations))
+        values = policy.value_net(policy.mlp_extractor.forward_critic(observations))[:, 0]
         log_std = policy.log_std
         log_prob = (-0.5 * ((actions - mean) * torch.exp(-log_std)) ** 2 - log_std - _HALF_LOG_2PI).sum(1)
         log_ratio = log_prob - old

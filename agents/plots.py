@@ -17,7 +17,7 @@ from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel, sinkage_coefficient_at
 
-from .evaluate import METRICS, RATES, drive
+from .evaluate import METRICS, RATES, drive, limit
 from .evaluate.tables import draw_intervals
 
 _PANELS = ("immobilised", "time_limit", "finished", "speed", "energy_per_metre", "slip", "return")
@@ -25,12 +25,20 @@ _PANELS = ("immobilised", "time_limit", "finished", "speed", "energy_per_metre",
 
 def comparison_figure(result: dict, path: Path) -> None:
     """Metrics of all controllers as points with their 95 % intervals."""
-    names = list(result["controllers"])[::-1]
+    entries = result["controllers"] | limit.rows(result)
+    names = list(entries)[::-1]
     figure, axes = plt.subplots(1, len(_PANELS), figsize=(2.4 * len(_PANELS), 0.45 * len(names) + 1.4), sharey=True)
-    colours = ["#d55e00" if n.startswith("ppo") else "#777777" if n.endswith("true") else "#0072b2" for n in names]
+    colours = [
+        "#d55e00"
+        if n.startswith("ppo")
+        else "#777777"
+        if n.endswith("true") or n.startswith(limit.ORACLE)
+        else "#0072b2"
+        for n in names
+    ]
     for axis, metric in zip(axes, _PANELS, strict=True):
         rate = metric in RATES
-        draw_intervals(axis, [result["controllers"][n][metric] for n in names], 100.0 if rate else 1.0, colours)
+        draw_intervals(axis, [entries[n][metric] for n in names], 100.0 if rate else 1.0, colours)
         axis.set_xlabel(f"{metric.replace('_', ' ')} [{'% of courses' if rate else METRICS[metric][0]}]")
     axes[0].set_yticks(range(len(names)), names)
     figure.suptitle(f"{result['courses']} held-out courses, scenario {result['scenario']!r}; bars: 95 % intervals")

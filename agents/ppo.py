@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,21 +23,26 @@ from torch import nn
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, load, to_dict
-from soil_env.env import action_space, observation_space
-from soil_env.parameters import Scenario
+from soil_env.env import action_space
+from soil_env.parameters import CourseSpec, Scenario
 from soil_env.simulation.task import layout
 from soil_env.terramechanics.model import WheelSoilModel
 
 from . import checkpoint, recurrent, zips
+from .asymmetric import AsymmetricPolicy
 from .config import NAMES, PPOConfig, TrainConfig, load_config
-from .guided import ENTRIES, Guide, GuidedVecEnv, spaces_of
+from .history import History, HistoryVecEnv
 from .learner import Learner, Tanh
-from .sb3 import SoilWheelVecEnv
+from .sb3 import CRITICS, SoilWheelVecEnv, privileged, space_of
+from .worlds import SeveralWorlds
 
 __all__ = [
     "NAMES", "Agent", "PPOConfig", "TrainConfig", "agent_of", "agent_spaces", "build", "check_layout",
     "hyperparameters", "load_agent", "load_config", "normalised", "read_meta", "reopened", "resume", "save", "schedule",
 ]  # fmt: skip
+
+#: Effects that are on in the worlds of a training: none, those of a model, or of several on equal shares of the wheels.
+World = WheelSoilModel | None | Sequence[WheelSoilModel | None]
 
 
 def build(
@@ -45,19 +51,18 @@ def build(
     config: PPOConfig,
     seed: int,
     tensorboard: Path | None = None,
-    world: WheelSoilModel | None = None,
-    guide: Guide | None = None,
+    world: World = None,
     algorithm: str = "ppo",
 ) -> PPO:
-    """A fresh agent with its normalised vector environment; `world` brings the effects that are on there.
+    """A fresh agent with its normalised vector environment.
 
-    With a `guide` the agent trims its rim speed (`agents.guided`), from none at first. `algorithm`: as in
+    `world`: the model whose effects are on there, or several, on equal shares of the wheels. `algorithm`: as in
     `TrainConfig`.
     """
-    cls, policy, network = _algorithm(algorithm, config)
+    cls, policy, network = _algorithm(algorithm, config, scenario)
     model = cls(
         policy,
-        normalised(scenario, observation, config, seed, world, guide),
+        normalised(scenario, observation, config, seed, world),
         **hyperparameters(config),
         policy_kwargs=network | {"log_std_init": config.log_std_init},
         tensorboard_log=None if tensorboard is None else str(tensorboard),
@@ -65,21 +70,24 @@ def build(
         device="cpu",
     )
     with torch.no_grad():  # exploring around full stop would teach little but how to stall
-        model.policy.action_net.bias.fill_(config.initial_action if guide is None else 0.0)
+        model.policy.action_net.bias.fill_(config.initial_action)
     model.update_threads = config.threads
     return model
 
 
-def _algorithm(name: str, config: PPOConfig) -> tuple[type, str, dict]:
+def _algorithm(name: str, config: PPOConfig, scenario: Scenario) -> tuple[type, str, dict]:
     """(class, name of its policy, arguments of its network)."""
     torch.set_num_threads(1)  # its tensors are too small to be shared out; `Learner` shares out whole minibatches
     if name == "recurrent_ppo":
         return recurrent.algorithm(), "MlpLstmPolicy", recurrent.network(config)
-    return Learner, "MlpPolicy", {
+    network = {
         "net_arch": [config.layer, config.layer],
         "activation_fn": {"relu": nn.ReLU, "tanh": Tanh}[config.activation],
         "optimizer_kwargs": {"fused": True},
-    }  # fmt: skip
+    }
+    if config.critic:
+        return Learner, AsymmetricPolicy, network | {"privileged": len(privileged(config.critic, scenario.course))}
+    return Learner, "MlpPolicy", network
 
 
 def hyperparameters(config: PPOConfig) -> dict:
@@ -93,12 +101,19 @@ def normalised(
     observation: str,
     config: PPOConfig,
     seed: int,
-    world: WheelSoilModel | None = None,
-    guide: Guide | None = None,
+    world: World = None,
 ) -> VecNormalize:
     """The vector environment of `config.num_envs` wheels with running normalisation of observations and rewards."""
-    wheels = SoilWheelVecEnv(config.num_envs, scenario, observation, threads=config.threads, model=world)
-    env = VecNormalize(wheels if guide is None else GuidedVecEnv(wheels, guide), gamma=config.gamma)
+    worlds = list(world) if isinstance(world, Sequence) else [world]
+    shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
+    parts = [
+        SoilWheelVecEnv(share, scenario, observation, threads=config.threads, model=one, critic=config.critic)
+        for share, one in zip(shares, worlds, strict=True)
+    ]
+    wheels = parts[0] if len(parts) == 1 else SeveralWorlds(parts)
+    if config.history:
+        wheels = HistoryVecEnv(wheels, History(parts[0].observation_names, config.history))
+    env = VecNormalize(wheels, gamma=config.gamma)
     env.seed(seed)
     return env
 
@@ -125,7 +140,7 @@ def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
     env = model.get_vec_normalize_env()
     meta = {
         "timesteps": int(model.num_timesteps),
-        "observation": _variant(env),
+        "observation": env.get_attr("observation_variant")[0],
         "observation_names": list(env.get_attr("observation_names")[0]),
         "mean": env.obs_rms.mean.tolist(),
         "var": env.obs_rms.var.tolist(),
@@ -135,25 +150,24 @@ def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
         "return_count": float(env.ret_rms.count),
         "clip": float(env.clip_obs),
         "scenario": to_dict(env.get_attr("scenario")[0]),
+        "history": env.venv.history.steps if isinstance(env.venv, HistoryVecEnv) else 0,
+        "critic": env.get_attr("critic")[0],
     }
     world = env.get_attr("model")[0]
     if world is not None:
         meta["model"] = world.content()
-    guided = isinstance(env.venv, GuidedVecEnv)
-    if guided:
-        meta["guide"] = env.venv.guide.content()
     stream = io.BytesIO()
     model.save(stream)
     with zipfile.ZipFile(stream, "a", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(_META, json.dumps(meta, indent=1))
-        if between_rollouts and not guided and isinstance(model, Learner):
+        if between_rollouts and isinstance(model, Learner):
             archive.writestr(_STATE, checkpoint.content(model))
     replace_file(path, stream.getvalue())
 
 
-def _variant(env) -> str:
-    names = env.get_attr("observation_names")[0]
-    return next(v for v in NAMES if tuple(e.name for e in layout(v)) == names)
+def _course(meta: dict) -> CourseSpec:
+    """The course that a model was trained on: what it observes depends on its terrain classes."""
+    return load(CourseSpec, meta.get("scenario", {}).get("course", {}), "scenario: course")
 
 
 @dataclass
@@ -167,7 +181,7 @@ class Agent:
     variant: str
     timesteps: int
     meta: dict = field(repr=False)
-    guide: Guide | None = None
+    history: History | None = None
 
     @property
     def name(self) -> str:
@@ -176,34 +190,39 @@ class Agent:
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions for raw observations [n, D] or [D]; as SB3's predict. ParameterError for another number D."""
-        expected, shape = len(self.mean) - (0 if self.guide is None else len(ENTRIES)), np.shape(observation)
+        expected, shape = len(self.meta["observation_names"]), np.shape(observation)
         if not shape or shape[-1] != expected:
             raise ParameterError(
                 f"observation of shape {shape}: expected {expected} numbers, those of observation {self.variant!r}"
             )
-        if self.guide is None:
+        if self.history is None:
             return self.model.predict(self._normalised(observation), state, episode_start, deterministic)
-        batch = np.atleast_2d(observation)
+        batch = np.atleast_2d(np.asarray(observation, dtype=np.float32))
         fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
-        guided, memory = (None, None) if state is None else state
-        seen, guided = self.guide.observe(batch, guided, fresh)
-        trims, memory = self.model.predict(self._normalised(seen), memory, episode_start, deterministic)
-        action = self.guide.act(trims, guided)
-        return (action[0] if np.ndim(observation) == 1 else action), (guided, memory)
+        empty = np.zeros((len(batch), self.history.kept), dtype=np.float32)
+        kept, memory = (empty, None) if state is None else state
+        seen, kept = self.history.observe(batch, kept, fresh)
+        action, memory = self.model.predict(self._normalised(seen), memory, episode_start, deterministic)
+        return (action[0] if np.ndim(observation) == 1 else action), (kept, memory)
 
     def _normalised(self, observation):
-        return np.clip((np.asarray(observation) - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)
+        """As the network reads it; zeros for what its value network alone does."""
+        seen = np.asarray(observation)
+        acting = seen.shape[-1]
+        out = np.zeros((*seen.shape[:-1], len(self.mean)), dtype=np.float32)
+        out[..., :acting] = np.clip((seen - self.mean[:acting]) / self.sd[:acting], -self.clip, self.clip)
+        return out
 
 
 def agent_of(model, meta: dict) -> Agent:
     """The agent of a loaded model and its metadata."""
-    guide = None
-    if "guide" in meta:
-        scenario = load(Scenario, meta["scenario"], "scenario")
-        guide = Guide(scenario, **meta["guide"], variant=meta["observation"])
     sd = np.sqrt(np.asarray(meta["var"]) + 1e-8)
     variant, timesteps = meta["observation"], meta["timesteps"]
-    return Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], variant, timesteps, meta, guide)
+    return Agent(model, np.asarray(meta["mean"]), sd, meta["clip"], variant, timesteps, meta, _history(meta))
+
+
+def _history(meta: dict) -> History | None:
+    return History(meta["observation_names"], meta["history"]) if meta["history"] else None
 
 
 def read_meta(path: Path) -> dict:
@@ -216,12 +235,19 @@ def read_meta(path: Path) -> dict:
     for key, kind in _META_TYPES.items():
         if not isinstance(meta.get(key), kind):
             raise ParameterError(f"{path}: {_META}: {key} = {meta.get(key)!r}: expected {kind}")
-    size = len(meta["observation_names"]) + (len(ENTRIES) if "guide" in meta else 0)
+    if meta["observation"] not in NAMES:
+        raise ParameterError(f"{path}: {_META}: observation = {meta['observation']!r}: expected one of {list(NAMES)}")
+    if meta["critic"] not in CRITICS or meta["history"] < 0:
+        raise ParameterError(f"{path}: {_META}: critic, history = {meta['critic']!r}, {meta['history']}: not known")
+    try:
+        history = _history(meta)
+    except ValueError as error:
+        raise ParameterError(f"{path}: trained on another observation layout: {error}") from None
+    size = len(meta["observation_names"]) + (history.size if history else 0)
+    size += len(privileged(meta["critic"], _course(meta)))
     for key in ("mean", "var"):
         if len(meta[key]) != size or not all(isinstance(x, (int, float)) for x in meta[key]):
             raise ParameterError(f"{path}: {_META}: {key}: expected {size} numbers")
-    if meta["observation"] not in NAMES:
-        raise ParameterError(f"{path}: {_META}: observation = {meta['observation']!r}: expected one of {list(NAMES)}")
     return meta
 
 
@@ -237,13 +263,15 @@ _META_TYPES = {
     "return_var": _NUMBER,
     "return_count": _NUMBER,
     "clip": _NUMBER,
+    "history": int,
+    "critic": str,
 }
 
 
-def check_layout(meta: dict, where) -> None:
-    """ParameterError if a model was trained on another observation layout than this version's."""
+def check_layout(meta: dict, where, course: CourseSpec | None = None) -> None:
+    """ParameterError if a model was trained on another observation than this version's on `course` (or its own)."""
     variant = meta["observation"]
-    expected = [e.name for e in layout(variant)]
+    expected = [e.name for e in layout(variant, _course(meta) if course is None else course)]
     found = list(meta["observation_names"])
     if found != expected:
         differing = sorted(set(found) ^ set(expected)) or ["their order"]
@@ -265,8 +293,8 @@ def load_agent(path: Path) -> Agent:
 
 def agent_spaces(meta: dict) -> tuple:
     """Observation and action space of the network of a saved agent."""
-    box = observation_space(meta["observation"])
-    return spaces_of(box) if "guide" in meta else (box, action_space())
+    box, history = space_of(meta["observation"], _course(meta), meta["critic"]), _history(meta)
+    return (box if history is None else history.space(box)), action_space()
 
 
 def resume(
@@ -276,17 +304,16 @@ def resume(
     config: PPOConfig,
     seed: int,
     log: Path | None,
-    world: WheelSoilModel | None = None,
-    guide: Guide | None = None,
+    world: World = None,
     algorithm: str = "ppo",
 ) -> PPO:
     """The agent of a checkpoint, ready to go on learning; arguments as of `build`.
 
-    Where the checkpoint has the state of the training, it goes on as the run would have; else, as with a guide or a
-    memory, its worlds start new courses.
+    Where the checkpoint has the state of the training, it goes on as the run would have; else, as with
+    recurrent_ppo, its worlds start new courses.
     """
-    cls, _, _ = _algorithm(algorithm, config)
-    meta, env = reopened(path, scenario, observation, config, seed, world, guide)
+    cls, _, _ = _algorithm(algorithm, config, scenario)
+    meta, env = reopened(path, scenario, observation, config, seed, world)
     rate = schedule(config)
     known = {"learning_rate": rate, "lr_schedule": rate, "clip_range": config.clip_range}
     objects = zips.without_pickles(path, *agent_spaces(meta), **known)
@@ -299,15 +326,16 @@ def resume(
     return model
 
 
-def reopened(path: Path, scenario, observation: str, config: PPOConfig, seed: int, world, guide):
+def reopened(path: Path, scenario, observation: str, config: PPOConfig, seed: int, world: World):
     """(metadata of a checkpoint, the vector environment with its normalisation)."""
     meta = read_meta(path)
     if meta["observation"] != observation:
         raise ParameterError(f"{path}: trained with observation {meta['observation']!r}, not {observation!r}")
     check_layout(meta, path)
-    if meta.get("guide") != (None if guide is None else guide.content()):
-        raise ParameterError(f"{path}: trained with guide {meta.get('guide')}")
-    env = normalised(scenario, observation, config, seed, world, guide)
+    for key in ("history", "critic"):
+        if meta[key] != getattr(config, key):
+            raise ParameterError(f"{path}: trained with {key} {meta[key]!r}, not {getattr(config, key)!r}")
+    env = normalised(scenario, observation, config, seed, world)
     env.obs_rms = _running(meta["mean"], meta["var"], meta["count"])
     env.ret_rms = _running(meta["return_mean"], meta["return_var"], meta["return_count"])
     return meta, env

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 
 from .extras import TRAIN, lacks_train
 
@@ -17,30 +18,52 @@ except ModuleNotFoundError as error:
         raise ModuleNotFoundError(f"{__name__} needs {TRAIN}", name=error.name) from None
     raise
 
+from soil_env._io.loading import unknown_value
 from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
-from soil_env.simulation.task import Cause, layout
+from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec
+from soil_env.simulation.task import Cause, ObservedNumber, layout, truth
 from soil_env.simulation.worlds import STEP, Simulation
 from soil_env.terramechanics.model import load_model
 
-_OWN = ("num_envs", "scenario", "observation", "action", "threads", "model")  # keywords that are no part of a scenario
-_RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value
+#: Keywords that are no part of a scenario.
+_OWN = ("num_envs", "scenario", "observation", "action", "repeat", "threads", "model", "critic")
+CRITICS = ("", "true_soil")  # values of the keyword `critic`
+_RUNNING = Cause.RUNNING.value
+
+
+def privileged(critic: str, course: CourseSpec) -> tuple[ObservedNumber, ...]:
+    """Entries of an observation that the value network alone reads; ParameterError for an unknown `critic`."""
+    if critic not in CRITICS:
+        raise unknown_value(critic, CRITICS, "critic")
+    return truth(course) if critic else ()
+
+
+def space_of(observation: str, course: CourseSpec, critic: str = "") -> spaces.Box:
+    """Observation space of `SoilWheelVecEnv`."""
+    space, more = observation_space(observation, course), privileged(critic, course)
+    low, high = (np.append(getattr(space, side), [getattr(e, side) for e in more]) for side in ("low", "high"))
+    return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
 class SoilWheelVecEnv(VecEnv):
     """`num_envs` wheels for SB3: a finished wheel is reset within the same step, as SB3 expects.
 
-    Infos of finished wheels carry `terminal_observation`, `TimeLimit.truncated`, `episode` {r, l, t} and `cause`; all
-    other wheels share one empty dict, which must not be written to. Keyword arguments as in `SoilWheelEnv`.
+    Infos of finished wheels carry `terminal_observation`, `TimeLimit.truncated` (False: the time limit of the scenario
+    ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all other wheels share one empty dict, which
+    must not be written to. Keyword arguments as in `SoilWheelEnv`, and `critic="true_soil"`: the entries that
+    `true_soil` observes of the soil come after the observation, for the value network of `agents.asymmetric`.
     """
 
     def __init__(
         self,
         num_envs: int,
-        scenario="mixed",
+        scenario=DEFAULT_SCENARIO,
         observation="identified",
         action=None,
+        repeat=None,
         threads=None,
         model=None,
+        critic="",
         **changes,
     ):
         check_count("num_envs", num_envs)
@@ -48,9 +71,12 @@ class SoilWheelVecEnv(VecEnv):
             check_count("threads", threads)
         num_envs = int(num_envs)
         self.render_mode = None
-        self.scenario = build_scenario(scenario, action, changes, _OWN)
-        super().__init__(num_envs, observation_space(observation), action_space())
-        self.observation_names = tuple(e.name for e in layout(observation))
+        self.scenario = build_scenario(scenario, action, repeat, changes, _OWN)
+        course = self.scenario.course
+        self.critic, self.privileged = critic, len(privileged(critic, course))
+        super().__init__(num_envs, space_of(observation, course, critic), action_space())
+        self.observation_variant = observation
+        self.observation_names = tuple(e.name for e in layout(observation, course))
         self.model = load_model(model)
         self.simulation = Simulation(num_envs, self.scenario, observation, threads=threads, model=self.model)
         self._commands = np.zeros(num_envs)
@@ -73,7 +99,7 @@ class SoilWheelVecEnv(VecEnv):
         self.simulation.restart_where(self._all)
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        return self.simulation.worlds.observation.copy()
+        return self._seen()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed wheel k with seed + k, from the next reset on."""
@@ -85,7 +111,7 @@ class SoilWheelVecEnv(VecEnv):
         np.clip(numbers(actions, self.num_envs)[:, 0], -1.0, 1.0, out=self._commands)
 
     def step_wait(self):
-        """One control period; (observations, rewards, dones, infos)."""
+        """One action; (observations, rewards, dones, infos)."""
         worlds, start = self.simulation.worlds, time.perf_counter()
         self.simulation.step_all(self._commands, self._drive)
         self._returns += worlds.reward
@@ -93,11 +119,11 @@ class SoilWheelVecEnv(VecEnv):
         rewards, done = worlds.reward.astype(np.float32), worlds.cause != _RUNNING
         infos: list[dict[str, Any]] = [{}] * self.num_envs
         if done.any():
-            now = round(time.time() - self._start, 6)
+            now, last = round(time.time() - self._start, 6), self._seen()
             for k in np.flatnonzero(done):
                 infos[k] = {
-                    "terminal_observation": worlds.observation[k].copy(),
-                    "TimeLimit.truncated": bool(worlds.cause[k] == _TIME_LIMIT),
+                    "terminal_observation": last[k],
+                    "TimeLimit.truncated": False,
                     "episode": {"r": float(self._returns[k]), "l": int(self._lengths[k]), "t": now},
                     "cause": Cause(worlds.cause[k]).name,
                 }
@@ -105,7 +131,14 @@ class SoilWheelVecEnv(VecEnv):
             self._returns[done] = 0.0
             self._lengths[done] = 0
         self.seconds += time.perf_counter() - start
-        return worlds.observation.copy(), rewards, done, infos
+        return self._seen(), rewards, done, infos
+
+    def _seen(self) -> np.ndarray:
+        """Observations, with what the value network sees beside them."""
+        observation = self.simulation.worlds.observation
+        if not self.critic:
+            return observation.copy()
+        return np.concatenate([observation, self.simulation.true_soils()], axis=1)
 
     def close(self) -> None:
         """Nothing to release."""

@@ -4,7 +4,7 @@ Examples:
   python -m agents.seeds --seeds 5 --out runs/identified
   python -m agents.seeds --seeds 5 --out runs/blind --observation blind --timesteps 5e6 --workers 2
   python -m agents.seeds --seeds 20 --first 5 --out runs/identified --engine ray --address 10.0.0.1:6379
-  python -m agents.evaluate --controllers 'fixed_slip,ppo=runs/identified/seed_*' --out evaluation
+  python -m agents.evaluate --controllers 'soft_start,ppo=runs/identified/seed_*' --out evaluation
 
 Any key of train.py's config but seed, name and runs, on the command line or in --config. OUT/seed_N is a run folder as
 train.py makes them (python train.py --resume OUT/seed_N compares that agent with the classical controllers). It appears
@@ -146,7 +146,7 @@ def main(arguments: list[str] | None = None) -> int:
     training.check(config, scenario)
     train(options.out, config, scenario, range(options.first, options.first + options.seeds), engine)
     trained = f"{NAMES[config.observation]}={options.out}/seed_*"
-    again = f"python -m {__package__}.evaluate --controllers 'fixed_slip,{trained}' --out {options.out}/evaluation"
+    again = f"python -m {__package__}.evaluate --controllers 'soft_start,{trained}' --out {options.out}/evaluation"
     show(f"Compare them: {again}")
     return 0
 

@@ -5,7 +5,7 @@ held-out courses, prints the comparison, and says where the wall time went. On t
 minutes. Everything is kept in one run folder.
 
 Examples:
-    python -m agents.train                                      the default: observation "identified", scenario "mixed"
+    python -m agents.train                                      observation "identified", scenario "two_lines"
     python -m agents.train --config smoke.yaml                  a run of seconds, to see that everything works
     python -m agents.train --observation blind --timesteps 5e6  any key of the config; nested ones as --ppo.gamma 0.995
     python -m agents.train --changes.course.length 20           any key of the scenario

@@ -19,14 +19,16 @@ from soil_env.terramechanics.model import WheelSoilModel
 from . import evaluate, plots, ppo, recurrent
 from .config import TrainConfig, load_config
 from .controllers import CONTROLLERS, make_controller
-from .evaluate import HELD_OUT_SET, TUNING_SET
+from .controllers.oracle import Oracle
+from .evaluate import HELD_OUT_SET, limit
 from .evaluate.models import load_model
 from .evaluate.tables import Column, metric_table, percent, points
 from .evaluate.tuning import tuned_settings
-from .guided import make_guide
 from .progress import Bar, console, show
 from .timing import Times, Timing
+from .worlds import hidden_worlds
 
+_TUNING = "tuning.jsonl"  # trials of the tuning, until the run is finished
 #: What `compare` writes into a run folder.
 COMPARISON = ("comparison.json", "comparison.csv", "comparison.png", "course.png", "time.json")
 
@@ -72,8 +74,7 @@ class _Watch(BaseCallback):
 
 
 def check(config: TrainConfig, scenario: Scenario) -> None:
-    """ParameterError with one line where a training could not begin: a guide that cannot be made, no sb3-contrib."""
-    make_guide(config, scenario)
+    """ParameterError with one line where a training could not begin: no sb3-contrib."""
     if config.algorithm == "recurrent_ppo":
         recurrent.algorithm()
 
@@ -116,9 +117,10 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable =
     folder = Path(folder)
     if (folder / "model.zip").is_file():
         console.print(f"{folder} is trained already.")
+        _tidy(folder)
         return load_model(folder / "model.zip", scenario)
     log = folder / "tensorboard"
-    rest = config.ppo, config.seed, log, config.world, make_guide(config, scenario), config.algorithm
+    rest = config.ppo, config.seed, log, worlds(config, scenario), config.algorithm
     if (folder / "checkpoint.zip").is_file():
         model = ppo.resume(folder / "checkpoint.zip", scenario, config.observation, *rest)
         console.print(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
@@ -137,9 +139,21 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable =
                 raise
     times.save()
     ppo.save(model, folder / "model.zip")
+    _tidy(folder)
+    return load_model(folder / "model.zip", scenario)
+
+
+def _tidy(folder: Path) -> None:
+    """Remove what a training needs only while it runs; a kill may have left it beside the model."""
     for left_over in (folder / "checkpoint.zip", *folder.glob(".*.partial*")):
         left_over.unlink(missing_ok=True)
-    return load_model(folder / "model.zip", scenario)
+
+
+def worlds(config: TrainConfig, scenario: Scenario) -> ppo.World:
+    """The worlds of a training: that of the config, and the hidden ones mixed into it."""
+    if not config.hidden_worlds:
+        return config.world
+    return [config.world, *hidden_worlds(scenario, config.hidden_worlds, config.seed)]
 
 
 def trained(config: TrainConfig, scenario: Scenario, bar: Callable = Bar) -> Path:
@@ -159,10 +173,15 @@ def finished(folder: Path) -> bool:
     return all((Path(folder) / name).is_file() for name in ("model.zip", *COMPARISON))
 
 
-def tuned_controllers(scenario: Scenario, courses: int, world: WheelSoilModel | None = None) -> tuple[dict, dict]:
-    """({name: classical controller}, settings), each tuned to finish most courses of the tuning set."""
-    chosen, tried = tuned_settings(scenario, TUNING_SET, courses, model=world)
-    settings = {"tuning_courses": courses, **{name: {**chosen[name], "tried": tried[name]} for name in chosen}}
+def tuned_controllers(
+    scenario: Scenario, courses: int, world: WheelSoilModel | None = None, log: Path | None = None
+) -> tuple[dict, dict]:
+    """({name: classical controller}, settings), each tuned to finish most courses of the tuning set.
+
+    With a `log` an interrupted tuning goes on.
+    """
+    chosen, tried = tuned_settings(scenario, courses, model=world, log=log)
+    settings = {"tuning_courses": courses, **{n: {**chosen[n], "tried": tried.get(n, [])} for n in chosen}}
     return {name: make_controller(name, scenario, **chosen.get(name, {})) for name in CONTROLLERS}, settings
 
 
@@ -171,31 +190,31 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[
     and where the wall time of the run went."""
     world, times, folder = config.world, Times(folder), Path(folder)
     with times.part("tuning"):
-        controllers, settings = tuned_controllers(scenario, config.tuning_courses, world)
+        controllers, settings = tuned_controllers(scenario, config.tuning_courses, world, folder / _TUNING)
     contestants = {**controllers, **agents}
-    runs = {}
     with times.part("comparison"):
-        with Bar("Comparing", config.courses * len(contestants), "courses") as bar:
-            for name, contestant in contestants.items():
-                runs[name] = evaluate.run_courses(
-                    contestant,
-                    scenario,
-                    HELD_OUT_SET,
-                    config.courses,
-                    progress=lambda count, name=name: bar.update(advance=count, note=name),
-                    model=world,
-                )
-        result = evaluate.comparison(scenario, HELD_OUT_SET, runs, settings)
+        hard = min(config.oracle_courses, config.courses)
+        with Bar("Comparing", config.courses * len(contestants) + hard, "courses") as bar:
+
+            def driven(name: str, contestant, courses: int, batch: int = 500) -> evaluate.Runs:
+                told = lambda count: bar.update(advance=count, note=name)  # noqa: E731
+                where = scenario, HELD_OUT_SET, courses
+                return evaluate.run_courses(contestant, *where, progress=told, batch=batch, model=world)
+
+            runs = {name: driven(name, contestant, config.courses) for name, contestant in contestants.items()}
+            oracle = driven(limit.ORACLE, Oracle(scenario), hard, limit.BLOCK) if hard else None
+        result = evaluate.comparison(scenario, HELD_OUT_SET, runs, settings, oracle)
     if world is not None:
         result["model"] = world.content()
     evaluate.save(result, folder)
     with times.part("figures"):
         plots.comparison_figure(result, folder / "comparison.png")
-        classical = min(controllers, key=lambda n: result["controllers"][n]["immobilised"]["value"])
+        classical = max(controllers, key=lambda n: result["controllers"][n]["finished"]["value"])
         drivers = {n: contestants[n] for n in (classical, *agents)}
         course = _telling_course(runs, list(agents))
         plots.course_figure(scenario, HELD_OUT_SET, course, drivers, folder / "course.png", world)
     times.save()
+    (folder / _TUNING).unlink(missing_ok=True)
     print_table(result)
     show(str(times))
     return result
@@ -223,36 +242,35 @@ _COLUMNS = (
 
 
 def print_table(result: dict) -> None:
-    """The comparison as a table, and how far PPO is from the references; all intervals are in comparison.json."""
+    """The comparison as a table, and how PPO compares in courses finished; all intervals are in comparison.json."""
     title = f"{result['courses']} held-out courses of scenario {result['scenario']!r}, the same for all; 95 % intervals"
-    show(metric_table(result["controllers"], _COLUMNS, title))
+    show(metric_table(result["controllers"] | limit.rows(result), _COLUMNS, title), *limit.lines(result))
     show(*(verdict(result, name) for name in result["controllers"] if name in ppo.NAMES.values()))
 
 
 def verdict(result: dict, name: str) -> str:
-    """How the agent compares with the tuned fixed slip, with the best controller that does not know the soil, and
-    with the true-soil reference. Only the first word of a claim depends on the intervals: "less" means that they do
-    not overlap."""
+    """How many courses the agent finishes, against the best controller that does not know the true soil, and the
+    references that do. Only the first word of the claim depends on the intervals: "more" means that they do not
+    overlap."""
     rows = result["controllers"]
-    agent, fixed, true = (rows[n]["immobilised"] for n in (name, "fixed_slip", "best_slip_true"))
     fair = [n for n in rows if n not in (name, "best_slip_true", "ppo_true")]
-    best = min(fair, key=lambda n: rows[n]["immobilised"]["value"] + rows[n]["time_limit"]["value"])
-    text = f"{name} is immobilised {_judgement(agent, fixed)} the tuned fixed slip: "
-    text += f"{percent(agent)} against {percent(fixed)}"
-    gap = fixed["value"] - true["value"]
-    share = (fixed["value"] - agent["value"]) / gap if gap > 0.0 else 0.0
-    if 0.0 < share <= 1.0:
-        text += f"; it covers {share:.0%} of the way to best_slip_true ({true['value']:.1%})"
-    elif share > 1.0:
-        text += f", and {true['value']:.1%} of best_slip_true, which knows the soil"
-    return (
-        f"{text}. Of the others without the true soil, {best} fails least; {name} minus {best}, courses finished: "
-        f"{points(result['paired'][name][best]['finished'])} percentage points. One training seed; the intervals are "
-        "over courses."
+    best = max(fair, key=lambda n: rows[n]["finished"]["value"])
+    agent, other = rows[name]["finished"], rows[best]["finished"]
+    known = {n: rows[n]["finished"] for n in ("best_slip_true",) if n in rows and n != name}
+    known |= {n: metrics["finished"] for n, metrics in limit.rows(result).items()}
+    difference = points(result["paired"][name][best]["finished"])
+    text = (
+        f"{name} finishes {_judgement(agent, other)} {best}, the best of the others without the true soil: "
+        f"{percent(agent)} against {percent(other)}, on the same courses {difference} percentage points"
     )
+    references = ", ".join(f"{n} {percent(m)}" for n, m in known.items())
+    text += f". With the true soil: {references}" if references else ""
+    return f"{text}. One training seed; the intervals are over courses."
 
 
 def _judgement(a: dict, b: dict) -> str:
-    if a["high"] < b["low"]:
-        return "less often than"
-    return "more often than" if a["low"] > b["high"] else "neither less nor more often, within the intervals, than"
+    if a["low"] > b["high"]:
+        return "more courses than"
+    return (
+        "fewer courses than" if a["high"] < b["low"] else "neither more nor fewer courses, within the intervals, than"
+    )

@@ -28,7 +28,7 @@ _SERIALIZED = ":serialized:"
 _POLICIES = {
     "stable_baselines3.common.policies": "ActorCriticPolicy",
     "sb3_contrib.common.recurrent.policies": "RecurrentActorCriticPolicy",
-}
+} | {f"{package}.asymmetric": "AsymmetricPolicy" for package in PACKAGE_NAMES}
 #: Classes that the settings of a policy may name, as SB3 writes them beside the pickle: (module, name).
 _CLASSES = {
     f"<class 'torch.nn.modules.activation.{name}'>": ("torch.nn.modules.activation", name)
@@ -70,6 +70,10 @@ def read_bytes(path: Path, name: str) -> bytes | None:
             return archive.read(name)
     except ParameterError:
         raise
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except zipfile.BadZipFile:
+        raise ParameterError(f"{path}: not a zip file: expected a model of Stable-Baselines3") from None
     except Exception as error:
         raise ParameterError(f"{path}: {name}: cannot be read ({one_line(error) or type(error).__name__})") from None
 
@@ -108,7 +112,9 @@ def without_pickles(path: Path, observation_space, action_space, **known) -> dic
     module = (pickled.get("policy_class") or {}).get("__module__")
     if module not in _POLICIES:
         raise ParameterError(f"{path}: policy of {module!r}: expected one of {', '.join(_POLICIES)}")
-    objects["policy_class"] = getattr(importlib.import_module(module), _POLICIES[module])
+    package, _, own = module.rpartition(".")
+    found = f"{__package__}.{own}" if package in PACKAGE_NAMES else module
+    objects["policy_class"] = getattr(importlib.import_module(found), _POLICIES[module])
     if "policy_kwargs" in pickled:
         objects["policy_kwargs"] = _settings(path, pickled["policy_kwargs"])
     return objects

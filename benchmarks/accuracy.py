@@ -41,7 +41,12 @@ def drive(given: np.ndarray, finer: int) -> tuple[np.ndarray, np.ndarray, np.nda
     """(x [periods, wheels], motor work, work of the integrator [wheels]) with steps `finer` times as short."""
     far = {"no_progress_time": 1000.0, "bogged_sinkage": 1.4}
     env = SoilWheelVectorEnv(
-        WHEELS, observation="blind", course={"halt_time": 0.0}, limits=far, control={"substep": 0.1 / finer}
+        WHEELS,
+        observation="blind",
+        action="torque",
+        course={"halt_time": 0.0},
+        limits=far,
+        control={"substep": 0.1 / finer},
     )
     env.reset(seed=0)
     for k in range(WHEELS):

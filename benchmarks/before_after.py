@@ -32,11 +32,11 @@ from soil_env.model import ModelWheel, WheelSoilModel
 wheels, seconds, effects = int(sys.argv[1]), float(sys.argv[2]), json.loads(sys.argv[3])
 world = {"model": WheelSoilModel(ModelWheel(0.1, 0.1, 0.01), effects=effects)} if effects else {}
 if wheels == 1:
-    env, action = gymnasium.make("SoilWheel-v0", **world).unwrapped, [0.4]
+    env, action = gymnasium.make("SoilWheel-v0", action="torque", **world).unwrapped, [0.4]
     step = lambda: env.reset() if any(env.step(action)[2:4]) else None
 else:
     mode = {"vectorization_mode": "vector_entry_point", "threads": 2}
-    env = gymnasium.make_vec("SoilWheel-v0", num_envs=wheels, **mode, **world)
+    env = gymnasium.make_vec("SoilWheel-v0", num_envs=wheels, action="torque", **mode, **world)
     actions = np.random.default_rng(0).uniform(0.2, 0.6, (64, wheels, 1)).astype(np.float32)
     turn = iter(range(10**9))
     step = lambda: env.step(actions[next(turn) % 64])

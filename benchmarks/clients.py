@@ -109,7 +109,8 @@ def smoke(name: str, client: Client, python: Path) -> list[dict]:
 
 
 TELLING = re.compile(
-    r"^(Mean reward: |Eval num_timesteps|replayed: |return |\d+ courses,|\s*\d+: [\d,]+ steps|\d+ passed)|, \d+ passed"
+    r"^(Mean reward: |Eval num_timesteps|replayed: |return |\d+ courses,|\s*\d+: [\d,]+ steps|\w+\.\w+, [\d,]+ steps|"
+    r"constant |\d+ passed)|, \d+ passed"
 )
 STUDY = re.compile(
     r"^Number of finished trials: +(\d+)\nBest trial:\nValue: +(\S+)\nParams: *\n((?: +\w+: .*\n)+)", re.M

@@ -16,6 +16,8 @@ from soil_env._io.document import renewed
 from soil_env._io.files import make_folder, replace_file
 
 ROOT = Path(__file__).resolve().parent.parent
+#: Changes of a scenario for drives by torque, one action a control period.
+TORQUE = {"control": {"action": "torque"}}
 
 
 def spread(values) -> dict[str, float]:

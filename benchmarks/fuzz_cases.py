@@ -121,7 +121,8 @@ def _scenario(c: Choices, most_substeps: int) -> dict:
     substep = c.pick([0.05, period, max(_log(c, 1e-4, 0.5), period / most_substeps)])
     out["control"] = {
         "period": period, "substep": min(max(substep, period / most_substeps, 1e-4), 0.5),
-        "time_limit": _log(c, 1.0, 300.0), "action": c.pick(["torque", "wheel_speed"]),
+        "time_limit": _log(c, 1.0, 300.0), "action": c.pick(["torque", "wheel_speed", "rim_acceleration"]),
+        "repeat": 1,  # the invariants are those of a control period
     }  # fmt: skip
     return out
 

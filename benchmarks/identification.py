@@ -27,7 +27,7 @@ from scipy.integrate import quad
 from scipy.optimize import root
 
 from benchmarks import identification_bound, identification_online, identification_page
-from benchmarks.common import study_parser
+from benchmarks.common import TORQUE, study_parser
 from benchmarks.identification_contenders import replay
 from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.files import check_outputs, make_folder, write_json
@@ -330,8 +330,8 @@ def study(seed: int, smoke: bool, courses: int = 200, names=PARTS) -> dict:
         "identifiability": identifiability,
         "speed": lambda: speed(rngs[2], 3 if smoke else 50),
         "online": lambda: identification_online.run(courses, seed, _say, replay=once),
-        "bound": lambda: identification_bound.study(load_scenario("mixed"), courses, seed, every, once),
-        "manoeuvre": lambda: identification_bound.manoeuvre(load_scenario("mixed"), 2 if smoke else 60, seed),
+        "bound": lambda: identification_bound.study(load_scenario("mixed", TORQUE), courses, seed, every, once),
+        "manoeuvre": lambda: identification_bound.manoeuvre(load_scenario("mixed", TORQUE), 2 if smoke else 60, seed),
     }
     for name in names:
         start = time.perf_counter()

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from agents.evaluate import drive
-from benchmarks.common import study_parser
+from benchmarks.common import TORQUE, study_parser
 from benchmarks.identification_contenders import replay
 from benchmarks.identification_online import SWING, SwingingSpeed, ratio_of_sums
 from soil_env._io.commands import command_line, leave, whole_number
@@ -35,7 +35,10 @@ from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
 
 SENSORS = {"all sensors": (True, True), "without motor torque and acceleration": (False, False)}
-ESTIMATORS = {"filter bank": "ours", "filter bank, told the library": "library", "moving window": "window"}
+ESTIMATORS = {
+    "filter bank": "ours", "filter bank, told the library": "library",
+    "filter bank, borders by the forces alone": "forces", "moving window": "window",
+}  # fmt: skip
 OTHERS = {
     "extended Kalman filter, 5 unknowns": "ekf_joint",
     "unscented Kalman filter, 5 unknowns": "ukf_joint",
@@ -331,7 +334,9 @@ def main(arguments: list[str] | None = None) -> int:
     if not 0.0 <= options.swing < 1.0:
         raise ParameterError(f"--swing {options.swing:g}: expected a share in [0, 1)")
     make_folder(options.out)
-    result = study(load_scenario("mixed"), 3 if options.smoke else options.courses, options.seed, swing=options.swing)
+    result = study(
+        load_scenario("mixed", TORQUE), 3 if options.smoke else options.courses, options.seed, swing=options.swing
+    )
     write_json(options.out / "bound.json", result)
     drive = result["drive"]
     print(

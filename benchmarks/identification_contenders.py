@@ -24,6 +24,7 @@ _CONVERGED = Status.CONVERGED.value
 COMPILED = {
     "ours": lambda scenario: {},
     "library": lambda scenario: {"belief": {"soils": dict(scenario.soils), "spread": scenario.spread}},
+    "forces": lambda scenario: {"belief": {"grade_change_deg": 0.0}},
     "window": lambda scenario: {"belief": {"method": "window"}},
 }
 

@@ -35,7 +35,7 @@ import numpy as np
 
 from agents.controllers import ConstantSpeed
 from agents.evaluate import TUNING_SET, drive
-from benchmarks.common import study_parser
+from benchmarks.common import TORQUE, study_parser
 from benchmarks.identification_contenders import (
     COMPILED,
     CONTENDERS,
@@ -73,12 +73,12 @@ class SwingingSpeed(ConstantSpeed):
 
     def __init__(self, scenario: Scenario, swing: float = SWING):
         super().__init__(scenario)
-        self.swing = swing
+        self.swing, self.speed = swing, self.settings["speed"]
 
     def rim_speed(self, observation, state):
         """The speed of this period [m/s], [n]."""
         t = state["time"] = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
-        return self.speed * (1.0 + self.swing * np.sin(2.0 * math.pi * t / SWING_PERIOD))
+        return self.settings["speed"] * (1.0 + self.swing * np.sin(2.0 * math.pi * t / SWING_PERIOD))
 
 
 @root
@@ -126,7 +126,7 @@ def record(scenario: Scenario, courses: int, seed: int) -> tuple[list[dict], dic
     slip = np.concatenate([log["readings"][~log["halted"], 0] for log in logs])
     causes = [Cause(c).name.lower() for c in w.cause]
     driven = {
-        "controller": f"rim speed {controller.speed:.3f} m/s +-{SWING:.0%}, sine of {SWING_PERIOD:g} s",
+        "controller": f"rim speed {controller.settings['speed']:.3f} m/s +-{SWING:.0%}, sine of {SWING_PERIOD:g} s",
         "readings": int(running.sum()),
         "patches": int(sum(np.unique(log["patch"]).size for log in logs)),
         "distance_m": float(w.state["best_x"].sum()),
@@ -263,7 +263,7 @@ def run(
 ) -> dict:
     """Record, replay, measure: one JSON-serialisable dict. `progress`, where given, is called with lines of text."""
     say = progress or (lambda line: None)
-    scenario = load_scenario("mixed")
+    scenario = load_scenario("mixed", TORQUE)
     logs, driven = record(scenario, courses, seed)
     say(f"{courses} courses: {driven['readings']} readings over {driven['distance_m']:.0f} m")
     result = {
@@ -333,7 +333,7 @@ def compare_times(scenario: Scenario, logs: list[dict], contenders=CONTENDERS, r
 
 def tune_ukf(courses: int = 30, seed: int = 0, progress=print, base=UnscentedKalman) -> dict:
     """Root mean square of the errors over the prior sd for a grid of (walk, inflation), on courses of their own."""
-    scenario = load_scenario("mixed")
+    scenario = load_scenario("mixed", TORQUE)
     logs, _ = record(scenario, courses, TUNING_SET + seed)
     scores = {}
     for walk in (0.5, 1.0, 2.0, 4.0):

@@ -46,7 +46,7 @@ def readings(scenario: Scenario, variant: str, courses: int) -> tuple[np.ndarray
 
     The controller reads sensors only, so the courses are driven alike in every variant.
     """
-    controller, rows, who = make_controller("fixed_slip", scenario, slip=0.3, start=0.3), [], []
+    controller, rows, who = make_controller("fixed_slip", scenario, slip=0.3, start=0.225), [], []
     controller.variant = variant  # whose observation begins with what the controller reads
     for step, (w, alive) in enumerate(drive(controller, scenario, COURSE_SET, 0, courses, threads=1), start=1):
         if step % EVERY == EVERY - 1:

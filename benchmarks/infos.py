@@ -26,7 +26,7 @@ KINDS = (("8 single wheels in gymnasium's SyncVectorEnv", "sync", 8), ("64 wheel
 
 def seconds(kind: str, mode: str, wheels: int, steps: int) -> float:
     """Processor time of `steps` steps."""
-    env = gymnasium.make_vec("soil_env:SoilWheel-v0", wheels, mode, info=kind)
+    env = gymnasium.make_vec("soil_env:SoilWheel-v0", wheels, mode, info=kind, action="torque")
     env.reset(seed=0)
     action = np.full((wheels, 1), 0.35, dtype=np.float32)
     env.step(action)

@@ -19,7 +19,7 @@ import numpy as np
 import psutil
 import yaml
 
-from benchmarks.common import machine, machine_text, range_text, spread
+from benchmarks.common import TORQUE, machine, machine_text, range_text, spread
 from soil_env._io.commands import command_line, command_parser, leave
 from soil_env._io.document import Table
 from soil_env._io.loading import ParameterError
@@ -105,7 +105,7 @@ def read(bag: Path, map_file: Path, out) -> None:
 
 def updates(method: str, rounds: int = 7, steps: int = 2000) -> np.ndarray:
     """Seconds [rounds, steps] of single updates, compiled before; the slips vary so that most points are new."""
-    scenario = load_scenario("mixed", {"belief": {"method": method}})
+    scenario = load_scenario("mixed", {**TORQUE, "belief": {"method": method}})
     identifier, rng = OnlineIdentifier.of_scenario(scenario), np.random.default_rng(0)
     slip = 0.35 + 0.3 * np.sin(0.1 * np.arange(steps)) + 0.01 * rng.normal(size=steps)
     readings = [

@@ -3,7 +3,7 @@
 Knowledge is that of the reward term `information` (`task.knowledge`, nat). A bonus for every gain of it could be earned
 again and again: `Rocking` hardly leaves its place and makes the identifier start anew each time.
 
-    python -m benchmarks.paying --controllers 'fixed_slip,rocking=benchmarks.paying:Rocking,ppo=runs/paid_1/seed_*'
+    python -m benchmarks.paying --controllers 'soft_start,rocking=benchmarks.paying:Rocking,ppo=runs/paid_1/seed_*'
 
 CONTROLLERS as of `python -m agents.evaluate`; several models of one name are averaged.
 """
@@ -15,6 +15,7 @@ import numpy as np
 from agents.evaluate.contestants import parse
 from agents.evaluate.driving import HELD_OUT_SET, drive
 from agents.evaluate.loading import load
+from benchmarks.common import TORQUE
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env._io.document import Table
 from soil_env.identification.online import identifier_numbers
@@ -61,7 +62,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--scenario", default="mixed")
     p.add_argument("--courses", type=whole_number(1), default=200)
     options = p.parse_args(arguments)
-    scenario, found = load_scenario(options.scenario), {}
+    scenario, found = load_scenario(options.scenario, TORQUE), {}
     for one in parse(options.controllers).values():
         found.setdefault(one.name, []).append(along(load(one, scenario), scenario, options.courses))
     keys = ("mean", "highest", "gained", "distance")

@@ -51,7 +51,7 @@ class Runner(NamedTuple):
 
 def ours(wheels: int, threads: int, **changes) -> Runner:
     """`SoilWheelVectorEnv` under held random torque commands, resets included."""
-    env, rng = SoilWheelVectorEnv(wheels, threads=threads, **changes), np.random.default_rng(0)
+    env, rng = SoilWheelVectorEnv(wheels, action="torque", threads=threads, **changes), np.random.default_rng(0)
     env.reset(seed=0)
     actions = [rng.uniform(0.0, 0.8, (wheels, 1)).astype(np.float32) for _ in range(16)]
     held = itertools.cycle([a for a in actions for _ in range(HELD)])
@@ -74,7 +74,7 @@ def single(env: gymnasium.Env, actions: Iterable[np.ndarray]) -> Runner:
 def ours_single() -> Runner:
     """`SoilWheelEnv` under held random torque commands."""
     actions = np.random.default_rng(0).uniform(0.0, 0.8, (512, 1)).astype(np.float32)
-    return single(SoilWheelEnv(), np.repeat(actions, HELD, axis=0))
+    return single(SoilWheelEnv(action="torque"), np.repeat(actions, HELD, axis=0))
 
 
 def envpool_cartpole(size: int, threads: int) -> Runner:
@@ -172,7 +172,7 @@ def independence(seconds: float, rounds: int, wheels: int, steps: int) -> dict:
         return spent / moved
 
     def seeded(changes):
-        env = SoilWheelVectorEnv(wheels, threads=1, **changes)
+        env = SoilWheelVectorEnv(wheels, action="torque", threads=1, **changes)
         env.reset(seed=0)
         return env.simulation
 

@@ -7,12 +7,13 @@ import time
 
 import numpy as np
 
-from benchmarks.common import spread
+from benchmarks.common import TORQUE, spread
 from soil_env._numba import elementary, lanes
 from soil_env._numba.compiling import FastCall, inlined, root
 from soil_env._numba.rows import Rows
 from soil_env.identification.online import SensorReading, observe
 from soil_env.parameters import load_scenario
+from soil_env.simulation.camera import Sight
 from soil_env.simulation.courses import CourseNumbers, draw_ahead
 from soil_env.simulation.dynamics import MANY, advance
 from soil_env.simulation.sensors import sense
@@ -21,6 +22,8 @@ from soil_env.simulation.worlds import RESTART, STEP, Simulation, restart
 from soil_env.terramechanics import arc_integrals as quadrature
 from soil_env.terramechanics import contact
 from soil_env.vector_env import SoilWheelVectorEnv
+
+NOTHING_SEEN = Sight(0, 0.0, 0.0)  # by a camera, which "mixed" does not have
 
 # --- parts: of a step of the wheels with what[k] = STEP ---------------------------------------------------------------
 
@@ -66,7 +69,7 @@ def _report(worlds, numbers, what, readings):
             reward_terms(worlds.state, k, cause, 0.0, 0.0, numbers.task, worlds.terms[k])
             write_observation(
                 worlds.observation[k], worlds.state, worlds.counts, k, _reading(readings, k),
-                worlds.courses, worlds.ids, numbers.task,
+                worlds.courses, worlds.ids, worlds.memory, NOTHING_SEEN, numbers.task,
             )  # fmt: skip
 
 
@@ -87,7 +90,7 @@ class _Drive:
     """Wheels under held random commands, one thread, the parts of whose steps are timed one by one."""
 
     def __init__(self, wheels: int, method: str):
-        scenario = load_scenario("mixed", {"belief": {"method": method}})
+        scenario = load_scenario("mixed", {**TORQUE, "belief": {"method": method}})
         self.simulation, self.rng = Simulation(wheels, scenario, "identified", threads=1), np.random.default_rng(0)
         for k in range(wheels):
             self.simulation.seed(k, self.rng)
@@ -148,7 +151,7 @@ def parts(wheels: int, steps: int, rounds: int) -> dict:
 
 def _python(wheels: int, rounds: int) -> list[float]:
     """Processor time a wheel and step [us] of `SoilWheelVectorEnv.step` without what is compiled."""
-    env, found = SoilWheelVectorEnv(wheels, threads=1), []
+    env, found = SoilWheelVectorEnv(wheels, action="torque", threads=1), []
     env.reset(seed=0)
     env.simulation.step_all = lambda commands, what: None
     actions = np.zeros((wheels, 1), dtype=np.float32)
@@ -268,7 +271,7 @@ def size(value) -> int:
 
 def _memory() -> dict:
     """Bytes of one wheel, and of those what a step reads or writes, and more where a point is complete."""
-    w = Simulation(1, load_scenario("mixed"), "identified", threads=1).worlds
+    w = Simulation(1, load_scenario("mixed", TORQUE), "identified", threads=1).worlds
     state, open_point = size((w.state, w.counts)), size(w.ids.banks.point)
     step = 2 * state + open_point + w.observation.nbytes + 2 * 10 * 8 + 64
     return {"wheel": state + size(w.ids) + size(w.courses), "step": step, "solve": size(w.ids.banks) - open_point}

@@ -63,7 +63,7 @@ def ours(config: ppo.PPOConfig, seed: int) -> PPO:
 def layout(num_envs, n_steps, n_epochs, batch_size, learning_rate, activation, **more) -> ppo.PPOConfig:
     """A layout of the study, on one thread; without a weight on the entropy, which was chosen after it."""
     more = {"ent_coef": 0.0} | more
-    more |= {"activation": activation, "threads": 1}
+    more |= {"activation": activation, "threads": 1, "history": 0}
     return ppo.PPOConfig(num_envs, n_steps, batch_size, n_epochs, learning_rate, **more)
 
 
@@ -128,7 +128,8 @@ class Curve(BaseCallback):
         """Add a point."""
         start, env = time.process_time(), self.model.get_vec_normalize_env()
         sd = np.sqrt(env.obs_rms.var + 1e-8)
-        agent = ppo.Agent(self.model, env.obs_rms.mean, sd, env.clip_obs, "identified", self.num_timesteps, {})
+        meta = {"observation_names": env.get_attr("observation_names")[0]}
+        agent = ppo.Agent(self.model, env.obs_rms.mean, sd, env.clip_obs, "identified", self.num_timesteps, meta)
         runs = evaluate.run_courses(agent, load_scenario("mixed"), VALIDATION_SET, self.courses)
         point = {"steps": self.num_timesteps, "wall": sum(self.timing.seconds.values())}
         point["processor"] = start - self._start - self._evaluating

@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 
 from soil_env.parameters import load_scenario
 from soil_env_agents.controllers import CONTROLLERS, make_controller
-from soil_env_agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses, wilson
+from soil_env_agents.evaluate import HELD_OUT_SET, run_courses, wilson
 from soil_env_agents.evaluate.tuning import tuned_settings
 
 
@@ -31,7 +31,7 @@ def main() -> None:
     options = p.parse_args()
 
     scenario = load_scenario(options.scenario)
-    settings, _ = tuned_settings(scenario, TUNING_SET, options.tuning_courses, lambda count, name: None)
+    settings, _ = tuned_settings(scenario, options.tuning_courses)
     figure, axes = plt.subplots(1, 2, figsize=(9, 3), sharey=True, layout="constrained")
     for y, name in enumerate(CONTROLLERS):
         controller = make_controller(name, scenario, **settings.get(name, {}))

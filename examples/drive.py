@@ -40,7 +40,9 @@ def drive(options) -> None:
     video = options.out is not None and options.out.suffix == ".mp4"
     variant = CONTROLLERS[options.controller].variant
     mode = "rgb_array" if options.out else None
-    env = gymnasium.make("soil_env:SoilWheel-v0", scenario=options.scenario, observation=variant, render_mode=mode)
+    env = gymnasium.make(  # repeat=1: a frame every control period
+        "soil_env:SoilWheel-v0", scenario=options.scenario, observation=variant, render_mode=mode, repeat=1
+    )
     if video:
         folder = str(options.out.resolve().parent)
         env = gymnasium.wrappers.RecordVideo(env, folder, lambda _: True, name_prefix=options.out.stem)

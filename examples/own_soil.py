@@ -35,6 +35,7 @@ def main() -> None:
         env = gymnasium.make(
             "soil_env:SoilWheel-v0",
             render_mode="rgb_array",
+            repeat=1,
             name="beach",
             own_soils={"beach": beach},
             soils={"beach": 3, "dry_sand": 1},  # three patches of four are beach

@@ -30,8 +30,9 @@ def main() -> None:
     options = p.parse_args()
 
     envs = gymnasium.make_vec(
-        "soil_env:SoilWheel-v0", num_envs=options.wheels, vectorization_mode="vector_entry_point", observation="blind"
-    )
+        "soil_env:SoilWheel-v0", num_envs=options.wheels, vectorization_mode="vector_entry_point", observation="blind",
+        action="torque",
+    )  # fmt: skip
     envs.reset(seed=0)
     actions = np.linspace(0.2, 0.8, options.wheels, dtype=np.float32)[:, None]  # share of the stall torque
     ends, start = [], time.perf_counter()

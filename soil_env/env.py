@@ -14,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, UnknownKeyword
-from soil_env.parameters import Scenario, Soil, SoilState, load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec, Scenario, Soil, SoilState, load_scenario
 from soil_env.simulation.infos import IMMOBILISED, Infos
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.terrain import ground_at
@@ -25,23 +25,29 @@ if TYPE_CHECKING:
     from soil_env.rendering.side_view import Renderer
 
 __all__ = ["IMMOBILISED", "SoilWheelEnv", "action_space", "build_scenario", "check_count", "observation_space"]
-_OWN = ("scenario", "observation", "action", "render_mode", "model", "info")  # keywords that are no part of a scenario
+#: Keywords that are no part of a scenario.
+_OWN = ("scenario", "observation", "action", "repeat", "render_mode", "model", "info")
 _ONLY = np.ones(1, dtype=np.bool_)
 _FIELDS = tuple(f.name for f in dataclasses.fields(Scenario))
 
 
 def build_scenario(
-    scenario: str | Path | Scenario, action: str | None, changes: dict[str, Any], own: tuple[str, ...] = _OWN
+    scenario: str | Path | Scenario,
+    action: str | None,
+    repeat: int | None,
+    changes: dict[str, Any],
+    own: tuple[str, ...] = _OWN,
 ) -> Scenario:
     """The scenario that the keyword arguments of an environment describe; `own`: those that are no part of it."""
     for key in changes:
         if key not in _FIELDS:
             raise UnknownKeyword(key, (*own, *_FIELDS))
-    if action is not None:
+    given = {name: value for name, value in (("action", action), ("repeat", repeat)) if value is not None}
+    if given:
         control = changes.get("control", {})
         if not isinstance(control, dict):
-            raise ParameterError("action: expected only where `control` is not given as an object")
-        changes = {**changes, "control": {**control, "action": action}}
+            raise ParameterError(f"{next(iter(given))}: expected only where `control` is not given as an object")
+        changes = {**changes, "control": {**control, **given}}
     return load_scenario(scenario, changes, "keyword")
 
 
@@ -51,9 +57,9 @@ def check_count(name: str, count: object) -> None:
         raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
 
 
-def observation_space(variant: str) -> gymnasium.spaces.Box:
-    """Box of the observation variant, float32."""
-    entries = layout(variant)
+def observation_space(variant: str, course: CourseSpec | None = None) -> gymnasium.spaces.Box:
+    """Box of the observation variant on such a `course`, float32."""
+    entries = layout(variant, course)
     low, high = ([getattr(e, side) for e in entries] for side in ("low", "high"))
     return gymnasium.spaces.Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32)
 
@@ -69,22 +75,28 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     A rigid, driven wheel with its share of a vehicle has to cross a course of unknown soils and grades without getting
     stuck. Wheel-soil contact follows Hutangkabodee et al. (2006), Eqs. (1)-(10), with slip-sinkage (Lyasko 2010): a
     slipping wheel digs, and a wheel spinning on the spot keeps digging. At commanded halts, about every metre, the
-    drive is held and the agent's action is ignored; afterwards the wheel has to start again where it stands.
+    drive is held and the agent's action is ignored; afterwards the wheel has to start again where it stands. In
+    scenarios with two lines over a patch ("two_lines") the sign of the action at a halt chooses the line to go on.
 
     ## Action space
-    `Box(-1, 1, (1,), float32)`, held for one control period (0.1 s):
+    `Box(-1, 1, (1,), float32)`, held for `repeat` control periods of 0.1 s:
 
-    | `action=`     | meaning of -1 ... 1                            |
-    |---------------|------------------------------------------------|
-    | "torque"      | motor torque as a share of the stall torque, within the motor's torque-speed line (default) |
-    | "wheel_speed" | wheel speed as a share of the no-load speed, followed by the drive's own speed loop |
+    | `action=` | `repeat=` | meaning of -1 ... 1 |
+    |-----------|-----------|---------------------|
+    | "torque" | 1 | motor torque as a share of the stall torque, within the motor's torque-speed line |
+    | "wheel_speed" | 1 | wheel speed as a share of the no-load speed, followed by the drive's own speed loop |
+    | "rim_acceleration" | 5 | rate of a commanded rim speed over 0.3 m/s2, followed by the drive's own loop (default) |
+
+    The rate is `control={"rim_acceleration": ...}`. The commanded rim speed starts at 0, is back at 0 after each halt,
+    and stays between a tenth of the top rim speed backwards and the top rim speed. Within a step sensors, identifier
+    and the conditions below run in every control period, rewards are summed, and the step ends with the episode.
 
     Values outside are clipped; a wrong shape, NaN or infinity raises `ValueError`.
 
     ## Observation space
-    `Box(float32)`. All entries but 8 and 10 are noisy sensor readings (`Noise`). "Weight" is that of the wheel with its
-    share of the body, without payload; "top rim speed" is radius times no-load speed. `env.unwrapped.observation_names`
-    lists the names.
+    `Box(float32)`. All entries but 8, 10 and 13 are noisy sensor readings (`Noise`). "Weight" is that of the wheel with
+    its share of the body, without payload; "top rim speed" is radius times no-load speed.
+    `env.unwrapped.observation_names` lists the names.
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
@@ -101,6 +113,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | 10 | halted | 0 or 1 | 0 | 1 |
     | 11 | motor_torque | of weight x radius | -10 | 10 |
     | 12 | acceleration | of gravity, accelerometer along the course: of travel, and sin(grade) | -10 | 10 |
+    | 13 | rim_command | of top rim speed, what the drive is told to follow; 0 with "torque" | -1 | 1 |
 
     Odometry integrates the readings of the speed sensor, noise and all, times a scale drawn once an episode
     (`noise={"odometry_scale": ...}`, 1.5 %): its difference says nothing that the speed does not.
@@ -109,29 +122,81 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
-    | 13 | friction_angle | rad, phi | 0 | 1.6 |
-    | 14 | log10_shear_modulus | log10 m, K | -5 | 1 |
-    | 15 | log10_sinkage_coefficient | log10 N/m^(n+2), S at the exponent of the prior | 0 | 15 |
-    | 16 | friction_angle_sd | rad | 0 | 2 |
-    | 17 | shear_modulus_sd | relative | 0 | 20 |
-    | 18 | sinkage_coefficient_sd | relative | 0 | 20 |
-    | 19 | estimate_valid | 1 while the estimate is current, 0 while it is the prior or held | 0 | 1 |
-    | 20 | cohesion | kPa | 0 | 1000 |
-    | 21 | dig_gain | -, of slip-sinkage | 0 | 100 |
-    | 22 | cohesion_sd | kPa | 0 | 1000 |
-    | 23 | dig_gain_sd | relative | 0 | 20 |
+    | 14 | friction_angle | rad, phi | 0 | 1.6 |
+    | 15 | log10_shear_modulus | log10 m, K | -5 | 1 |
+    | 16 | log10_sinkage_coefficient | log10 N/m^(n+2), S at the exponent of the prior | 0 | 15 |
+    | 17 | friction_angle_sd | rad | 0 | 2 |
+    | 18 | shear_modulus_sd | relative | 0 | 20 |
+    | 19 | sinkage_coefficient_sd | relative | 0 | 20 |
+    | 20 | estimate_valid | 1 while the estimate is current, 0 while it is the prior or held | 0 | 1 |
+    | 21 | cohesion | kPa | 0 | 1000 |
+    | 22 | dig_gain | -, of slip-sinkage | 0 | 100 |
+    | 23 | cohesion_sd | kPa | 0 | 1000 |
+    | 24 | dig_gain_sd | relative | 0 | 20 |
 
     `"true_soil"`, for reference only, adds the undisturbed soil under the wheel instead:
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
-    | 13 | friction_angle | rad | 0 | 1.6 |
-    | 14 | log10_shear_modulus | log10 m | -5 | 1 |
-    | 15 | log10_sinkage_coefficient | log10 N/m^(n+2), at the true exponent | 0 | 15 |
-    | 16 | cohesion | kPa | 0 | 1000 |
-    | 17 | sinkage_exponent | - | 0 | 4 |
-    | 18 | dig_gain | - | 0 | 100 |
-    | 19 | dig_recovery | - | 0 | 10 |
+    | 14 | friction_angle | rad | 0 | 1.6 |
+    | 15 | log10_shear_modulus | log10 m | -5 | 1 |
+    | 16 | log10_sinkage_coefficient | log10 N/m^(n+2), at the true exponent | 0 | 15 |
+    | 17 | cohesion | kPa | 0 | 1000 |
+    | 18 | sinkage_exponent | - | 0 | 4 |
+    | 19 | dig_gain | - | 0 | 100 |
+    | 20 | dig_recovery | - | 0 | 10 |
+
+    Where the scenario has terrain classes (`course={"classes": 3}`, as in "two_lines"), a camera's view follows, here
+    for 3 classes and 2 lines; n is the number of entries above. Entries of the patch ahead are 0 while its border is
+    out of sight (`camera={"range": 2}`), and so are those of the line beside where there is none. Labels are wrong now
+    and then, grade and border distance have errors that stay (`Camera`).
+
+    | # | name | unit | min | max |
+    |---|------|------|-----|-----|
+    | n+0 | border_distance | m, to the end of the patch; the range of the camera where that is out of sight | 0 | 100 |
+    | n+1 | here_class_1 | 0 or 1, label of the ground under the wheel | 0 | 1 |
+    | n+2 | here_class_2 | 0 or 1 | 0 | 1 |
+    | n+3 | here_class_3 | 0 or 1 | 0 | 1 |
+    | n+4 | ahead_grade | rad, uphill positive, of the line straight ahead | -1.6 | 1.6 |
+    | n+5 | ahead_class_1 | 0 or 1 | 0 | 1 |
+    | n+6 | ahead_class_2 | 0 or 1 | 0 | 1 |
+    | n+7 | ahead_class_3 | 0 or 1 | 0 | 1 |
+    | n+8 | beside_grade | rad, uphill positive, of the line beside | -1.6 | 1.6 |
+    | n+9 | beside_class_1 | 0 or 1 | 0 | 1 |
+    | n+10 | beside_class_2 | 0 or 1 | 0 | 1 |
+    | n+11 | beside_class_3 | 0 or 1 | 0 | 1 |
+    | n+12 | choice | 0 or 1, 1 while the sign of the action chooses the line: below 0 that beside | 0 | 1 |
+
+    `"identified"` goes on with what was learnt of the class of each line, by its label: `ahead_NAME` and then, in the
+    same order, `beside_NAME`:
+
+    | # | name | unit | min | max |
+    |---|------|------|-----|-----|
+    | n+13 | ahead_met | 0 or 1, 0 while the estimate of that class is the prior | 0 | 1 |
+    | n+14 | ahead_friction_angle | rad | 0 | 1.6 |
+    | n+15 | ahead_log10_shear_modulus | log10 m | -5 | 1 |
+    | n+16 | ahead_log10_sinkage_coefficient | log10 N/m^(n+2) | 0 | 15 |
+    | n+17 | ahead_friction_angle_sd | rad | 0 | 2 |
+    | n+18 | ahead_shear_modulus_sd | relative | 0 | 20 |
+    | n+19 | ahead_sinkage_coefficient_sd | relative | 0 | 20 |
+    | n+20 | ahead_cohesion | kPa | 0 | 1000 |
+    | n+21 | ahead_dig_gain | - | 0 | 100 |
+    | n+22 | ahead_cohesion_sd | kPa | 0 | 1000 |
+    | n+23 | ahead_dig_gain_sd | relative | 0 | 20 |
+    | n+24 | ahead_margin | of weight, best drawbar pull of that estimate over the grade that is seen | -2 | 2 |
+
+    and `"true_soil"` with the true soil of each line:
+
+    | # | name | unit | min | max |
+    |---|------|------|-----|-----|
+    | n+13 | ahead_friction_angle | rad | 0 | 1.6 |
+    | n+14 | ahead_log10_shear_modulus | log10 m | -5 | 1 |
+    | n+15 | ahead_log10_sinkage_coefficient | log10 N/m^(n+2) | 0 | 15 |
+    | n+16 | ahead_cohesion | kPa | 0 | 1000 |
+    | n+17 | ahead_sinkage_exponent | - | 0 | 4 |
+    | n+18 | ahead_dig_gain | - | 0 | 100 |
+    | n+19 | ahead_dig_recovery | - | 0 | 10 |
+    | n+20 | ahead_margin | of weight, best drawbar pull of that soil over the grade that is seen | -2 | 2 |
 
     ## Rewards
     The sum of the terms in `info["reward_terms"]`, with weights `reward={...}`:
@@ -140,7 +205,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     |------|-------|--------|
     | progress | distance travelled in the step / course length (negative backwards) | 10 |
     | energy | -motor work in the step, without recuperation / (weight with payload x course length) | 1 |
-    | immobilisation | -1 in the step that ends the episode immobilised | 10 |
+    | immobilisation | -1 in the step that ends the episode immobilised or out of time | 10 |
     | information | discount x knowledge after the step - knowledge before it [nat] | 0 |
 
     Knowledge is the sum of ln(prior standard deviation / standard deviation) over what the identifier estimates, each
@@ -152,7 +217,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     At rest at the start of a new random course, settled under its load with a random payload.
 
     ## Episode end
-    Terminated when the course is finished or the wheel is immobilised; `info["cause"]` says which:
+    Terminated when the course is finished, the wheel is immobilised, or time is up; `info["cause"]` says which:
 
     | cause | condition (`limits={...}`) |
     |-------|-----------|
@@ -160,10 +225,11 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | ENTRAPPED | no progress, though the wheel turns |
     | STALLED | no progress, and the rim is slower than 0.01 m/s most of that time: torque required > torque available |
     | BOGGED | sinkage > 0.8 radii |
+    | TIME_LIMIT | neither in `control={"time_limit": ...}` (90 s) |
 
     No progress: 10 s, halts left out, without getting 0.1 m further than ever before, whatever the wheel does (spin,
-    stand, rock, creep back); or 0.5 m behind the start.
-    Truncated after `control={"time_limit": ...}` (90 s) with cause TIME_LIMIT.
+    stand, rock, creep back); or 0.5 m behind the start. Never truncated, but by a wrapper of yours: being late costs
+    what being stuck costs.
 
     ## Info
     | key | content |
@@ -174,7 +240,8 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | estimate | dict: phi [deg], K [m], S [N/m^(n+2)], cohesion [Pa], slip-sinkage gain, their standard deviations, |
     |          | status of the identifier |
     | traversability | dict, from sensors and estimate only: best slip, drawbar margin there over the grade [of load; |
-    |                | at least -1], torque required there and available [N m], passable; renewed with the estimate |
+    |                | at least -1], torque required there and available [N m], passable; renewed with the estimate; |
+    |                | probability that it stops for good within 3 s and within 5 s of driving |
     | state | dict of the true x, speed, wheel speed, slip, sinkage, load, drawbar pull, torques, grade, in SI units |
 
     This is `info="full"`. `"numeric"` has the same numbers without nesting, `cause` and `estimate_status` as numbers of
@@ -182,8 +249,8 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     `"short"` has `cause`, `immobilised`, `x` and `reward_NAME` only, and `"none"` nothing.
 
     ## Arguments
-    `scenario`: name, path of a YAML file, or `Scenario`; `observation`; `action`; `render_mode`: "rgb_array" or
-    "human"; `info`; any field of `Scenario` as a keyword, merged over the scenario, e.g. `course={"length": 20}` or
+    `scenario`: name, path of a YAML file, or `Scenario`; `observation`; `action`; `repeat`; `render_mode`: "rgb_array"
+    or "human"; `info`; any field of `Scenario` as a keyword, merged over the scenario, e.g. `course={"length": 20}` or
     `wheel="paper_vehicle"`. Unknown keys and values out of range raise `soil_env.ParameterError`.
 
     `model`: a model.yaml (or a `WheelSoilModel`) with the effects that act in this world, unknown to identifier and
@@ -193,16 +260,18 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     ## Version history
     * v0: first version. It has not been released, so that laws still change under this number. On the way: odometry in
       place of the exact progress; fresh ground is ground that the wheel has not touched; one count of no progress in
-      place of two timers; a time step of second order.
+      place of two timers; a time step of second order; the time limit is a termination that costs; rim_acceleration,
+      repeat and rim_command.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
 
     def __init__(
         self,
-        scenario: str | Path | Scenario = "mixed",
+        scenario: str | Path | Scenario = DEFAULT_SCENARIO,
         observation: str = "identified",
         action: str | None = None,
+        repeat: int | None = None,
         render_mode: str | None = None,
         model: str | Path | WheelSoilModel | None = None,
         info: str = "full",
@@ -212,16 +281,17 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             raise ParameterError(
                 f"render_mode = {render_mode!r}: expected one of {self.metadata['render_modes']} or None"
             )
-        self.scenario = build_scenario(scenario, action, changes)
+        self.scenario = build_scenario(scenario, action, repeat, changes)
         self.observation_variant = observation
-        self.observation_names = tuple(e.name for e in layout(observation))
-        self.observation_space = observation_space(observation)
+        self.observation_names = tuple(e.name for e in layout(observation, self.scenario.course))
+        self.observation_space = observation_space(observation, self.scenario.course)
         self.action_space = action_space()
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.period))}
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.duration))}
         self.model = load_model(model)
-        self.simulation = Simulation(1, self.scenario, observation, threads=1, model=self.model)
         self.infos = Infos(self.scenario, info, 1)
+        warnings = info in ("full", "numeric")
+        self.simulation = Simulation(1, self.scenario, observation, 1, self.model, warnings)
         self._renderer: Renderer | None = None
         self._seeded = False
         self._over = True
@@ -260,7 +330,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         return self.simulation.worlds.observation[0].copy(), self.infos.one(self.simulation.worlds, 0)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Drive one control period. Returns (observation, reward, terminated, truncated, info)."""
+        """Drive as long as an action lasts. Returns (observation, reward, terminated, truncated, info)."""
         if self._over:
             raise gymnasium.error.ResetNeeded("step() before reset(), or after the end of the episode")
         self.simulation.step(0, command(action))
@@ -273,9 +343,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             self._view().record(self.simulation, 0)
             if self.render_mode == "human":
                 self.render()
-        truncated = cause == Cause.TIME_LIMIT
-        terminated = self._over and not truncated
-        return worlds.observation[0].copy(), float(worlds.reward[0]), terminated, truncated, self.infos.one(worlds, 0)
+        return worlds.observation[0].copy(), float(worlds.reward[0]), self._over, False, self.infos.one(worlds, 0)
 
     def render(self) -> NDArray[np.uint8] | None:
         """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""

@@ -10,7 +10,8 @@ It is the identifier that `SoilWheel-v0` runs (`identification.online`): the sam
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +35,7 @@ from soil_env.terramechanics.model import steady_state
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.traversability import best_working_point
 
-__all__ = ["Estimate", "OnlineIdentifier", "Readings", "Status", "Traversability", "slips"]
+__all__ = ["Estimate", "OnlineIdentifier", "Readings", "Status", "Traversability", "largest_readings", "slips"]
 
 _NAN = math.nan
 _UNKNOWN = 1e2  # standard deviation, in weights and the like, of what is not measured: nothing beside what is
@@ -42,7 +43,7 @@ _UNKNOWN = 1e2  # standard deviation, in weights and the like, of what is not me
 _FILTERED = (1, 2, 3, 4, 5, 8, 9)
 _LEAST_SLIP_SD = 1e-3
 _LEAST_SHARE = 1e-6  # of the weight: least standard deviation of what stands for a force
-_LONGEST = 1.5  # |slip| beyond which a reading is no noise but another unit
+_FARTHEST = 60.0  # |ln| of K, of S and of the gain over its prior, beyond which an estimate is that of no soil
 
 
 class Readings(NamedTuple):
@@ -64,6 +65,30 @@ class Readings(NamedTuple):
     time: float = _NAN  # [s] of any epoch; left out, one `period` after the last
 
 
+_UNITS = Readings("rad/s", "m/s", "m", "N", "N", "N m", "", "rad", "N m", "m/s2", "s")  # type: ignore[arg-type]
+
+
+def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
+    """Sizes beyond which a reading is no wheel's but a fault or another unit; those of forces by the weight on it.
+
+    Sinkage is at most the radius, where the hub is at the ground; a force at most 100 times the weight.
+    """
+    force = 100.0 * wheel.body_mass * gravity
+    twist = force * wheel.radius
+    return Readings(1e3, 40.0, wheel.radius, force, force, twist, 1.5, 1.6, twist, 500.0)
+
+
+def _refusal(r: Readings, largest: Readings) -> TypeError | ValueError | None:
+    """The error for the first reading that is no number, or larger than its limit; None where there is none."""
+    for name, value, limit, unit in zip(Readings._fields, r, largest, _UNITS, strict=True):
+        if not isinstance(value, Real):
+            expected = f"a number [{unit or '-'}], NaN where nothing was measured"
+            return TypeError(f"{name} = {value!r}: expected {expected}")
+        if value == value and limit == limit and not abs(value) <= limit:
+            return ValueError(f"{name} = {value:g} {unit}".rstrip() + f": expected at most {limit:g} {unit}".rstrip())
+    return None
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """The soil as identified so far, and how well."""
@@ -80,6 +105,7 @@ class Estimate:
     dig_gain_relative_sd: float
     status: Status
     renewed: bool  # whether this call solved for it again
+    borders: int  # to another soil that the filter has found; 0 with the window, which starts anew for less
 
     @property
     def valid(self) -> bool:
@@ -97,16 +123,16 @@ class Traversability(NamedTuple):
     passable: bool
 
 
-@root(nogil=True)  # type: ignore[untyped-decorator]
+@root(nogil=True)
 def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
     forget(ids, 0, numbers)
 
 
-@root(nogil=True)  # type: ignore[untyped-decorator]
-def _take(ids: Identifiers, values: np.ndarray, numbers: IdentifierNumbers) -> int:
-    """1 if `values` [10], in the order of `SensorReading`, renewed the estimate, 0 if not, -1 if one is infinite."""
+@root(nogil=True)
+def _take(ids: Identifiers, values: np.ndarray, limits: np.ndarray, numbers: IdentifierNumbers) -> int:
+    """1 if `values` [10], in the order of `SensorReading`, renewed the estimate, 0 if not, -1 if one is too large."""
     for i in range(values.size):
-        if not np.isfinite(values[i]) and not (i == 0 and np.isnan(values[0])):
+        if not abs(values[i]) <= limits[i] and not (i == 0 and np.isnan(values[0])):
             return -1
     slip, speed, rim = values[0], values[5], values[6]
     if np.isnan(slip):
@@ -118,7 +144,7 @@ def _take(ids: Identifiers, values: np.ndarray, numbers: IdentifierNumbers) -> i
     return 1 if observe(ids, 0, reading, numbers) else 0
 
 
-@root(nogil=True)  # type: ignore[untyped-decorator]
+@root(nogil=True)
 def _fill_slips(rim_speed: np.ndarray, speed: np.ndarray, out: np.ndarray) -> None:
     for i in range(out.size):
         out[i] = slip_ratio(rim_speed[i], speed[i], REST_SPEED)
@@ -154,7 +180,8 @@ class OnlineIdentifier:
     Readings are averaged over a few periods; a channel that comes less often than once a period should be given with
     its last value, otherwise the averages that it is missing from go without it.
 
-    An instance is not for several threads at once. It can be pickled and copied.
+    An instance is not for several threads at once. It can be pickled and copied. Raises TypeError for arguments of
+    other types.
     """
 
     def __init__(
@@ -167,6 +194,10 @@ class OnlineIdentifier:
         gravity: float = 9.81,
         relaxation: float = 2.0,
     ) -> None:
+        for name, value, kind in (("wheel", wheel, Wheel), ("belief", belief, Belief), ("noise", noise, Noise)):
+            if not isinstance(value, kind):
+                known = " such as wheels()['planetary_rover']" if kind is Wheel else ""
+                raise TypeError(f"{name} = {value!r}: expected a {kind.__name__} of soil_env.parameters{known}")
         any_soil = Soil(30.0, 0.0, 0.01, 1.0, sinkage_coefficient=1e6)  # a scenario has one; nothing here reads it
         control = Control(period=period, substep=min(period, 0.05))
         self._set(
@@ -179,6 +210,8 @@ class OnlineIdentifier:
     @classmethod
     def of_scenario(cls, scenario: Scenario) -> OnlineIdentifier:
         """The identifier that an environment of this scenario runs."""
+        if not isinstance(scenario, Scenario):
+            raise TypeError(f"scenario = {scenario!r}: expected a Scenario, as of soil_env.parameters.load_scenario")
         identifier = cls.__new__(cls)
         identifier._set(scenario)
         return identifier
@@ -197,6 +230,12 @@ class OnlineIdentifier:
         top = wheel.radius * wheel.no_load_speed
         units = (1.0, wheel.radius, self._weight, self._weight, twist, top, top, 1.0, twist, scenario.gravity)
         self._unknown = [_UNKNOWN * unit for unit in units]
+        most = self._largest = largest_readings(wheel, scenario.gravity)
+        rim = most.wheel_speed * wheel.radius
+        self._limits = np.array(
+            [most.slip, most.sinkage, most.drawbar_pull, most.load, most.torque, most.speed, rim, most.pitch,
+             most.motor_torque, most.acceleration]
+        )  # fmt: skip
         self._put = self._put_for_filter if self._numbers.by_filter else self._put_for_window
         self._first_sinkage = _bearing_sinkage(scenario)
         self._ids, self._values = new_identifiers(1), np.zeros(len(SensorReading._fields))
@@ -220,16 +259,20 @@ class OnlineIdentifier:
     def update(self, readings: Readings) -> Estimate:
         """Take one set of readings; the estimate after it, renewed about every fifth time.
 
-        Raises ValueError, and takes nothing, for a time that is not later than the last, an infinite value, a sinkage
-        of more than the wheel's diameter and a slip far outside [-1, 1].
+        Raises, and takes nothing: TypeError for what is no `Readings` and no number; ValueError for a time that is not
+        later than the last, and for a reading that is infinite or larger than `largest_readings`. Readings within these
+        that lead to no soil at all start the identifier anew.
         """
-        r, numbers = readings, self._numbers
-        period = self._period(r.time)
-        if r.sinkage > 2.0 * self._radius or r.slip > _LONGEST or r.slip < -_LONGEST:
-            raise ValueError(
-                f"sinkage = {r.sinkage:g} m, slip = {r.slip:g}: expected at most the diameter, {2.0 * self._radius:g} "
-                "m, and a slip in [-1, 1]"
-            )
+        if not isinstance(readings, Readings):
+            raise TypeError(f"{readings!r}: expected Readings(...), of a mapping Readings(**mapping)")
+        try:
+            return self._updated(readings)
+        except (TypeError, ValueError) as error:
+            raise _refusal(readings, self._largest) or error from None
+
+    def _updated(self, r: Readings) -> Estimate:
+        sum(r)  # TypeError where one is no number: numpy would take text for one
+        numbers, period = self._numbers, self._period(r.time)
         rim, speed = r.wheel_speed * self._radius, r.speed
         if rim != rim or speed != speed:
             rim, speed = _completed(rim, speed, r.slip)
@@ -241,11 +284,13 @@ class OnlineIdentifier:
         if rim == rim and speed == speed:
             now = self._put(r, rim, speed, period)
             numbers = self._numbers_now(period, slip_sd)
-            renewed = self._take(self._ids, self._values, numbers)
+            renewed = self._take(self._ids, self._values, self._limits, numbers)
             if renewed < 0:
-                raise ValueError(f"{r}: expected finite numbers, NaN where nothing was measured")
+                raise ValueError(f"{r}: expected the speeds and forces of a wheel; these lead beyond {self._largest}")
             self._missing = now if renewed else [a or b for a, b in zip(self._missing, now, strict=True)]
             self._slip_sd = slip_sd if renewed else max(slip_sd, self._slip_sd)
+        elif refusal := _refusal(r, self._largest):
+            raise refusal
         self._time, self._last_wheel_speed = r.time, r.wheel_speed
         if renewed:
             if now[0] and numbers.by_filter:
@@ -256,22 +301,21 @@ class OnlineIdentifier:
         return self._estimate
 
     def soil(self) -> Soil:
-        """The identified soil, with the belief's exponent and recovery of digging."""
+        """The identified soil, with the belief's exponent and recovery of digging; each number within its bounds."""
         e, belief = self._estimate, self.scenario.belief
-        return Soil(
-            friction_angle_deg=e.friction_angle_deg,
-            cohesion=e.cohesion,
-            shear_modulus=e.shear_modulus,
-            sinkage_exponent=belief.sinkage_exponent,
-            sinkage_coefficient=min(e.sinkage_coefficient, 1e13),
-            dig_gain=min(e.dig_gain, 20.0),
-            dig_recovery=belief.dig_recovery,
-        )
+        identified = {
+            name: min(max(getattr(e, name), bounds["low"]), bounds["high"])
+            for name, bounds in _BOUNDS.items() if hasattr(e, name)
+        }  # fmt: skip
+        return Soil(sinkage_exponent=belief.sinkage_exponent, dig_recovery=belief.dig_recovery, **identified)
 
     def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
         """Whether the wheel can pass the ground as identified, under `load` [N] (its weight if left out) at `pitch`
-        [rad], uphill positive."""
+        [rad], uphill positive. ValueError for what is no finite number."""
         e, belief, wheel = self._estimate, self.scenario.belief, self.scenario.wheel
+        for name, given in (("load", 0.0 if load is None else load), ("pitch", pitch)):
+            if not isinstance(given, Real) or not math.isfinite(given):
+                raise ValueError(f"{name} = {given!r}: expected a finite number")
         load = float(self._weight * math.cos(pitch) if load is None else max(load, 0.05 * self._weight))
         soil = SoilState(
             math.tan(math.radians(e.friction_angle_deg)), e.cohesion, e.shear_modulus,
@@ -283,11 +327,12 @@ class OnlineIdentifier:
 
     def _period(self, time: float) -> float:
         """Time [s] since the last update."""
-        if time != time or self._time != self._time:
+        passed = time - self._time
+        if 0.0 < passed < math.inf:
+            return passed
+        if passed != passed:
             return self._numbers.period
-        if not 0.0 < time - self._time < math.inf:
-            raise ValueError(f"time = {time!r} s: expected later than that of the last readings, {self._time!r} s")
-        return time - self._time
+        raise ValueError(f"time = {time!r} s: expected later than that of the last readings, {self._time!r} s")
 
     def _numbers_now(self, period: float, slip_sd: float) -> IdentifierNumbers:
         """The numbers of the identifier for readings `period` [s] after the last; `slip_sd` of a slip from the speeds.
@@ -356,9 +401,13 @@ class OnlineIdentifier:
 
     def _published(self, renewed: bool) -> Estimate:
         x, sd = self._ids.estimate[0].tolist(), self._ids.sd[0].tolist()
+        if max(abs(x[1]), abs(x[2]), abs(x[4])) > _FARTHEST:
+            self._start(self._ids, self._numbers)
+            x, sd = self._ids.estimate[0].tolist(), self._ids.sd[0].tolist()
         return Estimate(
             math.degrees(x[0]), math.exp(x[1]), math.exp(x[2]), x[3], self.scenario.belief.dig_gain * math.exp(x[4]),
             math.degrees(sd[0]), sd[1], sd[2], sd[3], sd[4], _STATUS[self._ids.status.item(0)], renewed,
+            int(self._ids.borders[0]),
         )  # fmt: skip
 
 
@@ -372,6 +421,7 @@ def _bearing_sinkage(scenario: Scenario) -> float:
     return float(steady_state(0.0, scenario.weight, soil, wheel.radius, wheel.width).sinkage)
 
 
+_BOUNDS = {f.name: f.metadata for f in fields(Soil)}
 _STATUS = {status.value: status for status in Status}
 
 

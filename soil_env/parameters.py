@@ -30,6 +30,12 @@ from soil_env._io.loading import (
 from soil_env._io.loading import (
     to_dict as to_dict,  # a public name here
 )
+from soil_env.course_parameters import (
+    Camera as Camera,  # public names here
+)
+from soil_env.course_parameters import (
+    CourseSpec as CourseSpec,
+)
 
 # --- soil -------------------------------------------------------------------------------------------------------------
 
@@ -231,6 +237,10 @@ class Belief(Checked):
     border: float = quantity(
         "m", 0.01, 10.0, default=0.3, doc="length over which one soil passes into the next, of the filter"
     )
+    grade_change_deg: float = quantity(
+        "deg", 0.0, 60.0, default=8.0,
+        doc="sd of the change of grade from one soil to the next, of the filter; 0 = the grade says nothing of soil",
+    )  # fmt: skip
     soils: dict[str, float] = field(
         default_factory=dict
     )  # library of soils that may come, with weights; {} = not known
@@ -239,37 +249,6 @@ class Belief(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         _factor(self, 4, {(0, 1): "friction_cohesion", (0, 2): "friction_stiffness", (2, 3): "stiffness_shear_modulus"})
-
-
-@dataclass(frozen=True)
-class CourseSpec(Checked):
-    """Distribution of the random courses. All pairs are (low, high) of a uniform distribution.
-
-    Each patch gets the steepest grade at which a wheel at its best slip keeps a drawbar pull of `margin` times its
-    weight in reserve, cut to the upper bound of `grade_deg`; soils that would need less than its lower bound are not
-    used. So every course is passable, and by how much at least is stated.
-
-    A border may not be longer than the shortest patch, so that it lies between two patches only.
-
-    The wheel is halted every `halt_interval` metres, as rovers are to take the images of visual odometry (every 0.75 m
-    at most: Maimone, Cheng & Matthies 2007, J. Field Robotics 24:169-186), and has to start again where it stands.
-    """
-
-    length: float = quantity("m", 1.0, 1e4, default=10.0)
-    patch_length: tuple[float, float] = quantity("m", 0.2, 1e4, default=(1.2, 3.0))
-    border: float = quantity("m", 0.01, 10.0, default=0.3, doc="length over which one patch passes into the next")
-    grade_deg: tuple[float, float] = quantity("deg", -25.0, 35.0, default=(-6.0, 18.0))
-    margin: tuple[float, float] = quantity("of weight", 0.0, 1.0, default=(0.03, 0.12))
-    payload: tuple[float, float] = quantity("kg", 0.0, 1e5, default=(0.0, 4.0))
-    halt_interval: tuple[float, float] = quantity("m", 0.05, 1e6, default=(0.6, 1.5), doc="between commanded halts")
-    halt_time: float = quantity("s", 0.0, 1e3, default=0.8, doc="length of a halt; 0 = none")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.border > self.patch_length[0]:
-            raise ParameterError(
-                f"CourseSpec.border = {self.border}: expected at most the shortest patch, {self.patch_length[0]} m"
-            )
 
 
 @dataclass(frozen=True)
@@ -293,14 +272,38 @@ class RewardWeights(Checked):
     information_discount: float = quantity("a step", 0.0, 1.0, default=0.999, doc="the agent's own discount")
 
 
+#: Control periods that an action lasts unless `Control.repeat` says otherwise.
+HELD = {"torque": 1, "wheel_speed": 1, "rim_acceleration": 5}
+
+
 @dataclass(frozen=True)
 class Control(Checked):
-    """Action of the agent, control period, integrator step and time limit."""
+    """Action of the agent, control period, integrator step and time limit.
 
-    period: float = quantity("s", 1e-3, 1.0, default=0.1, doc="time between two actions")
+    `repeat` is the number of control periods that an action lasts; where it is not given, `HELD[action]`.
+    """
+
+    period: float = quantity("s", 1e-3, 1.0, default=0.1, doc="of sensors, identifier and drive")
     substep: float = quantity("s", 1e-4, 0.5, default=0.1, doc="longest step of the integrator")
-    time_limit: float = quantity("s", 1.0, 1e5, default=90.0, doc="episode length at which it is truncated")
-    action: Literal["torque", "wheel_speed"] = "torque"
+    time_limit: float = quantity("s", 1.0, 1e5, default=90.0, doc="time to finish the course in")
+    action: Literal["torque", "wheel_speed", "rim_acceleration"] = "rim_acceleration"
+    rim_acceleration: float = quantity("m/s2", 1e-3, 1e3, default=0.3, doc="of the commanded rim, action 1 or -1")
+    repeat: int | None = quantity("control periods", 1, 1e5, default=None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.repeat is not None and self.repeat != int(self.repeat):
+            raise ParameterError(f"Control.repeat = {self.repeat!r}: expected a whole number")
+
+    @property
+    def held(self) -> int:
+        """Control periods that an action lasts."""
+        return HELD[self.action] if self.repeat is None else int(self.repeat)
+
+    @property
+    def duration(self) -> float:
+        """Time that an action lasts [s]."""
+        return self.period * self.held
 
 
 @dataclass(frozen=True)
@@ -316,6 +319,7 @@ class Scenario(Checked):
     spread: SoilSpread = SoilSpread()
     course: CourseSpec = CourseSpec()
     noise: Noise = Noise()
+    camera: Camera = Camera()
     belief: Belief = Belief()
     limits: Limits = Limits()
     reward: RewardWeights = RewardWeights()
@@ -351,9 +355,14 @@ class Scenario(Checked):
         return self.wheel.body_mass * self.gravity
 
     @property
+    def periods(self) -> int:
+        """Control periods until the time limit."""
+        return max(1, round(self.control.time_limit / self.control.period))
+
+    @property
     def steps(self) -> int:
         """Actions until the time limit."""
-        return max(1, round(self.control.time_limit / self.control.period))
+        return -(-self.periods // self.control.held)
 
 
 # --- presets ----------------------------------------------------------------------------------------------------------
@@ -376,13 +385,17 @@ def wheels() -> dict[str, Wheel]:
     return dict(_library("wheels"))
 
 
+#: Scenario of the environments, of training and of evaluation, where none is named.
+DEFAULT_SCENARIO = "two_lines"
+
+
 def scenario_names() -> list[str]:
     """Names of the shipped scenarios."""
     return sorted(p.stem for p in (config_dir() / "scenarios").glob("*.yaml"))
 
 
 def load_scenario(
-    which: str | Path | Scenario = "mixed", changes: dict[str, Any] | None = None, place: str = "changes"
+    which: str | Path | Scenario = DEFAULT_SCENARIO, changes: dict[str, Any] | None = None, place: str = "changes"
 ) -> Scenario:
     """A scenario by name, by path of a YAML file, or as it is, with `changes` (nested mapping) merged over it.
 

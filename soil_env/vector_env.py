@@ -14,30 +14,30 @@ from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError
 from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
-from soil_env.parameters import Scenario
+from soil_env.parameters import DEFAULT_SCENARIO, Scenario
 from soil_env.simulation.infos import Infos
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 
 _OWN = (  # keywords that are no part of a scenario
-    "num_envs", "scenario", "observation", "action", "autoreset_mode", "max_episode_steps", "threads", "render_mode",
-    "model", "info",
+    "num_envs", "scenario", "observation", "action", "repeat", "autoreset_mode", "max_episode_steps", "threads",
+    "render_mode", "model", "info",
 )  # fmt: skip
-_RUNNING, _TIME_LIMIT = Cause.RUNNING.value, Cause.TIME_LIMIT.value
+_RUNNING = Cause.RUNNING.value
 
 
 class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
     """`num_envs` independent `SoilWheelEnv`s stepped by one compiled, threaded call.
 
-    Spaces, rewards and episode ends are those of `SoilWheelEnv`; wheel k reset with seed s runs the same trajectory,
+    Spaces, rewards and terminations are those of `SoilWheelEnv`; wheel k reset with seed s runs the same trajectory,
     bit for bit, as a `SoilWheelEnv` reset with s and given the same actions. A single seed s seeds wheel k with s +
     k.
 
     `autoreset_mode`: "NextStep" (default; the step after an end ignores its action and resets), "SameStep" (resets
     within the ending step: `info["final_obs"]` and `info["final_info"]` are of before the reset, all else of after it)
-    or "Disabled" (`reset(options={"reset_mask": ...})`). `max_episode_steps` shortens the scenario's time limit. Other
-    keyword arguments as in `SoilWheelEnv`.
+    or "Disabled" (`reset(options={"reset_mask": ...})`). `max_episode_steps` truncates episodes, as
+    `gymnasium.wrappers.TimeLimit` does. Other keyword arguments as in `SoilWheelEnv`.
 
     `info` holds arrays [N]: `cause`, the numbers of `task.Cause`: 0 RUNNING, 1 FINISHED, 2 ENTRAPPED, 3 STALLED,
     4 BOGGED, 5 TIME_LIMIT (`Cause(k).name` is what `SoilWheelEnv` says); `immobilised`; `x` [m]; `reward_NAME` of each
@@ -49,9 +49,10 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        scenario: str | Path | Scenario = "mixed",
+        scenario: str | Path | Scenario = DEFAULT_SCENARIO,
         observation: str = "identified",
         action: str | None = None,
+        repeat: int | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         threads: int | None = None,
@@ -72,20 +73,22 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
             known = ", ".join(repr(m.value) for m in AutoresetMode)
             raise ParameterError(f"autoreset_mode = {autoreset_mode!r}: expected one of {known}") from None
         self.num_envs = int(num_envs)
-        self.scenario = build_scenario(scenario, action, changes, _OWN)
-        self.observation_names = tuple(e.name for e in layout(observation))
-        self.single_observation_space = observation_space(observation)
+        self.scenario = build_scenario(scenario, action, repeat, changes, _OWN)
+        self.observation_names = tuple(e.name for e in layout(observation, self.scenario.course))
+        self.single_observation_space = observation_space(observation, self.scenario.course)
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.autoreset_mode = mode
-        self.simulation = Simulation(
-            self.num_envs, self.scenario, observation, max_episode_steps, threads, load_model(model)
-        )
         self.infos = Infos(self.scenario, info, self.num_envs)
         finals = mode == AutoresetMode.SAME_STEP and info != "none"
         self._follow = finals or info in ("full", "numeric")  # whether anybody asks for the traversability
+        self.simulation = Simulation(
+            self.num_envs, self.scenario, observation, threads, load_model(model), self._follow
+        )
+        # [control periods] after which an episode is truncated
+        self._longest = np.inf if max_episode_steps is None else max_episode_steps * self.scenario.control.held
         self._rngs: list[np.random.Generator | None] | None = None
         self._done = np.ones(self.num_envs, dtype=np.bool_)
 
@@ -120,7 +123,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
     def step(
         self, actions: ArrayLike
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """One control period of every wheel. Returns (observations, rewards, terminations, truncations, info)."""
+        """One action of every wheel. Returns (observations, rewards, terminations, truncations, info)."""
         if self._rngs is None:
             raise gymnasium.error.ResetNeeded("step() before reset()")
         a = numbers(actions, self.num_envs)
@@ -130,9 +133,9 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
             raise gymnasium.error.ResetNeeded("a wheel has ended: reset(options={'reset_mask': ...}) it first")
         self.simulation.step_all(commands, self._done.view(np.int8))  # True restarts
         self._renew(worlds.solved | self._done)
-        np.not_equal(worlds.cause, _RUNNING, out=self._done)
-        truncated = worlds.cause == _TIME_LIMIT
-        terminated = self._done & ~truncated
+        terminated = worlds.cause != _RUNNING
+        truncated = ~terminated & (worlds.counts["steps"] >= self._longest)
+        np.logical_or(terminated, truncated, out=self._done)
         reward = worlds.reward.copy()
         finals: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._done.any():

@@ -1,4 +1,4 @@
-"""Compile what environments, online identifier and steady model need, once: `python -m soil_env.warmup`.
+"""Compile what environments, online identifier, commands and examples need, once: `python -m soil_env.warmup`.
 
 For an image, a machine without a display of messages, or before many processes start at once.
 """
@@ -13,18 +13,21 @@ import numpy as np
 import soil_env  # noqa: F401  (registers SoilWheel-v0)
 from soil_env._io.commands import command_line, command_parser, leave
 from soil_env._numba.cache import place
-from soil_env.online import OnlineIdentifier, Readings
+from soil_env.online import OnlineIdentifier, Readings, slips
 from soil_env.parameters import soils, wheels
+from soil_env.terramechanics.effects import sliding_speed
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.traversability import best_points
 
 
 def warm_up() -> None:
-    """Step one wheel and many, with and without effects, identify by itself, and predict steady states."""
+    """Run once what is compiled: environments, identifier, tables, logs, controllers, side view, the source paper."""
     model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}})
     for world in (None, model):
-        env = gymnasium.make("SoilWheel-v0", model=world)
+        env = gymnasium.make("SoilWheel-v0", model=world, render_mode="rgb_array")
         env.reset(seed=0)
         env.step(np.array([0.4], dtype=np.float32))
+        env.render()
         env.close()
         envs = gymnasium.make_vec("SoilWheel-v0", 64, "vector_entry_point", model=world)
         envs.reset(seed=0)
@@ -33,7 +36,20 @@ def warm_up() -> None:
     identifier = OnlineIdentifier(wheels()["planetary_rover"])
     identifier.update(Readings(2.0, 0.25, 0.02, 10.0, 147.0, 5.0))
     identifier.traversability()
+    slips(np.array([0.3]), np.array([0.2]))
     model.predict({"slip": np.array([0.1, 0.3]), "load": 100.0})
+    sliding_speed(np.float64(0.3), np.float64(0.1))
+    out = np.zeros((2, 1))
+    best_points(np.zeros(1, np.int64), np.ones((1, 7)), np.array([100.0]), 0.15, 0.15, 10.0, out[0], out[1])
+    _warm_up_the_paper()
+
+
+def _warm_up_the_paper() -> None:
+    from soil_env.paper import compare  # with its printed values; here so that importing this file reads none
+
+    for equations in compare.HELD:
+        compare.root(equations)
+        compare.forces(compare.PRINTED_SET, *compare.MEASURED[:2], equations)
 
 
 @command_line("soil_env.warmup", "soil-env-warmup")

@@ -126,7 +126,9 @@ def test_soil_that_gives_energy_is_found(driven):
 
 def lost_and_turnover(substep, seed=4):
     """Energy that the integrator takes or gives in 3 s of driving with a changing command, and the turnover [J]."""
-    env = SoilWheelVectorEnv(8, control={"substep": substep}, noise={"slip": 0.0}, course={"halt_time": 0.0}, threads=1)
+    env = SoilWheelVectorEnv(
+        8, "mixed", control={"substep": substep}, noise={"slip": 0.0}, course={"halt_time": 0.0}, threads=1
+    )
     env.reset(seed=seed)
     gap = turnover = 0.0
     for step in range(30):
@@ -150,7 +152,11 @@ def test_the_integrator_loses_energy_of_second_order():
 def test_what_the_soil_takes_is_slip_and_compaction():
     """Steady driving on the level: T w - DP V is T w less drawbar work, all of it dissipated; DP V is 0 there."""
     env = SoilWheelVectorEnv(
-        4, course={"grade_deg": [0.0, 0.0], "halt_time": 0.0, "length": 40.0}, control={"substep": 0.005}, threads=1
+        4,
+        "mixed",
+        course={"grade_deg": [0.0, 0.0], "halt_time": 0.0, "length": 40.0},
+        control={"substep": 0.005},
+        threads=1,
     )
     env.reset(seed=0)
     motor = soil = 0.0

@@ -1,7 +1,9 @@
 """The online identifier by itself: that of the environment, and what it makes of channels that are missing."""
 
+import dataclasses
 import math
 import pickle
+import warnings
 
 import gymnasium
 import numpy as np
@@ -12,13 +14,13 @@ from soil_env._numba.lanes import COUNT
 from soil_env.identification.filter_bank import element
 from soil_env.identification.linearised import MASS
 from soil_env.identification.online import observe
-from soil_env.online import OnlineIdentifier, Readings, Status, slips
+from soil_env.online import OnlineIdentifier, Readings, Status, largest_readings, slips
 from soil_env.parameters import Belief, Noise, load_scenario, wheels
 from soil_env.simulation.dynamics import STEP, advance
 from soil_env.simulation.sensors import sense
 from soil_env.simulation.worlds import Simulation
 
-WHEEL = wheels()["planetary_rover"]
+WHEEL, BELIEF = wheels()["planetary_rover"], Belief()
 
 
 METHODS = ("filter", "window")
@@ -27,7 +29,7 @@ METHODS = ("filter", "window")
 @pytest.fixture(scope="module", params=METHODS)
 def drive(request):
     """(scenario, readings, infos) of 520 periods, the readings out of the observation (float32)."""
-    env = gymnasium.make("SoilWheel-v0", belief={"method": request.param}).unwrapped
+    env = gymnasium.make("SoilWheel-v0", action="torque", belief={"method": request.param}).unwrapped
     env.reset(seed=3)
     scenario, readings, infos = env.scenario, [], []
     weight, r = scenario.weight, scenario.wheel.radius
@@ -77,7 +79,7 @@ def test_it_is_the_identifier_of_the_environment(drive):
 def test_the_same_readings_give_the_same_bits(method):
     """Beside the identifier of a simulated wheel; its radius is a power of two, so that the rim speed is exact."""
     changes = {"wheel": {"preset": "planetary_rover", "radius": 0.125}, "belief": {"method": method}}
-    sim = Simulation(1, load_scenario("mixed", changes), "identified", threads=1)
+    sim = Simulation(1, load_scenario("mixed", {"control": {"action": "torque"}, **changes}), "identified", threads=1)
     sim.seed(0, np.random.default_rng(4))
     sim.restart(0)
     w, n, what = sim.worlds, sim.numbers, np.full(1, STEP, dtype=np.int8)
@@ -148,7 +150,7 @@ def test_the_filter_knows_stiffness_no_better_than_the_mass(drive):
 
 def drives_without(channels, wheels=16, steps=160):
     """Errors and standard deviations (phi, ln K, ln S) [wheels, 3] in the first soil of courses, channels left out."""
-    sim = Simulation(wheels, load_scenario("mixed"), "identified", threads=1)
+    sim = Simulation(wheels, load_scenario("mixed", {"control": {"action": "torque"}}), "identified", threads=1)
     w, n, what = sim.worlds, sim.numbers, np.full(wheels, STEP, dtype=np.int8)
     ids = [OnlineIdentifier.of_scenario(sim.scenario) for _ in range(wheels)]
     r, exponent, beyond = sim.scenario.wheel.radius, sim.scenario.belief.sinkage_exponent, np.zeros(wheels, bool)
@@ -202,10 +204,10 @@ STEADY = Readings(2.5, 0.28, 0.022, 14.0, 147.0, 5.5, 0.25)
 
 
 def five(method, third, first=0.0):
-    """Estimate of S and phi after five readings, which make a point, and, for the filter, a sixth, which closes it:
+    """Estimate of S and phi after five readings, which make a point, for the filter eight and one that closes it:
     `third` the torque of the third, `first` added to that of the first."""
     identifier = OnlineIdentifier(WHEEL, Belief(method=method))
-    torques = [5.5 + first, 5.5, third, 5.5, 5.5] + [5.5] * (method == "filter")
+    torques = [5.5 + first, 5.5, third, 5.5, 5.5] + [5.5] * (4 if method == "filter" else 0)
     slow = STEADY._replace(wheel_speed=0.75, speed=0.75 * 0.15 * 0.75)
     last = [identifier.update(slow._replace(torque=t)) for t in torques][-1]
     assert last.renewed
@@ -267,20 +269,64 @@ def test_motion_that_is_not_known_is_passed_over():
         assert identifier.update(STEADY._replace(wheel_speed=math.nan, slip=math.nan)) == before
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"sinkage": 22.0}, {"slip": 25.0}, {"torque": math.inf}, {"speed": -math.inf}, {"time": 0.5}, {"time": 0.4}],
-)
+ABSURD = [
+    {"sinkage": 22.0}, {"sinkage": 0.151}, {"slip": 25.0}, {"torque": math.inf}, {"speed": -math.inf}, {"time": 0.5},
+    {"time": 0.4}, {"load": 1e9}, {"load": -1e9}, {"motor_torque": 1e4}, {"pitch": 20.0}, {"speed": 280.0},
+    {"load": "147"}, {"time": "0.6"}, {"wheel_speed": None}, {"torque": [5.5]}, {"sinkage": {}}, {"time": 1j},
+    {"speed": np.array([0.28, 0.28])}, {"wheel_speed": math.nan, "slip": math.nan, "load": "147"},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", ABSURD, ids=str)
 def test_bad_readings_are_refused_and_leave_no_trace(wrong):
     one, other = OnlineIdentifier(WHEEL), OnlineIdentifier(WHEEL)
     for k in range(1, 6):
         one.update(STEADY._replace(time=0.1 * k))
         other.update(STEADY._replace(time=0.1 * k))
-    with pytest.raises(ValueError):
+    numbers = all(isinstance(value, float) for value in wrong.values())
+    with pytest.raises(ValueError if numbers else TypeError) as refusal:
         one.update(STEADY._replace(**({"time": 0.6} | wrong)))
+    assert f"{list(wrong)[-1]} = " in str(refusal.value) and "expected" in str(refusal.value)
     for k in range(6, 16):
         a, b = one.update(STEADY._replace(time=0.1 * k)), other.update(STEADY._replace(time=0.1 * k))
         assert a == b
+
+
+@pytest.mark.parametrize(
+    "arguments", [("planetary_rover",), (None,), (WHEEL, {"method": "window"}), (WHEEL, BELIEF, 3)]
+)
+def test_arguments_of_another_type_are_named(arguments):
+    with pytest.raises(TypeError, match="^(wheel|belief|noise) = .*: expected a "):
+        OnlineIdentifier(*arguments)
+    with pytest.raises(TypeError, match="scenario"):
+        OnlineIdentifier.of_scenario(WHEEL)
+    with pytest.raises(TypeError, match="expected Readings"):
+        OnlineIdentifier(WHEEL).update(STEADY._asdict())
+    with pytest.raises(ValueError, match="load"):
+        OnlineIdentifier(WHEEL).traversability(load=math.nan)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_whatever_is_admitted_gives_a_soil(method):
+    """Readings up to their limits, of any sign, some missing: finite numbers, a valid `Soil`, no warning."""
+    rng, limits = np.random.default_rng(3), largest_readings(WHEEL)[:10]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(40):
+            identifier = OnlineIdentifier(WHEEL, Belief(method=method))
+            size = np.where(rng.random(10) < 0.4, 10.0 ** rng.uniform(-4, 4, 10), 1.0)
+            size *= np.where(rng.random(10) < 0.2, -1.0, 1.0)
+            missing = (rng.random(10) < 0.2) & (np.arange(10) > 0)
+            for _ in range(40):
+                values = np.array([*STEADY[:7], 0.0, 5.5, 0.3]) * size * (1.0 + 0.3 * rng.normal(size=10))
+                values = np.where(missing, math.nan, np.clip(values, np.negative(limits), limits))
+                try:
+                    e = identifier.update(Readings(*values.tolist()))
+                except ValueError:  # a speed from the slip, beyond its own limit
+                    continue
+                assert all(math.isfinite(x) for x in dataclasses.astuple(e)[:10])
+                identifier.soil()
+                assert math.isfinite(identifier.traversability().drawbar_margin)
 
 
 def test_time_stamps_count_as_time():

@@ -49,7 +49,7 @@ def test_scenario_preset(name):
     scenario = load_scenario(name)
     assert scenario.name == name
     assert scenario.weight == pytest.approx(scenario.wheel.body_mass * scenario.gravity)
-    assert scenario.steps == round(scenario.control.time_limit / scenario.control.period)
+    assert scenario.periods == round(scenario.control.time_limit / scenario.control.period)
     mapping = read_yaml(config_dir() / "scenarios" / f"{name}.yaml")
     assert list(scenario.soils) == list(mapping["soils"])
 

@@ -13,7 +13,11 @@ from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.vector_env import SoilWheelVectorEnv
 
 WHEELS, STEPS = 5, 260
-SHORT = {"course": {"length": 2.0}}  # episodes of a few seconds: several ends and resets within STEPS
+SHORT = {
+    "course": {"length": 2.0},
+    "control": {"action": "torque"},
+}  # episodes of a few seconds: several ends and resets within STEPS
+QUICK = SHORT | {"control": {"action": "torque", "time_limit": 4.5}}
 
 
 def actions(seed=0, wheels=WHEELS, steps=STEPS):
@@ -46,7 +50,7 @@ def same_groups(info, k, scalar):
 # --- equal to the scalar environment ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
+@pytest.mark.parametrize("mode", ["torque", "wheel_speed", "rim_acceleration"])
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_next_step_is_the_scalar_env_bit_for_bit(variant, mode):
     changes = {**SHORT, "reward": {"information": 0.0 if mode == "torque" else 2.0}}
@@ -74,10 +78,30 @@ def test_next_step_is_the_scalar_env_bit_for_bit(variant, mode):
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
+def test_two_lines_are_the_scalar_env_bit_for_bit(variant):
+    """Camera, choices at halts and the memory of classes too."""
+    kinds = {"scenario": "two_lines", "observation": variant, "action": "wheel_speed"}
+    many, one = SoilWheelVectorEnv(3, **kinds), [SoilWheelEnv(**kinds) for _ in range(3)]
+    observations, _ = many.reset(seed=21)
+    for k, env in enumerate(one):
+        np.testing.assert_array_equal(observations[k], env.reset(seed=21 + k)[0])
+    halted, done = many.observation_names.index("halted"), [False] * 3
+    for step in range(450):
+        beside = (observations[:, halted] > 0.5) & (step // 40 % 2 == 0)
+        a = np.where(beside, -1.0, 0.4)[:, None].astype(np.float32)
+        observations, rewards, terminated, truncated, _ = many.step(a)
+        for k, env in enumerate(one):
+            expected = (*env.reset()[:1], 0.0, False, False) if done[k] else env.step(a[k])
+            np.testing.assert_array_equal(observations[k], expected[0])
+            assert (rewards[k], terminated[k], truncated[k]) == expected[1:4]
+            done[k] = expected[2] or expected[3]
+    assert many.simulation.worlds.courses.lines.taken.any()
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
 def test_same_step_resets_within_the_step(variant):
-    many = SoilWheelVectorEnv(WHEELS, observation=variant, autoreset_mode="SameStep", max_episode_steps=50, **SHORT)
-    short = SHORT | {"control": {"time_limit": 5.0}}
-    one = [SoilWheelEnv(observation=variant, **short) for _ in range(WHEELS)]
+    many = SoilWheelVectorEnv(WHEELS, observation=variant, autoreset_mode="SameStep", **QUICK)
+    one = [SoilWheelEnv(observation=variant, **QUICK) for _ in range(WHEELS)]
     many.reset(seed=[3, 1, 4, 1, 5])
     for env, seed in zip(one, (3, 1, 4, 1, 5), strict=True):
         env.reset(seed=seed)
@@ -109,8 +133,8 @@ def test_same_step_resets_within_the_step(variant):
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_a_full_info_is_the_scalar_one(mode):
-    many = SoilWheelVectorEnv(WHEELS, info="full", autoreset_mode=mode, max_episode_steps=45, **SHORT)
-    one = [SoilWheelEnv(**SHORT | {"control": {"time_limit": 4.5}}) for _ in range(WHEELS)]
+    many = SoilWheelVectorEnv(WHEELS, info="full", autoreset_mode=mode, **QUICK)
+    one = [SoilWheelEnv(**QUICK) for _ in range(WHEELS)]
     _, info = many.reset(seed=2)
     scalars = [env.reset(seed=2 + k)[1] for k, env in enumerate(one)]
     done = np.zeros(WHEELS, dtype=bool)
@@ -254,15 +278,23 @@ def test_returned_arrays_are_not_overwritten():
             np.testing.assert_array_equal(a, b)
 
 
-def test_max_episode_steps():
-    env = SoilWheelVectorEnv(3, max_episode_steps=20)
-    env.reset(seed=0)
-    for k in range(1, 21):
-        _, _, terminated, truncated, info = env.step(np.full((3, 1), 0.3))
-        assert not terminated.any()
-        assert np.all(truncated == (k == 20))
-    assert np.all(info["cause"] == Cause.TIME_LIMIT)
-    assert SoilWheelVectorEnv(1, max_episode_steps=10**6).simulation.numbers.task.steps == 900
+@pytest.mark.parametrize("repeat", [1, 3])
+@pytest.mark.parametrize("autoreset", ["NextStep", "SameStep"])
+def test_max_episode_steps_truncates_and_the_time_limit_terminates(autoreset, repeat):
+    for limits, cause in (({"max_episode_steps": 20}, Cause.RUNNING),
+                          ({"control": {"time_limit": 2.0 * repeat}}, Cause.TIME_LIMIT)):  # fmt: skip
+        env = SoilWheelVectorEnv(3, repeat=repeat, autoreset_mode=autoreset, **limits)
+        env.reset(seed=0)
+        for k in range(1, 45):
+            _, _, terminated, truncated, info = env.step(np.full((3, 1), 0.3))
+            over, other = (terminated, truncated) if cause == Cause.TIME_LIMIT else (truncated, terminated)
+            assert not other.any()
+            episode = 20 if autoreset == "SameStep" else 21
+            assert np.all(over == (k % episode == 20 % episode))
+            if over.all():
+                last = info.get("final_info", info)
+                assert np.all(last["cause"] == cause)
+                assert np.all(last["reward_immobilisation"] == (-10.0 if cause == Cause.TIME_LIMIT else 0.0))
 
 
 # --- registration and spaces ------------------------------------------------------------------------------------------
@@ -273,7 +305,7 @@ def test_make_vec():
     assert isinstance(env.unwrapped, SoilWheelVectorEnv) and env.num_envs == 3
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     observations, _ = env.reset(seed=0)
-    assert observations.shape == env.observation_space.shape == (3, 24) and observations.dtype == np.float32
+    assert observations.shape == env.observation_space.shape == (3, 62) and observations.dtype == np.float32
     assert env.observation_space.contains(observations)
     observations, rewards, terminated, truncated, _ = env.step(env.action_space.sample())
     assert rewards.shape == terminated.shape == truncated.shape == (3,)

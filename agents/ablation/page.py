@@ -116,7 +116,7 @@ def block(asked: Ablation, result: dict, where: str) -> str:
     sections = [{"title": n, "parts": _scenario(asked, result, n, entry)} for n, entry in result["scenarios"].items()]
     sections += [{"title": f"What is lost on {n}", "parts": [_losses(result, n, e)]} for n, e in result["loss"].items()]
     agents = "; ".join(
-        f"`{n}`: {a['algorithm']}, observation {a['observation']}, {_guided(a)}{a['timesteps']:,} steps"
+        f"`{n}`: {a['algorithm']}, observation {a['observation']}, {_more(a)}{a['timesteps']:,} steps"
         for n, a in result["agents"].items()
     )
     return render(
@@ -129,11 +129,14 @@ def block(asked: Ablation, result: dict, where: str) -> str:
     ).strip()
 
 
-def _guided(agent: dict) -> str:
-    if not agent["guide"]:
-        return "sets the torque, "
-    others = "".join(f" (on `{source}`: `{guide}`)" for source, guide in agent["guides"].items())
-    return f"trims the rim speed of `{agent['guide']}`{others}, "
+def _more(agent: dict) -> str:
+    """What sets an agent apart beside its algorithm and its observation."""
+    parts = (
+        (agent["history"], f"readings of {agent['history']} past steps, "),
+        (agent["critic"], f"critic that sees {agent['critic']}, "),
+        (agent["hidden_worlds"], f"{agent['hidden_worlds']} worlds with hidden effects in the training, "),
+    )
+    return "".join(text for there, text in parts if there)
 
 
 def _scenario(asked: Ablation, result: dict, name: str, entry: dict) -> list[str]:
@@ -141,7 +144,7 @@ def _scenario(asked: Ablation, result: dict, name: str, entry: dict) -> list[str
     seeds = [c["members"] if n in asked.agents else "" for n, c in entry["controllers"].items()]
     rows = [[row[0], count, *row[1:]] for row, count in zip(table.rows, seeds, strict=True)]
     out = [Table([table.header[0], "seeds", *table.header[1:]], rows).markdown()]
-    agent = results.identified(asked)
+    agent = asked.asked_about("identified")
     if agent in entry["paired"]:
         improvement = entry["improvement"][agent]
         rows = [
@@ -173,18 +176,18 @@ def verdicts(result: dict) -> list[str]:
     for g in result["goals"]:
         word, d = {"yes": "Yes", "no": "No", "open": "Not shown"}[g["answer"]], g["details"]
         if g["goal"] == "beats":
-            text = "less often immobilised than every controller that does not know the true soil, intervals apart? "
-            groups = {"apart": "apart from", "lower": "lower, intervals overlap:", "not lower": "not lower than",
-                      "higher": "higher than"}  # fmt: skip
+            text = "finishes more than every controller that does not know the true soil, intervals apart? "
+            groups = {"apart": "apart from", "more": "more, intervals overlap:", "not more": "not more than",
+                      "fewer": "fewer than"}  # fmt: skip
             said = [f"{t} {_names(d, kind)}" for kind, t in groups.items() if kind in d.values()]
             lines.append(f"- `{g['scenario']}`: {text}**{word}**: {'; '.join(said)}.")
-        elif g["goal"] == "within":
-            ((true, m),) = d.items()
-            text = f"at most 5 points more often immobilised than `{true}`? "
-            lines.append(f"- `{g['scenario']}`: {text}**{word}**: {points(m)} points.")
+        elif g["goal"] == "covers":
+            text = f"the identified soil gives at least {results.ENOUGH:.0%} of what the true soil is worth? "
+            worth = f"{points(d['identifier'])} of {points(d['soil'])} points finished, a share of {cell(d['share'])}"
+            lines.append(f"- `{g['scenario']}`: {text}**{word}**: {worth}.")
         else:
             least = ", ".join(f"{points(m)} against `{n}`" for n, m in d.items())
-            text = "loses less than every controller that does not know the true soil? "
+            text = "loses fewer finished courses than every controller that does not know the true soil? "
             lines.append(f"- `{g['scenario']}`: {text}**{word}**: its loss minus theirs, in points: {least}.")
     return lines
 

@@ -34,7 +34,6 @@ from ..evaluate import study as driving
 from ..evaluate.contestants import Contestant, digest
 from ..evaluate.records import Records
 from ..evaluate.tuning import kept_settings
-from ..guided import check_guide
 
 _NOT_COMPARED = ("seeds", "courses")  # may differ when a study goes on: more seeds, other courses
 
@@ -59,19 +58,18 @@ class AgentSpec(Checked):
 
     observation: Literal["blind", "identified", "true_soil"]
     algorithm: Literal["ppo", "recurrent_ppo"] = "ppo"
-    guide: str = ""  # the slip controller whose rim speed it trims, with the settings tuned on the scenario
-    guides: dict[str, str] = field(default_factory=dict)  # another guide on some scenarios: {scenario: controller}
+    hidden_worlds: int = quantity("mixed into the training", 0, 1000, default=0)
     timesteps: int = quantity("environment steps", 1, 10**12, default=3_000_000)
     ppo: PPOConfig = PPOConfig()
 
-    def __post_init__(self):
-        super().__post_init__()
-        for guide in filter(None, (self.guide, *self.guides.values())):
-            check_guide(guide, self.observation)
 
-    def guide_on(self, source: str) -> str:
-        """The guide on a scenario; empty = none."""
-        return self.guides.get(source, self.guide)
+@dataclass(frozen=True)
+class Question(Checked):
+    """The agents that the verdicts are about; empty = the first that reads `identified`, `blind`, `true_soil`."""
+
+    identified: str = ""
+    blind: str = ""
+    true_soil: str = ""
 
 
 @dataclass(frozen=True)
@@ -80,8 +78,10 @@ class Ablation(Checked):
 
     targets: dict[str, Target]
     agents: dict[str, AgentSpec]
+    question: Question = Question()
     seeds: int = quantity("trainings of each agent on each scenario", 1, 1000, default=5)
     courses: int = quantity("held-out courses of each scenario", 2, 10**6, default=1000)
+    held_out: int = quantity("seed of the set of those courses", 0, 2**31 - 1, default=HELD_OUT_SET)
     tuning_courses: int = quantity("courses that the classical controllers are tuned on", 1, 10**6, default=200)
     block: int = quantity("courses driven side by side", 1, 100_000, default=100)
     resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
@@ -94,12 +94,14 @@ class Ablation(Checked):
             source = target.trained_on
             if source and source not in self.sources:
                 raise unknown_key(source, self.sources, f"targets.{name}: trained_on")
-        for name, spec in self.agents.items():
-            for source in spec.guides:
-                if source not in self.sources:
-                    raise unknown_key(source, self.sources, f"agents.{name}: guides")
+        for name in self.agents:
             if name in CONTROLLERS or "-" in name or "/" in name:
                 raise ParameterError(f"agents: {name!r}: expected a name without - and /, not that of a controller")
+        for observation, name in to_dict(self.question).items():
+            if name and name not in self.agents:
+                raise unknown_key(name, self.agents, f"question.{observation}")
+            if name and self.agents[name].observation != observation:
+                raise ParameterError(f"question.{observation}: {name} reads {self.agents[name].observation}")
         if not self.sources or not self.agents:
             raise ParameterError("expected at least one scenario to train on and one agent")
 
@@ -107,6 +109,11 @@ class Ablation(Checked):
     def sources(self) -> list[str]:
         """The targets that are trained on."""
         return [name for name, target in self.targets.items() if not target.trained_on]
+
+    def asked_about(self, observation: str) -> str | None:
+        """The agent with an observation that the verdicts are about."""
+        first = (name for name, spec in self.agents.items() if spec.observation == observation)
+        return getattr(self.question, observation) or next(first, None)
 
     def source(self, target: str) -> str:
         """The target whose agents and controllers are compared on `target`."""
@@ -140,16 +147,7 @@ def read_config(path: Path, only: list[str] | None = None, **changes) -> Ablatio
             "trained_on": entry.get("trained_on", ""),
             "model": WheelSoilModel.load(_beside(path, world)).content() if world else {},
         }
-    if only and isinstance(content.get("agents"), dict):
-        content["agents"] = {name: _for_some(spec, only) for name, spec in content["agents"].items()}
     return load(Ablation, {**content, "targets": targets}, str(path))
-
-
-def _for_some(spec, only: list[str]):
-    """An agent's entry without guides on scenarios that are left out."""
-    if not isinstance(spec, dict) or not isinstance(spec.get("guides"), dict):
-        return spec
-    return {**spec, "guides": {source: guide for source, guide in spec["guides"].items() if source in only}}
 
 
 def with_steps(study: Ablation, timesteps: int) -> Ablation:
@@ -230,7 +228,7 @@ def driven_file(folder: Path, target: str, name: str, seed: int) -> Path:
 
 def _tuned(study: Ablation, folder: Path, source: str) -> dict:
     path, target = folder / source / "tuned.json", study.targets[source]
-    quiet = (lambda count, name: None), tuple(CONTROLLERS)
+    quiet = tuple(CONTROLLERS), lambda count, name: None
     return kept_settings(path, target.scenario, study.tuning_courses, *quiet, target.world)
 
 
@@ -256,11 +254,9 @@ class _Count:
 def _train(study: Ablation, folder: Path, step: Step, progress: Callable[[int], None]) -> Path:
     """Train from the checkpoint where there is one; the path of the model."""
     target, spec = study.targets[step.source], study.agents[step.agent]
-    guide = spec.guide_on(step.source)
-    settings = _tuned(study, folder, step.source)[guide] if guide else {}
     config = TrainConfig(
-        guide=guide, guide_settings=settings, scenario=target.scenario.name, model=target.model,
-        observation=spec.observation, algorithm=spec.algorithm,
+        scenario=target.scenario.name, model=target.model, observation=spec.observation, algorithm=spec.algorithm,
+        hidden_worlds=spec.hidden_worlds,
         name=f"{step.agent}-{step.seed}", runs=str(folder / step.source / "trained"), seed=_seed_of(step),
         timesteps=spec.timesteps, checkpoint_every=study.checkpoint_every, ppo=spec.ppo,
     )  # fmt: skip
@@ -280,7 +276,7 @@ def _drive(study: Ablation, folder: Path, step: Step, contestant: Contestant) ->
             continue
         one = driving.Study(
             scenario=target.scenario, controllers={contestant.key: contestant}, courses=study.courses,
-            block=study.block, model=target.model,
+            seed=study.held_out, block=study.block, model=target.model,
         )  # fmt: skip
         job = driving.Job(one, threads=1)
         parts = [Records.from_columns(job(task)) for task in one.tasks()]
@@ -308,7 +304,7 @@ def evaluation(study: Ablation, folder: Path, target: str) -> tuple[driving.Stud
             contestants[contestant.key] = contestant
             records.setdefault(name, []).append(one)
     whole = driving.Study(
-        scenario=study.targets[target].scenario, controllers=contestants, courses=study.courses, seed=HELD_OUT_SET,
+        scenario=study.targets[target].scenario, controllers=contestants, courses=study.courses, seed=study.held_out,
         block=study.block, resamples=study.resamples, tuning_courses=study.tuning_courses,
         model=study.targets[target].model, version=study.version,
     )  # fmt: skip

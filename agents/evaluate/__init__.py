@@ -3,7 +3,7 @@
 from .comparing import comparison, paired_difference, save, summary
 from .driving import HELD_OUT_SET, METRICS, RATES, TUNING_SET, ControllerError, Runs, course_rng, drive, run_courses
 from .statistics import wilson
-from .tuning import tune, tuned_settings
+from .tuning import tuned_settings
 
 __all__ = [
     "HELD_OUT_SET",
@@ -19,7 +19,6 @@ __all__ = [
     "run_courses",
     "save",
     "summary",
-    "tune",
     "tuned_settings",
     "wilson",
 ]

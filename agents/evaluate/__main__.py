@@ -1,7 +1,7 @@
 """Compare controllers on the same courses, with confidence intervals.
 
 CONTROLLERS is a list with commas. An entry is
-  full_throttle, fixed_slip, ...   a classical controller (agents/controllers.py)
+  full_throttle, fixed_slip, ...   a classical controller (agents/controllers)
   path/to/model.zip, runs/NAME     a model of train.py, or any model of Stable-Baselines3 or sb3-contrib
   path/to/policy.onnx              an agent as agents.export has written it; its folder will do
   my.module:Thing                  a class (made with the scenario if it takes an argument), a function that makes one,
@@ -13,8 +13,8 @@ Models that train.py did not write are unpickled in part, and modules are import
 Name only what you trust.
 
 Examples:
-  python -m agents.evaluate --controllers full_throttle,fixed_slip,best_slip_identified --out evaluation
-  python -m agents.evaluate --controllers 'fixed_slip,ppo=runs/seed_*' --workers 8 --out evaluation
+  python -m agents.evaluate --controllers full_throttle,soft_start,best_slip_identified --out evaluation
+  python -m agents.evaluate --controllers 'soft_start,ppo=runs/seed_*' --workers 8 --out evaluation
   python -m agents.evaluate --controllers my.module:Controller --scenario my.yaml --changes.course.length 20 --out e2
   python -m agents.evaluate --controllers fixed_slip --settings.fixed_slip.slip 0.2 --out e3
   python -m agents.evaluate --resume evaluation
@@ -32,7 +32,7 @@ from pathlib import Path
 
 from soil_env._io.commands import command, command_line, leave
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env.parameters import load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import studies
@@ -40,15 +40,16 @@ from ..cli import as_options, go_on_with, manual_parser, overrides
 from ..progress import Bar, show
 from . import contestants, report, results, study
 from .driving import HELD_OUT_SET, TUNING_SET
-from .tuning import candidates_in_all, tuned_settings
+from .tuning import trials_in_all, tuned_settings
 
 _EPILOG = """further options:
   --changes.KEY VALUE        any key of the scenario, in SI units, as --changes.course.length 20 [m]
-  --settings.NAME.KEY VALUE  a setting of a classical controller: slip of fixed_slip [-], speed of constant_speed [m/s],
-                             start of all that hold a slip [share of the top rim speed]"""
+  --settings.NAME.KEY VALUE  a setting of a classical controller (docs/controllers.md), as --settings.soft_start.speed
+                             0.4 [m/s]"""
 
 _NAME = __package__
 _TUNING_COURSES = 200  # as train.py
+_TUNING = "tuning.jsonl"  # trials of a tuning that is not finished
 
 
 def parser() -> argparse.ArgumentParser:
@@ -57,7 +58,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--controllers", metavar="CONTROLLERS", help="what is compared, with commas (see above)")
     p.add_argument("--out", metavar="OUT", type=Path, help="folder of the results, made where it does not exist")
     p.add_argument("--resume", metavar="OUT", type=Path, help="go on with an evaluation; only the engine may be given")
-    p.add_argument("--scenario", metavar="NAME", default="mixed", help="scenario or YAML file (default: mixed)")
+    p.add_argument("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help="or YAML file (default: %(default)s)")
     p.add_argument("--model", metavar="YAML", default="", help="model.yaml with the effects that are on in this world")
     p.add_argument("--courses", metavar="N", type=int, default=1000, help="courses that each drives (default: 1000)")
     p.add_argument(
@@ -67,8 +68,13 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--tuning-courses", metavar="N", type=int,
         help="tune the classical controllers on N other courses first, those with --settings excepted; 0: not at all "
-        f"(default: 0 among classical ones alone, else as many as --courses, at most {_TUNING_COURSES}; fixed_slip "
-        "then drives them 25 times)",
+        f"(default: 0 among classical ones alone, else as many as --courses, at most {_TUNING_COURSES}; each then "
+        "drives them as often as configs/tuning.yaml says, unless settings come with the package)",
+    )  # fmt: skip
+    p.add_argument(
+        "--oracle-courses", metavar="N", type=int, default=0,
+        help="the oracle, a planner that knows the ground, drives the first N courses: the limit of the task, and "
+        "which failures were avoidable (default: 0; about a second of a processor each)",
     )  # fmt: skip
     p.add_argument("--block", metavar="N", type=int, default=100, help="courses driven side by side (default: 100)")
     p.add_argument("--resamples", metavar="N", type=int, default=2000, help="redraws of the bootstrap (default: 2000)")
@@ -86,7 +92,7 @@ def main(arguments: list[str] | None = None) -> int:
         asked = _study(options, rest, folder)
         threads = None if engine is studies.in_process else 1
         job = study.Job(asked, threads, ship=options.engine == "ray")
-        with Bar("Driving", asked.courses * len(asked.controllers), "courses") as bar:
+        with Bar("Driving", asked.courses * len(asked.controllers) + asked.oracle_courses, "courses") as bar:
             records = study.run(asked, folder, engine, job, lambda count: bar.update(advance=count))
         result = results.result(asked, records)
         written = report.write(asked, records, result, folder)
@@ -106,10 +112,21 @@ def _study(options, rest: list[str], folder: Path | None) -> study.Study:
         raise ParameterError(f"--resume takes only the engine; {options.resume} has the rest")
     asked = study.load_study(folder)
     study.check_controllers(asked)
-    return asked
+    return _tuned(asked, folder)
 
 
-_STUDY_OPTIONS = ("controllers", "out", "scenario", "model", "courses", "seed", "tuning_courses", "block", "resamples")
+_STUDY_OPTIONS = (
+    "controllers",
+    "out",
+    "scenario",
+    "model",
+    "courses",
+    "seed",
+    "tuning_courses",
+    "oracle_courses",
+    "block",
+    "resamples",
+)
 
 
 def _asked(options, rest: list[str]) -> study.Study:
@@ -141,6 +158,7 @@ def _asked(options, rest: list[str]) -> study.Study:
             block=options.block,
             resamples=options.resamples,
             tuning_courses=_tuning_courses(options, controllers),
+            oracle_courses=options.oracle_courses,
             model=WheelSoilModel.load(options.model).content() if options.model else {},
         )
 
@@ -149,7 +167,7 @@ def _tuning_courses(options, controllers: dict[str, contestants.Contestant]) -> 
     """The option, else its default: none where only classical controllers are compared."""
     if options.tuning_courses is not None:
         return options.tuning_courses
-    if all(c.kind == "classical" for c in controllers.values()) or not candidates_in_all(_untuned(controllers)):
+    if all(c.kind == "classical" for c in controllers.values()) or not trials_in_all(_untuned(controllers), 1):
         return 0
     return max(0, min(_TUNING_COURSES, options.courses)) if options.seed != TUNING_SET else 0
 
@@ -160,14 +178,24 @@ def _untuned(controllers: dict[str, contestants.Contestant]) -> list[str]:
 
 
 def _begin(asked: study.Study, folder: Path) -> study.Study:
-    """The study of `folder` if it is the same one, else `asked`, tuned and written there."""
+    """The study of `folder` if it is the same one, else `asked`, written there; tuned, or its tuning gone on with."""
     if studies.is_begun(asked, folder, ignored=("tuned",)):
-        return study.load_study(folder)
+        asked = study.load_study(folder)
+    else:
+        studies.save_study(asked, folder)
+    return _tuned(asked, folder)
+
+
+def _tuned(asked: study.Study, folder: Path) -> study.Study:
+    """`asked` with the settings of its classical controllers, found before the first course of the comparison."""
     untuned = _untuned(asked.controllers)
-    if asked.tuning_courses and candidates_in_all(untuned):
-        tuned, _ = tuned_settings(asked.scenario, TUNING_SET, asked.tuning_courses, None, untuned, asked.world)
-        asked = dataclasses.replace(asked, tuned=tuned)
+    if asked.tuned or not (asked.tuning_courses and trials_in_all(untuned, 1)):
+        return asked
+    log = folder / _TUNING
+    tuned, _ = tuned_settings(asked.scenario, asked.tuning_courses, untuned, None, asked.world, log)
+    asked = dataclasses.replace(asked, tuned=tuned)
     studies.save_study(asked, folder)
+    log.unlink(missing_ok=True)
     return asked
 
 

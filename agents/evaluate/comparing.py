@@ -11,6 +11,8 @@ from soil_env.parameters import Scenario
 
 from ..studies import save_csv
 from .driving import METRICS, RATES, Runs
+from .limit import limit
+from .limit import rows as limit_rows
 from .statistics import wilson
 
 
@@ -31,9 +33,11 @@ def summary(runs: Runs, seed: int = 0, resamples: int = 2000) -> dict[str, dict[
     return out
 
 
-def comparison(scenario: Scenario, seed: int, runs: dict[str, Runs], settings: dict | None = None) -> dict:
+def comparison(
+    scenario: Scenario, seed: int, runs: dict[str, Runs], settings: dict | None = None, oracle: Runs | None = None
+) -> dict:
     """The content of comparison.json: {"scenario", "courses", "seed", "settings", "controllers": {name: summary},
-    "paired"}.
+    "paired"}, with "limit" (`agents.evaluate.limit`) where the `oracle` has driven the first courses.
 
     "paired": {agent: {other: {"immobilised", "finished", "return"}}}, the agent's mean difference to each other
     controller on the same courses, with its interval.
@@ -54,6 +58,7 @@ def comparison(scenario: Scenario, seed: int, runs: dict[str, Runs], settings: d
         "settings": settings or {},
         "controllers": {name: summary(r) for name, r in runs.items()},
         "paired": paired,
+        **({"limit": limit(oracle, {n: [r] for n, r in runs.items()}, summary(oracle))} if oracle else {}),
     }
 
 
@@ -67,10 +72,10 @@ def paired_difference(a: Runs, b: Runs, metric: str, seed: int = 0, resamples: i
 
 
 def save(result: dict, folder: Path) -> None:
-    """Write comparison.json and comparison.csv into `folder`."""
+    """Write comparison.json and comparison.csv into `folder`; the oracle's row, where there is one, is the last."""
     folder = Path(folder)
     write_json(folder / "comparison.json", result)
     rows = [["controller", *(f"{m}{part}" for m in METRICS for part in ("", "_low", "_high"))]]
-    for name, row in result["controllers"].items():
+    for name, row in (result["controllers"] | limit_rows(result)).items():
         rows.append([name, *(f"{row[m][key]:.6g}" for m in METRICS for key in ("value", "low", "high"))])
     save_csv(folder / "comparison.csv", rows)

@@ -24,6 +24,7 @@ from soil_env._io.loading import ParameterError, unknown_key, unknown_value
 
 from ..controllers import CONTROLLERS
 from ..exported import POLICY
+from .limit import ORACLE
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,8 @@ def parse(text: str, settings: dict[str, dict] | None = None) -> dict[str, Conte
         head, equals, rest = item.partition("=")
         named = bool(equals) and _NAME.fullmatch(head) is not None
         name, spec = (head, rest.strip()) if named else ("", item)
+        if ORACLE in (name, spec):
+            raise ParameterError(f"controllers: {ORACLE!r}: is driven by --oracle-courses N; expected another name")
         if not spec:
             raise ParameterError(f"controllers: {text!r}: an empty entry; expected NAME, PATH or NAME=PATH")
         kind, sources = _sources(spec)

@@ -29,7 +29,7 @@ METRICS = {
     "entrapped": ("share of courses", "no progress, though the wheel turned"),
     "stalled": ("share of courses", "no progress, and the wheel did not turn"),
     "bogged": ("share of courses", "sinkage over the limit"),
-    "time_limit": ("share of courses", "neither finished nor immobilised in time"),
+    "time_limit": ("share of courses", "neither finished nor immobilised in time; costs as much"),
     "finished": ("share of courses", "reached the end of the course"),
     "distance": ("m", "furthest point reached"),
     "time": ("s", "episode length"),
@@ -148,36 +148,53 @@ def drive(
     count: int,
     threads: int | None = None,
     model: WheelSoilModel | None = None,
+    warnings: bool = False,
 ) -> Iterator[tuple[Worlds, np.ndarray]]:
     """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
 
     Yields (worlds, alive) after every control period: the arrays of the simulation, one row a course, and which
-    courses were still under way in that period [count] bool. Rows of ended courses stay as they ended. Raises
+    courses were still under way in that period [count] bool. The controller is asked as often as the scenario says
+    (`control.repeat`); between, its action is held. Rows of ended courses stay as they ended. Raises
     `ControllerError` where an action is not of shape [count, 1] or not finite. The reward has no term `information`,
-    whatever the scenario says: it helps to learn, and is no merit of a drive.
+    whatever the scenario says: it helps to learn, and is no merit of a drive. `warnings`: whether the last seconds of
+    the sensors are kept in `worlds.recent`.
     """
-    scenario = replace(scenario, reward=replace(scenario.reward, information=0.0))
-    sim = Simulation(count, scenario, controller.variant, threads=threads, model=model)
+    held, longest = scenario.control.held, scenario.periods
+    scenario = replace(
+        scenario,
+        reward=replace(scenario.reward, information=0.0),
+        control=replace(scenario.control, repeat=1),
+    )
+    sim = Simulation(count, scenario, controller.variant, threads=threads, model=model, warnings=warnings)
     for k in range(count):
         sim.seed(k, course_rng(seed, first + k))
     alive = np.ones(count, dtype=bool)
     sim.restart_where(alive)
+    if hasattr(controller, "attach"):  # a planner, that tries out what the world would do
+        controller.attach(sim, threads, model)
     w = sim.worlds
     what = np.full(count, STEP)
     memory, fresh = None, np.ones(count, dtype=bool)
-    for step in range(scenario.steps):
-        action, memory = controller.predict(w.observation, state=memory, episode_start=fresh, deterministic=True)
-        fresh = np.zeros(count, dtype=bool)
-        action = np.asarray(action, dtype=np.float64)
-        if action.shape != (count, 1):
-            raise ControllerError(f"action of shape {action.shape}: expected {(count, 1)}")
-        if not np.isfinite(action[alive]).all():
-            bad = int(np.flatnonzero(alive & ~np.isfinite(action[:, 0]))[0])
-            raise ControllerError(f"action {action[bad, 0]} in step {step} of course {first + bad}: expected a number")
-        sim.step_all(np.clip(np.nan_to_num(action[:, 0]), -1.0, 1.0), what)
+    for period in range(longest):
+        if period % held == 0:
+            action, memory = controller.predict(w.observation, state=memory, episode_start=fresh, deterministic=True)
+            fresh = np.zeros(count, dtype=bool)
+            commands = _commands(action, alive, f"in step {period // held} of course", first)
+        sim.step_all(commands, what)
         yield w, alive
         ended = alive & (w.cause != _RUNNING)
         alive = alive & ~ended
         what[ended] = IDLE
         if not alive.any():
             return
+
+
+def _commands(action, alive: np.ndarray, when: str, first: int) -> np.ndarray:
+    """The `action` of a controller as commands [count]; ControllerError where that of an `alive` course is none."""
+    action, count = np.asarray(action, dtype=np.float64), len(alive)
+    if action.shape != (count, 1):
+        raise ControllerError(f"action of shape {action.shape}: expected {(count, 1)}")
+    if not np.isfinite(action[alive]).all():
+        bad = int(np.flatnonzero(alive & ~np.isfinite(action[:, 0]))[0])
+        raise ControllerError(f"action {action[bad, 0]} {when} {first + bad}: expected a number")
+    return np.clip(np.nan_to_num(action[:, 0]), -1.0, 1.0)

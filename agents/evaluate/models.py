@@ -8,11 +8,12 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, load
 from soil_env.env import observation_space
-from soil_env.parameters import Scenario
-from soil_env.simulation.task import VARIANTS
+from soil_env.parameters import Control, CourseSpec, Scenario
+from soil_env.simulation.task import VARIANTS, layout
 
+from .. import PACKAGE_NAMES
 from ..exported import ExportedAgent
 from .contestants import VECNORMALIZE
 
@@ -34,6 +35,7 @@ _ALGORITHMS = (
     ("stable_baselines3.common.policies", {"cg_max_steps"}, ("sb3_contrib", "TRPO")),
     ("stable_baselines3.common.policies", {"clip_range"}, ("stable_baselines3", "PPO")),
     ("stable_baselines3.common.policies", set(), ("stable_baselines3", "A2C")),
+    *((f"{package}.asymmetric", {"clip_range"}, ("stable_baselines3", "PPO")) for package in PACKAGE_NAMES),
 )
 
 
@@ -53,19 +55,28 @@ def load_model(path: Path, scenario: Scenario):
     meta = None
     if ppo._META in names:
         meta = ppo.read_meta(path)
-        ppo.check_layout(meta, path)
-        _check_action(path, meta.get("scenario", {}).get("control", {}).get("action"), scenario)
+        ppo.check_layout(meta, path, scenario.course)
+        _check_action(path, meta.get("scenario", {}).get("control", {}), scenario)
     model = _load(path, data, meta)
     if meta is not None:
         return ppo.agent_of(model, meta)
-    return _Plain(model, _variant(model, path), _normalisation(path))
+    return _Plain(model, _variant(model, path, scenario.course), _normalisation(path))
 
 
-def _check_action(path: Path, trained: str | None, scenario: Scenario) -> None:
-    if trained not in (None, scenario.control.action):
+def _check_action(path: Path, trained: dict, scenario: Scenario) -> None:
+    """ParameterError where a model was `trained` (a `Control` as a mapping) to act otherwise than the scenario asks."""
+    if "action" not in trained:
+        return
+    control, own = scenario.control, load(Control, trained, f"controllers: {path}: scenario.control")
+    if own.action != control.action:
         raise ParameterError(
-            f"controllers: {path}: trained with action {trained!r}, scenario {scenario.name!r} takes "
-            f"{scenario.control.action!r}"
+            f"controllers: {path}: trained with action {own.action!r}, scenario {scenario.name!r} takes "
+            f"{control.action!r}"
+        )
+    if own.duration != control.duration:
+        raise ParameterError(
+            f"controllers: {path}: trained with actions that last {own.duration:g} s, those of scenario "
+            f"{scenario.name!r} last {control.duration:g} s"
         )
 
 
@@ -74,7 +85,10 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
         agent = ExportedAgent(path)
     except ParameterError as error:
         raise ParameterError(f"controllers: {error}") from None
-    _check_action(path, agent.action, scenario)
+    _check_action(path, agent.control, scenario)
+    own, asked = len(agent.content["inputs"]), len(layout(agent.variant, scenario.course))
+    if own != asked:
+        raise ParameterError(f"controllers: {path}: reads {own} numbers, scenario {scenario.name!r} has {asked}")
     return agent
 
 
@@ -109,12 +123,12 @@ def _load(path: Path, data: dict, meta: dict | None):
         raise ParameterError(f"controllers: {error}") from None
 
 
-def _variant(model, path: Path) -> str:
+def _variant(model, path: Path, course: CourseSpec) -> str:
     for variant in VARIANTS:
-        if model.observation_space == observation_space(variant):
+        if model.observation_space == observation_space(variant, course):
             return variant
     shape = getattr(model.observation_space, "shape", None)
-    expected = ", ".join(f"{v}: {observation_space(v).shape[0]}" for v in VARIANTS)
+    expected = ", ".join(f"{v}: {observation_space(v, course).shape[0]}" for v in VARIANTS)
     raise ParameterError(
         f"controllers: {path}: trained on another observation layout: shape {shape}, other numbers or bounds than "
         f"those of here ({expected})"

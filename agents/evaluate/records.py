@@ -14,7 +14,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 from . import driving
 from .driving import Runs, Totals, drive
-from .warning import Warnings
+from .warning import Foresight, Warnings
 
 #: Metric -> (unit, what it is). A course on which a metric is not defined is left out of it.
 METRICS = {
@@ -23,6 +23,10 @@ METRICS = {
     "warning_distance": ("m", "from the warning to complete immobilisation, where warned"),
     "warning_time": ("s", "from the warning to complete immobilisation, where warned"),
     "false_warning": ("share of driving time", "under warning on courses without immobilisation"),
+    "foreseen": ("share of immobilised courses", "the probability of immobilisation gave warning then"),
+    "foreseen_distance": ("m", "from that warning to complete immobilisation, where foreseen"),
+    "foreseen_time": ("s", "from that warning to complete immobilisation, where foreseen"),
+    "false_foresight": ("share of driving time", "under that warning on courses without immobilisation"),
     **{name: driving.METRICS[name] for name in ("distance", "time", "speed", "energy_per_metre")},
     "tractive_efficiency": ("-", "drawbar work over motor work while driving with a drawbar pull > 0"),
     "slip": driving.METRICS["slip"],
@@ -33,7 +37,7 @@ METRICS = {
     "sinkage_p95": ("mm", "95th percentile of sinkage over time, halts left out"),
     "return": driving.METRICS["return"],
 }
-RATES = (*driving.RATES, "warned")
+RATES = (*driving.RATES, "warned", "foreseen")
 _STUCK = [c.value for c in IMMOBILISED]
 
 
@@ -49,11 +53,15 @@ class Records(Runs):
     warning_distance: np.ndarray  # [m], of immobilised courses that were warned of
     warning_time: np.ndarray  # [s]
     false_warning: np.ndarray  # share of the driving time, of courses without immobilisation
+    foreseen_distance: np.ndarray  # the same of the warning by the probability of immobilisation
+    foreseen_time: np.ndarray
+    false_foresight: np.ndarray
 
     def metric(self, name: str) -> np.ndarray:
         """Value of a metric for each course [courses]; NaN where it is not defined."""
-        if name == "warned":
-            return np.where(np.isin(self.cause, _STUCK), np.isfinite(self.warning_time).astype(float), math.nan)
+        if name in ("warned", "foreseen"):
+            time = self.warning_time if name == "warned" else self.foreseen_time
+            return np.where(np.isin(self.cause, _STUCK), np.isfinite(time).astype(float), math.nan)
         if name in ("sinkage_p50", "sinkage_p95"):
             return 1000.0 * getattr(self, name)
         if name in _OWN:
@@ -97,10 +105,10 @@ def record(
     The same arguments give the same records, bit for bit, whatever the number of threads. For a neural network the
     last bits may depend on how many courses are driven side by side.
     """
-    warnings, totals = Warnings(scenario, count), Totals(count)
+    alarms, totals = (Warnings(scenario, count), Foresight(scenario, count)), Totals(count)
     drawbar_work, drive_work = np.zeros((2, count))
     slips, depths, drove = [], [], []
-    for w, alive in drive(controller, scenario, seed, first, count, threads, model):
+    for w, alive in drive(controller, scenario, seed, first, count, threads, model, warnings=True):
         s, on = w.state, totals.add(w, alive)
         pulling = on & (s["drawbar_pull"] > 0.0) & (s["motor_work"] > 0.0)
         drawbar_work += np.where(pulling, np.maximum(s["drawbar_pull"] * s["travel"], 0.0), 0.0)
@@ -108,9 +116,11 @@ def record(
         slips.append(s["slip"].copy())
         depths.append(s["sinkage"].copy())
         drove.append(on)
-        warnings.step(w, alive)
+        for alarm in alarms:
+            alarm.step(w, alive)
     stuck = np.isin(w.cause, _STUCK)
-    lead = np.where(stuck[:, None], warnings.lead(w, w.cause == Cause.BOGGED.value), math.nan)
+    lead, foreseen = (np.where(stuck[:, None], a.lead(w, w.cause == Cause.BOGGED.value), math.nan) for a in alarms)
+    false = [np.where(stuck, math.nan, _ratio(a.under, a.driven)) for a in alarms]
     slip_p50, slip_p95 = _percentiles(np.array(slips), np.array(drove))
     sinkage_p50, sinkage_p95 = _percentiles(np.array(depths), np.array(drove))
     return Records(
@@ -122,7 +132,10 @@ def record(
         tractive_efficiency=_ratio(drawbar_work, drive_work),
         warning_distance=lead[:, 0],
         warning_time=lead[:, 1],
-        false_warning=np.where(stuck, math.nan, _ratio(warnings.under, warnings.driven)),
+        false_warning=false[0],
+        foreseen_distance=foreseen[:, 0],
+        foreseen_time=foreseen[:, 1],
+        false_foresight=false[1],
     )
 
 

@@ -8,7 +8,7 @@ from soil_env._io.document import Table, html_image, html_page, render
 from soil_env._io.files import replace_file, write_json
 
 from ..progress import show
-from . import figures, results
+from . import figures, limit, results
 from .records import METRICS, RATES, Records
 from .study import Study
 from .tables import Column, cell, labels, metric_table
@@ -21,6 +21,8 @@ _COLUMNS = (
     Column("warned", "warned [%]", 100.0, 0, bounds=False),
     Column("warning_distance", "ahead [m]", bounds=False),
     Column("warning_time", "ahead [s]", digits=1, bounds=False),
+    Column("foreseen", "foreseen [%]", 100.0, 0, bounds=False),
+    Column("foreseen_time", "by [s]", digits=1, bounds=False),
     Column("time", "time [s]", digits=0, bounds=False),
     Column("energy_per_metre", "energy [J/m]", digits=0, bounds=False),
     Column("tractive_efficiency", "tractive eff.", bounds=False),
@@ -33,15 +35,19 @@ REFERENCE = (
     "rover in snow (ASME J. Autonomous Vehicles and Systems 2(3), 031001). Other conditions: another machine, ground, "
     "method and course."
 )
-_CHOSEN = {"untuned": "untuned", "tuned": "tuned on {courses} other courses", "given": "as given with --settings"}
+_CHOSEN = {
+    "untuned": "untuned",
+    "tuned": "tuned on at least {courses} other courses",
+    "given": "as given with --settings",
+}
 _STYLE = ".wide { overflow-x: auto; }"
 
 
 def print_table(result: dict) -> None:
     """The main metrics of all controllers."""
     names = labels(result["controllers"])
-    entries = {names[n]: e["metrics"] for n, e in result["controllers"].items()}
-    show(metric_table(entries, _COLUMNS, _title(result)), *settings(result), REFERENCE)
+    entries = {names[n]: e["metrics"] for n, e in result["controllers"].items()} | limit.rows(result)
+    show(metric_table(entries, _COLUMNS, _title(result)), *settings(result), *limit.lines(result), REFERENCE)
 
 
 def settings(result: dict) -> list[str]:
@@ -88,12 +94,12 @@ def page(result: dict, pictures: dict[str, bytes]) -> str:
         f"{__package__}:report.html",
         result=result,
         title=_title(result),
-        settings=settings(result),
+        settings=[*settings(result), *limit.lines(result)],
         reference=REFERENCE,
         controllers=Table(
             ["controller", "training seeds", "what"], [[n, e["members"], _what(e)] for n, e in controllers.items()]
         ),
-        metrics=Table(["metric", *controllers], _metric_rows(result)),
+        metrics=Table(["metric", *controllers, *limit.rows(result)], _metric_rows(result)),
         figures=[html_image(pictures[name], caption) for name, (caption, _) in figures.FIGURES.items()],
         paired=Table(["a - b", *(f"{m} [points]" if m in RATES else m for m in results.PAIRED)], _paired_rows(result)),
         meanings=Table(["metric", "unit", "meaning"], [[n, *m.values()] for n, m in result["metrics"].items()]),
@@ -110,9 +116,10 @@ def _metric_rows(result: dict) -> list[list[str]]:
     rows, controllers = [], result["controllers"].values()
     for name, (unit, _) in METRICS.items():
         factor, digits, shown = (100.0, 1, "%") if name in RATES else (1.0, 2, unit)
-        cells = [cell(e["metrics"][name], factor, digits) for e in controllers]
-        rows.append([f"{name.replace('_', ' ')} [{shown}]", *cells])
-    return rows + [[f"IQM of {score}", *(cell(e["iqm"][score]) for e in controllers)] for score in results.SCORES]
+        columns = [*(e["metrics"] for e in controllers), *limit.rows(result).values()]
+        rows.append([f"{name.replace('_', ' ')} [{shown}]", *(cell(c[name], factor, digits) for c in columns)])
+    none = ["" for _ in limit.rows(result)]
+    return rows + [[f"IQM of {s}", *(cell(e["iqm"][s]) for e in controllers), *none] for s in results.SCORES]
 
 
 def _paired_rows(result: dict) -> list[list[str]]:

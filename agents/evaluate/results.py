@@ -11,7 +11,9 @@ from soil_env.simulation.task import Cause
 
 from ..controllers import make_controller
 from ..studies import save_csv
+from . import limit
 from . import statistics as st
+from .limit import ORACLE
 from .records import METRICS, RATES, Records
 from .study import Study
 
@@ -27,9 +29,11 @@ def result(study: Study, records: dict[str, list[Records]]) -> dict:
     {"scenario", "courses", "seed", ..., "controllers": {name: {"members", "sources", "settings", "chosen", "metrics":
     {metric: {"value", "low", "high", "runs"}}, "iqm": {score: {...}}, "profile": {score: {"threshold", "share", "low",
     "high"}}}}, "paired": {a: {b: {metric: {"value", "low", "high"}}}}, "improvement": {a: {b: {...}}}}.
-    "chosen", of classical controllers: whether their settings are "given", "tuned" or "untuned". Intervals are 95 %
-    (see `agents.evaluate.statistics`); null where a value is not defined.
+    "chosen", of classical controllers: whether their settings are "given", "tuned" or "untuned". "limit", where the
+    oracle has driven: `agents.evaluate.limit`. Intervals are 95 % (see `agents.evaluate.statistics`); null where a
+    value is not defined.
     """
+    oracle, records = records.get(ORACLE), {name: records[name] for name in study.names}
     draws = st.draws(study.seed, study.courses, study.resamples)
     scores = {n: {m: np.array([r.metric(m) for r in rows]) for m in METRICS} for n, rows in records.items()}
     members = {n: draws.members(n, len(rows)) for n, rows in records.items()}
@@ -39,6 +43,7 @@ def result(study: Study, records: dict[str, list[Records]]) -> dict:
         everything = np.concatenate([s[score].ravel() for s in scores.values()])
         thresholds[score] = np.linspace(everything.min(), everything.max(), _POINTS)
     return {
+        **({"limit": _limit(study, oracle, records)} if oracle else {}),
         "scenario": study.scenario.name,
         "courses": study.courses,
         "seed": study.seed,
@@ -67,6 +72,13 @@ def result(study: Study, records: dict[str, list[Records]]) -> dict:
             a: {b: _improvement(scores, members, draws, a, b) for b in records if b != a} for a in records
         },
     }  # fmt: skip
+
+
+def _limit(study: Study, oracle: list[Records], records: dict[str, list[Records]]) -> dict:
+    draws = st.draws(study.seed, study.oracle_courses, study.resamples)
+    members = draws.members(ORACLE, 1)
+    metrics = {m: _metric(m, oracle[0].metric(m)[None], members, draws) for m in METRICS}
+    return limit.limit(oracle[0], records, metrics)
 
 
 def _origin(study: Study, name: str) -> dict:

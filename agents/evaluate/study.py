@@ -16,13 +16,16 @@ from pathlib import Path
 
 import soil_env
 from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env.identification import immobilisation
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import studies
+from ..controllers.oracle import Oracle
 from . import loading
 from .contestants import Contestant, digest, model_files
 from .driving import HELD_OUT_SET
+from .limit import BLOCK, ORACLE
 from .records import Records, record
 
 LOG = "courses.jsonl"
@@ -32,7 +35,7 @@ LOG = "courses.jsonl"
 def code_version() -> str:
     """Version of soil_env, with a hash of the code that results follow from (not of its compiled form)."""
     here, there = Path(soil_env.__file__).parent, Path(__file__).parents[1]
-    files = sorted(here.rglob("*.py")) + [there / "controllers.py"]
+    files = [*sorted(here.rglob("*.py")), immobilisation.FILE, *sorted((there / "controllers").rglob("*.py"))]
     files += [there / "evaluate" / name for name in ("driving.py", "records.py", "warning.py")]
     return studies.fingerprint(files)
 
@@ -48,9 +51,17 @@ class Study(Checked):
     block: int = quantity("courses driven side by side", 1, 100_000, default=100)
     resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
     tuning_courses: int = quantity("0: not tuned", 0, 10**6, default=0)
+    oracle_courses: int = quantity("of them, that the oracle drives too", 0, 100_000, default=0)
     tuned: dict = field(default_factory=dict)  # {classical controller: settings that tuning has found}
     model: dict = field(default_factory=dict)  # content of the model.yaml of the world's effects; empty = none
     version: str = field(default_factory=code_version)
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.oracle_courses > self.courses:
+            raise ParameterError(
+                f"Study.oracle_courses = {self.oracle_courses}: expected at most {self.courses}, the courses compared"
+            )
 
     @property
     def world(self) -> WheelSoilModel | None:
@@ -72,14 +83,17 @@ class Study(Checked):
     def tasks(self) -> list[Task]:
         """All blocks of all controllers; block by block, so that an interrupted study has all controllers."""
         firsts = range(0, self.courses, self.block)
-        return [Task(key, f, min(self.block, self.courses - f)) for f in firsts for key in self.controllers]
+        own = [Task(key, f, min(self.block, self.courses - f)) for f in firsts for key in self.controllers]
+        return own + [
+            Task(ORACLE, f, min(BLOCK, self.oracle_courses - f)) for f in range(0, self.oracle_courses, BLOCK)
+        ]
 
 
 @dataclass(frozen=True)
 class Task:
     """Courses `first` ... `first + count - 1` for controller `controller` of a study."""
 
-    controller: str  # `Contestant.key`
+    controller: str  # `Contestant.key`, or ORACLE
     first: int
     count: int
 
@@ -120,6 +134,9 @@ class Job:
         """The columns of `Records` of a task."""
         if self.version != code_version():
             raise ParameterError(f"a worker has soil_env {code_version()}, the study {self.version}")
+        if task.controller == ORACLE:
+            oracle, where = Oracle(self.scenario), (self.scenario, self.seed, task.first, task.count)
+            return record(oracle, *where, self.threads, self.world).columns()
         contestant = self.controllers[task.controller]
         controller = self._loaded.get(task.controller)
         if controller is None:
@@ -152,7 +169,8 @@ def log_of(study: Study, folder: Path) -> studies.ResultLog:
 
 
 def run(study: Study, folder: Path, engine: studies.Engine, job: Job, progress: Callable[[int], None]) -> dict:
-    """Drive what is missing in `folder`; {algorithm: [Records of each member]}. `progress` is told courses done."""
+    """Drive what is missing in `folder`; {algorithm: [Records of each member]}, and {ORACLE: [Records]} where the study
+    asks for it. `progress` is told courses done."""
     with log_of(study, folder) as log:
         progress(sum(task.count for task in log.results))
         missing = [task for task in study.tasks() if task not in log.results]
@@ -164,4 +182,6 @@ def run(study: Study, folder: Path, engine: studies.Engine, job: Job, progress: 
         for key, contestant in study.controllers.items():
             blocks = [log.results[task] for task in study.tasks() if task.controller == key]
             out[contestant.name].append(Records.join(blocks))
+        if study.oracle_courses:
+            out[ORACLE] = [Records.join([log.results[task] for task in study.tasks() if task.controller == ORACLE])]
         return out

@@ -19,6 +19,9 @@ moment; distance and time are counted from the moment when it came on. Immobilis
 are not in their means: read them together with the share that was warned of, and with the share of the driving time
 under warning on courses that did not end so.
 
+A second warning, `Foresight`, is by the probability of immobilisation within 5 s, a network on the last seconds of the
+same sensors: on while it is over the threshold on its card, off after `RELEASE` s below.
+
 Published for another method, machine and ground: 1.8 m and 2.9 s on average, a four-wheeled rover in snow, ASME J.
 Autonomous Vehicles and Systems 2(3) 031001 (2022). Other conditions: not a figure to be compared digit by digit.
 """
@@ -27,6 +30,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from soil_env.identification.immobilisation import ImmobilisationWarning, shipped
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
 from soil_env.simulation.worlds import Worlds
@@ -43,14 +47,15 @@ _LOAD, _PITCH, _SLIP = (
 )
 
 
-class Warnings:
-    """Warnings of `count` wheels side by side, step by step."""
+class Alarm:
+    """Alarms of `count` wheels side by side, step by step: on after `hold` s of a sign, off after `release` s without.
 
-    def __init__(self, scenario: Scenario, count: int):
+    What the sign is, a class that derives from this one says.
+    """
+
+    def __init__(self, scenario: Scenario, count: int, hold: float, release: float):
         self.scenario, self.count = scenario, count
-        self.period = scenario.control.period
-        self.known = np.zeros((count, 6))  # estimate and load [N] of which the best working point was computed
-        self.best_slip, self.best_pull = np.zeros(count), np.zeros(count)  # [-], [of load]
+        self.hold, self.release, self.period = hold, release, scenario.control.period
         self.held, self.quiet = np.zeros(count), np.zeros(count)  # [s]
         self.on = np.zeros(count, dtype=bool)
         self.under, self.driven = np.zeros(count), np.zeros(count)  # [s] under warning, of all driving
@@ -61,17 +66,21 @@ class Warnings:
         # as they were when the wheel last was mobile
         self.mobile_lead = np.full((count, 2), np.nan)  # [m], [s] since the warning came on; NaN: not on
 
+    def signs(self, worlds: Worlds, alive: np.ndarray) -> np.ndarray:
+        """Which wheels show the sign in this control period [count] bool."""
+        raise NotImplementedError
+
     def step(self, worlds: Worlds, alive: np.ndarray) -> None:
         """Take in one control period of the wheels that are `alive` [count]."""
         driving = alive & (worlds.state["halt_left"] == 0.0)
-        looks = self._looks_impassable(worlds, alive) & driving
+        looks = self.signs(worlds, alive) & driving
         self.time[alive] += self.period
         self.held = np.where(driving, np.where(looks, self.held + self.period, 0.0), self.held)
         self.quiet = np.where(driving, np.where(looks, 0.0, self.quiet + self.period), self.quiet)
-        come = driving & ~self.on & (self.held >= HOLD - 1e-9)
+        come = driving & ~self.on & (self.held >= self.hold - 1e-9) & looks
         self.on |= come
         self.start_time[come], self.start_x[come] = self.time[come], worlds.state["best_x"][come]
-        self.on &= ~(driving & (self.quiet >= RELEASE - 1e-9))
+        self.on &= ~(driving & (self.quiet >= self.release - 1e-9))
         self.under[driving & self.on] += self.period
         self.driven[driving] += self.period
         mobile = driving & (worlds.state["best_x"] - self.furthest >= self.least)
@@ -89,6 +98,34 @@ class Warnings:
         `bogged` [count] bool: wheels that were mobile to the end. Means something for immobilised wheels only.
         """
         return np.where(bogged[:, None], self._lead(worlds), self.mobile_lead)
+
+
+class Foresight(Alarm):
+    """Alarms by the probability of immobilisation within 5 s (`soil_env.identification.immobilisation`)."""
+
+    def __init__(self, scenario: Scenario, count: int):
+        super().__init__(scenario, count, 0.0, RELEASE)
+        self.warning, self.threshold = ImmobilisationWarning(scenario), float(shipped()["alarm"])
+
+    def signs(self, worlds, alive):
+        """Whose probability is over the threshold; the worlds keep the last seconds of the sensors."""
+        rows, out = np.flatnonzero(alive), np.zeros(self.count, dtype=bool)
+        found = self.warning.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
+        out[rows] = found[:, -1] >= self.threshold
+        return out
+
+
+class Warnings(Alarm):
+    """Warnings by the criterion of the source paper."""
+
+    def __init__(self, scenario: Scenario, count: int):
+        super().__init__(scenario, count, HOLD, RELEASE)
+        self.known = np.zeros((count, 6))  # estimate and load [N] of which the best working point was computed
+        self.best_slip, self.best_pull = np.zeros(count), np.zeros(count)  # [-], [of load]
+
+    def signs(self, worlds, alive):
+        """Which grounds look impassable."""
+        return self._looks_impassable(worlds, alive)
 
     def _looks_impassable(self, worlds, alive):
         load = np.maximum(worlds.observation[:, _LOAD].astype(float), 0.05) * self.scenario.weight

@@ -4,14 +4,14 @@ RUN is a run folder of train.py, or a .zip of Stable-Baselines3 (PPO, A2C, TRPO,
 vecnormalize.pkl beside it where there is one. A zip that train.py did not write is unpickled in part: name only what
 you trust.
 
-The file takes raw observations and gives actions: normalisation, clipping, squashing and the guide are inside, and
+The file takes raw observations and gives actions: normalisation, clipping, squashing and the history are inside, and
 hidden states are inputs and outputs with names. It is compared with the agent over the steps of held-out courses
 before anything is written; where an action differs by more than 1e-5 nothing is.
 
 Examples:
   python -m agents.export runs/NAME --out policy
   python policy/run_policy.py
-  python -m agents.evaluate --controllers fixed_slip,mine=policy --out evaluation
+  python -m agents.evaluate --controllers soft_start,mine=policy --out evaluation
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import yaml
 from soil_env._io.commands import command, command_line, folder, leave, whole_number
 from soil_env._io.files import check_outputs, plain, replace_files, write_json
 from soil_env._io.loading import ParameterError, load
-from soil_env.parameters import Scenario, load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..cli import manual_parser
@@ -109,8 +109,11 @@ def _asked(options) -> tuple[Path, Scenario, WheelSoilModel | None]:
     from .. import ppo, zips
 
     path = options.run / "model.zip" if options.run.is_dir() else options.run
+    if not path.is_file():
+        wrong = f"{options.run}: no model.zip in this folder" if options.run.is_dir() else f"{path}: is not there"
+        raise ParameterError(f"{wrong}: expected a run folder of train.py, or a .zip of Stable-Baselines3")
     if zips.read_bytes(path, ppo._META) is None:
-        return path, load_scenario(options.scenario or "mixed"), None
+        return path, load_scenario(options.scenario or DEFAULT_SCENARIO), None
     if options.scenario is not None:
         raise ParameterError(f"--scenario {options.scenario}: {path} has its own")
     meta = ppo.read_meta(path)

@@ -17,12 +17,12 @@ from soil_env._io.loading import ParameterError, to_dict
 from soil_env.env import action_space, observation_space
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
+from soil_env.simulation.wheel import REVERSE
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..evaluate.driving import HELD_OUT_SET, drive
 from ..exported import FORMAT, ExportedAgent
 from .graph import OPSET, Graph, Traced
-from .guide import GuideGraph
 from .network import action_of, memory_sizes
 
 TOLERANCE = 1e-5  # of the action, between the agent and its export
@@ -39,35 +39,42 @@ def onnx_model(agent, description: dict):
     if agent.model.action_space != action_space():
         raise ParameterError(f"action space {agent.model.action_space}: expected {action_space()}")
     graph, policy = Graph(), agent.model.policy
+    entries = len(description["inputs"])
     seen = graph.input("observation", "float32")
     fresh = graph.input("new_course", "bool")
-    guide = None if getattr(agent, "guide", None) is None else GuideGraph(graph, agent.guide)
-    sizes = {name: (size, "float32") for name, size in memory_sizes(policy).items()}
-    sizes |= {} if guide is None else {name: (size, "float64") for name, size in guide.sizes.items()}
-    memory = {name: graph.input(name, dtype) for name, (_, dtype) in sizes.items()}
-    raw = seen if guide is None else guide.observe(seen, memory, fresh)
-    action, kept = action_of(graph, policy, _normalised(raw, agent), memory, fresh)
-    action = np.clip(action, -1.0, 1.0)
-    if guide is not None:
-        action = guide.act(action)
-        kept |= guide.kept()
-    batch, shape = "n", {name: ["n", size] if size else ["n"] for name, (size, _) in sizes.items()}
-    inputs = [graph.info(seen, [batch, observation_space(agent.variant).shape[0]])]
-    inputs += [graph.info(fresh, [batch])] if sizes else []
-    inputs += [graph.info(memory[name], shape[name]) for name in sizes]
-    outputs = [graph.info(_named(graph, action, "action"), [batch, 1])]
-    outputs += [graph.info(_named(graph, kept[name], f"next_{name}"), shape[name]) for name in sizes]
+    sizes, history = _states(agent), getattr(agent, "history", None)
+    memory = {name: graph.input(name, "float32") for name in sizes}
+    raw, past = seen, {}
+    if history is not None:
+        raw, past["history"] = history.observe(seen, memory["history"], fresh)
+    action, kept = action_of(graph, policy, _normalised(raw, agent, entries), memory, fresh)
+    kept |= past
+    inputs = [graph.info(seen, ["n", entries])]
+    inputs += [graph.info(fresh, ["n"])] if sizes else []
+    inputs += [graph.info(memory[name], ["n", size]) for name, size in sizes.items()]
+    outputs = [graph.info(_named(graph, np.clip(action, -1.0, 1.0), "action"), ["n", 1])]
+    outputs += [graph.info(_named(graph, kept[name], f"next_{name}"), ["n", size]) for name, size in sizes.items()]
     return graph.model(inputs, outputs, {"policy": json.dumps(plain(description))})
+
+
+def _states(agent) -> dict[str, int]:
+    """{name: numbers} of the hidden states of an agent: of its network, and the readings it keeps."""
+    history = getattr(agent, "history", None)
+    return memory_sizes(agent.model.policy) | ({} if history is None else {"history": history.kept})
 
 
 def _named(graph: Graph, x: Traced, name: str) -> Traced:
     return graph.node("Identity", x, outputs=[name], dtype=x.dtype)
 
 
-def _normalised(x: Traced, agent) -> Traced:
-    """Observations as the network reads them, float32: as `Agent._normalised` and `VecNormalize.normalize_obs`."""
+def _normalised(x: Traced, agent, entries: int) -> Traced:
+    """Observations of so many `entries`, with their history, as the network reads them, float32.
+
+    As `Agent._normalised` and `VecNormalize.normalize_obs`.
+    """
     if hasattr(agent, "mean"):
-        mean, sd, clip = agent.mean, agent.sd, agent.clip
+        acting = entries + (agent.history.size if agent.history else 0)  # what follows is for the value network alone
+        mean, sd, clip = agent.mean[:acting], agent.sd[:acting], agent.clip
     elif agent.normalisation is not None and agent.normalisation.norm_obs:
         of = agent.normalisation
         mean, sd, clip = of.obs_rms.mean, np.sqrt(of.obs_rms.var + of.epsilon), of.clip_obs
@@ -81,23 +88,21 @@ def _normalised(x: Traced, agent) -> Traced:
 
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:
     """What policy.yaml says before anything was run, as plain values."""
-    wheel, by_speed = scenario.wheel, scenario.control.action == "wheel_speed"
-    space, model = observation_space(agent.variant), agent.model
+    wheel, control = scenario.wheel, scenario.control
+    space, model = observation_space(agent.variant, scenario.course), agent.model
     entries = [
         {"index": k, "name": e.name, "unit": e.unit, "low": low, "high": high}
         for k, (e, low, high) in enumerate(
-            zip(layout(agent.variant), *(np.round(a.astype(float), 6).tolist() for a in (space.low, space.high)),
-                strict=True)
+            zip(layout(agent.variant, scenario.course),
+                *(np.round(a.astype(float), 6).tolist() for a in (space.low, space.high)), strict=True)
         )
     ]  # fmt: skip
-    guide = getattr(agent, "guide", None)
-    sizes = memory_sizes(model.policy) | ({} if guide is None else GuideGraph(Graph(), guide).sizes)
     return {
         "format": FORMAT,
         "name": name,
         "algorithm": "PPO" if type(model).__name__ == "Learner" else type(model).__name__,
         "steps_trained": int(model.num_timesteps),
-        "guide": None if guide is None else guide.content(),
+        "history": 0 if getattr(agent, "history", None) is None else agent.history.steps,
         "observation": agent.variant,
         "inputs": entries,
         "reference": {
@@ -107,21 +112,36 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
             "course length": {"value": scenario.course.length, "unit": "m"},
         },
         "states": [
-            {"name": key, "size": size, "first": 0.0, "output": f"next_{key}"} for key, size in sizes.items()
+            {"name": key, "size": size, "first": 0.0, "output": f"next_{key}"} for key, size in _states(agent).items()
         ],
         "output": {
             "name": "action",
             "low": -1.0,
             "high": 1.0,
-            "meaning": "wheel speed, followed by the drive's own loop" if by_speed else "motor torque",
-            "scale": {"value": wheel.no_load_speed, "unit": "rad/s"} if by_speed
-            else {"value": wheel.stall_torque, "unit": "N m"},
+            **_OUTPUTS[control.action](wheel, control),
         },
-        "rate": {"period": scenario.control.period, "unit": "s"},
+        "rate": {"period": round(control.duration, 9), "unit": "s"},
         "scenario": to_dict(scenario),
         "world": None if world is None else world.content(),
         "versions": _versions(),
     }  # fmt: skip
+
+
+_OUTPUTS = {  # what the action means on a vehicle, and what 1 is
+    "torque": lambda wheel, control: {
+        "meaning": "motor torque", "scale": {"value": wheel.stall_torque, "unit": "N m"}
+    },
+    "wheel_speed": lambda wheel, control: {
+        "meaning": "wheel speed, followed by the drive's own loop",
+        "scale": {"value": wheel.no_load_speed, "unit": "rad/s"},
+    },
+    "rim_acceleration": lambda wheel, control: {
+        "meaning": "rate of the rim speed that the drive's own loop follows; that speed is 0 at the start and in halts",
+        "scale": {"value": control.rim_acceleration, "unit": "m/s2"},
+        "limits": {"value": [-REVERSE * wheel.radius * wheel.no_load_speed, wheel.radius * wheel.no_load_speed],
+                   "unit": "m/s, of that rim speed"},
+    },
+}  # fmt: skip
 
 
 def _versions() -> dict[str, str]:

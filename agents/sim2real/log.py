@@ -136,7 +136,8 @@ def _course(scenario: Scenario, plan: Commissioning, grade: float, payload: floa
         "spread": none,
         "course": {"length": length, "patch_length": [2.0 * length, 2.0 * length], "grade_deg": [grade, grade],
                    "margin": [0.0, 0.0], "payload": [payload, payload], "halt_time": 0.0},
-        "control": {"time_limit": min(10.0 * length / (min(plan.rim_speeds) * top), 1e5)},
+        "control": {"action": "torque", "repeat": 1,
+                    "time_limit": min(10.0 * length / (min(plan.rim_speeds) * top), 1e5)},
     })  # fmt: skip
 
 

@@ -167,7 +167,7 @@ class Arm:
 
     def _settings(self) -> dict:
         path, study = self.folder / "tuned.json", self.study
-        return kept_settings(path, study.scenario, study.tuning_courses, None, CLASSICAL, self.model)
+        return kept_settings(path, study.scenario, study.tuning_courses, CLASSICAL, None, self.model)
 
     def _train(self, k: int) -> None:
         """Train PPO agent k, from its checkpoint where there is one."""

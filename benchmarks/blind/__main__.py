@@ -2,6 +2,7 @@
 
     python -m benchmarks.blind run --entrant workflow --seed 2027 --out DIR --jobs 16    draw, ask, score
     python -m benchmarks.blind run --entrant bic --seed 2027 --out DIR --limit 200       the first 200, a fair sample
+    python -m benchmarks.blind run --set easy --entrant workflow --out DIR               listed forms on exact laws
     python -m benchmarks.blind draw --seed 100001 --out DIR                              the cases only
     python -m benchmarks.blind score --out DIR                                           scores of all answers in DIR
     python -m benchmarks.blind list                                                      groups and forms
@@ -27,7 +28,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 from benchmarks.blind import page, run, score
 from benchmarks.blind.entrants import NAMES, entrant
 from benchmarks.blind.forms import MECHANISMS, forms_of
-from benchmarks.blind.groups import GROUPS, IN_ALL, tasks
+from benchmarks.blind.sets import SETS
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env._io.loading import ParameterError
 
@@ -46,11 +47,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _names(options: argparse.Namespace) -> list[str]:
-    return [t.name for t in tasks(options.limit) if not options.group or t.group in options.group]
+    return [t.name for t in SETS[options.set].tasks(options.limit) if not options.group or t.group in options.group]
 
 
 def _draw(options: argparse.Namespace) -> int:
-    run.begin(options.out, options.seed)
+    run.begin(options.out, options.seed, SETS[options.set])
     left = [n for n in _names(options) if not (options.out / "truth" / f"{n}.json").exists()]
     run.in_processes(partial(run.draw, options.seed, options.out), left, options.jobs)
     print(f"{options.out}: {len(_names(options))} cases of seed {options.seed}")
@@ -60,7 +61,7 @@ def _draw(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace) -> int:
     label = options.label or re.sub(r"\W+", "_", options.entrant)[:40]
     entrant(options.entrant)  # before the work: that there is one
-    run.begin(options.out, options.seed)
+    run.begin(options.out, options.seed, SETS[options.set])
     run.describe(options.out, label, options.entrant)
     done = run.answered(options.out, label)
     left = [n for n in _names(options) if n not in done]
@@ -73,6 +74,8 @@ def _score(options: argparse.Namespace) -> int:
         about = json.loads((options.out / "study.json").read_text(encoding="utf-8"))
     except OSError as error:
         raise ParameterError(f"{options.out}: no study ({error.strerror}); expected the folder of a run") from None
+    options.set = about.get("set", "laws")
+    of = SETS[options.set]
     run.recorded(options.out)
     labels = sorted(p.name for p in (options.out / "answers").glob("*") if p.is_dir())
     if not labels:
@@ -84,18 +87,20 @@ def _score(options: argparse.Namespace) -> int:
         if records:
             about = options.out / "answers" / f"{label}.json"
             known = json.loads(about.read_text(encoding="utf-8")) if about.exists() else {}
-            result["entrants"][label] = known | score.figures(records)
-            result["groups"] = score.group_counts(records)
+            result["entrants"][label] = known | score.figures(records, of)
+            result["groups"] = score.group_counts(records, of)
     page.write(result, options.publish or options.out)
     print(page.summary(result))
-    print(f"written: {(options.publish or options.out) / 'blind_scores.md'}, .json and pictures")
+    print(f"written: {(options.publish or options.out) / page.stem(of.name)}.md, .json and pictures")
     return 0
 
 
 def _list(options: argparse.Namespace) -> int:
-    for group in GROUPS.values():
-        print(f"{group.name:28s} {group.count:4d} cases")
-    print(f"{'in all':28s} {IN_ALL:4d}\n")
+    for of in SETS.values():
+        print(f"set {of.name}")
+        for group in of.groups.values():
+            print(f"{group.name:28s} {group.count:4d} cases")
+        print(f"{'in all':28s} {of.in_all:4d}\n")
     for mechanism in MECHANISMS:
         for form in forms_of(mechanism):
             print(f"{mechanism:20s} {form.name:24s} {form.source.splitlines()[0]}")
@@ -104,6 +109,7 @@ def _list(options: argparse.Namespace) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     p = command_parser(f"python -m {NAME}", __doc__)
+    known = [group for of in SETS.values() for group in of.groups]
     parts = p.add_subparsers(required=True, metavar="COMMAND")
     for name, work, text in (
         ("run", _run, "ask an entrant and score it"), ("draw", _draw, "write the cases"),
@@ -114,14 +120,13 @@ def _parser() -> argparse.ArgumentParser:
         if name == "list":
             continue
         q.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder of cases, truths and answers")
-        q.add_argument(
-            "--limit", metavar="N", type=whole_number(1), help=f"only the first N of {IN_ALL}, a fair sample"
-        )
+        q.add_argument("--limit", metavar="N", type=whole_number(1), help="only the first N cases, a fair sample")
         if name in ("run", "score"):
             q.add_argument("--publish", metavar="DIR", type=Path, help="folder of the scores (default: that of --out)")
-        q.add_argument("--group", action="append", choices=list(GROUPS), default=[], metavar="GROUP",
+        q.add_argument("--group", action="append", choices=known, default=[], metavar="GROUP",
                        help="only this group, see list; may be given several times")  # fmt: skip
         if name != "score":
+            q.add_argument("--set", choices=list(SETS), default="laws", help="of the cases (default laws)")
             q.add_argument("--seed", metavar="N", type=whole_number(), default=REPORTED,
                            help=f"of the cases (default {REPORTED}, the reported one)")  # fmt: skip
             q.add_argument("--jobs", metavar="N", type=whole_number(1), default=1, help="processes (default 1)")

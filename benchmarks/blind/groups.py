@@ -84,7 +84,6 @@ _LIST = (
     *(Group("none", design, 0.1, count) for design, count in (("poor", 30), ("few", 20))),
 )
 GROUPS = {group.name: group for group in _LIST if group.count}
-IN_ALL = sum(group.count for group in GROUPS.values())
 
 
 class Task(NamedTuple):
@@ -97,17 +96,3 @@ class Task(NamedTuple):
     def name(self) -> str:
         """Of its folder and its files."""
         return f"{self.group}-{self.index:03d}"
-
-
-def tasks(limit: int | None = None) -> list[Task]:
-    """The first `limit` cases of all; every group is in any beginning of the list in proportion to its size."""
-    out = [((i + 0.5) / group.count, Task(name, i)) for name, group in GROUPS.items() for i in range(group.count)]
-    return [task for _, task in sorted(out, key=lambda pair: pair[0])][:limit]
-
-
-def task_of(name: str) -> Task:
-    """The case of a name. Raises `ValueError` where there is none."""
-    group, _, index = name.rpartition("-")
-    if group not in GROUPS or not index.isdigit():
-        raise ValueError(f"case {name!r}: expected GROUP-NUMBER, GROUP one of {', '.join(GROUPS)}")
-    return Task(group, int(index))

@@ -1,15 +1,20 @@
-"""blind_scores.json, and blind_scores.md with the pictures of the reliability."""
+"""Scores of a set as JSON, and as a page with the pictures of the reliability."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
-from benchmarks.blind.groups import SIZES
 from benchmarks.blind.score import LEAST_IN_BIN, TARGETS
+from benchmarks.blind.sets import SETS, CaseSet
 from soil_env._io.files import replace_file
 
 CALIBRATED = 0.05  # largest deviation of stated probabilities that is asked for
+
+
+def stem(name: str) -> str:
+    """Name, without suffix, of the files of a set."""
+    return "blind_scores" if name == "laws" else f"blind_scores_{name}"
 
 
 def percent(value: dict | None) -> str:
@@ -24,8 +29,8 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines) + "\n"
 
 
-def _asked(target) -> str:
-    return f"{'>=' if target.least else '<='} {100 * target.bound:.0f}"
+def _asked(target, of: CaseSet) -> str:
+    return f"{'>=' if target.least else '<='} {100 * of.bounds[target.key]:.3g}"
 
 
 def _deviation(calibration: dict) -> str:
@@ -52,9 +57,10 @@ def _cases(entrants: dict) -> str:
 
 def markdown(result: dict) -> str:
     """The page of the scores."""
-    entrants = result["entrants"]
+    entrants, of = result["entrants"], SETS[result["set"]]
+    pictures = "".join(f"![{label}]({stem(of.name)}_{label}.svg)\n" for label in entrants)
     head = ["what", "asked [%]", *entrants]
-    rows = [[t.words, _asked(t), *(percent(f["targets"][t.key]) for f in entrants.values())] for t in TARGETS]
+    rows = [[t.words, _asked(t, of), *(percent(f["targets"][t.key]) for f in entrants.values())] for t in TARGETS]
     for t in TARGETS[:2]:
         nearest = [percent(f["nearest"][t.key]) for f in entrants.values()]
         rows.append([f"{t.words}; where its own listed form is nearest", "", *nearest])
@@ -65,14 +71,15 @@ def markdown(result: dict) -> str:
     rows.append(["seconds a case, median (most)", "", *(f"{f['seconds']['median']:.1f} ({f['seconds']['most']:.1f})"
                                                         for f in entrants.values())])  # fmt: skip
     closest = [f"{label} {percent(f['closest'])}" for label, f in entrants.items()]
-    return f"""# Scores of the blind benchmark
+    sizes = list(dict.fromkeys(size for f in entrants.values() for size in f["by_law"]))
+    return f"""# Scores of the blind benchmark{"" if of.name == "laws" else f", {of.name} set"}
 
-Seed {result["seed"]}, generator {result.get("generator", "-")}; [how](blind_benchmark.md).
+Set `{of.name}`, seed {result["seed"]}, generator {result.get("generator", "-")}; [how](blind_benchmark.md).
 Cases: {_cases(entrants)}.
 Shares in % with 95 % intervals (Wilson) of the cases at or above twice the detection limit; deviations in points, of
 bins of {LEAST_IN_BIN} and more.
 
-## At 10 % law error, rich tables of one and two wheels
+## At {100 * of.main:.0f} % law error, rich tables of one and two wheels
 
 {_table(head, rows)}
 Its own listed form is nearest: the best one of the hidden mechanism leaves less of the truth than that of any other
@@ -81,14 +88,14 @@ A method that knows the covariance of all errors and chooses between it and its 
 {_ideal(entrants)} % of the cases of the first row.
 
 ## By law error, rich tables of one wheel on the paper's base law
-{_by(entrants, "by_law", lambda f: [f"{s:g}" for s in SIZES], "law error")}
-## By design, at 10 % law error
+{_by(entrants, "by_law", lambda f: sizes, "law error")}
+## By design, at {100 * of.main:.0f} % law error
 {_by(entrants, "by_design", lambda f: list(f["by_design"]), "design")}
 ## By mechanism, all designs and law errors
 {_mechanisms(entrants)}
 ## Stated probabilities
 
-{"".join(f"![{label}](blind_scores_{label}.svg)" + chr(10) for label in entrants)}
+{pictures}
 {_reliability(entrants)}
 ## Cases below twice the detection limit
 
@@ -180,20 +187,21 @@ def _diagram(bins: list[dict], left: int, words: str) -> list[str]:
 
 
 def write(result: dict, folder: Path) -> None:
-    """blind_scores.json, blind_scores.md and a picture for each entrant."""
+    """JSON, page and a picture for each entrant, named by `stem`."""
+    name = stem(result["set"])
     folder.mkdir(parents=True, exist_ok=True)
     for label, f in result["entrants"].items():
-        replace_file(folder / f"blind_scores_{label}.svg", picture(f, label))
-    replace_file(folder / "blind_scores.json", json.dumps(result, indent=1) + "\n")
-    replace_file(folder / "blind_scores.md", markdown(result))
+        replace_file(folder / f"{name}_{label}.svg", picture(f, label))
+    replace_file(folder / f"{name}.json", json.dumps(result, indent=1) + "\n")
+    replace_file(folder / f"{name}.md", markdown(result))
 
 
 def summary(result: dict) -> str:
-    """The targets at 10 % for the terminal."""
-    lines = []
+    """The targets for the terminal."""
+    lines, of = [], SETS[result["set"]]
     for label, f in result["entrants"].items():
         lines.append(f"{label}: {f['cases']} cases, {f['counting']} count, {f['errors']} errors")
-        lines += [f"  {t.words}: {percent(f['targets'][t.key])} (asked {_asked(t)})" for t in TARGETS]
+        lines += [f"  {t.words}: {percent(f['targets'][t.key])} (asked {_asked(t, of)})" for t in TARGETS]
         lines.append(f"  largest deviation of stated probabilities: first {_deviation(f['calibration']['first'])}, "
                      f"all {_deviation(f['calibration']['all'])} points")  # fmt: skip
     return "\n".join(lines)

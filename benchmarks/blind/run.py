@@ -22,37 +22,23 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
+from benchmarks.blind.cases import write_case
 from benchmarks.blind.entrants import Answer, entrant
+from benchmarks.blind.sets import CaseSet, set_of, task_of
+from soil_env._io.files import replace_file
 
-#: Modules of the benchmark, and of the easy set, that the cases follow from.
-DRAWN_BY = (
-    "cases",
-    "effect",
-    "forms",
-    "forms_contact",
-    "forms_run",
-    "groups",
-    "laws",
-    "limits",
-    "plan",
-    "unlisted",
-    "world",
-)
-EASY = ("forms", "forms_contact", "forms_run", "limits", "plan", "unlisted")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
-def generator() -> str:
-    """Hash of the code that the cases follow from."""
-    here = Path(__file__).parent
-    files = [*(here / f"{name}.py" for name in DRAWN_BY), *(here / "easy" / f"{name}.py" for name in EASY)]
-    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()[:12]
+def generator(of: CaseSet) -> str:
+    """Hash of the code that the cases of a set follow from."""
+    return hashlib.sha256(b"".join(f.read_bytes() for f in of.sources)).hexdigest()[:12]
 
 
-def begin(folder: Path, seed: int) -> None:
-    """Make the folder of a seed. Raises `ValueError` where it holds cases of another seed or generator."""
+def begin(folder: Path, seed: int, of: CaseSet) -> None:
+    """Make the folder of a seed. Raises `ValueError` where it holds cases of another set, seed or generator."""
     folder.mkdir(parents=True, exist_ok=True)
-    path, about = folder / "study.json", {"seed": seed, "generator": generator()}
+    path, about = folder / "study.json", {"set": of.name, "seed": seed, "generator": generator(of)}
     if path.exists():
         begun = json.loads(path.read_text(encoding="utf-8"))
         for key, value in about.items():
@@ -65,12 +51,9 @@ def begin(folder: Path, seed: int) -> None:
 
 def draw(seed: int, folder: Path, name: str) -> None:
     """Write the case of that name, unless it is there."""
-    from benchmarks.blind.cases import draw_case, write_case
-    from benchmarks.blind.groups import task_of
-
     truth = folder / "truth" / f"{name}.json"
     if not truth.exists():
-        write_case(draw_case(seed, task_of(name)), folder / "cases" / name, truth)
+        write_case(set_of(name).draw(seed, task_of(name)), folder / "cases" / name, truth)
 
 
 def ask(who: str, label: str, seed: int, folder: Path, name: str) -> float:
@@ -91,11 +74,8 @@ def ask(who: str, label: str, seed: int, folder: Path, name: str) -> float:
 
 
 def _write(path: Path, content: dict) -> None:
-    """Write JSON in one piece."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    part.replace(path)
+    replace_file(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def describe(folder: Path, label: str, who: str) -> None:

@@ -18,7 +18,8 @@ from scipy.special import ndtr
 from benchmarks.blind.easy.limits import noncentrality
 from benchmarks.blind.entrants import Answer
 from benchmarks.blind.forms import MECHANISMS
-from benchmarks.blind.groups import GROUPS, SIZES, tasks
+from benchmarks.blind.groups import SIZES
+from benchmarks.blind.sets import CaseSet
 
 ASSERTED = ("named", "partly")  # verdicts that say a name without doubt
 MORE_LIKELY = 0.5
@@ -99,17 +100,16 @@ class Target(NamedTuple):
     words: str
     kind: str
     value: Callable[[Record], bool]
-    bound: float
-    least: bool  # at least the bound, else at most
+    least: bool  # at least the bound of the set, else at most
 
 
 TARGETS = (
-    Target("first", "one effect: its mechanism named first", "one", lambda r: r.judged.first, 0.85, True),
-    Target("included", "the same: first or among the alternatives", "one", lambda r: r.judged.included, 0.95, True),
-    Target("wrong", "one effect: a wrong name with more than 50 %", "one", lambda r: r.judged.wrong, 0.05, False),
-    Target("both", "two effects: both named", "two", lambda r: r.judged.both, 0.70, True),
-    Target("none", "no effect: no name", "none", lambda r: r.judged.silent, 0.95, True),
-    Target("unlisted", "unlisted: no name with more than 50 %", "unlisted", lambda r: not r.judged.wrong, 0.90, True),
+    Target("first", "one effect: its mechanism named first", "one", lambda r: r.judged.first, True),
+    Target("included", "the same: first or among the alternatives", "one", lambda r: r.judged.included, True),
+    Target("wrong", "one effect: a wrong name with more than 50 %", "one", lambda r: r.judged.wrong, False),
+    Target("both", "two effects: both named", "two", lambda r: r.judged.both, True),
+    Target("none", "no effect: no name", "none", lambda r: r.judged.silent, True),
+    Target("unlisted", "unlisted: no name with more than 50 %", "unlisted", lambda r: not r.judged.wrong, True),
 )
 
 
@@ -119,28 +119,29 @@ def targets(records: list[Record]) -> dict[str, dict | None]:
     return {t.key: share(t.value(r) for r in counting if r.truth["kind"] == t.kind) for t in TARGETS}
 
 
-def figures(records: list[Record]) -> dict:
-    """All figures of one entrant, as plain values."""
+def figures(records: list[Record], of: CaseSet) -> dict:
+    """All figures of one entrant on the cases of a set, as plain values."""
+    sizes = [size for size in SIZES if any(g.error == size for g in of.groups.values())]
     rich = [r for r in records if r.truth["design"] in RICH and r.truth["sort"] != "weak"]
     plain = [r for r in rich if r.truth["design"] == "rich" and not r.truth["sort"]]
     named = [r for r in records if r.truth["kind"] == "one" and r.truth["counts"]]
-    tenth = [r for r in records if r.truth["law_error"] == 0.1]
-    main = [r for r in rich if r.truth["law_error"] == 0.1]
+    at_main = [r for r in records if r.truth["law_error"] == of.main]
+    main = [r for r in rich if r.truth["law_error"] == of.main]
     return {
         "cases": len(records),
         "counting": sum(r.truth["counts"] for r in records),
         "errors": sum(r.answer.verdict == "error" for r in records),
         "targets": targets(main),
-        "by_law": {f"{size:g}": targets([r for r in plain if r.truth["law_error"] == size]) for size in SIZES},
-        "by_design": {d: targets([r for r in tenth if _design(r) == d]) for d in dict.fromkeys(map(_design, tenth))},
-        "below": {f"{size:g}": _below([r for r in records if r.truth["law_error"] == size]) for size in SIZES},
+        "by_law": {f"{size:g}": targets([r for r in plain if r.truth["law_error"] == size]) for size in sizes},
+        "by_design": {d: targets([r for r in at_main if _design(r) == d]) for d in sorted(set(map(_design, at_main)))},
+        "below": {f"{size:g}": _below([r for r in records if r.truth["law_error"] == size]) for size in sizes},
         "mechanisms": {m: _mechanism([r for r in named if r.truth["effects"][0]["name"] == m]) for m in MECHANISMS},
         "closest": share(_nearest(r) for r in named),
         "ideal": _ideal([r for r in main if r.truth["kind"] == "one" and r.truth["counts"]]),
         "nearest": targets([r for r in main if _nearest(r)]),
         "verdicts": _verdicts(records),
         "calibration": {"first": reliability(_firsts(records)), "all": reliability(_all(records)),
-                        "first_at_10": reliability(_firsts(tenth)), "all_at_10": reliability(_all(tenth))},
+                        "first_at_main": reliability(_firsts(at_main)), "all_at_main": reliability(_all(at_main))},
         "seconds": _quantiles([r.seconds for r in records]),
     }  # fmt: skip
 
@@ -255,10 +256,10 @@ def reliability(pairs: list[tuple[float, bool]]) -> dict:
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def read_records(folder: Path, label: str, names: Iterable[str] | None = None) -> list[Record]:
-    """Cases of a folder that an entrant has answered, or those of the names. Raises `ValueError` for a damaged file."""
+def read_records(folder: Path, label: str, names: Iterable[str]) -> list[Record]:
+    """Those cases of the names that an entrant has answered. Raises `ValueError` for a damaged file."""
     out = []
-    for name in names or [task.name for task in tasks()]:
+    for name in names:
         said = folder / "answers" / label / f"{name}.json"
         if not said.exists():
             continue
@@ -274,10 +275,10 @@ def read_records(folder: Path, label: str, names: Iterable[str] | None = None) -
     return out
 
 
-def group_counts(records: list[Record]) -> dict[str, dict[str, int]]:
+def group_counts(records: list[Record], of: CaseSet) -> dict[str, dict[str, int]]:
     """Cases of each group, and how many of them count."""
     out = {}
-    for name in GROUPS:
+    for name in of.groups:
         inside = [r for r in records if r.truth["case"].rpartition("-")[0] == name]
         if inside:
             out[name] = {"cases": len(inside), "count": sum(r.truth["counts"] for r in inside)}

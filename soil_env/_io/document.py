@@ -27,7 +27,7 @@ class Table:
     rows: Sequence[Sequence[object]]
     caption: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if any(len(row) != len(self.header) for row in self.rows):
             raise ValueError(f"expected rows of {len(self.header)} cells: {', '.join(map(str, self.header))}")
 

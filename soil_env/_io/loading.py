@@ -26,7 +26,7 @@ class ParameterError(ValueError):
     The middle of a message that quotes something very long is left out.
     """
 
-    def __init__(self, message: str = ""):
+    def __init__(self, message: str = "") -> None:
         text = str(message)
         super().__init__(text if len(text) <= 1000 else f"{text[:700]} ... {text[-200:]}")
 
@@ -90,7 +90,7 @@ def unknown_value(value, known, where: str) -> ParameterError:
 class UnknownKeyword(ParameterError, TypeError):
     """A keyword argument that does not exist: the `TypeError` that Python raises, and names the nearest known one."""
 
-    def __init__(self, key, known=()):
+    def __init__(self, key, known=()) -> None:
         text = f"unexpected keyword argument {key!r}{_nearest(key, known)} (known: {_sorted(known)})"
         super().__init__(text if known else key)  # a copy is made of the text
 
@@ -133,7 +133,7 @@ def load(cls, mapping, where: str = ""):
         if where == cls.__name__:
             raise
         text = text.removeprefix(own).removeprefix(f"{cls.__name__}: ")
-        of_key = re.match(r"\w+( = |: expected)", text)
+        of_key = re.match(r"[\w.]+( = |: expected)", text)
         raise ParameterError(_below(where, text) if of_key else f"{where}: {text}") from None
 
 
@@ -157,6 +157,8 @@ def _convert(hint, value, where: str):
     if origin in (typing.Union, types.UnionType):  # X | None
         known = next(item for item in items if item is not type(None))
         return None if value is None else _convert(known, value, where)
+    if hint is typing.Any:
+        return value
     if dataclasses.is_dataclass(hint):
         return value if isinstance(value, hint) else load(hint, value, where)
     if origin is tuple and items[1:] == (Ellipsis,):
@@ -226,7 +228,7 @@ class _Strict(yaml.SafeLoader):
     Aliases are counted as often as they are used: ten lines of them can stand for more values than memory holds.
     """
 
-    def __init__(self, stream):
+    def __init__(self, stream) -> None:
         super().__init__(stream)
         self.depth = self.composed = self.values = 0
 

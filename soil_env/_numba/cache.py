@@ -112,7 +112,7 @@ class _Once:
 
     _depth = 0  # roots that this process compiles at present; only under numba's own lock
 
-    def __init__(self, dispatcher):
+    def __init__(self, dispatcher) -> None:
         self._dispatcher = dispatcher
 
     def __call__(self, signature):

@@ -18,7 +18,9 @@ from __future__ import annotations
 
 import importlib
 import threading
+from collections.abc import Callable
 from functools import update_wrapper
+from typing import Any, TypeAlias, overload
 
 import numpy as np
 from numba import config, njit, typeof, types
@@ -33,6 +35,8 @@ COMPILED = not config.DISABLE_JIT
 
 # --- parts and roots --------------------------------------------------------------------------------------------------
 
+#: A compiled function, for type checkers: its numbers may be floats or lanes, its arguments arrays or rows.
+Compiled: TypeAlias = Callable[..., Any]
 
 _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -40,7 +44,7 @@ _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 class Part:
     """A function of compiled code, which Python may call too; `py_func` is its source as a Python function."""
 
-    def __init__(self, function, inline: bool):
+    def __init__(self, function, inline: bool) -> None:
         update_wrapper(self, function)
         self.py_func = function
         self._root = None
@@ -75,22 +79,26 @@ def _named(module: str, name: str):
     return getattr(importlib.import_module(module), name)
 
 
-def part(function):
+def part(function: Callable[..., Any]) -> Compiled:
     """A function of compiled code that its callers call."""
     return Part(function, False) if COMPILED else function
 
 
-def inlined(function):
+def inlined(function: Callable[..., Any]) -> Compiled:
     """A function of compiled code that is put into its callers, so that its values may stay in registers."""
     return Part(function, True) if COMPILED else function
 
 
-def uncompiled(function):
+def uncompiled(function: Compiled) -> Compiled:
     """The Python function of a part, for one call that is not worth compiling; it must call no other part."""
     return getattr(function, "py_func", function)
 
 
-def root(function=None, *, nogil=False, allocates=False):
+@overload
+def root(function: Callable[..., Any]) -> Compiled: ...
+@overload
+def root(*, nogil: bool = ..., allocates: bool = ...) -> Callable[[Callable[..., Any]], Compiled]: ...
+def root(function: Any = None, *, nogil: bool = False, allocates: bool = False) -> Any:
     """A compiled function that Python calls. `nogil`: without the interpreter's lock; `allocates`: may make arrays."""
     if function is None:
         return lambda f: root(f, nogil=nogil, allocates=allocates)
@@ -110,7 +118,7 @@ class FastCall:
     the same types as the first; nothing checks that.
     """
 
-    def __init__(self, function):
+    def __init__(self, function) -> None:
         self._function, self._code = function, None if COMPILED else function
 
     def __call__(self, *arguments):

@@ -23,7 +23,7 @@ from soil_env._numba.lanes import COUNT, INTEGERS, VECTOR, call, lanes, numbers,
 class _Emitted:
     """Lanes, or a float, in code that is being emitted: arithmetic on it emits more."""
 
-    def __init__(self, builder, value):
+    def __init__(self, builder, value) -> None:
         self.builder, self.value = builder, value
         self.kind = "v8f64" if value.type == VECTOR else "f64"
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 COUNT = 8
+#: What scratch memory holds before it is written; compiled code sets it to nothing. A test sets NaN and 1e300 here.
+UNSET = 0.0
 
 
 def wide(x) -> bool:
@@ -47,7 +49,7 @@ def to_array(x, a, i):
 
 
 def scratch(size):
-    return np.zeros(size)
+    return np.full(size, UNSET)
 
 
 def made_of(*values):

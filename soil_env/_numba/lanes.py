@@ -26,7 +26,7 @@ COUNT = 8
 class Lanes(types.Type):
     """Numba type of eight float64."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__(name="float64x8")
 
 
@@ -37,7 +37,7 @@ INTEGERS = ir.VectorType(ir.IntType(64), COUNT)
 
 @register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):
-    def __init__(self, manager, fe_type):
+    def __init__(self, manager, fe_type) -> None:
         super().__init__(manager, fe_type, VECTOR)
 
 
@@ -164,7 +164,8 @@ def to_array(typingctx, x, a, i):
 def scratch(size):
     """A compiled function without arguments that returns a float64 array [size] on the stack of its caller.
 
-    It is not set to anything, and gone when the caller returns.
+    It is not set to anything, and gone when the caller returns, also where that is put into its own caller: the caller
+    must not return it.
     """
 
     @intrinsic

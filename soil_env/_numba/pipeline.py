@@ -26,7 +26,7 @@ from numba.extending import models, register_model
 class _WithoutEnvironment:
     """The code generator, for functions that have no place in memory into which Python objects could be written."""
 
-    def __init__(self, codegen):
+    def __init__(self, codegen) -> None:
         self._codegen = codegen
 
     def __getattr__(self, name):
@@ -107,7 +107,7 @@ class _Passes:
         )
     )
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.exec_times = {}
 
     def run(self, state):
@@ -119,7 +119,7 @@ class _Passes:
 class _Refresh:
     """`refresh` of a numba context, where something was registered since the last one."""
 
-    def __init__(self, context):
+    def __init__(self, context) -> None:
         self._context, self._size = context, -1
 
     def __call__(self):
@@ -156,7 +156,7 @@ class _Remembered(types.Function):
     Numba tries all templates of the function, and formats an error for each that does not fit, at every occurrence.
     """
 
-    def __init__(self, templates):
+    def __init__(self, templates) -> None:
         super().__init__(templates)
         self._signatures = {}
 

@@ -12,6 +12,7 @@ any other. `scratch_rows(State, n)` are rows on the stack.
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -30,6 +31,7 @@ from numba.extending import (
 )
 from numba.np.arrayobj import make_array, populate_array
 
+from soil_env._numba import interpreted
 from soil_env._numba.compiling import COMPILED
 from soil_env._numba.lanes import COUNT
 
@@ -39,38 +41,38 @@ class Rows:
 
     __slots__ = ("_memory", "count", "data")
     NAMES: tuple[str, ...] = ()
-    KIND = np.float64
+    KIND: type = np.float64
 
-    def __init__(self, count: int, data: np.ndarray | None = None):
+    def __init__(self, count: int, data: np.ndarray | None = None) -> None:
         columns = -(-count // COUNT) * COUNT
-        self.count = count
-        self.data = np.zeros((len(self.NAMES), columns), self.KIND) if data is None else data
+        self.count: int = count
+        self.data: np.ndarray = np.zeros((len(self.NAMES), columns), self.KIND) if data is None else data
         self._memory = self.data.ctypes.data, self.data.shape[1]  # address, columns
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> np.ndarray:
         if name.startswith("__") or name not in self.NAMES:
             raise AttributeError(f"{type(self).__name__} has no row {name!r}: expected one of {', '.join(self.NAMES)}")
         return self.data[self.NAMES.index(name), : self.count if COMPILED else None]
 
-    def __setattr__(self, name, value):
+    def __setattr__(self, name: str, value: Any) -> None:
         if name in self.NAMES:
             self.data[self.NAMES.index(name), : self.count] = value
         else:
             super().__setattr__(name, value)
 
-    def __getitem__(self, which):
+    def __getitem__(self, which: Any) -> Any:
         """The row of a name, or all quantities at one index as a dict."""
         if isinstance(which, str):
             return self.data[self.NAMES.index(which), : self.count]
         return dict(zip(self.NAMES, self.data[:, : self.count][:, which].tolist(), strict=True))
 
-    def __setitem__(self, name: str, value):
+    def __setitem__(self, name: str, value: Any) -> None:
         self.data[self.NAMES.index(name), : self.count] = value
 
-    def __len__(self):
+    def __len__(self) -> int:
         return self.count
 
-    def copy(self):
+    def copy(self) -> Rows:
         """Rows of their own with the same numbers."""
         return type(self)(self.count, self.data.copy())
 
@@ -78,14 +80,14 @@ class Rows:
         """All numbers."""
         return self.data.tobytes()
 
-    def __deepcopy__(self, memo):
+    def __deepcopy__(self, memo: Any) -> Rows:
         return self.copy()
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.count, self.data)
 
 
-def rows(name: str, *names: str, kind=np.float64) -> type[Rows]:
+def rows(name: str, *names: str, kind: type = np.float64) -> type[Rows]:
     """A class of `Rows` with these names; `kind`: float64 or int64."""
     module = sys._getframe(1).f_globals["__name__"]
     return type(name, (Rows,), {"__slots__": (), "NAMES": names, "KIND": kind, "__module__": module})
@@ -95,7 +97,7 @@ def rows(name: str, *names: str, kind=np.float64) -> type[Rows]:
 
 
 class _RowsType(types.Type):
-    def __init__(self, cls):
+    def __init__(self, cls) -> None:
         self.cls = cls
         super().__init__(name=f"{cls.__module__}.{cls.__qualname__}{cls.NAMES}")
 
@@ -106,7 +108,7 @@ class _RowsType(types.Type):
 
 @register_model(_RowsType)
 class _RowsModel(models.StructModel):
-    def __init__(self, manager, fe_type):
+    def __init__(self, manager, fe_type) -> None:
         super().__init__(manager, fe_type, [("pointer", types.voidptr), ("columns", types.intp)])
 
 
@@ -145,9 +147,12 @@ def _row(context, builder, typ, value, name):
 
 
 def scratch_rows(cls: type[Rows], columns: int):
-    """A compiled function without arguments that returns rows on the stack of its caller, not set to anything."""
+    """A compiled function without arguments that returns rows on the stack of its caller, not set to anything.
+
+    The caller must not return them: they are gone with its frame, also where it is put into its own caller.
+    """
     if not COMPILED:
-        return lambda: cls(columns)
+        return lambda: cls(columns, np.full((len(cls.NAMES), columns), interpreted.UNSET).astype(cls.KIND))
     if columns % COUNT:
         raise ValueError(f"scratch_rows: {columns} columns: expected a multiple of {COUNT}")
 

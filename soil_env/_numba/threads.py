@@ -15,7 +15,7 @@ from queue import SimpleQueue
 class Threads:
     """`size` threads in all: the caller and size - 1 helpers."""
 
-    def __init__(self, size: int):
+    def __init__(self, size: int) -> None:
         self._orders = [SimpleQueue() for _ in range(size - 1)]
         for orders in self._orders:
             threading.Thread(target=_help, args=(orders,), name="soil_env", daemon=True).start()

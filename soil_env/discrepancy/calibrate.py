@@ -15,8 +15,9 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,6 +63,9 @@ class Sizes(NamedTuple):
     effect: float = 0.0  # beta, relative to what an effect adds
     free: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of an anonymous contribution, relative to the channel's rms
     span: int = 0  # of `form_error.SPANS`, that of the base law's error
+    scatter: float = 1.0  # of every value by itself about the model, over the noise: more than 1 if soils vary by row
+    pattern: str = ""  # an anonymous contribution of one condition in one place (`anonymous.patterns`)
+    part: float = 0.0  # its size, relative to what it changes
 
     @property
     def laws(self) -> tuple[float, ...]:
@@ -110,11 +114,12 @@ class Fit:
         Unknowns come first, then the form errors, of the sizes that it was fitted with. Unknowns at a bound do not
         move.
         """
-        extra = self.columns(self.sizes if sizes is None else sizes)
+        sizes = self.sizes if sizes is None else sizes
+        extra = self.columns(sizes)
         free = np.concatenate([self.free_unknowns, np.ones(extra.shape[1], dtype=bool)])
         x = np.concatenate([self.u, np.zeros(extra.shape[1])])
-        top = np.concatenate([self.jacobian, extra], axis=1)
-        return np.concatenate([top, np.eye(x.size)])[:, free], np.concatenate([self.residual, -x])
+        top = np.concatenate([self.jacobian, extra], axis=1) / sizes.scatter
+        return np.concatenate([top, np.eye(x.size)])[:, free], np.concatenate([self.residual / sizes.scatter, -x])
 
 
 #: Parameters about a value that the table sets.
@@ -134,7 +139,7 @@ class Problem:
     scales: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # sd, low, high that the data set
     offset: np.ndarray | None = None  # [N, 3] added to the model, a residual law
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         setup = self.data.setup
         self.soil, self.known = soil_unknowns(setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH)
         self.density = 1500.0 if setup.soil.density is None else setup.soil.density.value
@@ -218,12 +223,16 @@ class Problem:
             fx = fx._replace(**choice.fixed, **{name: values[name] for name in choice.free})
         return fx
 
-    def output(self, unknowns, u, choices, guess: np.ndarray) -> np.ndarray:
+    def output(
+        self, unknowns: Sequence[Unknown], u: np.ndarray, choices: tuple[Choice, ...], guess: np.ndarray
+    ) -> np.ndarray:
         """Model values [N, 3] at whitened unknowns; `guess` [N] of the sinkage is renewed."""
         values = {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
         return self.predict(values, choices, guess)
 
-    def predict(self, values: dict[str, float], choices, guess: np.ndarray, rows: Rows | None = None) -> np.ndarray:
+    def predict(
+        self, values: dict[str, float], choices: tuple[Choice, ...], guess: np.ndarray, rows: Rows | None = None
+    ) -> np.ndarray:
         """Model values [N, 3] of a set of parameters, at other `rows` than those of the table if given."""
         return self.predict_with(self.known | values, self.effects(choices, values), guess, rows)
 
@@ -264,26 +273,30 @@ class Problem:
 
         `start`: parameters by name; effects that it does not name start a little off neutral. With `near`, a fit of
         the same table, form errors of these `sizes` as they are there are in the covariance; without, there is noise
-        alone.
+        alone, times the scatter.
         """
         unknowns = self.unknowns(choices)
         low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
         u = np.array([k.at(start[k.name]) if start and k.name in start else self._first(k) for k in unknowns])
         u = np.clip(u, low + 1e-6 * np.minimum(high - low, 1.0), high - 1e-6 * np.minimum(high - low, 1.0))
         guess = np.zeros(self.data.rows.slip.size)
-        known = None if near is None else compressed(near.columns(sizes))
+        known = None if near is None else compressed(near.columns(sizes) / sizes.scatter)
+
+        def scaled(values):
+            return whitened(known, values / sizes.scatter)
 
         def model(x):
-            return whitened(known, self.whiten(self.output(unknowns, x, choices, guess)))
+            return scaled(self.whiten(self.output(unknowns, x, choices, guess)))
 
         def derivatives(x):
-            return whitened(known, self.derivatives(unknowns, x, choices, guess))
+            return scaled(self.derivatives(unknowns, x, choices, guess))
 
         u, _, converged = most_probable(
-            whitened(known, self.whiten(self.data.y)), model, derivatives, u, (low, high), ftol=1e-5, xtol=1e-4,
+            scaled(self.whiten(self.data.y)), model, derivatives, u, (low, high), ftol=1e-5, xtol=1e-4,
             gtol=1e-4, max_nfev=25,
         )  # fmt: skip
-        return self._finish(unknowns, choices, u, guess, converged, sizes if near is not None else EXACT)
+        used = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
+        return self._finish(unknowns, choices, u, guess, converged, used)
 
     @staticmethod
     def _first(unknown: Unknown) -> float:
@@ -291,7 +304,9 @@ class Problem:
         bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
         return 0.3 if bounded else 0.0
 
-    def derivatives(self, unknowns, u, choices, guess) -> np.ndarray:
+    def derivatives(
+        self, unknowns: Sequence[Unknown], u: np.ndarray, choices: tuple[Choice, ...], guess: np.ndarray
+    ) -> np.ndarray:
         """[M, p] of the whitened output by whitened unknowns (forward differences)."""
 
         def model(x):
@@ -307,16 +322,20 @@ class Problem:
         residual = np.where(np.isfinite(residual), residual, 1e3)
         added = self.added(values, choices, output, guess)
         law, effect = self.form_errors(values, choices, output, added, guess)
-        free = [self._block(_in_channel(self.free_functions, self.size[j] * unit)) for j, unit in enumerate(np.eye(3))]
+        free = [self.block(_in_channel(self.free_functions, self.size[j] * unit)) for j, unit in enumerate(np.eye(3))]
         return Fit(choices, unknowns, u, output, added, residual, self.derivatives(unknowns, u, choices, guess),
-                   tuple(map(self._block, law)), self._block(effect), tuple(free), converged, sizes)  # fmt: skip
+                   tuple(map(self.block, law)), self.block(effect), tuple(free), converged, sizes)  # fmt: skip
 
-    def added(self, values, choices, output, guess) -> tuple[np.ndarray, ...]:
+    def added(
+        self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray, guess: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
         """[N, 3] what each effect adds to the output."""
         rest = (choices[:k] + choices[k + 1 :] for k in range(len(choices)))
         return tuple(_finite(output - self.predict(values, others, guess.copy())) for others in rest)
 
-    def stresses(self, values, choices, output, guess) -> list[np.ndarray]:
+    def stresses(
+        self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray, guess: np.ndarray
+    ) -> list[np.ndarray]:
         """[N, 3] change of the output by each `stress_changes`, relative."""
         h, known = _STRESS_STEP, self.known | values
         sinkage = float(np.nanmedian(output[:, 0]))
@@ -327,7 +346,15 @@ class Problem:
             there.append(self.predict_with(known | soil, fx, guess.copy()))
         return [_finite((out - output) / h) for out in there]
 
-    def form_errors(self, values, choices, output, added, guess, at=None) -> tuple[list[np.ndarray], np.ndarray]:
+    def form_errors(
+        self,
+        values: dict[str, float],
+        choices: tuple[Choice, ...],
+        output: np.ndarray,
+        added: Any,
+        guess: np.ndarray,
+        at: np.ndarray | None = None,
+    ) -> tuple[list[np.ndarray], np.ndarray]:
         """Form errors [N, 3, R] at the size 1 of the base law, by span, and of the effects; `at`: other conditions."""
 
         def functions(process: Process) -> np.ndarray:
@@ -349,7 +376,7 @@ class Problem:
         """Form error of an effect: it goes with what the base law knows and with what the effect is about."""
         return self.effect_processes[CATALOGUE[choice.effect].varies]
 
-    def _block(self, errors: np.ndarray) -> np.ndarray:
+    def block(self, errors: np.ndarray) -> np.ndarray:
         """[M, R] of form errors [N, 3, R], whitened, of the values in use."""
         return (errors / (self.noise * self.data.relative_sd)[..., None])[self.used]
 

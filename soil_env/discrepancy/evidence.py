@@ -26,10 +26,6 @@ from soil_env.terramechanics.catalogue import CATALOGUE
 
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to 30 % of it.
 EFFECT_SIZES, EFFECT_PRIOR = (0.03, 0.12, 0.3), (0.35, 0.5, 0.15)
-#: Sizes of an anonymous contribution to a channel, relative to its root mean square; each as probable as another, and
-#: each set of channels as another.
-FREE_SIZES = (0.03, 0.15, 0.5)
-_LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it
 _NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
 _ROUNDS = 2  # of fit and sizes in turn
 _SLIGHT = 1e-3  # share of sizes that do not count
@@ -57,8 +53,18 @@ class Evidence:
         return math.sqrt(sum(p * getattr(s, kind) ** 2 for s, p in self.share.items()))
 
 
+class Grid(NamedTuple):
+    """Sizes of form errors that are marginalised."""
+
+    sizes: list[Sizes]
+    log_prior: np.ndarray  # [S]
+    errors: tuple[np.ndarray, ...]  # K form errors [M, R] at the size 1, whitened
+    table: np.ndarray  # [S, K] their sizes
+    first: int  # of them are the same in many rows
+
+
 def grid(effects: bool) -> tuple[list[Sizes], np.ndarray]:
-    """(sizes of the form errors, log prior of each)."""
+    """(sizes of the form errors of the base law and of effects, log prior of each)."""
     effect = list(zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)) if effects else [(0.0, 1.0)]
     law = list(zip(SIZES.tolist(), size_prior(), strict=True))
     span = range(len(SPANS))
@@ -66,19 +72,10 @@ def grid(effects: bool) -> tuple[list[Sizes], np.ndarray]:
     return [s for s, _ in points], np.log([p for _, p in points])
 
 
-def free_grid(problem: Problem, plain: Evidence) -> tuple[list[Sizes], np.ndarray]:
-    """`grid` with an anonymous contribution to one measured channel or more, beside the likely sizes of the others."""
-    likely = sorted(plain.share, key=lambda s: -plain.share[s])
-    likely = list(dict.fromkeys([*likely[:_LIKELY], *(s._replace(law=law) for s in likely[:1] for law in _COARSE)]))
-    prior = dict(zip(*grid(bool(plain.fit.choices)), strict=True))
-    log = np.array([prior[s] for s in likely])
-    measured = problem.used.any(axis=0)
-    options = [(0.0, *FREE_SIZES) if m else (0.0,) for m in measured]
-    free = [f for f in product(*options) if any(f)]
-    cost = np.array([-math.log(len(FREE_SIZES)) * np.count_nonzero(f) for f in free])
-    cost -= logsumexp(cost)
-    points = [s._replace(free=f) for s in likely for f in free]
-    return points, ((log - logsumexp(log))[:, None] + cost).ravel()
+def plain_grid(fit: Fit) -> Grid:
+    """`grid` of a fit."""
+    sizes, log_prior = grid(bool(fit.choices))
+    return Grid(sizes, log_prior, (fit.effect, *fit.law), np.array([(s.effect, *s.laws) for s in sizes]), 1)
 
 
 def noise_scales(freedom: float) -> np.ndarray:
@@ -88,22 +85,24 @@ def noise_scales(freedom: float) -> np.ndarray:
     return np.sqrt(freedom / chi2.ppf(_NOISE_QUANTILES, freedom))
 
 
-def weigh(problem: Problem, fit: Fit, plain: Evidence | None = None) -> Evidence:
-    """`Evidence` of a fit, linearised about it; with `plain`, its evidence, with an anonymous contribution as well."""
-    sizes, log_prior = grid(bool(fit.choices)) if plain is None else free_grid(problem, plain)
-    errors = (*fit.law, fit.effect) if plain is None else (*fit.law, fit.effect, *fit.free)
-    table = np.array([(*s.laws, s.effect, *s.free) for s in sizes])[:, : len(errors)]
-    parts = []
-    for noise in noise_scales(problem.freedom):
-        blocks = [b / noise for b in errors]
-        log, mean, covariance = marginals(fit.jacobian / noise, blocks, table, fit.residual / noise, fit.u)
-        log += log_prior - fit.residual.size * math.log(noise) + _allowed(fit, mean, covariance)
-        parts.append((log, mean, covariance))
-    log, mean, covariance = (np.concatenate(x) for x in zip(*parts, strict=True))
+def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
+    """`Evidence` of a fit, linearised about it, over the sizes of `plain_grid` or others."""
+    sizes, log_prior, errors, table, first = over or plain_grid(fit)
+    scatter, p = np.array([s.scatter for s in sizes]), fit.u.size
+    scales = noise_scales(problem.freedom)
+    log, mean, covariance = (np.empty((len(scales), len(sizes), *more)) for more in ((), (p,), (p, p)))
+    for k, noise in enumerate(scales):
+        for more in np.unique(scatter):
+            at, sd = scatter == more, noise * more
+            blocks = [b / sd for b in errors]
+            told = marginals(fit.jacobian / sd, blocks, table[at], fit.residual / sd, fit.u, first)
+            log[k, at] = told[0] + log_prior[at] - fit.residual.size * math.log(sd) + _allowed(fit, *told[1:])
+            mean[k, at], covariance[k, at] = told[1:]
+    log, mean, covariance = (x.reshape(len(scales) * len(sizes), *x.shape[2:]) for x in (log, mean, covariance))
     total = float(logsumexp(log))
     share = np.exp(log - total)
-    of = dict(zip(sizes, share.reshape(len(parts), -1).sum(axis=0).tolist(), strict=True))
-    return Evidence(fit, total - math.log(len(parts)), max(of, key=of.get), of, *mixed(share, mean, covariance))
+    of = dict(zip(sizes, share.reshape(len(scales), -1).sum(axis=0).tolist(), strict=True))
+    return Evidence(fit, total - math.log(len(scales)), max(of, key=of.get), of, *mixed(share, mean, covariance))
 
 
 def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -152,7 +151,7 @@ class _Further:
     `normal` [K, K] and the pull `pull` [K] of the table.
     """
 
-    def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]):
+    def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]) -> None:
         self.fit, self.choices = first.fit, choices
         self.unknowns, columns, self.owner = [], [], []
         base, guess = problem.whiten(first.fit.output), problem.sinkage_guess(first.fit)
@@ -173,17 +172,18 @@ class _Further:
         self.own_gram, self.own_along = self.columns.T @ self.columns, self.columns.T @ first.fit.residual
 
     def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
-        """(log evidence of the model alone, normal [K, K], pull [K]) at a size of the law's error."""
-        fit = self.fit
-        d = np.repeat([1.0, *sizes.laws, self.effect], self.width)
+        """(log evidence of the model alone, normal [K, K], pull [K]) at a size of the law's error, and scatter."""
+        fit, noise = self.fit, sizes.scatter
+        d = np.repeat([1.0, *sizes.laws, self.effect], self.width) / noise
         seen = d > 0.0
         start, d = np.concatenate([fit.u, np.zeros(d.size - fit.u.size)])[seen], d[seen]
         factor = cholesky(d[:, None] * self.gram[np.ix_(seen, seen)] * d + np.eye(d.size), lower=True)
-        right = np.column_stack([d * self.along[seen] - start, d[:, None] * self.cross[seen]])
+        right = np.column_stack([d * self.along[seen] / noise - start, d[:, None] * self.cross[seen] / noise])
         half = solve_triangular(factor, right, lower=True)
-        square = fit.residual @ fit.residual + fit.u @ fit.u - half[:, 0] @ half[:, 0]
-        normal = self.own_gram - half[:, 1:].T @ half[:, 1:]
-        return -0.5 * square - np.sum(np.log(np.diag(factor))), normal, self.own_along - half[:, 1:].T @ half[:, 0]
+        square = fit.residual @ fit.residual / noise**2 + fit.u @ fit.u - half[:, 0] @ half[:, 0]
+        log = -0.5 * square - np.sum(np.log(np.diag(factor))) - fit.residual.size * math.log(noise)
+        normal, pull = self.own_gram / noise**2, self.own_along / noise**2
+        return log, normal - half[:, 1:].T @ half[:, 1:], pull - half[:, 1:].T @ half[:, 0]
 
 
 def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[float]:

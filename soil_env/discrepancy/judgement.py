@@ -21,7 +21,7 @@ _LEAST_GAP = 0.5  # share of those draws with a gap to close below which no inte
 
 
 class Interval(NamedTuple):
-    """A fitted value with its 95 % interval; low = high = value where it was given."""
+    """What is believed of a value, with its 95 % interval; low = high = value where it was given."""
 
     value: float
     low: float
@@ -47,31 +47,32 @@ class Rank(NamedTuple):
     """One effect among the candidates."""
 
     name: str
-    score: float  # log odds of the data for it, alone or beside another, against the base model
+    score: float  # log odds of the data for the best hypothesis with it against the best without a listed effect
     probability: float
 
 
 # --- intervals --------------------------------------------------------------------------------------------------------
 
 
-def intervals(finding: Finding, own: Evidence, centre: Fit) -> dict[str, Interval]:
-    """95 % intervals of every unknown about its value in the fit `centre`.
+def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
+    """Posterior mean and 95 % interval of every unknown, from the same posterior as the names.
 
     Of the soil over all hypotheses and sizes of form errors, each with its probability; of the effects over the sizes
     in `own`, their model. In the logarithm where the unknown is fitted in it; never beyond the bounds.
     """
     p = len(finding.best().evidence.fit.unknowns)
     told = [(h.probability, h.evidence.mean[:p], np.diag(h.evidence.covariance)[:p]) for h in finding.hypotheses]
-    square = sum(w * (variance + (mean - centre.u[:p]) ** 2) for w, mean, variance in told)
-    rest = np.diag(own.covariance)[p:] + (own.mean[p:] - centre.u[p:]) ** 2
-    sd = np.sqrt(np.concatenate([square, rest]))
-    return {k.name: _interval(k, float(u), float(s)) for k, u, s in zip(centre.unknowns, centre.u, sd, strict=True)}
+    soil = sum(w * mean for w, mean, _ in told)
+    square = sum(w * (variance + (mean - soil) ** 2) for w, mean, variance in told)
+    mean = np.concatenate([soil, own.mean[p:]])
+    sd = np.sqrt(np.concatenate([square, np.diag(own.covariance)[p:]]))
+    return {k.name: _interval(k, float(u), float(s)) for k, u, s in zip(own.fit.unknowns, mean, sd, strict=True)}
 
 
 def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
-    low = max(u - SURE * sd, (unknown.low - unknown.mean) / unknown.sd)
-    high = min(u + SURE * sd, (unknown.high - unknown.mean) / unknown.sd)
-    return Interval(*(float(unknown.value(x)) for x in (u, min(low, u), max(high, u))))
+    """Mean and quantiles, those of the normal distribution brought within the bounds."""
+    return Interval(*(float(unknown.value(min(max(x, unknown.bounds[0]), unknown.bounds[1])))
+                      for x in (u, u - SURE * sd, u + SURE * sd)))  # fmt: skip
 
 
 # --- what is held out -------------------------------------------------------------------------------------------------
@@ -90,13 +91,13 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
     linearised about the fit to all. Mean over the ways to cut the table.
     """
     (a, e), (member, ways) = fit.linearised(), groups(problem)
-    top, normal, r = a[: fit.residual.size], a.T @ a, fit.residual
+    top, normal, r = a[: fit.residual.size], a.T @ a, e[: fit.residual.size]
     laws = int(fit.free_unknowns.sum())
     error = np.zeros(r.size)
     for out in member:
         j = top[out]
         moved = np.linalg.solve(normal - j.T @ j, a.T @ e - j.T @ r[out])
-        error[out] += (r[out] - j[:, :laws] @ moved[:laws]) / ways
+        error[out] += fit.sizes.scatter * (r[out] - j[:, :laws] @ moved[:laws]) / ways
     predicted = np.full(problem.used.shape, math.nan)
     scale = np.broadcast_to(problem.noise * problem.data.relative_sd, problem.used.shape)[problem.used]
     predicted[problem.used] = problem.data.y[problem.used] - error * scale
@@ -185,8 +186,9 @@ def shares(problem: Problem, before: np.ndarray, held: dict[tuple[str, ...], np.
 def ranking(finding: Finding) -> tuple[Rank, ...]:
     """Every effect that was tried: its probability, and the log odds of the data for the best set with it."""
     names = {}
+    without = max(h.score for h in finding.hypotheses if not h.names)
     for h in finding.hypotheses:
         for n in h.names:
-            names[n] = max(names.get(n, -math.inf), h.score)
+            names[n] = max(names.get(n, -math.inf), h.score - without)
     out = [Rank(n, float(score), finding.share(n)) for n, score in names.items()]
     return tuple(sorted(out, key=lambda r: (r.name not in finding.names, -r.probability, -r.score)))

@@ -16,6 +16,9 @@ from soil_env.discrepancy.search import Finding
 from soil_env.discrepancy.symbolic import ResidualFit
 from soil_env.terramechanics.model import WheelSoilModel
 
+WORSE = 0.1  # rise of a held-out error that is stated
+LEFT = 1.5  # [noise] of a held-out error after the correction above which a remainder is stated
+
 
 @dataclass(frozen=True)
 class EffectFound:
@@ -67,8 +70,18 @@ class Report:
 
     @property
     def verdict(self) -> str:
-        """named, partly, ambiguous, unlisted, none or undetermined."""
-        return self.finding.verdict
+        """named, partly, ambiguous, unlisted, none or undetermined.
+
+        That of the probabilities, but named effects that leave a held-out error of more than `LEFT` times the noise, or
+        a larger one than the base model, are `partly` what is missing.
+        """
+        said = self.finding.verdict
+        return "partly" if said == "named" and any(map(self.remains, self.gap)) else said
+
+    def remains(self, channel: str) -> bool:
+        """Whether a stated remainder of the gap is left in a channel."""
+        gap = self.gap[channel]
+        return gap.after > LEFT * gap.noise_floor or gap.after > (1.0 + WORSE) * gap.before
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -78,7 +91,7 @@ class Report:
     @property
     def law_error(self) -> float:
         """Relative error of the stress laws that the table suggests, root mean square over its probabilities."""
-        return self.finding.best(*self.finding.names).evidence.typical("law")
+        return self.finding.stated.evidence.typical("law")
 
     @property
     def corrected(self) -> bool:

@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -86,7 +86,7 @@ class Library:
     width: np.ndarray  # [C] that prior sd
     price: np.ndarray  # [C] of choosing it
 
-    def pick(self, keep) -> Library:
+    def pick(self, keep: Any) -> Library:
         """The products `keep`."""
         return Library(self.channel[keep], self.powers[keep], self.column[:, keep], self.width[keep], self.price[keep])
 
@@ -175,7 +175,7 @@ def library(problem: Problem, fit: Fit, offset: np.ndarray) -> Library:
     )  # fmt: skip
 
 
-def at_groups(problem: Problem, groups: np.ndarray, channel: np.ndarray, powers: np.ndarray, price) -> Library:
+def at_groups(problem: Problem, groups: np.ndarray, channel: np.ndarray, powers: np.ndarray, price: Any) -> Library:
     """The products of the given powers at `groups` [N, 7]."""
     rows = problem.data.rows
     value = np.ones((groups.shape[0], powers.shape[0]))

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import judgement, mistakes, symbolic
-from soil_env.discrepancy.calibrate import GRAVITY, Choice, Fit, Problem, calibrate
+from soil_env.discrepancy.calibrate import EXACT, GRAVITY, Choice, Fit, Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.experiment import next_tests
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
@@ -82,36 +82,35 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     base = finding.best().evidence.fit
     say("locating the disagreement")
     where = locate(problem, problem.fit((), base.parameters()), settings.seed)
-    own = finding.best(*finding.names).evidence
-    # The names follow from fits with form errors. What predicts best with a law as it is, without the form error that
-    # this table shows, is its fit under noise alone (White 1982, Econometrica 50:1-25).
-    plain = problem.fit((), base.parameters())
-    final, law = problem.fit(own.fit.choices, own.fit.parameters()), None
-    if finding.verdict in ("partly", "unlisted"):
+    own = finding.stated.evidence
+    # Names and intervals follow from fits with form errors. What predicts best with a law as it is, without the form
+    # error that this table shows, is its fit under noise alone (White 1982, Econometrica 50:1-25).
+    noise_alone = EXACT._replace(scatter=own.sizes.scatter)
+    plain = problem.fit((), base.parameters(), noise_alone)
+    final, law = problem.fit(own.fit.choices, own.fit.parameters(), noise_alone), None
+    if finding.verdict in ("partly", "unlisted") and own.sizes.scatter == 1.0:
         say("looking for a law of what is left")
         law = symbolic.symbolic(problem, final)
     say("predicting what was held out")
     before = held_out_predictions(problem, plain)
     after = held_out_predictions(problem, final) if final.choices else before
     alone = {tuple(c.effect for c in final.choices): after} if final.choices else {}
-    if len(final.choices) > 1:
-        for choice in final.choices:
-            one = finding.best(choice.effect).evidence.fit
-            one = problem.fit(one.choices, one.parameters())
-            alone[choice.effect,] = held_out_predictions(problem, one)
+    for choice in final.choices if len(final.choices) > 1 else ():
+        one = finding.best(choice.effect).evidence.fit
+        one = problem.fit(one.choices, one.parameters(), noise_alone)
+        alone[choice.effect,] = held_out_predictions(problem, one)
     if law is not None and law.terms:
         held = symbolic.held_out_predictions(problem, final, lambda text: say(f"predicting what was held out: {text}"))
         if (judgement.closed(problem, judgement.gaps(problem, after, held)) or 0.0) > 0.0:
             final, after = law.fit, held
         else:  # chosen without a group, it predicts that group worse than no law does
             law = law.without(final)
-    gap = judgement.gaps(problem, before, after)
-    corrected = bool(final.choices) or (law is not None and bool(law.terms))
+    gap, corrected = judgement.gaps(problem, before, after), bool(final.choices or (law is not None and law.terms))
     closed = judgement.closed(problem, gap) if corrected else None
     rng = np.random.default_rng([settings.seed, 1])
     say("choosing the next tests")
     model = model_of(problem, final, () if law is None else tuple(law.terms))
-    intervals = judgement.intervals(finding, own, final)
+    intervals = judgement.intervals(finding, own)
     return Report(
         finding=finding,
         problem=problem,
@@ -182,10 +181,9 @@ def _effects(problem: Problem, finding: Finding, fit: Fit, told: dict[str, Inter
     out = []
     for name in finding.names:
         choice = next(c for c in fit.choices if c.effect == name)
-        values = {full: told[full].value for full in choice.free}
         parameters = {
             p: told.get(f"{name}_{p}", Interval(value, value, value))
-            for p, value in _parameters(problem, choice, values).items()
+            for p, value in _parameters(problem, choice, fit.parameters()).items()
         }
         form = CATALOGUE[name].forms[choice.form].name
         probability, others = finding.share(name), finding.alternatives(name)

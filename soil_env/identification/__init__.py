@@ -18,9 +18,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from soil_env.identification.point import Points, Reading, predict, weigh_all
 from soil_env.identification.solver import (
@@ -112,18 +113,18 @@ def _points(slip, sinkage, channels, dig_ratio, reading) -> Points:
 
 
 def generalized_newton_raphson(
-    slip,
-    sinkage,
-    drawbar_pull=None,
-    load=None,
-    torque=None,
+    slip: ArrayLike,
+    sinkage: ArrayLike,
+    drawbar_pull: ArrayLike | None = None,
+    load: ArrayLike | None = None,
+    torque: ArrayLike | None = None,
     *,
     reading: Reading,
     guess: Soil,
     sd: tuple[float, float, float] = (1.0, 1.0, 1.0),
     slip_sd: float = 0.0,
     sinkage_sd: float = 0.0,
-    dig_ratio=None,
+    dig_ratio: ArrayLike | None = None,
     max_iterations: int = 100,
     tolerance: float = 1e-8,
     restarts: bool = True,
@@ -241,7 +242,9 @@ def _spread_starts():
                 yield np.array([phi, math.log(K), math.log(S)])
 
 
-def newton_raphson(slip, sinkage, drawbar_pull, *, reading: Reading, guess: Soil, **options) -> Estimate:
+def newton_raphson(
+    slip: ArrayLike, sinkage: ArrayLike, drawbar_pull: ArrayLike, *, reading: Reading, guess: Soil, **options: Any
+) -> Estimate:
     """Identify (phi, K, S) from exactly three points of slip, sinkage [m] and drawbar pull [N], as the paper does.
 
     With as many equations as unknowns the Gauss-Newton step is Newton's, so this is `generalized_newton_raphson` for a

@@ -41,6 +41,7 @@ import json
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -105,8 +106,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def text_of(estimate: TableEstimate) -> str:
-    """Estimates, channels, correlations and warnings."""
-    parts = ["Soil", _soil(estimate).text(2), "", "Fit", _channels(estimate).text(2)]
+    """What to check first, estimates, channels, correlations and the other warnings."""
+    parts = [*(f"CHECK FIRST: {doubt}" for doubt in estimate.check_first), *([""] if estimate.check_first else [])]
+    parts += ["Soil", _soil(estimate).text(2), "", "Fit", _channels(estimate).text(2)]
     if estimate.exact:
         keys = ", ".join(f"noise.{name}" for name in estimate.exact)
         parts.append(f"{' and '.join(estimate.exact)} taken as exact ({keys} not given)")
@@ -119,7 +121,8 @@ def text_of(estimate: TableEstimate) -> str:
         parts += ["", "Correlation", grid.text(2)]
     hardly = " (hardly told apart)" if estimate.condition > 1e3 else ""
     parts += ["", f"{estimate.values} measured values, condition number {estimate.condition:.3g}{hardly}"]
-    return "\n".join([*parts, *(f"! {warning}" for warning in estimate.warnings)])
+    rest = (warning for warning in estimate.warnings if warning not in estimate.check_first)
+    return "\n".join([*parts, *(f"! {warning}" for warning in rest)])
 
 
 def _soil(estimate: TableEstimate) -> Table:
@@ -151,7 +154,7 @@ def _rms(off: np.ndarray) -> float:
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def report_of(estimate: TableEstimate) -> dict:
+def report_of(estimate: TableEstimate) -> dict[str, Any]:
     """The estimate as plain values for JSON; null where there is none."""
     keys = ("value", "low", "high", "unit", "known", "told")
     return plain({
@@ -168,7 +171,10 @@ def report_of(estimate: TableEstimate) -> dict:
             }
             for name, fit in estimate.fits.items()
         },
-        **{key: getattr(estimate, key) for key in ("row", "slip", "load", "values", "exact", "converged", "warnings")},
+        **{
+            key: getattr(estimate, key)
+            for key in ("row", "slip", "load", "values", "exact", "converged", "check_first", "warnings")
+        },
     })  # fmt: skip
 
 

@@ -10,6 +10,7 @@ response to the digging, dG/dt = gain_0 (u/l) - A G and G = 0 there, for a gain 
     z = D z_0 + (1 - D + g G) z_w,   so   z/z_w = (1 - D + g G) / (1 - D z_0/z).
 
 This is affine in g, and the place of reference need not be one where the wheel had not dug, nor on the same soil.
+Travel counts where it leads onto ground that the wheel has not touched: back and forth in its own rut it stays as deep.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from __future__ import annotations
 import math
 
 from soil_env._numba.compiling import inlined
-from soil_env._numba.rows import copy_column, rows
+from soil_env._numba.rows import Rows, copy_column, rows
 from soil_env.terramechanics.effects import excavation_rate
 
 #: Points kept as places of reference.
@@ -26,7 +27,7 @@ _FADED = 0.4  # D at which a place is far enough back: the nearest such is taken
 _LEAST, _LEAST_RATIO = 0.1, 0.3  # 1 - D z_0/z and R0 are taken to be no less
 
 #: Observers, a column a wheel. All zero: at rest in soil that carries the wheel, nothing dug.
-Digging = rows(
+Digging: type[Rows] = rows(
     "Digging",
     "path",  # integral of A dt
     "response",  # G
@@ -34,15 +35,27 @@ Digging = rows(
     "response_sum",
     "places",  # of reference, kept so far
     "dropped",  # 1 once more than KEPT have been passed
+    "place",  # [m] by the speed readings
+    "furthest",  # [m] ground beyond it is fresh
+    "lowest",  # [m] ground before it is fresh
 )
 #: Their places of reference, KEPT columns a wheel, the oldest first.
-DiggingPlaces = rows("DiggingPlaces", "path", "response", "sinkage")
+DiggingPlaces: type[Rows] = rows("DiggingPlaces", "path", "response", "sinkage")
+
+
+@inlined
+def onto_fresh_ground(memory, k, moved):
+    """Move wheel k by `moved` [m]: how far of that it came onto ground that it had not touched."""
+    place, high, low = memory.place[k] + moved, memory.furthest[k], memory.lowest[k]
+    memory.place[k], memory.furthest[k], memory.lowest[k] = place, max(place, high), min(place, low)
+    return max(place - high, 0.0) + max(low - place, 0.0)
 
 
 @inlined
 def roll(memory, k, speed, slip_speed, dt, gain, recovery, length):
     """Take `dt` seconds of motion."""
-    a, b = excavation_rate(abs(speed), abs(slip_speed), gain, recovery, length)
+    travel = onto_fresh_ground(memory, k, speed * dt) / dt
+    a, b = excavation_rate(travel, abs(slip_speed), gain, recovery, length)
     if a > 0.0:
         steady = (b - a) / a
         memory.response[k] = steady + (memory.response[k] - steady) * math.exp(-a * dt)

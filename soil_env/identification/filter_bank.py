@@ -1,4 +1,8 @@
-"""Memory of the filter (`filter`): what a bank of eight filters holds, and its prior."""
+"""Memory of the filter (`filter`): what a bank of eight filters holds, and its prior.
+
+The states are those of `linearised`; on a border (`border`) they are followed by the six of the old soil, the place
+[m] of the border and the rise [rad] of the grade from one soil to the next.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import exp
-from soil_env._numba.lanes import COUNT, fill, from_array, to_array, total
-from soil_env._numba.rows import rows, zero_column
+from soil_env._numba.lanes import COUNT, from_array, to_array
+from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.identification.linearised import (
     COHESION,
-    GAIN,
     LN_DEPTH,
     LN_K,
-    MASS,
     SINKAGE,
     STATES,
     STRENGTH,
@@ -27,30 +28,37 @@ from soil_env.identification.mixture_prior import MixturePrior, mixture_prior
 from soil_env.parameters import Scenario
 
 PUBLISHED = 5  # (phi, ln K, ln S, c, ln g)
-TRIANGLE = STATES * (STATES + 1) // 2
-MEANS, COVARIANCES = STATES * COUNT, TRIANGLE * COUNT
-_FAR = 100.0  # [m] behind a border: nothing is left of it
-#: The open point of each bank, sums over its readings, and its clocks; `share` is that of the soil behind the last
-#: border in what is under the wheel.
-FilterPoint = rows(
+OLD, PLACE, RISE = STATES, STATES + SINKAGE, STATES + SINKAGE + 1
+CROSSING = STATES + SINKAGE + 2  # states on a border
+TRIANGLE = CROSSING * (CROSSING + 1) // 2
+MEANS, COVARIANCES = CROSSING * COUNT, TRIANGLE * COUNT
+CANDIDATES = 2 * COUNT  # places of a border that are tested at a time
+STAYS = COUNT - 1  # the filter to which the soil stays the same on a border
+#: The open point of each bank, sums over its readings, and its clocks.
+FilterPoint: type[Rows] = rows(
     "FilterPoint", "slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_speed", "pitch", "motor_torque",
     "acceleration", "path_sum", "sliding_sum", "shock_sum", "time_sum", "readings", "length", "first_slip", "first_rim",
     "path", "sliding", "shock", "time",  # integrals of A dt, |r w - V| dt / l and |d(r w)| dt / l since `forget`; [s]
     "path_at", "sliding_at", "shock_at", "time_at",  # at the last point
-    "last_speed", "last_rim", "rim_at", "rim_time", "misfit", "since", "points", "displacement", "stress",
-    "share",
+    "last_speed", "last_rim", "rim_at", "rim_time", "misfit", "points", "displacement", "stress",
+    "place", "furthest", "lowest",  # [m] of the wheel, by slip and rim speed; `digging.onto_fresh_ground`
+    "first_place", "place_sum", "place_square",  # [m] of the readings of the open point, the sums from its first on
+    "bearing",  # [m] bearing sinkage at the last point
+    "crossing", "border", "by_forces",  # 1 on a border; [m] where its middle is; 1 if the forces told of it
+    "grade", "grades", "grade_used",  # [rad] of this soil; readings of it; 1 if those of the open point are used
+    "nearest",  # [m] first of the places of a border that are tested
 )  # fmt: skip
 
 
 class FilterBanks(NamedTuple):
     """Memory of many banks of filters; eight numbers, one a filter, lie side by side."""
 
-    mean: np.ndarray  # [wheels, STATES x 8]
-    covariance: np.ndarray  # [wheels, TRIANGLE x 8], the lower triangle row by row
+    mean: np.ndarray  # [wheels, CROSSING x 8]
+    covariance: np.ndarray  # [wheels, TRIANGLE x 8], the lower triangle row by row, so that the old soil is behind
     log_weight: np.ndarray  # [wheels, 8]
     ln_bearing: np.ndarray  # [wheels, 8] ln of the bearing sinkage [m] at the last point
-    point: FilterPoint
-    before: np.ndarray  # [wheels, SINKAGE + PUBLISHED] the soil before the last border: means, standard deviations
+    point: Rows  # FilterPoint
+    candidates: np.ndarray  # [wheels, 2 x CANDIDATES] A and B of the places of a border (`border`)
 
 
 class FilterNumbers(NamedTuple):
@@ -69,6 +77,8 @@ class FilterNumbers(NamedTuple):
     noise: np.ndarray  # [10] of slip, sinkage, pull, load, torque, speed, rim speed, pitch, motor torque, acceleration
     model_error: float  # of the load
     border: float  # [m] over which one soil passes into the next, as believed
+    grade_change: float  # [rad] sd of the rise of the grade from one soil to the next; 0: not looked at
+    offsets: np.ndarray  # [CANDIDATES] of the places of a border [m], from the first on
 
 
 def filter_numbers(scenario: Scenario) -> FilterNumbers:
@@ -83,7 +93,8 @@ def filter_numbers(scenario: Scenario) -> FilterNumbers:
     return FilterNumbers(
         w.radius, w.width, w.inertia, scenario.gravity, b.sinkage_exponent, b.dig_gain, b.dig_recovery,
         scenario.relaxation * w.radius, scenario.control.period, mixture_prior(scenario),
-        np.maximum(noise, floor), max(0.4 * b.model_error, 1e-3), b.border,
+        np.maximum(noise, floor), max(0.55 * b.model_error, 1e-3), b.border, math.radians(b.grade_change_deg),
+        b.border * np.arange(CANDIDATES) / (CANDIDATES - 1),
     )  # fmt: skip
 
 
@@ -95,7 +106,7 @@ def new_banks(wheels: int) -> FilterBanks:
         np.zeros((wheels, COUNT)),
         np.full((wheels, COUNT), LN_DEPTH),
         FilterPoint(wheels),
-        np.zeros((wheels, SINKAGE + PUBLISHED)),
+        np.zeros((wheels, 2 * CANDIDATES)),
     )
 
 
@@ -154,41 +165,15 @@ def prior_covariance(i, j, numbers, reference):
 
 @inlined
 def prior_of_soil(banks, k, numbers):
-    """Put the soil of bank k back to its prior; mass and sinkage become those of the mixture in all filters."""
-    mean, covariance, weights = banks.mean[k], banks.covariance[k], banks.log_weight[k]
-    w = exp(from_array(weights, 0))
-    w = w / total(w)
-    for i in range(SINKAGE, MASS + 1):
-        x, place = from_array(mean, i * COUNT), element(i, i)
-        middle = total(w * x)
-        spread = total(w * (from_array(covariance, place) + (x - middle) * (x - middle)))
-        to_array(fill(middle), mean, i * COUNT)
-        to_array(fill(spread), covariance, place)
-    for i in range(STATES):
-        for j in range(i + 1):
-            if i != j:
-                to_array(fill(0.0), covariance, element(i, j))
-    reference = reference_of(banks, k)
+    """Put the soil of bank k to its prior; its covariance with all else is left as it is."""
+    mean, covariance, reference = banks.mean[k], banks.covariance[k], reference_of(banks, k)
     for i in range(SINKAGE):
         to_array(prior_mean(i, numbers, reference), mean, i * COUNT)
         for j in range(i + 1):
             to_array(prior_covariance(i, j, numbers, reference), covariance, element(i, j))
-    to_array(from_array(numbers.prior.log_weight, 0), weights, 0)
+    to_array(from_array(numbers.prior.log_weight, 0), banks.log_weight[k], 0)
     banks.point.misfit[k] = 0.0
     banks.point.points[k] = 0.0
-
-
-@inlined
-def _prior_before(banks, k, numbers):
-    """The prior as what is known of the soil before the first border."""
-    before, prior = banks.before[k], numbers.prior
-    w = exp(from_array(prior.log_weight, 0))
-    for i in range(SINKAGE):
-        before[i] = total(w * from_array(prior.mean, i * COUNT))
-    for i in range(PUBLISHED):
-        j = GAIN if i == GAIN - 1 else i
-        away = from_array(prior.mean, j * COUNT) - before[j]
-        before[SINKAGE + i] = math.sqrt(total(w * (from_array(prior.covariance, element(j, j)) + away * away)))
 
 
 @part
@@ -201,8 +186,7 @@ def restart(banks, k, numbers):
         banks.covariance[k, i] = 0.0
     for i in range(COUNT):
         banks.log_weight[k, i], banks.ln_bearing[k, i] = 0.0, LN_DEPTH
-    banks.point.share[k] = 1.0
+    for i in range(2 * CANDIDATES):
+        banks.candidates[k, i] = 0.0
     banks.point.displacement[k], banks.point.stress[k] = 0.1 * numbers.radius, 1.0 / (numbers.radius * numbers.width)
     prior_of_soil(banks, k, numbers)
-    _prior_before(banks, k, numbers)
-    banks.point.since[k] = _FAR

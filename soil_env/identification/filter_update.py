@@ -1,4 +1,4 @@
-"""Updates of a bank of filters (`filter`) by a point, and the estimate that it gives."""
+"""Updates of a bank of filters (`filter`) by a point."""
 
 from __future__ import annotations
 
@@ -8,51 +8,39 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import asin_root, below, exp, larger, log, root, smaller, tanh
+from soil_env._numba.elementary import exp, larger, log, root, smaller, tanh
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
 from soil_env._numba.rows import scratch_rows
+from soil_env.identification.border import blend, by_both_soils
 from soil_env.identification.filter_bank import (
-    COVARIANCES,
+    CROSSING,
     MEANS,
-    PUBLISHED,
+    OLD,
+    PLACE,
+    RISE,
     element,
-    prior_covariance,
-    prior_mean,
     reference_of,
 )
 from soil_env.identification.linearised import (
-    COHESION,
     COLUMNS,
-    EXPONENT,
     GAIN,
-    LN_DEPTH,
-    LN_K,
     MASS,
     SINKAGE,
     SLIP,
     STATES,
-    STRENGTH,
     Linearised,
-    Q,
-    friction,
     linearise,
-    mobilised_share,
 )
 
 _YIELD_RATE = 6.0  # [1/s] at which a wheel comes up to its bearing sinkage, in the mean over a point
-_FADES, _FORGETS = 0.05, 5.0  # [m] in which what is forgotten behind a border fades; [1/m] its rate there
-_LEAST_MOVE, _MOVE, _JOLT = (
-    2e-3,
-    0.1,
-    0.9,
-)  # 1-sigma of the law of sinkage: of the radius, of the change, of the sinkage
+_LAG = 0.5  # of the change of the bearing sinkage since the last point: what the wheel has not borne on yet
+# 1-sigma of the law of sinkage: of the radius, of the change, of the sinkage, of the change of the bearing sinkage
+_LEAST_MOVE, _MOVE, _JOLT, _CHANGE = 6.3e-3, 0.1, 0.9, 0.5
+_DRIFT = 2e-3  # [m] of the place of a border between two points: that of the ground which a step was made with
 _LOWEST = np.array([0.005, math.log(2e-4), math.log(1e3), -1000.0, 0.3, -3.0, 1e-4, 0.05, -0.95])
 _HIGHEST = np.array([5.0, math.log(0.3), math.log(1e13), 2e5, 2.5, 3.0, 6.0, 1e6, 0.98])
-_ITERATIONS = 3  # of an update, at most
-_NEAR_STRENGTH, _NEAR_LN_K = 0.03, 0.15  # changes of a filter's mean below which its update is not repeated
-_saved_mean, _saved_covariance = scratch(MEANS), scratch(COVARIANCES)
 _at, _ground, _slopes, _gain = scratch(MEANS), scratch(MEANS), scratch(MEANS), scratch(MEANS)
-_linear = scratch_rows(Linearised, COLUMNS)
+_linear, _expanded = scratch_rows(Linearised, COLUMNS), scratch_rows(Linearised, (CROSSING + 1) * COUNT)
 
 
 class Point(NamedTuple):
@@ -66,6 +54,7 @@ class Point(NamedTuple):
     torque: float
     speed: float
     rim_speed: float
+    pitch: float
     cos_pitch: float
     motor_torque: float  # [N m] less what turns the wheel faster
     acceleration: float
@@ -74,8 +63,8 @@ class Point(NamedTuple):
     sliding: float
     shock: float
     time: float
-    error: float  # 1-sigma of the model, of the load
-    length: float  # [m] travelled
+    place: float  # [m] mean
+    spread: float  # [m] sd of the places
 
 
 # --- the update -------------------------------------------------------------------------------------------------------
@@ -88,19 +77,27 @@ def _copy(source, target, size):
 
 
 @inlined
-def _clip(x):
+def _clip(x, size):
     for i in range(STATES):
         to_array(smaller(larger(from_array(x, i * COUNT), _LOWEST[i]), _HIGHEST[i]), x, i * COUNT)
+    if size > STATES:
+        for i in range(SINKAGE):
+            j = (OLD + i) * COUNT
+            to_array(smaller(larger(from_array(x, j), _LOWEST[i]), _HIGHEST[i]), x, j)
 
 
 @inlined
-def _times(covariance, slopes, out):
-    """Covariance times slopes into `out`; slopes . covariance . slopes."""
+def times(covariance, slopes, out, size):
+    """Covariance times slopes, both of `size` states, into `out`; slopes . covariance . slopes."""
     square = fill(0.0)
-    for i in range(STATES):
-        v = fill(0.0)
-        for j in range(STATES):
-            v = v + from_array(covariance, element(i, j)) * from_array(slopes, j * COUNT)
+    for i in range(size):
+        v, place = fill(0.0), element(i, 0)
+        for j in range(i):
+            v = v + from_array(covariance, place + j * COUNT) * from_array(slopes, j * COUNT)
+        place += i * COUNT
+        for j in range(i, size):
+            v = v + from_array(covariance, place) * from_array(slopes, j * COUNT)
+            place += (j + 1) * COUNT
         to_array(v, out, i * COUNT)
         square = square + v * from_array(slopes, i * COUNT)
     return square
@@ -113,45 +110,47 @@ def _normal_share(x):
     return share, 0.3989422804014327 * exp(-0.5 * smaller(x * x, 1400.0))
 
 
-@part
-def _drive(mean, covariance, ground, share, out, point, numbers):
+@inlined
+def _drive(mean, covariance, ground, gain_slopes, out, size, last_bearing, point, numbers):
     """The sinkage of a bank from the last point to this one (`effects.excavation_rate`), and a slip not yet updated."""
     slopes, product, r = _slopes(), _gain(), numbers.radius
     a = max(point.path, 1e-12)
     left = math.exp(-a)
     come = 1.0 - left
     gain = numbers.dig_gain * exp(from_array(ground, GAIN * COUNT))
-    bearing = exp(smaller(from_array(out.ln_bearing, STATES * COUNT), math.log(2.0 * r)))
-    z = from_array(mean, SINKAGE * COUNT)
+    now = exp(smaller(from_array(out.ln_bearing, size * COUNT), math.log(2.0 * r)))
+    change = last_bearing - now if last_bearing > 0.0 else fill(0.0)
+    z, bearing = from_array(mean, SINKAGE * COUNT), now + _LAG * change
     dug = (point.sliding * come / a) * gain * bearing
-    for i in range(STATES):
-        by_bearing = bearing * from_array(out.ln_bearing, i * COUNT)
+    for i in range(size):
+        by_bearing = now * from_array(out.ln_bearing, i * COUNT)
         to_array(by_bearing - 1.0 if i == SINKAGE else by_bearing, slopes, i * COUNT)
     to_array(fill(0.0), slopes, SLIP * COUNT)
     # comes up to the bearing sinkage: a share of the mean of what it lacks, where it lacks any
-    variance = _times(covariance, slopes, product)
+    variance = times(covariance, slopes, product, size)
     spread, lag = root(variance + 1e-7 * r * r), bearing - z
     likely, density = _normal_share(lag / spread)
     lacking = lag * likely + spread * density
     scatter = (lag * lag + spread * spread) * likely + lag * (spread * density) - lacking * lacking
     yields = left * (1.0 - math.exp(-_YIELD_RATE * max(point.time, 0.0)))
     rise = (come * bearing + dug) / bearing
-    for i in range(MASS + 1):
-        v = from_array(slopes, i * COUNT) * (yields * likely)
-        to_array(v + rise * (bearing * from_array(out.ln_bearing, i * COUNT)), slopes, i * COUNT)
+    for i in range(size):
+        v = from_array(slopes, i * COUNT) * (yields * likely) + dug * from_array(gain_slopes, i * COUNT)
+        to_array(v + rise * (now * from_array(out.ln_bearing, i * COUNT)), slopes, i * COUNT)
     to_array(from_array(slopes, SINKAGE * COUNT) + left, slopes, SINKAGE * COUNT)
-    to_array(from_array(slopes, GAIN * COUNT) + share * dug, slopes, GAIN * COUNT)
-    variance = _times(covariance, slopes, product)
+    to_array(fill(0.0), slopes, SLIP * COUNT)
+    variance = times(covariance, slopes, product, size)
     after = come * bearing + dug + left * z + yields * lacking
-    move, jolt = _MOVE * (after - z), _JOLT * point.shock * z
+    move, jolt, changed = _MOVE * (after - z), _JOLT * point.shock * z, (_CHANGE * come) * change
     own = (
-        4e-6 * r * r
+        (_LEAST_MOVE * r) * (_LEAST_MOVE * r)
         + move * move
         + jolt * jolt
+        + changed * changed
         + (yields * yields) * larger(scatter - likely * likely * spread * spread, 0.0)
     )
     to_array(after, mean, SINKAGE * COUNT)
-    for i in range(STATES):
+    for i in range(size):
         to_array(from_array(product, i * COUNT), covariance, element(SINKAGE, i))
         to_array(fill(0.0), covariance, element(SLIP, i))
     to_array(variance + own, covariance, element(SINKAGE, SINKAGE))
@@ -159,149 +158,111 @@ def _drive(mean, covariance, ground, share, out, point, numbers):
     to_array(fill(numbers.noise[0] * numbers.noise[0] / point.readings), covariance, element(SLIP, SLIP))
 
 
-@part
-def _correct(mean, covariance, product, misfit, expected):
+@inlined
+def _correct(mean, covariance, product, misfit, expected, size):
     """Kalman update by a value whose covariance with the states is `product`: (chi-squared, ln of its variance)."""
-    step, scale = misfit / expected, 1.0 / expected
-    for i in range(STATES):
+    step, scale, place = misfit / expected, 1.0 / expected, 0
+    for i in range(size):
         v = from_array(product, i * COUNT)
         to_array(from_array(mean, i * COUNT) + v * step, mean, i * COUNT)
         v = v * scale
         for j in range(i + 1):
-            place = element(i, j)
             to_array(from_array(covariance, place) - v * from_array(product, j * COUNT), covariance, place)
+            place += COUNT
     return misfit * step, log(expected)
+
+
+@inlined
+def _absorb(mean, covariance, at, slopes, predicted, measured, variance, size):
+    """The update of both: of `size` states."""
+    product = _gain()
+    misfit = measured - predicted
+    for i in range(size):
+        misfit = misfit - from_array(slopes, i * COUNT) * (from_array(mean, i * COUNT) - from_array(at, i * COUNT))
+    expected = times(covariance, slopes, product, size) + variance
+    return _correct(mean, covariance, product, misfit, expected, size)
 
 
 @part
 def absorb(mean, covariance, at, slopes, predicted, measured, variance):
-    """Kalman update by one value, linearised at `at`: (chi-squared, ln of its expected variance)."""
-    product = _gain()
-    misfit = measured - predicted
-    for i in range(STATES):
-        misfit = misfit - from_array(slopes, i * COUNT) * (from_array(mean, i * COUNT) - from_array(at, i * COUNT))
-    expected = _times(covariance, slopes, product) + variance
-    return _correct(mean, covariance, product, misfit, expected)
+    """`absorb_on_border` with the states of one soil only; apart, so that the loops have constant bounds."""
+    return _absorb(mean, covariance, at, slopes, predicted, measured, variance, STATES)
 
 
 @part
-def _absorb_state(mean, covariance, at, state, slope, predicted, measured, variance):
-    """`absorb` a value that depends on one state only."""
+def absorb_on_border(mean, covariance, at, slopes, predicted, measured, variance):
+    """Kalman update by one value, linearised at `at`: (chi-squared, ln of its expected variance)."""
+    return _absorb(mean, covariance, at, slopes, predicted, measured, variance, CROSSING)
+
+
+@inlined
+def _absorb_any(mean, covariance, at, slopes, predicted, measured, variance, size):
+    if size > STATES:
+        return absorb_on_border(mean, covariance, at, slopes, predicted, measured, variance)
+    return absorb(mean, covariance, at, slopes, predicted, measured, variance)
+
+
+@inlined
+def _absorb_state(mean, covariance, at, state, slope, predicted, measured, variance, size):
+    """As `_absorb`, of a value that depends on one state only."""
     product = _gain()
-    for i in range(STATES):
+    for i in range(size):
         to_array(slope * from_array(covariance, element(i, state)), product, i * COUNT)
     misfit = measured - predicted - slope * (from_array(mean, state * COUNT) - from_array(at, state * COUNT))
     expected = slope * from_array(product, state * COUNT) + variance
-    return _correct(mean, covariance, product, misfit, expected)
+    return _correct(mean, covariance, product, misfit, expected, size)
 
 
-@part
-def _measure(mean, covariance, at, out, point, numbers):
+@inlined
+def _measure(mean, covariance, at, out, size, point, numbers):
     """All channels of a point: (chi-squared, sum of the logarithms of their expected variances)."""
     slopes, sd, n = _slopes(), numbers.noise, point.readings
-    model = point.error * abs(point.load)
+    model = numbers.model_error * abs(point.load)
     force, mass, slip = numbers.gravity * point.cos_pitch, from_array(at, MASS * COUNT), from_array(at, SLIP * COUNT)
     v = fill(sd[3] * sd[3] / n)
-    x2, logs = _absorb_state(mean, covariance, at, MASS, fill(force), force * mass, fill(point.load), v)
+    x2, logs = _absorb_state(mean, covariance, at, MASS, fill(force), force * mass, fill(point.load), v, size)
     z, v = from_array(at, SINKAGE * COUNT), fill(sd[1] * sd[1] / n)
-    a, b = _absorb_state(mean, covariance, at, SINKAGE, fill(1.0), z, fill(point.sinkage), v)
+    a, b = _absorb_state(mean, covariance, at, SINKAGE, fill(1.0), z, fill(point.sinkage), v, size)
     x2, logs = x2 + a, logs + b
     braking = 1.0 / (1.0 + smaller(slip, 0.0))
     slope, v = (-point.rim_speed) * braking * braking, fill((sd[5] * sd[5] + sd[6] * sd[6]) / n)
     speed = point.rim_speed * (1.0 - larger(slip, 0.0)) * braking
-    a, b = _absorb_state(mean, covariance, at, SLIP, slope, speed, fill(point.speed), v)
+    a, b = _absorb_state(mean, covariance, at, SLIP, slope, speed, fill(point.speed), v, size)
     x2, logs = x2 + a, logs + b
-    pull, torque = from_array(out.pull, STATES * COUNT), from_array(out.torque, STATES * COUNT)
-    v, twist = model * model, (model * numbers.radius) * (model * numbers.radius)
-    a, b = absorb(mean, covariance, at, out.pull, pull, fill(point.drawbar_pull), fill(sd[2] * sd[2] / n + v))
+    pull, torque = from_array(out.pull, size * COUNT), from_array(out.torque, size * COUNT)
+    twist = (model * numbers.radius) * (model * numbers.radius)
+    v = fill(sd[2] * sd[2] / n + model * model)
+    a, b = _absorb_any(mean, covariance, at, out.pull, pull, fill(point.drawbar_pull), v, size)
     x2, logs = x2 + a, logs + b
-    a, b = absorb(mean, covariance, at, out.torque, torque, fill(point.torque), fill(sd[4] * sd[4] / n + twist))
+    v = fill(sd[4] * sd[4] / n + twist)
+    a, b = _absorb_any(mean, covariance, at, out.torque, torque, fill(point.torque), v, size)
     x2, logs = x2 + a, logs + b
     v = fill(point.motor_variance + twist)
-    a, b = absorb(mean, covariance, at, out.torque, torque, fill(point.motor_torque), v)
+    a, b = _absorb_any(mean, covariance, at, out.torque, torque, fill(point.motor_torque), v, size)
     x2, logs = x2 + a, logs + b
-    for i in range(STATES):
+    for i in range(size):
         to_array(from_array(out.pull, i * COUNT) / mass, slopes, i * COUNT)
     to_array(from_array(slopes, MASS * COUNT) - pull / (mass * mass), slopes, MASS * COUNT)
     v = (model / mass) * (model / mass) + sd[9] * sd[9] / n
-    a, b = absorb(mean, covariance, at, slopes, pull / mass, fill(point.acceleration), v)
+    a, b = _absorb_any(mean, covariance, at, slopes, pull / mass, fill(point.acceleration), v, size)
     return x2 + a, logs + b
 
 
-@part
-def _forget(mean, covariance, log_weight, since, length, reference, numbers):
-    """Back towards the prior behind a border, where soil still changes: an Ornstein-Uhlenbeck process."""
-    fade = math.exp(-since / _FADES)
-    f = math.exp(-length * (_FORGETS * fade))
-    if f > 0.9999:  # nothing to forget
-        return
-    for i in range(SINKAGE):
-        middle = prior_mean(i, numbers, reference)
-        to_array(middle + f * (from_array(mean, i * COUNT) - middle), mean, i * COUNT)
-        for j in range(i + 1):
-            place = element(i, j)
-            v = (1.0 - f * f) * prior_covariance(i, j, numbers, reference)
-            to_array(v + f * f * from_array(covariance, place), covariance, place)
-        for j in range(SINKAGE, STATES):
-            place = element(i, j)
-            to_array(f * from_array(covariance, place), covariance, place)
-    to_array(f * from_array(log_weight, 0) + (1.0 - f) * from_array(numbers.prior.log_weight, 0), log_weight, 0)
-
-
-@part
-def _linearise(at, ground, before, share, cos_pitch, reference, numbers, out):
-    """`linearise` at the soil under the wheel, written to `ground`: behind a border it has `share` of the new one."""
-    _copy(at, ground, MEANS)
-    if share < 1.0:
-        left, _ = mobilised_share(fill(before[LN_K]), reference)
-        strength = (math.tan(before[0]) + before[COHESION] / reference.stress) * left
-        for i in range(SINKAGE):
-            old = strength if i == STRENGTH else fill(before[i])
-            to_array(share * from_array(at, i * COUNT) + (1.0 - share) * old, ground, i * COUNT)
-    linearise(ground, cos_pitch, reference, numbers, out)
-    if share < 1.0:
-        for i in range(0, SINKAGE * COUNT, COUNT):
-            to_array(share * from_array(out.pull, i), out.pull, i)
-            to_array(share * from_array(out.torque, i), out.torque, i)
-            to_array(share * from_array(out.ln_bearing, i), out.ln_bearing, i)
+@inlined
+def _measure_grade(mean, covariance, at, b, grade, grades, point, numbers):
+    """The pitch of a point on a border: as `_measure`."""
+    slopes, rise = _slopes(), from_array(at, RISE * COUNT)
+    for i in range(CROSSING):
+        to_array(fill(0.0), slopes, i * COUNT)
+    to_array(b.share, slopes, RISE * COUNT)
+    to_array(b.by_place * rise, slopes, PLACE * COUNT)
+    variance = numbers.noise[7] * numbers.noise[7] * (1.0 / point.readings + 1.0 / max(min(grades, 60.0), 1.0))
+    return absorb_on_border(mean, covariance, at, slopes, b.share * rise, fill(point.pitch - grade), fill(variance))
 
 
 @inlined
-def renew(banks, k, point, numbers):
-    """Time update and iterated measurement update of bank k by a point; chi-squared of the mixture."""
-    mean, covariance, log_weight = banks.mean[k], banks.covariance[k], banks.log_weight[k]
-    at, out, saved, saved_covariance = _at(), _linear(), _saved_mean(), _saved_covariance()
-    reference = reference_of(banks, k)
-    to_array(fill(point.slip), mean, SLIP * COUNT)
-    _copy(mean, at, MEANS)
-    ground, before, share = _ground(), banks.before[k], banks.point.share[k]
-    _linearise(at, ground, before, share, point.cos_pitch, reference, numbers, out)
-    _drive(mean, covariance, ground, share, out, point, numbers)
-    _forget(mean, covariance, log_weight, banks.point.since[k], point.length, reference, numbers)
-    _copy(mean, saved, MEANS)
-    _copy(covariance, saved_covariance, COVARIANCES)
-    old = exp(from_array(log_weight, 0))
-    x2, logs = _measure(mean, covariance, at, out, point, numbers)
-    for _ in range(_ITERATIONS - 1):
-        _clip(mean)
-        far = larger(
-            abs(from_array(mean, STRENGTH * COUNT) - from_array(at, STRENGTH * COUNT)) * (1.0 / _NEAR_STRENGTH),
-            abs(from_array(mean, LN_K * COUNT) - from_array(at, LN_K * COUNT)) * (1.0 / _NEAR_LN_K),
-        )
-        if total(below(1.0, far) * below(1e-3, old)) == 0.0:
-            break
-        _copy(mean, at, MEANS)
-        _linearise(at, ground, before, share, point.cos_pitch, reference, numbers, out)
-        _copy(saved, mean, MEANS)
-        _copy(saved_covariance, covariance, COVARIANCES)
-        x2, logs = _measure(mean, covariance, at, out, point, numbers)
-    _clip(mean)
-    ln_bearing = from_array(out.ln_bearing, STATES * COUNT)
-    for i in range(STATES):
-        ln_bearing = ln_bearing + from_array(out.ln_bearing, i * COUNT) * (
-            from_array(mean, i * COUNT) - from_array(at, i * COUNT)
-        )
-    to_array(ln_bearing, banks.ln_bearing[k], 0)
+def _weigh(log_weight, old, x2, logs):
+    """Renew the weights of the filters by the likelihood of a point; its chi-squared under their mixture."""
     least = smallest(x2)
     misfit = least - 2.0 * math.log(max(total(old * exp(-0.5 * (x2 - least))), 1e-300))
     new = from_array(log_weight, 0) - 0.5 * (x2 + logs)
@@ -312,69 +273,72 @@ def renew(banks, k, point, numbers):
 
 
 @inlined
-def publish(banks, k, numbers, estimate, sd, covariance):
-    """Mean [5], standard deviations [5] and covariance [5, 5] of (phi, ln K, ln S, c, ln g) of the mixture.
+def _finish(banks, k, at, out, size):
+    """After the update of bank k, linearised at `at`: its states within bounds, its bearing sinkage and border."""
+    p, mean, w = banks.point, banks.mean[k], exp(from_array(banks.log_weight[k], 0))
+    _clip(mean, size)
+    ln_bearing = from_array(out.ln_bearing, size * COUNT)
+    for i in range(size):
+        away = from_array(mean, i * COUNT) - from_array(at, i * COUNT)
+        ln_bearing = ln_bearing + from_array(out.ln_bearing, i * COUNT) * away
+    to_array(ln_bearing, banks.ln_bearing[k], 0)
+    p.bearing[k] = total(w * exp(smaller(ln_bearing, 1.0)))
+    if size > STATES:
+        p.border[k] = total(w * from_array(mean, PLACE * COUNT))
 
-    ln S is that at the exponent of the belief which bears the same pressure at the bearing sinkage.
-    """
-    x, P = banks.mean[k], banks.covariance[k]
-    w = exp(from_array(banks.log_weight[k], 0))
-    depth = from_array(banks.ln_bearing[k], 0) - LN_DEPTH
-    rows_, n = _at(), from_array(x, EXPONENT * COUNT)
-    for i in range(PUBLISHED):
-        j = GAIN if i == GAIN - 1 else i
-        to_array(from_array(x, j * COUNT), rows_, i * COUNT)
-    tan = friction(
-        from_array(x, STRENGTH * COUNT),
-        from_array(x, LN_K * COUNT),
-        from_array(x, COHESION * COUNT),
-        reference_of(banks, k),
-    )
-    angle = 2.0 * asin_root(0.5 - 0.5 / root(1.0 + tan.tangent * tan.tangent))
-    to_array(angle, rows_, 0)
-    to_array(from_array(x, Q * COUNT) + (n - numbers.exponent) * depth, rows_, Q * COUNT)
-    for i in range(PUBLISHED):
-        estimate[i] = total(w * from_array(rows_, i * COUNT))
-    rate, slopes, product = 1.0 / (1.0 + tan.tangent * tan.tangent), _slopes(), _gain()
-    for i in range(PUBLISHED):
-        for j in range(STATES):
-            to_array(fill(0.0), slopes, j * COUNT)
-        to_array(fill(1.0), slopes, (GAIN if i == GAIN - 1 else i) * COUNT)
-        if i == STRENGTH:
-            to_array(rate * tan.by_strength, slopes, STRENGTH * COUNT)
-            to_array(rate * tan.by_ln_K, slopes, LN_K * COUNT)
-            to_array(rate * tan.by_cohesion, slopes, COHESION * COUNT)
-        elif i == Q:
-            to_array(depth, slopes, EXPONENT * COUNT)
-        _times(P, slopes, product)
-        away = from_array(rows_, i * COUNT) - estimate[i]
-        for j in range(i + 1):
-            b = GAIN if j == GAIN - 1 else j
-            v = from_array(product, b * COUNT)
-            if j == STRENGTH:
-                v = rate * (
-                    tan.by_strength * v + tan.by_ln_K * from_array(product, LN_K * COUNT)
-                    + tan.by_cohesion * from_array(product, COHESION * COUNT)
-                )  # fmt: skip
-            elif j == Q:
-                v = v + depth * from_array(product, EXPONENT * COUNT)
-            covariance[i, j] = covariance[j, i] = total(w * (v + away * (from_array(rows_, j * COUNT) - estimate[j])))
-        sd[i] = math.sqrt(max(covariance[i, i], 1e-18))
-    estimate[COHESION] = max(estimate[COHESION], 0.0)
-    share, before = banks.point.share[k], banks.before[k]
-    at_depth = total(w * depth)
-    if share < 1.0:
-        for i in range(PUBLISHED):
-            old = before[GAIN] if i == GAIN - 1 else before[i]
-            if i == Q:
-                old += (before[EXPONENT] - numbers.exponent) * at_depth
-            estimate[i] = share * estimate[i] + (1.0 - share) * old
-            for j in range(PUBLISHED):
-                covariance[i, j] *= share * share
-            covariance[i, i] += ((1.0 - share) * before[SINKAGE + i]) * ((1.0 - share) * before[SINKAGE + i])
-            sd[i] = math.sqrt(covariance[i, i])
-    elif banks.point.misfit[k] == 0.0:
-        for i in range(PUBLISHED):
-            before[SINKAGE + i] = sd[i]
-        before[0], before[LN_K], before[COHESION], before[GAIN] = estimate[0], estimate[1], estimate[3], estimate[4]
-        before[Q], before[EXPONENT] = total(w * from_array(x, Q * COUNT)), total(w * n)
+
+@part
+def _renew_on_border(banks, k, point, numbers):
+    """`renew` where the ground is a blend of two soils."""
+    mean, covariance, p = banks.mean[k], banks.covariance[k], banks.point
+    at, out, all_, ground, gains = _at(), _linear(), _expanded(), _ground(), _slopes()
+    reference = reference_of(banks, k)
+    to_array(fill(point.slip), mean, SLIP * COUNT)
+    _copy(mean, at, MEANS)
+    b = blend(at, point.place, point.spread, reference, ground, numbers)
+    linearise(ground, point.cos_pitch, reference, numbers, out)
+    by_both_soils(out.pull, at, b, all_.pull)
+    by_both_soils(out.torque, at, b, all_.torque)
+    by_both_soils(out.ln_bearing, at, b, all_.ln_bearing)
+    for i in range(CROSSING):
+        to_array(fill(0.0), gains, i * COUNT)
+    to_array(b.gain, gains, GAIN * COUNT)
+    to_array(b.old_gain, gains, (OLD + GAIN) * COUNT)
+    to_array(b.gain_place, gains, PLACE * COUNT)
+    _drive(mean, covariance, ground, gains, all_, CROSSING, p.bearing[k], point, numbers)
+    variance = from_array(covariance, element(PLACE, PLACE))
+    to_array(variance + _DRIFT * _DRIFT, covariance, element(PLACE, PLACE))
+    old = exp(from_array(banks.log_weight[k], 0))
+    x2, logs = _measure(mean, covariance, at, all_, CROSSING, point, numbers)
+    if numbers.grade_change > 0.0 and p.grade_used[k] == 0.0:
+        c, d = _measure_grade(mean, covariance, at, b, p.grade[k], p.grades[k], point, numbers)
+        x2, logs = x2 + c, logs + d
+    misfit = _weigh(banks.log_weight[k], old, x2, logs)
+    _finish(banks, k, at, all_, CROSSING)
+    return misfit
+
+
+@part
+def _renew_on_one_soil(banks, k, point, numbers):
+    """`renew` away from borders."""
+    mean, covariance = banks.mean[k], banks.covariance[k]
+    at, out, gains = _at(), _linear(), _slopes()
+    to_array(fill(point.slip), mean, SLIP * COUNT)
+    _copy(mean, at, STATES * COUNT)
+    linearise(at, point.cos_pitch, reference_of(banks, k), numbers, out)
+    for i in range(STATES):
+        to_array(fill(1.0 if i == GAIN else 0.0), gains, i * COUNT)
+    _drive(mean, covariance, at, gains, out, STATES, banks.point.bearing[k], point, numbers)
+    old = exp(from_array(banks.log_weight[k], 0))
+    x2, logs = _measure(mean, covariance, at, out, STATES, point, numbers)
+    misfit = _weigh(banks.log_weight[k], old, x2, logs)
+    _finish(banks, k, at, out, STATES)
+    return misfit
+
+
+@inlined
+def renew(banks, k, point, numbers):
+    """Time update and measurement update of bank k by a point; chi-squared of the mixture."""
+    if banks.point.crossing[k] > 0.0:
+        return _renew_on_border(banks, k, point, numbers)
+    return _renew_on_one_soil(banks, k, point, numbers)

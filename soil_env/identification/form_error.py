@@ -184,7 +184,12 @@ def whitened(compression: Compression | None, v: np.ndarray) -> np.ndarray:
 
 
 def marginals(
-    jacobian: np.ndarray, errors: Sequence[np.ndarray], sizes: np.ndarray, residual: np.ndarray, u: np.ndarray
+    jacobian: np.ndarray,
+    errors: Sequence[np.ndarray],
+    sizes: np.ndarray,
+    residual: np.ndarray,
+    u: np.ndarray,
+    first: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(log evidence [S], mean [S, p], covariance [S, p, p] of the unknowns) under each row of sizes [S, K].
 
@@ -192,24 +197,45 @@ def marginals(
     the unknowns have unit priors about 0. With A the Jacobian and the form errors, and D their sizes,
 
         ln p = -(e'e + |u|^2 - h'N^-1 h)/2 - ln|N|/2,    N = I + D A'A D,    h = D A'e - u.
+
+    The unknowns and the `first` form errors are eliminated once for all rows that have the same sizes of these.
     """
     a, p = np.concatenate([jacobian, *errors], axis=1), u.size
     width = [p, *(b.shape[1] for b in errors)]
-    gram, along, count = a.T @ a, a.T @ residual, a.shape[1]
-    start, square = np.concatenate([u, np.zeros(count - p)]), float(residual @ residual + u @ u)
+    gram, along = a.T @ a, a.T @ residual
+    start, square = np.concatenate([u, np.zeros(along.size - p)]), float(residual @ residual + u @ u)
     log, mean, covariance = np.empty(len(sizes)), np.empty((len(sizes), p)), np.empty((len(sizes), p, p))
-    for s, of in enumerate(sizes):
-        scale = np.repeat([1.0, *of], width)
-        seen = scale > 0.0
-        d = scale[seen]
-        normal = d[:, None] * gram[np.ix_(seen, seen)] * d
-        normal[np.arange(d.size), np.arange(d.size)] += 1.0
-        factor = cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
-        right = np.column_stack([d * along[seen] - start[seen], np.eye(d.size, p)])
+    scales = np.repeat(np.column_stack([np.ones(len(sizes)), sizes]), width, axis=1)
+    outer = np.arange(sum(width[: 1 + first]))
+    for of in np.unique(sizes[:, :first], axis=0):
+        rows = np.flatnonzero(np.all(sizes[:, :first] == of, axis=1))
+        d = scales[rows[0], outer]
+        kept, d = outer[d > 0.0], d[d > 0.0]
+        factor = _factor(d[:, None] * gram[np.ix_(kept, kept)] * d)
+        cross = d[:, None] * gram[kept, outer.size :]
+        right = np.column_stack([d * along[kept] - start[kept], np.eye(d.size, p), cross])
         half = solve_triangular(factor, right, lower=True, check_finite=False)
-        log[s] = -0.5 * (square - half[:, 0] @ half[:, 0]) - np.sum(np.log(np.diag(factor)))
-        mean[s], covariance[s] = u + half[:, 1:].T @ half[:, 0], half[:, 1:].T @ half[:, 1:]
+        of_data, of_unknowns, rest = half[:, 0], half[:, 1 : 1 + p], half[:, 1 + p :]
+        base = -0.5 * (square - of_data @ of_data) - np.sum(np.log(np.diag(factor)))
+        centre, narrow = u + of_unknowns.T @ of_data, of_unknowns.T @ of_unknowns
+        normal = gram[outer.size :, outer.size :] - rest.T @ rest
+        pulls = np.column_stack([along[outer.size :] - rest.T @ of_data, rest.T @ of_unknowns])
+        for s in rows:
+            d = scales[s, outer.size :]
+            seen = np.flatnonzero(d > 0.0)
+            d = d[seen]
+            factor = _factor(d[:, None] * normal[np.ix_(seen, seen)] * d)
+            half = solve_triangular(factor, d[:, None] * pulls[seen], lower=True, check_finite=False)
+            moved, more = half[:, 0], half[:, 1:]
+            log[s] = base + 0.5 * (moved @ moved) - np.sum(np.log(np.diag(factor)))
+            mean[s], covariance[s] = centre - more.T @ moved, narrow + more.T @ more
     return log, mean, covariance
+
+
+def _factor(normal: np.ndarray) -> np.ndarray:
+    """Lower Cholesky factor of I + `normal` [R, R], which is overwritten."""
+    normal[np.diag_indices_from(normal)] += 1.0
+    return cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
 
 
 def mixed(share: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 from soil_env._numba.compiling import inlined
 from soil_env._numba.elementary import exp, larger, log
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
-from soil_env._numba.rows import rows, scratch_rows
+from soil_env._numba.rows import Rows, rows, scratch_rows
 from soil_env.terramechanics.arc_integrals import (
     NODE_COLUMNS,
     Nodes,
@@ -46,7 +46,7 @@ LN_DEPTH = math.log(0.03)  # sinkage [m] at which the sinkage coefficients of di
 _BY_SINKAGE, _BY_EXPONENT = 0.01, 0.01  # steps of the differences: relative, and of n
 
 #: Predictions, then their derivatives; eight columns a state.
-Linearised = rows("Linearised", "pull", "torque", "ln_bearing")
+Linearised: type[Rows] = rows("Linearised", "pull", "torque", "ln_bearing")
 COLUMNS = (STATES + 1) * COUNT  # the value itself is in the last block
 _nodes = scratch_rows(Nodes, NODE_COLUMNS)
 

@@ -1,8 +1,8 @@
-"""Prior of the filter as a mixture of as many Gaussians as a bank has filters.
+"""Prior of the filter as a mixture of as many Gaussians as a bank has filters, but one.
 
 Where the belief names a library of soils, each of them is one Gaussian (or several, split along ln K, where there are
 filters enough), with the scatter of `Belief.spread`. Else the plain prior of the belief is split along ln K, its widest
-and most curved direction.
+and most curved direction. The last filter is that of a soil that stays the same on a border (`border`).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from soil_env._numba.lanes import COUNT
 from soil_env.parameters import Scenario
 
 SIZE = 6  # (phi, ln K, q, c, n, ln g), as in `linearised`, but for the friction angle
+PARTS = COUNT - 1
 _NEVER = -700.0  # ln weight of a filter that is not used
 
 
@@ -99,14 +100,14 @@ def moments(gaussians: list[Gaussian]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def prior_of_belief(scenario: Scenario) -> list[Gaussian]:
-    """The prior of a scenario's belief, as at most `COUNT` Gaussians."""
+    """The prior of a scenario's belief, as at most `PARTS` Gaussians."""
     if not scenario.belief.soils:
-        return split(plain(scenario), COUNT)
+        return split(plain(scenario), PARTS)
     gaussians = sorted(of_library(scenario, 0.03), key=lambda g: -g[0])
-    if len(gaussians) > COUNT:
-        rest = gaussians[COUNT - 1 :]
-        gaussians = [*gaussians[: COUNT - 1], (sum(g[0] for g in rest), *moments(rest))]
-    parts = [COUNT // len(gaussians) + (k < COUNT % len(gaussians)) for k in range(len(gaussians))]
+    if len(gaussians) > PARTS:
+        rest = gaussians[PARTS - 1 :]
+        gaussians = [*gaussians[: PARTS - 1], (sum(g[0] for g in rest), *moments(rest))]
+    parts = [PARTS // len(gaussians) + (k < PARTS % len(gaussians)) for k in range(len(gaussians))]
     return [narrow for g, p in zip(gaussians, parts, strict=True) for narrow in split(g, p)]
 
 

@@ -7,12 +7,12 @@ paper's Simpson rule and its Eq. (12).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from soil_env._numba.compiling import inlined
 from soil_env._numba.elementary import exp, half_sin_cos, log
 from soil_env._numba.lanes import COUNT, fill, first, from_array, lane, made_of, to_array, totals
-from soil_env._numba.rows import rows
+from soil_env._numba.rows import Rows, rows
 from soil_env.identification.point import channels, channels_at, dot, weights, whitened
 from soil_env.terramechanics.arc_integrals import (
     NODE_COLUMNS,
@@ -34,14 +34,14 @@ COHESION, GAIN = 3, 4
 # --- points, eight at a time ------------------------------------------------------------------------------------------
 
 #: What does not depend on the unknowns, of points in blocks of eight: as `arc_integrals.store_nodes` leaves their arcs.
-Prepared = rows("Prepared", "travel", *ArcFrame._fields)
+Prepared: type[Rows] = rows("Prepared", "travel", *ArcFrame._fields)
 
 
 class Workspace(NamedTuple):
     """Memory of the iteration for so many points."""
 
-    prepared: Prepared
-    nodes: Nodes
+    prepared: Rows  # Prepared
+    nodes: Rows  # Nodes
 
 
 def workspace(points: int) -> Workspace:
@@ -96,11 +96,11 @@ def _soil_of(x):
 class Whitened(NamedTuple):
     """Of points: the misfit and its derivatives by the unknowns, each of three channels, whitened."""
 
-    misfit: tuple
-    phi: tuple
-    K: tuple
-    S: tuple
-    c: tuple
+    misfit: tuple[Any, ...]
+    phi: tuple[Any, ...]
+    K: tuple[Any, ...]
+    S: tuple[Any, ...]
+    c: tuple[Any, ...]
     by_gain: float  # d ln S_effective / d ln g: the derivative by the gain is this share of that by ln S
 
 

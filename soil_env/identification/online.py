@@ -21,11 +21,11 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.lanes import COUNT, fill, first, from_array, lane, smallest
-from soil_env._numba.rows import copy_column, rows, scratch_rows, zero_column
+from soil_env._numba.rows import Rows, copy_column, rows, scratch_rows, zero_column
 from soil_env.identification.digging import KEPT, Digging, DiggingPlaces, close_point, note, roll
 from soil_env.identification.filter import CONTRADICTION_OF_POINTS, take
-from soil_env.identification.filter_bank import FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
-from soil_env.identification.filter_update import publish
+from soil_env.identification.filter_bank import STAYS, FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
+from soil_env.identification.filter_estimate import publish
 from soil_env.identification.mixture_prior import moments, prior_of_belief
 from soil_env.identification.normal_equations import (
     COHESION,
@@ -58,10 +58,11 @@ _BUCKET_SLIP = 0.05  # slip range within one point, at most
 CONTRADICTION_OF_POINT = 3.0
 RATIO_ERROR = 0.07  # relative error of the digging ratio that the law of sinkage itself makes
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
+_HALF = math.log(0.5)  # ln probability of the soil having stayed the same, below which a border is counted
 _MINIMUM_RIM_SPEED = 0.02  # [m/s] below which readings say nothing of shear
 
 #: The open point of each identifier: sums over its readings, and where it began.
-OpenPoint = rows(
+OpenPoint: type[Rows] = rows(
     "OpenPoint",
     "slip",
     "sinkage",
@@ -94,11 +95,11 @@ class SensorReading(NamedTuple):
 class Identifiers(NamedTuple):
     """Memory of many identifiers: arrays with one row a wheel."""
 
-    points: Points  # WINDOW columns a wheel
+    points: Rows  # Points, WINDOW columns a wheel
     count: np.ndarray  # [wheels] points in the window
-    open: OpenPoint
-    digging: Digging
-    places: DiggingPlaces  # KEPT columns a wheel
+    open: Rows  # OpenPoint
+    digging: Rows  # Digging
+    places: Rows  # DiggingPlaces, KEPT columns a wheel
     estimate: np.ndarray  # [wheels, 5] the published estimate, in the order of `IdentifierNumbers.prior`
     sd: np.ndarray  # [wheels, 5] its standard deviations
     status: np.ndarray  # [wheels] `Status`
@@ -106,6 +107,7 @@ class Identifiers(NamedTuple):
     covariance: np.ndarray  # [wheels, 5, 5] of it
     condition: np.ndarray  # [wheels] largest posterior over prior standard deviation (1 = nothing learnt)
     banks: FilterBanks  # of the method "filter"
+    borders: np.ndarray  # [wheels] to another soil that the filter has found since `forget`
 
 
 class IdentifierNumbers(NamedTuple):
@@ -171,13 +173,14 @@ def new_identifiers(wheels: int) -> Identifiers:
         np.zeros((wheels, SIZE, SIZE)),
         np.ones(wheels),
         new_banks(wheels),
+        np.zeros(wheels, dtype=np.int64),
     )
 
 
 @part
 def forget(ids, k, numbers):
     """Set identifier k back to its prior."""
-    ids.count[k] = 0
+    ids.count[k] = ids.borders[k] = 0
     zero_column(ids.open, k)
     zero_column(ids.digging, k)
     for i in range(SIZE):
@@ -198,18 +201,25 @@ def observe(ids, k, reading, numbers):
 
 @part
 def _observe_by_filter(ids, k, reading, numbers):
-    if not take(ids.banks, k, reading, numbers.filter):
+    p, crossed = ids.banks.point, ids.banks.point.crossing[k]
+    done = take(ids.banks, k, reading, numbers.filter)
+    if not done and p.crossing[k] == 0.0:
         return False
+    if p.crossing[k] > crossed:
+        ids.borders[k] += int(p.by_forces[k])
+    elif p.crossing[k] < crossed and p.by_forces[k] == 0.0 and ids.banks.log_weight[k, STAYS] < _HALF:
+        ids.borders[k] += 1  # the grade told of a border, and it was one of soil
+    # on a border the soil under the wheel changes from reading to reading
     publish(ids.banks, k, numbers.filter, ids.estimate[k], ids.sd[k], ids.covariance[k])
     learnt = 0.0
     for i in range(2):  # friction and shear deformation modulus need a range of slip
         learnt = max(learnt, ids.sd[k, i] * math.sqrt(numbers.precision[i]))
     ids.condition[k] = learnt
-    if ids.banks.point.misfit[k] > CONTRADICTION_OF_POINTS:
+    if p.misfit[k] > CONTRADICTION_OF_POINTS:
         ids.status[k] = Status.MISFIT.value
     else:
         ids.status[k] = Status.CONVERGED.value if learnt <= 0.6 else Status.NOT_EXCITED.value
-    return True
+    return done
 
 
 @inlined

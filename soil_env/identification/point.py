@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part, root
-from soil_env._numba.rows import rows
+from soil_env._numba.rows import Rows, rows
 from soil_env.terramechanics.arc_integrals import (
     integrals_of,
     shear_modulus_rates,
@@ -38,7 +38,7 @@ class Reading(NamedTuple):
 #: Measured points, a column each. The digging ratio is dig_ratio + g dig_response where the gain of digging is unknown
 #: too; elsewhere the response is 0. The weights are the lower triangle of the matrix that whitens (drawbar pull, load,
 #: torque).
-Points = rows(
+Points: type[Rows] = rows(
     "Points",
     "slip",
     "sinkage",  # [m]
@@ -63,10 +63,10 @@ class Channels(NamedTuple):
     pull: float
     load: float
     torque: float
-    by_phi: tuple
-    by_K: tuple
-    by_S: tuple
-    by_c: tuple
+    by_phi: tuple[Any, ...]
+    by_K: tuple[Any, ...]
+    by_S: tuple[Any, ...]
+    by_c: tuple[Any, ...]
 
 
 @inlined

@@ -15,6 +15,7 @@ drawbar pull and torque are both of unknown noise, that of each is flat in sigma
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
@@ -29,7 +30,7 @@ FEW = 40.0  # degrees of freedom of a channel from which on its noise counts as 
 class Scatter:
     """Samples of the unknown noise with weights [M], and the unknowns under each: shift [M, p], covariance."""
 
-    def __init__(self, problem: TableProblem, u: np.ndarray):
+    def __init__(self, problem: TableProblem, u: np.ndarray) -> None:
         self.channels = np.flatnonzero(problem.estimated)
         self.u, self.e, self.J = u, problem.residual(u), problem.by_unknowns(u)
         unit = problem.measured[:, None, :] * np.eye(3)  # [N, 3, 3]
@@ -87,7 +88,7 @@ class Scatter:
         """Geometric mean of the noise of the estimated channels."""
         return np.exp(self.weights @ self.ln_sd)
 
-    def interval(self, gradient, share: float = 0.95) -> tuple[float, float]:
+    def interval(self, gradient: ArrayLike, share: float = 0.95) -> tuple[float, float]:
         """Bounds of a linear function of the unknowns, from its value at the solution."""
         mean = self.shift @ gradient
         sd = np.sqrt(np.einsum("p,mpq,q->m", gradient, self.covariance, gradient))

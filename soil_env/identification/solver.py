@@ -15,6 +15,7 @@ import enum
 import math
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from soil_env._numba.compiling import inlined, root
 from soil_env._numba.lanes import scratch
@@ -263,7 +264,9 @@ def _normal_points(x, points, count, prior, precision, reading, system, work):
     return normal_system(in_blocks, x, points, 0, count, prior, precision, reading, work, system, 0)
 
 
-def normal_equations(x, points: Points, prior, precision, reading: Reading) -> tuple[float, np.ndarray, np.ndarray]:
+def normal_equations(
+    x: ArrayLike, points: Points, prior: ArrayLike, precision: ArrayLike, reading: Reading
+) -> tuple[float, np.ndarray, np.ndarray]:
     """(cost, matrix J^T J + diag(precision) [3, 3], vector J^T residual [3]) at x [3], whitened."""
     system = np.zeros(SYSTEM)
     cost = _normal_points(

@@ -85,6 +85,7 @@ class TableEstimate:
     exact: tuple[str, ...]  # of slip and load, what the setup gives no noise for
     converged: bool
     law_error: float  # relative error of the stress laws that the table suggests, root mean square
+    check_first: tuple[str, ...]  # of `warnings`: units and signs of setup and table that cannot be right
     warnings: tuple[str, ...]
 
 
@@ -101,7 +102,7 @@ def identify_table(table: Table, setup: Setup, *, max_passes: int = _PASSES) -> 
     plain = _Plain(u, _fits(problem, u))
     for _ in range(_FORM_PASSES):
         share = problem.by_size(u)[0]
-        problem.allow_form_error(u, *LAW_ERRORS[int(np.argmax(share))])
+        problem.allow_form_error(u, LAW_ERRORS[int(np.argmax(share))])
         u, converged = _settle(problem, u, max_passes, False)
     if not problem.measured[:, 0].any():
         problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
@@ -174,8 +175,8 @@ def _summary(problem: TableProblem, u, converged: bool, plain: _Plain,
     }
     labels = tuple(label for label, f in zip(LABELS, free, strict=True) if f)
     parameters = _parameters(problem, u, whole, scaling, scatter)
-    warnings = _units(problem, parameters, plain.fits) + _untold(parameters, labels, correlation)
-    warnings += _doubts(problem, plain.u, plain.fits, converged)
+    first = _units(problem, parameters, plain.fits)
+    warnings = first + _untold(parameters, labels, correlation) + _doubts(problem, u, plain, fits, converged)
     return TableEstimate(
         parameters=parameters,
         free=labels,
@@ -190,19 +191,20 @@ def _summary(problem: TableProblem, u, converged: bool, plain: _Plain,
         values=int(problem.measured.sum()),
         exact=_exact(problem),
         converged=converged,
-        law_error=math.sqrt(sum(p * size**2 for p, (_, size) in zip(share, LAW_ERRORS, strict=True))),
+        law_error=math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True))),
+        check_first=tuple(first),
         warnings=tuple(warnings),
     )
 
 
 def _parameters(problem: TableProblem, u, covariance, scaling, scatter: Scatter | None) -> dict[str, Parameter]:
-    """Estimates and 95 % intervals; those of K, S and p_ref are computed in the logarithm.
+    """Estimates and 95 % intervals, within the bounds; those of K, S and p_ref are computed in the logarithm.
 
     Where noise is estimated, Student's t with the degrees of freedom of the channel that has fewest; from few points
     the noise is integrated out too (`scatter`), and the wider of the two taken on either side.
     """
     reach = t.ppf(0.975, max(1.0, float(np.min(problem.freedom))))
-    values = problem.values(u)
+    values, range_of = problem.values(u), {k.name: (k.low, k.high) for k in problem.unknowns}
     to_pressure = scaling[LN_S] + math.log(problem.z_ref) * scaling[EXPONENT]
     ln_s, n = math.log(values["sinkage_coefficient"]), values["sinkage_exponent"]
     out = {}
@@ -219,11 +221,13 @@ def _parameters(problem: TableProblem, u, covariance, scaling, scatter: Scatter 
             continue
         half = reach * math.sqrt(by_u @ covariance @ by_u)
         below, above = (0.0, 0.0) if scatter is None else scatter.interval(by_u)
-        bounds = [float(value), float(value + min(below, -half)), float(value + max(above, half))]
+        least, most = range_of.get(name, (-math.inf, math.inf))
+        bounds = [
+            float(value), max(float(value + min(below, -half)), least), min(float(value + max(above, half)), most)
+        ]  # fmt: skip
         if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
             bounds = [math.exp(min(b, 700.0)) for b in bounds]
         elif name != "tilt_deg":
-            bounds[1] = max(bounds[1], 0.0)
             bounds[0] = 0.0 if abs(bounds[0]) < 1e-9 * half else bounds[0]
         prior_sd = math.sqrt(by_u @ by_u)
         known = prior_sd == 0.0
@@ -282,8 +286,8 @@ def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[s
 
 def _untold(parameters: dict[str, Parameter], labels, correlation) -> list[str]:
     words = [
-        f"The data cannot tell the {label}: what is reported is mostly its prior "
-        f"(standard deviation {100 * parameters[name].told:.0f} % of the prior's)."
+        f"The data cannot tell the {label}: its standard deviation is {100 * parameters[name].told:.0f} % of that "
+        "before the table."
         for name, label in zip(NAMES, LABELS, strict=True)
         if name in parameters and parameters[name].told > UNTOLD
     ]
@@ -297,7 +301,8 @@ def _untold(parameters: dict[str, Parameter], labels, correlation) -> list[str]:
     return words
 
 
-def _doubts(problem: TableProblem, u, fits: dict[str, ChannelFit], converged: bool) -> list[str]:
+def _doubts(problem: TableProblem, u, plain: _Plain, fits: dict[str, ChannelFit], converged: bool) -> list[str]:
+    """Told of the solution u with its `fits`; whether the model fits, and agrees with its priors, by the plain one."""
     words = []
     (low, high), label = problem.bounds, dict(zip(NAMES, LABELS, strict=True))
     edge = 1e-6 * np.minimum(1.0, high - low)
@@ -306,14 +311,16 @@ def _doubts(problem: TableProblem, u, fits: dict[str, ChannelFit], converged: bo
         names = ", ".join(label[k.name] for k, at in zip(problem.unknowns, at_end, strict=True) if at)
         words.append(f"At the end of its admissible range: {names}; its interval is not reliable.")
     soil = problem.setup.soil
-    for unknown, d in zip(problem.unknowns, u, strict=True):
+    for unknown, d in zip(problem.unknowns, plain.u, strict=True):
         s = unknown.name == "sinkage_coefficient"
         tilt = unknown.name == "tilt_deg"
         given = soil.lumped(problem.setup.wheel.width) if s else None if tilt else getattr(soil, unknown.name)
         given = problem.setup.tilt_deg if tilt else given
         if given is not None and abs(d) > 3.0:
-            off = f"{abs(d):.1f} standard deviations"
-            words.append(f"The {label[unknown.name]} came out {off} from its prior: one of them is wrong.")
+            words.append(
+                f"Were the stress laws exact, the {label[unknown.name]} would be {abs(d):.1f} standard deviations from "
+                "its prior: prior, table or laws are wrong."
+            )
     exact = " and ".join(_exact(problem))
     first = f"Check first whether {exact} can be taken as exact (noise: in the setup); else an" if exact else "An"
     for name, fit in fits.items():
@@ -324,7 +331,7 @@ def _doubts(problem: TableProblem, u, fits: dict[str, ChannelFit], converged: bo
                 f"the given standard deviation. The intervals allow for stress laws that are wrong, not for an effect "
                 f"that is missing. {first} effect may be."
             )
-        elif fit.estimated and _follows(problem.rows.slip, problem.rows.load, fit.residual):
+        elif fit.estimated and _follows(problem.rows.slip, problem.rows.load, plain.fits[name].residual):
             words.append(
                 f"The residuals of {name.replace('_', ' ')} follow slip and load instead of scattering: the base model "
                 f"does not fit, and its error counts here as noise. {first} effect may be missing."

@@ -21,6 +21,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -52,7 +54,19 @@ _FAR = 1e3  # [sd] residual where the model has no value
 _STARTS = 8
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _FUNCTIONS = 24  # of the form error at most
-LAW_ERRORS = [(span, float(size)) for span in range(len(SPANS)) for size in SIZES]  # that are marginalised
+CHANNELS_OWN = (0.0, 1.0)  # relative error of each channel by itself over that of the stresses, equally probable
+
+
+class LawError(NamedTuple):
+    """A form error of the base law."""
+
+    span: int  # of `form_error.SPANS`
+    own: float  # of `CHANNELS_OWN`: whether the channels err beyond what stresses do
+    size: float
+
+
+#: That are marginalised.
+LAW_ERRORS = [LawError(*x) for x in product(range(len(SPANS)), CHANNELS_OWN, SIZES.tolist())]
 _NO_WEIGHT = 0.0  # [N/m3] of the soil, nor on its weight
 
 
@@ -65,7 +79,7 @@ def most_probable(
     derivatives: Callable[[np.ndarray], np.ndarray],
     start: np.ndarray,
     bounds: tuple[np.ndarray, np.ndarray],
-    **options,
+    **options: Any,
 ) -> tuple[np.ndarray, float, bool]:
     """(u, J, whether it converged): the least |target - model(u)|^2 + |u|^2 within the bounds.
 
@@ -111,7 +125,7 @@ def finite(columns: list[np.ndarray], size: int) -> np.ndarray:
 class TableProblem:
     """The soil of one table as a weighted least-squares problem; `correct` and `update_noise` re-weight it."""
 
-    def __init__(self, table: Table, setup: Setup):
+    def __init__(self, table: Table, setup: Setup) -> None:
         use = _usable(table, setup)
         count = int(use.sum())
         wheels = np.stack([table.radius(setup.wheel), table.width(setup.wheel), np.zeros(len(table))], axis=1)
@@ -247,34 +261,45 @@ class TableProblem:
 
     # --- form error of the base law ---
 
-    def law_errors(self, u: np.ndarray, span: int) -> np.ndarray:
-        """[3 N, R] form error of the stress laws at the size 1, over one of the spans, whitened by the noise."""
+    def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
+        """[3 N, R] form errors at the size 1 over one of the spans, whitened by the noise: of stresses, of channels.
+
+        Errors of the stresses reach the three channels together; channels that err by themselves stand for all else
+        that the model is not: the edges of the wheel, a rig that bends.
+        """
         known, h, base = self.values(u), _STRESS_STEP, self.predict(u)
         functions = self.processes[span].at_points
         blocks = []
         for change in stress_changes(known, h, float(np.median(self.steady(u, self.corrected)[:, 0]))):
             moved = np.where(self.measured, self.steady(u, self.corrected, change) - base, 0.0) / h
             blocks.append(np.where(np.isfinite(moved), moved, 0.0)[:, :, None] * functions[:, None, :])
-        errors = np.concatenate(blocks, axis=2)
-        return np.stack([self._by_noise(errors[:, :, k]) for k in range(errors.shape[2])], axis=1)
+        own = [(base * unit)[:, :, None] * functions[:, None, :] for unit in np.eye(3)]
+        stresses, channels = (np.concatenate(errors, axis=2) for errors in (blocks, own))
+        return tuple(
+            np.stack([self._by_noise(errors[:, :, k]) for k in range(errors.shape[2])], axis=1)
+            for errors in (stresses, channels)
+        )
 
     def by_size(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(probability, mean [p] and covariance [p, p] of the unknowns, by size and span), linearised at u.
 
-        The S = spans times sizes are in the order of `LAW_ERRORS`.
+        The S are in the order of `LAW_ERRORS`.
         """
         kept, self.form_error = self.form_error, None
         j, e = self.derivatives(u), self._by_noise(self.residual(u))
-        blocks = [self.law_errors(u, span) for span in range(len(SPANS))]
-        sizes = np.array([[size * (k == span) for k in range(len(SPANS))] for span, size in LAW_ERRORS])
+        blocks = [block for span in range(len(SPANS)) for block in self.law_errors(u, span)]
+        sizes = np.zeros((len(LAW_ERRORS), len(blocks)))
+        for row, of in zip(sizes, LAW_ERRORS, strict=True):
+            row[2 * of.span : 2 * of.span + 2] = of.size, of.own * of.size
         log, mean, covariance = marginals(j, blocks, sizes, np.where(np.isfinite(e), e, _FAR), u)
         self.form_error = kept
-        log += np.log(np.tile(size_prior(), len(SPANS)))
+        log += np.log(np.tile(size_prior(), len(SPANS) * len(CHANNELS_OWN)))
         return np.exp(log - logsumexp(log)), mean, covariance
 
-    def allow_form_error(self, u: np.ndarray, span: int, size: float) -> None:
-        """Take a form error of this span and size, as it is at u, into the weights."""
-        self.form_error = compressed(size * self.law_errors(u, span))
+    def allow_form_error(self, u: np.ndarray, of: LawError) -> None:
+        """Take a form error, as it is at u, into the weights."""
+        stresses, channels = self.law_errors(u, of.span)
+        self.form_error = compressed(of.size * np.concatenate([stresses, of.own * channels], axis=1))
 
     # --- solution ---
 

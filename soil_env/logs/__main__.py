@@ -37,17 +37,19 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeR
 
 from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.files import check_outputs, replace_files
+from soil_env.logs.grounds import FILES, advice, commands, grounds
 from soil_env.logs.mapping import read_map
 from soil_env.logs.recordings import read_recording
 from soil_env.logs.replay import replay, what_can_be_told
-from soil_env.logs.report import ALWAYS, WITH_STEADY, channel_table, contents, soil_table, steady_sentence, summary
+from soil_env.logs.report import ALWAYS, channel_table, contents, ground_table, soil_table, summary
 from soil_env.logs.steady import steady_windows
 
 NAME = "soil_env.logs"
 _WRITTEN = """\
 files written into DIR: report.html (self-contained, with plots), log.json (the same as data), estimates.csv (the
 soil, its standard deviations, drawbar margin and status at each step), estimates.png, readings.png, and, where
-there are steady stretches, steady.csv and setup.yaml for soil_env.identification and soil_env.discrepancy
+there are steady stretches, steady.csv and setup.yaml for soil_env.identification and soil_env.discrepancy; where the
+soil changes on the way, ground1.csv, ground1.yaml and so on, one pair for each ground that has points of two slips
 
 examples:
 
@@ -60,25 +62,32 @@ def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = _parser().parse_args(arguments)
     log_map = read_map(options.map)
-    check_outputs(options.out, (*ALWAYS, *WITH_STEADY))
+    check_outputs(options.out, (*ALWAYS, "steady.csv", "setup.yaml"))
     with _progress() as progress:
         log = read_recording(options.recording, log_map, progress)
-    found, steady = replay(log, log_map), steady_windows(log, log_map)
+    found = replay(log, log_map)
+    steady = steady_windows(log, log_map, found.ground)
     files = contents(options.recording.name, log, log_map, found, steady)
     replace_files(options.out, files)
-    for name in WITH_STEADY:
-        if name not in files:  # of an earlier run
-            (options.out / name).unlink(missing_ok=True)
+    for place in options.out.iterdir():
+        if FILES.fullmatch(place.name) and place.name not in files and place.is_file():  # of an earlier run
+            place.unlink()
+    parts = grounds(found, steady)
     print(summary(log))
     print(channel_table(log).text(2))
     print(soil_table(found).text(2))
     for line in what_can_be_told(found, set(log.readings)):
         print(f"- {line}")
-    print(f"- {steady_sentence(steady)}")
+    if len(parts) > 1:
+        print(ground_table(parts).text(2))
+    for line in advice(parts, steady):
+        print(f"- {line}")
     for line in (*log.notes, *found.warnings):
         print(f"! {line}")
     for name in files:
         print(f"written: {options.out / name}")
+    for line in commands(parts, steady, options.out):
+        print(f"next: {line}")
     sys.stdout.flush()
     return 0
 

@@ -43,6 +43,15 @@ class Aligned:
     def __len__(self) -> int:
         return self.time.size
 
+    def travelled(self, radius: float) -> np.ndarray:
+        """Distance [N] in m from the beginning on, without what was travelled in gaps; `radius` [m] of the wheel."""
+        nan = np.full(len(self), math.nan)
+        rim, speed = self.readings["wheel_speed"] * radius, self.readings.get("speed", nan)
+        slip = self.readings.get("slip", nan)
+        speed = np.where(np.isnan(speed), np.where(slip >= 0.0, rim * (1.0 - slip), rim), speed)
+        steps = np.minimum(np.diff(self.time, prepend=self.time[:1]), self.period)
+        return np.cumsum(np.abs(np.nan_to_num(speed)) * steps)
+
 
 class Bins:
     """Sums of readings by step; `names` are those of the channels."""

@@ -40,6 +40,7 @@ class Notes:
     def __init__(self) -> None:
         self.lines: list[str] = []
         self.topics: dict[str, str] = {}  # seen, with their type
+        self.file = ""  # that is being read
 
     def add(self, line: str) -> None:
         """Add a sentence, once."""
@@ -53,8 +54,9 @@ def bag_files(path: Path) -> list[Path]:
         return [path]
     found = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES)
     if (path / "metadata.yaml").is_file():
-        named = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information", {}).get("relative_file_paths", [])
-        found = [path / Path(str(name)).name for name in named] or found
+        about = read_yaml(path / "metadata.yaml").get("rosbag2_bagfile_information")
+        named = about.get("relative_file_paths") if isinstance(about, dict) else None
+        found = [path / Path(str(name)).name for name in named or []] or found
     packed = [p for p in found if p.suffix not in SUFFIXES]
     if packed:
         raise ParameterError(f"{packed[0]}: expected .mcap or .db3; unpack a file that is compressed whole (zstd -d)")
@@ -75,6 +77,7 @@ def messages(path: Path, wanted: set[str], notes: Notes, progress: Progress) -> 
         def told(position: int, before: int = sum(sizes[:k])) -> None:
             progress(before + position, sum(sizes))
 
+        notes.file = file.name
         reader = _mcap if file.suffix == ".mcap" else _sqlite
         yield from reader(file, wanted, notes, told)
         told(sizes[k])

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, read_yaml, to_dict, unknown_key
 from soil_env.measurement.setup import LARGEST_WHEEL, setup_of
@@ -88,9 +88,9 @@ class Channels:
             try:
                 _check_source(name, source)
             except ParameterError as error:
-                raise ParameterError(f"channels: {error}") from None
+                raise ParameterError(f"Channels: {error}") from None
         if self.wheel_speed is None or (self.speed is None and self.slip is None):
-            raise ParameterError("channels: expected wheel_speed, and speed or slip; without them no slip is known")
+            raise ParameterError("Channels: expected wheel_speed, and speed or slip; without them no slip is known")
 
     def given(self) -> dict[str, Source]:
         """The sources by the name of the reading."""
@@ -102,7 +102,8 @@ def _check_source(name: str, s: Source) -> None:
     if kinds != 1 or bool(s.topic) != bool(s.field):
         raise ParameterError(f"{name}: expected topic and field, or column, or constant")
     if s.unit is not None and s.unit not in UNITS[name]:
-        raise unknown_key(s.unit, UNITS[name], f"{name}.unit")
+        near = str(unknown_key(s.unit, UNITS[name], "")).partition(repr(s.unit))[2]
+        raise ParameterError(f"{name}.unit = {s.unit!r}: expected a unit that is known{near}")
     if abs(s.sign) != 1.0:
         raise ParameterError(f"{name}.sign = {s.sign:g}: expected 1 or -1")
     if (s.unit == "A") != (s.motor_constant is not None):
@@ -182,7 +183,7 @@ class LogMap(Checked):
     gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81)
     relaxation: float = quantity("wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts")
     belief: Belief = Belief()  # noqa: RUF009 (frozen)
-    soil: dict = dataclasses.field(default_factory=dict)  # what is known of it, for setup.yaml
+    soil: dict[str, Any] = dataclasses.field(default_factory=dict)  # what is known of it, for setup.yaml
     windows: Windows = Windows()  # noqa: RUF009
 
     def __post_init__(self) -> None:
@@ -199,10 +200,17 @@ class LogMap(Checked):
 
     def noise(self) -> Noise:
         """The sensors: `sd` of the channels where given, else the defaults of `Noise`."""
-        weight, radius, given = self.weight, self.wheel.radius, self.channels.given()
-        scale = {"drawbar_pull": weight, "load": weight, "torque": weight * radius, "motor_torque": weight * radius}
-        sd = {n: abs(factor(n, s)) * s.sd for n, s in given.items() if s.sd is not None}
-        return Noise(**{name: value / scale.get(name, 1.0) for name, value in sd.items()})
+        weight, twist, most = self.weight, self.weight * self.wheel.radius, {f.name: f.metadata for f in fields(Noise)}
+        scale = {"drawbar_pull": weight, "load": weight, "torque": twist, "motor_torque": twist}
+        sd = {}
+        for name, source in self.channels.given().items():
+            if source.sd is not None:
+                unit = scale.get(name, 1.0) / abs(factor(name, source))
+                sd[name] = source.sd / unit
+                if sd[name] > most[name]["high"]:
+                    limit = most[name]["high"] * unit
+                    raise ParameterError(f"channels.{name}.sd = {source.sd:g}: expected at most {limit:g}, in its unit")
+        return Noise(**sd)
 
 
 def read_map(path: str | Path) -> LogMap:
@@ -224,5 +232,5 @@ def read_map(path: str | Path) -> LogMap:
     try:
         found.noise()
     except ParameterError as error:
-        raise ParameterError(f"{where}: channels: sd too large: {error}") from None
+        raise ParameterError(f"{where}: {error}") from None
     return found

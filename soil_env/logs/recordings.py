@@ -11,12 +11,11 @@ from soil_env._io.loading import ParameterError, unknown_key
 from soil_env.logs import bags, tables
 from soil_env.logs.align import Aligned, Bins, ChannelCount, aligned
 from soil_env.logs.bags import Message, Notes, Progress
+from soil_env.logs.doubts import doubts
 from soil_env.logs.fields import NotHere, number, parse
-from soil_env.logs.mapping import LogMap, Source, factor
+from soil_env.logs.mapping import UNITS, LogMap, Source, factor
+from soil_env.online import largest_readings
 
-# Beyond these [SI] a reading is a fault of its sensor or of its unit; sinkage and slip have limits of their own.
-_FARTHEST = {"wheel_speed": 1e3, "speed": 40.0, "pitch": 1.6, "acceleration": 500.0, "slip": 1.5}
-_LARGEST = 1e12
 _DELAY = 1.0  # [s] between the clocks of header and recording, beyond which it is told
 _SLOW = 0.3  # share of interpolated steps beyond which it is told
 
@@ -33,14 +32,21 @@ def read_recording(path: str | Path, log_map: LogMap, progress: Progress = lambd
     table = path.suffix.lower() in tables.SUFFIXES and path.is_file()
     if not (table or path.is_dir() or path.suffix in bags.SUFFIXES):
         raise ParameterError(f"{path}: expected a ROS 2 bag (a folder), an .mcap, .db3, .csv or .parquet file")
+    if path.is_file() and path.stat().st_size == 0:
+        raise ParameterError(f"{path}: is empty (0 bytes)")
     _check_kind(path, log_map, table)
     notes, reader = Notes(), _Reader(log_map)
     (reader.table if table else reader.bag)(path, notes, progress)
     found = aligned(reader.bins, reader.counts, reader.constants, log_map.period, log_map.max_gap)
     if len(found) == 0:
         raise ParameterError(f"{path}: {log_map.channels.wheel_speed.place}: not one reading of wheel_speed")
-    found.notes.extend(notes.lines + _remarks(found, log_map))
+    found.notes.extend(notes.lines + _remarks(found, log_map) + doubts(found, log_map))
     return found
+
+
+def largest(log_map: LogMap) -> dict[str, float]:
+    """Sizes [SI] by the name of the reading, beyond which one is left out as that of no such wheel."""
+    return largest_readings(log_map.wheel.wheel(), log_map.gravity)._asdict()
 
 
 def _check_kind(path: Path, log_map: LogMap, table: bool) -> None:
@@ -51,6 +57,52 @@ def _check_kind(path: Path, log_map: LogMap, table: bool) -> None:
             raise ParameterError(f"channels.{name}: has a {source.place}: expected {expected} for {path.name}")
     if table and log_map.time is None:
         raise ParameterError(f"time: expected {{column: ..., unit: s}} for the table {path.name}")
+
+
+class _Clock:
+    """Watches the time stamps of a table, or of a topic: those that go back by more than `gap` [ns] are left out.
+
+    Readings that are a little late, as of a recorder with several threads, still belong where their time says.
+    """
+
+    def __init__(self, topic: str, gap: int) -> None:
+        self._topic, self._gap, self._latest = topic, gap, -(2**63)
+        self._back = self._left_out = 0
+        self._first = ""
+
+    def begin(self) -> None:
+        """Another file, whose times may lie before those of the last."""
+        self._latest = -(2**63)
+
+    def kept(self, time: int, place: int) -> bool:
+        """Whether a reading of this time is taken; `place` is its row, or when its message was recorded [ns]."""
+        if time >= self._latest:
+            self._latest = time
+            return True
+        if not self._back:
+            where = f"the message recorded at {place * 1e-9:.3f} s" if self._topic else f"row {place}"
+            self._first = f"{where} ({time * 1e-9:.3f} s after {self._latest * 1e-9:.3f} s)"
+        late = self._latest - time > self._gap
+        self._back += 1
+        self._left_out += late
+        return not late
+
+    def kept_rows(self, times: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Whether each row [N] of a table, which stand in these rows of the file, is taken."""
+        if times.size and times[0] >= self._latest and np.all(np.diff(times) >= 0):
+            self._latest = int(times[-1])
+            return np.ones(times.size, bool)
+        return np.array([self.kept(t, r) for t, r in zip(times.tolist(), rows.tolist(), strict=True)], bool)
+
+    def lines(self) -> list[str]:
+        """What is to be told: nothing where time never went back."""
+        if not self._back:
+            return []
+        each = "message" if self._topic else "row"
+        often = f"in {self._back} {each}s, first in" if self._back > 1 else "in"
+        out = f"{self._left_out} of them, more than {self._gap * 1e-9:g} s (max_gap) late, left out"
+        rest = out if self._left_out else "taken in the order of time"
+        return [f"{f'topic {self._topic}: ' if self._topic else ''}time goes back {often} {self._first}: {rest}"]
 
 
 class _Reader:
@@ -65,7 +117,7 @@ class _Reader:
         self.counts = {n: ChannelCount(s.place) for n, s in given.items()}
         self.bins = Bins(list(self.sources), log_map.period)
         self.factors = {n: factor(n, s) for n, s in self.sources.items()}
-        self.limits = {n: _FARTHEST.get(n, _LARGEST) for n in given} | {"sinkage": log_map.wheel.radius}
+        self.limits = largest(log_map)
         for name, value in self.constants.items():
             if not abs(value) <= self.limits[name]:
                 raise ParameterError(
@@ -80,7 +132,10 @@ class _Reader:
         columns: dict[str, str] = {}
         for name, source in self.sources.items():
             columns[source.column] = f"{columns[source.column]}, {name}" if source.column in columns else name
-        for times, values in tables.blocks(path, stamps.column, stamps.unit, columns, notes, progress):
+        clock = _Clock("", round(self.map.max_gap * 1e9))
+        for lines, times, values in tables.blocks(path, stamps.column, stamps.unit, columns, notes, progress):
+            taken = clock.kept_rows(times, lines)
+            times, values = times[taken], {c: v[taken] for c, v in values.items()}
             rows = np.empty((times.size, len(self.sources)))
             for k, (name, source) in enumerate(self.sources.items()):
                 rows[:, k] = self.factors[name] * values[source.column] + source.offset
@@ -91,6 +146,7 @@ class _Reader:
                 self.counts[name].readings += int(np.sum(given))
                 self.counts[name].unusable += int(np.sum(bad))
             self.bins.add_rows(times, rows)
+        notes.lines.extend(clock.lines())
 
     # --- bags ---
 
@@ -102,8 +158,15 @@ class _Reader:
             by_topic.setdefault(source.topic, []).append((k, name, source, steps))
         lacking: dict[str, NotHere] = {}
         delays: dict[str, list[float]] = {topic: [0.0, 0] for topic in by_topic}
+        clocks, file = {t: _Clock(t, round(self.map.max_gap * 1e9)) for t in by_topic}, ""
         for message in bags.messages(path, set(by_topic), notes, progress):
             time = self._time(message, delays[message.topic])
+            if notes.file != file:
+                file = notes.file
+                for clock in clocks.values():
+                    clock.begin()
+            if not clocks[message.topic].kept(time, message.time):
+                continue
             for k, name, source, steps in by_topic[message.topic]:
                 where = f"channels.{name}: topic {message.topic} ({message.kind}), field {source.field}"
                 try:
@@ -118,6 +181,7 @@ class _Reader:
                 else:
                     self.counts[name].unusable += 1
         self._check_found(path, notes, lacking)
+        notes.lines.extend(line for clock in clocks.values() for line in clock.lines())
         self._tell_delays(notes, delays)
 
     def _time(self, message: Message, delay: list[float]) -> int:
@@ -131,6 +195,9 @@ class _Reader:
         return message.time
 
     def _check_found(self, path: Path, notes: Notes, lacking: dict[str, NotHere]) -> None:
+        if not notes.topics:
+            said = f" ({'; '.join(notes.lines)})" if notes.lines else ""
+            raise ParameterError(f"{path}: has no topics: not one message is whole{said}")
         for name, source in self.sources.items():
             if source.topic not in notes.topics:
                 where = f"{path}: channels.{name}.topic"
@@ -158,14 +225,16 @@ def _remarks(found: Aligned, log_map: LogMap) -> list[str]:
         if name in log_map.channels.given() and log_map.channels.given()[name].constant is not None:
             continue
         if count.readings == 0:
-            lines.append(f"{name} ({count.place}): not one reading")
+            lines.append(f"{name}: {count.place}: not one reading")
         if count.unusable:
+            doubtful = ": another unit or field?" if 2 * count.unusable > count.readings else ""
             lines.append(
-                f"{name} ({count.place}): {count.unusable} of {count.readings} readings out of range, left out"
+                f"{name}: {count.place}: {count.unusable} of {count.readings} readings out of range (expected at most "
+                f"{largest(log_map)[name]:g} {next(iter(UNITS[name]))}), left out{doubtful}"
             )
         if count.interpolated > _SLOW:
             lines.append(
-                f"{name} ({count.place}) comes less often than every {found.period:g} s: "
+                f"{name}: {count.place}: comes less often than every {found.period:g} s: "
                 f"{100 * count.interpolated:.0f} % of its values are interpolated and count as readings; "
                 "a longer period would be more honest"
             )

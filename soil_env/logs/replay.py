@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -12,9 +13,10 @@ from soil_env.logs.mapping import LogMap
 from soil_env.online import Estimate, OnlineIdentifier, Readings, Status
 
 #: Numbers of an estimate, in the order of the columns of estimates.csv.
-ESTIMATED = tuple(n for n in Estimate.__dataclass_fields__ if n not in ("status", "renewed"))
+ESTIMATED = tuple(n for n in Estimate.__dataclass_fields__ if n not in ("status", "renewed", "borders"))
 COLUMNS = (*ESTIMATED, "drawbar_margin", "torque_required")
 _LEARNT = 0.8  # sd over prior sd, below which something was learnt
+_CONTRADICTS = 0.2  # share of the steps with status MISFIT, beyond which it is told
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,24 +27,36 @@ class Replay:
     values: dict[str, np.ndarray]  # [N] each, by `COLUMNS`; the last two NaN before the first estimate
     status: np.ndarray  # [N] `Status`
     renewed: np.ndarray  # [N] bool: solved for in this step
+    ground: np.ndarray  # [N] int from 1: one more at each border to another soil that was found, and at each restart
     prior: Estimate
     method: str  # of the belief: "filter", "window"
     restarts: int  # because of gaps
     warnings: list[str]
 
     def csv(self) -> str:
-        """One line a step: time, estimate, standard deviations, margin, status."""
-        lines = [",".join(("time", *COLUMNS, "status", "renewed"))]
+        """One line a step: time, estimate, standard deviations, margin, status, ground."""
+        lines = [",".join(("time", *COLUMNS, "status", "renewed", "ground"))]
         columns = zip(*(self.values[n].tolist() for n in COLUMNS), strict=True)
-        for t, row, status, new in zip(self.time.tolist(), columns, self.status.tolist(), self.renewed, strict=True):
+        states = zip(self.status.tolist(), self.renewed, self.ground, strict=True)
+        for t, row, (status, new, ground) in zip(self.time.tolist(), columns, states, strict=True):
             cells = ["" if x != x else f"{x:.8g}" for x in row]
-            lines.append(f"{t:.9g},{','.join(cells)},{Status(status).name},{int(new)}")
+            lines.append(f"{t:.9g},{','.join(cells)},{Status(status).name},{int(new)},{ground}")
         return "\n".join(lines) + "\n"
 
-    def learnt(self) -> dict[str, float]:
-        """Least standard deviation over that of the prior, for each parameter: 1 where nothing was learnt."""
+    def last_on(self, ground: int) -> dict[str, float] | None:
+        """The last current estimate on a ground, by `COLUMNS`; None where there was none."""
+        current = np.flatnonzero((self.ground == ground) & (self.status == Status.CONVERGED))
+        return {name: float(values[current[-1]]) for name, values in self.values.items()} if current.size else None
+
+    def learnt(self, current: bool = False) -> dict[str, float]:
+        """Least standard deviation over that of the prior, for each parameter: 1 where nothing was learnt.
+
+        Of the estimates that the readings do not contradict; `current`: of those with status CONVERGED.
+        """
+        kept = self.status == Status.CONVERGED
+        kept = kept if current else kept | (self.status == Status.NOT_EXCITED)
         return {
-            name: float(np.min(self.values[sd])) / getattr(self.prior, sd)
+            name: float(np.min(self.values[sd], where=kept, initial=getattr(self.prior, sd))) / getattr(self.prior, sd)
             for name, sd in {
                 "friction_angle_deg": "friction_angle_sd_deg",
                 "shear_modulus": "shear_modulus_relative_sd",
@@ -65,32 +79,57 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     """Give the readings of a log to the online identifier, step by step.
 
     After a gap of more than `restart_gap` it starts from the prior again. The drawbar margin and the torque required
-    are those of `OnlineIdentifier.traversability`, renewed with the estimate.
+    are those of `OnlineIdentifier.traversability`, renewed with the estimate. Borders are those that the filter finds,
+    also where the belief asks for the window, which starts anew more often than the soil changes.
     """
     identifier = identifier_of(log_map)
+    by_filter = dataclasses.replace(log_map, belief=dataclasses.replace(log_map.belief, method="filter"))
+    finder = identifier if log_map.belief.method == "filter" else identifier_of(by_filter)
     prior, size = identifier.estimate, len(log)
-    status, renewed = np.zeros(size, np.int64), np.zeros(size, bool)
+    status, renewed, ground = np.zeros(size, np.int64), np.zeros(size, bool), np.ones(size, np.int64)
     names = [n for n in Readings._fields if n in log.readings]
     rows = np.column_stack([log.readings[n] for n in names]).tolist()
     loads, pitches = (log.readings.get(n, np.full(size, math.nan)).tolist() for n in ("load", "pitch"))
-    restarts, last, numbers = 0, math.nan, _numbers(prior, math.nan, math.nan)
+    restarts, before, last, ahead = 0, 0, math.nan, (math.nan, math.nan)
     table = np.empty((size, len(COLUMNS)))
     for k, (t, row) in enumerate(zip(log.time.tolist(), rows, strict=True)):
         if t - last > log_map.restart_gap:
+            before += finder.estimate.borders
             identifier.reset()
+            finder.reset()
             restarts += 1
-            numbers = _numbers(prior, math.nan, math.nan)
-        e = identifier.update(Readings(**dict(zip(names, row, strict=True)), time=t))
+            ahead = math.nan, math.nan
+        reading = Readings(**dict(zip(names, row, strict=True)), time=t)
+        e = identifier.update(reading)
+        found = e if finder is identifier else finder.update(reading)
+        ground[k] = 1 + restarts + before + found.borders
         if e.renewed:
             load, pitch = loads[k], pitches[k] if pitches[k] == pitches[k] else 0.0
             way = identifier.traversability(None if load != load else load, pitch)
-            numbers = _numbers(e, way.drawbar_margin, way.torque_required)
-        table[k], status[k], renewed[k], last = numbers, e.status, e.renewed, t
+            ahead = way.drawbar_margin, way.torque_required
+        # on a border the estimate changes between two renewals too
+        table[k], status[k], renewed[k], last = _numbers(e, *ahead), e.status, e.renewed, t
     values = {name: table[:, i] for i, name in enumerate(COLUMNS)}
     warnings = _impassable(log, values["drawbar_margin"], status)
     if restarts:
         warnings.insert(0, f"Started anew {restarts} times, after gaps of more than {log_map.restart_gap:g} s")
-    return Replay(log.time, values, status, renewed, prior, log_map.belief.method, restarts, warnings)
+    ground = _stretches(log, log_map, ground)
+    return Replay(log.time, values, status, renewed, ground, prior, log_map.belief.method, restarts, warnings)
+
+
+def _stretches(log: Aligned, log_map: LogMap, ground: np.ndarray) -> np.ndarray:
+    """`ground` [N] numbered anew from 1, a stretch shorter than two borders being a part of the next.
+
+    A soil that the belief does not expect is found out of it twice, and so is a border that is long.
+    """
+    where, out = log.travelled(log_map.wheel.radius), np.zeros(len(log), np.int64)
+    begins, number = 0, 1
+    for k in [*(np.flatnonzero(np.diff(ground)) + 1).tolist(), len(log)]:
+        whole = k == len(log) or log.time[k] - log.time[k - 1] > log_map.restart_gap
+        if whole or where[k - 1] - where[begins] >= 2.0 * log_map.belief.border:
+            out[begins:k] = number
+            begins, number = k, number + 1
+    return out
 
 
 def _numbers(e: Estimate, margin: float, torque: float) -> list[float]:
@@ -151,10 +190,17 @@ def what_can_be_told(found: Replay, measured: set[str]) -> list[str]:
     if "slip" not in measured:
         lines.append("The slip follows from wheel and travel speed; an error of the wheel radius is an offset of it.")
     names = {"friction_angle_deg": "friction angle", "shear_modulus": "K", "sinkage_coefficient": "S"}
-    shares = found.learnt()
+    shares, current = found.learnt(), found.learnt(current=True)
     for name, words in names.items():
-        told = "told" if shares[name] < _LEARNT else "not told: this is the prior"
+        told = "told" if current[name] < _LEARNT else "not told: this is the prior"
+        if shares[name] < _LEARNT <= current[name]:
+            told = "narrowed, by estimates that were never current (no range of slip, or readings that contradict)"
         lines.append(f"{words}: {told} (standard deviation at best {shares[name]:.2f} of the prior's)")
-    valid = float(np.mean(found.status == Status.CONVERGED)) if found.status.size else 0.0
-    lines.append(f"The estimate was current in {100.0 * valid:.0f} % of the steps.")
+    share = {s: float(np.mean(found.status == s)) if found.status.size else 0.0 for s in Status}
+    lines.append(f"The estimate was current in {100.0 * share[Status.CONVERGED]:.0f} % of the steps.")
+    if share[Status.MISFIT] > _CONTRADICTS:
+        lines.append(
+            f"In {100.0 * share[Status.MISFIT]:.0f} % of the steps the readings were further from what the model "
+            "predicts than their errors explain: a wrong unit, sign or wheel in the map, or a wheel that is another."
+        )
     return lines

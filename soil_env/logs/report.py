@@ -14,13 +14,14 @@ from matplotlib.figure import Figure
 from soil_env._io.document import Table, html_image, html_page, render
 from soil_env._io.files import plain
 from soil_env.identification.solver import Status
+from soil_env.logs import grounds as by_ground
 from soil_env.logs.align import Aligned
+from soil_env.logs.grounds import Ground
 from soil_env.logs.mapping import UNITS, LogMap
 from soil_env.logs.replay import Replay, what_can_be_told
 from soil_env.logs.steady import Steady
 
 ALWAYS = ("report.html", "log.json", "estimates.csv", "estimates.png", "readings.png")
-WITH_STEADY = ("steady.csv", "setup.yaml")
 _MOST_POINTS = 4000  # of a curve in a picture
 _SHOWN = {  # value, sd, scale, label; relative sd where True
     "friction_angle_deg": ("friction_angle_sd_deg", 1.0, "friction angle [deg]", False),
@@ -30,7 +31,8 @@ _SHOWN = {  # value, sd, scale, label; relative sd where True
 
 
 def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, steady: Steady) -> dict[str, bytes | str]:
-    """All files of the folder by name; those of `WITH_STEADY` only where there are steady points."""
+    """All files of the folder by name: `ALWAYS`, and tables and setups where there are steady points."""
+    parts = by_ground.grounds(found, steady)
     estimates, readings = _estimates_picture(found), _readings_picture(log, steady, log_map)
     told = what_can_be_told(found, set(log.readings))
     body = render(
@@ -46,7 +48,9 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
             estimates, "The soil as identified, with 95 % intervals; grey where the estimate is the prior or held."
         ),
         warnings=found.warnings,
-        steady=steady_sentence(steady),
+        steady=by_ground.advice(parts, steady),
+        commands=by_ground.commands(parts, steady),
+        grounds=ground_table(parts),
         points=_points(steady),
     )
     facts = {
@@ -62,6 +66,9 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
         "estimate": {name: float(values[-1]) for name, values in found.values.items()},
         "status": Status(found.status[-1]).name,
         "steady_points": len(steady.rows),
+        "grounds": [
+            {"begin": g.begin, "end": g.end, "steady_points": len(g.points.rows), "estimate": g.estimate} for g in parts
+        ],
         "noise": steady.noise,
     }
     files: dict[str, bytes | str] = {
@@ -71,9 +78,7 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
         "estimates.png": estimates,
         "readings.png": readings,
     }
-    if not steady.reason:
-        files |= {"steady.csv": steady.table(), "setup.yaml": steady.setup(log_map)}
-    return files
+    return files | by_ground.files(parts, steady, log_map, found.prior)
 
 
 # --- words and tables -------------------------------------------------------------------------------------------------
@@ -115,15 +120,20 @@ def soil_table(found: Replay) -> Table:
     return Table(header, rows, f"Status at the end: {Status(found.status[-1]).name}")
 
 
-def steady_sentence(steady: Steady) -> str:
-    """How many there are and what to do with them."""
-    if steady.reason:
-        return f"No measurement table: {steady.reason}."
-    return (
-        f"{len(steady.rows)} steady stretches in steady.csv, with setup.yaml beside it: "
-        "python -m soil_env.identification steady.csv --setup setup.yaml, or soil_env.discrepancy. The noise in "
-        "setup.yaml is the scatter within the stretches; what differs from place to place comes on top."
-    )
+def ground_table(parts: list[Ground]) -> Table:
+    """The grounds between borders: when, the last current estimate there, and the steady points."""
+    rows = []
+    for g in parts:
+        e, cells = g.estimate, ("no current estimate", "", "")
+        if e is not None:
+            K, S = 1e3 * e["shear_modulus"], e["sinkage_coefficient"]
+            cells = (
+                f"{e['friction_angle_deg']:.1f} +- {e['friction_angle_sd_deg']:.1f} deg",
+                f"{K:.3g} mm +- {100 * e['shear_modulus_relative_sd']:.0f} %",
+                f"{S:.3g} +- {100 * e['sinkage_coefficient_relative_sd']:.0f} %",
+            )
+        rows.append((g.number, f"{g.begin:.1f}", f"{g.end:.1f}", *cells, len(g.points.rows), g.slips))
+    return Table(("ground", "from [s]", "to [s]", "friction angle", "K", "S", "steady points", "slip"), rows)
 
 
 def _points(steady: Steady) -> Table:

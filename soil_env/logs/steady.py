@@ -1,8 +1,11 @@
-"""Steady stretches of a log as points of a measurement table (`measurement.table`), and the setup beside it.
+"""Steady stretches of a log as points of a measurement table (`measurement.table`).
 
 A stretch is steady where the means of its two halves agree in slip, speed, pull, torque and pitch, and where sinkage
 has come to what the slip makes of it. Sinkage follows dz/dt = A (z_end - z), A = (|V| + recovery |r w - V|)/l
 (`effects.excavation_rate`): from a change dz between the halves, a time T/2 apart, there is dz/(1 - exp(-A T/2)) to go.
+
+Each point belongs to a ground, the stretch between two borders to another soil as the filter found them (`replay`). It
+finds a border some centimetres behind it as a rule, so that what lies within `belief.border` of one is left out.
 """
 
 from __future__ import annotations
@@ -11,7 +14,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-import yaml
 
 from soil_env.logs.align import Aligned
 from soil_env.logs.mapping import LogMap
@@ -20,6 +22,7 @@ from soil_env.online import slips
 
 _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)
 _LEAST_SD = 1e-9
+_LEAST_SPREAD = 0.01  # of slip, for a table
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +30,7 @@ class Steady:
     """Steady points, a row each, and the scatter that their means are left with."""
 
     rows: list[dict[str, float | str]] = field(default_factory=list)  # columns of a measurement table; NaN = none
+    ground: list[int] = field(default_factory=list)  # of each row, from 1 in the order of the drive
     start: list[float] = field(default_factory=list)  # [s] of each stretch
     noise: dict[str, float] = field(default_factory=dict)  # 1-sigma of a row's value, by column
     reason: str = ""  # why there is no table, if there is none
@@ -37,32 +41,41 @@ class Steady:
         cells = [[_text(r[n]) for n in names] for r in self.rows]
         return "\n".join(",".join(line) for line in (names, *cells)) + "\n"
 
-    def setup(self, log_map: LogMap) -> str:
-        """setup.yaml beside the table: the wheel, what the map knows of the soil, and the scatter as noise."""
-        wheel = {"radius": log_map.wheel.radius, "width": log_map.wheel.width}
-        noise = {n: float(f"{v:.4g}") for n, v in self.noise.items()}
-        return yaml.safe_dump({"wheel": wheel, "soil": log_map.soil, "noise": noise}, sort_keys=False)
+    def on(self, ground: int) -> Steady:
+        """The points of one ground."""
+        kept = [k for k, g in enumerate(self.ground) if g == ground]
+        rows, start = [self.rows[k] for k in kept], [self.start[k] for k in kept]
+        return Steady(rows, [ground] * len(rows), start, self.noise, _reason(rows))
 
 
 def _text(value: float | str) -> str:
     return value if isinstance(value, str) else "" if value != value else f"{value:.9g}"
 
 
-def steady_windows(log: Aligned, log_map: LogMap) -> Steady:
-    """The steady stretches of a log, none overlapping another, each as long as `log_map.windows.duration`."""
+def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = None) -> Steady:
+    """The steady stretches of a log, none overlapping another, each as long as `log_map.windows.duration`.
+
+    `ground` [N] is that of `Replay`, one more from each border on; left out, all is one ground.
+    """
     columns = _columns(log, log_map)
-    rows, starts, residuals = [], [], {name: [] for name in (*MEASURED, "slip", "load")}
+    rows, grounds, starts, residuals = [], [], [], {name: [] for name in (*MEASURED, "slip", "load")}
     n = round(log_map.windows.duration / log.period)
     runs = _runs(log, columns["rim"], log_map)
+    ground = np.ones(len(log), np.int64) if ground is None else ground
+    where = log.travelled(log_map.wheel.radius)
+    found = where[1:][np.diff(ground) != 0]
+    between = np.all(np.abs(where[:, None] - found) > log_map.belief.border, axis=1)
     at = 0
     while at + n <= len(log):
         part = {name: values[at : at + n] for name, values in columns.items()}
-        if runs[at] < 0 or runs[at] != runs[at + n - 1] or not is_steady(part, log.period, log_map):
+        of_one = between[at : at + n].all() and ground[at] == ground[at + n - 1]
+        if runs[at] < 0 or runs[at] != runs[at + n - 1] or not of_one or not is_steady(part, log.period, log_map):
             at += max(1, n // 4)
             continue
-        row = _row(part, float(log.time[at]), log.period, int(runs[at]), log_map)
+        row = _row(part, float(log.time[at]), log.period, f"ground{ground[at]}.drive{runs[at]}", log_map)
         if row is not None:
             rows.append(row)
+            grounds.append(int(ground[at]))
             starts.append(float(log.time[at]))
             for name, scatter in residuals.items():
                 scatter.append(_scatter(part[name]))
@@ -72,14 +85,16 @@ def steady_windows(log: Aligned, log_map: LogMap) -> Steady:
         pooled = math.sqrt(float(np.nanmean(np.square(scatter)))) if np.isfinite(scatter).any() else 0.0
         if pooled > _LEAST_SD and (name != "load" or "load" in log.readings):
             noise[name] = pooled / math.sqrt(n)
-    return Steady(rows, starts, noise, _reason(rows))
+    return Steady(rows, grounds, starts, noise, _reason(rows))
 
 
 def _reason(rows: list[dict[str, float | str]]) -> str:
     if not rows:
         return "no stretch of the log is steady enough (windows in map.yaml) and has sinkage, pull or torque"
-    if len({row["slip"] for row in rows}) < 2:
-        return f"{len(rows)} steady stretch only: a measurement table has at least two slips"
+    slip = [float(row["slip"]) for row in rows]
+    if max(slip) - min(slip) < _LEAST_SPREAD:
+        many = "1 steady point" if len(rows) == 1 else f"{len(rows)} steady points of one slip"
+        return f"{many}: a measurement table has at least two slips"
     return ""
 
 
@@ -162,7 +177,7 @@ def _scatter(values: np.ndarray) -> float:
     return math.sqrt(float(residual @ residual) / (values.size - 2))
 
 
-def _row(part, start: float, period: float, run: int, log_map: LogMap) -> dict[str, float | str] | None:
+def _row(part, start: float, period: float, run: str, log_map: LogMap) -> dict[str, float | str] | None:
     """The point of a stretch; None where it has nothing that a table needs."""
 
     def mean(name: str) -> float:
@@ -174,7 +189,7 @@ def _row(part, start: float, period: float, run: int, log_map: LogMap) -> dict[s
         "load": mean("load"),
         "speed": mean("speed"),
         "grade_deg": math.degrees(mean("pitch")),
-        "run": f"drive{run}",
+        "run": run,
         "time": start + 0.5 * (part["slip"].size - 1) * period,
         **{name: mean(name) for name in MEASURED},
     }

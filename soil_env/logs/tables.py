@@ -18,7 +18,8 @@ from soil_env.logs.mapping import TIMES
 SUFFIXES = (".csv", ".parquet", ".pq")
 _BLOCK = 4096  # rows
 
-Block = tuple[np.ndarray, dict[str, np.ndarray]]  # time [N] ns, columns [N] with NaN for empty cells
+Block = tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]  # row of the file [N], time [N] ns, columns [N], NaN empty
+_LATEST = 2**62  # [ns] from 1970, the year 2116
 
 
 def blocks(
@@ -32,14 +33,16 @@ def blocks(
 def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str, str]) -> None:
     for name, what in {stamps: "time", **columns}.items():
         if name not in header:
-            raise unknown_key(name, header, f"{path}: column of {what}")
+            raise ParameterError(str(unknown_key(name, header, f"{path}: {what}")).replace("unknown key", "no column"))
 
 
-def _nanoseconds(seconds: float, unit: str) -> int:
-    """A time stamp that is a number, exactly where it is whole."""
-    if unit == "ns" or (float(seconds).is_integer() and unit in ("us", "ms", "s")):
-        return int(seconds) * round(TIMES[unit] * 1e9)
-    return round(float(seconds) * TIMES[unit] * 1e9)
+def _nanoseconds(number: float, unit: str) -> int:
+    """A time stamp that is a number, exactly where it is whole; ValueError beyond `_LATEST`."""
+    if not abs(number) * TIMES[unit] * 1e9 <= _LATEST:
+        raise ValueError(number)
+    if unit == "ns" or (float(number).is_integer() and unit in ("us", "ms", "s")):
+        return int(number) * round(TIMES[unit] * 1e9)
+    return round(float(number) * TIMES[unit] * 1e9)
 
 
 def _iso(text: str) -> int:
@@ -47,6 +50,8 @@ def _iso(text: str) -> int:
     at = datetime.fromisoformat(text)
     at = at if at.tzinfo else at.replace(tzinfo=UTC)
     delta = at - datetime(1970, 1, 1, tzinfo=UTC)
+    if abs(delta.total_seconds()) > _LATEST * 1e-9:
+        raise ValueError(text)
     return (delta.days * 86400 + delta.seconds) * 1_000_000_000 + delta.microseconds * 1000
 
 
@@ -54,9 +59,12 @@ def _stamp(text: str, unit: str) -> int:
     if unit == "iso":
         return _iso(text)
     try:
-        return int(Decimal(text.strip()) * round(TIMES[unit] * 1e9))  # a float has not the digits of a time of today
+        at = int(Decimal(text.strip()) * round(TIMES[unit] * 1e9))  # a float has not the digits of a time of today
     except (ArithmeticError, ValueError):
         raise ValueError(text) from None
+    if abs(at) > _LATEST:
+        raise ValueError(text)
+    return at
 
 
 def _csv(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
@@ -64,30 +72,38 @@ def _csv(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
     try:
         with path.open("rb") as raw:
             reader = csv.reader((line.decode("utf-8") for line in raw), strict=True)
-            rows = (cells for cells in reader if any(cells) and not cells[0].startswith("#"))
+            rows = (cells for cells in reader if any(map(str.strip, cells)) and not cells[0].startswith("#"))
             header = [cell.strip().lstrip("\ufeff") for cell in next(rows, [])]
+            if not header:
+                raise ParameterError(f"{path}: has no line: expected a header with column names, and rows below it")
+            if stamps in header and not set(columns) <= set(header) and _is_one_line(path, size):
+                raise ParameterError(f"{path}: is cut off in its header, after column {header[-1]!r}: nothing to read")
             _check_columns(path, header, stamps, columns)
-            places, times, values = [header.index(c) for c in columns], [], []
-            at = header.index(stamps)
+            at, places = header.index(stamps), [header.index(c) for c in columns]
+            block: list[tuple[int, int, list[float]]] = []
             late: str | None = None  # a short row, no matter if it is the last
+            any_row = False
             for cells in rows:
                 if late is not None:
                     raise ParameterError(late)
+                row = reader.line_num
                 if len(cells) != len(header):
-                    late = (
-                        f"{path}: row {reader.line_num} has {len(cells)} cells: expected {len(header)}, as the header"
-                    )
+                    late = f"{path}: row {row} has {len(cells)} cells: expected {len(header)}, as the header"
                     continue
-                times.append(_cell(cells[at], lambda t: _stamp(t, unit), path, reader.line_num, stamps))
-                values.append([_cell(cells[p], _value, path, reader.line_num, header[p]) for p in places])
-                if len(times) == _BLOCK:
+                time = _cell(cells[at], lambda t: _stamp(t, unit), path, row, stamps, f"a time in {unit} in every row")
+                block.append((row, time, [_cell(cells[p], _value, path, row, header[p]) for p in places]))
+                any_row = True
+                if len(block) == _BLOCK:
                     progress(raw.tell(), size)
-                    yield _block(times, values, columns)
-                    times, values = [], []
+                    yield _block(block, columns)
+                    block = []
+            if not any_row:
+                cut = "" if late is None else ": it is cut off"
+                raise ParameterError(f"{path}: no whole row below the header{cut}")
             if late is not None:
                 notes.add(f"{path.name} is cut off in its last row: that row is left out")
-            if times:
-                yield _block(times, values, columns)
+            if block:
+                yield _block(block, columns)
     except UnicodeDecodeError as error:
         raise ParameterError(f"{path}: not UTF-8 text (byte {error.start} of a line): expected a CSV file") from None
     except csv.Error as error:
@@ -95,20 +111,28 @@ def _csv(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
     progress(size, size)
 
 
-def _block(times, values, columns) -> Block:
-    matrix = np.array(values, float).reshape(len(times), len(columns))
-    return np.array(times, np.int64), {c: matrix[:, k] for k, c in enumerate(columns)}
+def _is_one_line(path: Path, size: int) -> bool:
+    """Whether a file ends before its first line does."""
+    with path.open("rb") as raw:
+        first = raw.readline()
+    return len(first) == size and not first.endswith(b"\n")
+
+
+def _block(block: list[tuple[int, int, list[float]]], columns: dict[str, str]) -> Block:
+    rows, times, values = zip(*block, strict=True)
+    matrix = np.array(values, float).reshape(len(rows), len(columns))
+    return np.array(rows), np.array(times, np.int64), {c: matrix[:, k] for k, c in enumerate(columns)}
 
 
 def _value(text: str) -> float:
     return float(text) if text.strip() else math.nan
 
 
-def _cell(text: str, convert, path: Path, row: int, column: str):
+def _cell(text: str, convert, path: Path, row: int, column: str, expected: str = "a number in every row"):
     try:
         return convert(text)
     except ValueError:
-        raise ParameterError(f"{path}: row {row}, {column} = {text!r}: expected a number in every row") from None
+        raise ParameterError(f"{path}: row {row}, {column} = {text!r}: expected {expected}") from None
 
 
 def _parquet(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
@@ -123,11 +147,14 @@ def _parquet(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
             _check_columns(path, header, stamps, columns)
             done, size = 0, path.stat().st_size
             for batch in file.iter_batches(_BLOCK, columns=[stamps, *columns]):
-                times = _arrow_times(path, batch.column(stamps), unit)
+                rows = np.arange(done + 1, done + batch.num_rows + 1)
+                times = _arrow_times(path, batch.column(stamps), unit, rows)
                 values = {c: _arrow_numbers(path, batch.column(c), c) for c in columns}
                 done += batch.num_rows
                 progress(int(size * done / max(file.metadata.num_rows, 1)), size)
-                yield times, values
+                yield rows, times, values
+            if done == 0:
+                raise ParameterError(f"{path}: has no rows")
     except (OSError, pyarrow.ArrowException) as error:
         said = str(error).splitlines()[0]
         raise ParameterError(f"{path}: cannot be read as Parquet, whose index is at its end ({said})") from None
@@ -140,15 +167,16 @@ def _arrow_numbers(path: Path, column, name: str) -> np.ndarray:
         raise ParameterError(f"{path}: column {name} is {column.type}: expected numbers") from error
 
 
-def _arrow_times(path: Path, column, unit: str) -> np.ndarray:
+def _arrow_times(path: Path, column, unit: str, rows: np.ndarray) -> np.ndarray:
     if column.null_count:
         raise ParameterError(f"{path}: the column of time has {column.null_count} empty cells: expected a time in each")
     if str(column.type).startswith("timestamp"):
         return column.to_numpy(zero_copy_only=False).astype("datetime64[ns]").astype(np.int64)
+    given = column.to_pylist()
     if str(column.type) in ("string", "large_string"):
-        return np.array(
-            [_cell(t, lambda s: _stamp(s, unit), path, k, "time") for k, t in enumerate(column.to_pylist())]
-        )
-    if str(column.type).startswith(("int", "uint")):
-        return column.to_numpy(zero_copy_only=False).astype(np.int64) * round(TIMES[unit] * 1e9)
-    return np.array([_nanoseconds(t, unit) for t in _arrow_numbers(path, column, "time").tolist()], np.int64)
+        convert = _stamp
+    else:
+        _arrow_numbers(path, column, "time")
+        convert = _nanoseconds
+    cells = zip(given, rows.tolist(), strict=True)
+    return np.array([_cell(t, lambda x: convert(x, unit), path, k, "time", f"a time in {unit}") for t, k in cells])

@@ -11,6 +11,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq, least_squares, linprog
 
 from soil_env.identification import Reading
@@ -68,7 +69,7 @@ def sand_set(sand: Sand = SAND) -> tuple[float, float, float]:
     return sand.friction_angle_deg, sand.shear_modulus, sand.k_c / WHEEL.width + sand.k_phi
 
 
-def pull(e: Equations, sand: Sand = SAND, slip=POINT.slip):
+def pull(e: Equations, sand: Sand = SAND, slip: ArrayLike = POINT.slip) -> np.ndarray:
     """DP [N] at the entry angle of the working point; an array for an array of slips."""
     e = e._replace(cohesion=sand.cohesion, exponent=sand.sinkage_exponent)
     found = forces(sand_set(sand), slip, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e)[:, 0]
@@ -209,7 +210,7 @@ def rounding(e: Equations) -> float:
     return float(found.x[n])
 
 
-def reaches(e: Equations, guess, solution) -> bool:
+def reaches(e: Equations, guess: ArrayLike, solution: ArrayLike) -> bool:
     """Whether plain Newton-Raphson from `guess` ends on `solution`, phi up to the period of its tangent."""
     found = newton_raphson(MEASURED, guess, e)
     turn = (found[0] - solution[0] + 90.0) % 180.0 - 90.0
@@ -289,7 +290,7 @@ def sets(k: int) -> dict[str, tuple[np.ndarray, Equations]]:
     }
 
 
-def prediction(soil, e: Equations) -> np.ndarray:
+def prediction(soil: ArrayLike, e: Equations) -> np.ndarray:
     """DP [N] and T [N m] at the measured points, [3, 2]."""
     return forces(soil, *MEASURED[:2], e)[:, [0, 2]]
 

@@ -10,6 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from soil_env._numba.compiling import part, root
 from soil_env.identification.point import channels
@@ -87,7 +88,7 @@ def _forces(x, slip, sinkage, e, out):
         out[p, 3], out[p, 4], out[p, 5] = y.by_phi, y.by_K, y.by_S
 
 
-def forces(soil, slip, sinkage, e: Equations) -> np.ndarray:
+def forces(soil: ArrayLike, slip: ArrayLike, sinkage: ArrayLike, e: Equations) -> np.ndarray:
     """DP [N], W [N], T [N m] and d(DP) by phi [rad], K and S, [M, 6], of soils (phi [deg], K [m], S), [3] or [M, 3]."""
     x = np.atleast_2d(np.asarray(soil, dtype=float)) * (math.pi / 180.0, 1.0, 1.0)
     count = max(np.size(slip), np.size(sinkage), len(x))
@@ -135,7 +136,9 @@ def _newton_raphson(path, slip, sinkage, pull, e, tolerance):
     return -path.shape[0]
 
 
-def newton_raphson(points: Points, guess, e: Equations, iterations: int = 100, tolerance: float = 1e-8) -> np.ndarray:
+def newton_raphson(
+    points: Points, guess: ArrayLike, e: Equations, iterations: int = 100, tolerance: float = 1e-8
+) -> np.ndarray:
     """Root (phi [deg], K [m], S) by plain Newton-Raphson from `guess`, the paper's Section 4; NaN if it is lost."""
     path = np.empty((iterations + 1, 3))
     path[0] = math.radians(guess[0]), guess[1], guess[2]
@@ -143,7 +146,7 @@ def newton_raphson(points: Points, guess, e: Equations, iterations: int = 100, t
     return path[count] * (180.0 / math.pi, 1.0, 1.0) if count > 0 else np.full(3, np.nan)
 
 
-def roots(points: Points, e: Equations, K) -> np.ndarray:
+def roots(points: Points, e: Equations, K: ArrayLike) -> np.ndarray:
     """Shear moduli [m] between which a solution lies, from a scan over K [M].
 
     At a given K the three equations are linear in S and S tan(phi); they have a solution where their determinant is 0.

@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+Colour: TypeAlias = tuple[int, ...]
+Point: TypeAlias = Sequence[float] | np.ndarray
+Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 
 DESIGN = (960, 540)  # [px] the size in which the layout is written
 # Colours: Okabe & Ito, told apart with every kind of colour vision; soil runs from light to dark with friction.
@@ -19,7 +26,7 @@ GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, 
 class Canvas:
     """Shapes drawn at twice the size and smoothed down, text on top; points [n, 2] in units of the design."""
 
-    def __init__(self, size: tuple[int, int]):
+    def __init__(self, size: tuple[int, int]) -> None:
         import pygame
 
         pygame.font.init()
@@ -41,14 +48,14 @@ class Canvas:
         self._large.fill(PAPER)
         self._texts.clear()
 
-    def clip(self, box) -> None:
+    def clip(self, box: Box | None) -> None:
         """Confine shapes (not text) to a box; None lifts it."""
         if box is not None:
             (x, y), (x1, y1) = self._at([box[:2], np.add(box[:2], box[2:])])
             box = self._pygame.Rect(round(x), round(y), round(x1 - x), round(y1 - y))
         self._large.set_clip(box)
 
-    def box(self, box, colour, edge=None) -> None:
+    def box(self, box: Box, colour: Colour, edge: Colour | None = None) -> None:
         """A rectangle, filled unless `colour` is None, with an edge if a colour is given for it."""
         x, y, w, h = box
         corners = [(x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y)]
@@ -57,21 +64,21 @@ class Canvas:
         if edge is not None:
             self.lines(corners, edge, 1)
 
-    def polygon(self, points, colour) -> None:
+    def polygon(self, points: ArrayLike, colour: Colour) -> None:
         """A filled polygon."""
         self._draw.polygon(self._large, colour, self._at(points))
 
-    def lines(self, points, colour, width=1.5) -> None:
+    def lines(self, points: ArrayLike, colour: Colour, width: float = 1.5) -> None:
         """A polyline."""
         if len(points) > 1:
             self._draw.lines(self._large, colour, False, self._at(points), self._width(width))
 
-    def circle(self, centre, radius, colour, width=0) -> None:
+    def circle(self, centre: Point, radius: float, colour: Colour, width: float = 0) -> None:
         """A disc, or a ring `width` wide inside `radius`."""
         thickness = self._width(width) if width else 0
         self._draw.circle(self._large, colour, self._at(centre), 2.0 * self._scale * radius, thickness)
 
-    def arrow(self, tail, head, colour, width=2.0) -> None:
+    def arrow(self, tail: Point, head: Point, colour: Colour, width: float = 2.0) -> None:
         """A line with a head 5 units long, or shorter."""
         along = np.subtract(head, tail)
         length = math.hypot(*along)
@@ -81,7 +88,7 @@ class Canvas:
             self.lines([tail, base], colour, width)
             self.polygon([head, base + across, base - across], colour)
 
-    def soil(self, points, bottom, friction, bounds) -> np.ndarray:
+    def soil(self, points: ArrayLike, bottom: float, friction: ArrayLike, bounds: tuple[float, float]) -> np.ndarray:
         """Ground below a surface [n, 2], coloured by friction angle [n - 1]; returns the colours."""
         colours, (x, y) = soil_colour(friction, bounds), np.transpose(points)
         start = 0
@@ -93,7 +100,7 @@ class Canvas:
         self.lines(points, SURFACE)
         return colours
 
-    def text(self, x, y, words, size, colour=INK, align=0.0) -> None:
+    def text(self, x: float, y: float, words: str, size: int, colour: Colour = INK, align: float = 0.0) -> None:
         """Words with their middle line at y; align 0, 0.5 or 1 puts their left end, middle or right end at x."""
         key = words, size, colour
         if key not in self._written:
@@ -114,7 +121,7 @@ class Canvas:
         return self._surface
 
 
-def soil_colour(friction, bounds: tuple[float, float]) -> np.ndarray:
+def soil_colour(friction: ArrayLike, bounds: tuple[float, float]) -> np.ndarray:
     """Colours [n, 3] of soils with friction angles [n] in deg; the ramp spans `bounds` [deg]."""
     place = np.linspace(*bounds, len(_RAMP))
     return np.stack([np.interp(friction, place, channel) for channel in _RAMP.T], axis=1).astype(int)

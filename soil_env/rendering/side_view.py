@@ -38,6 +38,7 @@ from soil_env.rendering.canvas import (
 from soil_env.rendering.charts import SPAN, draw_charts, nice, ticks
 from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import CELL, CELLS_BEHIND, ground_at
+from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.contact import (
     JANOSI,
     entry_angle,
@@ -69,7 +70,7 @@ class Stresses(NamedTuple):
     shear: np.ndarray  # [points] tau [Pa], Eq. (10), positive where it drives the wheel forward
 
 
-def contact_stresses(simulation, k: int) -> Stresses:
+def contact_stresses(simulation: Simulation, k: int) -> Stresses:
     """`Stresses` under wheel k as it moves now, at the sinkage coefficient that its load mobilises."""
     w, world = simulation.wheel(k), simulation.numbers.world
     r, rim_speed = world.wheel.radius, w["wheel_speed"] * world.wheel.radius
@@ -120,13 +121,14 @@ class Renderer:
 
     _windows: ClassVar[set[int]] = set()  # ids of the open windows of all renderers, which share one event queue
 
-    def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN):
+    def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
         if mode not in MODES:
             raise ValueError(f"render mode {mode!r}: expected one of {', '.join(MODES)}")
         self.scenario, self.mode, self.size = scenario, mode, tuple(size)
         self._canvas = self._window = self._clock = None
         self._course_key = self._profile = None
-        self._every = max(1, math.ceil(SPAN / scenario.control.period / _POINTS))  # control periods per sample
+        self._step = scenario.control.duration  # [s] from record to record
+        self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
         self._history: deque[tuple] = deque(maxlen=_POINTS + 2)
         self._angle = 0.0  # [rad] the wheel has turned
 
@@ -135,20 +137,20 @@ class Renderer:
         self._history.clear()
         self._angle = 0.0
 
-    def record(self, simulation, k: int) -> None:
+    def record(self, simulation: Simulation, k: int) -> None:
         """Add the present state of wheel k to the history; at its reset the history starts anew."""
         w, ids, world = simulation.wheel(k), simulation.worlds.ids, simulation.numbers.world
         if w["steps"] == 0:
             self.clear()
-        self._angle += float(w["wheel_speed"]) * world.period
-        if w["steps"] % self._every == 0:
+        self._angle += float(w["wheel_speed"]) * self._step
+        if w["steps"] % (self._every * self.scenario.control.held) == 0:
             soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], world.border)
             same = sinkage_coefficient_at(soil, simulation.numbers.identifier.reading.exponent, w["bearing_sinkage"])
             truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
             now = w["steps"] * world.period, w["slip"], w["sinkage"] / world.wheel.radius
             self._history.append((*now, *ids.estimate[k, :3], *ids.sd[k, :3], *truth))
 
-    def draw(self, simulation, k: int) -> np.ndarray | None:
+    def draw(self, simulation: Simulation, k: int) -> np.ndarray | None:
         """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to the window."""
         if self.mode == "human" and not self._poll():
             return None
@@ -169,7 +171,7 @@ class Renderer:
         if self.mode == "human":
             self._window.get_surface().blit(surface, (0, 0))
             self._window.flip()
-            self._clock.tick(1.0 / self.scenario.control.period)
+            self._clock.tick(1.0 / self._step)
             return None
         import pygame
 

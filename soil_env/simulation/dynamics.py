@@ -23,16 +23,21 @@ from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import below, chosen, larger, smaller, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import scratch_rows
+from soil_env.simulation.lines import choosing, plan_halt, take_line
 from soil_env.simulation.newton import (
     GAMMA,
     LEAD,
     MANY,
     TOLERANCE,
     Period,
+    Substep,
     change_ahead,
     gather_ground,
     load_reaction,
-    scratch_of_substep,
+    new_equations,
+    new_footing,
+    new_newton,
+    new_nodes,
     set_up,
     soil_in_lanes,
     solve_speeds,
@@ -41,6 +46,7 @@ from soil_env.simulation.terrain import cell_after, digging_ratio_of, leave_rut
 from soil_env.simulation.wheel import (
     SHALLOWEST,
     bearing_sinkage,
+    commanded,
     finish,
     motor,
     relax_sinkage,
@@ -172,7 +178,7 @@ def _drive(state, counts, first, begin, end, period, courses, world, left, longe
     A wheel for which Newton's method fails stays as it was before that stage, with the rest of its time in
     `period.left`; with `anyhow` = 1 it goes on.
     """
-    sub = scratch_of_substep()
+    sub = Substep(new_footing(), new_equations(), new_nodes(), new_newton())
     while left > 1e-9 * longest:
         h = min(longest, left)
         for number in range(2):
@@ -251,12 +257,21 @@ def _choose_steps(state, first, i, period, world):
     to_array(steps, period.steps, i)
 
 
+@inlined
+def _at_fork(state, counts, k, command, courses, world):
+    """Before the halts of a control period are reckoned: what its action chooses, and the halt to come."""
+    fork = choosing(state, counts, k, courses, world)
+    if fork >= 0:
+        take_line(k, courses, fork, 1 if command < 0.0 else 0)
+    plan_halt(state, counts, k, courses, world)
+
+
 @part
 def advance(state, counts, first, count, what, commands, courses, streams, world):
     """One control period of those of the wheels first .. first + count - 1 with what[k] = STEP.
 
-    `commands` [wheels] in [-1, 1]. During a commanded halt the drive ignores the command and holds the wheel with its
-    speed loop. `count` <= MANY; `first` a multiple of eight. `state` (`WheelState`), `counts` (`WheelCounts`),
+    `commands` [wheels] in [-1, 1]: actions, see `commanded`. During a halt the drive ignores them and holds the wheel
+    with its speed loop. `count` <= MANY; `first` a multiple of eight. `state` (`WheelState`), `counts` (`WheelCounts`),
     `courses` and `streams` are renewed in place.
     """
     period = _period()
@@ -270,7 +285,7 @@ def advance(state, counts, first, count, what, commands, courses, streams, world
         if going:
             halted = state.halt_left[k] > 0.0
             period.start[i] = state.x[k]
-            period.command[i] = 0.0 if halted else commands[k]
+            period.command[i] = commanded(state, k, commands[k], halted, world)
             period.by_speed[i] = 1.0 if halted or world.speed_command else 0.0
             state.motor_work[k] = state.soil_work[k] = state.numerical_work[k] = 0.0
     for i in range(0, end, COUNT):
@@ -288,4 +303,6 @@ def advance(state, counts, first, count, what, commands, courses, streams, world
         if period.left[i] > 0.0:
             _drive_alone(state, counts, first, i, period, courses, world)
         counts.converged[first + i] = 1 if period.clean[i] > 0.0 else 0
-        finish(state, counts, first + i, period.command[i], period.start[i], streams, world)
+        if world.lines > 1:
+            _at_fork(state, counts, first + i, commands[first + i], courses, world)
+        finish(state, counts, first + i, period.start[i], streams, world)

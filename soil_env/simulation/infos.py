@@ -11,6 +11,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall
 from soil_env.identification import Status
+from soil_env.identification.immobilisation import HORIZONS, ImmobilisationWarning
 from soil_env.parameters import Scenario, SoilState
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.wheel import WheelState
@@ -26,6 +27,7 @@ _STATUS = {status.value: status.name for status in Status}
 _STATE = ("x", "speed", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
 _ROWS = [WheelState.NAMES.index(name) for name in _STATE]
 _WARNING = ("best_slip", "drawbar_margin", "torque_required", "torque_available", "passable")
+_FORESEEN = tuple(f"immobilised_within_{horizon:g}_s" for horizon in HORIZONS)
 _SEEN = [[e.name for e in layout("blind")].index(name) for name in ("load", "pitch")]
 
 
@@ -60,11 +62,13 @@ def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
 
 
 class Infos:
-    """Infos of the wheels of one `Worlds`. `traversability` is that of the last renewed estimate: see `renew`."""
+    """Infos of the wheels of one `Worlds`. `traversability` is that of the last renewed estimate: see `renew`; its
+    probabilities of immobilisation are of now."""
 
-    def __init__(self, scenario: Scenario, kind: str, wheels: int):
+    def __init__(self, scenario: Scenario, kind: str, wheels: int) -> None:
         self.scenario, self.kind = scenario, checked(kind)
         self._best: Callable[..., Any] = FastCall(best_working_point)
+        self._foresight = ImmobilisationWarning(scenario) if kind != "none" else None
         self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate was renewed
         self._stale = np.ones(wheels, dtype=np.bool_)
         self._warnings = np.zeros((wheels, len(_WARNING)))
@@ -95,7 +99,11 @@ class Infos:
             "immobilised": cause in IMMOBILISED,
             "reward_terms": dict(zip(REWARD_TERMS, worlds.terms[k].tolist(), strict=True)),
             "estimate": self._estimate(worlds, k),
-            "traversability": {**warning, "passable": warning["passable"] > 0.0},
+            "traversability": {
+                **warning,
+                "passable": warning["passable"] > 0.0,
+                **dict(zip(_FORESEEN, self._foreseen(worlds, np.array([k], dtype=np.intp))[0].tolist(), strict=True)),
+            },
             "state": {name: state[row] for name, row in zip(_STATE, _ROWS, strict=True)},
         }
         return full if self.kind == "full" else _numbers(flat(full))
@@ -115,6 +123,10 @@ class Infos:
             "dig_gain_relative_sd": sd[4],
             "status": _STATUS[worlds.ids.status.item(k)],
         }
+
+    def _foreseen(self, worlds: Worlds, rows: np.ndarray) -> np.ndarray:
+        """Probabilities [n, 2] of immobilisation within `HORIZONS` of the wheels `rows` [n]."""
+        return self._foresight.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
 
     def _warning(self, worlds: Worlds, k: int) -> np.ndarray:
         """Traversability (paper, Section 6) of the ground as identified, at the measured load and pitch; `_WARNING`."""
@@ -174,6 +186,9 @@ class Infos:
         }
         warning = dict(zip(_WARNING, self._warnings.T.copy(), strict=True))
         warning["passable"] = warning["passable"] > 0.0
+        foreseen, rows = np.zeros((which.size, len(HORIZONS))), np.flatnonzero(which)
+        foreseen[rows] = self._foreseen(worlds, rows)
+        warning |= dict(zip(_FORESEEN, foreseen.T.copy(), strict=True))
         return {
             "estimate": estimate,
             "traversability": warning,

@@ -19,7 +19,7 @@ import numpy as np
 from soil_env._numba.compiling import inlined
 from soil_env._numba.elementary import below, chosen, half_sin_cos, larger, smaller, where_less
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
-from soil_env._numba.rows import copy_column, rows, scratch_rows
+from soil_env._numba.rows import Rows, copy_column, rows, scratch_rows
 from soil_env.parameters import SoilState
 from soil_env.simulation.terrain import ground_at, rut_factor
 from soil_env.simulation.wheel import (
@@ -57,40 +57,36 @@ _HUGE = 1e300
 # --- scratch, a column a wheel ----------------------------------------------------------------------------------------
 
 #: A control period.
-Period = rows("Period", "start", "command", "by_speed", "left", "alive", "clean", "steps", "speed_before", "rim_before")
+Period: type[Rows] = rows(
+    "Period", "start", "command", "by_speed", "left", "alive", "clean", "steps", "speed_before", "rim_before"
+)
 #: The ground in a substep: a `SoilState`, first undisturbed and then as the wheel meets it.
-Footing = rows("Footing", *SoilState._fields, "grade", "passes", "lift", "sinkage")
+Footing: type[Rows] = rows("Footing", *SoilState._fields, "grade", "passes", "lift", "sinkage")
 #: The equations of a substep; the last two are the speeds to try next.
-_Equations = rows(
+_Equations: type[Rows] = rows(
     "_Equations", "speed0", "rim0", "gain_v", "weight_along", "load", "tan_phi", "cohesion", "shear_modulus",
     "command", "by_speed", *ArcFrame._fields, "bulldozing", "blades", "pull", "twist", "try_v", "try_u",
 )  # fmt: skip
 #: Newton's method on them: the best so far with its `Reaction`, then the state of the iteration.
-_Newton = rows(
+_Newton: type[Rows] = rows(
     "_Newton", "v", "u", *Reaction._fields, "converged",
     "f1", "f2", "motor_slope", "norm", "before", "share", "tries", "passes",
 )  # fmt: skip
-_footing = scratch_rows(Footing, MANY)
-# The last block is that of the wheels that take longer.
-_equations, _newton = scratch_rows(_Equations, MANY + COUNT), scratch_rows(_Newton, MANY + COUNT)
-_nodes = scratch_rows(Nodes, (MANY // COUNT + 1) * NODE_COLUMNS)
-_Queue = rows("_Queue", "wheel", kind=np.int64)
+# Scratch of a substep, for `Substep`. The last block is that of the wheels that take longer.
+new_footing = scratch_rows(Footing, MANY)
+new_equations, new_newton = scratch_rows(_Equations, MANY + COUNT), scratch_rows(_Newton, MANY + COUNT)
+new_nodes = scratch_rows(Nodes, (MANY // COUNT + 1) * NODE_COLUMNS)
+_Queue: type[Rows] = rows("_Queue", "wheel", kind=np.int64)
 _queue, _occupants = scratch_rows(_Queue, MANY), scratch_rows(_Queue, COUNT)
 
 
 class Substep(NamedTuple):
-    """Scratch of a substep."""
+    """Scratch of a substep, made by the function that drives it: it is gone with that function's frame."""
 
     footing: object
     equations: object
     nodes: object
     newton: object
-
-
-@inlined
-def scratch_of_substep():
-    """`Substep` on the stack of the caller."""
-    return Substep(_footing(), _equations(), _nodes(), _newton())
 
 
 @inlined

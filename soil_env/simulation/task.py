@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +16,10 @@ import numpy as np
 from soil_env._io.loading import ParameterError, unknown_value
 from soil_env._numba.compiling import inlined
 from soil_env.identification import Status
-from soil_env.parameters import Scenario
+from soil_env.parameters import CourseSpec, Scenario
+from soil_env.simulation.camera import CameraNumbers, Sight, camera_numbers, patch_ahead, seen_grade, write_view
 from soil_env.simulation.sensors import SensorNumbers, sensor_numbers
-from soil_env.simulation.terrain import BEHIND, ground_at
+from soil_env.simulation.terrain import BEHIND, ground_at, row_soil
 from soil_env.terramechanics.model import WheelSoilModel
 
 
@@ -38,6 +39,8 @@ _FINISHED, _ENTRAPPED, _STALLED, _BOGGED = (
 )
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 _CONVERGED = Status.CONVERGED.value
+
+_SENSORS = 14  # entries that every variant has
 
 REWARD_TERMS = ("progress", "energy", "immobilisation", "information")
 VARIANTS = ("blind", "identified", "true_soil")
@@ -67,6 +70,7 @@ _BLIND = (
     ObservedNumber("halted", "0 or 1", 0.0, 1.0),
     ObservedNumber("motor_torque", "of weight x radius", -10.0, 10.0),
     ObservedNumber("acceleration", "of gravity", -10.0, 10.0),
+    ObservedNumber("rim_command", "of top rim speed", -1.0, 1.0),
 )
 _IDENTIFIED = (
     ObservedNumber("friction_angle", "rad", 0.0, 1.6),
@@ -92,13 +96,48 @@ _TRUE = (
 )
 
 
-def layout(variant: str) -> tuple[ObservedNumber, ...]:
-    """The observation of a variant, number by number; the first entries are those of `blind` in every variant."""
+_AHEAD = {  # of the soil of a line ahead
+    "blind": (),
+    "identified": (
+        ObservedNumber("met", "0 or 1", 0.0, 1.0),
+        *(e for e in _IDENTIFIED if e.name != "estimate_valid"),
+        ObservedNumber("margin", "of weight", -2.0, 2.0),
+    ),
+    "true_soil": (*_TRUE, ObservedNumber("margin", "of weight", -2.0, 2.0)),
+}
+LINES = ("ahead", "beside")
+
+
+def _seen(classes: int, lines: int) -> list[ObservedNumber]:
+    """What the camera tells, of so many terrain classes and lines."""
+    entries = [ObservedNumber("border_distance", "m", 0.0, 100.0)]
+    entries += [ObservedNumber(f"here_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)]
+    for line in LINES[:lines]:
+        entries.append(ObservedNumber(f"{line}_grade", "rad, uphill positive", -1.6, 1.6))
+        entries += [ObservedNumber(f"{line}_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)]
+    return entries + [ObservedNumber("choice", "0 or 1", 0.0, 1.0)] * (lines > 1)
+
+
+def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumber, ...]:
+    """The observation of a variant, number by number; the first entries are those of `blind` in every variant.
+
+    On a `course` with terrain classes what the camera sees follows, and what the variant knows of the lines ahead.
+    """
     if not isinstance(variant, str):
         raise ParameterError(f"observation = {variant!r}: expected one of {', '.join(VARIANTS)}")
     if variant not in VARIANTS:
         raise unknown_value(variant, VARIANTS, "observation")
-    return _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": _TRUE}[variant]
+    entries = _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": _TRUE}[variant]
+    if course is None or course.classes == 0:
+        return entries
+    ahead = [replace(e, name=f"{line}_{e.name}") for line in LINES[: course.lines] for e in _AHEAD[variant]]
+    return (*entries, *_seen(course.classes, course.lines), *ahead)
+
+
+def truth(course: CourseSpec) -> tuple[ObservedNumber, ...]:
+    """What `true_soil` observes beside what `blind` does."""
+    blind = {entry.name for entry in layout("blind", course)}
+    return tuple(entry for entry in layout("true_soil", course) if entry.name not in blind)
 
 
 class TaskNumbers(NamedTuple):
@@ -112,7 +151,8 @@ class TaskNumbers(NamedTuple):
     length: float
     border: float
     period: float
-    steps: int
+    periods: int  # until the time limit
+    repeat: int  # control periods that an action lasts
     sensors: SensorNumbers
     low: np.ndarray  # [D] float32 bounds of the observation
     high: np.ndarray
@@ -126,11 +166,13 @@ class TaskNumbers(NamedTuple):
     reward_information: float
     information_discount: float
     dig_gain: float  # of the belief
+    camera: CameraNumbers
+    seen: int  # number of the entry with which the camera's begin
 
 
 def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None = None) -> TaskNumbers:
     """Pack what the functions below need; `model` brings the effects that are on in this world."""
-    entries = layout(variant)
+    entries = layout(variant, scenario.course)
     lim, w = scenario.limits, scenario.wheel
     weight = scenario.weight
     return TaskNumbers(
@@ -142,7 +184,8 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
         scenario.course.length,
         scenario.course.border,
         scenario.control.period,
-        scenario.steps,
+        scenario.periods,
+        scenario.control.held,
         sensor_numbers(scenario, model),
         np.array([e.low for e in entries], dtype=np.float32),
         np.array([e.high for e in entries], dtype=np.float32),
@@ -156,11 +199,13 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
         scenario.reward.information,
         scenario.reward.information_discount,
         scenario.belief.dig_gain,
+        camera_numbers(scenario),
+        len(layout(variant)),
     )
 
 
 @inlined
-def write_observation(out, state, counts, k, reading, courses, ids, task):
+def write_observation(out, state, counts, k, reading, courses, ids, memory, sight, task):
     """Fill the observation `out` [D] of wheel k, cut to the bounds of the layout."""
     out[0] = reading.slip
     out[1] = reading.sinkage / task.radius
@@ -175,21 +220,68 @@ def write_observation(out, state, counts, k, reading, courses, ids, task):
     out[10] = 1.0 if state.halt_left[k] > 0.0 else 0.0
     out[11] = reading.motor_torque / (task.weight * task.radius)
     out[12] = reading.acceleration / task.gravity
+    out[13] = state.rim_command[k]
+    soils = out[_SENSORS:]
     if task.variant == 1:
         mean, sd = ids.estimate[k], ids.sd[k]
-        out[13], out[14], out[15] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
-        out[16], out[17], out[18] = sd[0], sd[1], sd[2]
-        out[19] = 1.0 if ids.status[k] == _CONVERGED else 0.0
-        out[20], out[21] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
-        out[22], out[23] = sd[3] / 1000.0, sd[4]
+        soils[0], soils[1], soils[2] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
+        soils[3], soils[4], soils[5] = sd[0], sd[1], sd[2]
+        soils[6] = 1.0 if ids.status[k] == _CONVERGED else 0.0
+        soils[7], soils[8] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
+        soils[9], soils[10] = sd[3] / 1000.0, sd[4]
     elif task.variant == 2:
         soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], task.border)
-        out[13] = math.atan(soil.tan_phi)
-        out[14], out[15] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
-        out[16], out[17] = soil.cohesion / 1000.0, soil.sinkage_exponent
-        out[18], out[19] = soil.dig_gain, soil.dig_recovery
+        _write_soil(soils, soil)
+    if task.camera.classes > 0:
+        i = task.seen
+        i += write_view(out[i:], state, counts, k, courses, sight, task.camera)
+        _write_ahead(out[i:], k, courses, memory, sight, task)
     for i in range(out.size):
         out[i] = min(max(out[i], task.low[i]), task.high[i])
+
+
+@inlined
+def _write_soil(out, soil):
+    """Fill `out` [7] with a true soil."""
+    out[0] = math.atan(soil.tan_phi)
+    out[1], out[2] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
+    out[3], out[4] = soil.cohesion / 1000.0, soil.sinkage_exponent
+    out[5], out[6] = soil.dig_gain, soil.dig_recovery
+
+
+@inlined
+def write_truth(out, state, counts, k, courses, memory, task):
+    """Fill `out` with the entries of `truth`, from where the wheel truly is; `task` is that of `true_soil`."""
+    x, edges = state.x[k], courses.edges
+    soil, _, patch = ground_at(courses, k, x, counts.patch[k], task.border)
+    _write_soil(out, soil)
+    if task.camera.classes > 0:
+        sight = Sight(patch, x - edges[k, patch], edges[k, patch + 1] - x)
+        _write_ahead(out[7:], k, courses, memory, sight, task)
+
+
+@inlined
+def _write_ahead(out, k, courses, memory, sight, task):
+    """Fill `out` with what is known of the soils of the lines ahead; their margins are over the grade that is seen."""
+    ahead = patch_ahead(courses, k, sight, task.camera)
+    lines, each = courses.lines, out.size // task.camera.lines
+    for line in range(task.camera.lines):
+        o = out[line * each :]
+        there = ahead >= 0 and line < lines.count[k, ahead]
+        for i in range(each):
+            o[i] = 0.0
+        if there and task.variant == 1:
+            label = lines.labels[k, ahead, line]
+            mean, sd = memory.estimate[k, label], memory.sd[k, label]
+            o[0] = 1.0 if memory.met[k, label] else 0.0
+            o[1], o[2], o[3] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
+            o[4], o[5], o[6] = sd[0], sd[1], sd[2]
+            o[7], o[8] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
+            o[9], o[10] = sd[3] / 1000.0, sd[4]
+            o[11] = memory.capacity[k, label] - math.tan(seen_grade(courses, k, ahead, line))
+        elif there and task.variant == 2:
+            _write_soil(o, row_soil(lines.soils[k, ahead, line]))
+            o[7] = lines.capacities[k, ahead, line] - math.tan(seen_grade(courses, k, ahead, line))
 
 
 @inlined
@@ -199,7 +291,7 @@ def judge(state, counts, k, task):
     A wheel is immobilised when it has not got `no_progress_distance` further than ever before for `no_progress_time`,
     whatever it does meanwhile, or has left the course backwards.
     """
-    out_of_time = counts.steps[k] >= task.steps
+    out_of_time = counts.steps[k] >= task.periods
     if state.halt_left[k] > 0.0:
         return _TIME_LIMIT if out_of_time else _RUNNING
     if state.best_x[k] >= state.mark_x[k] + task.no_progress_distance:
@@ -235,18 +327,18 @@ def knowledge(ids, k, precision):
 
 @inlined
 def reward_terms(state, k, cause, before, after, task, terms):
-    """Fill `terms` [4] (see REWARD_TERMS) for the last step of wheel k; the reward is their sum.
+    """Add the last control period of wheel k to `terms` [4] (see REWARD_TERMS); the reward is their sum.
 
     progress: weight x distance travelled / course length; energy: -weight x motor work (no recuperation) / (weight of
-    the loaded wheel x course length); immobilisation: -weight once, when the wheel is immobilised; information: weight
-    x (discount x `knowledge` `after` the step - knowledge `before` it), where nothing counts as known after a
-    terminated course: shaping by a potential, which leaves the best policy as it is (Ng, Harada & Russell 1999, ICML;
-    its end: Grzes 2017, AAMAS).
+    the loaded wheel x course length); immobilisation: -weight once, when the course ends unfinished, by immobilisation
+    or for want of time; information: weight x (discount x `knowledge` `after` the step - knowledge `before` it), where
+    nothing counts as known after the end: shaping by a potential, which leaves the best policy as it is (Ng, Harada &
+    Russell 1999, ICML; its end: Grzes 2017, AAMAS). Of a step of several periods the first has `before` and the last
+    has `after`, which are 0 in the others.
     """
-    terms[0] = task.reward_progress * state.travel[k] / task.length
+    terms[0] += task.reward_progress * state.travel[k] / task.length
     work = max(state.motor_work[k], 0.0)
-    terms[1] = -task.reward_energy * work / (state.mass[k] * task.gravity * task.length)
-    stuck = cause == _ENTRAPPED or cause == _STALLED or cause == _BOGGED
-    terms[2] = -task.reward_immobilisation if stuck else 0.0
-    kept = 0.0 if stuck or cause == _FINISHED else task.information_discount * after
-    terms[3] = task.reward_information * (kept - before)
+    terms[1] -= task.reward_energy * work / (state.mass[k] * task.gravity * task.length)
+    terms[2] -= task.reward_immobilisation if cause != _RUNNING and cause != _FINISHED else 0.0
+    kept = task.information_discount * after if cause == _RUNNING else 0.0
+    terms[3] += task.reward_information * (kept - before)

@@ -22,6 +22,42 @@ LOOSENING = 1.5
 MODULUS_BOUNDS = (0.3, 3.0)
 
 
+class Lines(NamedTuple):
+    """The lines over the patches of courses with terrain classes, and what a camera sees of them; empty without.
+
+    Line 0 leads straight ahead, line 1 beside it. Patches with one line have it twice.
+    """
+
+    count: np.ndarray  # [wheels, patches] lines over each patch
+    classes: np.ndarray  # [wheels, patches, 2] number of the class of each line
+    soils: np.ndarray  # [wheels, patches, 2, 7] `SoilState`
+    grades: np.ndarray  # [wheels, patches, 2] [rad]
+    capacities: np.ndarray  # [wheels, patches, 2] best steady drawbar pull [of weight]
+    taken: np.ndarray  # [wheels, patches] the line whose soil and grade `Courses` has
+    halts: np.ndarray  # [wheels, patches] place of the halt before a patch with two lines, from its beginning [m]
+    labels: np.ndarray  # [wheels, patches, 2] the class that the camera sees
+    grade_errors: np.ndarray  # [wheels, patches, 2] of the grade that it sees [rad]
+    border_errors: np.ndarray  # [wheels, patches] of where it sees the beginning of a patch [m]
+    library: np.ndarray  # [wheels, classes, 7] `SoilState` of the classes
+
+
+def _new_lines(wheels: int, patches: int, classes: int) -> Lines:
+    n = patches if classes else 0
+    return Lines(
+        np.ones((wheels, n), dtype=np.int64),
+        np.zeros((wheels, n, 2), dtype=np.int64),
+        np.zeros((wheels, n, 2, 7)),
+        np.zeros((wheels, n, 2)),
+        np.zeros((wheels, n, 2)),
+        np.zeros((wheels, n), dtype=np.int64),
+        np.zeros((wheels, n)),
+        np.zeros((wheels, n, 2), dtype=np.int64),
+        np.zeros((wheels, n, 2)),
+        np.zeros((wheels, n)),
+        np.zeros((wheels, classes, 7)),
+    )
+
+
 class Courses(NamedTuple):
     """The ground of many wheels: arrays with one row a wheel. x [m] is the distance along the course.
 
@@ -37,6 +73,7 @@ class Courses(NamedTuple):
     streams: np.ndarray  # [wheels] uint64, from which the patches to come are drawn
     modulus: np.ndarray  # [wheels, cells] factor on S left by earlier passes [-]
     rut: np.ndarray  # [wheels, cells] depth of the rut below the undisturbed surface [m]; 0 before the first pass
+    lines: Lines
 
 
 def new_courses(wheels: int, scenario: Scenario) -> Courses:
@@ -54,6 +91,7 @@ def new_courses(wheels: int, scenario: Scenario) -> Courses:
         np.zeros(wheels, dtype=np.uint64),
         np.ones((wheels, cells), dtype=np.float32),
         np.zeros((wheels, cells), dtype=np.float32),
+        _new_lines(wheels, patches, spec.classes),
     )
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp, larger, power, smaller, where_less
 from soil_env._numba.random_streams import between
-from soil_env._numba.rows import rows, zero_column
+from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.parameters import Scenario
 from soil_env.simulation.terrain import cell_at, ground_at
 from soil_env.terramechanics.contact import (
@@ -37,10 +37,11 @@ from soil_env.terramechanics.residual import residual_law
 from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
+REVERSE = 0.1  # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 
 #: Wheels. Numbers that follow from the others in the same step are kept for sensors and info.
-WheelState = rows(
+WheelState: type[Rows] = rows(
     "WheelState",
     "x",  # [m] distance along the course
     "best_x",  # [m] furthest x so far: ground beyond it is fresh
@@ -70,6 +71,7 @@ WheelState = rows(
     "numerical_work",  # [J] that the integrator took from it, in the last control period
     "travel",  # [m] in the last control period
     "last_action",  # [-1, 1]
+    "rim_command",  # [of the top rim speed] that the drive is told to follow; 0 where the action is a torque
     "mark_x",  # [m] `best_x` when it last was a further `no_progress_distance` on
     "idle_time",  # [s] since then, halts left out
     "stalled_time",  # [s] of it in which the wheel did not turn
@@ -80,7 +82,7 @@ WheelState = rows(
 )
 
 #: What is counted of wheels.
-WheelCounts = rows(
+WheelCounts: type[Rows] = rows(
     "WheelCounts",
     "converged",  # 1 unless a Newton iteration of the last control period failed at the finest substep
     "patch",  # of the course, under the wheel
@@ -104,7 +106,10 @@ class WorldNumbers(NamedTuple):
     halt_time: float  # [s]
     period: float  # [s]
     substeps: int
-    speed_command: bool
+    speed_command: bool  # the drive follows a commanded rim speed
+    rim_step: float  # [of top rim speed] by which an action of 1 changes it in a control period; 0: it is the action
+    lines: int  # between which the wheel may choose
+    sight: float  # [m] before a patch from which its lines are seen
 
 
 def interaction_of(scenario: Scenario, model: WheelSoilModel | None = None) -> Interaction:
@@ -131,7 +136,10 @@ def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> Wo
         scenario.course.halt_time,
         c.period,
         math.ceil(c.period / c.substep - 1e-9),
-        c.action == "wheel_speed",
+        c.action != "torque",
+        c.rim_acceleration * c.period / (w.radius * w.no_load_speed) if c.action == "rim_acceleration" else 0.0,
+        scenario.course.lines,
+        scenario.camera.range,
     )
 
 
@@ -180,12 +188,23 @@ def relax_sinkage(sinkage, bearing, onto, speed, slip_speed, soil, length, h):
 
 
 @inlined
-def finish(state, counts, k, command, x_start, streams, world):
+def commanded(state, k, action, halted, world):
+    """Command of wheel k for a control period, as `motor` takes it: the action itself, or the rim speed that it leads
+    to where it is a rim acceleration. In a halt it is 0, and so is the action that counts as the last one."""
+    action = 0.0 if halted else action
+    command, state.last_action[k] = action, action
+    if world.rim_step > 0.0 and not halted:
+        command = min(max(state.rim_command[k] + world.rim_step * action, -REVERSE), 1.0)
+    state.rim_command[k] = command if world.speed_command else 0.0
+    return command
+
+
+@inlined
+def finish(state, counts, k, x_start, streams, world):
     """The end of a control period of wheel k, which began at `x_start` [m]: slip, travel and halts."""
     x = state.x[k]
     state.slip[k] = slip_ratio(state.wheel_speed[k] * world.wheel.radius, state.speed[k], REST_SPEED)
     state.travel[k] = x - x_start
-    state.last_action[k] = command
     counts.steps[k] += 1
     if state.halt_left[k] > 0.0:
         state.halt_left[k] = max(0.0, state.halt_left[k] - world.period)

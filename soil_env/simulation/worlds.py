@@ -13,6 +13,18 @@ from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import seed_stream
 from soil_env._numba.rows import Rows
 from soil_env._numba.threads import threads
+from soil_env.identification.class_memory import (
+    ClassMemory,
+    MemoryNumbers,
+    clear_of_borders,
+    forget_classes,
+    judge_class,
+    leaves,
+    memory_numbers,
+    new_memory,
+    remember,
+)
+from soil_env.identification.immobilisation import MEMORY, WarningNumbers, begin, follow, warning_numbers
 from soil_env.identification.online import (
     IdentifierNumbers,
     Identifiers,
@@ -22,6 +34,7 @@ from soil_env.identification.online import (
     observe,
 )
 from soil_env.parameters import Scenario
+from soil_env.simulation.camera import Sight, label_here, look
 from soil_env.simulation.courses import (
     CourseDistribution,
     CourseNumbers,
@@ -35,13 +48,16 @@ from soil_env.simulation.dynamics import MANY, advance
 from soil_env.simulation.sensors import roll_odometer, sense, start_odometry
 from soil_env.simulation.task import (
     REWARD_TERMS,
+    VARIANTS,
     Cause,
     TaskNumbers,
     judge,
     knowledge,
     reward_terms,
     task_numbers,
+    truth,
     write_observation,
+    write_truth,
 )
 from soil_env.simulation.terrain import Courses, new_courses
 from soil_env.simulation.wheel import WheelCounts, WheelState, WorldNumbers, settle, world_numbers
@@ -50,10 +66,10 @@ from soil_env.terramechanics.model import WheelSoilModel
 _TRIAL_COURSES = 8
 _RESTARTS = 100  # attempts at a course in the middle of a run, where there is nobody to change the scenario
 _LEAST = 32  # wheels that a thread takes at a time, at least; at most MANY
-#: What to do with a wheel: a control period, a new course, nothing, a whole course drawn for a trial (`reward` is
-#: then the mass on the wheel, or -1 if no passable course was found), the rest of its course drawn.
+#: What to do with a wheel: a step (the control periods of an action), a new course, nothing, a whole course drawn as a
+#: trial (`reward` is then the mass on the wheel, or -1 if no passable course was found), the rest of its course drawn.
 STEP, RESTART, IDLE, TRY, COMPLETE = np.int8(0), np.int8(1), np.int8(2), np.int8(3), np.int8(4)
-_TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
+_RUNNING = Cause.RUNNING.value
 
 
 class Worlds(NamedTuple):
@@ -64,26 +80,32 @@ class Worlds(NamedTuple):
     courses: Courses
     streams: np.ndarray  # [wheels] uint64
     ids: Identifiers
+    memory: ClassMemory
     observation: np.ndarray  # [wheels, D] float32
     terms: np.ndarray  # [wheels, 4] reward terms
     reward: np.ndarray  # [wheels]
     cause: np.ndarray  # [wheels] `task.Cause`
     solved: np.ndarray  # [wheels] True where the last step renewed the estimate
+    going: np.ndarray  # [wheels] int8, scratch of a step: STEP while the wheel drives
+    recent: np.ndarray  # [wheels, MEMORY] the last seconds of the sensors, for warnings; no rows where none are wanted
 
 
-def new_worlds(wheels: int, scenario: Scenario, task: TaskNumbers) -> Worlds:
-    """Worlds for `wheels` wheels, to be restarted."""
+def new_worlds(wheels: int, scenario: Scenario, task: TaskNumbers, warnings: bool = False) -> Worlds:
+    """Worlds for `wheels` wheels, to be restarted; `warnings`: whether they keep the last seconds of the sensors."""
     return Worlds(
         WheelState(wheels),
         WheelCounts(wheels),
         new_courses(wheels, scenario),
         np.zeros(wheels, dtype=np.uint64),
         new_identifiers(wheels),
+        new_memory(wheels, scenario.course.classes),
         np.zeros((wheels, task.low.size), dtype=np.float32),
         np.zeros((wheels, len(REWARD_TERMS))),
         np.zeros(wheels),
         np.zeros(wheels, dtype=np.int64),
         np.zeros(wheels, dtype=np.bool_),
+        np.full(wheels, IDLE),
+        np.zeros((wheels if warnings else 0, MEMORY)),
     )
 
 
@@ -93,7 +115,9 @@ class Numbers(NamedTuple):
     world: WorldNumbers
     drawn: CourseDistribution
     identifier: IdentifierNumbers
+    memory: MemoryNumbers
     task: TaskNumbers
+    warning: WarningNumbers
 
 
 @inlined
@@ -112,39 +136,99 @@ def restart(worlds, numbers, k):
         raise RuntimeError("no passable course found: the soils are too weak for this wheel")
     settle(worlds.state, worlds.counts, k, mass, worlds.courses, worlds.streams, numbers.world)
     forget(worlds.ids, k, numbers.identifier)
+    forget_classes(worlds.memory, k, worlds.ids.estimate[k], worlds.ids.sd[k], numbers.memory)
     worlds.cause[k] = _RUNNING
+    _clear(worlds, k)
+    start_odometry(worlds.state, k, worlds.streams, numbers.task.sensors)
+    reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
+    if worlds.recent.shape[0] > 0:
+        begin(worlds.recent, k, reading, numbers.warning)
+    _observation(worlds, numbers, k, reading, _look(worlds, numbers, k))
+
+
+@inlined
+def _clear(worlds, k):
+    """What a step sums up, at its start."""
     worlds.reward[k] = 0.0
     for i in range(worlds.terms.shape[1]):
         worlds.terms[k, i] = 0.0
     worlds.solved[k] = False
-    start_odometry(worlds.state, k, worlds.streams, numbers.task.sensors)
-    reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
-    _observation(worlds, numbers, k, reading)
+
+
+@inlined
+def _look(worlds, numbers, k):
+    """`Sight` of the camera, if there is one."""
+    if numbers.task.camera.classes == 0:
+        return Sight(0, 0.0, 0.0)
+    return look(worlds.state, worlds.counts, k, worlds.courses, worlds.streams, numbers.task.camera)
 
 
 @part
-def _observation(worlds, numbers, k, reading):
+def _observation(worlds, numbers, k, reading, sight):
     write_observation(
-        worlds.observation[k], worlds.state, worlds.counts, k, reading, worlds.courses, worlds.ids, numbers.task
+        worlds.observation[k], worlds.state, worlds.counts, k, reading, worlds.courses, worlds.ids, worlds.memory,
+        sight, numbers.task,
     )  # fmt: skip
 
 
 @inlined
-def after_period(worlds, numbers, k):
-    """After a control period of wheel k: draw the course ahead, sense, identify, judge, reward, observe."""
+def _learn_class(worlds, numbers, k, reading, renewed, sight):
+    """What the camera and the identifier say together of the terrain class under wheel k."""
+    here, ids, state = label_here(worlds.courses, k, sight), worlds.ids, worlds.state
+    clear = clear_of_borders(sight.since, sight.left, numbers.memory)
+    if renewed and clear:
+        remember(worlds.memory, k, here, sight.patch, ids.estimate[k], ids.sd[k])
+    halts = state.halt_left[k] == numbers.world.halt_time  # a halt begins
+    if leaves(worlds.memory, k, sight.patch, clear) or halts:
+        judge_class(worlds.memory, k, here, sight.patch, reading.load, numbers.memory)
+
+
+@inlined
+def after_period(worlds, numbers, k, first, last):
+    """After a control period of wheel k: draw the course ahead, sense, identify, judge, reward, observe.
+
+    `first`, `last`: whether it is the first and the last one of the action, if the episode does not end in it.
+    """
     draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], _course(numbers))
     reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
     roll_odometer(worlds.state, k, reading.speed, numbers.task.sensors)
+    if worlds.recent.shape[0] > 0:
+        follow(worlds.recent, k, reading, worlds.state.halt_left[k] > 0.0, numbers.warning)
     paid, prior = numbers.task.reward_information > 0.0, numbers.identifier.precision
-    before = knowledge(worlds.ids, k, prior) if paid else 0.0
-    worlds.solved[k] = observe(worlds.ids, k, reading, numbers.identifier)
+    before = knowledge(worlds.ids, k, prior) if paid and first else 0.0
+    renewed = observe(worlds.ids, k, reading, numbers.identifier)
+    worlds.solved[k] = worlds.solved[k] or renewed
+    sight = _look(worlds, numbers, k)
+    if numbers.task.camera.classes > 0:
+        _learn_class(worlds, numbers, k, reading, renewed, sight)
     cause = judge(worlds.state, worlds.counts, k, numbers.task)
     worlds.cause[k] = cause
     terms = worlds.terms[k]
-    after = knowledge(worlds.ids, k, prior) if paid else 0.0
+    after = knowledge(worlds.ids, k, prior) if paid and last else 0.0
     reward_terms(worlds.state, k, cause, before, after, numbers.task, terms)
-    worlds.reward[k] = terms[0] + terms[1] + terms[2] + terms[3]
-    _observation(worlds, numbers, k, reading)
+    if last or cause != _RUNNING:
+        worlds.reward[k] = terms[0] + terms[1] + terms[2] + terms[3]
+        _observation(worlds, numbers, k, reading, sight)
+
+
+@inlined
+def _step(worlds, numbers, commands, start, count, steps):
+    """A step of the `steps` wheels start ... start + count - 1 that are `going`: as many control periods as an action
+    lasts, until the episode ends."""
+    repeat = numbers.task.repeat
+    for period in range(repeat):
+        if steps == 0:
+            return
+        advance(
+            worlds.state, worlds.counts, start, count, worlds.going, commands, worlds.courses, worlds.streams,
+            numbers.world,
+        )  # fmt: skip
+        for k in range(start, start + count):
+            if worlds.going[k] == STEP:
+                after_period(worlds, numbers, k, period == 0, period == repeat - 1)
+                if worlds.cause[k] != _RUNNING:
+                    worlds.going[k] = IDLE
+                    steps -= 1
 
 
 @inlined
@@ -166,7 +250,9 @@ def step_chunks(worlds, numbers, commands, what, counter):
     while start < wheels:
         count, steps = min(portion, wheels - start), 0
         for k in range(start, start + count):
+            worlds.going[k] = STEP if what[k] == STEP else IDLE
             if what[k] == STEP:
+                _clear(worlds, k)
                 steps += 1
             elif what[k] == RESTART:
                 restart(worlds, numbers, k)
@@ -174,16 +260,16 @@ def step_chunks(worlds, numbers, commands, what, counter):
                 worlds.reward[k] = draw_course(k, worlds.courses, worlds.streams, _course(numbers))
             elif what[k] == COMPLETE:
                 extend_course(k, worlds.courses, worlds.state.mass[k], np.inf, _course(numbers))
-        if steps > 0:
-            advance(
-                worlds.state, worlds.counts, start, count, what, commands, worlds.courses, worlds.streams,
-                numbers.world,
-            )  # fmt: skip
-            for k in range(start, start + count):
-                if what[k] == STEP:
-                    after_period(worlds, numbers, k)
+        _step(worlds, numbers, commands, start, count, steps)
         portion = _portion(counter, wheels)
         start = take(counter, portion)
+
+
+@root(nogil=True)
+def true_soils(worlds, numbers, out):
+    """Fill `out` [wheels, D] with the entries of `task.truth`; `numbers` are those of the variant `true_soil`."""
+    for k in range(len(out)):
+        write_truth(out[k], worlds.state, worlds.counts, k, worlds.courses, worlds.memory, numbers.task)
 
 
 def _processors() -> int:
@@ -194,6 +280,7 @@ class Simulation:
     """`wheels` wheels under one scenario with one observation variant.
 
     Arrays in `worlds` are overwritten by each step. All randomness of wheel k follows from the seed given to `seed`.
+    `warnings`: whether `worlds.recent` follows the sensors, for `identification.immobilisation`.
     """
 
     def __init__(
@@ -201,22 +288,25 @@ class Simulation:
         wheels: int,
         scenario: Scenario,
         variant: str,
-        max_episode_steps: int | None = None,
         threads: int | None = None,
         model: WheelSoilModel | None = None,
-    ):
+        warnings: bool = False,
+    ) -> None:
         self.scenario = scenario
         self._threads = threads or _processors()
         self._run = FastCall(step_chunks)
         self._commands, self._what = np.zeros(wheels), np.full(wheels, IDLE)
         self._counter = np.ones(2, dtype=np.int64)
         task = task_numbers(scenario, variant, model)
-        if max_episode_steps is not None:
-            task = task._replace(steps=min(task.steps, int(max_episode_steps)))
         self.numbers = Numbers(
-            world_numbers(scenario, model), course_numbers(scenario, model).drawn, identifier_numbers(scenario), task
+            world_numbers(scenario, model),
+            course_numbers(scenario, model).drawn,
+            identifier_numbers(scenario),
+            memory_numbers(scenario),
+            task,
+            warning_numbers(scenario),
         )
-        self.worlds = new_worlds(wheels, scenario, task)
+        self.worlds = new_worlds(wheels, scenario, task, warnings)
         self._check_passable(task)
 
     def _check_passable(self, task: TaskNumbers) -> None:
@@ -240,6 +330,14 @@ class Simulation:
         """Start the random stream of wheel k from a Generator."""
         self.worlds.streams[k] = seed_stream(rng)
 
+    def true_soils(self) -> np.ndarray:
+        """What `true_soil` observes of each wheel beside what `blind` does [wheels, D] float32."""
+        entries = truth(self.scenario.course)
+        out = np.empty((self.worlds.reward.size, len(entries)), dtype=np.float32)
+        variant = VARIANTS.index("true_soil")
+        true_soils(self.worlds, self.numbers._replace(task=self.numbers.task._replace(variant=variant)), out)
+        return np.clip(out, [e.low for e in entries], [e.high for e in entries], dtype=np.float32)
+
     def restart(self, k: int) -> None:
         """New course and fresh start for wheel k."""
         self._do(k, RESTART)
@@ -249,7 +347,7 @@ class Simulation:
         self._do(k, COMPLETE)
 
     def step(self, k: int, command: float) -> None:
-        """One control period of wheel k."""
+        """One step of wheel k: the control periods of an action."""
         self._commands[k] = command
         self._do(k, STEP)
 
@@ -262,7 +360,7 @@ class Simulation:
             self._what[k] = IDLE
 
     def step_all(self, commands: np.ndarray, what: np.ndarray) -> None:
-        """One control period with `commands` [wheels] float64; `what` [wheels] int8: STEP, RESTART or IDLE."""
+        """One step with `commands` [wheels] float64; `what` [wheels] int8: STEP, RESTART or IDLE."""
         commands, what = np.ascontiguousarray(commands, np.float64), np.ascontiguousarray(what, np.int8)
         self._in_parallel(commands, what)
 

@@ -14,7 +14,7 @@ import numpy as np
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import fma, half_sin_cos, power, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, over_eight, summed, to_array, turns
-from soil_env._numba.rows import rows, scratch_rows
+from soil_env._numba.rows import Rows, rows, scratch_rows
 from soil_env.terramechanics.contact import (
     JANOSI,
     Arc,
@@ -36,9 +36,9 @@ _depth, _weight = over_eight(NODE_DEPTHS), over_eight(NODE_WEIGHTS)
 
 #: Nodes of contact arcs: COUNT columns a node, NODE_COLUMNS for eight wheels. Stress for S = 1 times the node's weight,
 #: cosine and sine of the front node, and of the rear node times the length of its zone over that of the front zone.
-Nodes = rows("Nodes", "stress", "cos_front", "sin_front", "cos_rear", "sin_rear")
+Nodes: type[Rows] = rows("Nodes", "stress", "cos_front", "sin_front", "cos_rear", "sin_rear")
 NODE_COLUMNS = COUNT * NODES_PER_ZONE
-_ShearAtNodes = rows("_ShearAtNodes", "e_front", "e_rear", "x_front", "x_rear", "y_front", "y_rear")
+_ShearAtNodes: type[Rows] = rows("_ShearAtNodes", "e_front", "e_rear", "x_front", "x_rear", "y_front", "y_rear")
 _shear_at_nodes = scratch_rows(_ShearAtNodes, NODE_COLUMNS)
 _one_arc = scratch_rows(Nodes, COUNT)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Mapping
+from typing import TYPE_CHECKING, ClassVar
 
 from soil_env._io.loading import ParameterError, unknown_key
 from soil_env._numba.compiling import inlined, part
@@ -23,7 +24,22 @@ from soil_env.terramechanics.contact import (
 )
 
 #: All parameters of all effects, `<effect>_<parameter>`, as the kernels take them.
-Effects = namedtuple("Effects", [f"{effect.name}_{p.name}" for effect in CATALOGUE.values() for p in effect.parameters])
+if TYPE_CHECKING:
+
+    class Effects(tuple[float, ...]):
+        """The parameters of all effects of the catalogue, "effect_parameter" each."""
+
+        _fields: ClassVar[tuple[str, ...]]
+
+        def __new__(cls, *values: float) -> Effects: ...
+        def __getattr__(self, name: str) -> float: ...
+        def _replace(self, **changes: float) -> Effects: ...
+        def _asdict(self) -> dict[str, float]: ...
+
+else:
+    Effects = namedtuple(
+        "Effects", [f"{effect.name}_{p.name}" for effect in CATALOGUE.values() for p in effect.parameters]
+    )
 #: Every effect switched off: the base model.
 NO_EFFECTS = Effects(*(p.neutral for effect in CATALOGUE.values() for p in effect.parameters))
 

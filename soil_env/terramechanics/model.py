@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -82,7 +82,7 @@ class WheelSoilModel:
     gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81, doc="for the weight of the soil")
     validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, kind in (("wheel", ModelWheel), ("soil", (Soil, type(None))), ("residual", (tuple, list))):
             if not isinstance(getattr(self, name), kind):
                 raise ParameterError(f"WheelSoilModel: {name} = {getattr(self, name)!r}: expected {_EXPECTED[name]}")
@@ -127,7 +127,7 @@ class WheelSoilModel:
             out[here] = values
         return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size)
 
-    def content(self) -> dict:
+    def content(self) -> dict[str, Any]:
         """The mapping of model.yaml."""
         content = {
             "format": FORMAT,
@@ -155,7 +155,7 @@ class WheelSoilModel:
         return cls.from_content(read_yaml(Path(path)), str(path))
 
     @classmethod
-    def from_content(cls, content: Mapping, where: str = "model") -> WheelSoilModel:
+    def from_content(cls, content: Mapping[str, Any], where: str = "model") -> WheelSoilModel:
         """The model of the mapping of a model.yaml; errors name `where` it comes from."""
         known = ("format", "wheel", "soil", "effects", "residual", "gravity", "validity")
         if not isinstance(content, Mapping):
@@ -228,7 +228,7 @@ def _numbers(name: str, value) -> np.ndarray:
     return a
 
 
-def rows_of(conditions, wheel: ModelWheel) -> Rows:
+def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     """`Rows` of a table or a mapping; what is not given (or NaN) is level, fresh soil and the wheel of the model."""
     if isinstance(conditions, Table):
         given = {name: getattr(conditions, "passes" if name == "pass" else name) for name in

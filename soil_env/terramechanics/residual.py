@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -31,10 +31,12 @@ class ResidualTerm(Checked):
 
     channel: Literal["sinkage", "drawbar_pull", "torque"]
     coefficient: float = quantity("")
-    powers: dict = None
-    ranges: dict = None  # group -> [low, high] of the data; outside, the group keeps the value of the nearer end
+    powers: dict[str, Any] = None
+    ranges: dict[str, Any] = (
+        None  # group -> [low, high] of the data; outside, the group keeps the value of the nearer end
+    )
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("powers", "ranges"):
             given = getattr(self, name) or {}

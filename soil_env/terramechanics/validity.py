@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from soil_env._io.loading import ParameterError, unknown_key
 
@@ -34,7 +35,7 @@ def checked(validity: Mapping, where: str = "validity") -> dict[str, tuple[float
     return out
 
 
-def seen(slip, load, conditions: np.ndarray) -> dict[str, tuple[float, float]]:
+def seen(slip: ArrayLike, load: ArrayLike, conditions: np.ndarray) -> dict[str, tuple[float, float]]:
     """The ranges of slips [N], loads [N] and conditions [N, 3] (speed, 0 = not known; pass; sine of the grade)."""
     speed = conditions[:, 0]
     columns = {"slip": slip, "load": load, "speed": speed[speed > 0.0], "pass": conditions[:, 1],
@@ -42,7 +43,9 @@ def seen(slip, load, conditions: np.ndarray) -> dict[str, tuple[float, float]]:
     return {name: (float(x.min()), float(x.max())) for name, x in columns.items() if x.size}
 
 
-def outside(validity: Mapping[str, tuple[float, float]], slip, load, conditions: np.ndarray) -> str:
+def outside(
+    validity: Mapping[str, tuple[float, float]], slip: ArrayLike, load: ArrayLike, conditions: np.ndarray
+) -> str:
     """What of the rows lies outside by more than 1 % of the range, in words; "" for nothing."""
     asked, out = seen(slip, load, conditions), []
     for name, (low, high) in validity.items():

@@ -22,10 +22,11 @@ class WithScenario:
     """A command that depends on the scenario, and no `variant`: reads the default observation."""
 
     def __init__(self, scenario):
+        self.course = scenario.course
         self.share = 0.2 + 0.001 * scenario.control.time_limit
 
     def predict(self, obs, state=None, episode_start=None, deterministic=True):
-        assert obs.shape[1] == len(layout("identified"))
+        assert obs.shape[1] == len(layout("identified", self.course))
         return np.full((len(obs), 1), self.share), None
 
 

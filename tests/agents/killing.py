@@ -11,12 +11,10 @@ import os
 import signal
 import sys
 import traceback
-import types
 from pathlib import Path
 
 MOST = 120  # processes
 MOMENTS = ((1, "after"), (2, "before"), (2, "after"), (6, "before"), (5, "after"))  # of a process, in files; in turn
-QUICK = ("weak", "none", "none_poor", "outliers_none")  # cases of `benchmarks.blind.easy`
 
 
 def status_of(work) -> int:
@@ -98,15 +96,12 @@ def sim2real(folder: Path) -> None:
 
 
 def blind_cases(folder: Path) -> None:
-    """Four cases of `benchmarks.blind.easy`, with clocks that stand still."""
-    from benchmarks.blind.easy import command as blind
-    from benchmarks.blind.easy import study as blind_study
+    """Two small cases of `benchmarks.blind`, drawn, answered and scored."""
+    from benchmarks.blind.__main__ import main as blind
 
-    wanted = [t for t in blind_study.tasks(blind_study.IN_ALL, True) if t.group in QUICK]
-    blind.tasks = lambda cases, smoke: wanted
-    blind_study.time = types.SimpleNamespace(perf_counter=float, process_time=float)
-    if blind.main(["--smoke", "--workers", "1", "--seed", "7", "--resume", "--out", str(folder)]) != 0:
-        raise RuntimeError("benchmarks.blind.easy failed")
+    asked = ["--entrant", "bic", "--seed", "100007", "--limit", "30", "--group", "none-few-10", "--group", "one-few-10"]
+    if blind(["run", *asked, "--out", str(folder)]) != 0:
+        raise RuntimeError("benchmarks.blind failed")
 
 
 def main(name: str, folder: Path) -> None:
@@ -117,7 +112,7 @@ def main(name: str, folder: Path) -> None:
     import torch
 
     import agents.sim2real.study  # noqa: F401  # loaded before the forks
-    import benchmarks.blind.easy.study  # noqa: F401
+    import benchmarks.blind.__main__  # noqa: F401
 
     faulthandler.enable()
     torch.set_num_threads(1)

@@ -10,7 +10,7 @@ import yaml
 from scipy.stats import binomtest
 
 from agents.controllers import make_controller
-from agents.evaluate import HELD_OUT_SET, TUNING_SET, run_courses, study, summary
+from agents.evaluate import HELD_OUT_SET, run_courses, study, summary
 from agents.evaluate.__main__ import _asked, main, parser
 from agents.evaluate.records import METRICS, RATES
 from agents.evaluate.tuning import tuned_settings
@@ -23,8 +23,8 @@ def test_the_folder_holds_what_is_promised(done):
     result = result_of(done)
     assert list(result["controllers"]) == ["half", "tests.agents.drivers:Counting", "fixed_slip", "ppo"]
     assert result["controllers"]["ppo"]["members"] == 2 and len(result["controllers"]["ppo"]["sources"]) == 2
-    assert result["controllers"]["fixed_slip"]["settings"] == {"slip": 0.2, "start": 0.1}
-    assert (result["courses"], result["seed"], result["scenario"]) == (7, 11, "mixed")
+    assert result["controllers"]["fixed_slip"]["settings"] == pytest.approx({"slip": 0.2, "start": 0.03, "speed": 0.75})
+    assert (result["courses"], result["seed"], result["scenario"]) == (7, 11, "two_lines")
     for name, entry in result["controllers"].items():
         assert set(entry["metrics"]) == set(METRICS)
         for metric, m in entry["metrics"].items():
@@ -112,9 +112,9 @@ def test_tuning_is_kept_and_not_done_again(tmp_path, capsys):
     more = ("--tuning-courses=2", "--settings.constant_speed.speed=0.3")
     names = "fixed_slip,constant_speed,full_throttle"
     assert evaluate(tmp_path / "out", names, *more) == 0
-    assert "Tuning: 50 of 50 courses" in capsys.readouterr().out  # 25 settings of fixed_slip on 2 courses
+    assert "Tuning: 2 of 2 courses" in capsys.readouterr().out  # on 2 courses there is one trial
     kept = yaml.safe_load((tmp_path / "out" / "study.yaml").read_text())
-    assert set(kept["tuned"]) == {"fixed_slip"} and set(kept["tuned"]["fixed_slip"]) == {"slip", "start"}
+    assert set(kept["tuned"]) == {"fixed_slip"} and set(kept["tuned"]["fixed_slip"]) == {"slip", "start", "speed"}
     rows = result_of(tmp_path / "out")["controllers"]
     assert rows["fixed_slip"]["settings"] == kept["tuned"]["fixed_slip"]
     assert rows["constant_speed"]["settings"] == {"speed": 0.3}
@@ -138,7 +138,7 @@ def test_classical_controllers_beside_others_are_tuned_unless_asked_not_to(tmp_p
 def test_the_table_of_train_comes_out_again(tmp_path):
     """For the classical controllers, with the same tuning: the default set of courses is that of train.py."""
     scenario, names = load_scenario(), ("fixed_slip", "best_slip_identified")
-    chosen, _ = tuned_settings(scenario, TUNING_SET, 2, lambda count, name: None, names)
+    chosen, _ = tuned_settings(scenario, 2, names, lambda count, name: None)
     arguments = ["--courses=5", "--block=3", "--resamples=20", "--tuning-courses=2"]
     assert main([f"--controllers={','.join(names)}", f"--out={tmp_path / 'out'}", *arguments]) == 0
     for name, row in result_of(tmp_path / "out")["controllers"].items():

@@ -5,6 +5,7 @@ import shutil
 import pytest
 
 from agents.evaluate.__main__ import main
+from soil_env.parameters import load_scenario
 from soil_env.task import layout
 from tests.agents.evaluating import SHORT, evaluate
 from tests.agents.saved import edit, rewrite
@@ -70,7 +71,7 @@ def test_nothing_at_all_is_refused(capsys, tmp_path):
     "change, part",
     [
         (
-            lambda p: edit(p, observation_names=[f"n{k}" for k in range(len(layout("blind")))]),
+            lambda p: edit(p, observation_names=[f"n{k}" for k in range(len(layout("blind", load_scenario().course)))]),
             "another observation layout",
         ),
         (lambda p: edit(p, scenario={"control": {"action": "wheel_speed"}}), "trained with action 'wheel_speed'"),

@@ -70,7 +70,7 @@ def test_normalisation_that_lies_beside_is_used(tmp_path, scenario):
 
 
 def test_our_models_are_loaded_as_load_agent_does(tmp_path, scenario):
-    config = ppo.PPOConfig(num_envs=4, n_steps=8, batch_size=32, n_epochs=1, layer=4)
+    config = ppo.PPOConfig(num_envs=4, n_steps=8, batch_size=32, n_epochs=1, layer=4, history=0)
     model = ppo.build(scenario, "identified", config, 0)
     model.learn(96)
     ppo.save(model, tmp_path / "model.zip")

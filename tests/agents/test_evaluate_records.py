@@ -23,7 +23,7 @@ SEED = 4242
 
 @pytest.fixture(scope="module")
 def scenario():
-    return load_scenario("mixed", {"control": {"time_limit": 20.0}})
+    return load_scenario("mixed", {"control": {"action": "torque", "time_limit": 20.0}})
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_records_depend_neither_on_threads_nor_on_blocks(scenario, full):
 
 
 def test_metrics_equal_a_loop_over_one_wheel(scenario):
-    controller = make_controller("fixed_slip", scenario, slip=0.45, start=0.2)
+    controller = make_controller("fixed_slip", scenario, slip=0.45, start=0.15)
     got, pulled = record(controller, scenario, SEED, 0, 6), 0
     for course in range(6):
         sim = Simulation(1, scenario, "blind", threads=1)

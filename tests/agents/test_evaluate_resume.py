@@ -83,7 +83,7 @@ def test_a_damaged_log_is_refused_in_one_line(capsys, tmp_path, done, damage):
 def test_kill_9_and_resume_give_the_same_table(tmp_path):
     """A controller that kills the process in the middle of a block."""
     out, calm, mark = tmp_path / "out", tmp_path / "calm", tmp_path / "killed"
-    command = [sys.executable, "-m", "agents.evaluate", *SHORT]
+    command = [sys.executable, "-m", "agents.evaluate", *SHORT, "--changes.control.action=torque"]
     command.append("--controllers=half=tests.agents.drivers:Half,tests.agents.drivers:Killer")
     env = {**os.environ, "SOIL_ENV_TEST_KILL": str(mark), "MPLBACKEND": "Agg"}
     root = Path(__file__).resolve().parents[2]

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,20 +21,15 @@ from agents.evaluate import run_courses  # noqa: E402
 from agents.evaluate.contestants import parse  # noqa: E402
 from agents.evaluate.models import load_model  # noqa: E402
 from agents.export.__main__ import main  # noqa: E402
-from agents.export.contact import best_slip  # noqa: E402
-from agents.export.graph import Graph  # noqa: E402
 from agents.exported import ExportedAgent  # noqa: E402
-from agents.guided import Guide  # noqa: E402
 from agents.ppo import PPOConfig  # noqa: E402
 from agents.sb3 import SoilWheelVecEnv  # noqa: E402
 from soil_env._io.loading import ParameterError  # noqa: E402
 from soil_env.env import SoilWheelEnv, observation_space  # noqa: E402
 from soil_env.parameters import load_scenario  # noqa: E402
-from soil_env.terramechanics.traversability import best_points  # noqa: E402
 
-TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=8)
-COURSE = {"course": {"length": 3.0}, "control": {"time_limit": 20.0}}
-READS = {"": "identified", "fixed_slip": "blind", "best_slip_identified": "identified", "best_slip_true": "true_soil"}
+TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=8, history=0)
+COURSE = {"course": {"length": 3.0}, "control": {"action": "torque", "time_limit": 20.0}}
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +37,9 @@ def scenario():
     return load_scenario("mixed", COURSE)
 
 
-def saved(folder, scenario, algorithm="ppo", guide="", steps=256):
+def saved(folder, scenario, algorithm="ppo", observation="identified", steps=256, **inputs):
     """A run folder with an agent that has learnt a little, so that its normalisation is not the identity."""
-    made = Guide(scenario, guide, {"start": 0.2}, 1.4, READS[guide]) if guide else None
-    model = ppo.build(scenario, READS[guide], TINY, 0, guide=made, algorithm=algorithm)
+    model = ppo.build(scenario, observation, replace(TINY, **inputs), 0, algorithm=algorithm)
     model.learn(steps)
     folder.mkdir(exist_ok=True)
     ppo.save(model, folder / "model.zip")
@@ -53,7 +48,7 @@ def saved(folder, scenario, algorithm="ppo", guide="", steps=256):
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory, scenario):
-    """(run folder, folder of its export) of an agent without a guide."""
+    """(run folder, folder of its export) of an agent without a history."""
     run = saved(tmp_path_factory.mktemp("run"), scenario)
     row = {"value": 0.1, "low": 0.05, "high": 0.2}
     names = ("immobilised", "time_limit", "finished", "return", "distance")
@@ -79,20 +74,22 @@ def start(out, *arguments):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("algorithm", "guide", "action"), [
-    ("ppo", "", "torque"),
-    ("ppo", "fixed_slip", "wheel_speed"),
-    ("ppo", "best_slip_true", "torque"),
-    ("recurrent_ppo", "", "torque"),
-    ("recurrent_ppo", "best_slip_identified", "torque"),
+@pytest.mark.parametrize(("algorithm", "observation", "action", "inputs"), [
+    ("ppo", "identified", "torque", {}),
+    ("ppo", "blind", "wheel_speed", {"history": 4}),
+    ("ppo", "blind", "rim_acceleration", {"history": 4}),
+    ("ppo", "identified", "torque", {"history": 2, "critic": "true_soil"}),
+    ("ppo", "true_soil", "torque", {"critic": "true_soil"}),
+    ("recurrent_ppo", "identified", "torque", {}),
+    ("recurrent_ppo", "blind", "torque", {"history": 2}),
 ])  # fmt: skip
-def test_the_runner_alone_drives_courses_as_the_agent_would(tmp_path, scenario, algorithm, guide, action):
+def test_the_runner_alone_drives_courses_as_the_agent_would(tmp_path, scenario, algorithm, observation, action, inputs):
     """1000 steps in closed loop: what the wheel does follows from the runner's actions."""
     pytest.importorskip("sb3_contrib")
     scenario = load_scenario(scenario, {"control": {"action": action}})
-    run = saved(tmp_path / "run", scenario, algorithm, guide)
+    run = saved(tmp_path / "run", scenario, algorithm, observation, **inputs)
     assert main([str(run), f"--out={tmp_path}/out", "--courses=2", "--steps=20"]) == 0
-    agent, env = load_model(run / "model.zip", scenario), SoilWheelEnv(scenario, observation=READS[guide])
+    agent, env = load_model(run / "model.zip", scenario), SoilWheelEnv(scenario, observation=observation)
     runner, memory, over, worst, courses = start(tmp_path / "out", "--serve"), None, True, 0.0, 0
     for step in range(1000):
         if over:
@@ -120,26 +117,6 @@ def test_the_runner_checks_the_recorded_steps(exported):
         (exported[1].parent / name).write_bytes((exported[1] / name).read_bytes())
     printed, _ = start(exported[1].parent).communicate()
     assert "largest difference 5.0e-01" in printed
-
-
-def test_the_slip_of_the_guide_in_the_graph_is_that_of_the_kernel():
-    """Against `best_points` on random soils: weak ones that carry no wheel, and motors that turn at no slip, among
-    them. Slips are of a list, so they agree or they differ; two pulls that are alike to 1e-7 may be taken in turn."""
-    rng, n = np.random.default_rng(5), 600
-    soils = np.column_stack([
-        np.tan(rng.uniform(0.1, 0.9, n)), rng.uniform(0.0, 5e3, n), 10.0 ** rng.uniform(-3, -0.7, n),
-        10.0 ** rng.uniform(3.0, 7.0, n), rng.uniform(0.4, 1.3, n), rng.uniform(0.0, 3.0, n), rng.uniform(0.2, 1.0, n),
-    ])  # fmt: skip
-    load, slip, pull = rng.uniform(20.0, 400.0, n), np.zeros(n), np.zeros(n)
-    best_points(np.arange(n), soils, load, 0.15, 0.12, 12.0, slip, pull)
-    graph = Graph()
-    columns, weight = graph.input("soils", "float64"), graph.input("load", "float64")
-    out = best_slip(graph, [columns[:, k] for k in range(7)], weight, 0.15, 0.12, 12.0)
-    model = graph.model([graph.info(columns, ["n", 7]), graph.info(weight, ["n"])], [graph.info(out, ["n"])], {})
-    session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
-    found = session.run(None, {"soils": soils, "load": load})[0]
-    assert (pull == -np.inf).sum() > 20 and len(np.unique(slip)) >= 8
-    assert (found != slip).sum() <= 1
 
 
 def test_the_description_says_what_every_number_is(exported, scenario):
@@ -171,9 +148,9 @@ def test_the_card_has_the_names_of_huggingface_sb3(exported):
     assert (out / "ppo-SoilWheel-v0.zip").read_bytes() == (exported[0] / "model.zip").read_bytes()
 
 
-@pytest.mark.parametrize("guide", ["", "best_slip_identified"])
-def test_an_export_is_a_contestant_by_its_path(tmp_path, scenario, guide):
-    run = saved(tmp_path / "run", scenario, "ppo", guide)
+@pytest.mark.parametrize("history", [0, 3])
+def test_an_export_is_a_contestant_by_its_path(tmp_path, scenario, history):
+    run = saved(tmp_path / "run", scenario, history=history)
     assert main([str(run), f"--out={tmp_path}/out", "--courses=2", "--steps=5"]) == 0
     (contestant,) = parse(f"mine={tmp_path}/out").values()
     assert contestant.kind == "model" and contestant.source.endswith("policy.onnx")
@@ -196,7 +173,7 @@ def test_models_of_plain_sb3_with_their_vecnormalize(tmp_path, capsys, algorithm
     assert main([str(tmp_path / "model.zip"), f"--out={tmp_path}/out", "--courses=2", "--steps=30"]) == 0
     content = yaml.safe_load((tmp_path / "out" / "policy.yaml").read_text(encoding="utf-8"))
     assert content["algorithm"] == algorithm.__name__ and content["proof"]["largest_difference"] <= 1e-5
-    space = observation_space("blind")
+    space = observation_space("blind", load_scenario().course)
     x = np.random.default_rng(0).uniform(space.low, space.high, (40, *space.shape)).astype(np.float32)
     expected, _ = model.predict(env.normalize_obs(x), deterministic=True)
     found, memory = ExportedAgent(tmp_path / "out" / "policy.onnx").predict(x)
@@ -232,6 +209,16 @@ def test_networks_and_files_that_are_not_known_are_named(tmp_path, scenario, exp
     onnx.save(model, tmp_path / "foreign.onnx")
     with pytest.raises(ParameterError, match="not written by agents.export"):
         ExportedAgent(tmp_path / "foreign.onnx")
+
+
+def test_a_folder_or_file_that_is_no_run_is_named_once(tmp_path, capsys):
+    (tmp_path / "no.zip").write_text("text")
+    (tmp_path / "empty").mkdir()
+    for place, words in (("empty", "no model.zip"), ("nowhere", "not there"), ("no.zip", "not a zip file")):
+        assert main([str(tmp_path / place), "--out", str(tmp_path / "out")]) == 2
+        said = capsys.readouterr().err
+        assert words in said and said.count(place) == 1 and said.count("model.zip") <= 1 and said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_publishing_lists_and_sends_what_it_lists(exported, capsys, monkeypatch, tmp_path):

@@ -17,7 +17,7 @@ from soil_env.parameters import load_scenario
 from soil_env.simulation.task import VARIANTS, layout
 from tests.agents.saved import META, edit, rewrite
 
-TINY = PPOConfig(num_envs=8, n_steps=16, batch_size=32, n_epochs=2, layer=8, learning_rate=1e-3)
+TINY = PPOConfig(num_envs=8, n_steps=16, batch_size=32, n_epochs=2, layer=8, learning_rate=1e-3, history=0)
 ROLLOUT = TINY.num_envs * TINY.n_steps
 
 
@@ -336,9 +336,9 @@ def test_a_batch_that_does_not_divide_the_rollout_is_refused(num_envs, n_steps, 
 
 
 def test_an_observation_of_another_layout_is_refused(tmp_path):
-    save(build(load_scenario(), "blind", TINY, 0), tmp_path / "model.zip")
+    save(build(load_scenario("mixed"), "blind", TINY, 0), tmp_path / "model.zip")
     agent = load_agent(tmp_path / "model.zip")
     for shape in ((24,), (3, 24), ()):
-        with pytest.raises(ParameterError, match=r"expected 13 numbers, those of observation 'blind'"):
+        with pytest.raises(ParameterError, match=r"expected 14 numbers, those of observation 'blind'"):
             agent.predict(np.zeros(shape))
-    assert agent.predict(np.zeros((3, 13)))[0].shape == (3, 1)
+    assert agent.predict(np.zeros((3, 14)))[0].shape == (3, 1)

@@ -6,13 +6,12 @@ import pytest
 from agents import ppo
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
-from agents.guided import Guide
 from agents.ppo import PPOConfig, TrainConfig
 from agents.training import make_run_folder, open_run, train
 from soil_env.parameters import load_scenario
 from soil_env.task import layout
 
-TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=4)
+TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=4, history=2)
 
 
 @pytest.fixture(scope="module")
@@ -20,11 +19,9 @@ def scenario():
     return load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 5.0}})
 
 
-@pytest.mark.parametrize("guided", [False, True])
-def test_a_saved_agent_drives_with_its_memory_and_goes_on(tmp_path, scenario, guided):
+def test_a_saved_agent_drives_with_its_memory_and_goes_on(tmp_path, scenario):
     pytest.importorskip("sb3_contrib")
-    guide = Guide(scenario, "fixed_slip", {}, 1.4, "blind") if guided else None
-    model = ppo.build(scenario, "blind", TINY, 0, guide=guide, algorithm="recurrent_ppo")
+    model = ppo.build(scenario, "blind", TINY, 0, algorithm="recurrent_ppo")
     model.learn(64)
     path = tmp_path / "model.zip"
     ppo.save(model, path)
@@ -37,7 +34,7 @@ def test_a_saved_agent_drives_with_its_memory_and_goes_on(tmp_path, scenario, gu
     np.testing.assert_allclose(afresh, first, atol=1e-6)  # a new course: nothing is remembered
     runs = run_courses(agent, scenario, 3, 4)
     assert np.isfinite(runs.returns).all()
-    again = ppo.resume(path, scenario, "blind", TINY, 0, None, guide=guide, algorithm="recurrent_ppo")
+    again = ppo.resume(path, scenario, "blind", TINY, 0, None, algorithm="recurrent_ppo")
     again.learn(64, reset_num_timesteps=False)
     assert again.num_timesteps == 128
 

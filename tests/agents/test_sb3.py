@@ -9,9 +9,9 @@ from soil_env._io.loading import ParameterError
 from soil_env.env import SoilWheelEnv
 from soil_env.simulation.task import VARIANTS
 
-SHORT = {"control": {"time_limit": 3.0}}  # 30 steps
+SHORT = {"control": {"time_limit": 3.0}}  # 6 steps of 0.5 s
 QUICK_END = {"limits": {"no_progress_time": 0.5}}
-FINISH = {"course": {"length": 1.0, "patch_length": [0.5, 0.9], "grade_deg": [-5.0, 0.0]}}
+FINISH = {"scenario": "mixed", "course": {"length": 1.0, "patch_length": [0.5, 0.9], "grade_deg": [-5.0, 0.0]}}
 
 
 def drive(env, steps, actions):
@@ -53,14 +53,14 @@ def test_every_number_equals_the_scalar_env(variant):
     assert ends >= wheels
 
 
-def test_time_limit_is_truncation_at_the_scenario_s_last_step():
+def test_the_time_limit_ends_an_episode_at_the_scenario_s_last_step():
     env = SoilWheelVecEnv(4, **SHORT)
     env.seed(0)
     env.reset()
-    for t in range(1, 31):
+    for t in range(1, 7):
         _, _, dones, infos = env.step(np.zeros((4, 1), dtype=np.float32))
-        assert dones.all() == dones.any() == (t == 30)
-    assert [i["TimeLimit.truncated"] for i in infos] == [True] * 4
+        assert dones.all() == dones.any() == (t == 6)
+    assert [i["TimeLimit.truncated"] for i in infos] == [False] * 4
     assert [i["cause"] for i in infos] == ["TIME_LIMIT"] * 4
 
 

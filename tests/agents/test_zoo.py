@@ -49,7 +49,7 @@ def test_the_hyperparameters_build_an_agent(given, tmp_path):
     model.learn(32)
     action, _ = model.predict(env.reset(), deterministic=True)
     assert action.shape == (4, 1)
-    assert torch.allclose(model.policy.log_std, torch.tensor(-1.6), atol=0.05)
+    assert torch.allclose(model.policy.log_std, torch.tensor(-1.0), atol=0.05)
 
 
 def test_the_native_wheels_are_those_of_sb3(tmp_path):

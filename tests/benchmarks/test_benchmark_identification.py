@@ -31,7 +31,7 @@ def test_smoke_run(folder):
 
 def test_every_estimator_stands_beside_the_bound(folder):
     bound = _read(folder)["bound"]
-    assert len(bound["ratio"]) == len(bound["inside_68"]) == 8
+    assert len(bound["ratio"]) == len(bound["inside_68"]) == 9
     for label, ratio in bound["ratio"].items():
         direct = np.divide(bound["rms"][label]["all"], bound["rms"]["bound, all sensors"]["all"])
         np.testing.assert_allclose(ratio["value"], direct, rtol=1e-9)

@@ -13,7 +13,7 @@ from soil_env.simulation.terrain import ground_at
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import sinkage_coefficient_at
 
-SCENARIO = load_scenario("mixed")
+SCENARIO = load_scenario("mixed", {"control": {"action": "torque"}})
 
 
 @pytest.fixture(scope="module")

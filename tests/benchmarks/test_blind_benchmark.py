@@ -15,11 +15,12 @@ from benchmarks.blind.cases import draw_case, write_case
 from benchmarks.blind.effect import Hidden
 from benchmarks.blind.entrants import Answer, entrant
 from benchmarks.blind.forms import FORMS, MECHANISMS, forms_of
-from benchmarks.blind.groups import GROUPS, IN_ALL, Task, task_of, tasks
+from benchmarks.blind.groups import GROUPS, Task
 from benchmarks.blind.laws import BASE_LAWS, LENGTHS, RandomFunction, StressError, covariance
 from benchmarks.blind.limits import Measure, without
 from benchmarks.blind.plan import CHANNELS, draw_bench
 from benchmarks.blind.score import judged, reliability, wilson
+from benchmarks.blind.sets import SETS, task_of
 from benchmarks.blind.unlisted import UNLISTED
 from benchmarks.blind.world import Contact, Ground, Rows, Wheel, predict
 from soil_env.measurement.table import read_setup, read_table
@@ -218,14 +219,15 @@ def test_a_pair_is_judged_beside_its_partner():
 
 
 def test_groups_are_balanced_and_a_beginning_is_a_fair_sample():
-    assert IN_ALL == sum(g.count for g in GROUPS.values()) >= 1000
+    laws = SETS["laws"]
+    assert laws.in_all == sum(g.count for g in GROUPS.values()) >= 1000
     group = GROUPS["one-rich-10"]
     names = [group.hidden(k)[0].effect for k in range(group.count)]
     assert {names.count(m) for m in MECHANISMS} == {group.count // 13}
     assert {group.hidden(k)[0].name for k in range(group.count)} == {f.name for f in FORMS}
-    first = [t.group for t in tasks(215)]
+    first = [t.group for t in laws.tasks(215)]
     for name, g in GROUPS.items():
-        assert abs(first.count(name) - 215 * g.count / IN_ALL) <= 1.0
+        assert abs(first.count(name) - 215 * g.count / laws.in_all) <= 1.0
     assert task_of("one-rich-10-007") == Task("one-rich-10", 7)
     with pytest.raises(ValueError, match="one-rich-11"):
         task_of("one-rich-11-000")
@@ -304,13 +306,13 @@ def test_figures_and_page_say_what_was_counted(tmp_path):
     said = [(truth("one", "grade"), Answer("named", ("grade",), (), {"grade": 0.8}))] * 8
     said += [(truth("one", "grade"), Answer("named", ("multipass",), (), {"multipass": 0.8}))] * 2
     said += [(truth("one", "grade", counts=False), Answer("none"))] * 5 + [(truth("none"), Answer("none"))] * 3
-    f = score.figures([score.Record(t, a, judged(t, a), 1.0) for t, a in said])
+    f = score.figures([score.Record(t, a, judged(t, a), 1.0) for t, a in said], SETS["laws"])
     assert (f["targets"]["first"]["count"], f["targets"]["first"]["of"]) == (8, 10)
     assert f["targets"]["wrong"]["value"] == 0.2 and f["targets"]["none"]["of"] == 3
     assert f["below"]["0.1"]["cases"] == 5 and f["mechanisms"]["grade"]["instead"] == {"multipass": 2}
     # own form 0.5, rival 2.0 limits away: Phi(1.5 sqrt(17.81)/2) = Phi(3.165)
     assert f["ideal"] == pytest.approx(0.99922, abs=1e-4) and f["nearest"]["first"]["of"] == 10
-    result = {"seed": 100001, "entrants": {"mine": f}, "groups": {}}
+    result = {"set": "laws", "seed": 100001, "entrants": {"mine": f}, "groups": {}}
     page.write(result, tmp_path)
     text = (tmp_path / "blind_scores.md").read_text()
     assert "80.0 [49.0, 94.3] of 10" in text and (tmp_path / "blind_scores_mine.svg").read_text().count("<circle") >= 2
@@ -346,19 +348,10 @@ def test_answers_are_checked():
 
 
 def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
-    wanted = [t for t in tasks() if t.group in ("none-few-10", "one-few-0")][:4]
-    monkeypatch.setattr(command, "tasks", lambda limit=None: wanted[:limit])
-    options = [
-        "run",
-        "--entrant",
-        f"{__name__}:says_grade",
-        "--label",
-        "grade",
-        "--seed",
-        "100010",
-        "--out",
-        str(tmp_path),
-    ]
+    wanted = [t for t in SETS["laws"].tasks() if t.group in ("none-few-10", "one-few-0")][:4]
+    monkeypatch.setattr(command, "_names", lambda options: [t.name for t in wanted][: options.limit])
+    options = ["run", "--entrant", f"{__name__}:says_grade", "--label", "grade", "--seed", "100010"]
+    options += ["--out", str(tmp_path)]
     assert command.main([*options, "--limit", "2"]) == 0
     before = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "answers" / "grade").iterdir()}
     assert len(before) == 2
@@ -378,7 +371,7 @@ def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
 
 
 def test_an_entrant_that_fails_is_an_error_not_the_end(tmp_path):
-    run.begin(tmp_path, 100010)
+    run.begin(tmp_path, 100010, SETS["laws"])
     run.ask("math:sqrt", "broken", 100010, tmp_path, "none-few-10-000")
     record = score.read_records(tmp_path, "broken", ["none-few-10-000"])[0]
     assert record.answer.verdict == "error" and "TypeError" in record.answer.note

@@ -1,20 +1,24 @@
 """Detection limits, imitations, and the files of the blind cases."""
 
 import json
+from collections import Counter
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-import yaml
 from scipy.optimize import least_squares
 
-from benchmarks.blind.easy import cases as blind_cases
+from benchmarks.blind.cases import write_case
 from benchmarks.blind.easy import limits as blind_limits
-from benchmarks.blind.easy.cases import draw_case, write_case
-from benchmarks.blind.easy.forms import EFFECTS
+from benchmarks.blind.easy.cases import draw_case
+from benchmarks.blind.easy.forms import EFFECTS, FORMS
+from benchmarks.blind.easy.groups import GROUPS, PAIRS
 from benchmarks.blind.easy.limits import detection_limit, gap, imitation, noncentrality
 from benchmarks.blind.easy.plan import Options, draw_bench
+from benchmarks.blind.entrants import Answer
+from benchmarks.blind.score import judged
+from benchmarks.blind.sets import set_of, task_of
 from benchmarks.blind.world import Ground, predict
 from soil_env.measurement.table import read_setup, read_table
 from tests.benchmarks.blind_bench import BENCH, GROUND, NAMES, WHEEL, grid, hidden, table
@@ -216,14 +220,29 @@ def test_impossible_cases_and_bad_names_are_refused():
         draw_case(np.random.default_rng(0), "some")
 
 
-def test_command_writes_cases_apart_from_truths(tmp_path, capsys):
-    arguments = ["--seed", "1", "--count", "2", "--kind", "one", "--design", "poor", "--out", str(tmp_path)]
-    assert blind_cases.main(arguments) == 0
-    assert {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()} == {
-        "cases/0000/data.csv", "cases/0000/setup.yaml", "cases/0001/data.csv", "cases/0001/setup.yaml",
-        "truth/0000.json", "truth/0001.json",
-    }  # fmt: skip
-    assert len(capsys.readouterr().out.splitlines()) == 2
-    assert yaml.safe_load((tmp_path / "cases/0000/setup.yaml").read_text())["noise"]["torque"] > 0.0
-    assert blind_cases.main(["--effect", "bulldosing", "--out", str(tmp_path)]) == 2
-    assert "bulldosing" in capsys.readouterr().err
+# --- the set ----------------------------------------------------------------------------------------------------------
+
+
+def test_groups_cover_effects_forms_and_pairs():
+    for name, group in GROUPS.items():
+        assert name.startswith("easy-") and group.name == name
+    one = GROUPS["easy-one-rich"]
+    drawn_forms = Counter(one.effects(k)["forms"][0] for k in range(one.count))
+    assert set(drawn_forms) == {f.name for f in FORMS}
+    assert Counter(one.effects(k)["names"][0] for k in range(one.count)) == dict.fromkeys(EFFECTS, one.count // 13)
+    two = GROUPS["easy-two-rich"]
+    assert Counter(two.effects(k)["names"] for k in range(two.count)) == dict.fromkeys(PAIRS, 2)
+
+
+@pytest.mark.parametrize("name", ["easy-one-rich-003", "easy-unlisted-rich-001", "easy-none-rich-priors-000"])
+def test_truths_are_those_of_the_benchmark(tmp_path, name):
+    """A case of the easy set is scored as any other; the true names earn what they should."""
+    case = set_of(name).draw(100003, task_of(name))
+    write_case(case, tmp_path / name, tmp_path / "truth.json")
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    names = tuple(e["name"] for e in truth["effects"] if e["name"] in EFFECTS)
+    right = Answer({"one": "named"}.get(truth["kind"], truth["kind"]), names, (), dict.fromkeys(names, 0.9))
+    worth = judged(truth, right)
+    assert truth["counts"] and not worth.wrong and (worth.first if truth["kind"] == "one" else worth.silent)
+    text = (tmp_path / name / "data.csv").read_text() + (tmp_path / name / "setup.yaml").read_text()
+    assert not any(e["form"] in text for e in truth["effects"])

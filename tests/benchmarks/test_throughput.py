@@ -60,7 +60,7 @@ def test_a_step_reads_nothing_but_what_is_beside_the_wheel(length):
     """So its cost can depend neither on the length of the course nor on how far the wheel has come."""
     changes = {
         "course": {"length": length, "margin": [0.2, 0.25], "grade_deg": [-6.0, 2.0]},
-        "control": {"time_limit": 900.0},
+        "control": {"action": "torque", "time_limit": 900.0},
     }
     sims = [Simulation(4, load_scenario("mixed", changes), "true_soil", threads=1) for _ in range(2)]
     rng, far = np.random.default_rng(0), 0.0

@@ -1,12 +1,13 @@
 """Evidence of a model under form errors: against normal densities written out, and what it promises and detects."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from soil_env.discrepancy import evidence
+from soil_env.discrepancy import anonymous, evidence
 from soil_env.discrepancy.calibrate import Choice, Sizes
 from soil_env.discrepancy.search import forms
 from tests.discrepancy.tables import NOISE, problem, table
@@ -106,20 +107,37 @@ def test_what_is_detectable_is_detected(data, name):
 
 
 def test_noise_that_is_hardly_known_says_less(data):
-    p = problem(table({"bulldozing": {"rankine": 0.8}}, speeds=SPEEDS), np.random.default_rng(6))
-    gains = []
+    """Stated at half of what it is, and known to four degrees of freedom or for sure."""
+    p = problem(table({"bulldozing": {"rankine": 0.4}}, speeds=SPEEDS), np.random.default_rng(6))
+    p, gains = dataclasses.replace(p, noise=0.5 * NOISE), []
     for p.freedom in (math.inf, 4.0):
         base = evidence.settle(p, ())
         gains.append(evidence.settle(p, (Choice("bulldozing", 0),), base).log - base.log)
-    assert 0.0 < gains[1] < gains[0]
+    assert 0.0 < gains[1] < 0.8 * gains[0]
     assert evidence.noise_scales(math.inf) == pytest.approx([1.0]) and evidence.noise_scales(4.0)[2] > 1.0
 
 
-def test_an_anonymous_contribution_is_found_in_its_channel(data):
-    wave = 6.0 * NOISE[1] * np.sin(20.0 * data.rows.slip) * np.sign(data.rows.load - 150.5)
-    p = problem(data, np.random.default_rng(7), np.outer(wave, [0.0, 1.0, 0.0]))
+@pytest.mark.parametrize(
+    "place, pattern",
+    [((0.0, 8.0, 0.0), "drawbar_pull with slip"), ((8.0, 0.0, 0.0), "sinkage with slip and speed")],
+)
+def test_an_anonymous_contribution_is_found_in_its_place(data, place, pattern):
+    slip, speed = data.rows.slip, data.rows.conditions[:, 0]
+    wave = np.sin(7.0 * slip) * (np.sign(speed - 0.06) if "speed" in pattern else 1.0)
+    p = problem(data, np.random.default_rng(7), np.outer(wave, place * NOISE))
     base = evidence.settle(p, ())
-    free = evidence.weigh(p, base.fit, base)
+    free = anonymous.anonymous(p, base)
     assert free.log > base.log + 10.0
-    assert free.sizes.free[1] > 0.0 == free.sizes.free[2]
-    assert base.sizes.free == Sizes().free
+    assert free.sizes.pattern == pattern and free.sizes.scatter == 1.0
+    assert base.sizes.pattern == "" and base.sizes.free == Sizes().free
+
+
+def test_rows_that_scatter_are_told_from_a_smooth_contribution(data):
+    rng = np.random.default_rng(8)
+    p = problem(data, rng, 3.0 * NOISE * rng.normal(size=data.y.shape))
+    free = anonymous.anonymous(p, evidence.settle(p, ()))
+    assert free.sizes.scatter == pytest.approx(3.0, abs=1.1) and free.sizes.pattern == ""
+    fit = p.fit((), sizes=Sizes(scatter=3.0))
+    a, e = fit.linearised()
+    assert fit.sizes.scatter == 3.0 and np.mean(e[: fit.residual.size] ** 2) == pytest.approx(1.1, abs=0.3)
+    assert a[: fit.residual.size] * 3.0 == pytest.approx(fit.jacobian[:, fit.free_unknowns])

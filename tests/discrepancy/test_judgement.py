@@ -20,11 +20,11 @@ from tests.discrepancy.tables import NOISE, table
 
 
 def linear(unknown, u, *parts):
-    """(finding, evidence, fit) of one unknown: (probability, mean, variance) of each hypothesis."""
+    """(finding, evidence) of one unknown, fitted at u: (probability, mean, variance) of each hypothesis."""
     fit = SimpleNamespace(unknowns=(unknown,), u=np.array([u]))
     own = [SimpleNamespace(mean=np.array([m]), covariance=np.array([[v]]), fit=fit) for _, m, v in parts]
     hypotheses = tuple(Hypothesis((), False, w, 0.0, e) for (w, _, _), e in zip(parts, own, strict=True))
-    return Finding(hypotheses, {}, {}), own[0], fit
+    return Finding(hypotheses, {}, {}), own[0]
 
 
 def test_intervals_are_those_of_a_linear_problem():
@@ -41,7 +41,15 @@ def test_intervals_are_those_of_a_linear_problem():
 def test_intervals_are_over_all_hypotheses():
     unknown = Unknown("x", 0.0, 1.0, -math.inf, math.inf, False)
     told = judgement.intervals(*linear(unknown, 0.0, (0.5, 0.0, 0.01), (0.5, 1.0, 0.01)))
-    assert told["x"].high == pytest.approx(1.959964 * math.sqrt(0.51))
+    assert told["x"].value == pytest.approx(0.5)
+    assert told["x"].high == pytest.approx(0.5 + 1.959964 * math.sqrt(0.26))
+
+
+def test_estimates_are_of_the_posterior_not_of_the_fit():
+    """A fit two standard deviations off the posterior of its model does not widen the interval."""
+    unknown = Unknown("x", 0.0, 1.0, -math.inf, math.inf, False)
+    told = judgement.intervals(*linear(unknown, -0.5, (1.0, 0.5, 0.04)))["x"]
+    assert told.value == pytest.approx(0.5) and told.low == pytest.approx(0.5 - 1.959964 * 0.2)
 
 
 @given(st.floats(-50, 50), st.floats(1e-6, 10), st.floats(0.1, 5))

@@ -11,9 +11,19 @@ from soil_env._numba.compiling import root
 from soil_env._numba.lanes import COUNT, fill, from_array
 from soil_env.identification import Status
 from soil_env.identification import online as identifier
-from soil_env.identification.filter_bank import element, filter_numbers
-from soil_env.identification.filter_update import absorb
-from soil_env.identification.linearised import COLUMNS, STATES, Linearised, Reference, linearise
+from soil_env.identification.border import begin, blend, by_both_soils, covariance_of_ground
+from soil_env.identification.filter_bank import (
+    COVARIANCES,
+    CROSSING,
+    MEANS,
+    OLD,
+    PLACE,
+    STAYS,
+    element,
+    filter_numbers,
+)
+from soil_env.identification.filter_update import absorb, absorb_on_border
+from soil_env.identification.linearised import COLUMNS, SINKAGE, STATES, Linearised, Reference, linearise
 from soil_env.identification.mixture_prior import (
     SIZE,
     mixture_prior,
@@ -63,28 +73,221 @@ def _update(mean, covariance, at, slopes, measured, variance):
     absorb(mean, covariance, at, slopes, fill(0.0), from_array(measured, 0), from_array(variance, 0))
 
 
-def test_linear_measurements_give_the_exact_kalman_filter():
-    """Twenty linear measurements of eight Gaussians of nine states, against the information form in numpy."""
-    rng = np.random.default_rng(1)
-    factors = rng.standard_normal((COUNT, STATES, STATES))
-    P = factors @ factors.transpose(0, 2, 1) + 0.1 * np.eye(STATES)
-    m = rng.standard_normal((COUNT, STATES))
-    mean, covariance = m.T.copy().ravel(), np.zeros(STATES * (STATES + 1) // 2 * COUNT)
-    for i in range(STATES):
+@root
+def _update_on_border(mean, covariance, at, slopes, measured, variance):
+    absorb_on_border(mean, covariance, at, slopes, fill(0.0), from_array(measured, 0), from_array(variance, 0))
+
+
+def packed(P):
+    """Covariances [COUNT, n, n] as a bank holds them."""
+    n = P.shape[1]
+    out = np.zeros(n * (n + 1) // 2 * COUNT)
+    for i in range(n):
         for j in range(i + 1):
-            covariance[element(i, j) : element(i, j) + COUNT] = P[:, i, j]
+            out[element(i, j) : element(i, j) + COUNT] = P[:, i, j]
+    return out
+
+
+@pytest.mark.parametrize(("update", "states"), [(_update, STATES), (_update_on_border, CROSSING)])
+def test_linear_measurements_give_the_exact_kalman_filter(update, states):
+    """Twenty linear measurements of eight Gaussians, of one soil and on a border, against the information form."""
+    rng = np.random.default_rng(1)
+    factors = rng.standard_normal((COUNT, states, states))
+    P = factors @ factors.transpose(0, 2, 1) + 0.1 * np.eye(states)
+    m = rng.standard_normal((COUNT, states))
+    mean, covariance = m.T.copy().ravel(), packed(P)
     information, vector = np.linalg.inv(P), np.linalg.solve(P, m[..., None])[..., 0]
     for _ in range(20):
-        h, y, r = rng.standard_normal((STATES, COUNT)), rng.standard_normal(COUNT), rng.uniform(0.1, 2.0, COUNT)
-        _update(mean, covariance, np.zeros(STATES * COUNT), h.ravel(), y, r)
+        h, y, r = rng.standard_normal((states, COUNT)), rng.standard_normal(COUNT), rng.uniform(0.1, 2.0, COUNT)
+        update(mean, covariance, np.zeros(states * COUNT), h.ravel(), y, r)
         information += np.einsum("ik,jk->kij", h, h) / r[:, None, None]
         vector += (h * (y / r)).T
     exact = np.linalg.inv(information)
-    np.testing.assert_allclose(mean.reshape(STATES, COUNT).T, (exact @ vector[..., None])[..., 0], rtol=1e-6, atol=1e-9)
-    for i in range(STATES):
+    np.testing.assert_allclose(mean.reshape(states, COUNT).T, (exact @ vector[..., None])[..., 0], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(covariance, packed(exact), rtol=1e-6, atol=1e-9)
+
+
+# --- on a border ------------------------------------------------------------------------------------------------------
+
+
+@root
+def _blended(mean, at, spread, numbers, ground):
+    blend(mean, at, spread, Reference(0.02, 1.1e4), ground, numbers)
+
+
+@root
+def _by_both(row, mean, at, spread, numbers, ground, out):
+    by_both_soils(row, mean, blend(mean, at, spread, Reference(0.02, 1.1e4), ground, numbers), out)
+
+
+@root
+def _ground_covariance(covariance, mean, at, numbers, ground, out):
+    covariance_of_ground(covariance, mean, blend(mean, at, 0.0, Reference(0.02, 1.1e4), ground, numbers), out)
+
+
+def two_soils():
+    """States [CROSSING, COUNT] of eight wheels between two soils, on a border at 1 m, and their `FilterNumbers`."""
+    rng, x = np.random.default_rng(0), np.zeros((CROSSING, COUNT))
+    x[:STATES] = np.array([0.35, -4.4, 13.9, 600.0, 1.07, 0.3, 0.035, 17.0, 0.2])[:, None]
+    x[OLD : OLD + SINKAGE] = np.array([0.45, -3.7, 13.4, 300.0, 1.0, -0.2])[:, None]
+    x *= 1.0 + 0.03 * rng.standard_normal(x.shape)
+    x[PLACE], x[CROSSING - 1] = 1.0 + 0.02 * rng.standard_normal(COUNT), 0.1
+    return x, filter_numbers(SCENARIO)
+
+
+def ground(x, at, spread, numbers):
+    out = np.zeros(MEANS)
+    _blended(np.ascontiguousarray(x).ravel(), at, spread, numbers, out)
+    return out.reshape(CROSSING, COUNT)[:STATES]
+
+
+def test_the_ground_on_a_border_is_that_of_the_terrain():
+    """Strength apart, which is compared by tan(phi): the mean over two places of `terrain.blend`."""
+    from soil_env.parameters import SoilState
+    from soil_env.simulation.terrain import blend as terrain_blend
+
+    x, numbers = two_soils()
+    found = ground(x, 1.03, 0.0, numbers)
+    for k in range(COUNT):
+        t = (1.03 - x[PLACE, k]) / numbers.border + 0.5
+        soils = []
+        for first in (OLD, 0):
+            t_, ln_K, q, c, n, g = x[first : first + SINKAGE, k]
+            tan = t_ / -np.expm1(-0.02 / np.exp(ln_K)) - c / 1.1e4
+            ln_S = q - (n - numbers.exponent) * math.log(0.03)
+            soils.append(SoilState(tan, c, math.exp(ln_K), math.exp(ln_S), n, math.exp(g), 0.5))
+        s = terrain_blend(*soils, t * t * (3.0 - 2.0 * t))
+        strength = (s.tan_phi + s.cohesion / 1.1e4) * -math.expm1(-0.02 / s.shear_modulus)
+        q = math.log(s.sinkage_coefficient) + (s.sinkage_exponent - numbers.exponent) * math.log(0.03)
+        expected = [strength, math.log(s.shear_modulus), q, s.cohesion, s.sinkage_exponent, math.log(s.dig_gain)]
+        np.testing.assert_allclose(found[:SINKAGE, k], expected, rtol=1e-9)
+
+
+def test_derivatives_by_both_soils_are_those_of_central_differences():
+    x, numbers = two_soils()
+    for i in range(SINKAGE):
+        row, out = np.zeros((STATES + 1, COUNT)), np.zeros((CROSSING + 1) * COUNT)
+        row[i] = 1.0
+        _by_both(row.ravel(), x.ravel(), 1.03, 0.02, numbers, np.zeros(MEANS), out)
+        found = out.reshape(CROSSING + 1, COUNT)
+        for j in (*range(SINKAGE), *range(OLD, PLACE + 1)):
+            h = np.zeros_like(x)
+            h[j] = 1e-5 * np.abs(x[j])
+            rise = ground(x + h, 1.03, 0.02, numbers)[i] - ground(x - h, 1.03, 0.02, numbers)[i]
+            np.testing.assert_allclose(found[j], rise / (2.0 * h[j]), rtol=1e-5, atol=1e-7)
+
+
+def test_the_covariance_of_the_ground_follows_from_that_of_both_soils():
+    x, numbers = two_soils()
+    rng = np.random.default_rng(3)
+    factors = rng.standard_normal((COUNT, CROSSING, CROSSING))
+    P, out = factors @ factors.transpose(0, 2, 1), np.zeros(COVARIANCES)
+    G = np.zeros((COUNT, SINKAGE, CROSSING))
+    for i in range(SINKAGE):
+        row, slopes = np.zeros((STATES + 1, COUNT)), np.zeros((CROSSING + 1) * COUNT)
+        row[i] = 1.0
+        _by_both(row.ravel(), x.ravel(), 1.03, 0.0, numbers, np.zeros(MEANS), slopes)
+        G[:, i] = slopes.reshape(CROSSING + 1, COUNT)[:CROSSING].T
+    _ground_covariance(packed(P), x.ravel(), 1.03, numbers, np.zeros(MEANS), out)
+    expected = packed(G @ P @ G.transpose(0, 2, 1))
+    np.testing.assert_allclose(out[: expected.size], expected, rtol=1e-9, atol=1e-12)
+
+
+@root
+def _begin(banks, numbers, place):
+    begin(banks, 0, numbers, place, 1e-4, 0.1, 1e-3, 0.0)
+
+
+def found_borders(scenario, seeds, steps=420):
+    """Of each border that a wheel passes: how far before its middle [m] one was found, and the error [m] of its place
+    behind it, of the nearest one found."""
+    sim, rows = Simulation(1, scenario, "identified", threads=1), []
+    w, p = sim.worlds, sim.worlds.ids.banks.point
+    for seed in seeds:
+        sim.seed(0, np.random.default_rng(seed))
+        sim.restart(0)
+        was, begun, middles = 0.0, [], []
+        for step in range(steps):
+            sim.step(0, 0.42 + 0.1 * math.sin(0.1 * step))
+            if w.cause[0] != 0:
+                break
+            if was == 0.0 and p.crossing[0] == 1.0:
+                begun.append(w.state.x[0])
+            if was == 1.0 and p.crossing[0] == 0.0:
+                middles.append(p.border[0] + w.state.x[0] - p.place[0])
+            was = p.crossing[0]
+        edges = w.courses.edges[0, 1 : w.courses.patches[0]]
+        for edge in edges[edges < w.state.x[0] - 0.5]:
+            at = np.array(begun)[np.argmin(np.abs(np.array(begun) - edge))] if begun else np.inf
+            middle = np.array(middles)[np.argmin(np.abs(np.array(middles) - edge))] if middles else np.inf
+            rows.append((edge - at, middle - edge))
+    return np.array(rows)
+
+
+WHEEL_SPEED = {"control": {"action": "wheel_speed"}}
+
+
+def test_the_grade_tells_of_a_border_before_its_middle():
+    """And its place behind it is right to two centimetres in most cases."""
+    rows = found_borders(load_scenario("mixed", WHEEL_SPEED), range(10))
+    assert len(rows) >= 15
+    assert np.median(rows[:, 0]) > 0.03  # m
+    assert np.median(np.abs(rows[:, 1])) < 0.02
+
+
+def test_the_forces_alone_find_borders_later():
+    rows = found_borders(load_scenario("mixed", WHEEL_SPEED | {"belief": {"grade_change_deg": 0.0}}), range(10))
+    assert len(rows) >= 15
+    assert -0.2 < np.median(rows[:, 0]) < 0.03
+
+
+def test_a_slope_on_the_same_soil_costs_little():
+    """Patches of one soil whose grades differ: the filter to which the soil stays the same wins."""
+    changes = WHEEL_SPEED | {
+        "soils": {"dry_sand": 1},
+        "spread": dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0),
+        "course": {"margin": [0.0, 0.15]},
+    }
+    sim, weights = Simulation(1, load_scenario("mixed", changes), "identified", threads=1), []
+    banks = sim.worlds.ids.banks
+    for seed in range(6):
+        sim.seed(0, np.random.default_rng(seed))
+        sim.restart(0)
+        was = 0.0
+        for step in range(420):
+            sim.step(0, 0.42 + 0.1 * math.sin(0.1 * step))
+            if was == 1.0 and banks.point.crossing[0] == 0.0:
+                weights.append(math.exp(banks.log_weight[0, STAYS]))
+            was = banks.point.crossing[0]
+    assert len(weights) >= 8
+    assert np.mean(np.array(weights) > 0.5) >= 0.8
+
+
+def test_a_border_keeps_what_is_known_of_sinkage_and_mass():
+    """At its beginning sinkage and mass, and the old soil, are those of the mixture; the new soil is the prior's."""
+    sim = Simulation(1, SCENARIO, "identified", threads=1)
+    sim.seed(0, np.random.default_rng(2))
+    sim.restart(0)
+    for k in range(60):
+        sim.step(0, 0.35 + 0.15 * math.sin(0.1 * k))
+    ids, numbers = sim.worlds.ids, filter_numbers(SCENARIO)
+    banks = ids.banks
+    assert banks.point.crossing[0] == 0.0
+    w = np.exp(banks.log_weight[0])
+    before = banks.mean[0].reshape(CROSSING, COUNT).copy() @ w / w.sum()
+    _begin(banks, numbers, 1.0)
+    after = banks.mean[0].reshape(CROSSING, COUNT)
+    np.testing.assert_allclose(after[SINKAGE : SINKAGE + 2], np.tile(before[SINKAGE : SINKAGE + 2, None], COUNT))
+    np.testing.assert_allclose(after[OLD:PLACE], np.tile(before[:SINKAGE, None], COUNT))
+    np.testing.assert_allclose(after[:SINKAGE, STAYS], before[:SINKAGE])
+    prior = mixture_prior(SCENARIO).mean.reshape(SIZE, COUNT)
+    np.testing.assert_allclose(after[1:SINKAGE, :STAYS], prior[1:, :STAYS])
+    # to the filter that stays, new and old soil are the same number
+    P = banks.covariance[0]
+    for i in range(SINKAGE):
         for j in range(i + 1):
-            found = covariance[element(i, j) : element(i, j) + COUNT]
-            np.testing.assert_allclose(found, exact[:, i, j], rtol=1e-6, atol=1e-9)
+            same = [P[element(a, b) + STAYS] for a, b in ((i, j), (OLD + i, j), (OLD + i, OLD + j))]
+            np.testing.assert_allclose(same, same[0], rtol=1e-12)
 
 
 # --- prior ------------------------------------------------------------------------------------------------------------
@@ -92,7 +295,7 @@ def test_linear_measurements_give_the_exact_kalman_filter():
 
 def test_a_split_prior_keeps_mean_and_variance():
     whole = plain(SCENARIO)
-    parts = split(whole, COUNT)
+    parts = split(whole, COUNT - 1)
     mean, covariance = moments(parts)
     np.testing.assert_allclose(mean, whole[1], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), np.sqrt(np.diag(whole[2])), rtol=0.1)
@@ -219,8 +422,7 @@ def test_readings_that_contradict_each_other_give_no_current_estimate():
     assert Status.CONVERGED not in seen and Status.MISFIT in seen
 
 
-def test_a_border_before_anything_was_learnt_blends_with_the_prior():
-    """Not with zeros, nor with the soil of the course before; `forget` leaves nothing of it."""
+def test_forget_leaves_nothing_of_the_course_before():
     numbers, fresh = identifier.identifier_numbers(SCENARIO), identifier.new_identifiers(1)
     sim = Simulation(1, SCENARIO, "identified", threads=1)
     sim.seed(0, np.random.default_rng(1))
@@ -233,7 +435,8 @@ def test_a_border_before_anything_was_learnt_blends_with_the_prior():
         for _ in range(60):
             identifier.observe(ids, 0, CONTRARY._replace(load=14.7), numbers)
     np.testing.assert_array_equal(numbers_of(used), numbers_of(fresh))
-    np.testing.assert_array_equal(used.banks.before, fresh.banks.before)
+    np.testing.assert_array_equal(used.banks.candidates, fresh.banks.candidates)
+    assert used.banks.point.tobytes() == fresh.banks.point.tobytes()
 
 
 def test_the_length_of_a_border_is_believed():

@@ -48,13 +48,15 @@ def test_compression_whitens():
     assert form_error.whitened(None, v) is v
 
 
-def test_marginals_are_those_of_the_joint_normal():
-    j, b, e, u = RNG.normal(size=(30, 3)), RNG.normal(size=(30, 5)), RNG.normal(size=30), RNG.normal(size=3)
-    sizes = np.array([[0.0], [0.4], [2.0]])
-    log, mean, covariance = form_error.marginals(j, [b], sizes, e, u)
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_marginals_are_those_of_the_joint_normal(first):
+    j, e, u = RNG.normal(size=(30, 3)), RNG.normal(size=30), RNG.normal(size=3)
+    blocks = [RNG.normal(size=(30, 5)), RNG.normal(size=(30, 4))]
+    sizes = np.array([[0.0, 0.0], [0.4, 0.3], [2.0, 0.0], [0.4, 1.0], [0.0, 0.7]])
+    log, mean, covariance = form_error.marginals(j, blocks, sizes, e, u, first)
     expected = []
-    for k, (size,) in enumerate(sizes):
-        c = np.eye(30) + size**2 * b @ b.T
+    for k, size in enumerate(sizes):
+        c = np.eye(30) + sum(x**2 * b @ b.T for x, b in zip(size, blocks, strict=True))
         expected.append(multivariate_normal.logpdf(e, -j @ u, c + j @ j.T))
         posterior = np.linalg.inv(np.eye(3) + j.T @ np.linalg.solve(c, j))
         assert covariance[k] == pytest.approx(posterior)

@@ -202,6 +202,18 @@ def test_the_ratio_is_right_again_a_little_behind_a_border(gain, jump, seed):
     np.testing.assert_allclose(ratio[40:], np.array(z)[40:] / bearing[40:], rtol=1e-4)
 
 
+def test_rocking_in_its_own_rut_is_no_travel():
+    """3 mm forth and back for 20 s: only the first of it is fresh ground; 0.2 m onwards is that again."""
+    memory, before = Digging(1), 0.0
+    for k in range(400):
+        roll(memory, 0, 0.06 if k % 2 == 0 else -0.06, 0.0, DT, NOMINAL, RECOVERY, LENGTH)
+    assert memory["path"][0] == pytest.approx(0.003 / LENGTH, rel=1e-6)
+    before = memory["path"][0]
+    for _ in range(20):
+        roll(memory, 0, 0.2, 0.0, DT, NOMINAL, RECOVERY, LENGTH)
+    assert memory["path"][0] - before == pytest.approx((0.2 - 0.003) / LENGTH, rel=1e-6)
+
+
 def test_noise_of_the_sinkages_is_propagated():
     """Scatter of the ratio under noisy sinkages against the error that is told of."""
     rng, speeds = np.random.default_rng(0), np.tile([0.2, 0.1], (12, 1))

@@ -6,14 +6,14 @@ import pytest
 
 from agents.sim2real import __main__ as sim2real
 from benchmarks import clients, cmu, fuzz, identification, memory, throughput, training
-from benchmarks.blind.easy import command as blind
+from benchmarks.blind import __main__ as blind
 from soil_env.paper import __main__ as paper
 from tests.agents.test_sim2real import WORLDS
 
 OUT, PAGE = ["--out", "{}"], ["--page", "{}/page.md"]
 #: command -> (module, its name in messages, arguments, what does the work)
 COMMANDS = {
-    "blind": (blind, "benchmarks.blind.easy", OUT, "tasks"),
+    "blind": (blind, "benchmarks.blind", ["draw", *OUT], "_names"),
     "clients": (clients, "benchmarks.clients", ["zoo", *OUT], "environment"),
     "cmu": (cmu, "benchmarks.cmu", OUT, "study"),
     "fuzz": (fuzz, "benchmarks.fuzz", PAGE, "run"),

@@ -92,7 +92,7 @@ def saved(tmp_path_factory):
     from agents import ppo
 
     path = tmp_path_factory.mktemp("saved") / "model.zip"
-    config = ppo.PPOConfig(num_envs=8, n_steps=8, batch_size=64, layer=8)
+    config = ppo.PPOConfig(num_envs=8, n_steps=8, batch_size=64, layer=8, history=0)
     model = ppo.build(load_scenario(), "identified", config, 0)
     model.learn(64)
     ppo.save(model, path)

@@ -56,7 +56,7 @@ def write_json_mcap(path, steps=200, period=0.1, chunk=2000, payload=0, start=1_
             time = start + round(k * period * 1e9)
             speed = 2.0 + 0.5 * (k // 20 % 3)
             put("/drive", time, {"speed": speed, "motor": {"current": 1.0 + 0.1 * (k // 20 % 3)}})
-            put("/odom", time, {"twist": {"x": 0.15 * speed * 0.8}, "depth": 22.0})
+            put("/odom", time, {"twist": {"x": 0.15 * speed * (0.85, 0.8, 0.7)[k // 20 % 3]}, "depth": 22.0})
             if payload:
                 put("/camera", time, image)
         writer.finish()

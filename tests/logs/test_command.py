@@ -8,10 +8,12 @@ import re
 import numpy as np
 import pytest
 
+from soil_env.identification.priors import soil_unknowns
 from soil_env.identification.table import identify_table
 from soil_env.logs import read_map, replay, steady_windows
 from soil_env.logs.__main__ import main
 from soil_env.logs.align import Aligned
+from soil_env.logs.grounds import advice, commands, files, grounds, setup_text
 from soil_env.logs.replay import what_can_be_told
 from soil_env.measurement.table import read_setup, read_table
 from soil_env.parameters import soils
@@ -24,9 +26,9 @@ pytest.importorskip("rosbags")
 KNOWN = {"cohesion": 1300, "sinkage_exponent": 0.79}
 
 
-def made(log_map, plan, period=0.1, noise=0.0):
+def made(log_map, plan, period=0.1, noise=0.0, soil="lete_sand"):
     """Readings of a wheel that keeps each slip of `plan` [(slip, seconds)] in Wong's Lete sand without slip-sinkage."""
-    soil = dataclasses.replace(soils()["lete_sand"], dig_gain=0.0)
+    soil = dataclasses.replace(soils()[soil], dig_gain=0.0)
     model = WheelSoilModel(ModelWheel(0.15, 0.15), soil)
     rng = np.random.default_rng(0)
     slips = np.concatenate([np.full(round(t / period), s) for s, t in plan])
@@ -43,6 +45,12 @@ def log_map(tmp_path):
     return read_map(write_map(tmp_path, {"wheel": {"radius": 0.15, "width": 0.15, "body_mass": 15.3}, "soil": KNOWN}))
 
 
+@pytest.fixture()
+def without_digging(log_map):
+    """The map with a belief of hardly any slip-sinkage: `made` has none."""
+    return dataclasses.replace(log_map, belief=dataclasses.replace(log_map.belief, dig_gain=0.02))
+
+
 def test_steady_points_are_the_points_that_were_driven(log_map, tmp_path):
     """Noise-free: rows of exactly the slips, and a fit that gives the soil back; the setup's noise is that put in."""
     driven = [0.1, 0.2, 0.35, 0.5, 0.7]
@@ -54,7 +62,8 @@ def test_steady_points_are_the_points_that_were_driven(log_map, tmp_path):
     assert noisy.noise["sinkage"] == pytest.approx(1e-4 / math.sqrt(10), rel=0.2)
     assert noisy.noise["torque"] == pytest.approx(0.05 / math.sqrt(10), rel=0.2)
     (tmp_path / "steady.csv").write_text(noisy.table())
-    (tmp_path / "setup.yaml").write_text(noisy.setup(log_map))
+    prior = dataclasses.replace(replay(log, log_map).prior, dig_gain=0.0)  # the soil has none
+    (tmp_path / "setup.yaml").write_text(setup_text(log_map, noisy, prior, None))
     setup = read_setup(tmp_path / "setup.yaml")
     soil = soils()["lete_sand"]
     estimate = identify_table(read_table(tmp_path / "steady.csv", setup.wheel), setup)
@@ -114,6 +123,80 @@ def test_what_is_told_is_what_was_learnt(log_map, method):
     assert ("follows" in said) == (method == "filter")
 
 
+def test_nothing_is_told_by_readings_that_contradict(log_map):
+    """A wheel speed in rpm that is taken for rad/s: no estimate is current, and no parameter is said to be told."""
+    log = made(log_map, [(s, 2.0) for s in (0.1, 0.4, 0.2, 0.6)], noise=1.0)
+    good, measured = replay(log, log_map), set(log.readings)
+    assert sum(": told" in line for line in what_can_be_told(good, measured)) >= 2
+    log.readings["wheel_speed"] = log.readings["wheel_speed"] * 30.0 / math.pi
+    wrong = replay(log, log_map)
+    assert not np.any(wrong.status == wrong.prior.status.CONVERGED)
+    said = what_can_be_told(wrong, measured)
+    assert not any(": told" in line for line in said) and any("0 % of the steps" in line for line in said)
+
+
+def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
+    """As the identifier of tables reads them: the same mean and standard deviation, of K and S in their logarithm."""
+    log_map = without_digging
+    log = made(log_map, [(s, 4.0) for s in (0.1, 0.3, 0.5)], noise=1.0)
+    found = replay(log, log_map)
+    steady = steady_windows(log, log_map, found.ground)
+    written = files(grounds(found, steady), steady, log_map, found.prior)
+    (tmp_path / "setup.yaml").write_text(written["setup.yaml"])
+    read, b = read_setup(tmp_path / "setup.yaml"), log_map.belief
+    unknowns, known = soil_unknowns(read, np.full(3, 150.0), np.full(3, 0.01))
+    seen = {u.name: (u.value(0.0), u.sd) for u in unknowns}
+    assert seen == {
+        "friction_angle_deg": pytest.approx((b.friction_angle_deg, b.friction_sd_deg), rel=1e-3),
+        "shear_modulus": pytest.approx((b.shear_modulus, b.shear_modulus_sd), rel=1e-3),
+        "sinkage_coefficient": pytest.approx((b.sinkage_coefficient, b.sinkage_coefficient_sd), rel=1e-3),
+    }
+    assert known == KNOWN  # of the map, in place of the belief
+    assert read.soil.dig_gain.value == pytest.approx(found.values["dig_gain"][-1], rel=1e-3)
+
+
+@pytest.mark.parametrize("method", ["filter", "window"])
+def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path, method):
+    """Each ground has its own table, of which the fit is its soil; that of all points is of neither."""
+    belief = dataclasses.replace(without_digging.belief, method=method)
+    log_map = dataclasses.replace(without_digging, soil={}, belief=belief)
+    plan = [(s, 4.0) for s in (0.1, 0.3, 0.2, 0.5)]
+    names = ("lete_sand", "rubicon_sandy_loam")
+    one, two = (made(log_map, plan, noise=1.0, soil=name) for name in names)
+    readings = {n: np.concatenate([v, two.readings[n]]) for n, v in one.readings.items()}
+    log = Aligned(0, np.concatenate([one.time, two.time + 16.0]), readings, {}, 0.1)
+    found = replay(log, log_map)
+    steady = steady_windows(log, log_map, found.ground)
+    parts = grounds(found, steady)
+    assert len(parts) == 2 and parts[1].begin == pytest.approx(16.0, abs=1.0)
+    assert {row["run"].split(".")[0] for row in steady.rows} == {"ground1", "ground2"}
+    written = files(parts, steady, log_map, found.prior)
+    assert set(written) == {"steady.csv", "setup.yaml", "ground1.csv", "ground1.yaml", "ground2.csv", "ground2.yaml"}
+    for name, content in written.items():
+        (tmp_path / name).write_text(content)
+    fits = {}
+    for name in ("ground1", "ground2", "steady"):
+        known = read_setup(tmp_path / (f"{name}.yaml" if name != "steady" else "setup.yaml"))
+        table = read_table(tmp_path / f"{name}.csv", known.wheel)
+        fits[name] = identify_table(table, known).parameters["shear_modulus"]
+        assert {t > 16.0 for t in table.time} == {"ground1": {False}, "ground2": {True}}.get(name, {False, True})
+    truth = [soils()[name].shear_modulus for name in names]
+    assert [fits["ground1"].value, fits["ground2"].value] == pytest.approx(truth, rel=0.4)
+    run = commands(parts, steady, tmp_path)
+    assert len(run) == 4 and not any("steady.csv" in line for line in run)
+    assert any("16." in line and "one ground at a time" in line for line in advice(parts, steady))
+
+
+def test_a_ground_with_one_slip_has_no_table(without_digging):
+    log_map = without_digging
+    log = made(log_map, [(0.2, 6.0)], noise=1.0)
+    found = replay(log, log_map)
+    steady = steady_windows(log, log_map, found.ground)
+    parts = grounds(found, steady)
+    assert len(steady.rows) > 3 and not files(parts, steady, log_map, found.prior) and not commands(parts, steady)
+    assert "two slips" in advice(parts, steady)[0]
+
+
 def test_command(tmp_path, capsys):
     bag = write_json_mcap(tmp_path / "drive.mcap")
     (tmp_path / "out").mkdir()
@@ -131,8 +214,11 @@ def test_command(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "/drive" in said and "steady.csv" in said
     bag = write_json_mcap(tmp_path / "short.mcap", steps=8)
+    for name in ("ground1.csv", "ground1.yaml", "mine.csv"):
+        (tmp_path / "out" / name).write_text("")
     assert main([str(bag), "--map", str(tmp_path / "map.yaml"), "--out", str(tmp_path / "out")]) == 0
-    assert not (tmp_path / "out" / "steady.csv").exists()  # that of the other log
+    left = {p.name for p in (tmp_path / "out").iterdir()}  # nothing of the other log
+    assert left == {"mine.csv", "report.html", "log.json", "estimates.csv", "estimates.png", "readings.png"}
 
 
 def test_command_refuses_in_one_line(tmp_path, capsys):

@@ -1,7 +1,9 @@
 """Recordings of every format to the same readings; what is missing, misnamed, cut off or damaged."""
 
+import dataclasses
 import json
 import math
+import re
 import tracemalloc
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 from soil_env import ParameterError
 from soil_env.logs import read_map, read_recording, replay
+from soil_env.logs.doubts import doubts
 from tests.logs.bags import example, write_json_mcap, write_map
 
 NS = 1_000_000_000
@@ -174,6 +177,7 @@ def test_errors_name_topic_and_field_and_the_nearest_known(drives, tmp_path, cha
         ({"speed": {"topic": "/d", "field": "v", "column": "v"}}, ("speed", "column")),
         ({"speed": None}, ("speed", "slip")),
         ({"sinkage": {"topic": "/d", "field": "z", "sign": 0.5}}, ("sinkage.sign",)),
+        ({"torque": {"topic": "/d", "field": "i", "sd": 1e9}}, ("channels.torque.sd", "at most")),
         ({"wheel": "planetary_rovr"}, ("wheel", "'planetary_rover'")),
         ({"wheel": {"radius": 0.15}}, ("wheel", "width", "body_mass")),
         ({"period": 0.1, "windows": {"duration": 0.3}}, ("windows", "duration")),
@@ -186,6 +190,7 @@ def test_a_map_that_cannot_be_right_is_refused(tmp_path, changes, named):
         read_map(write_map(tmp_path, changes))
     assert all(name in str(error.value) for name in named), str(error.value)
     assert "map.yaml" in str(error.value) and "\n" not in str(error.value)
+    assert str(error.value).count("channels") <= 1
 
 
 def test_a_recording_of_another_kind_is_refused(tmp_path):
@@ -229,6 +234,80 @@ def test_the_clock_is_that_of_the_header_or_of_the_recording(tmp_path):
     assert by_log.start == 103 * NS and by_log.readings["speed"] == pytest.approx(0.1 * np.arange(20))
     soon = read_recording(stamped(tmp_path / "b.mcap", delay=0.004), read_map(write_map(tmp_path)))
     assert soon.readings["speed"] == pytest.approx(0.1 * np.arange(20))
+
+
+def test_stamps_that_go_back_are_counted_by_topic(tmp_path):
+    """A clock that is set back: the stamps of one topic from then on, left out; told with topic and place."""
+    from mcap.writer import Writer
+
+    with open(tmp_path / "a.mcap", "wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        drive, odom = (writer.register_channel(t, "json", schema) for t in ("/drive", "/odom"))
+        for k in range(20):
+            at, back = 100 * NS + k * NS // 10, NS * (k >= 15)
+            header = {"stamp": {"sec": (at - back) // NS, "nanosec": (at - back) % NS}}
+            content = {"header": header, "speed": 2.0, "motor": {"current": 1.0}}
+            writer.add_message(drive, at, json.dumps(content).encode(), at)
+            writer.add_message(odom, at, json.dumps({"twist": {"x": 0.1 * k}, "depth": 20.0}).encode(), at)
+        writer.finish()
+    found = read_recording(tmp_path / "a.mcap", read_map(write_map(tmp_path)))
+    told = [n for n in found.notes if "goes back" in n]
+    assert len(told) == 1 and "topic /drive" in told[0] and "5 messages" in told[0] and "101.500 s" in told[0]
+    assert "4 of them" in told[0]  # the last has come within max_gap
+    assert found.counts["wheel_speed"].readings == 16 and found.counts["speed"].readings == 20
+
+
+@pytest.mark.parametrize("size", [0, 8, 20, 200])
+def test_a_bag_cut_before_its_first_message(tmp_path, size):
+    content = write_json_mcap(tmp_path / "whole.mcap").read_bytes()
+    (tmp_path / "a.mcap").write_bytes(content[:size])
+    with pytest.raises(ParameterError, match="a.mcap: (is empty|has no topics: not one message is whole)"):
+        read_recording(tmp_path / "a.mcap", read_map(write_map(tmp_path)))
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "metadata.yaml").write_text("rosbag2_bagfile_information: 3")
+    (tmp_path / "bag" / "a.mcap").write_bytes(content[:size])
+    with pytest.raises(ParameterError, match="bag: has no topics"):
+        read_recording(tmp_path / "bag", read_map(write_map(tmp_path)))
+
+
+WRONG = [  # channel, factor, what the note proposes
+    ("wheel_speed", 30.0 / math.pi, "unit rpm"),
+    ("wheel_speed", 180.0 / math.pi, "unit deg/s"),
+    ("wheel_speed", -1.0, "sign"),
+    ("torque", 90.0, "another unit|unit mN m"),
+    ("torque", 1e-3, "unit kN m"),
+    ("load", 1e-3, "unit kN"),
+    ("load", -1.0, "sign"),
+    ("drawbar_pull", 1e-3, "unit kN"),
+    ("slip", -1.0, "sign"),
+    ("sinkage", 1e-3, "unit"),
+    ("acceleration", 30.0, "axis"),
+]
+
+
+@pytest.mark.parametrize(("channel", "factor", "proposed"), WRONG)
+def test_a_reading_in_another_unit_is_flagged_in_one_line(drives, channel, factor, proposed):
+    """Of the drive of the simulator: none as it is, one line with topic and field where one reading is changed."""
+    folder, log_map, _ = drives
+    whole = read_recording(folder / "MCAP", log_map)
+    assert not doubts(whole, log_map)
+    readings = whole.readings | {channel: factor * whole.readings[channel]}
+    found = doubts(dataclasses.replace(whole, readings=readings), log_map)
+    source = getattr(log_map.channels, channel)
+    named = [line for line in found if source.topic in line and source.field in line]
+    assert len(named) == 1 and re.search(proposed, named[0]), found
+
+
+def test_the_note_of_a_wrong_unit_is_among_those_of_the_recording(drives):
+    """Millinewton metres as newton metres are beyond what a wheel of this weight can have: left out, and told."""
+    folder, log_map, _ = drives
+    torque = dataclasses.replace(log_map.channels.torque, unit="kN m", sd=None)
+    changed = dataclasses.replace(log_map, channels=dataclasses.replace(log_map.channels, torque=torque))
+    found = read_recording(folder / "MCAP", changed)
+    told = [n for n in found.notes if "effort[wheel]" in n]
+    assert len(told) == 1 and "another unit" in told[0] and found.counts["torque"].unusable > 200
 
 
 def test_a_value_that_cannot_be_is_left_out_and_counted(tmp_path):
@@ -327,6 +406,66 @@ def test_time_stamps_of_every_unit_and_empty_cells(tmp_path, unit):
     assert found.start == 1_770_000_000 * NS
     assert found.time == pytest.approx([0.0, 0.1, 0.2]) and found.readings["speed"] == pytest.approx([0.25, 0.3, 0.35])
     assert np.isnan(found.readings["torque"]).all() and found.counts["speed"].readings == 2
+
+
+COLUMNS = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")} | {"time": {"column": "t"}}
+HEADER = "t,wheel_speed,speed,sinkage,torque\n"
+
+
+def lines(times):
+    return [f"{t:g},2,{0.1 * k:.1f},0.02,5\n" for k, t in enumerate(times)]
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        ("", "is empty"),
+        ("\n \n", "expected a header"),
+        ("t,wheel_sp", "cut off in its header"),
+        (HEADER, "no whole row"),
+        (HEADER + "0,2,0.2", "cut off"),
+        (HEADER + lines([0.0])[0] + "1e12,2,0.2,0.02,5\n", "row 3, t = '1e12'"),
+        (HEADER + lines([0.0])[0] + "nan,2,0.2,0.02,5\n", "row 3, t = 'nan': expected a time"),
+    ],
+)
+def test_a_table_with_nothing_whole_in_it(tmp_path, content, named):
+    (tmp_path / "a.csv").write_text(content)
+    with pytest.raises(ParameterError, match="a.csv.*" + named) as error:
+        read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
+    assert "unknown key" not in str(error.value)
+
+
+def test_time_that_goes_back_in_a_table(tmp_path):
+    """By less than max_gap a row is put where it belongs, by more it is left out; both are told with the first row."""
+    log_map = read_map(write_map(tmp_path, COLUMNS))
+    steady = [0.1 * k for k in range(10)]
+    (tmp_path / "a.csv").write_text(HEADER + "".join(lines(steady)))
+    assert not any("goes back" in note for note in read_recording(tmp_path / "a.csv", log_map).notes)
+    swapped = [*steady[:3], steady[4], steady[3], *steady[5:]]
+    (tmp_path / "a.csv").write_text(HEADER + "".join(lines(swapped)))
+    found = read_recording(tmp_path / "a.csv", log_map)
+    assert found.readings["speed"][3:5] == pytest.approx([0.4, 0.3]) and found.counts["speed"].readings == 10
+    assert any("goes back" in n and "row 6 (0.300 s after 0.400 s)" in n for n in found.notes)
+    (tmp_path / "a.csv").write_text(HEADER + "".join(lines([*steady, 0.1, 0.2, 1.0])))
+    found = read_recording(tmp_path / "a.csv", log_map)
+    assert found.readings["speed"] == pytest.approx([*(0.1 * k for k in range(10)), 1.2])
+    assert any("2 rows, first in row 12" in n and "2 of them" in n for n in found.notes)
+
+
+def test_time_that_goes_back_in_a_parquet_file(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    write = pytest.importorskip("pyarrow.parquet").write_table
+    log_map = read_map(write_map(tmp_path, COLUMNS))
+    times = [0.1 * k for k in range(10)] + [0.1, 1.0]
+    columns = {"t": times} | {n: [v] * 12 for n, v in (("wheel_speed", 2.0), ("speed", 0.2), ("sinkage", 0.02))}
+    columns["torque"] = [5.0] * 12
+    write(pyarrow.table(columns), tmp_path / "a.parquet", row_group_size=5)
+    found = read_recording(tmp_path / "a.parquet", log_map)
+    assert found.counts["speed"].readings == 11 and any("in row 11 (0.100 s" in n for n in found.notes)
+    for wrong in (1e12, math.nan):
+        write(pyarrow.table(columns | {"t": [*times[:11], wrong]}), tmp_path / "a.parquet")
+        with pytest.raises(ParameterError, match="row 12, time"):
+            read_recording(tmp_path / "a.parquet", log_map)
 
 
 def test_a_column_that_is_not_there(tmp_path):

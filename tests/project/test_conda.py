@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
 import yaml
 
 import soil_env
@@ -25,3 +26,11 @@ def test_the_recipe_is_that_of_the_package():
     assert found == wanted
     points = dict(line.split(" = ") for line in recipe["build"]["python"]["entry_points"])
     assert points == project["scripts"]
+
+
+def test_rattler_build_renders_the_recipe():
+    """With `pip install py-rattler-build`; building needs the channel conda-forge."""
+    rattler_build = pytest.importorskip("rattler_build")
+    recipe = rattler_build.Stage0Recipe.from_file(str(ROOT / "conda" / "recipe.yaml"))
+    (variant,) = recipe.render(rattler_build.VariantConfig())
+    assert (variant.recipe.package.name, str(variant.recipe.package.version)) == ("soil-env", soil_env.__version__)

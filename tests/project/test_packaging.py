@@ -140,7 +140,7 @@ def test_an_editable_install_has_the_same_names(tmp_path):
         "print(c.__file__, u.find_spec('agents'), u.find_spec('configs'), len(scenario_names()) > 3)"
     )
     said = run(python, "-c", program, cwd=tmp_path)
-    assert said.split() == [str(ROOT / "agents" / "controllers.py"), "None", "None", "True"]
+    assert said.split() == [str(ROOT / "agents" / "controllers" / "__init__.py"), "None", "None", "True"]
 
 
 def test_an_unpacked_wheel_runs_from_elsewhere(wheel, tmp_path):

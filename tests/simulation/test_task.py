@@ -10,15 +10,18 @@ from soil_env.env import SoilWheelEnv
 from soil_env.identification import Status
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation import sensors, task
+from soil_env.simulation.camera import Sight
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.simulation.worlds import Simulation
 
+SENSORS = len(task.layout("blind"))  # entries that every variant has
+NOTHING_SEEN = Sight(0, 0.0, 0.0)
 ROW = re.compile(r"^\s*\| (\d+) \| (\w+) \| (.+?) \| (\S+) \| (\S+) \|$", re.MULTILINE)
 
 
 def simulation(variant="identified", seed=0, changes=None):
-    """A `Simulation` of one wheel after a reset."""
-    sim = Simulation(1, load_scenario("mixed", changes or {}), variant)
+    """A `Simulation` of one wheel after a reset; the action is a torque unless `changes` say otherwise."""
+    sim = Simulation(1, load_scenario(load_scenario("mixed", {"control": {"action": "torque"}}), changes), variant)
     sim.seed(0, np.random.default_rng(seed))
     sim.restart(0)
     return sim
@@ -51,8 +54,8 @@ def documented(variant):
             tables.append({})
         tables[-1][number] = row
         previous = number
-    (blind_and_identified, true_soil) = tables  # 0-12 and 13-23 count on, the last table starts at 13 again
-    rows = {k: v for k, v in blind_and_identified.items() if variant == "identified" or k <= 12}
+    (blind_and_identified, true_soil) = tables  # two tables count on, the last one starts where the second does
+    rows = {k: v for k, v in blind_and_identified.items() if variant == "identified" or k < SENSORS}
     if variant == "true_soil":
         rows |= true_soil
     assert sorted(rows) == list(range(len(rows)))
@@ -65,7 +68,7 @@ def test_layout_is_the_documented_one(variant):
     assert [(e.name, e.low, e.high) for e in entries] == [(name, low, high) for name, _, low, high in rows]
     for e, (_, unit, _, _) in zip(entries, rows, strict=True):
         assert unit == e.unit or unit.startswith((e.unit + ",", e.unit + ":", "1 while")), (e, unit)
-    env = SoilWheelEnv(observation=variant)
+    env = SoilWheelEnv("mixed", observation=variant)
     assert env.observation_names == tuple(e.name for e in entries)
     np.testing.assert_array_equal(env.observation_space.low, np.float32([e.low for e in entries]))
     np.testing.assert_array_equal(env.observation_space.high, np.float32([e.high for e in entries]))
@@ -77,7 +80,7 @@ def test_layout_is_the_documented_one(variant):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_observation_is_neither_constant_nor_aliased(variant):
-    rows = rollout(variant)
+    rows = rollout(variant, changes={"control": {"action": "rim_acceleration", "repeat": 1}})
     entries = task.layout(variant)
     assert np.all(np.isfinite(rows)) and len(rows) > 300
     for i, a in enumerate(entries):
@@ -86,7 +89,7 @@ def test_observation_is_neither_constant_nor_aliased(variant):
         assert np.ptp(rows[:, i]) > 1e-3, a.name
         assert a.low <= rows[:, i].min() and rows[:, i].max() <= a.high
         # cut to the bounds now and then at most, or information is lost
-        if a.unit != "0 or 1" and a.name not in ("slip", "last_action"):
+        if a.unit != "0 or 1" and a.name not in ("slip", "last_action", "rim_command"):
             assert np.mean((rows[:, i] == np.float32(a.low)) | (rows[:, i] == np.float32(a.high))) < 0.05, a.name
         for j in range(i):
             assert not np.array_equal(rows[:, i], rows[:, j]), (a.name, entries[j].name)
@@ -107,7 +110,9 @@ def observed_again(sim, ground=None, estimate=None):
         courses = courses._replace(soils=courses.soils * ground)
     ids = worlds.ids if estimate is None else worlds.ids._replace(estimate=worlds.ids.estimate + estimate)
     reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
-    task.write_observation(out, worlds.state, worlds.counts, 0, reading, courses, ids, numbers)
+    task.write_observation(
+        out, worlds.state, worlds.counts, 0, reading, courses, ids, worlds.memory, NOTHING_SEEN, numbers
+    )  # fmt: skip
     return out
 
 
@@ -120,7 +125,7 @@ def test_only_true_soil_shows_the_soil(variant):
     changed = before != after
     expected = np.zeros(len(before), dtype=bool)
     if variant == "true_soil":
-        expected[13:] = True
+        expected[SENSORS:] = True
     np.testing.assert_array_equal(changed, expected)
 
 
@@ -130,7 +135,7 @@ def test_true_soil_is_the_undisturbed_soil_under_the_wheel():
     sim.worlds.courses.modulus[:] = 0.5
     tan_phi, c, k, s, n, gain, recovery = sim.worlds.courses.soils[0, 1]
     expected = [math.atan(tan_phi), math.log10(k), math.log10(s), c / 1000.0, n, gain, recovery]
-    np.testing.assert_allclose(observed_again(sim)[13:], expected, rtol=1e-6)
+    np.testing.assert_allclose(observed_again(sim)[SENSORS:], expected, rtol=1e-6)
 
 
 def test_estimate_in_the_observation():
@@ -138,18 +143,18 @@ def test_estimate_in_the_observation():
     rows = []
     for k in range(200):
         sim.step(0, 0.3 + 0.2 * math.sin(0.5 * k))
-        ids, seen = sim.worlds.ids, sim.worlds.observation[0]
+        ids, seen = sim.worlds.ids, sim.worlds.observation[0, SENSORS:]
         x = ids.estimate[0]
-        np.testing.assert_allclose(seen[13:16], [x[0], x[1] / math.log(10), x[2] / math.log(10)], rtol=1e-6)
-        np.testing.assert_allclose(seen[16:19], ids.sd[0, :3], rtol=1e-6)
+        np.testing.assert_allclose(seen[:3], [x[0], x[1] / math.log(10), x[2] / math.log(10)], rtol=1e-6)
+        np.testing.assert_allclose(seen[3:6], ids.sd[0, :3], rtol=1e-6)
         belief = load_scenario("mixed").belief
-        np.testing.assert_allclose(seen[20:22], [x[3] / 1000.0, belief.dig_gain * math.exp(x[4])], rtol=1e-6)
-        np.testing.assert_allclose(seen[22:], [ids.sd[0, 3] / 1000.0, ids.sd[0, 4]], rtol=1e-6)
-        assert seen[19] == (ids.status[0] == Status.CONVERGED)
-        rows.append(seen[19])
+        np.testing.assert_allclose(seen[7:9], [x[3] / 1000.0, belief.dig_gain * math.exp(x[4])], rtol=1e-6)
+        np.testing.assert_allclose(seen[9:], [ids.sd[0, 3] / 1000.0, ids.sd[0, 4]], rtol=1e-6)
+        assert seen[6] == (ids.status[0] == Status.CONVERGED)
+        rows.append(seen[6])
     assert {0.0, 1.0} == set(rows)
     changed = observed_again(sim) != observed_again(sim, estimate=0.01)
-    np.testing.assert_array_equal(np.flatnonzero(changed), [13, 14, 15, 20, 21])
+    np.testing.assert_array_equal(np.flatnonzero(changed) - SENSORS, [0, 1, 2, 7, 8])
 
 
 def test_readings_scatter_as_stated():
@@ -160,12 +165,12 @@ def test_readings_scatter_as_stated():
         sim.worlds.state[name] = value
     w, n, radius = sim.wheel(0), sim.scenario.noise, sim.scenario.wheel.radius
     weight, top = sim.scenario.weight, sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
-    out, rows, streams = np.zeros(13, np.float32), [], sim.worlds.streams.copy()
+    out, rows, streams = np.zeros(SENSORS, np.float32), [], sim.worlds.streams.copy()
     for _ in range(20_000):
         reading = sensors.sense(sim.worlds.state, 0, streams, sim.numbers.task.sensors)
         task.write_observation(
             out, sim.worlds.state, sim.worlds.counts, 0, reading, sim.worlds.courses, sim.worlds.ids,
-            sim.numbers.task,
+            sim.worlds.memory, NOTHING_SEEN, sim.numbers.task,
         )  # fmt: skip
         rows.append(out[[*range(8), 11, 12]].copy())
     rows = np.array(rows, dtype=float)
@@ -191,10 +196,13 @@ def test_the_observation_follows_from_readings_alone(variant):
     reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
     for factor in (1.0, 1.7):
         for name in worlds.state.NAMES:
-            if name not in ("last_action", "halt_left", "odometer"):
+            if name not in ("last_action", "rim_command", "halt_left", "odometer"):
                 worlds.state[name] *= factor
         out = np.zeros_like(worlds.observation[0])
-        task.write_observation(out, worlds.state, worlds.counts, 0, reading, worlds.courses, worlds.ids, numbers)
+        task.write_observation(
+            out, worlds.state, worlds.counts, 0, reading, worlds.courses, worlds.ids, worlds.memory, NOTHING_SEEN,
+            numbers,
+        )  # fmt: skip
         seen.append(out)
     np.testing.assert_array_equal(*seen)
 
@@ -274,8 +282,7 @@ def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
             assert terms[0] == pytest.approx(7.0 * (w["x"] - x) / 3.0, abs=1e-12)
             work = max(w["motor_work"], 0.0)
             assert terms[1] == pytest.approx(-3.0 * work / (w["mass"] * sim.scenario.gravity * 3.0), abs=1e-12)
-            stuck = cause in (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
-            assert terms[2] == (-5.0 if stuck else 0.0)
+            assert terms[2] == (0.0 if cause in (Cause.RUNNING, Cause.FINISHED) else -5.0)
             assert terms[3] == 0.0
             assert sim.worlds.reward[0] == terms[0] + terms[1] + terms[2]
             backwards += terms[0] < 0.0
@@ -321,7 +328,7 @@ def test_information_is_shaping_by_the_knowledge_of_the_identifier():
         for rows in drives({"information": weight, "information_discount": discount}, limit):
             paid, first = 0.0, None
             for k, (terms, reward, before, after, status, cause, _) in enumerate(rows):
-                kept = after if cause in (Cause.RUNNING, Cause.TIME_LIMIT) else 0.0
+                kept = after if cause == Cause.RUNNING else 0.0
                 assert terms[3] == pytest.approx(weight * (discount * kept - before), abs=1e-9)
                 assert reward == pytest.approx(terms.sum(), abs=1e-12)
                 paid += discount**k * terms[3]

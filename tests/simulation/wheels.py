@@ -68,7 +68,9 @@ class Wheels(NamedTuple):
     def numbers(self) -> dict[str, np.ndarray]:
         """All arrays that a step changes, by name."""
         rows = {**{n: self.state[n] for n in WheelState.NAMES}, **{n: self.counts[n] for n in WheelCounts.NAMES}}
-        return {**rows, **self.courses._asdict(), "streams": self.streams}
+        courses = self.courses._asdict()
+        lines = {f"lines.{name}": array for name, array in courses.pop("lines")._asdict().items()}
+        return {**rows, **courses, **lines, "streams": self.streams}
 
 
 def on_random_courses(seeds, mode="torque", course=None, model=None) -> Wheels:

@@ -1,41 +1,21 @@
-"""Blind cases for the discrepancy workflow: a random soil, wheel and test plan, hidden effects, noise and priors.
+"""Cases of the easy set: a random soil, wheel and test plan, hidden effects, noise and priors.
 
-`draw_case` draws one, `write_case` writes what the workflow may read (data.csv, setup.yaml) and, in another folder, the
-truth. The column `load` is the vertical load (weight) on the wheel, on a grade too; `sinkage` is below the surface in
+The column `load` is the vertical load (weight) on the wheel, on a grade too; `sinkage` is below the surface in
 front of the wheel; `drawbar_pull` is the net forward force on the axle, where a grade effect is hidden less the weight
-component; where none is hidden the rig has already taken it off. Commands:
-
-    python -m benchmarks.blind.easy.cases --seed 0 --count 20 --kind one --design rich --out DIR
+component; where none is hidden the rig has already taken it off.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
-import json
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
-import yaml
 
 from benchmarks.blind.easy.forms import EFFECTS, forms_of
 from benchmarks.blind.easy.limits import SOIL, Bench, Imitation, detection_limit, gap, imitation, noncentrality
-from benchmarks.blind.easy.plan import (
-    DESIGNS,
-    KINDS,
-    MULTIPLES,
-    NOISES,
-    PRIOR_ERRORS,
-    PRIOR_SD,
-    SCALES,
-    Options,
-    draw_bench,
-)
+from benchmarks.blind.easy.plan import MULTIPLES, PRIOR_SD, Options, draw_bench
 from benchmarks.blind.easy.unlisted import UNLISTED
 from benchmarks.blind.effect import Form, Hidden
-from soil_env._io.commands import command_line, command_parser, leave, whole_number
-from soil_env._io.loading import ParameterError
 
 CHANNELS = ("sinkage", "drawbar_pull", "torque")
 ATTEMPTS = 60
@@ -243,62 +223,3 @@ def _priors(rng, bench: Bench, error: str) -> dict:
             value = true + sd * off
         out[name] = {"value": float(f"{value:.6g}"), "sd": float(f"{PRIOR_SD[name](value):.3g}")}
     return out
-
-
-def write_case(case: Case, folder: Path, truth_file: Path) -> None:
-    """data.csv and setup.yaml in `folder`, the truth in another place."""
-    folder.mkdir(parents=True, exist_ok=True)
-    truth_file.parent.mkdir(parents=True, exist_ok=True)
-    with (folder / "data.csv").open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(case.columns)
-        writer.writerows(zip(*case.columns.values(), strict=True))
-    (folder / "setup.yaml").write_text(yaml.safe_dump(case.setup, sort_keys=False), encoding="utf-8")
-    truth_file.write_text(json.dumps(case.truth, indent=1, allow_nan=False), encoding="utf-8")
-
-
-@command_line("benchmarks.blind.easy.cases")
-def main(arguments=None) -> int:
-    """The command line; returns the exit status."""
-    options = _parser().parse_args(arguments)
-    wanted = {key: getattr(options, key) for key in ("noise", "scale", "prior_error", "outliers")}
-    for number in range(options.count):
-        rng = np.random.default_rng([options.seed, number])
-        try:
-            case = draw_case(rng, options.kind, options.design, names=tuple(options.effect),
-                             multiple=tuple(options.multiple), **wanted)  # fmt: skip
-        except (ValueError, RuntimeError) as error:
-            raise ParameterError(str(error)) from None
-        write_case(case, options.out / "cases" / f"{number:04d}", options.out / "truth" / f"{number:04d}.json")
-        names = ", ".join(f"{e['name']} ({e['form']}, {e['multiple']:.1f}x)" for e in case.truth["effects"])
-        print(f"{number:04d} {options.kind} {options.design}: {names or 'no effect'}")
-    return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    p = command_parser("python -m benchmarks.blind.easy.cases", __doc__)
-    p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the cases (default 0)")
-    p.add_argument("--count", metavar="N", type=whole_number(), default=1, help="cases (default 1)")
-    for option, known, default, text in (
-        ("--kind", KINDS, "one", "what is hidden"),
-        ("--design", DESIGNS, "rich", "of the experiment"),
-        ("--noise", NOISES, "given", "what the setup says of it"),
-        ("--scale", SCALES, "detection", "what the multiple refers to"),
-        ("--prior-error", PRIOR_ERRORS, "normal", "of the setup's priors"),
-    ):
-        p.add_argument(option, choices=known, default=default, help=f"{text} (default {default})")
-    p.add_argument("--outliers", action="store_true", help="2 %% of the cells off by 5 to 15 sigma")
-    p.add_argument("--effect", action="append", default=[], help="effect to hide (twice for two), else drawn")
-    p.add_argument(
-        "--multiple", type=float, nargs=2, default=MULTIPLES, metavar=("LOW", "HIGH"),
-        help="size of the effect in multiples of the limit, drawn between; HIGH may be inf (default 2 8)",
-    )  # fmt: skip
-    p.add_argument(
-        "--out", metavar="OUT", type=Path, required=True,
-        help="folder of cases/0000/, all that the workflow may see, and truth/0000.json, what was hidden; required",
-    )  # fmt: skip
-    return p
-
-
-if __name__ == "__main__":
-    leave(main())

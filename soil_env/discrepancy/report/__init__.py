@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import yaml
 from markupsafe import Markup
@@ -16,6 +17,7 @@ from soil_env._io.files import check_outputs, replace_files
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.report import blocks, tables, words
 from soil_env.discrepancy.report.content import content
+from soil_env.discrepancy.report.numbers import p_value
 from soil_env.discrepancy.report.pictures import CAPTIONS, pictures
 from soil_env.discrepancy.result import Report
 
@@ -60,7 +62,7 @@ def write(report: Report, folder: Path) -> None:
         raise ParameterError(f"{folder}: {error.strerror}") from None
 
 
-def page(report: Report, values: dict) -> str:
+def page(report: Report, values: dict[str, Any]) -> str:
     """report.html, which needs no other file; `values` is `content(report)`."""
     images = {name: Markup(html_image(svg, CAPTIONS[name], "svg+xml")) for name, svg in pictures(report).items()}
     names = ", ".join(words.title(e.name) for e in report.effects)
@@ -77,7 +79,7 @@ def text(report: Report) -> str:
     return render(f"{__name__}:report.txt", shown=_SHOWN, **_common(report))
 
 
-def _common(report: Report) -> dict:
+def _common(report: Report) -> dict[str, Any]:
     """What both templates take."""
     return {
         "report": report,
@@ -86,7 +88,7 @@ def _common(report: Report) -> dict:
         "blocks": blocks.blocks(report),
         "check_first": words.check_first(report),
         "cautions": words.cautions(report),
-        "where": [(words.disagreement(report, d), words.p_value(d.p_value)) for d in report.where],
+        "where": [(words.disagreement(report, d), p_value(d.p_value)) for d in report.where],
         "next_tests": [words.next_test(report, t) for t in report.next_tests],
     }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from html import escape
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.judgement import Interval
@@ -30,7 +30,7 @@ class Block(NamedTuple):
     where: tuple[tuple[str, str], ...]  # (symbol, meaning) of the rest
     source: str
 
-    def content(self) -> dict:
+    def content(self) -> dict[str, Any]:
         """The block in report.json."""
         out = {"equation": "; ".join(self.equation), "fitted": "; ".join(self.fitted or self.equation)}
         return out | {"where": dict(self.where), "source": self.source}

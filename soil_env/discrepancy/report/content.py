@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from typing import Any
 
 import numpy as np
 import scipy
@@ -19,7 +20,7 @@ from soil_env.terramechanics.catalogue import CATALOGUE
 LEAST = 1e-3  # probability below which a hypothesis is not listed
 
 
-def content(report: Report) -> dict:
+def content(report: Report) -> dict[str, Any]:
     """Plain values for JSON, null where there is no number; every key is always present."""
     shown = [block.content() for block in blocks(report)]
     first = words.check_first(report)
@@ -29,8 +30,8 @@ def content(report: Report) -> dict:
         "summary": words.summary(report),
         "effects": [
             {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
-             "probability": e.probability, "share": e.share, "alternatives": e.alternatives,
-             "symbols": SYMBOLS[e.name], **block}
+             "in_model": report.model.effects[e.name], "probability": e.probability, "share": e.share,
+             "alternatives": e.alternatives, "symbols": SYMBOLS[e.name], **block}
             for e, block in zip(report.effects, shown, strict=False)
         ],
         "where": [
@@ -63,7 +64,11 @@ def content(report: Report) -> dict:
             for h in report.finding.hypotheses if h.probability >= LEAST
         ],
         "law_error": report.law_error,
-        "soil": {name: v._asdict() | {"known": report.known(name)} for name, v in report.soil.items()},
+        "soil": {
+            name: v._asdict() | {"known": report.known(name), "in_model": report.fit.parameters().get(name, v.value)}
+            for name, v in report.soil.items()
+        },
+        "scatter": report.finding.scatter,
         "noise": {name: {"sd": report.noise.sd[j], "origin": report.noise.origin[j]} for name, j in noise.items()},
         "left_out": [{"row": row, "channel": name} for row, name in report.left_out],
         "check_first": first,
@@ -76,7 +81,7 @@ def content(report: Report) -> dict:
     })  # fmt: skip
 
 
-def _law(report: Report, shown: list[dict]) -> dict | None:
+def _law(report: Report, shown: list[dict]) -> dict[str, Any] | None:
     if report.law is None:
         return None
     return {

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from soil_env._io.document import Table
 from soil_env.discrepancy.judgement import Interval
-from soil_env.discrepancy.report.words import SOIL, TITLES, amount, figures, fixed, not_tiny, title
+from soil_env.discrepancy.report.numbers import figures, fixed, times
+from soil_env.discrepancy.report.words import SOIL, TITLES, amount, not_tiny, title
 from soil_env.discrepancy.result import Report
 from soil_env.terramechanics.catalogue import CATALOGUE
 
@@ -17,19 +18,21 @@ def effects(report: Report) -> Table:
         label += f", or {', '.join(title(a) for a in e.alternatives)}" if e.alternatives else ""
         for name, p in e.parameters.items():
             unit = CATALOGUE[e.name].parameter(name).unit
-            rows.append((label, name.replace("_", " "), figures(p.value), _interval(p) or "set", unit))
+            there = figures(report.model.effects[e.name][name])
+            rows.append((label, name.replace("_", " "), figures(p.value), _interval(p) or "set", there, unit))
             label = ""
-    return Table(("effect", "parameter", "value", "95 % interval", "unit"), rows)
+    return Table(("effect", "parameter", "value", "95 % interval", "in model.yaml", "unit"), rows)
 
 
 def soil(report: Report) -> Table:
-    """The soil of the corrected model."""
-    rows = []
+    """The soil: what is believed of it, and what the corrected model has."""
+    rows, fitted = [], report.fit.parameters()
     for name, p in report.soil.items():
         label, unit = SOIL[name]
         origin = _interval(p) or ("given" if report.known(name) else "assumed")
-        rows.append((label, figures(not_tiny(p.value)), origin, unit))
-    return Table(("parameter", "value", "95 % interval", "unit"), rows)
+        there = figures(not_tiny(fitted.get(name, p.value)))
+        rows.append((label, figures(not_tiny(p.value)), origin, there, unit))
+    return Table(("parameter", "value", "95 % interval", "in model.yaml", "unit"), rows)
 
 
 def _interval(p: Interval) -> str:
@@ -53,8 +56,8 @@ def gap(report: Report) -> Table:
 
 def ranking(report: Report, most: int | None = None) -> Table:
     """The candidates, the first `most` of them."""
-    rows = [(title(r.name), fixed(r.score, 1), fixed(r.probability, 3)) for r in report.ranking[:most]]
-    return Table(("effect", "log odds of the data", "probability"), rows)
+    rows = [(title(r.name), times(r.score), fixed(r.probability, 3)) for r in report.ranking[:most]]
+    return Table(("effect", "makes the table more probable", "probability"), rows)
 
 
 def untestable(report: Report) -> Table:

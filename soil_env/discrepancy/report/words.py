@@ -11,7 +11,8 @@ from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS, WHEEL
 from soil_env.discrepancy.experiment import NextTest
 from soil_env.discrepancy.locate import Disagreement
-from soil_env.discrepancy.result import Report
+from soil_env.discrepancy.report.numbers import figure, figures, fixed
+from soil_env.discrepancy.result import LEFT, WORSE, Report
 from soil_env.discrepancy.search import COUNT_PRIOR, FREE_PRIOR, NAMED, TOLD
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import DEEPEST
@@ -19,9 +20,8 @@ from soil_env.terramechanics.validity import in_words
 
 FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
 FEW = 6  # conditions below which hardly anything can be told
-WORSE = 0.1  # rise of a held-out error that is worth a caution
 MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
-LEFT = 1.5  # [noise] of a held-out error after the correction that is worth a caution
+SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
 SOIL = {
     "friction_angle_deg": ("friction angle", "deg"),
     "cohesion": ("cohesion c", "Pa"),
@@ -54,26 +54,6 @@ def listed(names: Iterable[str], last: str = "and") -> str:
 def title(names: str) -> str:
     """What an effect, or two joined by " and ", is called in a sentence."""
     return " and ".join(CATALOGUE[n].title if n in CATALOGUE else n for n in names.split(" and "))
-
-
-def figure(x: float) -> str:
-    """Two digits, without an exponent where the number is large."""
-    return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
-
-
-def figures(value: float, digits: int = 4) -> str:
-    """A number for a table; empty where there is none."""
-    return "" if value is None or not math.isfinite(value) else f"{value + 0.0:.{digits}g}"
-
-
-def fixed(value: float, decimals: int) -> str:
-    """A number with a fixed number of decimals, never -0."""
-    return f"{round(value, decimals) + 0.0:.{decimals}f}"
-
-
-def p_value(p: float) -> str:
-    """A p value in a table."""
-    return "< 1e-6" if p < 1e-6 else f"{p:.2g}"
 
 
 def amount(channel: str, value: float, digits: int = 2) -> str:
@@ -159,11 +139,23 @@ def summary(report: Report) -> str:
     if report.corrected:
         parts.append(f"With {_what(report)}, {_shrinks(report)}.")
         parts += [text for text in _of_gap(report) if "rises" in text]
-    if report.verdict in ("named", "ambiguous") and finding.remainder >= MENTIONED:
+    if report.verdict in ("named", "partly", "ambiguous") and MENTIONED <= finding.remainder < NAMED:
+        parts.append(f"That something is missing that is in no catalogue has {_sure(finding.remainder)}.")
+    if finding.scatter > SCATTERED:
         parts.append(
-            f"That something else is missing which no listed effect explains has {_percent(finding.remainder)}."
+            f"The values scatter by {finding.scatter:.1f} times their noise about any smooth law: rows on different "
+            "soils, or a noise that is larger than stated."
         )
     return " ".join(parts)
+
+
+def probabilities(report: Report) -> str:
+    """The probabilities that are of no one effect."""
+    finding = report.finding
+    return (
+        f"probability that nothing is missing {fixed(finding.none, 3)}, that something is missing that is in no "
+        f"catalogue {fixed(finding.remainder, 3)} ({fixed(finding.unlisted, 3)} of it with nothing that is listed)"
+    )
 
 
 def _what(report: Report) -> str:
@@ -184,23 +176,31 @@ def _names(report: Report) -> list[str]:
     if others:
         parts.append(f"Not ruled out instead: {listed((title(a) for a in others), 'or')}.")
     if report.verdict == "partly":
-        left = listed(
-            f"{amount(name, r.rms)} of {TITLES[name]}" for name, r in report.remainder.items() if r.rms > 0.0
-        ) if any(r.rms > 0.0 for r in report.remainder.values()) else "little"  # fmt: skip
-        parts.append(f"Beside that something is missing that is in no catalogue: {left} are left beyond the noise.")
+        parts.append(f"Part of the gap remains: {_remainder(report)}.")
     return parts
+
+
+def _remainder(report: Report) -> str:
+    """What is left beyond the noise, and what it may be."""
+    left = [f"{amount(name, r.rms)} of {TITLES[name]}" for name, r in report.remainder.items() if r.rms > 0.0]
+    sure = report.finding.remainder
+    why = (
+        f"something is missing that is in no catalogue (probability {_sure(sure)})" if sure >= NAMED else
+        f"as much as stress laws leave that are off by about {figure(100.0 * report.law_error)} %"
+    )  # fmt: skip
+    return f"{listed(left) if left else 'little'} beyond the noise, {why}"
 
 
 def _either(report: Report) -> list[str]:
     sets = [h for h in report.finding.hypotheses if h.names and h.probability >= TOLD][:4]
     said = "; ".join(f"{title(' and '.join(h.names))} ({_sure(h.probability)})" for h in sets)
     rest = f"; that nothing is missing has {_sure(report.finding.none)}" if report.finding.none >= TOLD else ""
-    text = f"Something is missing, and these data cannot tell what: {said}" if said else "Something is missing"
-    return [f"{text}{rest}."]
+    some = f"Something is missing with a probability of {_sure(1.0 - report.finding.none)}"
+    return [f"{some}, and these data cannot tell what{f': {said}' if said else ''}{rest}."]
 
 
 def _unlisted(report: Report) -> list[str]:
-    text = f"Something is missing that no listed effect explains (probability {_sure(report.finding.unlisted)})"
+    text = f"Something is missing that is in no catalogue (probability {_sure(report.finding.remainder)})"
     text += f": {disagreement(report, report.where[0])}." if report.where else "."
     if report.model.residual:
         groups = list(dict.fromkeys(GROUPS[g] for t in report.model.residual for g in t.powers))

@@ -13,7 +13,8 @@ from soil_env.discrepancy import judgement, run
 from soil_env.discrepancy import report as drawn
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.report import blocks, tables, words
+from soil_env.discrepancy.judgement import Gap
+from soil_env.discrepancy.report import blocks, content, numbers, tables, text, words
 from soil_env.terramechanics.catalogue import CATALOGUE
 from tests.discrepancy.files import SETUP, table_text, write_files
 
@@ -118,7 +119,37 @@ def test_the_summary_says_what_the_probabilities_say(planted, nothing):
     assert "cannot tell what: slip-sinkage (45 %); bulldozing (40 %)" in told(0.45, 0.4, 0.0, 0.15, 0.0)
     assert "in no catalogue" in told(0.2, 0.0, 0.7, 0.1, 0.0)
     assert "Not ruled out instead: bulldozing" in told(0.7, 0.3, 0.0, 0.0, 0.0)
-    assert "no listed effect explains (probability 90 %)" in told(0.1, 0.0, 0.0, 0.0, 0.9)
+    assert "in no catalogue (probability 90 %)" in told(0.1, 0.0, 0.0, 0.0, 0.9)
+    assert "Something is missing with a probability of 85 %" in told(0.45, 0.4, 0.0, 0.15, 0.0)
+    assert "missing that is in no catalogue has 30 %" in told(0.7, 0.0, 0.1, 0.0, 0.2)
+
+
+def test_something_in_no_catalogue_has_one_probability(planted):
+    """That of the summary is that below the table of candidates, and the first in report.json."""
+    one, base = planted.finding.best("slip_sinkage"), planted.finding.best()
+    parts = ((one, False, 0.83), (one, True, 0.05), (base, False, 0.1), (base, True, 0.02))
+    hypotheses = tuple(dataclasses.replace(h, free=free, probability=p) for h, free, p in parts)
+    report = dataclasses.replace(planted, finding=dataclasses.replace(planted.finding, hypotheses=hypotheses))
+    assert "in no catalogue has 7 %" in words.summary(report)
+    assert "in no catalogue 0.070 (0.020 of it with nothing that is listed)" in " ".join(text(report).split())
+    assert content(report)["probability"]["remainder"] == pytest.approx(0.07)
+
+
+@pytest.mark.parametrize("before, after, verdict", [(9.0, 1.2, "named"), (9.0, 4.0, "partly"), (1.0, 1.38, "partly")])
+def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict):
+    """An error that stays above the noise, or that the named effect makes larger, is told with the name."""
+    floor = planted.gap["drawbar_pull"].noise_floor
+    gap = planted.gap | {"drawbar_pull": Gap(before * floor, after * floor, floor)}
+    report = dataclasses.replace(planted, gap=gap, remainder=judgement.remainder(gap))
+    assert report.verdict == content(report)["verdict"] == verdict
+    left = f"{floor * math.sqrt(after**2 - 1.0):.2g} N of drawbar pull"
+    assert (left in words.summary(report)) == (verdict == "partly")
+    assert ("rises by 38 %" in words.summary(report)) == (after > before)
+
+
+def test_odds_are_told_as_factors(planted):
+    assert numbers.times(math.log(20.0)) == "20 times" and numbers.times(50.0) == "10^22 times"
+    assert numbers.times(math.log(0.5)) == "0.5 times" and numbers.times(-30.0) == "10^-13 times"
 
 
 def test_cautions_are_of_the_soil_that_is_shown(planted):

@@ -1,0 +1,90 @@
+"""Classical drive controllers with the interface of a Stable-Baselines3 model: `predict(observation, state, ...)`.
+
+They work on batches of observations [n, D] in the layout of `soil_env.task` and know the scenario's wheel (radius,
+motor, weight), as an engineer would; the soil they know only where the name says so. All but `full_throttle` and
+`constant_torque` set a rim speed, which the drive follows whatever the action of the scenario is.
+
+| name | rim speed | observation |
+|------|-----------|-------------|
+| full_throttle | none: full command | blind |
+| constant_torque | none: a constant command | blind |
+| constant_speed | fixed | blind |
+| soft_start | a ramp from rest up to a top speed | blind |
+| fixed_slip | V/(1 - i) for a fixed slip i | blind |
+| slip_limiter | the ramp, not above V/(1 - i) for a fixed slip i | blind |
+| extremum_seeking | the same, i seeks the highest drawbar pull | blind |
+| best_slip_identified | the same, i of the best drawbar pull on the identified soil | identified |
+| best_slip_true | the same on the true soil: a reference, not a bound | true_soil |
+"""
+
+from __future__ import annotations
+
+from soil_env._io.loading import ParameterError, number, unknown_key, unknown_value
+from soil_env.parameters import Scenario
+
+from .base import Controller, Setting
+from .blind_speed import ConstantSpeed, ConstantTorque, FullThrottle, SoftStart
+from .slip import ExtremumSeeking, FixedSlip, SlipFollower, SlipLimiter
+from .soil import CHANGE, BestSlipIdentified, BestSlipTrue
+
+__all__ = [
+    "CHANGE",
+    "CONTROLLERS",
+    "BestSlipIdentified",
+    "BestSlipTrue",
+    "ConstantSpeed",
+    "ConstantTorque",
+    "Controller",
+    "ExtremumSeeking",
+    "FixedSlip",
+    "FullThrottle",
+    "Setting",
+    "SlipFollower",
+    "SlipLimiter",
+    "SoftStart",
+    "checked_settings",
+    "make_controller",
+]
+
+CONTROLLERS: dict[str, type[Controller]] = {
+    c.name: c
+    for c in (
+        FullThrottle,
+        ConstantTorque,
+        ConstantSpeed,
+        SoftStart,
+        FixedSlip,
+        SlipLimiter,
+        ExtremumSeeking,
+        BestSlipIdentified,
+        BestSlipTrue,
+    )
+}
+
+
+def checked_settings(name: str, scenario: Scenario, settings: dict, where: str) -> dict[str, float]:
+    """Settings of the controller `name` as numbers; ParameterError with one line that begins with `where` for an
+    unknown one, no number, or one that the controller or the motor cannot hold."""
+    if name not in CONTROLLERS:
+        raise unknown_value(name, CONTROLLERS, "controller")
+    known, out = CONTROLLERS[name].bounds, {}
+    for key, given in settings.items():
+        if key not in known:
+            if not known:
+                raise ParameterError(f"{where}: unknown key {key!r}: {name} has no settings")
+            raise unknown_key(key, known, where)
+        value, setting = number(float, given, f"{where}.{key}"), known[key]
+        high = scenario.wheel.radius * scenario.wheel.no_load_speed if setting.rim_speed else setting.high
+        if not 0.0 <= value <= high or (value == 0.0 and not setting.zero):
+            bracket = "[" if setting.zero else "("
+            raise ParameterError(
+                f"{where}.{key} = {given!r}: expected a number in {bracket}0, {high:.4g}] {setting.unit}"
+            )
+        out[key] = value
+    return out
+
+
+def make_controller(name: str, scenario: Scenario, **settings) -> Controller:
+    """A controller by name with its `settings` (`bounds` of its class); ParameterError as `checked_settings`."""
+    values = checked_settings(name, scenario, settings, f"settings.{name}")
+    return CONTROLLERS[name](scenario, **values)

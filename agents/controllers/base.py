@@ -1,0 +1,154 @@
+"""What all classical controllers share: settings that are checked, and the loop that makes an action of a rim speed."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.parameters import Scenario
+from soil_env.simulation.task import layout
+
+_CHOICE = 0.01  # least action that chooses a line; the drive is held meanwhile
+
+
+class Setting(NamedTuple):
+    """A number that a controller can be set to. A speed of the rim is bounded by the top rim speed."""
+
+    default: float  # in its unit; of a rim speed: share of the top rim speed
+    unit: str
+    meaning: str
+    high: float = math.inf
+    zero: bool = False  # whether 0 is allowed
+    rim_speed: bool = False
+
+
+SPEED = Setting(1.0, "m/s", "highest rim speed", rim_speed=True)
+START = Setting(0.13, "m/s", "rim speed below which the slip does not limit it", rim_speed=True)
+ACCELERATION = Setting(0.1, "m/s2", "of the rim, from rest and after halts", high=100.0)
+
+
+class Controller:
+    """Base: a rim speed that the drive follows.
+
+    With `control.action = torque` a PI loop with feed-forward of grade and rolling resistance follows it; with
+    `wheel_speed` and `rim_acceleration` the drive's own loop does, whose droop is made up for.
+    """
+
+    name = "controller"
+    variant = "blind"  # the observation it reads
+    bounds: dict[str, Setting] = {}  # what can be set
+    #: What `state` holds between calls: columns of each entry, 0: one number a row.
+    memory: dict[str, int] = {"integral": 0}
+    rolling = 0.12  # feed-forward of the motion resistance, as a share of the load
+
+    def __init__(self, scenario: Scenario, **settings: float):
+        wheel = scenario.wheel
+        self.scenario = scenario
+        self.radius, self.top_speed = wheel.radius, wheel.radius * wheel.no_load_speed
+        self.stall = wheel.stall_torque
+        self.weight_torque = scenario.weight * wheel.radius
+        self.action, self.period = scenario.control.action, scenario.control.duration  # [s] between two actions
+        self.change = scenario.control.rim_acceleration * self.period / self.top_speed  # of command by an action of 1
+        self.gain = wheel.inertia / self.period  # [N m s]: a free wheel is on speed after one period
+        self.integral_gain = 0.68 * self.weight_torque  # [N m] per rad
+        #: What can be set, as it is.
+        self.settings = {
+            name: settings.get(name, setting.default * (self.top_speed if setting.rim_speed else 1.0))
+            for name, setting in self.bounds.items()
+        }
+        self.column = {entry.name: i for i, entry in enumerate(layout(self.variant, scenario.course))}
+
+    def rim_speed(self, observation: np.ndarray, state: dict) -> np.ndarray:
+        """Rim speed to follow [m/s], [n]; may keep things in `state`."""
+        raise NotImplementedError
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """Actions [n, 1] float32 (or [1] for one observation) and the state for the next call."""
+        batch = np.atleast_2d(np.asarray(observation, dtype=np.float64))
+        fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
+        state = self.begin(batch, state, fresh)
+        action = self.chosen(batch, self.command(batch, self.rim_speed(batch, state), state), self.beside(batch))
+        return (action[0] if np.ndim(observation) == 1 else action), state
+
+    def beside(self, batch: np.ndarray) -> np.ndarray:
+        """Where a line over the next patch is to be chosen: whether the one beside is the better one, [n] bool.
+
+        It is where its margin is higher, as far as the observation tells it, else where it is less steep.
+        """
+        if "choice" not in self.column:
+            return np.zeros(len(batch), dtype=bool)
+        if "ahead_margin" in self.column:
+            return batch[:, self.column["beside_margin"]] > batch[:, self.column["ahead_margin"]]
+        return batch[:, self.column["beside_grade"]] < batch[:, self.column["ahead_grade"]]
+
+    def chosen(self, batch: np.ndarray, action: np.ndarray, beside: np.ndarray) -> np.ndarray:
+        """Actions [n, 1] whose sign chooses a line at the halts where one is to be chosen."""
+        if "choice" not in self.column:
+            return action
+        sign = np.where(beside, np.float32(-_CHOICE), np.maximum(action[:, 0], np.float32(_CHOICE)))
+        return np.where(batch[:, self.column["choice"]] > 0.5, sign, action[:, 0])[:, None]
+
+    def command(self, batch: np.ndarray, rim_speed: np.ndarray, state: dict) -> np.ndarray:
+        """Actions [n, 1] float32 that follow a `rim_speed` [n] m/s, for observations [n, D]; advances `state`."""
+        if self.action == "torque":
+            action = self._torque(batch, rim_speed, state) / self.stall
+        else:
+            droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)  # of the drive's loop
+            action = rim_speed / self.top_speed + droop
+            if self.action == "rim_acceleration":
+                action = (action - batch[:, self.column["rim_command"]]) / self.change
+        return np.clip(action, -1.0, 1.0).astype(np.float32)[:, None]
+
+    def begin(self, batch: np.ndarray, state: dict | None, fresh: np.ndarray) -> dict:
+        """A state of its own for a call with observations [n, D]; rows that are `fresh` [n] begin a course."""
+        if state is None or len(state["integral"]) != len(batch):
+            state = {name: np.zeros((len(batch), n) if n else len(batch)) for name, n in self.memory.items()}
+            fresh = np.ones(len(batch), dtype=bool)
+        state = {key: value.copy() for key, value in state.items()}
+        return self.restarted(batch, state, fresh)
+
+    def restarted(self, batch, state: dict, fresh) -> dict:
+        """`state` with the rows that are `fresh` as at the start of a course."""
+        for name, columns in self.memory.items():
+            state[name] = np.where(fresh[:, None] if columns else fresh, 0.0, state[name])
+        state["fresh"] = fresh
+        state["integral"] = np.where(fresh, self._feed_forward(batch), state["integral"])
+        return state
+
+    def halted(self, batch):
+        """Which wheels are at a commanded halt [n] bool."""
+        return batch[:, self.column["halted"]] > 0.5
+
+    def _feed_forward(self, batch):
+        demand = np.sin(batch[:, self.column["pitch"]]) + self.rolling
+        return np.clip(demand, 0.0, 1.0) * self.weight_torque
+
+    def _torque(self, batch, target, state):
+        error = (target - batch[:, self.column["rim_speed"]] * self.top_speed) / self.radius
+        torque = self.gain * error + state["integral"]
+        windup = (np.abs(torque) > self.stall) & (torque * error > 0.0)
+        state["integral"] = np.where(
+            self.halted(batch),
+            self._feed_forward(batch),
+            np.clip(
+                state["integral"] + np.where(windup, 0.0, self.integral_gain * self.period * error),
+                -self.stall,
+                self.stall,
+            ),
+        )
+        return torque
+
+
+class Ramped(Controller):
+    """Base: from rest, and after every halt, the rim speed rises by no more than an acceleration."""
+
+    bounds = {"acceleration": ACCELERATION, "speed": SPEED}
+    memory = {**Controller.memory, "ramp": 0}
+
+    def ramp(self, batch, state: dict, acceleration, speed):
+        """Highest rim speed now [m/s], [n], for an acceleration [m/s2] up to a speed [m/s]; advances `state`."""
+        risen = np.minimum(state["ramp"] + acceleration * self.period, speed)
+        state["ramp"] = np.where(self.halted(batch), 0.0, risen)
+        return state["ramp"]

@@ -1,0 +1,194 @@
+"""A planner that tries out what will happen, on clones of the true world: the limit of the task, not a rival.
+
+Every half second each wheel is cloned (`soil_env.simulation.cloning`) some dozens of times, and every clone drives
+by a plan of its own to a horizon of many seconds, halts and ruts included: back away, then ramp the rim speed up to a
+top speed, after a while by another ramp to another speed. The wheel goes on by the plan whose clone has come furthest,
+less what sitting deep costs. Plans are the one it follows, variations of that, soft starts of fixed settings, and plans
+drawn at random: random shooting with a warm start, replanned every time (model predictive control by sampling).
+
+The planner knows the true state and all of the ground to come, and where it will be halted next. What the sensors will
+read, and where the halts after that will be, it does not: its clones have random streams of their own. It tries few
+plans of one kind, so that what it finishes is a lower bound of what can be finished by one who knows the ground.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError
+from soil_env.parameters import Scenario
+from soil_env.simulation.cloning import clone
+from soil_env.simulation.task import Cause
+from soil_env.simulation.worlds import IDLE, STEP, Simulation
+from soil_env.terramechanics.model import WheelSoilModel
+
+from .base import Ramped
+
+EVERY = 0.5  # [s] between two plans
+HORIZON = 11.0  # [s]
+ACCELERATIONS = (0.03, 1.0)  # [m/s2] that plans are drawn from, evenly in the logarithm
+SPEEDS = (0.05, 1.0)  # [of the top rim speed]
+BACKING, BACKING_SHARE = (0.5, 4.0), 0.25  # [s] of going back, and the share of drawn plans that begin so
+BACK = -0.1  # [of the top rim speed]
+FIXED = tuple((a, v) for a in (0.04, 0.09, 0.2, 0.5) for v in (0.2, 0.45, 0.8))  # soft starts that are always tried
+DEEP = 3.0  # [m] that a wheel at the limit of sinkage is worth less than one at none
+VARIED, DRAWN = 10, 14  # plans
+COUNT = 1 + VARIED + len(FIXED) + DRAWN
+_FAILED = (Cause.ENTRAPPED.value, Cause.STALLED.value, Cause.BOGGED.value, Cause.TIME_LIMIT.value)
+_RUNNING, _FINISHED = Cause.RUNNING.value, Cause.FINISHED.value
+
+
+class Plans(NamedTuple):
+    """What wheels do; arrays of one shape."""
+
+    back: np.ndarray  # [s] left of going back
+    left: np.ndarray  # [s] left of the first ramp
+    first: np.ndarray  # [m/s2] its acceleration
+    speed: np.ndarray  # [m/s] its top speed
+    second: np.ndarray  # of the ramp after it
+    later_speed: np.ndarray
+    beside: np.ndarray  # bool: at the next fork, the line beside
+
+    def at(self, where) -> Plans:
+        """Some of them."""
+        return Plans(*(x[where] for x in self))
+
+    def after(self, time: float) -> Plans:
+        """What is left of them after `time` seconds."""
+        back = np.maximum(self.back - time, 0.0)
+        return self._replace(back=back, left=np.where(self.back > 0.0, self.left, np.maximum(self.left - time, 0.0)))
+
+
+class _Driver(Ramped):
+    """Follows a plan of its own for each row."""
+
+    plans: Plans
+
+    def __init__(self, scenario: Scenario, variant: str):
+        self.variant = variant
+        super().__init__(scenario)
+
+    def rim_speed(self, observation, state):
+        """Backwards as long as the plan says, then the ramps."""
+        p = self.plans
+        second = p.left <= 1e-9
+        acceleration, speed = np.where(second, p.second, p.first), np.where(second, p.later_speed, p.speed)
+        back = (p.back > 1e-9) & ~self.halted(observation)
+        state["ramp"] = np.where(back, 0.0, self.ramp(observation, state, acceleration, speed))
+        self.plans = p.after(self.period)
+        return np.where(back, BACK * self.top_speed, state["ramp"])
+
+    def beside(self, batch):
+        """As planned."""
+        return self.plans.beside
+
+    def act(self, batch, state) -> np.ndarray:
+        """Actions [n, 1]; advances the plans and the `state`."""
+        return self.chosen(batch, self.command(batch, self.rim_speed(batch, state), state), self.beside(batch))
+
+
+class Oracle:
+    """The planner as a contestant; it is shown the simulation that it drives in by `attach`."""
+
+    name = "oracle"
+
+    def __init__(self, scenario: Scenario, variant: str = "blind", every: float = EVERY, horizon: float = HORIZON):
+        self.scenario, self.variant = scenario, variant
+        self.driver, self.dreamer = _Driver(scenario, variant), _Driver(scenario, variant)
+        self.every, self.steps = (max(1, round(t / self.driver.period)) for t in (every, horizon))
+        self.settings: dict[str, float] = {}
+        self.simulation: Simulation | None = None
+
+    def attach(self, simulation: Simulation, threads: int | None, model: WheelSoilModel | None) -> None:
+        """Show the simulation whose observations come next; `threads` and `model` are those it was made with."""
+        self.simulation, wheels = simulation, simulation.worlds.cause.size
+        self.clones = Simulation(wheels * COUNT, self.scenario, self.variant, threads=threads, model=model)
+        self.rng = np.random.default_rng(0)
+        self.driver.plans = self._soft_starts((wheels,), 0.09, 0.6)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """Actions [n, 1] for all wheels of the simulation; plans anew where it is time."""
+        if self.simulation is None or self.simulation.worlds.cause.size != len(observation):
+            raise ParameterError("oracle: predict before attach: it plans in the simulation that it drives in")
+        batch = np.asarray(observation, dtype=np.float64)
+        memory, since = (None, 0) if state is None else state
+        fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
+        memory = self.driver.begin(batch, memory, fresh)
+        if since % self.every == 0:
+            w = self.simulation.worlds
+            due = (w.cause == _RUNNING) & (w.state["halt_left"] <= self.every * self.driver.period)
+            if due.any():
+                self._plan(batch, memory, np.flatnonzero(due))
+        return self.driver.act(batch, memory), (memory, since + 1)
+
+    def _plan(self, batch, memory, due) -> None:
+        """Choose the plans of the wheels `due` [d] anew."""
+        wheels = np.repeat(due, COUNT)
+        places = np.arange(wheels.size)
+        tried = self._candidates(self.driver.plans.at(due))
+        clone(self.simulation, wheels, self.clones, places)
+        streams = self.rng.integers(0, 2**64, size=due.size, dtype=np.uint64)
+        self.clones.worlds.streams[places] = np.repeat(streams, COUNT)  # the same noise for all plans of a wheel
+        self.dreamer.plans = Plans(*(x.ravel() for x in tried))
+        score = self._tried(batch[wheels], {name: values[wheels] for name, values in memory.items()})
+        best = np.argmax(score.reshape(-1, COUNT), axis=1)  # of equals the first: to go on
+        for now, values in zip(self.driver.plans, tried, strict=True):
+            now[due] = values[np.arange(due.size), best]
+
+    def _soft_starts(self, shape, acceleration, share) -> Plans:
+        zero = np.zeros(shape)
+        a, v = zero + acceleration, zero + np.asarray(share) * self.driver.top_speed
+        return Plans(zero.copy(), zero.copy(), a, v, a.copy(), v.copy(), np.zeros(shape, dtype=bool))
+
+    def _candidates(self, now: Plans) -> Plans:
+        """Plans [d, COUNT] to try, the first as `now` [d]."""
+        d, top, rng = now.back.size, self.driver.top_speed, self.rng
+        fixed = self._soft_starts((d, len(FIXED)), *np.array(FIXED).T)
+        fixed = fixed._replace(beside=rng.random((d, len(FIXED))) < 0.5)
+        a, b = (np.exp(rng.uniform(*np.log(ACCELERATIONS), (d, DRAWN))) for _ in range(2))
+        v, u = (rng.uniform(*SPEEDS, (d, DRAWN)) * top for _ in range(2))
+        back = np.where(rng.random((d, DRAWN)) < BACKING_SHARE, rng.uniform(*BACKING, (d, DRAWN)), 0.0)
+        drawn = Plans(back, rng.uniform(0.0, 0.6 * HORIZON, (d, DRAWN)), a, v, b, u, rng.random((d, DRAWN)) < 0.5)
+        low, high = SPEEDS[0] * top, SPEEDS[1] * top
+        same, noise = [x[:, None] for x in now], rng.standard_normal((6, d, VARIED))
+        varied = Plans(
+            same[0] + 0.0 * noise[0],
+            np.maximum(same[1] + 1.0 * noise[1], 0.0),
+            np.clip(same[2] * np.exp(0.4 * noise[2]), *ACCELERATIONS),
+            np.clip(same[3] * np.exp(0.3 * noise[3]), low, high),
+            np.clip(same[4] * np.exp(0.4 * noise[4]), *ACCELERATIONS),
+            np.clip(same[5] * np.exp(0.3 * noise[5]), low, high),
+            same[6] ^ (rng.random((d, VARIED)) < 0.3),
+        )
+        return Plans(*(np.concatenate(parts, axis=1) for parts in zip(same, varied, fixed, drawn, strict=True)))
+
+    def _tried(self, batch, state) -> np.ndarray:
+        """Score [n] of clones driven to the horizon."""
+        w, n = self.clones.worlds, len(batch)
+        what = np.full(w.cause.size, IDLE)
+        what[:n] = STEP
+        commands, done = np.zeros(w.cause.size), np.full(n, float(self.steps))
+        for step in range(self.steps):
+            if step:
+                batch = w.observation[:n].astype(np.float64)
+                state = self.dreamer.begin(batch, state, np.zeros(n, dtype=bool))
+            commands[:n] = self.dreamer.act(batch, state)[:, 0]
+            self.clones.step_all(commands, what)
+            ended = (what[:n] == STEP) & (w.cause[:n] != _RUNNING)
+            done[ended] = step
+            what[:n][ended] = IDLE
+            if (what[:n] == IDLE).all():
+                break
+        return self._value(n, done)
+
+    def _value(self, n: int, done: np.ndarray) -> np.ndarray:
+        """Metres come, less what failing, standing or sitting deep costs, more for an early finish."""
+        w, s = self.clones.worlds, self.clones.worlds.state
+        waited = s["idle_time"][:n] / self.scenario.limits.no_progress_time
+        spare = (self.steps - done) * self.driver.period * self.driver.top_speed
+        depth = s["sinkage"][:n] / (self.scenario.limits.bogged_sinkage * self.driver.radius)
+        score = s["best_x"][:n] - 0.5 * np.maximum(waited - 0.3, 0.0) - DEEP * depth * depth
+        score = np.where(w.cause[:n] == _FINISHED, self.scenario.course.length + spare, score)
+        return np.where(np.isin(w.cause[:n], _FAILED), score - 100.0, score)

@@ -1,0 +1,112 @@
+"""Controllers of slip that know nothing of the soil: a held slip, a limited slip, extremum seeking."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .base import SPEED, START, Controller, Ramped, Setting
+
+MOST_SLIP = 0.95  # that a controller can hold: the rim speed for it is V/(1 - i)
+_CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
+_SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", high=MOST_SLIP, zero=True)
+
+
+def travel_speed(controller: Controller, observation):
+    """V [m/s], [n], from the sensors of slip and rim speed: less noisy at low speeds than the sensor of speed."""
+    slip = observation[:, controller.column["slip"]]
+    rim = np.maximum(observation[:, controller.column["rim_speed"]], 0.0) * controller.top_speed
+    return np.where(slip > 0.0, rim * (1.0 - slip), rim / (1.0 + np.maximum(slip, -0.9)))
+
+
+class SlipFollower(Ramped):
+    """Base: the rim speed at which the wheel has a target slip, V/(1 - i), or that of the ramp where it is lower."""
+
+    bounds = {"start": START, **Ramped.bounds}
+
+    def target_slip(self, observation, state):
+        """Slip not to exceed, [n]."""
+        raise NotImplementedError
+
+    def of_slip(self, observation, state):
+        """V/(1 - i) with a lead, at least the starting speed [m/s], [n]."""
+        slip = np.minimum(self.target_slip(observation, state), MOST_SLIP)
+        start = self.settings["start"]
+        return np.maximum(travel_speed(self, observation) / (1.0 - slip) + _CREEP * start, start)
+
+    def rim_speed(self, observation, state):
+        """The lower of `of_slip` and the ramp."""
+        ramp = self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
+        return np.minimum(self.of_slip(observation, state), ramp)
+
+
+class FixedSlip(Controller):
+    """A rim speed that holds a slip by its acceleration, from a creeping start up to a top speed.
+
+    A wheel that gains speed needs more pull than the slope asks for, and so has more slip: the acceleration of the rim
+    is what the slip can be controlled by, for as long as the rim speed is between start and top.
+    """
+
+    name = "fixed_slip"
+    bounds = {"slip": _SLIP, "start": START._replace(default=0.04), "speed": SPEED}
+    memory = {**Controller.memory, "rim": 0, "gain": 0}
+    step = 1.5  # [m/s2] that the acceleration changes by in an action, for a unit of slip
+    most = 1.0  # [m/s2]
+
+    def rim_speed(self, observation, state):
+        """The rim speed before and what it gains in an action."""
+        start, top = self.settings["start"], self.settings["speed"]
+        error = self.settings["slip"] - observation[:, self.column["slip"]]
+        rest = self.halted(observation)
+        gain = np.clip(np.where(rest, 0.0, state["gain"] + self.step * error), -self.most, self.most)
+        rim = np.where(rest, 0.0, np.maximum(state["rim"], start)) + gain * self.period
+        state["rim"] = np.where(rest, 0.0, np.clip(rim, start, max(top, start)))
+        held = np.where(rim > top, np.minimum(gain, 0.0), gain)  # at its limits the acceleration does not wind up
+        state["gain"] = np.where(rim < start, np.maximum(held, 0.0), held)
+        return state["rim"]
+
+
+class SlipLimiter(SlipFollower):
+    """A ramp of the rim speed that waits where the slip reaches its limit."""
+
+    name = "slip_limiter"
+    bounds = {"slip": _SLIP._replace(default=0.5), **SlipFollower.bounds}
+
+    def target_slip(self, observation, state):
+        """The limit."""
+        return np.full(len(observation), self.settings["slip"])
+
+
+class ExtremumSeeking(SlipFollower):
+    """A limit of the slip that seeks the highest drawbar pull.
+
+    The limit swings about an estimate of the best slip. How the measured pull goes with the measured slip over the last
+    seconds (the slope of its regression) is the gradient that the estimate climbs.
+    """
+
+    name = "extremum_seeking"
+    bounds = {
+        "gain": Setting(0.3, "1/s", "of the estimate by the slope of the pull [of weight, a unit of slip]", high=1e3),
+        "swing": Setting(0.05, "-", "amplitude of the slip about its estimate", high=0.3),
+        **SlipFollower.bounds,
+    }
+    memory = {**SlipFollower.memory, "best": 0, "phase": 0, "slip_mean": 0, "pull_mean": 0, "power": 0, "product": 0}
+    first, low, high = 0.3, 0.05, 0.8  # estimate at the start, and its bounds
+    swing_period = 1.2  # [s]
+    memory_time = 2.4  # [s] of the means and of the slope
+    _LITTLE = 1e-3  # variance of slip at which the slope counts half: that of its sensor is 1e-4
+
+    def target_slip(self, observation, state):
+        """The estimate with its swing, [n]; advances both."""
+        driving = ~(self.halted(observation) | state["fresh"])
+        slip, pull = (observation[:, self.column[name]] for name in ("slip", "drawbar_pull"))
+        share = np.where(driving, self.period / self.memory_time, 0.0)
+        a, b = slip - state["slip_mean"], pull - state["pull_mean"]
+        state["slip_mean"], state["pull_mean"] = state["slip_mean"] + share * a, state["pull_mean"] + share * b
+        state["power"] = state["power"] + share * (a * a - state["power"])
+        state["product"] = state["product"] + share * (a * b - state["product"])
+        slope = state["product"] / (state["power"] + self._LITTLE)
+        best = np.where(state["fresh"], self.first, state["best"])
+        step = np.where(driving, self.settings["gain"] * self.period * slope, 0.0)
+        state["best"] = np.clip(best + step, self.low, self.high)
+        state["phase"] = state["phase"] + 2.0 * np.pi / self.swing_period * self.period
+        return state["best"] + self.settings["swing"] * np.sin(state["phase"])

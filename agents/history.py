@@ -1,0 +1,119 @@
+"""Past sensor readings beside the observation: a memory of fixed length for a feed-forward network.
+
+The readings of the last `steps` steps, those that say how the wheel answered the ground, follow the present observation
+(as stacked frames follow a picture, Mnih et al. 2015, Nature 518:529; here only of the readings that matter). Where a
+camera tells terrain classes apart, averages of the readings on each class are kept, and those of the classes that are
+seen ahead follow: what such ground felt like when it was met.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+
+from soil_env.simulation.task import LINES
+
+#: Entries of the observation that are kept. The pitch and what was commanded follow from them or from the observation.
+READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_speed")
+
+SHARE = 0.1  # of a step in the averages on the ground of a terrain class
+
+
+class History:
+    """Which entries of an observation are kept, and for how many steps; keeps nothing itself.
+
+    `names`: entries of the layout. With terrain classes (`here_class_1`, ...) the history has, for the class of each
+    line ahead, the moving average of the readings on its ground as well, and how much of it is known: 0 for a class not
+    met or no line in sight, towards 1.
+    """
+
+    def __init__(self, names: Sequence[str], steps: int):
+        names = list(names)
+        self.steps, self.entries = steps, len(names)
+        self.columns = [names.index(name) for name in READINGS]
+        self.halted = names.index("halted")
+        self.classes = [k for k, name in enumerate(names) if name.startswith("here_class_")]
+        self.lines = [
+            [k for k, name in enumerate(names) if name.startswith(f"{line}_class_")]
+            for line in LINES
+            if f"{line}_class_1" in names
+        ]
+        self.past = steps * len(self.columns)
+        self.size = self.past + len(self.lines) * (len(self.columns) + 1)  # numbers that come to the observation
+
+    @property
+    def kept(self) -> int:
+        """Numbers that are kept from one step to the next for each wheel: present and past readings, averages."""
+        return len(self.columns) + self.past + len(self.classes) * (len(self.columns) + 1)
+
+    def observe(self, seen, kept, fresh, others: int = 0):
+        """(observation with its history, what to keep for the next step) for observations [n, D + others].
+
+        The history comes after the D entries of the layout and before the others, newest step first. On a new course,
+        `fresh` [n] bool, the present readings stand in for the past, whatever `kept` [n, self.kept] holds. All are
+        arrays, or values of an ONNX graph (`agents.export`).
+        """
+        m = len(self.columns)
+        moved = np.concatenate([seen[:, self.columns], kept[:, _range(0, self.past)]], axis=1)
+        now = [np.where(fresh[:, None], seen[:, self.columns * (self.steps + 1)], moved)]
+        driving = 1.0 - seen[:, [self.halted]]
+        for k, column in enumerate(self.classes):
+            first = m + self.past + k * (m + 1)
+            known = np.where(fresh[:, None], 0.0 * seen[:, [0] * (m + 1)], kept[:, _range(first, first + m + 1)])
+            rate = SHARE * driving * seen[:, [column]]
+            sums = np.concatenate([seen[:, self.columns], 0.0 * driving + 1.0], axis=1)
+            now.append(known + rate * (sums - known))
+        kept = np.concatenate(now, axis=1) if self.classes else now[0]
+        history = [kept[:, _range(m, m + self.past)]]
+        for line in self.lines:
+            felt = sum(seen[:, [column]] * sums for column, sums in zip(line, now[1:], strict=True))
+            share = felt[:, [m]]
+            history += [felt[:, _range(0, m)] / np.maximum(share, 1e-6), share]
+        rest = [seen[:, _range(self.entries, self.entries + others)]] if others else []
+        return np.concatenate([seen[:, _range(0, self.entries)], *history, *rest], axis=1), kept
+
+    def space(self, box: spaces.Box) -> spaces.Box:
+        """Observation space with the history in the place where `observe` puts it."""
+        bounds = []
+        for side, share in ((box.low, 0.0), (box.high, 1.0)):
+            own = side[self.columns]
+            history = [*np.tile(own, self.steps), *np.tile(np.append(own, share), len(self.lines))]
+            bounds.append(np.concatenate([side[: self.entries], history, side[self.entries :]]).astype(np.float32))
+        return spaces.Box(*bounds, dtype=np.float32)
+
+
+def _range(start: int, stop: int) -> list[int]:
+    """Columns as a list: what a graph can gather."""
+    return list(range(start, stop))
+
+
+class HistoryVecEnv(VecEnvWrapper):
+    """A vector environment whose observation has a history."""
+
+    def __init__(self, venv: VecEnv, history: History):
+        super().__init__(venv, history.space(venv.observation_space))
+        self.history = history
+        self._others = venv.observation_space.shape[0] - history.entries
+        self.kept = np.zeros((self.num_envs, history.kept), dtype=np.float32)
+
+    def reset(self) -> np.ndarray:
+        """New courses for all wheels."""
+        out, self.kept[:] = self.history.observe(
+            self.venv.reset(), self.kept, np.ones(self.num_envs, dtype=bool), self._others
+        )
+        return out
+
+    def step_wait(self):
+        """One step; (observations, rewards, dones, infos)."""
+        observation, rewards, dones, infos = self.venv.step_wait()
+        ended = np.flatnonzero(dones)
+        if ended.size:
+            last = np.array([infos[k]["terminal_observation"] for k in ended])
+            last, _ = self.history.observe(last, self.kept[ended], np.zeros(ended.size, dtype=bool), self._others)
+            for k, row in zip(ended, last, strict=True):
+                infos[k]["terminal_observation"] = row
+        out, self.kept[:] = self.history.observe(observation, self.kept, dones, self._others)
+        return out, rewards, dones, infos

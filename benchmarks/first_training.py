@@ -1,0 +1,124 @@
+"""First trainings: stock learners, their default hyperparameters, the default environment, one wheel.
+
+    python -m benchmarks.first_training sb3.PPO                    300 000 steps, seeds 0, 1 and 2
+    python -m benchmarks.first_training sb3.SAC --steps 100000
+    python -m benchmarks.first_training sbx.PPO sbx.SAC --seeds 1  pip install sbx-rl
+    python -m benchmarks.first_training constant                   what a constant action of each kind finishes
+
+A learner is `sb3.NAME` (Stable-Baselines3) or `sbx.NAME` (the same in JAX): `NAME("MlpPolicy", env, seed=seed)` on
+`gymnasium.make("SoilWheel-v0")`, no wrapper, nothing set. The deterministic policy then drives held-out courses, which
+no training sees. `constant` drives the levels of a constant action; of each kind the level is chosen on tuning courses
+and judged on the held-out ones. Intervals are Wilson's (1927), 95 %, over courses.
+"""
+
+from __future__ import annotations
+
+import importlib
+
+import gymnasium
+import numpy as np
+
+import soil_env  # noqa: F401  registers SoilWheel-v0
+from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET, Runs, run_courses
+from agents.evaluate.statistics import wilson
+from soil_env._io.commands import command_line, command_parser, leave, whole_number
+from soil_env._io.loading import ParameterError
+from soil_env.parameters import HELD, Scenario, load_scenario
+
+LIBRARIES = {"sb3": "stable_baselines3", "sbx": "sbx"}
+LEVELS = (0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0)
+
+
+class Constant:
+    """The same action, always."""
+
+    variant = "blind"
+
+    def __init__(self, level: float):
+        self.level = level
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """Actions [n, 1] float32."""
+        return np.full((len(observation), 1), self.level, dtype=np.float32), state
+
+
+class Trained:
+    """The deterministic policy of a model of Stable-Baselines3 or SBX."""
+
+    def __init__(self, model, variant: str):
+        self.model, self.variant = model, variant
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """Actions [n, 1]."""
+        return self.model.predict(observation, deterministic=True)
+
+
+def learner(name: str):
+    """The class of a learner by its name; ParameterError if there is none."""
+    library, _, algorithm = name.partition(".")
+    if library not in LIBRARIES:
+        raise ParameterError(f"learner {name!r}: expected 'constant', or {' or '.join(LIBRARIES)}, a dot and a class")
+    try:
+        return getattr(importlib.import_module(LIBRARIES[library]), algorithm)
+    except ModuleNotFoundError as error:
+        raise ParameterError(f"learner {name!r}: {error}") from None
+    except AttributeError:
+        raise ParameterError(f"learner {name!r}: {LIBRARIES[library]} has no {algorithm!r}") from None
+
+
+def trained(name: str, scenario: str, observation: str, steps: int, seed: int) -> Trained:
+    """A stock learner after `steps` steps of one wheel."""
+    env = gymnasium.make("SoilWheel-v0", scenario=scenario, observation=observation, info="short")
+    model = learner(name)("MlpPolicy", env, seed=seed)
+    model.learn(steps)
+    return Trained(model, observation)
+
+
+def said(runs: Runs) -> str:
+    """How courses ended, in words."""
+    finished = runs.metric("finished")
+    low, high = wilson(float(finished.sum()), finished.size)
+    stuck, late = (100.0 * runs.metric(name).mean() for name in ("immobilised", "time_limit"))
+    return (
+        f"finished {100.0 * finished.mean():.1f} [{100.0 * low:.1f}, {100.0 * high:.1f}] %, immobilised {stuck:.1f} %, "
+        f"out of time {late:.1f} %, return {runs.returns.mean():.2f}"
+    )
+
+
+def best_constant(scenario: Scenario, courses: int) -> float:
+    """The level that finishes most of the tuning courses."""
+    shares = [run_courses(Constant(a), scenario, TUNING_SET, courses).metric("finished").mean() for a in LEVELS]
+    return LEVELS[int(np.argmax(shares))]
+
+
+@command_line("benchmarks.first_training")
+def main(arguments: list[str] | None = None) -> int:
+    """Train and judge; returns the exit status."""
+    p = command_parser("python -m benchmarks.first_training", __doc__)
+    p.add_argument("learners", nargs="+", metavar="LEARNER")
+    p.add_argument("--scenario", default="mixed")
+    p.add_argument("--observation", default="identified")
+    p.add_argument("--steps", type=whole_number(1), default=300_000)
+    p.add_argument("--seeds", type=whole_number(1), default=3, help="number of seeds (default: 3)")
+    p.add_argument("--seed", type=whole_number(), default=0, help="the first of them (default: 0)")
+    p.add_argument("--courses", type=whole_number(1), default=500, help="to be judged on (default: 500)")
+    options = p.parse_args(arguments)
+    scenario = load_scenario(options.scenario)
+    for name in options.learners:
+        if name == "constant":
+            for action in HELD:
+                there = load_scenario(options.scenario, {"control": {"action": action}})
+                level = best_constant(there, options.courses)
+                runs = run_courses(Constant(level), there, HELD_OUT_SET, options.courses)
+                print(f"constant {action} {level:g}: {said(runs)}", flush=True)
+            continue
+        learner(name)
+        for seed in range(options.seed, options.seed + options.seeds):
+            agent = trained(name, options.scenario, options.observation, options.steps, seed)
+            runs = run_courses(agent, scenario, HELD_OUT_SET, options.courses)
+            print(f"{name}, {options.steps:,} steps, seed {seed}: {said(runs)}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    leave(main())

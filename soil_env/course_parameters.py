@@ -1,0 +1,85 @@
+"""What courses are drawn from, and what a camera sees of them: frozen dataclasses in SI units, part of a `Scenario`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from soil_env._io.loading import Checked, ParameterError, quantity
+
+MOST_CLASSES = 6  # terrain classes of a course
+
+
+@dataclass(frozen=True)
+class CourseSpec(Checked):
+    """Distribution of the random courses. All pairs are (low, high) of a uniform distribution.
+
+    Each patch gets the steepest grade at which a wheel at its best slip keeps a drawbar pull of `margin` times its
+    weight in reserve, cut to the upper bound of `grade_deg`; soils that would need less than its lower bound are not
+    used. So every course is passable, and by how much at least is stated.
+
+    A border may not be longer than the shortest patch, so that it lies between two patches only.
+
+    The wheel is halted every `halt_interval` metres, as rovers are to take the images of visual odometry (every 0.75 m
+    at most: Maimone, Cheng & Matthies 2007, J. Field Robotics 24:169-186), and has to start again where it stands.
+
+    With `classes` the ground is of that many terrain classes, which a camera tells apart (`Camera`). What soil a class
+    is, is drawn anew for every course; its patches scatter about it by `class_scatter` of the scenario's spread. The
+    first patches show each class once. With `lines` = 2 the wheel may go on along one of two lines over each patch
+    after those, of different classes and each with a grade of its own. It is halted `halt_before` the border, and the
+    sign of the action at the end of a halt chooses: below 0 the line beside, else the one straight ahead. On a share
+    `dead_ends` of these patches one of the two lines, either with equal chance, lacks `deficit` of drawbar pull at its
+    best slip; the other is passable by `margin` as all others are. That is what rovers are to predict slip by class
+    for: to choose a way around ground before they are on it (Angelova, Matthies, Helmick & Perona 2007, J. Field
+    Robotics 24:205-231; Rothrock et al. 2016, AIAA SPACE, doi 10.2514/6.2016-5539).
+    """
+
+    length: float = quantity("m", 1.0, 1e4, default=10.0)
+    patch_length: tuple[float, float] = quantity("m", 0.2, 1e4, default=(1.2, 3.0))
+    border: float = quantity("m", 0.01, 10.0, default=0.3, doc="length over which one patch passes into the next")
+    grade_deg: tuple[float, float] = quantity("deg", -25.0, 35.0, default=(-6.0, 18.0))
+    margin: tuple[float, float] = quantity("of weight", 0.0, 1.0, default=(0.03, 0.12))
+    payload: tuple[float, float] = quantity("kg", 0.0, 1e5, default=(0.0, 4.0))
+    halt_interval: tuple[float, float] = quantity("m", 0.05, 1e6, default=(0.6, 1.5), doc="between commanded halts")
+    halt_time: float = quantity("s", 0.0, 1e3, default=0.8, doc="length of a halt; 0 = none")
+    classes: int = quantity("", 0, MOST_CLASSES, default=0, doc="terrain classes; 0 = a soil of its own for each patch")
+    class_scatter: float = quantity("of spread", 0.0, 1.0, default=0.2, doc="of the patches of a class about its soil")
+    lines: int = quantity("", 1, 2, default=1, doc="lines over a patch between which the wheel may choose")
+    dead_ends: float = quantity("", 0.0, 1.0, default=0.0, doc="share of patches with an impassable line")
+    deficit: tuple[float, float] = quantity("of weight", 0.0, 1.0, default=(0.04, 0.1), doc="of an impassable line")
+    halt_before: tuple[float, float] = quantity("m", 0.0, 1e3, default=(0.4, 0.7), doc="a patch with two lines")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.lines > 1:
+            self._check_lines()
+        if self.border > self.patch_length[0]:
+            raise ParameterError(
+                f"CourseSpec.border = {self.border}: expected at most the shortest patch, {self.patch_length[0]} m"
+            )
+
+    def _check_lines(self) -> None:
+        if self.classes < 2:
+            raise ParameterError(f"CourseSpec.classes = {self.classes}: expected at least 2 where lines = 2")
+        if self.halt_time == 0.0:
+            raise ParameterError("CourseSpec.halt_time = 0: expected halts where lines = 2, to choose a line in")
+        low, high = self.halt_before
+        if low < self.border or high > self.patch_length[0] - self.border:
+            raise ParameterError(
+                f"CourseSpec.halt_before = {self.halt_before}: expected between the border, {self.border} m, and the "
+                f"shortest patch less the border, {self.patch_length[0] - self.border:g} m"
+            )
+
+
+@dataclass(frozen=True)
+class Camera(Checked):
+    """What a camera on the rover tells of the ground ahead where it has terrain classes (`CourseSpec.classes`).
+
+    It sees the class of each line, which is wrong with probability `label_error`, the grade, and how far off the border
+    is. Label and grade of a patch are read from its look: they are wrong in the same way in every image. The distance
+    has an error of that kind and one that is new in every image, both of `border_noise`.
+    """
+
+    range: float = quantity("m", 0.1, 100.0, default=2.0)
+    label_error: float = quantity("", 0.0, 1.0, default=0.05, doc="probability of another class than the true one")
+    grade_noise: float = quantity("rad", 0.0, 1.0, default=0.01)
+    border_noise: float = quantity("m", 0.0, 1.0, default=0.03)

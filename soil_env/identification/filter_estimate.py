@@ -1,0 +1,89 @@
+"""The estimate that a bank of filters (`filter`) gives of the soil under the wheel."""
+
+from __future__ import annotations
+
+import math
+
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import asin_root, exp, root
+from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array, total
+from soil_env.identification.border import blend, covariance_of_ground
+from soil_env.identification.filter_bank import COVARIANCES, MEANS, PUBLISHED, reference_of
+from soil_env.identification.filter_update import times
+from soil_env.identification.linearised import (
+    COHESION,
+    EXPONENT,
+    GAIN,
+    LN_DEPTH,
+    LN_K,
+    SINKAGE,
+    STRENGTH,
+    Q,
+    friction,
+)
+
+_at, _ground, _slopes, _gain = scratch(MEANS), scratch(MEANS), scratch(MEANS), scratch(MEANS)
+_of_ground = scratch(COVARIANCES)
+
+
+@inlined
+def publish(banks, k, numbers, estimate, sd, covariance):
+    """Of the soil under the wheel: mean [5], standard deviations [5], covariance [5, 5] of (phi, ln K, ln S, c, ln g).
+
+    ln S is that at the exponent of the belief which bears the same pressure at the bearing sinkage.
+    """
+    if banks.point.crossing[k] > 0.0:
+        ground, of_ground = _ground(), _of_ground()
+        b = blend(banks.mean[k], banks.point.place[k], 0.0, reference_of(banks, k), ground, numbers)
+        covariance_of_ground(banks.covariance[k], banks.mean[k], b, of_ground)
+        _publish(banks, k, ground, of_ground, numbers, estimate, sd, covariance)
+    else:
+        _publish(banks, k, banks.mean[k], banks.covariance[k], numbers, estimate, sd, covariance)
+
+
+@part
+def _publish(banks, k, x, P, numbers, estimate, sd, covariance):
+    """`publish` from the soil states x and their covariance P, eight filters each."""
+    w = exp(from_array(banks.log_weight[k], 0))
+    depth = from_array(banks.ln_bearing[k], 0) - LN_DEPTH
+    rows_, n = _at(), from_array(x, EXPONENT * COUNT)
+    for i in range(PUBLISHED):
+        j = GAIN if i == GAIN - 1 else i
+        to_array(from_array(x, j * COUNT), rows_, i * COUNT)
+    tan = friction(
+        from_array(x, STRENGTH * COUNT),
+        from_array(x, LN_K * COUNT),
+        from_array(x, COHESION * COUNT),
+        reference_of(banks, k),
+    )
+    angle = 2.0 * asin_root(0.5 - 0.5 / root(1.0 + tan.tangent * tan.tangent))
+    to_array(angle, rows_, 0)
+    to_array(from_array(x, Q * COUNT) + (n - numbers.exponent) * depth, rows_, Q * COUNT)
+    for i in range(PUBLISHED):
+        estimate[i] = total(w * from_array(rows_, i * COUNT))
+    rate, slopes, product = 1.0 / (1.0 + tan.tangent * tan.tangent), _slopes(), _gain()
+    for i in range(PUBLISHED):
+        for j in range(SINKAGE):
+            to_array(fill(0.0), slopes, j * COUNT)
+        to_array(fill(1.0), slopes, (GAIN if i == GAIN - 1 else i) * COUNT)
+        if i == STRENGTH:
+            to_array(rate * tan.by_strength, slopes, STRENGTH * COUNT)
+            to_array(rate * tan.by_ln_K, slopes, LN_K * COUNT)
+            to_array(rate * tan.by_cohesion, slopes, COHESION * COUNT)
+        elif i == Q:
+            to_array(depth, slopes, EXPONENT * COUNT)
+        times(P, slopes, product, SINKAGE)
+        away = from_array(rows_, i * COUNT) - estimate[i]
+        for j in range(i + 1):
+            b = GAIN if j == GAIN - 1 else j
+            v = from_array(product, b * COUNT)
+            if j == STRENGTH:
+                v = rate * (
+                    tan.by_strength * v + tan.by_ln_K * from_array(product, LN_K * COUNT)
+                    + tan.by_cohesion * from_array(product, COHESION * COUNT)
+                )  # fmt: skip
+            elif j == Q:
+                v = v + depth * from_array(product, EXPONENT * COUNT)
+            covariance[i, j] = covariance[j, i] = total(w * (v + away * (from_array(rows_, j * COUNT) - estimate[j])))
+        sd[i] = math.sqrt(max(covariance[i, i], 1e-18))
+    estimate[COHESION] = max(estimate[COHESION], 0.0)

@@ -1,0 +1,56 @@
+"""`python -m agents.tune`: what it writes is what train.py and agents.evaluate take."""
+
+import pytest
+import yaml
+
+from agents import tune
+from agents.evaluate import tuning
+from agents.evaluate.tuning import load_spaces, shipped_settings
+from soil_env.parameters import load_scenario
+
+pytest.importorskip("optuna")
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Two controllers, two trials on two courses."""
+    spaces = load_spaces()
+    few = {name: spaces.controllers[name] for name in ("constant_torque", "soft_start")}
+    for module in (tune, tuning):
+        monkeypatch.setattr(module, "load_spaces", lambda: tuning.replace(spaces, trials=2, controllers=few))
+    monkeypatch.setattr(tuning, "_COURSES_A_TRIAL", 1)
+
+
+def test_what_is_written_serves_as_settings_of_the_package(tmp_path, small, monkeypatch, capsys):
+    out = tmp_path / "made"
+    asked = ["--scenario=mixed", "--courses=2", "--actions=torque,wheel_speed", f"--out={out}"]
+    assert tune.main(asked) == 0
+    written = (out / "mixed.yaml").read_text()
+    content = yaml.safe_load(written)
+    assert content["courses"] == 2 and content["trials"] == 2 and list(content["settings"]) == ["torque", "wheel_speed"]
+    assert "soft_start" in capsys.readouterr().out
+    assert tune.main(asked) == 0  # from the log
+    assert (out / "mixed.yaml").read_text() == written
+
+    (tmp_path / "tuned").mkdir()
+    (tmp_path / "tuned" / "mixed.yaml").write_text(written)
+    monkeypatch.setattr(tuning, "config_dir", lambda: tmp_path)
+    for action in ("torque", "wheel_speed"):
+        scenario = load_scenario("mixed", {"control": {"action": action}})
+        assert shipped_settings(scenario, 2) == content["settings"][action]
+    assert shipped_settings(load_scenario("mixed", {"control": {"action": "rim_acceleration"}}), 2) == {}
+
+
+@pytest.mark.parametrize(
+    "asked, said",
+    [
+        (["--actions=torqe"], "torque"),
+        (["--scenario=mixd"], "mixed"),
+        (["--courses=0"], "--courses = 0"),
+    ],
+)
+def test_bad_input_is_refused_with_one_line(tmp_path, capsys, asked, said):
+    assert tune.main([*asked, f"--out={tmp_path / 'x'}"]) == 2
+    err = capsys.readouterr().err.strip()
+    assert said in err and "\n" not in err
+    assert not (tmp_path / "x").exists()

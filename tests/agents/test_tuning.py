@@ -1,0 +1,151 @@
+"""Tuning by Optuna: spaces are strict, the best trial is kept, an interrupted tuning ends as one without a break."""
+
+import json
+
+import pytest
+import yaml
+
+from agents.controllers import CONTROLLERS, make_controller
+from agents.evaluate import TUNING_SET, run_courses, tuning
+from agents.evaluate.tuning import Range, kept_settings, load_spaces, shipped_settings, tuned_settings
+from soil_env._io.loading import ParameterError, config_dir
+from soil_env.parameters import load_scenario
+
+pytest.importorskip("optuna")
+SHORT = {"course": {"length": 2.0}, "control": {"time_limit": 12.0}}
+
+
+@pytest.fixture(scope="module")
+def short():
+    return load_scenario("mixed", SHORT)
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Six trials on any number of courses."""
+    monkeypatch.setattr(tuning, "_COURSES_A_TRIAL", 1)
+    spaces = load_spaces()
+    monkeypatch.setattr(tuning, "load_spaces", lambda: tuning.replace(spaces, trials=6))
+
+
+def quiet(count, name):
+    pass
+
+
+# --- spaces -----------------------------------------------------------------------------------------------------------
+
+
+def test_every_controller_with_settings_has_a_space_within_its_bounds():
+    spaces = load_spaces()
+    assert set(spaces.controllers) == {name for name, c in CONTROLLERS.items() if c.bounds}
+    for vehicle in ("mixed", "field_vehicle"):
+        scenario = load_scenario(vehicle)
+        for name, space in spaces.controllers.items():
+            for end in (0, 1):
+                make_controller(name, scenario, **{key: r.bounds(scenario)[end] for key, r in space.items()})
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"trials": 0}, "trials = 0"),
+        ({"tries": 3}, "unknown key 'tries'"),
+        ({"controllers": {"soft_strat": {}}}, "soft_start"),
+        ({"controllers": {"soft_start": {"acceleraton": {"low": 0.1, "high": 1.0}}}}, "acceleration"),
+        ({"controllers": {"soft_start": {"speed": {"low": 0.1, "high": 1.0, "off": 1}}}}, "'off'"),
+        ({"controllers": {"soft_start": {"speed": {"low": 2.0, "high": 1.0}}}}, "low below high"),
+        ({"controllers": {"soft_start": {"speed": {"low": 0.0, "high": 1.0, "log": True}}}}, "low > 0"),
+        ({"controllers": {"soft_start": {"speed": {"low": 0.1, "high": 1.0, "of": "wheel"}}}}, "top_rim_speed"),
+    ],
+)
+def test_a_wrong_space_is_refused_with_one_line(tmp_path, change, said):
+    path = tmp_path / "spaces.yaml"
+    path.write_text(yaml.safe_dump({"trials": 3} | change))
+    with pytest.raises(ParameterError) as error:
+        load_spaces(path)
+    assert said in str(error.value) and "\n" not in str(error.value)
+    assert str(error.value).startswith("spaces.yaml: ")
+
+
+def test_bounds_may_be_shares_of_the_top_rim_speed():
+    scenario = load_scenario("mixed")
+    top = scenario.wheel.radius * scenario.wheel.no_load_speed
+    assert Range(0.1, 0.5, of="top_rim_speed").bounds(scenario) == (0.1 * top, 0.5 * top)
+    assert Range(0.1, 0.5).bounds(scenario) == (0.1, 0.5)
+
+
+def test_all_controllers_have_the_same_number_of_trials(short, few):
+    told = []
+    _, tried = tuned_settings(
+        short, 6, ("constant_torque", "slip_limiter"), lambda n, name: told.append((n, name)), anew=True
+    )
+    assert {name: len(t) for name, t in tried.items()} == {"constant_torque": 6, "slip_limiter": 6}
+    assert told == [(6, "constant_torque")] * 6 + [(6, "slip_limiter")] * 6
+
+
+# --- what is found ----------------------------------------------------------------------------------------------------
+
+
+def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(short, few):
+    chosen, tried = tuned_settings(short, 8, ("constant_torque",), quiet)
+    trials = tried["constant_torque"]
+    best = max(trials, key=lambda t: (t["finished"], t["return"]))
+    assert chosen == {"constant_torque": {"share": best["share"]}}
+    assert len({t["finished"] for t in trials}) > 1
+    runs = run_courses(make_controller("constant_torque", short, share=best["share"]), short, TUNING_SET, 8)
+    assert runs.metric("finished").mean() == best["finished"] and runs.returns.mean() == best["return"]
+    assert (
+        trials[0]["share"] == make_controller("constant_torque", short).settings["share"]
+    )  # the defaults are tried first
+
+
+def test_an_interrupted_tuning_ends_as_one_without_a_break(short, few, tmp_path):
+    names = ("soft_start", "constant_speed")
+    whole = tuned_settings(short, 6, names, quiet, anew=True)
+    log, told = tmp_path / "tuning.jsonl", []
+
+    def until_the_ninth(count, name):
+        told.append(name)
+        if len(told) == 9:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tuned_settings(short, 6, names, until_the_ninth, log=log, anew=True)
+    kept = log.read_text()
+    assert len(kept.splitlines()) == 9
+    assert tuned_settings(short, 6, names, quiet, log=log, anew=True) == whole
+    assert log.read_text().startswith(kept) and len(log.read_text().splitlines()) == 12
+
+
+def test_a_log_of_another_tuning_is_refused(short, few, tmp_path):
+    log = tmp_path / "tuning.jsonl"
+    tuned_settings(short, 2, ("constant_torque",), quiet, log=log, anew=True)
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    lines[0]["result"]["share"] += 0.1
+    log.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(ParameterError, match="another tuning"):
+        tuned_settings(short, 2, ("constant_torque",), quiet, log=log, anew=True)
+
+
+def test_kept_settings_are_found_once(short, few, tmp_path, monkeypatch):
+    path = tmp_path / "a" / "tuned.json"
+    first = kept_settings(path, short, 2, ("constant_torque",), quiet)
+    assert [p.name for p in path.parent.iterdir()] == ["tuned.json"]
+    monkeypatch.setattr(tuning, "tuned_settings", None)  # would be a TypeError
+    assert kept_settings(path, short, 2, ("constant_torque",), quiet) == first
+
+
+# --- settings that come with the package ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in (config_dir() / tuning.TUNED).glob("*.yaml")))
+def test_shipped_settings_serve_an_unchanged_scenario_only(name):
+    act = {"control": {"action": "rim_acceleration"}}
+    scenario = load_scenario(name, act)
+    shipped = shipped_settings(scenario, 200)
+    assert set(shipped) == {name for name, c in CONTROLLERS.items() if c.bounds}
+    assert tuned_settings(scenario, 200, ("soft_start",)) == ({"soft_start": shipped["soft_start"]}, {})
+    assert shipped_settings(scenario, 10**6) == {}  # more courses than they were tuned on
+    assert shipped_settings(load_scenario(name, act | {"course": {"length": 9.0}}), 2) == {}
+    assert shipped_settings(load_scenario(name, {"control": {"action": "rim_acceleration", "repeat": 2}}), 2) == {}
+    assert shipped_settings(load_scenario(name, act | {"reward": {"energy": 3.0}}), 2) == shipped

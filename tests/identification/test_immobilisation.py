@@ -1,0 +1,140 @@
+"""Inputs and network of the warning of immobilisation, against plain numpy and properties."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from soil_env.env import SoilWheelEnv
+from soil_env.identification import immobilisation as im
+from soil_env.identification.online import SensorReading
+from soil_env.parameters import ParameterError, load_scenario
+
+SIZE = len(im.INPUTS)
+READING = SensorReading(0.3, 0.03, 10.0, 150.0, 5.0, 0.1, 0.15, 0.1, 6.0, 1.2)
+
+
+def follow(readings, halted=None, numbers=None):
+    """Memory of one wheel [MEMORY] after the first of `readings` at the start and the others in a period each."""
+    numbers = numbers or im.warning_numbers(load_scenario("mixed"))
+    recent = np.zeros((1, im.MEMORY))
+    im.begin(recent, 0, readings[0], numbers)
+    for i, reading in enumerate(readings[1:]):
+        im.follow(recent, 0, reading, bool(halted and halted[i]), numbers)
+    return recent[0]
+
+
+def by_name(recent):
+    return dict(zip(im.INPUTS, recent[:-1], strict=False))
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=SIZE, max_size=SIZE), st.integers(0, 100))
+@settings(max_examples=60, deadline=None)
+def test_probabilities_are_probabilities_and_grow_with_the_horizon(values, seed):
+    rng = np.random.default_rng(seed)
+    net = im.shipped_network()
+    inputs = np.array([values, np.array(values) * rng.normal(size=SIZE), net.mean + rng.normal(size=SIZE) / net.scale])
+    found = im.score_inputs(inputs, net)
+    assert np.isfinite(found).all() and (found >= 0.0).all() and (found <= 1.0).all()
+    assert (found[:, 1] >= found[:, 0]).all()
+
+
+def test_the_network_is_the_one_of_matrices():
+    net, rng = im.shipped_network(), np.random.default_rng(1)
+    inputs = net.mean + 3.0 * rng.normal(size=(200, SIZE)) / net.scale
+    x = np.clip((inputs - net.mean) * net.scale, -im.LARGEST, im.LARGEST)
+    hidden = np.tanh(np.tanh(x @ net.first + net.first_bias) @ net.second + net.second_bias)
+    hazard = 1.0 / (1.0 + np.exp(-(hidden @ net.last + net.last_bias)))
+    survives = (1.0 - hazard[:, 0]) * (1.0 - hazard[:, 1])
+    np.testing.assert_allclose(im.score_inputs(inputs, net), np.stack([hazard[:, 0], 1.0 - survives], 1), rtol=1e-10)
+
+
+def test_averages_answer_a_step_with_their_time_constants():
+    period, after = load_scenario("mixed").control.period, 7
+    changed = READING._replace(slip=0.8)
+    found = by_name(follow([READING] + [changed] * after))
+    for scale in im.SCALES:
+        left = math.exp(-after * period / scale)
+        assert found[f"slip_{scale:g}s"] == pytest.approx(0.8 - 0.5 * left, rel=1e-12)
+        assert found[f"sinkage_{scale:g}s"] == pytest.approx(0.2)
+
+
+def test_averages_do_not_depend_on_the_control_period():
+    fine = im.warning_numbers(load_scenario("mixed", {"control": {"period": 0.05, "substep": 0.05}}))
+    changed = READING._replace(slip=0.8, pitch=0.3)
+    np.testing.assert_allclose(follow([READING] + [changed] * 10), follow([READING] + [changed] * 20, None, fine))
+
+
+def test_halts_are_left_out():
+    other = READING._replace(slip=0.0, rim_speed=0.0, speed=0.0)
+    driven = follow([READING] * 5)
+    halted = follow([READING] * 5 + [other] * 3, [False] * 4 + [True] * 3)
+    np.testing.assert_array_equal(halted[:-1], driven[:-1])
+    assert (driven[-1], halted[-1]) == (pytest.approx(0.4), 0.0)
+
+
+def test_a_wheel_of_another_size_reads_the_same():
+    """Lengths by the radius, forces by the load, speeds in radii a second: similar wheels are the same to it."""
+    plain = load_scenario("mixed")
+    wheel = {"radius": 0.45, "width": 0.45, "body_mass": 15.0 * 8.0, "stall_torque": 35.0 * 24.0, "inertia": 40.0}
+    large = load_scenario("mixed", {"wheel": wheel})
+    r = READING
+    similar = SensorReading(
+        r.slip, 3 * r.sinkage, 8 * r.drawbar_pull, 8 * r.load, 24 * r.torque, 3 * r.speed, 3 * r.rim_speed, r.pitch,
+        24 * r.motor_torque, r.acceleration,
+    )  # fmt: skip
+    np.testing.assert_allclose(follow([similar] * 3, None, im.warning_numbers(large)), follow([r] * 3, None,
+                               im.warning_numbers(plain)), rtol=1e-12)  # fmt: skip
+
+
+def test_inputs_have_the_estimate_without_dimension():
+    scenario = load_scenario("mixed")
+    warning, recent = im.ImmobilisationWarning(scenario), follow([READING])[None]
+    soil = [0.5, math.log(0.015), math.log(8e5), 600.0, 0.2]
+    estimate, sd = np.array([soil]), np.array([[0.1, 0.2, 0.3, 400.0, 0.5]])
+    found = dict(zip(im.INPUTS, warning.inputs(np.array([0]), recent, estimate, sd)[0], strict=True))
+    wheel, n = scenario.wheel, scenario.belief.sinkage_exponent
+    area = wheel.radius * wheel.width
+    assert found["strength"] == pytest.approx(math.tan(0.5) + 600.0 * area / 150.0)
+    assert found["log_modulus"] == pytest.approx(math.log(0.015 / wheel.radius))
+    assert found["log_bearing"] == pytest.approx(math.log(8e5 * wheel.radius**n * area / scenario.weight))
+    assert found["log_digging"] == pytest.approx(math.log(scenario.belief.dig_gain) + 0.2)
+    assert [found[name] for name in ("phi_sd", "modulus_sd", "bearing_sd", "digging_sd")] == [0.1, 0.2, 0.3, 0.5]
+
+
+@pytest.mark.parametrize("change, words", [
+    ({"inputs": ["slip"]}, "inputs of other code"),
+    ({"first": [[1.0]]}, "first: expected finite numbers of shape"),
+    ({"last_bias": [0.0, float("nan")]}, "last_bias: expected finite numbers"),
+    ({"mean": "x"}, "expected 'inputs' and the arrays"),
+])  # fmt: skip
+def test_weights_of_another_kind_are_refused_in_one_line(change, words):
+    content = json.loads(im.FILE.read_text(encoding="utf-8")) | change
+    with pytest.raises(ParameterError, match=words) as error:
+        im.network(content, "mine.json")
+    assert str(error.value).startswith("mine.json: ") and "\n" not in str(error.value)
+
+
+def test_the_sensors_are_followed_only_where_they_are_asked_for():
+    for info, rows in (("full", 1), ("numeric", 1), ("short", 0), ("none", 0)):
+        env = SoilWheelEnv(info=info)
+        env.reset(seed=0)
+        env.step([0.3])
+        assert env.simulation.worlds.recent.shape == (rows, im.MEMORY)
+
+
+def test_held_actions_miss_no_reading():
+    """An action of five periods leaves the same averages as five of one."""
+    change = {"action": "torque", "course": {"length": 3.0}}
+    one, five = SoilWheelEnv(repeat=1, **change), SoilWheelEnv(repeat=5, **change)
+    one.reset(seed=4), five.reset(seed=4)
+    for _ in range(6):
+        for _ in range(5):
+            *_, first = one.step([0.4])
+        *_, second = five.step([0.4])
+    np.testing.assert_array_equal(one.simulation.worlds.recent, five.simulation.worlds.recent)
+    for horizon in ("immobilised_within_3_s", "immobilised_within_5_s"):
+        assert first["traversability"][horizon] == second["traversability"][horizon]

@@ -1,0 +1,69 @@
+"""After `soil-env-warmup` the commands, the renderer and the controllers compile nothing."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from soil_env._numba.compiling import COMPILED
+
+ROOT = Path(__file__).resolve().parents[2]
+CODE = """
+import sys
+from pathlib import Path
+import gymnasium, numpy as np
+from soil_env._numba import cache
+from soil_env.warmup import warm_up
+
+warm_up()
+late, compiled = [], cache._Once.__call__
+def noted(once, signature):
+    if signature not in once._dispatcher.overloads:
+        late.append(once._dispatcher.py_func.__qualname__)
+    return compiled(once, signature)
+cache._Once.__call__ = noted
+
+folder = Path(sys.argv[1])
+from soil_env.identification.__main__ import main as identify
+from soil_env.discrepancy import calibrate
+from soil_env.discrepancy.data import prepare
+from soil_env.logs.__main__ import main as logs
+from soil_env.measurement.table import read_setup, read_table
+from agents.controllers import make_controller
+from soil_env.parameters import load_scenario
+
+table, setup = "examples/data/single_wheel.csv", "examples/data/setup.yaml"
+assert identify([table, "--setup", setup]) == 0
+known = read_setup(setup)
+calibrate.calibrate(prepare(read_table(table, known.wheel), known))
+rows = "".join(f"{0.1 * k},2,{0.27 - 0.02 * (k // 20 % 2)},0.02,5\\n" for k in range(80))
+(folder / "a.csv").write_text("t,wheel_speed,speed,sinkage,torque\\n" + rows)
+names = "wheel_speed", "speed", "sinkage", "torque"
+channels = "".join(f"  {n}: {{column: {n}}}\\n" for n in names)
+(folder / "map.yaml").write_text("wheel: planetary_rover\\ntime: {column: t}\\nchannels:\\n" + channels)
+assert logs([str(folder / "a.csv"), "--map", str(folder / "map.yaml"), "--out", str(folder / "out")]) == 0
+envs = gymnasium.make_vec("SoilWheel-v0", 8, "vector_entry_point")
+observations, _ = envs.reset(seed=0)
+for name in ("best_slip_identified", "best_slip_true"):
+    make_controller(name, load_scenario("mixed")).predict(observations, None, np.ones(8, dtype=bool))
+env = gymnasium.make("SoilWheel-v0", render_mode="rgb_array")
+env.reset(seed=1)
+env.step(np.array([0.3], dtype=np.float32))
+env.render()
+from soil_env.paper import compare
+compare.table_3()
+print("late:", late)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not COMPILED, reason="nothing is compiled")
+def test_what_is_documented_compiles_nothing_after_the_warm_up(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", CODE, str(tmp_path)], cwd=ROOT, capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.strip().splitlines()[-1] == "late: []"

@@ -1,0 +1,141 @@
+"""What an action means, and how long it lasts."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from soil_env.parameters import HELD, Control, ParameterError, load_scenario
+from soil_env.simulation.task import REWARD_TERMS, Cause, layout
+from soil_env.simulation.wheel import REVERSE
+from soil_env.simulation.worlds import Simulation
+
+COLUMN = {entry.name: i for i, entry in enumerate(layout("blind"))}
+FLAT = {"course": {"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]}, "noise": {"wheel_speed": 0.0}}
+MODES = tuple(HELD)
+
+
+def simulation(action, repeat=None, seed=0, wheels=1, **changes):
+    """A `Simulation` after a reset."""
+    scenario = load_scenario("mixed", {**changes, "control": {"action": action, "repeat": repeat}})
+    sim = Simulation(wheels, scenario, "identified", threads=1)
+    for k in range(wheels):
+        sim.seed(k, np.random.default_rng([seed, k]))
+    sim.restart_where(np.ones(wheels, dtype=bool))
+    return sim
+
+
+def test_an_action_lasts_as_long_as_its_kind_says_unless_told_otherwise():
+    for mode, periods in HELD.items():
+        assert Control(action=mode).held == periods and Control(action=mode, repeat=3).held == 3
+    assert HELD["torque"] == 1
+    s = load_scenario("mixed", {"control": {"repeat": 7, "time_limit": 5.0}})
+    assert (s.periods, s.steps) == (50, 8)  # the last action is cut short
+    for bad in (0, 2.5, "x"):
+        with pytest.raises(ParameterError, match="repeat"):
+            load_scenario("mixed", {"control": {"repeat": bad}})
+    with pytest.raises(ParameterError, match="repeat = 2.5: expected a whole number"):
+        Control(repeat=2.5)
+
+
+def test_rim_acceleration_moves_a_commanded_speed_that_the_wheel_follows():
+    sim = simulation("rim_acceleration", 1, **FLAT)
+    top = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
+    expected = 0.0
+    for action in [1.0] * 12 + [-0.5] * 10 + [0.0] * 10 + [0.3] * 5:
+        sim.step(0, action)
+        expected += 0.3 * 0.1 * action
+        seen = sim.worlds.observation[0]
+        assert seen[COLUMN["rim_command"]] * top == pytest.approx(expected, rel=1e-6)
+        assert seen[COLUMN["last_action"]] == pytest.approx(action)
+        lag = 0.035  # [m/s] the speed loop gives way to the soil, and follows within a control period or two
+        assert seen[COLUMN["rim_speed"]] * top == pytest.approx(expected, abs=lag)
+
+
+@pytest.mark.parametrize(("action", "bound"), [(1.0, 1.0), (-1.0, -REVERSE)])
+def test_the_commanded_speed_stays_between_its_bounds(action, bound):
+    sim = simulation("rim_acceleration", 1, limits={"no_progress_time": 1e3}, **FLAT)
+    for _ in range(40):
+        sim.step(0, action)
+    assert sim.worlds.state["rim_command"][0] == bound
+    sim.step(0, -action)
+    assert abs(sim.worlds.state["rim_command"][0]) < abs(bound)
+
+
+def test_halts_take_the_commanded_speed_back_to_zero():
+    sim = simulation("rim_acceleration", 1, course={"grade_deg": [-1.0, 0.0]})
+    rows = []
+    for _ in range(200):
+        halted = sim.worlds.state["halt_left"][0] > 0.0
+        sim.step(0, 0.4)
+        s = sim.wheel(0)
+        rows.append((halted, s["rim_command"], s["last_action"]))
+        if sim.worlds.cause[0] != Cause.RUNNING:
+            break
+    step = 0.4 * 0.03 / 0.75
+    starts = [k for k in range(1, len(rows)) if rows[k - 1][0] and not rows[k][0]]
+    assert len(starts) >= 2
+    for halted, command, action in rows:
+        assert not halted or (command, action) == (0.0, 0.0)
+    for k in starts:
+        assert rows[k][1] == pytest.approx(step) and rows[k][2] == 0.4
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
+    """To the bit: world, sensors, identifier; rewards are summed, and the step ends with the episode."""
+    changes = {"course": {"length": 2.0}, "reward": {"information": 1.5, "information_discount": 0.9}}
+    ends, halves, wheels, repeat = set(), 0, 6, 5
+    held, single = (simulation(mode, n, 4, wheels, **changes) for n in (repeat, 1))
+    rng, what = np.random.default_rng(1), np.zeros(wheels, dtype=np.int8)
+    for step in range(80):
+        if step % 3 == 0:
+            commands = rng.uniform(-0.3, 1.0, wheels)
+        commands[0] = 0.0  # stands until it has stood too long
+        held.step_all(commands, what)
+        sums, solved = np.zeros((wheels, len(REWARD_TERMS))), np.zeros(wheels, dtype=bool)
+        going, lasted = what.copy(), np.zeros(wheels)
+        for _ in range(repeat):
+            single.step_all(commands, going)
+            on = going == 0
+            sums[on] += single.worlds.terms[on]
+            solved |= on & single.worlds.solved
+            lasted += on
+            going[single.worlds.cause != Cause.RUNNING] = 2
+        driven = what == 0
+        for name in held.worlds.state.NAMES:
+            np.testing.assert_array_equal(held.worlds.state[name], single.worlds.state[name], err_msg=name)
+        for name in ("observation", "cause", "streams"):
+            np.testing.assert_array_equal(getattr(held.worlds, name), getattr(single.worlds, name), err_msg=name)
+        np.testing.assert_array_equal(held.worlds.solved[driven], solved[driven])
+        np.testing.assert_allclose(held.worlds.terms[driven, :3], sums[driven, :3], rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(held.worlds.reward, held.worlds.terms.sum(axis=1), rtol=1e-12, atol=1e-14)
+        ended = held.worlds.cause != Cause.RUNNING
+        ends |= set(held.worlds.cause[ended & driven].tolist())
+        halves += int((ended & driven & (lasted < repeat)).sum())
+        what[ended] = 2
+    assert ends & {Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED} and halves >= 2
+
+
+def test_information_is_discounted_once_a_step():
+    """Not once a control period: over a course that goes on it is worth what was known at its end."""
+    sim = simulation("rim_acceleration", 5, reward={"information": 2.0, "information_discount": 0.9}, **FLAT)
+    prior = np.sqrt(1.0 / sim.numbers.identifier.precision)
+
+    def known():
+        return float(np.log(np.maximum(prior / sim.worlds.ids.sd[0], 1.0)).sum())
+
+    before, most = known(), 0.0
+    for step in range(20):
+        sim.step(0, 0.5 if step < 6 else 0.0)
+        after = known() if sim.worlds.cause[0] == Cause.RUNNING else 0.0
+        assert sim.worlds.terms[0, 3] == pytest.approx(2.0 * (0.9 * after - before), abs=1e-9)
+        before, most = after, max(most, after)
+        if sim.worlds.cause[0] != Cause.RUNNING:
+            break
+    assert most > 1.0
+
+
+def test_the_kind_of_action_changes_nothing_else_of_the_scenario():
+    a, b = load_scenario("mixed"), load_scenario("mixed", {"control": {"action": "rim_acceleration"}})
+    assert dataclasses.replace(b, control=a.control) == a

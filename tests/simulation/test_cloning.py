@@ -1,0 +1,111 @@
+"""Clones of wheels: stepped alike they give the same, bit for bit; what belongs to the original stays as it is."""
+
+import numpy as np
+import pytest
+
+from soil_env._io.loading import ParameterError
+from soil_env._numba.rows import Rows
+from soil_env.parameters import load_scenario
+from soil_env.simulation.cloning import clone
+from soil_env.simulation.task import Cause
+from soil_env.simulation.worlds import STEP, Simulation
+
+WHEELS, CLONES = 5, 11
+
+
+def memory(part, wheel, wheels, name="worlds"):
+    """{name: numbers} of everything that is kept of one wheel."""
+    if isinstance(part, Rows):
+        each = part.count // wheels
+        return {name: part.data[:, wheel * each : (wheel + 1) * each].copy()}
+    if isinstance(part, tuple):
+        out = {}
+        for field in part._fields:
+            if field == "going":  # scratch of a step
+                continue
+            out |= memory(getattr(part, field), wheel, wheels, f"{name}.{field}")
+        return out
+    return {name: part[wheel].copy()} if len(part) else {}
+
+
+def driven(scenario, variant, steps=60, seed=4):
+    """Five wheels on their way, those that have ended on a new course."""
+    sim = Simulation(WHEELS, scenario, variant, threads=1)
+    rng = np.random.default_rng(seed)
+    for k in range(WHEELS):
+        sim.seed(k, np.random.default_rng([seed, k]))
+    sim.restart_where(np.ones(WHEELS, dtype=bool))
+    for _ in range(steps):
+        sim.step_all(rng.uniform(0.2, 0.6, WHEELS), (sim.worlds.cause != Cause.RUNNING.value).view(np.int8))
+    return sim
+
+
+@pytest.mark.parametrize("method", ["filter", "window"])
+@pytest.mark.parametrize("variant", ["blind", "identified", "true_soil"])
+def test_a_clone_stepped_alike_gives_the_same_bit_for_bit(variant, method):
+    scenario = load_scenario("mixed", {"belief": {"method": method}})
+    sim, other = driven(scenario, variant), Simulation(CLONES, scenario, variant, threads=1)
+    pairs = {0: 3, 7: 1, 10: 3, 2: 4}  # place: wheel
+    clone(sim, list(pairs.values()), other, list(pairs))
+    for place, wheel in pairs.items():
+        a, b = memory(sim.worlds, wheel, WHEELS), memory(other.worlds, place, CLONES)
+        assert a.keys() == b.keys() and all(np.array_equal(a[n], b[n], equal_nan=True) for n in a)
+    rng, going = np.random.default_rng(1), np.full(CLONES, -1, dtype=np.int64)
+    going[list(pairs)] = list(pairs.values())
+    halts = 0
+    for _ in range(150):
+        commands = rng.uniform(0.1, 0.8, WHEELS)
+        sim.step_all(commands, np.full(WHEELS, STEP))
+        other.step_all(commands[going], np.where(going >= 0, STEP, 2).astype(np.int8))
+        halts += int((sim.worlds.state["halt_left"] > 0.0).sum())
+        for place, wheel in pairs.items():
+            a, b = memory(sim.worlds, wheel, WHEELS), memory(other.worlds, place, CLONES)
+            assert all(np.array_equal(a[n], b[n], equal_nan=True) for n in a)
+    assert halts > 20  # halts, drawn from the stream, are among what is the same
+
+
+def test_cloning_leaves_the_original_and_other_places_as_they_are():
+    scenario = load_scenario("mixed")
+    sim, other = driven(scenario, "blind"), driven(scenario, "blind", seed=9)
+    before = [memory(s.worlds, k, WHEELS) for s in (sim, other) for k in range(WHEELS)]
+    clone(sim, [2], other, [3])
+    for _ in range(20):
+        other.step(3, 0.5)
+    after = [memory(s.worlds, k, WHEELS) for s in (sim, other) for k in range(WHEELS)]
+    changed = [
+        any(not np.array_equal(a[n], b[n], equal_nan=True) for n in a) for a, b in zip(before, after, strict=True)
+    ]
+    assert changed == [k == WHEELS + 3 for k in range(2 * WHEELS)]
+
+
+def test_a_clone_with_a_stream_of_its_own_has_other_noise_and_the_same_ground():
+    scenario = load_scenario("mixed")
+    sim, other = driven(scenario, "blind", 20), Simulation(1, scenario, "blind", threads=1)
+    clone(sim, [0], other, [0])
+    other.seed(0, np.random.default_rng(77))
+    x = []
+    for _ in range(10):
+        sim.step(0, 0.4)
+        other.step(0, 0.4)
+        x.append((sim.worlds.state.x[0], other.worlds.state.x[0]))
+    assert all(a == b for a, b in x)  # noise does not drive the wheel
+    assert (sim.worlds.observation[0] != other.worlds.observation[0]).any()
+    for s in (sim, other):
+        s.complete(0)
+    for name in ("edges", "soils", "grades"):
+        ground = [getattr(s.worlds.courses, name)[0] for s in (sim, other)]
+        assert np.array_equal(*ground)
+
+
+def test_worlds_of_another_scenario_and_lists_that_do_not_match_are_refused():
+    scenario = load_scenario("mixed")
+    sim, longer = (
+        driven(scenario, "blind", 2),
+        Simulation(2, load_scenario("mixed", {"course": {"length": 30.0}}), "blind"),
+    )
+    with pytest.raises(ParameterError, match="expected the same scenario"):
+        clone(sim, [0], longer, [0])
+    with pytest.raises(ParameterError, match="expected the same scenario"):
+        clone(sim, [0], Simulation(2, scenario, "identified"), [0])
+    with pytest.raises(ParameterError, match="one for each"):
+        clone(sim, [0, 1], driven(scenario, "blind", 2), [0])

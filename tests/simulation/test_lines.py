@@ -1,0 +1,369 @@
+"""Terrain classes, two lines over a patch, the choice between them at halts, and what the camera tells of them."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from soil_env._numba.random_streams import seed_stream
+from soil_env.env import SoilWheelEnv
+from soil_env.parameters import ParameterError, SoilState, load_scenario
+from soil_env.simulation import camera, terrain
+from soil_env.simulation import courses as drawing
+from soil_env.simulation.task import VARIANTS, Cause, layout
+from soil_env.simulation.worlds import Simulation
+from soil_env.terramechanics.traversability import best_working_point
+
+SEEDS = range(30)
+
+
+def draw(seed, scenario):
+    """(courses, mass) of one course."""
+    courses = terrain.new_courses(1, scenario)
+    words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
+    return courses, drawing.draw_course(0, courses, words, drawing.course_numbers(scenario))
+
+
+def simulation(variant="blind", seed=0, wheels=1, **changes):
+    sim = Simulation(wheels, load_scenario("two_lines", changes), variant, threads=1)
+    for k in range(wheels):
+        sim.seed(k, np.random.default_rng([seed, k]))
+    sim.restart_where(np.ones(wheels, dtype=bool))
+    return sim
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("two_lines")
+
+
+@pytest.fixture(scope="module")
+def drawn(scenario):
+    return [draw(seed, scenario) for seed in SEEDS]
+
+
+# --- what is drawn ----------------------------------------------------------------------------------------------------
+
+
+def margin(soil, grade, mass, scenario):
+    """Best steady drawbar pull over the grade [of weight], computed from soil and grade alone."""
+    wheel, load = scenario.wheel, mass * scenario.gravity
+    best = best_working_point(load, SoilState(*soil), wheel.radius, wheel.width, wheel.stall_torque)
+    return best.drawbar_pull / load - math.tan(grade)
+
+
+def test_each_patch_has_a_passable_line_and_dead_ends_lack_the_deficit(drawn, scenario):
+    spec, forks, dead, first = scenario.course, 0, 0, 0
+    for courses, mass in drawn:
+        lines, n = courses.lines, courses.patches[0]
+        for p in range(n):
+            m = [margin(lines.soils[0, p, i], lines.grades[0, p, i], mass, scenario) for i in range(2)]
+            assert max(m) >= spec.margin[0] - 1e-9
+            if min(m) < spec.margin[0] - 1e-9:
+                assert -spec.deficit[1] - 1e-9 <= min(m) <= -spec.deficit[0] + 1e-9
+                dead += 1
+                first += m[0] < m[1]
+            forks += lines.count[0, p] == 2
+            assert np.all(np.degrees(lines.grades[0, p]) <= spec.grade_deg[1] + 1e-9)
+            assert np.all(np.degrees(lines.grades[0, p]) >= spec.grade_deg[0] - 1e-9)
+    assert forks > 100
+    # dead ends whose deficit the steepest grade does not allow are drawn again, as other patches are
+    assert abs(dead / forks - spec.dead_ends) < 3.5 * math.sqrt(spec.dead_ends * (1.0 - spec.dead_ends) / forks)
+    assert abs(first - 0.5 * dead) < 2.0 * math.sqrt(dead)
+
+
+def test_every_border_between_passable_lines_is_passable(drawn, scenario):
+    for courses, mass in drawn:
+        lines, checked = courses.lines, 0
+        for p in range(1, courses.patches[0]):
+            for a in range(2):
+                for b in range(2):
+                    grades = lines.grades[0, p - 1, a], lines.grades[0, p, b]
+                    soils = SoilState(*lines.soils[0, p - 1, a]), SoilState(*lines.soils[0, p, b])
+                    good = [margin(s, g, mass, scenario) > 0.0 for s, g in zip(soils, grades, strict=True)]
+                    if all(good):
+                        middle = margin(terrain.blend(*soils, 0.5), 0.5 * sum(grades), mass, scenario)
+                        assert middle >= scenario.course.margin[0] - 1e-3
+                        checked += 1
+        assert checked > 3
+
+
+def test_patches_of_a_class_scatter_about_its_soil(drawn):
+    """The first patches show each class once; the classes of two courses are different soils."""
+    for (courses, _), (other, _) in zip(drawn[:10], drawn[1:11], strict=True):
+        lines, n = courses.lines, courses.patches[0]
+        assert sorted(lines.classes[0, :3, 0]) == [0, 1, 2] and np.all(lines.count[0, :3] == 1)
+        assert np.all(lines.count[0, 3:n] == 2) and np.all(lines.classes[0, 3:n, 0] != lines.classes[0, 3:n, 1])
+        for c in range(3):
+            of_class = lines.soils[0, :n][lines.classes[0, :n] == c]
+            assert np.all(np.abs(of_class[:, 0] / lines.library[0, c, 0] - 1.0) < 0.04)
+            assert len(np.unique(of_class[:, 2])) > 1 or len(of_class) == 2  # a patch with one line has it twice
+        assert not np.any(lines.library[0, :, :6] == other.lines.library[0, :, :6])  # the recovery of digging is one
+
+
+def test_without_scatter_a_class_is_one_soil():
+    courses, _ = draw(3, load_scenario("two_lines", {"course": {"class_scatter": 0.0}}))
+    lines, n = courses.lines, courses.patches[0]
+    for p in range(n):
+        for i in range(2):
+            np.testing.assert_allclose(lines.soils[0, p, i], lines.library[0, lines.classes[0, p, i]], rtol=1e-12)
+
+
+def test_a_course_drawn_piece_by_piece_is_that_drawn_at_once(scenario):
+    for seed in range(6):
+        whole, mass = draw(seed, scenario)
+        courses, numbers = terrain.new_courses(1, scenario), drawing.course_numbers(scenario)
+        words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
+        assert drawing.start_course(0, courses, words, numbers) == mass
+        x = 0.0
+        while not np.isinf(courses.ready[0]):
+            x += 0.3
+            drawing.extend_course(0, courses, mass, x, numbers)
+        for name, array in courses.lines._asdict().items():
+            np.testing.assert_array_equal(array, getattr(whole.lines, name), name)
+        np.testing.assert_array_equal(courses.soils, whole.soils)
+
+
+def test_what_is_in_sight_is_final(scenario):
+    """Lowering grades at the next border must not change a line that the camera has shown."""
+    changed, numbers = 0, drawing.course_numbers(scenario)
+    for seed in SEEDS:
+        courses = terrain.new_courses(1, scenario)
+        words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
+        mass, x = drawing.start_course(0, courses, words, numbers), 0.0
+        while x < scenario.course.length:
+            drawing.extend_course(0, courses, mass, x + numbers.drawn.ahead, numbers)
+            edges, patches = courses.edges[0], courses.patches[0]
+            seen = [p for p in range(patches) if edges[p] <= x + scenario.camera.range]
+            grades = courses.lines.grades[0].copy()
+            drawing.extend_course(0, courses, mass, np.inf if x > 5.0 else courses.ready[0] + 1e-9, numbers)
+            np.testing.assert_array_equal(courses.lines.grades[0, seen], grades[seen])
+            changed += np.any(courses.lines.grades[0, :patches] != grades[:patches])
+            x += 0.5
+    assert changed > 0
+
+
+def test_where_no_soil_is_passable_the_passable_line_goes_on(scenario):
+    numbers, repeated = drawing.course_numbers(scenario), 0
+    mud = numbers._replace(drawn=numbers.drawn._replace(grade_low=1.0, grade_high=1.0))  # of 45 deg
+    for seed in SEEDS:
+        courses = terrain.new_courses(1, scenario)
+        words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
+        mass = drawing.start_course(0, courses, words, numbers)
+        drawing.extend_course(0, courses, mass, 5.0, numbers)
+        p = courses.patches[0]
+        assert not drawing.extend_course(0, courses, mass, np.inf, mud)
+        for q in range(p, courses.patches[0]):
+            repeated += courses.lines.taken[0, p - 1] == 0 and courses.margins[0, p - 1] < 0.0
+            assert courses.margins[0, q] > 0.0 and courses.lines.count[0, q] == 1
+    assert repeated > 0
+
+
+# --- choosing ---------------------------------------------------------------------------------------------------------
+
+
+def creep(sim, chosen, steps=700):
+    """Drive at 0.2 m/s with the speed loop; `chosen`(flag [n]) gives the action at halts where a line is chosen."""
+    top, flag = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed, sim.worlds.observation.shape[1]
+    names = [e.name for e in layout("blind", sim.scenario.course)]
+    flag, what = names.index("choice"), np.zeros(sim.worlds.reward.size, dtype=np.int8)
+    for _ in range(steps):
+        asked = sim.worlds.observation[:, flag] > 0.5
+        yield asked
+        sim.step_all(np.where(asked, chosen, 0.2 / top + 0.05), what)
+
+
+def test_the_sign_of_the_action_at_the_halt_chooses():
+    """Before every fork there is a halt at which it does; what lies under and behind the wheel stays as it is."""
+    for chosen, line in ((-0.01, 1), (0.0, 0), (1.0, 0), (-1.0, 1)):
+        sim = simulation(seed=2, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0})
+        courses, state, passed = sim.worlds.courses, sim.worlds.state, 0
+        asked_at = [set() for _ in range(8)]
+        for asked in creep(sim, chosen):
+            for k in np.flatnonzero(asked):
+                assert state["halt_left"][k] > 0.0
+                asked_at[k].add(int(sim.worlds.counts["patch"][k]) + 1)
+        for k in range(8):
+            here = int(sim.worlds.counts["patch"][k])
+            forks = [p for p in range(here + 1) if courses.lines.count[k, p] == 2]
+            assert asked_at[k] >= set(forks)
+            passed += len(forks)
+            for p in forks:
+                assert courses.lines.taken[k, p] == line
+                np.testing.assert_array_equal(courses.soils[k, p], courses.lines.soils[k, p, line])
+                assert courses.grades[k, p] == courses.lines.grades[k, p, line]
+        assert passed > 8
+
+
+def test_actions_outside_halts_choose_nothing():
+    sim = simulation(seed=3, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0})
+    what = np.zeros(8, dtype=np.int8)
+    for step in range(500):
+        halted = sim.worlds.state["halt_left"] > 0.0
+        sim.step_all(np.where(halted, 1.0, -0.05 if step % 10 == 0 else 0.4), what)
+    assert sim.worlds.counts["patch"].max() >= 3 and not sim.worlds.courses.lines.taken.any()
+
+
+def test_the_wheel_halts_at_the_stated_distance_before_a_fork():
+    sim = simulation(seed=4, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0})
+    spec, seen = sim.scenario.course, []
+    state, counts, courses = sim.worlds.state, sim.worlds.counts, sim.worlds.courses
+    started, known = np.zeros(8, dtype=bool), set()
+    for _ in creep(sim, 0.0):
+        begins = (state["halt_left"] > 0.0) & ~started
+        started = state["halt_left"] > 0.0
+        for k in np.flatnonzero(begins):
+            p = int(counts["patch"][k]) + 1
+            left = courses.edges[k, p] - state["x"][k]
+            if courses.lines.count[k, p] == 2 and left <= spec.halt_before[1] and (k, p) not in known:
+                seen.append(left)  # the first so near; there may be another, as every metre or so
+                known.add((k, p))
+    assert len(seen) > 15  # at 0.2 m/s a wheel moves up to 2 cm in the period in which it comes to the place
+    assert min(seen) > spec.halt_before[0] - 0.03 and max(seen) <= spec.halt_before[1]
+    assert np.ptp(seen) > 0.5 * np.ptp(spec.halt_before)
+
+
+# --- the camera -------------------------------------------------------------------------------------------------------
+
+
+def test_looking_longer_tells_no_more_of_label_and_grade():
+    """All images show the same, whose error over many patches is the stated one."""
+    sim = simulation(seed=6, wheels=400, camera={"label_error": 0.2})
+    for k in range(400):
+        sim.complete(k)
+    lines, n = sim.worlds.courses.lines, sim.worlds.courses.patches
+    error = np.concatenate([lines.grade_errors[k, 3 : n[k]].ravel() for k in range(400)])
+    wrong = np.concatenate([(lines.labels != lines.classes)[k, 3 : n[k]].ravel() for k in range(400)])
+    assert abs(error.mean()) < 4.0 * 0.01 / math.sqrt(error.size)
+    assert error.std() == pytest.approx(0.01, rel=0.05)
+    assert wrong.mean() == pytest.approx(0.2, abs=0.03) and wrong.size > 2000
+    index = {e.name: i for i, e in enumerate(layout("blind", sim.scenario.course))}
+    rows = [name for name in index if name.startswith(("ahead_", "beside_"))]
+    at = sim.worlds.courses.edges[:, 3] - 0.7  # stand before the first fork
+    sim.worlds.state["x"] = at
+    sim.worlds.counts["patch"] = 2
+    first = None
+    for _ in range(3):
+        sim.step_all(np.zeros(400), np.zeros(400, dtype=np.int8))
+        seen = sim.worlds.observation[:, [index[name] for name in rows]]
+        stays = np.abs(sim.worlds.state["x"] - at) < 0.2
+        first = seen if first is None else first
+        np.testing.assert_array_equal(seen[stays], first[stays])
+    expected = lines.grades[:, 3, 0] + lines.grade_errors[:, 3, 0]
+    np.testing.assert_allclose(seen[stays][:, rows.index("ahead_grade")], expected[stays], atol=1e-6)
+
+
+def test_averaging_images_leaves_the_fixed_error_of_a_border():
+    sim = simulation(seed=7, wheels=300)
+    numbers, worlds, noise = sim.numbers.task.camera, sim.worlds, sim.scenario.camera.border_noise
+    worlds.state["x"] = 0.5
+    images = np.array(
+        [[camera.look(worlds.state, worlds.counts, k, worlds.courses, worlds.streams, numbers).left for k in range(300)]
+         for _ in range(40)]
+    )  # fmt: skip
+    true = worlds.courses.edges[:300, 1] - 0.5
+    assert images.std(axis=0).mean() == pytest.approx(noise, rel=0.05)
+    assert (images.mean(axis=0) - true).std() == pytest.approx(noise, rel=0.15)
+
+
+def test_the_camera_says_less_of_the_speed_than_the_speed_sensor():
+    """A line through the border distances of a second against the mean of as many readings of the speed."""
+    sim = simulation(seed=8)
+    noise, period = sim.scenario.camera.border_noise, sim.scenario.control.period
+    t = period * np.arange(10)
+    of_camera = noise / math.sqrt(np.sum((t - t.mean()) ** 2))
+    assert of_camera > 10.0 * sim.scenario.noise.speed / math.sqrt(t.size)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_only_true_soil_shows_the_soils_ahead(variant):
+    """Of two worlds that differ in nothing but soils and capacities of the lines ahead."""
+    rows = []
+    for change in (1.0, 1.1):
+        sim = simulation(variant, seed=9)
+        lines, courses = sim.worlds.courses.lines, sim.worlds.courses
+        sim.worlds.state["x"] = sim.worlds.state["best_x"] = courses.edges[0, 3] - 1.0
+        sim.worlds.counts["patch"] = 2
+        lines.soils[0, 3:] *= change
+        lines.capacities[0, 3:] *= change
+        sim.step(0, 0.0)
+        rows.append(sim.worlds.observation[0].copy())
+    names = np.array([e.name for e in layout(variant, sim.scenario.course)])
+    differing = set(names[rows[0] != rows[1]])
+    soils = {n for n in names if n.startswith(("ahead_", "beside_"))} - {
+        n for n in names if "_class_" in n or "_grade" in n
+    }
+    assert differing == (soils if variant == "true_soil" else set())
+
+
+def test_margin_of_true_soil_is_over_the_grade_that_is_seen():
+    sim = simulation("true_soil", seed=9)
+    lines, courses = sim.worlds.courses.lines, sim.worlds.courses
+    sim.worlds.state["x"] = courses.edges[0, 3] - 1.0
+    sim.worlds.counts["patch"] = 2
+    sim.step(0, 0.0)
+    names = [e.name for e in layout("true_soil", sim.scenario.course)]
+    for i, line in enumerate(("ahead", "beside")):
+        grade = lines.grades[0, 3, i] + lines.grade_errors[0, 3, i]
+        expected = margin(lines.soils[0, 3, i], grade, sim.worlds.state["mass"][0], sim.scenario)
+        assert sim.worlds.observation[0][names.index(f"{line}_margin")] == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_all_entries_are_used_and_kept_within_bounds(variant):
+    sim, rows = simulation(variant, seed=10, wheels=40, control={"action": "wheel_speed"}), []
+    what, rng = np.zeros(40, dtype=np.int8), np.random.default_rng(0)
+    for _ in range(350):
+        sim.step_all(np.where(sim.worlds.state["halt_left"] > 0.0, rng.choice([-1.0, 1.0], 40), 0.4), what)
+        rows.append(sim.worlds.observation[sim.worlds.cause == Cause.RUNNING].copy())
+        what[sim.worlds.cause != Cause.RUNNING] = 2
+    rows, entries = np.concatenate(rows), layout(variant, sim.scenario.course)
+    assert rows.shape[1] == len(entries) == len({e.name for e in entries})
+    for i, e in enumerate(entries):
+        assert np.ptp(rows[:, i]) > 1e-3 or e.name == "dig_recovery", e.name  # which is one for all soils
+        assert e.low <= rows[:, i].min() and rows[:, i].max() <= e.high
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("course", "words"),
+    [
+        ({"classes": 1}, ("classes", "at least 2")),
+        ({"halt_time": 0.0}, ("halt_time", "halts")),
+        ({"halt_before": [0.1, 0.5]}, ("halt_before", "0.3")),
+        ({"halt_before": [0.4, 0.9]}, ("halt_before", "0.7")),
+        ({"classes": 7}, ("classes", "6")),
+    ],
+)
+def test_lines_that_cannot_be_are_refused(course, words):
+    with pytest.raises(ParameterError) as caught:
+        load_scenario("two_lines", {"course": course})
+    assert all(word in str(caught.value) for word in words) and "\n" not in str(caught.value)
+
+
+# --- the documented layout --------------------------------------------------------------------------------------------
+
+VIEW = re.compile(r"^\s*\| n\+(\d+) \| (\w+) \| (.+?) \| (\S+) \| (\S+) \|$", re.MULTILINE)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_what_is_seen_is_documented(variant, scenario):
+    """Number, name, unit and bounds of the entries behind those of scenarios without a camera."""
+    tables, entries = [], layout(variant, scenario.course)[len(layout(variant)) :]
+    for match in VIEW.finditer(SoilWheelEnv.__doc__):
+        number, name, unit, low, high = int(match[1]), match[2], match[3], float(match[4]), float(match[5])
+        if number in (0, 13):
+            tables.append([])
+        tables[-1].append((number, name, unit, low, high))
+    rows = list(tables[0])
+    if variant != "blind":
+        line = tables[1 if variant == "identified" else 2]
+        rows += line
+        rows += [(n + len(line), name.replace("ahead", "beside"), *rest) for n, name, *rest in line]
+    assert [row[0] for row in rows] == list(range(len(entries)))
+    assert [(e.name, e.low, e.high) for e in entries] == [(name, low, high) for _, name, _, low, high in rows]
+    for e, (_, _, unit, _, _) in zip(entries, rows, strict=True):
+        assert unit == e.unit or unit.startswith(e.unit + ","), (e, unit)
