@@ -10,7 +10,14 @@ from scipy.optimize import least_squares
 
 from soil_env._numba.compiling import root
 from soil_env.identification.normal_equations import gain_share
-from soil_env.identification.online import SensorReading, forget, identifier_numbers, new_identifiers, observe
+from soil_env.identification.online import (
+    RENEWED,
+    SensorReading,
+    forget,
+    identifier_numbers,
+    new_identifiers,
+    observe,
+)
 from soil_env.identification.point import Reading, channels_at, predict, weights, whitened
 from soil_env.identification.solver import LOWER, UPPER, Status
 from soil_env.parameters import Scenario, load_scenario
@@ -63,7 +70,7 @@ class Ours(Contender):
 
     def update(self, reading):
         """One call of `observe`."""
-        self.solved = observe(self.ids, 0, reading, self.numbers)
+        self.solved = observe(self.ids, 0, reading, self.numbers) == RENEWED
         return self.ids.estimate[0, :3], self.ids.sd[0, :3], self.ids.status[0] == _CONVERGED
 
 
@@ -266,7 +273,7 @@ class Batch(Contender):
     def update(self, reading):
         """One step of our window, then scipy."""
         began = perf_counter()
-        self.solved = observe(self.ids, 0, reading, self.numbers)
+        self.solved = observe(self.ids, 0, reading, self.numbers) == RENEWED
         self.elsewhere += perf_counter() - began
         if self.solved:
             self._solve(int(self.ids.count[0]))
@@ -333,7 +340,7 @@ def replay_compiled(readings, ids, numbers, estimate, sd, valid):
             readings[t, 0], readings[t, 1], readings[t, 2], readings[t, 3], readings[t, 4], readings[t, 5],
             readings[t, 6], readings[t, 7], readings[t, 8], readings[t, 9],
         )  # fmt: skip
-        if observe(ids, 0, reading, numbers):
+        if observe(ids, 0, reading, numbers) == RENEWED:
             solves += 1
         for i in range(3):
             estimate[t, i] = ids.estimate[0, i]

@@ -11,7 +11,7 @@ from benchmarks.common import TORQUE, spread
 from soil_env._numba import elementary, lanes
 from soil_env._numba.compiling import FastCall, inlined, root
 from soil_env._numba.rows import Rows
-from soil_env.identification.online import SensorReading, observe
+from soil_env.identification.online import HELD, SensorReading, observe
 from soil_env.parameters import load_scenario
 from soil_env.simulation.camera import Sight
 from soil_env.simulation.courses import CourseNumbers, draw_ahead
@@ -57,7 +57,7 @@ def _reading(a, k):
 def _identify(worlds, numbers, what, readings):
     for k in range(what.size):
         if what[k] == STEP:
-            worlds.solved[k] = observe(worlds.ids, k, _reading(readings, k), numbers.identifier)
+            worlds.changed[k] = observe(worlds.ids, k, _reading(readings, k), numbers.identifier) != HELD
 
 
 @root
@@ -111,7 +111,7 @@ class _Drive:
                 start = clock()
                 call(w, self.simulation.numbers, what, *extra)
                 spent[name] += clock() - start
-            self.counts["solves"] += int(w.solved[what == STEP].sum())
+            self.counts["solves"] += int(w.changed[what == STEP].sum())
             self.counts["resets"] += int((what == RESTART).sum())
             self.counts["patches"] += int((w.courses.patches - drawn).sum())
             what[:] = np.where(w.cause != Cause.RUNNING, RESTART, STEP)

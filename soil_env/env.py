@@ -337,7 +337,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         worlds = self.simulation.worlds
         cause = Cause(worlds.cause[0])
         self._over = cause != Cause.RUNNING
-        if worlds.solved[0]:
+        if worlds.changed[0]:
             self.infos.renew(worlds, _ONLY)
         if self.render_mode is not None:
             self._view().record(self.simulation, 0)

@@ -20,6 +20,8 @@ from soil_env._numba.compiling import FastCall, root
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.linearised import SINKAGE
 from soil_env.identification.online import (
+    HELD,
+    RENEWED,
     IdentifierNumbers,
     Identifiers,
     SensorReading,
@@ -104,7 +106,7 @@ class Estimate:
     cohesion_sd: float  # [Pa]
     dig_gain_relative_sd: float
     status: Status
-    renewed: bool  # whether this call solved for it again
+    renewed: bool  # whether this call changed it
     borders: int  # to another soil that the filter has found; 0 with the window, which starts anew for less
 
     @property
@@ -130,7 +132,7 @@ def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
 
 @root(nogil=True)
 def _take(ids: Identifiers, values: np.ndarray, limits: np.ndarray, numbers: IdentifierNumbers) -> int:
-    """1 if `values` [10], in the order of `SensorReading`, renewed the estimate, 0 if not, -1 if one is too large."""
+    """What `values` [10], in the order of `SensorReading`, did (`observe`); -1 if one is too large."""
     for i in range(values.size):
         if not abs(values[i]) <= limits[i] and not (i == 0 and np.isnan(values[0])):
             return -1
@@ -141,7 +143,7 @@ def _take(ids: Identifiers, values: np.ndarray, limits: np.ndarray, numbers: Ide
         min(max(slip, -1.0), 1.0), values[1], values[2], values[3], values[4], speed, rim, values[7], values[8],
         values[9],
     )  # fmt: skip
-    return 1 if observe(ids, 0, reading, numbers) else 0
+    return observe(ids, 0, reading, numbers)
 
 
 @root(nogil=True)
@@ -257,7 +259,7 @@ class OnlineIdentifier:
         return self._estimate
 
     def update(self, readings: Readings) -> Estimate:
-        """Take one set of readings; the estimate after it, renewed about every fifth time.
+        """Take one set of readings; the estimate after it, renewed about every fifth time, on a border every time.
 
         Raises, and takes nothing: TypeError for what is no `Readings` and no number; ValueError for a time that is not
         later than the last, and for a reading that is infinite or larger than `largest_readings`. Readings within these
@@ -280,19 +282,19 @@ class OnlineIdentifier:
         if r.slip != r.slip:  # from the speeds, to first order
             larger = max(abs(rim), abs(speed), REST_SPEED)
             slip_sd = math.hypot(self._speed_sd, self._rim_sd * min(abs(speed), larger) / larger) / larger
-        renewed = 0
+        outcome = HELD
         if rim == rim and speed == speed:
             now = self._put(r, rim, speed, period)
             numbers = self._numbers_now(period, slip_sd)
-            renewed = self._take(self._ids, self._values, self._limits, numbers)
-            if renewed < 0:
+            outcome = self._take(self._ids, self._values, self._limits, numbers)
+            if outcome < 0:
                 raise ValueError(f"{r}: expected the speeds and forces of a wheel; these lead beyond {self._largest}")
-            self._missing = now if renewed else [a or b for a, b in zip(self._missing, now, strict=True)]
-            self._slip_sd = slip_sd if renewed else max(slip_sd, self._slip_sd)
+            self._missing = now if outcome == RENEWED else [a or b for a, b in zip(self._missing, now, strict=True)]
+            self._slip_sd = slip_sd if outcome == RENEWED else max(slip_sd, self._slip_sd)
         elif refusal := _refusal(r, self._largest):
             raise refusal
         self._time, self._last_wheel_speed = r.time, r.wheel_speed
-        if renewed:
+        if outcome != HELD:
             if now[0] and numbers.by_filter:
                 self._sinkage = self._followed_sinkage()
             self._estimate = self._published(True)

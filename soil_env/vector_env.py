@@ -132,7 +132,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         if self.autoreset_mode == AutoresetMode.DISABLED and self._done.any():
             raise gymnasium.error.ResetNeeded("a wheel has ended: reset(options={'reset_mask': ...}) it first")
         self.simulation.step_all(commands, self._done.view(np.int8))  # True restarts
-        self._renew(worlds.solved | self._done)
+        self._renew(worlds.changed | self._done)
         terminated = worlds.cause != _RUNNING
         truncated = ~terminated & (worlds.counts["steps"] >= self._longest)
         np.logical_or(terminated, truncated, out=self._done)

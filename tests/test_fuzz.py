@@ -71,7 +71,7 @@ def test_a_case_is_the_same_again():
 @pytest.fixture
 def driven():
     """(env, actions, before, out) after a second of driving."""
-    env = SoilWheelVectorEnv(6, control={"substep": 0.1}, threads=1)
+    env = SoilWheelVectorEnv(6, "mixed", action="torque", control={"substep": 0.1}, threads=1)
     env.reset(seed=1)
     actions = np.full((6, 1), 0.4)
     for _ in range(10):
@@ -127,7 +127,13 @@ def test_soil_that_gives_energy_is_found(driven):
 def lost_and_turnover(substep, seed=4):
     """Energy that the integrator takes or gives in 3 s of driving with a changing command, and the turnover [J]."""
     env = SoilWheelVectorEnv(
-        8, "mixed", control={"substep": substep}, noise={"slip": 0.0}, course={"halt_time": 0.0}, threads=1
+        8,
+        "mixed",
+        action="torque",
+        control={"substep": substep},
+        noise={"slip": 0.0},
+        course={"halt_time": 0.0},
+        threads=1,
     )
     env.reset(seed=seed)
     gap = turnover = 0.0
@@ -154,6 +160,7 @@ def test_what_the_soil_takes_is_slip_and_compaction():
     env = SoilWheelVectorEnv(
         4,
         "mixed",
+        action="torque",
         course={"grade_deg": [0.0, 0.0], "halt_time": 0.0, "length": 40.0},
         control={"substep": 0.005},
         threads=1,

@@ -13,7 +13,7 @@ import soil_env  # noqa: F401  (registers SoilWheel-v0)
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.filter_bank import element
 from soil_env.identification.linearised import MASS
-from soil_env.identification.online import observe
+from soil_env.identification.online import HELD, observe
 from soil_env.online import OnlineIdentifier, Readings, Status, largest_readings, slips
 from soil_env.parameters import Belief, Noise, load_scenario, wheels
 from soil_env.simulation.dynamics import STEP, advance
@@ -29,7 +29,7 @@ METHODS = ("filter", "window")
 @pytest.fixture(scope="module", params=METHODS)
 def drive(request):
     """(scenario, readings, infos) of 520 periods, the readings out of the observation (float32)."""
-    env = gymnasium.make("SoilWheel-v0", action="torque", belief={"method": request.param}).unwrapped
+    env = gymnasium.make("SoilWheel-v0", scenario="mixed", action="torque", belief={"method": request.param}).unwrapped
     env.reset(seed=3)
     scenario, readings, infos = env.scenario, [], []
     weight, r = scenario.weight, scenario.wheel.radius
@@ -95,7 +95,7 @@ def test_the_same_readings_give_the_same_bits(method):
                 s.motor_torque, s.acceleration,
             )
         )  # fmt: skip
-        assert e.renewed == renewed and e.status == w.ids.status[0]
+        assert e.renewed == (renewed != HELD) and e.status == w.ids.status[0]
         np.testing.assert_array_equal(one._ids.estimate, w.ids.estimate)
         np.testing.assert_array_equal(one._ids.covariance, w.ids.covariance)
         renewals += renewed
@@ -106,16 +106,17 @@ NO_PULL_OR_TORQUE = dict.fromkeys(("torque", "drawbar_pull", "motor_torque", "ac
 
 
 def test_without_a_channel_less_is_known(drive):
-    """The order of the uncertainties; that nothing measures shear where neither pull nor torque is there."""
+    """The order of the uncertainties; that little tells of shear where neither pull nor torque is there: the sinkage
+    over slip, and what stiff soils usually have for K."""
     scenario, readings, _ = drive
     nan = math.nan
     belief = scenario.belief
     _, whole, _, _ = least(scenario, readings)
     for names in ({"torque": nan}, {"drawbar_pull": nan}, {"load": nan}):
         part = least(scenario, readings, **names)[1]  # of another estimate, and so not less to the last digit
-        assert 0.9 * whole < part < 0.5 * belief.shear_modulus_sd
+        assert 0.85 * whole < part < 0.5 * belief.shear_modulus_sd
     _, K, s, _ = least(scenario, readings[:100], **NO_PULL_OR_TORQUE)  # in one soil
-    assert K > 0.75 * belief.shear_modulus_sd and s < 0.7 * belief.sinkage_coefficient_sd
+    assert K > 0.65 * belief.shear_modulus_sd and s < 0.7 * belief.sinkage_coefficient_sd
 
 
 @pytest.mark.parametrize("drive", ["window"], indirect=True)

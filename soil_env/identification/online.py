@@ -57,6 +57,9 @@ _BUCKET_SLIP = 0.05  # slip range within one point, at most
 # weighed with are larger than what differs between neighbours; set on courses of seeds 7 and 8, docs/identification.md
 CONTRADICTION_OF_POINT = 3.0
 RATIO_ERROR = 0.07  # relative error of the digging ratio that the law of sinkage itself makes
+#: What a set of readings did to the estimate: nothing; the wheel is elsewhere on a border, and so on other ground; it
+#: completed a point.
+HELD, MOVED, RENEWED = 0, 1, 2
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
 _HALF = math.log(0.5)  # ln probability of the soil having stayed the same, below which a border is counted
 _MINIMUM_RIM_SPEED = 0.02  # [m/s] below which readings say nothing of shear
@@ -193,7 +196,7 @@ def forget(ids, k, numbers):
 
 @inlined
 def observe(ids, k, reading, numbers):
-    """Take one set of readings; True if it completed a point and the estimate was renewed."""
+    """Take one set of readings: `HELD`, `MOVED` or `RENEWED`."""
     if numbers.by_filter:
         return _observe_by_filter(ids, k, reading, numbers)
     return _observe_by_window(ids, k, reading, numbers)
@@ -204,7 +207,7 @@ def _observe_by_filter(ids, k, reading, numbers):
     p, crossed = ids.banks.point, ids.banks.point.crossing[k]
     done = take(ids.banks, k, reading, numbers.filter)
     if not done and p.crossing[k] == 0.0:
-        return False
+        return HELD
     if p.crossing[k] > crossed:
         ids.borders[k] += int(p.by_forces[k])
     elif p.crossing[k] < crossed and p.by_forces[k] == 0.0 and ids.banks.log_weight[k, STAYS] < _HALF:
@@ -219,7 +222,7 @@ def _observe_by_filter(ids, k, reading, numbers):
         ids.status[k] = Status.MISFIT.value
     else:
         ids.status[k] = Status.CONVERGED.value if learnt <= 0.6 else Status.NOT_EXCITED.value
-    return done
+    return RENEWED if done else MOVED
 
 
 @inlined
@@ -232,7 +235,7 @@ def _observe_by_window(ids, k, reading, numbers):
         numbers.relaxation,
     )  # fmt: skip
     if reading.rim_speed < _MINIMUM_RIM_SPEED or reading.sinkage < 1e-3 * numbers.reading.radius:
-        return False
+        return HELD
     full, done = False, False
     if sums.readings[k] > 0.0:
         full = abs(reading.slip - sums.first_slip[k]) > _BUCKET_SLIP
@@ -250,7 +253,7 @@ def _observe_by_window(ids, k, reading, numbers):
     sums.readings[k] += 1.0
     if sums.readings[k] >= _BUCKET_READINGS:
         done = _complete(ids, k, numbers)
-    return done
+    return RENEWED if done else HELD
 
 
 @part

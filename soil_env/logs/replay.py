@@ -26,7 +26,7 @@ class Replay:
     time: np.ndarray  # [N] s
     values: dict[str, np.ndarray]  # [N] each, by `COLUMNS`; the last two NaN before the first estimate
     status: np.ndarray  # [N] `Status`
-    renewed: np.ndarray  # [N] bool: solved for in this step
+    renewed: np.ndarray  # [N] bool: changed in this step
     ground: np.ndarray  # [N] int from 1: one more at each border to another soil that was found, and at each restart
     prior: Estimate
     method: str  # of the belief: "filter", "window"
@@ -107,7 +107,6 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
             load, pitch = loads[k], pitches[k] if pitches[k] == pitches[k] else 0.0
             way = identifier.traversability(None if load != load else load, pitch)
             ahead = way.drawbar_margin, way.torque_required
-        # on a border the estimate changes between two renewals too
         table[k], status[k], renewed[k], last = _numbers(e, *ahead), e.status, e.renewed, t
     values = {name: table[:, i] for i, name in enumerate(COLUMNS)}
     warnings = _impassable(log, values["drawbar_margin"], status)

@@ -62,14 +62,17 @@ def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
 
 
 class Infos:
-    """Infos of the wheels of one `Worlds`. `traversability` is that of the last renewed estimate: see `renew`; its
-    probabilities of immobilisation are of now."""
+    """Infos of the wheels of one `Worlds`.
+
+    `traversability` is that of the last change of the estimate: see `renew`; its probabilities of immobilisation are of
+    now.
+    """
 
     def __init__(self, scenario: Scenario, kind: str, wheels: int) -> None:
         self.scenario, self.kind = scenario, checked(kind)
         self._best: Callable[..., Any] = FastCall(best_working_point)
         self._foresight = ImmobilisationWarning(scenario) if kind != "none" else None
-        self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate was renewed
+        self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate last changed
         self._stale = np.ones(wheels, dtype=np.bool_)
         self._warnings = np.zeros((wheels, len(_WARNING)))
 

@@ -26,6 +26,8 @@ from soil_env.identification.class_memory import (
 )
 from soil_env.identification.immobilisation import MEMORY, WarningNumbers, begin, follow, warning_numbers
 from soil_env.identification.online import (
+    HELD,
+    RENEWED,
     IdentifierNumbers,
     Identifiers,
     forget,
@@ -85,7 +87,7 @@ class Worlds(NamedTuple):
     terms: np.ndarray  # [wheels, 4] reward terms
     reward: np.ndarray  # [wheels]
     cause: np.ndarray  # [wheels] `task.Cause`
-    solved: np.ndarray  # [wheels] True where the last step renewed the estimate
+    changed: np.ndarray  # [wheels] True where the last step changed the estimate
     going: np.ndarray  # [wheels] int8, scratch of a step: STEP while the wheel drives
     recent: np.ndarray  # [wheels, MEMORY] the last seconds of the sensors, for warnings; no rows where none are wanted
 
@@ -152,7 +154,7 @@ def _clear(worlds, k):
     worlds.reward[k] = 0.0
     for i in range(worlds.terms.shape[1]):
         worlds.terms[k, i] = 0.0
-    worlds.solved[k] = False
+    worlds.changed[k] = False
 
 
 @inlined
@@ -196,11 +198,11 @@ def after_period(worlds, numbers, k, first, last):
         follow(worlds.recent, k, reading, worlds.state.halt_left[k] > 0.0, numbers.warning)
     paid, prior = numbers.task.reward_information > 0.0, numbers.identifier.precision
     before = knowledge(worlds.ids, k, prior) if paid and first else 0.0
-    renewed = observe(worlds.ids, k, reading, numbers.identifier)
-    worlds.solved[k] = worlds.solved[k] or renewed
+    outcome = observe(worlds.ids, k, reading, numbers.identifier)
+    worlds.changed[k] = worlds.changed[k] or outcome != HELD
     sight = _look(worlds, numbers, k)
     if numbers.task.camera.classes > 0:
-        _learn_class(worlds, numbers, k, reading, renewed, sight)
+        _learn_class(worlds, numbers, k, reading, outcome == RENEWED, sight)
     cause = judge(worlds.state, worlds.counts, k, numbers.task)
     worlds.cause[k] = cause
     terms = worlds.terms[k]

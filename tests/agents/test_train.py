@@ -109,20 +109,20 @@ def test_config_is_resolved_and_loads_again(finished):
     assert set(mapping["ppo"]) == {f.name for f in dataclasses.fields(PPOConfig)}
     assert (config.timesteps, config.courses, config.name) == (8192, 20, "x")
     assert config.ppo.num_envs == 16 and config.ppo.gamma == PPOConfig().gamma
-    assert load_scenario(folder / "scenario.yaml") == load_scenario("mixed")
+    assert load_scenario(folder / "scenario.yaml") == load_scenario("two_lines")
 
 
 def test_model_is_usable(finished):
     folder, _, _ = finished
     agent = load_agent(folder)
     assert agent.timesteps >= 8192 and agent.name == "ppo_identified"
-    assert agent.meta["scenario"] == json.loads(json.dumps(to_dict(load_scenario("mixed"))))
+    assert agent.meta["scenario"] == json.loads(json.dumps(to_dict(load_scenario("two_lines"))))
 
 
 def test_comparison_has_all_controllers(finished):
     folder, _, _ = finished
     result = json.loads((folder / "comparison.json").read_text())
-    assert result["scenario"] == "mixed" and result["courses"] == 20
+    assert result["scenario"] == "two_lines" and result["courses"] == 20
     assert set(result["controllers"]) == {*CONTROLLERS, "ppo_identified"}
     for row in result["controllers"].values():
         assert set(row) == set(METRICS)
@@ -149,7 +149,7 @@ def test_other_observations_are_trained_under_their_names(capsys, tmp_path, vari
     code, out, err = run(capsys, *TINY, "--runs", tmp_path, "--observation", variant)
     assert code == 0, err
     (folder,) = tmp_path.iterdir()
-    assert folder.name.startswith(f"{variant}-mixed-")
+    assert folder.name.startswith(f"{variant}-two_lines-")
     assert set(json.loads((folder / "comparison.json").read_text())["controllers"]) == {*CONTROLLERS, name}
 
 

@@ -63,7 +63,7 @@ class Fed:
 
     def feed(self, readings):
         """Number of solves that the readings caused."""
-        return sum(identifier.observe(self.ids, 0, r, self.numbers) for r in readings)
+        return sum(identifier.observe(self.ids, 0, r, self.numbers) == identifier.RENEWED for r in readings)
 
     def excite(self, seconds, soil=STILL, rng=None):
         """Readings at slips that go up and down between 0.02 and 0.6."""

@@ -99,7 +99,7 @@ def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
             single.step_all(commands, going)
             on = going == 0
             sums[on] += single.worlds.terms[on]
-            solved |= on & single.worlds.solved
+            solved |= on & single.worlds.changed
             lasted += on
             going[single.worlds.cause != Cause.RUNNING] = 2
         driven = what == 0
@@ -107,7 +107,7 @@ def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
             np.testing.assert_array_equal(held.worlds.state[name], single.worlds.state[name], err_msg=name)
         for name in ("observation", "cause", "streams"):
             np.testing.assert_array_equal(getattr(held.worlds, name), getattr(single.worlds, name), err_msg=name)
-        np.testing.assert_array_equal(held.worlds.solved[driven], solved[driven])
+        np.testing.assert_array_equal(held.worlds.changed[driven], solved[driven])
         np.testing.assert_allclose(held.worlds.terms[driven, :3], sums[driven, :3], rtol=1e-12, atol=1e-14)
         np.testing.assert_allclose(held.worlds.reward, held.worlds.terms.sum(axis=1), rtol=1e-12, atol=1e-14)
         ended = held.worlds.cause != Cause.RUNNING
