@@ -163,7 +163,9 @@ def trained(config: TrainConfig, scenario: Scenario, bar: Callable = Bar) -> Pat
         shutil.rmtree(run)  # its start was interrupted
     if not run.is_dir():
         make_run_folder(config, scenario)
-    if not (run / "model.zip").is_file():
+    if (run / "model.zip").is_file():
+        _tidy(run)
+    else:
         train(run, config, scenario, bar)
     return run / "model.zip"
 
