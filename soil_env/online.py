@@ -143,7 +143,7 @@ def _take(ids: Identifiers, values: np.ndarray, limits: np.ndarray, numbers: Ide
         min(max(slip, -1.0), 1.0), values[1], values[2], values[3], values[4], speed, rim, values[7], values[8],
         values[9],
     )  # fmt: skip
-    return observe(ids, 0, reading, numbers)
+    return int(observe(ids, 0, reading, numbers))
 
 
 @root(nogil=True)
