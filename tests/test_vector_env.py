@@ -391,5 +391,5 @@ def test_completing_courses_changes_no_trajectory():
     for k in range(6):
         lazy.simulation.complete(k)
         whole.simulation.complete(k)
-    for name in ("edges", "soils", "grades", "margins", "patches", "modulus", "rut"):
+    for name in ("edges", "soils", "grades", "margins", "patches", "rut_factors", "rut"):
         np.testing.assert_array_equal(*(getattr(env.simulation.worlds.courses, name) for env in (lazy, whole)), name)

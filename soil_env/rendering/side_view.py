@@ -76,14 +76,14 @@ def contact_stresses(simulation: Simulation, k: int) -> Stresses:
     r, rim_speed = world.wheel.radius, w["wheel_speed"] * world.wheel.radius
     soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], world.border)
     load = w["mass"] * world.wheel.gravity * math.cos(w["grade"])
-    modulus = reaction(w["speed"], rim_speed, w["sinkage"], load, soil, r, world.wheel.width).modulus
+    coefficient = reaction(w["speed"], rim_speed, w["sinkage"], load, soil, r, world.wheel.width).sinkage_coefficient
     rim, travel, _ = motion_from_speeds(rim_speed, w["speed"], REST_SPEED)
     theta1 = entry_angle(w["sinkage"], r)
     angle = np.linspace(0.0, theta1, _ARC_POINTS)
     normal, shear = np.empty(_ARC_POINTS), np.empty(_ARC_POINTS)
     for i, theta in enumerate(angle):
         depth = r * (math.cos(mirror_angle(theta, theta1, 0.0, 0.5 * theta1)) - math.cos(theta1))
-        normal[i] = modulus * relative_stress(depth, soil.sinkage_exponent)
+        normal[i] = coefficient * relative_stress(depth, soil.sinkage_exponent)
         j, _, _ = shear_displacement(theta, theta1, math.sin(theta1), rim, travel, r)
         share, _ = mobilised(j, soil.shear_modulus, JANOSI)
         shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * share

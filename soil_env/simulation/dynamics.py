@@ -99,7 +99,7 @@ def _move(state, first, i, period, sub, world, stage, anyhow):
     pulled, drove = from_array(state.drawbar_pull, k), from_array(state.motor_torque, k)
     moved = stage.first * speed + stage.last * v
     slid = stage.first * abs(rim - speed) + stage.last * abs(u - v)
-    _sink(state, k, i, alive, sub, world, f.modulus, moved, slid, stage.duration)
+    _sink(state, k, i, alive, sub, world, f.sinkage_coefficient, moved, slid, stage.duration)
     work = (stage.first * (drove * rim) + stage.last * (torque * u)) / r
     _keep(alive, state.motor_work, k, from_array(state.motor_work, k) + work)
     work = stage.first * (turned * rim / r - pulled * speed) + stage.last * (f.torque * u / r - f.drawbar_pull * v)
@@ -145,14 +145,14 @@ def _taken(state, period, k, i, v, u, stage, world):
 
 
 @inlined
-def _sink(state, k, i, alive, sub, world, modulus, moved, slid, duration):
+def _sink(state, k, i, alive, sub, world, mobilised, moved, slid, duration):
     """Place and sinkage of eight wheels that move by `moved` [m] while the rim slides by `slid` [m] over the ground.
 
     Ground beyond the furthest places of a wheel is fresh. Where it has been the ground has the depth of the rut, which
     grows where the wheel digs and not where it climbs out of its hole.
     """
     g, soil, sinkage, rut = sub.footing, soil_in_lanes(sub.footing, i), from_array(state.sinkage, k), state.rut_depth
-    bearing = bearing_sinkage(from_array(g.sinkage, i), modulus, soil)
+    bearing = bearing_sinkage(from_array(g.sinkage, i), mobilised, soil)
     if world.wheel.on:
         bearing = bearing + from_array(g.lift, i)
     x, low, high = from_array(state.x, k) + moved, from_array(state.lowest_x, k), from_array(state.best_x, k)

@@ -92,9 +92,10 @@ class Substep(NamedTuple):
 @inlined
 def load_reaction(n, i):
     return Reaction(
-        from_array(n.load, i), from_array(n.drawbar_pull, i), from_array(n.torque, i), from_array(n.modulus, i),
+        from_array(n.load, i), from_array(n.drawbar_pull, i), from_array(n.torque, i),
+        from_array(n.sinkage_coefficient, i),
         from_array(n.dp_v, i), from_array(n.dp_u, i), from_array(n.torque_v, i), from_array(n.torque_u, i),
-        from_array(n.modulus_v, i), from_array(n.modulus_u, i),
+        from_array(n.sinkage_coefficient_v, i), from_array(n.sinkage_coefficient_u, i),
     )  # fmt: skip
 
 
@@ -103,22 +104,23 @@ def _store_reaction(f, n, i):
     to_array(f.load, n.load, i)
     to_array(f.drawbar_pull, n.drawbar_pull, i)
     to_array(f.torque, n.torque, i)
-    to_array(f.modulus, n.modulus, i)
+    to_array(f.sinkage_coefficient, n.sinkage_coefficient, i)
     to_array(f.dp_v, n.dp_v, i)
     to_array(f.dp_u, n.dp_u, i)
     to_array(f.torque_v, n.torque_v, i)
     to_array(f.torque_u, n.torque_u, i)
-    to_array(f.modulus_v, n.modulus_v, i)
-    to_array(f.modulus_u, n.modulus_u, i)
+    to_array(f.sinkage_coefficient_v, n.sinkage_coefficient_v, i)
+    to_array(f.sinkage_coefficient_u, n.sinkage_coefficient_u, i)
 
 
 @inlined
 def _chosen_reaction(mask, f, g):
     return Reaction(
         chosen(mask, f.load, g.load), chosen(mask, f.drawbar_pull, g.drawbar_pull), chosen(mask, f.torque, g.torque),
-        chosen(mask, f.modulus, g.modulus), chosen(mask, f.dp_v, g.dp_v), chosen(mask, f.dp_u, g.dp_u),
-        chosen(mask, f.torque_v, g.torque_v), chosen(mask, f.torque_u, g.torque_u),
-        chosen(mask, f.modulus_v, g.modulus_v), chosen(mask, f.modulus_u, g.modulus_u),
+        chosen(mask, f.sinkage_coefficient, g.sinkage_coefficient), chosen(mask, f.dp_v, g.dp_v),
+        chosen(mask, f.dp_u, g.dp_u), chosen(mask, f.torque_v, g.torque_v), chosen(mask, f.torque_u, g.torque_u),
+        chosen(mask, f.sinkage_coefficient_v, g.sinkage_coefficient_v),
+        chosen(mask, f.sinkage_coefficient_u, g.sinkage_coefficient_u),
     )  # fmt: skip
 
 
@@ -366,7 +368,7 @@ def _iterate(sub, i, world, h):
     ahead = moved(f, dv, du)
     g1, g2, _ = _residual(v + dv, u + du, ahead, e, i, cu, world)
     seen = below(foretold, _FORETOLD * TOLERANCE) * below(larger(abs(g1), abs(g2)), 0.1 * TOLERANCE)
-    seen = seen * below(0.0, ahead.modulus) * better
+    seen = seen * below(0.0, ahead.sinkage_coefficient) * better
     there = larger(seen, better * below(norm, TOLERANCE))
     passes, share = from_array(n.passes, i) + 1.0, from_array(n.share, i)
     to_array(passes, n.passes, i)

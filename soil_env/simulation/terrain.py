@@ -19,7 +19,7 @@ BEHIND = CELLS_BEHIND * CELL  # [m] ground behind the start of a course that has
 # is ours: factor = COMPACTION * (digging ratio)^-LOOSENING, bounded.
 COMPACTION = 1.6
 LOOSENING = 1.5
-MODULUS_BOUNDS = (0.3, 3.0)
+RUT_FACTOR_BOUNDS = (0.3, 3.0)
 
 
 class Lines(NamedTuple):
@@ -71,7 +71,7 @@ class Courses(NamedTuple):
     patches: np.ndarray  # [wheels] patches drawn
     ready: np.ndarray  # [wheels] x [m] up to which the ground is final; +inf once the whole course is drawn
     streams: np.ndarray  # [wheels] uint64, from which the patches to come are drawn
-    modulus: np.ndarray  # [wheels, cells] factor on S left by earlier passes [-]
+    rut_factors: np.ndarray  # [wheels, cells] factor on S left by earlier passes [-]
     rut: np.ndarray  # [wheels, cells] depth of the rut below the undisturbed surface [m]; 0 before the first pass
     lines: Lines
 
@@ -139,16 +139,16 @@ def ground_at(courses, k, x, patch, border):
 @inlined
 def cell_at(courses, x):
     """Index of the rut cell at x [m]; the first begins `BEHIND` metres before the start."""
-    return min(max(int(math.floor(x / CELL)) + CELLS_BEHIND, 0), courses.modulus.shape[1] - 1)
+    return min(max(int(math.floor(x / CELL)) + CELLS_BEHIND, 0), courses.rut_factors.shape[1] - 1)
 
 
 @inlined
 def rut_factor(courses, k, x):
     """Factor on S left by earlier passes at x [m], linear between the middles of the cells."""
-    place = min(max(x / CELL + (CELLS_BEHIND - 0.5), 0.0), courses.modulus.shape[1] - 1.0)
-    cell = min(int(place), courses.modulus.shape[1] - 2)
-    here = courses.modulus[k, cell]
-    return here + (place - cell) * (courses.modulus[k, cell + 1] - here)
+    place = min(max(x / CELL + (CELLS_BEHIND - 0.5), 0.0), courses.rut_factors.shape[1] - 1.0)
+    cell = min(int(place), courses.rut_factors.shape[1] - 2)
+    here = courses.rut_factors[k, cell]
+    return here + (place - cell) * (courses.rut_factors[k, cell + 1] - here)
 
 
 @inlined
@@ -160,7 +160,7 @@ def cell_after(courses, cell, x):
     """
     place = x / CELL + (CELLS_BEHIND - 0.5)
     after = math.floor(place) if place >= cell + 1.0 else (math.ceil(place) if place <= cell - 1.0 else float(cell))
-    return int(min(max(after, 0.0), courses.modulus.shape[1] - 1.0))
+    return int(min(max(after, 0.0), courses.rut_factors.shape[1] - 1.0))
 
 
 @inlined
@@ -176,6 +176,6 @@ def digging_ratio_of(slid, way, gain, recovery):
 @inlined
 def leave_rut(courses, k, cell, depth, dug):
     """Mark a cell as driven over: its rut, `depth` [m], and soil compacted by rolling or loosened by digging."""
-    factor = courses.modulus[k, cell] * COMPACTION * dug**-LOOSENING
-    courses.modulus[k, cell] = min(max(factor, MODULUS_BOUNDS[0]), MODULUS_BOUNDS[1])
+    factor = courses.rut_factors[k, cell] * COMPACTION * dug**-LOOSENING
+    courses.rut_factors[k, cell] = min(max(factor, RUT_FACTOR_BOUNDS[0]), RUT_FACTOR_BOUNDS[1])
     courses.rut[k, cell] = max(courses.rut[k, cell], depth)

@@ -167,10 +167,10 @@ def motor(command, by_speed, wheel_speed, world):
 
 
 @inlined
-def bearing_sinkage(sinkage, modulus, soil):
-    """z_w [m]: depth at which undisturbed soil bears the pressure `modulus` z^n, at most 10 z."""
+def bearing_sinkage(sinkage, mobilised, soil):
+    """z_w [m]: depth at which undisturbed soil bears the pressure `mobilised` z^n, at most 10 z."""
     n = larger(soil.sinkage_exponent, 0.05)
-    return sinkage * smaller(power(modulus / soil.sinkage_coefficient, 1.0 / n), 10.0)
+    return sinkage * smaller(power(mobilised / soil.sinkage_coefficient, 1.0 / n), 10.0)
 
 
 @inlined

@@ -163,7 +163,7 @@ _LIST = (
             P("slip_gain", "", 0.0, -0.8, 8.0, 0.5, "s, gain after passes at much slip"),
             P("slip_scale", "", 0.2, 0.02, 2.0, 0.5, "k1, slip of those passes that brings most of it", centre=0.2),
             P("per_pass", "", 0.0, -0.4, 2.0, 0.2, "p, gain with each pass"),
-            P("stiffening", "", 0.0, -1.0, 1.5, 0.15, "k, on the shear modulus"),
+            P("stiffening", "", 0.0, -1.0, 1.5, 0.15, "k, on the shear deformation modulus"),
             P("strength", "", 0.0, -0.5, 0.5, 0.05, "f, on the friction"),
             P("cohesion", "", 0.0, -1.0, 2.0, 0.2, "h, on the cohesion"),
         ),

@@ -52,13 +52,13 @@ class Reaction(NamedTuple):
     load: float
     drawbar_pull: float
     torque: float
-    modulus: float  # s, mobilised sinkage coefficient
+    sinkage_coefficient: float  # s, mobilised sinkage coefficient
     dp_v: float
     dp_u: float
     torque_v: float
     torque_u: float
-    modulus_v: float
-    modulus_u: float
+    sinkage_coefficient_v: float
+    sinkage_coefficient_u: float
 
 
 @inlined
@@ -248,13 +248,13 @@ def at_the_axle(f, bulldozing, blades, pull, torque, speed, rim_speed, wheel):
         f.load,
         f.drawbar_pull + blade.value - direction * bulldozing + pull,
         axle.value + friction.value,
-        f.modulus,
+        f.sinkage_coefficient,
         f.dp_v + blade.by_v - turn * bulldozing,
         p * f.dp_u + blade.by_u,
         axle.by_v + friction.by_v,
         axle.by_u + friction.by_u,
-        f.modulus_v,
-        p * f.modulus_u,
+        f.sinkage_coefficient_v,
+        p * f.sinkage_coefficient_u,
     )
 
 
@@ -265,11 +265,11 @@ def moved(f, dv, du):
         f.load,
         f.drawbar_pull + f.dp_v * dv + f.dp_u * du,
         f.torque + f.torque_v * dv + f.torque_u * du,
-        larger(f.modulus + f.modulus_v * dv + f.modulus_u * du, 0.0),
+        larger(f.sinkage_coefficient + f.sinkage_coefficient_v * dv + f.sinkage_coefficient_u * du, 0.0),
         f.dp_v,
         f.dp_u,
         f.torque_v,
         f.torque_u,
-        f.modulus_v,
-        f.modulus_u,
+        f.sinkage_coefficient_v,
+        f.sinkage_coefficient_u,
     )

@@ -36,13 +36,13 @@ def step_spoilt(sim, k, command):
     """
     courses, w = sim.worlds.courses, sim.wheel(k)
     last = courses.patches[k] - 1
-    patches, edges, cells = (np.arange(a.shape[1]) for a in (courses.soils, courses.edges, courses.modulus))
+    patches, edges, cells = (np.arange(a.shape[1]) for a in (courses.soils, courses.edges, courses.rut_factors))
     far = {
         "soils": (np.abs(patches - w["patch"]) > 1) & (patches < last),
         "grades": (np.abs(patches - w["patch"]) > 1) & (patches < last),
         "margins": patches < last,
         "edges": (edges < w["patch"] - 1) | ((edges > w["patch"] + 2) & (edges < last)),
-        "modulus": np.abs(cells - w["cell"]) > 3,
+        "rut_factors": np.abs(cells - w["cell"]) > 3,
         "rut": np.abs(cells - w["cell"]) > 3,
     }
     kept = {name: getattr(courses, name)[k, where].copy() for name, where in far.items()}

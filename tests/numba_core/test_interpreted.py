@@ -33,7 +33,7 @@ def drive(name):
         simulation.step(0, command)
         rows.append(list(simulation.wheel(0).values()))
     worlds = simulation.worlds
-    courses = {field: getattr(worlds.courses, field) for field in ("soils", "grades", "edges", "modulus", "rut")}
+    courses = {field: getattr(worlds.courses, field) for field in ("soils", "grades", "edges", "rut_factors", "rut")}
     return {
         "state": np.array(rows), "observation": worlds.observation, "terms": worlds.terms,
         "estimate": worlds.ids.estimate, "sd": worlds.ids.sd, "covariance": worlds.ids.covariance, **courses,

@@ -262,7 +262,7 @@ def test_extreme_actions_stay_finite_and_converge(seed, mode):
         assert w.load >= w.mass * gravity * math.cos(w.grade) * (1.0 - 1e-6)
     assert w.steps == 2000
     assert failures <= 0.002 * 2000, f"{failures} of 2000 periods did not converge"
-    assert np.all(np.isfinite(wheels.courses.modulus)) and np.all(np.isfinite(wheels.courses.rut))
+    assert np.all(np.isfinite(wheels.courses.rut_factors)) and np.all(np.isfinite(wheels.courses.rut))
 
 
 def test_full_reverse_at_full_speed():
@@ -287,10 +287,10 @@ def test_rolling_out_and_back_keeps_the_rut():
     assert out[-1, 0] > 0.5
     courses, cell, first = wheels.courses, wheels.now().cell, terrain.cell_at(wheels.courses, 0.0)
     cells = slice(first + 2, cell - 2)
-    once = courses.modulus[0, cells].copy()
+    once = courses.rut_factors[0, cells].copy()
     assert once.size > 5 and np.all(once > 1.0)
     assert np.all(courses.rut[0, cells] > 0.0)
-    assert np.all(courses.modulus[0, cell + 1 :] == 1.0)  # not yet driven over
+    assert np.all(courses.rut_factors[0, cell + 1 :] == 1.0)  # not yet driven over
     back = wheels.drive([-0.4] * 50)
     assert back[-1, 0] < out[-1, 0] - 0.3
     there = np.interp(0.4, out[:, 0], out[:, 1])
@@ -302,7 +302,7 @@ def test_spinning_loosens():
     wheels = start(soil="lete_sand", grade_deg=14.0)
     rows = wheels.drive([0.8] * 100)
     assert np.median(rows[:, 3]) > 0.5
-    left = wheels.courses.modulus[0, terrain.cell_at(wheels.courses, 0.0) + 1 : wheels.now().cell]
+    left = wheels.courses.rut_factors[0, terrain.cell_at(wheels.courses, 0.0) + 1 : wheels.now().cell]
     assert left.size > 5 and np.all(left < 1.0)
 
 
@@ -343,10 +343,10 @@ def test_a_rut_is_left_by_digging_and_not_by_lag():
     courses.soils[0, 1] = firm
     rows = wheels.drive([0.4] * 100)
     assert rows[-1, 0] > 2.0
-    x = (np.arange(courses.modulus.shape[1]) + 0.5) * terrain.CELL - terrain.BEHIND
+    x = (np.arange(courses.rut_factors.shape[1]) + 0.5) * terrain.CELL - terrain.BEHIND
     lagging = np.interp(1.25, rows[:, 0], rows[:, 1]) / rows[-1, 1]
     assert lagging > 1.3  # deeper than the firm ground asks for
-    left = courses.modulus[0, (x > 1.1) & (x < rows[-1, 0] - 0.2)]
+    left = courses.rut_factors[0, (x > 1.1) & (x < rows[-1, 0] - 0.2)]
     assert np.all(left > 1.2) and np.ptp(left) < 0.2
 
 

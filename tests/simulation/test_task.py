@@ -132,7 +132,7 @@ def test_only_true_soil_shows_the_soil(variant):
 def test_true_soil_is_the_undisturbed_soil_under_the_wheel():
     sim = simulation("true_soil", changes={"course": {"border": 0.01}})
     sim.worlds.state["x"] = 0.5 * sim.worlds.courses.edges[0, 1:3].sum()  # amid the second patch
-    sim.worlds.courses.modulus[:] = 0.5
+    sim.worlds.courses.rut_factors[:] = 0.5
     tan_phi, c, k, s, n, gain, recovery = sim.worlds.courses.soils[0, 1]
     expected = [math.atan(tan_phi), math.log10(k), math.log10(s), c / 1000.0, n, gain, recovery]
     np.testing.assert_allclose(observed_again(sim)[SENSORS:], expected, rtol=1e-6)

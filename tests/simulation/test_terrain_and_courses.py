@@ -112,13 +112,13 @@ def test_ground_up_to_ready_is_final():
 def test_cells_are_cleared_with_their_patch():
     scenario = load_scenario("mixed", LONG)
     courses, _ = draw(3, scenario)
-    courses.modulus[:], courses.rut[:] = 0.5, 0.1
+    courses.rut_factors[:], courses.rut[:] = 0.5, 0.1
     words = np.array([seed_stream(np.random.default_rng(4))], dtype=np.uint64)
     numbers = drawing.course_numbers(scenario)
     mass = drawing.start_course(0, courses, words, numbers)
     for _ in range(8):
         drawn = terrain.cell_at(courses, courses.edges[0, courses.patches[0]]) + 1
-        assert np.all(courses.modulus[0, :drawn] == 1.0) and np.all(courses.rut[0, :drawn] == 0.0)
+        assert np.all(courses.rut_factors[0, :drawn] == 1.0) and np.all(courses.rut[0, :drawn] == 0.0)
         courses.rut[0, :drawn] = 0.0
         drawing.extend_course(0, courses, mass, courses.ready[0] + 1e-9, numbers)
 
@@ -331,13 +331,13 @@ def test_rolling_compacts_digging_loosens_within_bounds(scenario):
     courses = terrain.new_courses(1, scenario)
     terrain.leave_rut(courses, 0, 0, 0.02, 1.0)
     terrain.leave_rut(courses, 0, 1, 0.06, 3.0)
-    assert courses.modulus[0, 0] > 1.0 > courses.modulus[0, 1]
+    assert courses.rut_factors[0, 0] > 1.0 > courses.rut_factors[0, 1]
     assert courses.rut[0, 0] == pytest.approx(0.02) and courses.rut[0, 1] == pytest.approx(0.06)
     for _ in range(50):
         terrain.leave_rut(courses, 0, 0, 0.02, 1.0)
         terrain.leave_rut(courses, 0, 1, 0.06, 3.0)
-    low, high = terrain.MODULUS_BOUNDS
-    assert courses.modulus[0, 0] == pytest.approx(high) and courses.modulus[0, 1] == pytest.approx(low)
+    low, high = terrain.RUT_FACTOR_BOUNDS
+    assert courses.rut_factors[0, 0] == pytest.approx(high) and courses.rut_factors[0, 1] == pytest.approx(low)
 
 
 def test_cells(scenario):
@@ -346,18 +346,18 @@ def test_cells(scenario):
     start = terrain.cell_at(courses, 0.0)
     assert terrain.cell_at(courses, 0.12) == start + 2
     assert terrain.cell_at(courses, -0.01) == start - 1 and terrain.cell_at(courses, -terrain.BEHIND) == 0
-    assert terrain.cell_at(courses, 1e6) == courses.modulus.shape[1] - 1
+    assert terrain.cell_at(courses, 1e6) == courses.rut_factors.shape[1] - 1
 
 
 def test_the_rut_factor_is_continuous_and_that_of_a_cell_in_its_middle(scenario):
     courses = terrain.new_courses(1, scenario)
-    courses.modulus[0] = np.random.default_rng(0).uniform(0.3, 3.0, courses.modulus.shape[1])
+    courses.rut_factors[0] = np.random.default_rng(0).uniform(0.3, 3.0, courses.rut_factors.shape[1])
     x = np.arange(-0.7, scenario.course.length + 0.3, 1e-4)
     factor = np.array([terrain.rut_factor(courses, 0, at) for at in x])
     assert np.abs(np.diff(factor)).max() < 2.8 * 1e-4 / terrain.CELL
     for cell in (0, 7, 50):
         middle = (cell + 0.5) * terrain.CELL - terrain.BEHIND
-        assert terrain.rut_factor(courses, 0, middle) == pytest.approx(courses.modulus[0, cell], rel=1e-6)
+        assert terrain.rut_factor(courses, 0, middle) == pytest.approx(courses.rut_factors[0, cell], rel=1e-6)
 
 
 def test_a_cell_is_passed_only_when_none_of_it_counts_any_more(scenario):
@@ -369,5 +369,5 @@ def test_a_cell_is_passed_only_when_none_of_it_counts_any_more(scenario):
     for cells in (1, 2, 7):
         assert terrain.cell_after(courses, cell, middle + cells * terrain.CELL + 1e-9) == cell + cells
         assert terrain.cell_after(courses, cell, middle - cells * terrain.CELL - 1e-9) == cell - cells
-    assert terrain.cell_after(courses, cell, 1e6) == courses.modulus.shape[1] - 1
+    assert terrain.cell_after(courses, cell, 1e6) == courses.rut_factors.shape[1] - 1
     assert terrain.cell_after(courses, cell, -1e6) == 0

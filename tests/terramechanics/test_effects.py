@@ -78,8 +78,8 @@ def test_spinning_on_the_spot_excavates(name):
     rest = model.steady_state(0.0, LOAD, soil, R, B).sinkage
     sinkage = rest
     for _ in range(20):
-        modulus = reaction.reaction(0.0, 0.4, sinkage, LOAD, soil, R, B).modulus
-        bearing = dynamics.bearing_sinkage(sinkage, modulus, soil)
+        mobilised = reaction.reaction(0.0, 0.4, sinkage, LOAD, soil, R, B).sinkage_coefficient
+        bearing = dynamics.bearing_sinkage(sinkage, mobilised, soil)
         deeper = dynamics.relax_sinkage(sinkage, bearing, bearing, 0.0, 0.4, soil, LENGTH, 0.05)
         assert deeper > sinkage
         sinkage = deeper

@@ -53,8 +53,8 @@ def test_rates_of_the_reaction_against_central_differences(case):
         by_u = (forces(v, u + d) - forces(v, u - d)) / (2.0 * d)
         f = react(ground, v, u, load, wheel)
         size = 1e-3 * np.maximum(np.abs(by_v), np.abs(by_u)) + 1e-6
-        assert np.all(np.abs([f.dp_v, f.torque_v, f.modulus_v] - by_v) <= size)
-        assert np.all(np.abs([f.dp_u, f.torque_u, f.modulus_u] - by_u) <= size)
+        assert np.all(np.abs([f.dp_v, f.torque_v, f.sinkage_coefficient_v] - by_v) <= size)
+        assert np.all(np.abs([f.dp_u, f.torque_u, f.sinkage_coefficient_u] - by_u) <= size)
 
 
 @pytest.mark.parametrize("name", sorted(soils()))
@@ -72,12 +72,14 @@ def test_the_rates_are_exact_where_the_quadrature_is_smooth(name):
             return (8.0 * (f(h) - f(-h)) - (f(2.0 * h) - f(-2.0 * h))) / (12.0 * h)
 
         f = reaction.reaction(v, u, sinkage, load, soil, r, r)
-        if f.modulus == 0.0:
+        if f.sinkage_coefficient == 0.0:
             continue  # cohesion alone carries more than the load
         by_v = slope(lambda h, v=v, u=u, forces=forces: forces(v + h, u))
         by_u = slope(lambda h, v=v, u=u, forces=forces: forces(v, u + h))
         scale = np.abs([by_v, by_u]).max(axis=0) + 1e-9
-        found = np.array([[0.0, f.dp_v, f.torque_v, f.modulus_v], [0.0, f.dp_u, f.torque_u, f.modulus_u]])
+        found = np.array(
+            [[0.0, f.dp_v, f.torque_v, f.sinkage_coefficient_v], [0.0, f.dp_u, f.torque_u, f.sinkage_coefficient_u]]
+        )
         assert np.all(np.abs(found - [by_v, by_u])[:, 1:] <= 2e-7 * scale[1:])
         assert f.load == pytest.approx(load, rel=1e-12)  # whatever the motion
 
@@ -202,9 +204,20 @@ def test_the_reaction_is_the_same_in_lanes(case):
             v, u, load = map(float, speeds[:, k])
             f = react(ground_of(x, k, wheel), v, u, load, wheel)
             steep = max(map(abs, f[4:8])) + 1.0
-            size = np.array([load, load, load, f.modulus, *[steep] * 4, *[abs(f.modulus_v) + abs(f.modulus_u)] * 2])
-            if f.modulus > 0.0:
-                size *= max(1.0, f.modulus * x[0, k] ** x[10, k] * R * R / load)  # where shear lifts against the stress
+            size = np.array(
+                [
+                    load,
+                    load,
+                    load,
+                    f.sinkage_coefficient,
+                    *[steep] * 4,
+                    *[abs(f.sinkage_coefficient_v) + abs(f.sinkage_coefficient_u)] * 2,
+                ]
+            )
+            if f.sinkage_coefficient > 0.0:
+                size *= max(
+                    1.0, f.sinkage_coefficient * x[0, k] ** x[10, k] * R * R / load
+                )  # where shear lifts against the stress
             assert np.all(np.abs(out[:, k] - f) <= 1e-13 * size + 1e-13), (seed, k)
 
 

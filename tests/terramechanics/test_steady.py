@@ -74,8 +74,8 @@ def test_slip_sinkage_is_that_of_lyasko(name, slip):
     soil = soils()[name].state(B)._replace(dig_gain=1.5, dig_recovery=0.5)
     found = model.steady_state(slip, 100.0, soil, R, B)
     rim, travel = motion_from_slip(slip)
-    modulus = reaction.reaction(1e3 * travel, 1e3 * rim, found.sinkage, 100.0, soil, R, B).modulus
-    bearing = found.sinkage * (modulus / soil.sinkage_coefficient) ** (1.0 / soil.sinkage_exponent)
+    mobilised = reaction.reaction(1e3 * travel, 1e3 * rim, found.sinkage, 100.0, soil, R, B).sinkage_coefficient
+    bearing = found.sinkage * (mobilised / soil.sinkage_coefficient) ** (1.0 / soil.sinkage_exponent)
     assert found.sinkage / bearing == pytest.approx((1.0 + slip) / (1.0 - 0.5 * slip), rel=1e-4)
 
 
@@ -152,8 +152,8 @@ def test_the_dynamics_settle_at_the_steady_state(name, slip):
     speed, rim_speed, step = 100.0 * travel, 100.0 * rim, 2e-4
     sinkage = model.steady_state(0.0, 120.0, soil, R, B).sinkage
     for _ in range(1500):
-        modulus = reaction.reaction(speed, rim_speed, sinkage, 120.0, soil, R, B).modulus
-        bearing = dynamics.bearing_sinkage(sinkage, modulus, soil)
+        mobilised = reaction.reaction(speed, rim_speed, sinkage, 120.0, soil, R, B).sinkage_coefficient
+        bearing = dynamics.bearing_sinkage(sinkage, mobilised, soil)
         sinkage = dynamics.relax_sinkage(sinkage, bearing, bearing, speed, rim_speed - speed, soil, 2.0 * R, step)
     assert sinkage == pytest.approx(model.steady_state(slip, 120.0, soil, R, B).sinkage, rel=1e-3)
 
