@@ -88,7 +88,7 @@ def record(name: str, contestant: contestants.Contestant, scenario: str, episode
     import minari
 
     driver = loading.load(contestant, load_scenario(scenario))
-    env = gymnasium.make("soil_env:SoilWheel-v0", scenario=scenario, observation=driver.variant)
+    env = gymnasium.make("soil_env:SoilWheel-v0", scenario=scenario, observation=driver.variant, scaled=False)
     env = minari.DataCollector(env)
     for k in range(episodes):
         observation, _ = env.reset(seed=seed + k)

@@ -33,7 +33,7 @@ from .asymmetric import AsymmetricPolicy
 from .config import NAMES, PPOConfig, TrainConfig, load_config
 from .history import History, HistoryVecEnv
 from .learner import Learner, Tanh
-from .sb3 import CRITICS, SoilWheelVecEnv, privileged, space_of
+from .sb3 import CRITICS, SoilWheelVecEnv, privileged, scaling_of
 from .worlds import SeveralWorlds
 
 __all__ = [
@@ -107,7 +107,9 @@ def normalised(
     worlds = list(world) if isinstance(world, Sequence) else [world]
     shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
     parts = [
-        SoilWheelVecEnv(share, scenario, observation, threads=config.threads, model=one, critic=config.critic)
+        SoilWheelVecEnv(
+            share, scenario, observation, threads=config.threads, model=one, critic=config.critic, scaled=False
+        )
         for share, one in zip(shares, worlds, strict=True)
     ]
     wheels = parts[0] if len(parts) == 1 else SeveralWorlds(parts)
@@ -293,7 +295,8 @@ def load_agent(path: Path) -> Agent:
 
 def agent_spaces(meta: dict) -> tuple:
     """Observation and action space of the network of a saved agent."""
-    box, history = space_of(meta["observation"], _course(meta), meta["critic"]), _history(meta)
+    box = scaling_of(meta["observation"], _course(meta), meta["critic"], scaled=False).space
+    history = _history(meta)
     return (box if history is None else history.space(box)), action_space()
 
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 
 from .extras import TRAIN, lacks_train
 
@@ -19,14 +18,15 @@ except ModuleNotFoundError as error:
     raise
 
 from soil_env._io.loading import unknown_value
-from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
+from soil_env.env import action_space, build_scenario, check_count, numbers
 from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec
+from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import Cause, ObservedNumber, layout, truth
 from soil_env.simulation.worlds import STEP, Simulation
 from soil_env.terramechanics.model import load_model
 
 #: Keywords that are no part of a scenario.
-_OWN = ("num_envs", "scenario", "observation", "action", "repeat", "threads", "model", "critic")
+_OWN = ("num_envs", "scenario", "observation", "action", "repeat", "threads", "model", "critic", "scaled")
 CRITICS = ("", "true_soil")  # values of the keyword `critic`
 _RUNNING = Cause.RUNNING.value
 
@@ -38,11 +38,9 @@ def privileged(critic: str, course: CourseSpec) -> tuple[ObservedNumber, ...]:
     return truth(course) if critic else ()
 
 
-def space_of(observation: str, course: CourseSpec, critic: str = "") -> spaces.Box:
-    """Observation space of `SoilWheelVecEnv`."""
-    space, more = observation_space(observation, course), privileged(critic, course)
-    low, high = (np.append(getattr(space, side), [getattr(e, side) for e in more]) for side in ("low", "high"))
-    return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+def scaling_of(observation: str, course: CourseSpec, critic: str = "", scaled: bool = True) -> Scaling:
+    """What `SoilWheelVecEnv` observes: its entries, their space, and how they are brought to order one."""
+    return Scaling((*layout(observation, course), *privileged(critic, course)), scaled)
 
 
 class SoilWheelVecEnv(VecEnv):
@@ -64,6 +62,7 @@ class SoilWheelVecEnv(VecEnv):
         threads=None,
         model=None,
         critic="",
+        scaled=True,
         **changes,
     ):
         check_count("num_envs", num_envs)
@@ -74,7 +73,8 @@ class SoilWheelVecEnv(VecEnv):
         self.scenario = build_scenario(scenario, action, repeat, changes, _OWN)
         course = self.scenario.course
         self.critic, self.privileged = critic, len(privileged(critic, course))
-        super().__init__(num_envs, space_of(observation, course, critic), action_space())
+        self.scaling = scaling_of(observation, course, critic, scaled)
+        super().__init__(num_envs, self.scaling.space, action_space())
         self.observation_variant = observation
         self.observation_names = tuple(e.name for e in layout(observation, course))
         self.model = load_model(model)
@@ -136,9 +136,9 @@ class SoilWheelVecEnv(VecEnv):
     def _seen(self) -> np.ndarray:
         """Observations, with what the value network sees beside them."""
         observation = self.simulation.worlds.observation
-        if not self.critic:
-            return observation.copy()
-        return np.concatenate([observation, self.simulation.true_soils()], axis=1)
+        if self.critic:
+            observation = np.concatenate([observation, self.simulation.true_soils()], axis=1)
+        return self.scaling(observation)
 
     def close(self) -> None:
         """Nothing to release."""

@@ -40,7 +40,9 @@ def native(venv: VecEnv, initial_action: float = 0.3) -> VecEnv:
     """
     if isinstance(venv, DummyVecEnv) and venv.render_mode is None:
         wheel, seed = venv.envs[0].unwrapped, venv._seeds[0]
-        made = SoilWheelVecEnv(venv.num_envs, wheel.scenario, wheel.observation_variant, model=wheel.model)
+        made = SoilWheelVecEnv(
+            venv.num_envs, wheel.scenario, wheel.observation_variant, model=wheel.model, scaled=wheel.scaling.scaled
+        )
         if seed is not None:
             made.seed(seed)
         made = VecMonitor(made, _monitor_file(venv))

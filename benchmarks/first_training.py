@@ -23,7 +23,8 @@ from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET, Runs, run_courses
 from agents.evaluate.statistics import wilson
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env._io.loading import ParameterError
-from soil_env.parameters import HELD, Scenario, load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, HELD, Scenario, load_scenario
+from soil_env.simulation.scaling import Scaling
 
 LIBRARIES = {"sb3": "stable_baselines3", "sbx": "sbx"}
 LEVELS = (0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0)
@@ -45,12 +46,12 @@ class Constant:
 class Trained:
     """The deterministic policy of a model of Stable-Baselines3 or SBX."""
 
-    def __init__(self, model, variant: str):
-        self.model, self.variant = model, variant
+    def __init__(self, model, variant: str, scaling: Scaling):
+        self.model, self.variant, self.scaling = model, variant, scaling
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1]."""
-        return self.model.predict(observation, deterministic=True)
+        return self.model.predict(self.scaling(observation), deterministic=True)
 
 
 def learner(name: str):
@@ -71,7 +72,7 @@ def trained(name: str, scenario: str, observation: str, steps: int, seed: int) -
     env = gymnasium.make("SoilWheel-v0", scenario=scenario, observation=observation, info="short")
     model = learner(name)("MlpPolicy", env, seed=seed)
     model.learn(steps)
-    return Trained(model, observation)
+    return Trained(model, observation, env.unwrapped.scaling)
 
 
 def said(runs: Runs) -> str:
@@ -96,7 +97,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Train and judge; returns the exit status."""
     p = command_parser("python -m benchmarks.first_training", __doc__)
     p.add_argument("learners", nargs="+", metavar="LEARNER")
-    p.add_argument("--scenario", default="mixed")
+    p.add_argument("--scenario", default=DEFAULT_SCENARIO)
     p.add_argument("--observation", default="identified")
     p.add_argument("--steps", type=whole_number(1), default=300_000)
     p.add_argument("--seeds", type=whole_number(1), default=3, help="number of seeds (default: 3)")

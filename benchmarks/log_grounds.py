@@ -35,7 +35,7 @@ _CHANNELS = ("wheel_speed", "speed", "sinkage", "drawbar_pull", "load", "torque"
 
 def drive(seed: int):
     """(log of a drive, its map, place [N] of each step in m, edges of the soils [m], soils [n, 7] as `SoilState`)."""
-    env = gymnasium.make("SoilWheel-v0", scenario="mixed", action="torque").unwrapped
+    env = gymnasium.make("SoilWheel-v0", scenario="mixed", action="torque", scaled=False).unwrapped
     env.reset(seed=seed)
     scenario, rows, places = env.scenario, [], []
     weight, r, top = scenario.weight, scenario.wheel.radius, scenario.wheel.no_load_speed

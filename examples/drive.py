@@ -40,8 +40,13 @@ def drive(options) -> None:
     video = options.out is not None and options.out.suffix == ".mp4"
     variant = CONTROLLERS[options.controller].variant
     mode = "rgb_array" if options.out else None
-    env = gymnasium.make(  # repeat=1: a frame every control period
-        "soil_env:SoilWheel-v0", scenario=options.scenario, observation=variant, render_mode=mode, repeat=1
+    env = gymnasium.make(  # repeat=1: a frame every control period; controllers read physical values
+        "soil_env:SoilWheel-v0",
+        scenario=options.scenario,
+        observation=variant,
+        render_mode=mode,
+        repeat=1,
+        scaled=False,
     )
     if video:
         folder = str(options.out.resolve().parent)

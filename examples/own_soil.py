@@ -36,6 +36,7 @@ def main() -> None:
             "soil_env:SoilWheel-v0",
             render_mode="rgb_array",
             repeat=1,
+            scaled=False,  # controllers read physical values
             name="beach",
             own_soils={"beach": beach},
             soils={"beach": 3, "dry_sand": 1},  # three patches of four are beach

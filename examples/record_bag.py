@@ -95,7 +95,7 @@ def _variance() -> tuple[float, ...]:
 
 def drive(recorder: Recorder, seed: int, steps: int):
     """Drive one course, record it; the scenario and the estimates that the environment gave on the way."""
-    env = gymnasium.make("soil_env:SoilWheel-v0", action="torque").unwrapped
+    env = gymnasium.make("soil_env:SoilWheel-v0", action="torque", scaled=False).unwrapped
     names, scenario = env.observation_names, env.scenario
     weight, radius = scenario.weight, scenario.wheel.radius
     top = radius * scenario.wheel.no_load_speed

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from soil_env._io.loading import ParameterError, UnknownKeyword
 from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec, Scenario, Soil, SoilState, load_scenario
 from soil_env.simulation.infos import IMMOBILISED, Infos
+from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.terrain import ground_at
 from soil_env.simulation.worlds import Simulation
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["IMMOBILISED", "SoilWheelEnv", "action_space", "build_scenario", "check_count", "observation_space"]
 #: Keywords that are no part of a scenario.
-_OWN = ("scenario", "observation", "action", "repeat", "render_mode", "model", "info")
+_OWN = ("scenario", "observation", "action", "repeat", "render_mode", "model", "info", "scaled")
 _ONLY = np.ones(1, dtype=np.bool_)
 _FIELDS = tuple(f.name for f in dataclasses.fields(Scenario))
 
@@ -57,11 +58,9 @@ def check_count(name: str, count: object) -> None:
         raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
 
 
-def observation_space(variant: str, course: CourseSpec | None = None) -> gymnasium.spaces.Box:
+def observation_space(variant: str, course: CourseSpec | None = None, scaled: bool = True) -> gymnasium.spaces.Box:
     """Box of the observation variant on such a `course`, float32."""
-    entries = layout(variant, course)
-    low, high = ([getattr(e, side) for e in entries] for side in ("low", "high"))
-    return gymnasium.spaces.Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32)
+    return Scaling(layout(variant, course), scaled).space
 
 
 def action_space() -> gymnasium.spaces.Box:
@@ -94,9 +93,36 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     Values outside are clipped; a wrong shape, NaN or infinity raises `ValueError`.
 
     ## Observation space
-    `Box(float32)`. All entries but 8, 10 and 13 are noisy sensor readings (`Noise`). "Weight" is that of the wheel with
-    its share of the body, without payload; "top rim speed" is radius times no-load speed.
-    `env.unwrapped.observation_names` lists the names.
+    `Box(float32)`. Each entry is (value - centre)/scale, so that it is of order one, as learners with nothing set
+    expect. `env.unwrapped.physical(observation)` gives the values back, and `scaled=False` observes the values. Centre
+    and scale are 0 and 1 but for
+
+    | centre | scale | entries, also `ahead_` and `beside_` |
+    |--------|-------|---------|
+    | -2 | 0.3 | log10_shear_modulus |
+    | 0 | 0.1 | margin |
+    | 0 | 0.15 | pitch, acceleration, grade |
+    | 0.05 | 0.03 | friction_angle_sd |
+    | 0.1 | 0.2 | drawbar_pull |
+    | 0.2 | 0.2 | speed, rim_speed, rim_command |
+    | 0.2 | 0.3 | slip |
+    | 0.25 | 0.15 | sinkage |
+    | 0.3 | 0.2 | shear_modulus_sd, sinkage_coefficient_sd |
+    | 0.4 | 0.2 | torque, motor_torque |
+    | 0.5 | 0.1 | friction_angle |
+    | 0.5 | 0.2 | dig_gain_sd |
+    | 0.5 | 0.3 | odometry, cohesion_sd |
+    | 0.5 | 0.5 | dig_recovery |
+    | 1 | 0.2 | sinkage_exponent |
+    | 1 | 0.5 | border_distance |
+    | 1 | 1 | cohesion |
+    | 1.1 | 0.1 | load |
+    | 2 | 1 | dig_gain |
+    | 6 | 0.3 | log10_sinkage_coefficient |
+
+    The tables below give the values, with their least and greatest. All entries but 8, 10 and 13 are noisy sensor
+    readings (`Noise`). "Weight" is that of the wheel with its share of the body, without payload; "top rim speed" is
+    radius times no-load speed. `env.unwrapped.observation_names` lists the names.
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
@@ -250,8 +276,9 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
 
     ## Arguments
     `scenario`: name, path of a YAML file, or `Scenario`; `observation`; `action`; `repeat`; `render_mode`: "rgb_array"
-    or "human"; `info`; any field of `Scenario` as a keyword, merged over the scenario, e.g. `course={"length": 20}` or
-    `wheel="paper_vehicle"`. Unknown keys and values out of range raise `soil_env.ParameterError`.
+    or "human"; `info`; `scaled`; any field of `Scenario` as a keyword, merged over the scenario, e.g.
+    `course={"length": 20}` or `wheel="paper_vehicle"`. Unknown keys and values out of range raise
+    `soil_env.ParameterError`.
 
     `model`: a model.yaml (or a `WheelSoilModel`) with the effects that act in this world, unknown to identifier and
     agent. Where the model has a soil, all patches are sampled from it. Of its wheel only the grouser height is used;
@@ -261,7 +288,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     * v0: first version. It has not been released, so that laws still change under this number. On the way: odometry in
       place of the exact progress; fresh ground is ground that the wheel has not touched; one count of no progress in
       place of two timers; a time step of second order; the time limit is a termination that costs; rim_acceleration,
-      repeat and rim_command.
+      repeat and rim_command; observations of order one (`scaled`).
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
@@ -275,6 +302,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         render_mode: str | None = None,
         model: str | Path | WheelSoilModel | None = None,
         info: str = "full",
+        scaled: bool = True,
         **changes: Any,
     ):
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
@@ -283,8 +311,10 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             )
         self.scenario = build_scenario(scenario, action, repeat, changes)
         self.observation_variant = observation
-        self.observation_names = tuple(e.name for e in layout(observation, self.scenario.course))
-        self.observation_space = observation_space(observation, self.scenario.course)
+        entries = layout(observation, self.scenario.course)
+        self.observation_names = tuple(e.name for e in entries)
+        self.scaling = Scaling(entries, scaled)
+        self.observation_space = self.scaling.space
         self.action_space = action_space()
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.duration))}
@@ -327,7 +357,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             self._view().record(self.simulation, 0)
             if self.render_mode == "human":
                 self.render()
-        return self.simulation.worlds.observation[0].copy(), self.infos.one(self.simulation.worlds, 0)
+        return self.scaling(self.simulation.worlds.observation[0]), self.infos.one(self.simulation.worlds, 0)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive as long as an action lasts. Returns (observation, reward, terminated, truncated, info)."""
@@ -343,7 +373,12 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             self._view().record(self.simulation, 0)
             if self.render_mode == "human":
                 self.render()
-        return worlds.observation[0].copy(), float(worlds.reward[0]), self._over, False, self.infos.one(worlds, 0)
+        seen = self.scaling(worlds.observation[0])
+        return seen, float(worlds.reward[0]), self._over, False, self.infos.one(worlds, 0)
+
+    def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
+        """Observations [..., D] of this env in the units of the tables."""
+        return self.scaling.physical(observation)
 
     def render(self) -> NDArray[np.uint8] | None:
         """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""

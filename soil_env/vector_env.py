@@ -13,16 +13,17 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError
-from soil_env.env import action_space, build_scenario, check_count, numbers, observation_space
+from soil_env.env import action_space, build_scenario, check_count, numbers
 from soil_env.parameters import DEFAULT_SCENARIO, Scenario
 from soil_env.simulation.infos import Infos
+from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 
 _OWN = (  # keywords that are no part of a scenario
     "num_envs", "scenario", "observation", "action", "repeat", "autoreset_mode", "max_episode_steps", "threads",
-    "render_mode", "model", "info",
+    "render_mode", "model", "info", "scaled",
 )  # fmt: skip
 _RUNNING = Cause.RUNNING.value
 
@@ -59,6 +60,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         render_mode: str | None = None,
         model: str | Path | WheelSoilModel | None = None,
         info: str = "short",
+        scaled: bool = True,
         **changes: Any,
     ):
         check_count("num_envs", num_envs)
@@ -74,8 +76,10 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
             raise ParameterError(f"autoreset_mode = {autoreset_mode!r}: expected one of {known}") from None
         self.num_envs = int(num_envs)
         self.scenario = build_scenario(scenario, action, repeat, changes, _OWN)
-        self.observation_names = tuple(e.name for e in layout(observation, self.scenario.course))
-        self.single_observation_space = observation_space(observation, self.scenario.course)
+        entries = layout(observation, self.scenario.course)
+        self.observation_names = tuple(e.name for e in entries)
+        self.scaling = Scaling(entries, scaled)
+        self.single_observation_space = self.scaling.space
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -118,7 +122,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         self.simulation.restart_where(mask)
         self._done[mask] = False
         self._renew(mask)
-        return self.simulation.worlds.observation.copy(), self.infos.many(self.simulation.worlds)
+        return self.scaling(self.simulation.worlds.observation), self.infos.many(self.simulation.worlds)
 
     def step(
         self, actions: ArrayLike
@@ -143,14 +147,18 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
             self.simulation.restart_where(self._done)
             self._renew(self._done)
             self._done[:] = False
-        return worlds.observation.copy(), reward, terminated, truncated, self.infos.many(worlds) | finals
+        return self.scaling(worlds.observation), reward, terminated, truncated, self.infos.many(worlds) | finals
+
+    def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
+        """Observations [..., D] of this env in the units of the tables."""
+        return self.scaling.physical(observation)
 
     def _finals(self) -> dict[str, Any]:
         """Last observations and infos of the wheels that have ended, before they are reset."""
         worlds, ended = self.simulation.worlds, self._done.copy()
         final = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended):
-            final[k] = worlds.observation[k].copy()
+            final[k] = self.scaling(worlds.observation[k])
         out: dict[str, Any] = {"final_obs": final, "_final_obs": ended}
         if self.infos.kind != "none":
             out |= {"final_info": self.infos.final(worlds, ended), "_final_info": ended.copy()}

@@ -156,7 +156,7 @@ def test_order_is_enforced():
 def test_halts_happen_and_ignore_the_action():
     halts = []
     for action_in_halt in (0.5, -1.0):
-        env = SoilWheelEnv(action="torque", course={"grade_deg": [-1.0, 0.0]})
+        env = SoilWheelEnv(action="torque", scaled=False, course={"grade_deg": [-1.0, 0.0]})
         observation, _ = env.reset(seed=1)
         rows = [observation]
         for _ in range(80):
@@ -286,7 +286,8 @@ def check_info(info, observation, env):
     soon, later = (info["traversability"][f"immobilised_within_{s}_s"] for s in (3, 5))
     assert 0.0 <= soon <= later <= 1.0
     assert info["traversability"]["passable"] == (info["traversability"]["drawbar_margin"] > 0.0)
-    e, names = info["estimate"], dict(zip(env.observation_names, observation, strict=True))
+    values = env.physical(observation)
+    e, names = info["estimate"], dict(zip(env.observation_names, values, strict=True))
     assert math.radians(e["friction_angle_deg"]) == pytest.approx(names["friction_angle"], rel=1e-5)
     assert math.log10(e["shear_modulus"]) == pytest.approx(names["log10_shear_modulus"], rel=1e-5)
     assert math.log10(e["sinkage_coefficient"]) == pytest.approx(names["log10_sinkage_coefficient"], rel=1e-5)
@@ -334,7 +335,7 @@ def test_only_a_wrapper_truncates(changes, expected):
 
 def test_traversability_is_that_of_the_estimate():
     """Recomputed from observation and estimate alone at every renewal."""
-    env = SoilWheelEnv()
+    env = SoilWheelEnv(scaled=False)
     observation, info = env.reset(seed=2)
     wheel, renewed = env.scenario.wheel, 0
     for k in range(120):

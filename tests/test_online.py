@@ -29,7 +29,9 @@ METHODS = ("filter", "window")
 @pytest.fixture(scope="module", params=METHODS)
 def drive(request):
     """(scenario, readings, infos) of 520 periods, the readings out of the observation (float32)."""
-    env = gymnasium.make("SoilWheel-v0", scenario="mixed", action="torque", belief={"method": request.param}).unwrapped
+    env = gymnasium.make(
+        "SoilWheel-v0", scenario="mixed", action="torque", scaled=False, belief={"method": request.param}
+    ).unwrapped
     env.reset(seed=3)
     scenario, readings, infos = env.scenario, [], []
     weight, r = scenario.weight, scenario.wheel.radius

@@ -11,6 +11,7 @@ from pathlib import Path
 from soil_env._io.loading import ParameterError, load
 from soil_env.env import observation_space
 from soil_env.parameters import Control, CourseSpec, Scenario
+from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import VARIANTS, layout
 
 from .. import PACKAGE_NAMES
@@ -43,8 +44,8 @@ def load_model(path: Path, scenario: Scenario):
     """An object with `predict` on raw observations and `variant`; ParameterError with one line if it cannot be had.
 
     A policy.onnx of `agents.export` is run by onnxruntime. A zip of ours (soil_env.json inside) brings its
-    normalisation. A plain zip of SB3 is told by its observation space; a file vecnormalize.pkl beside it, as
-    rl-baselines3-zoo writes, is used for its observations.
+    normalisation. A plain zip of SB3 is told by its observation space, scaled or not; a file vecnormalize.pkl
+    beside it, as rl-baselines3-zoo writes, is used for its observations.
     """
     if Path(path).suffix == ".onnx":
         return _exported(path, scenario)
@@ -60,7 +61,7 @@ def load_model(path: Path, scenario: Scenario):
     model = _load(path, data, meta)
     if meta is not None:
         return ppo.agent_of(model, meta)
-    return _Plain(model, _variant(model, path, scenario.course), _normalisation(path))
+    return _Plain(model, *_variant(model, path, scenario.course), _normalisation(path))
 
 
 def _check_action(path: Path, trained: dict, scenario: Scenario) -> None:
@@ -123,10 +124,12 @@ def _load(path: Path, data: dict, meta: dict | None):
         raise ParameterError(f"controllers: {error}") from None
 
 
-def _variant(model, path: Path, course: CourseSpec) -> str:
+def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:
     for variant in VARIANTS:
-        if model.observation_space == observation_space(variant, course):
-            return variant
+        for scaled in (True, False):
+            scaling = Scaling(layout(variant, course), scaled)
+            if model.observation_space == scaling.space:
+                return variant, scaling
     shape = getattr(model.observation_space, "shape", None)
     expected = ", ".join(f"{v}: {observation_space(v, course).shape[0]}" for v in VARIANTS)
     raise ParameterError(
@@ -155,9 +158,12 @@ class _Plain:
 
     model: object
     variant: str
+    scaling: Scaling
     normalisation: object | None
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As SB3's predict."""
-        x = observation if self.normalisation is None else self.normalisation.normalize_obs(observation)
+        x = self.scaling(observation)
+        if self.normalisation is not None:
+            x = self.normalisation.normalize_obs(x)
         return self.model.predict(x, state, episode_start, deterministic)

@@ -16,7 +16,7 @@ _TYPES = {"float32": TensorProto.FLOAT, "float64": TensorProto.DOUBLE, "bool": T
           "int64": TensorProto.INT64}  # fmt: skip
 _UFUNCS = {
     np.add: "Add", np.subtract: "Sub", np.multiply: "Mul", np.true_divide: "Div",
-    np.maximum: "Max", np.minimum: "Min",
+    np.maximum: "Max", np.minimum: "Min", np.equal: "Equal",
 }  # fmt: skip
 
 
@@ -79,7 +79,7 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
     def __array_ufunc__(self, ufunc, method, *inputs, **keywords):
         if method != "__call__" or keywords or ufunc not in _UFUNCS:
             return NotImplemented
-        return self.graph.node(_UFUNCS[ufunc], *inputs)
+        return self.graph.node(_UFUNCS[ufunc], *inputs, dtype=bool if ufunc is np.equal else None)
 
     def __array_function__(self, function, types, args, keywords):
         if function is np.where:
@@ -92,9 +92,9 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         return NotImplemented
 
     def __getitem__(self, key) -> Traced:
-        """[:, list] columns, [:, None] a column as a table."""
+        """[:, list] or [..., list] columns, [:, None] a column as a table."""
         rows, columns = key
-        if rows != slice(None):
+        if rows not in (slice(None), ...):
             raise TypeError(f"{key}: only whole columns")
         if columns is None:
             return self.graph.node("Unsqueeze", self, self.graph.constant([1], np.int64), dtype=self.dtype)

@@ -70,8 +70,11 @@ def _named(graph: Graph, x: Traced, name: str) -> Traced:
 def _normalised(x: Traced, agent, entries: int) -> Traced:
     """Observations of so many `entries`, with their history, as the network reads them, float32.
 
-    As `Agent._normalised` and `VecNormalize.normalize_obs`.
+    As `Agent._normalised`, `Scaling` and `VecNormalize.normalize_obs`.
     """
+    scaling = getattr(agent, "scaling", None)
+    if scaling is not None and scaling.scaled:
+        x = scaling(x)
     if hasattr(agent, "mean"):
         acting = entries + (agent.history.size if agent.history else 0)  # what follows is for the value network alone
         mean, sd, clip = agent.mean[:acting], agent.sd[:acting], agent.clip
@@ -89,7 +92,7 @@ def _normalised(x: Traced, agent, entries: int) -> Traced:
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:
     """What policy.yaml says before anything was run, as plain values."""
     wheel, control = scenario.wheel, scenario.control
-    space, model = observation_space(agent.variant, scenario.course), agent.model
+    space, model = observation_space(agent.variant, scenario.course, scaled=False), agent.model
     entries = [
         {"index": k, "name": e.name, "unit": e.unit, "low": low, "high": high}
         for k, (e, low, high) in enumerate(

@@ -70,7 +70,7 @@ def drive(controller, scenario, steps, seed=0):
 
 def observations(variant, n=6, seed=0, scenario="mixed"):
     """Observations as they come: `n` wheels some steps into their courses."""
-    env = SoilWheelVecEnv(n, scenario, variant)
+    env = SoilWheelVecEnv(n, scenario, variant, scaled=False)
     env.seed(seed)
     env.reset()
     for _ in range(15):

@@ -25,7 +25,8 @@ def scenario():
 
 
 def observations(variant):
-    env = SoilWheelVecEnv(6, observation=variant)
+    """As `agents.evaluate` gives them, in their units."""
+    env = SoilWheelVecEnv(6, observation=variant, scaled=False)
     env.seed(5)
     env.reset()
     for _ in range(5):
@@ -33,20 +34,26 @@ def observations(variant):
     return out
 
 
+def scaled(variant, observations):
+    """As an environment gives them."""
+    return SoilWheelVecEnv(1, observation=variant).scaling(observations)
+
+
+@pytest.mark.parametrize("to_order_one", [True, False])
 @pytest.mark.parametrize(
     "algorithm, variant",
     [(PPO, "blind"), (PPO, "identified"), (PPO, "true_soil"), (A2C, "blind"), (SAC, "blind"), (TD3, "blind"),
      (DDPG, "blind")],
 )  # fmt: skip
-def test_a_plain_model_acts_as_before(tmp_path, scenario, algorithm, variant):
-    model = algorithm(
-        "MlpPolicy", SoilWheelVecEnv(2, observation=variant), policy_kwargs=dict(SMALL), seed=1, device="cpu"
-    )
+def test_a_plain_model_acts_as_before(tmp_path, scenario, algorithm, variant, to_order_one):
+    env = SoilWheelVecEnv(2, observation=variant, scaled=to_order_one)
+    model = algorithm("MlpPolicy", env, policy_kwargs=dict(SMALL), seed=1, device="cpu")
     model.save(tmp_path / "any.zip")
     loaded = load_model(tmp_path / "any.zip", scenario)
     assert loaded.variant == variant
     x = observations(variant)
-    np.testing.assert_array_equal(loaded.predict(x)[0], model.predict(x, deterministic=True)[0])
+    seen = scaled(variant, x) if to_order_one else x
+    np.testing.assert_array_equal(loaded.predict(x)[0], model.predict(seen, deterministic=True)[0])
 
 
 def test_normalisation_that_lies_beside_is_used(tmp_path, scenario):
@@ -62,7 +69,8 @@ def test_normalisation_that_lies_beside_is_used(tmp_path, scenario):
     env.save(tmp_path / "vecnormalize.pkl")
     assert digest(str(tmp_path / "any.zip")) != bare  # another agent
     got = load_model(tmp_path / "any.zip", scenario).predict(x)[0]
-    np.testing.assert_array_equal(got, model.predict(env.normalize_obs(x), deterministic=True)[0])
+    seen = env.normalize_obs(scaled("blind", x))
+    np.testing.assert_array_equal(got, model.predict(seen, deterministic=True)[0])
     assert (got != raw).any()
     (tmp_path / "vecnormalize.pkl").write_bytes(pickle.dumps([1]))
     with pytest.raises(ParameterError, match="vecnormalize.pkl: cannot be loaded"):
@@ -103,7 +111,8 @@ def test_recurrent_models_keep_their_memory(tmp_path, scenario):
     loaded, x = load_model(tmp_path / "r.zip", scenario), observations("blind")
     first, memory = loaded.predict(x, None, np.ones(6, dtype=bool))
     second, _ = loaded.predict(x, memory, np.zeros(6, dtype=bool))
-    expected, state = model.predict(x, None, np.ones(6, dtype=bool), deterministic=True)
+    seen = scaled("blind", x)
+    expected, state = model.predict(seen, None, np.ones(6, dtype=bool), deterministic=True)
     np.testing.assert_array_equal(first, expected)
-    np.testing.assert_array_equal(second, model.predict(x, state, np.zeros(6, dtype=bool), deterministic=True)[0])
+    np.testing.assert_array_equal(second, model.predict(seen, state, np.zeros(6, dtype=bool), deterministic=True)[0])
     assert (first != second).any()

@@ -89,7 +89,8 @@ def test_the_runner_alone_drives_courses_as_the_agent_would(tmp_path, scenario, 
     scenario = load_scenario(scenario, {"control": {"action": action}})
     run = saved(tmp_path / "run", scenario, algorithm, observation, **inputs)
     assert main([str(run), f"--out={tmp_path}/out", "--courses=2", "--steps=20"]) == 0
-    agent, env = load_model(run / "model.zip", scenario), SoilWheelEnv(scenario, observation=observation)
+    agent = load_model(run / "model.zip", scenario)
+    env = SoilWheelEnv(scenario, observation=observation, scaled=False)
     runner, memory, over, worst, courses = start(tmp_path / "out", "--serve"), None, True, 0.0, 0
     for step in range(1000):
         if over:
@@ -122,7 +123,7 @@ def test_the_runner_checks_the_recorded_steps(exported):
 def test_the_description_says_what_every_number_is(exported, scenario):
     run, out = exported
     content = yaml.safe_load((out / "policy.yaml").read_text(encoding="utf-8"))
-    env = SoilWheelEnv(scenario)
+    env = SoilWheelEnv(scenario, scaled=False)
     assert [e["name"] for e in content["inputs"]] == list(env.observation_names)
     for k, side in enumerate(("low", "high")):
         bounds = [env.observation_space.low, env.observation_space.high][k]
@@ -164,7 +165,7 @@ def test_an_export_is_a_contestant_by_its_path(tmp_path, scenario, history):
 
 @pytest.mark.parametrize("algorithm", [A2C, SAC, TD3])
 def test_models_of_plain_sb3_with_their_vecnormalize(tmp_path, capsys, algorithm):
-    env = VecNormalize(SoilWheelVecEnv(2, observation="blind", **COURSE), clip_obs=2.0)
+    env = VecNormalize(SoilWheelVecEnv(2, **COURSE), clip_obs=2.0)
     more = {} if algorithm is A2C else {"learning_starts": 20, "buffer_size": 200}
     model = algorithm("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, device="cpu", seed=0, **more)
     model.learn(60)
@@ -173,9 +174,10 @@ def test_models_of_plain_sb3_with_their_vecnormalize(tmp_path, capsys, algorithm
     assert main([str(tmp_path / "model.zip"), f"--out={tmp_path}/out", "--courses=2", "--steps=30"]) == 0
     content = yaml.safe_load((tmp_path / "out" / "policy.yaml").read_text(encoding="utf-8"))
     assert content["algorithm"] == algorithm.__name__ and content["proof"]["largest_difference"] <= 1e-5
-    space = observation_space("blind", load_scenario().course)
+    space = observation_space("identified", load_scenario().course, scaled=False)
     x = np.random.default_rng(0).uniform(space.low, space.high, (40, *space.shape)).astype(np.float32)
-    expected, _ = model.predict(env.normalize_obs(x), deterministic=True)
+    x[::3, env.get_attr("observation_names")[0].index("ahead_log10_sinkage_coefficient")] = 0.0  # out of sight
+    expected, _ = model.predict(env.normalize_obs(env.venv.scaling(x)), deterministic=True)
     found, memory = ExportedAgent(tmp_path / "out" / "policy.onnx").predict(x)
     np.testing.assert_allclose(found, expected, atol=1e-5)
     assert memory is None and len(np.unique(found)) > 5

@@ -13,7 +13,7 @@ from agents.evaluate.models import load_model
 from agents.history import READINGS, SHARE, History, HistoryVecEnv
 from agents.learner import Learner
 from agents.ppo import PPOConfig
-from agents.sb3 import SoilWheelVecEnv, privileged, space_of
+from agents.sb3 import SoilWheelVecEnv, privileged, scaling_of
 from agents.worlds import HIDDEN, SeveralWorlds, hidden_worlds
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import CourseSpec, load_scenario
@@ -81,7 +81,7 @@ def test_a_loaded_agent_drives_as_it_was_trained(scenario, tmp_path, critic):
     model.learn(256)
     ppo.save(model, tmp_path / "model.zip")
     agent = load_model(tmp_path / "model.zip", scenario)
-    env, plain = model.get_vec_normalize_env(), SoilWheelVecEnv(8, scenario, "blind")
+    env, plain = model.get_vec_normalize_env(), SoilWheelVecEnv(8, scenario, "blind", scaled=False)
     env.training = False  # the normalisation stays as it was saved
     env.seed(7)
     plain.seed(7)
@@ -143,7 +143,9 @@ def test_a_change_of_history_or_critic_is_refused(scenario, tmp_path):
 def test_the_critic_s_entries_are_those_of_the_true_soil(scenario):
     """Also of the last observation of a course; the world itself does not notice."""
     seeing, plain = SoilWheelVecEnv(4, scenario, "blind", critic="true_soil"), SoilWheelVecEnv(4, scenario, "true_soil")
-    assert seeing.observation_space == plain.observation_space == space_of("blind", scenario.course, "true_soil")
+    assert (
+        seeing.observation_space == plain.observation_space == scaling_of("blind", scenario.course, "true_soil").space
+    )
     first, results = driven(seeing, 60)
     expected, others = driven(plain, 60)
     np.testing.assert_array_equal(first, expected)

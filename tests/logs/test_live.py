@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def drive(steps):
     """Wheel speed, torque, speed and range of a drive."""
-    env = gymnasium.make("SoilWheel-v0", scenario="mixed", action="torque").unwrapped
+    env = gymnasium.make("SoilWheel-v0", scenario="mixed", action="torque", scaled=False).unwrapped
     env.reset(seed=2)
     weight, radius, rows = env.scenario.weight, env.scenario.wheel.radius, []
     top = env.scenario.wheel.no_load_speed

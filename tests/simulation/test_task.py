@@ -68,7 +68,7 @@ def test_layout_is_the_documented_one(variant):
     assert [(e.name, e.low, e.high) for e in entries] == [(name, low, high) for name, _, low, high in rows]
     for e, (_, unit, _, _) in zip(entries, rows, strict=True):
         assert unit == e.unit or unit.startswith((e.unit + ",", e.unit + ":", "1 while")), (e, unit)
-    env = SoilWheelEnv("mixed", observation=variant)
+    env = SoilWheelEnv("mixed", observation=variant, scaled=False)
     assert env.observation_names == tuple(e.name for e in entries)
     np.testing.assert_array_equal(env.observation_space.low, np.float32([e.low for e in entries]))
     np.testing.assert_array_equal(env.observation_space.high, np.float32([e.high for e in entries]))

@@ -1,0 +1,99 @@
+"""Observations of order one: (value - centre)/scale, entry by entry, the same for every scenario.
+
+A learner whose first layer takes numbers as they are (any library's default) starts with weights for inputs of order
+one; log10 of a sinkage coefficient is 6 +- 0.3. Centre and scale were read off two_lines, sticky and field_vehicle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from soil_env.simulation.task import LINES, ObservedNumber
+
+#: (centre, scale) in the unit of the entry, also of `ahead_NAME` and `beside_NAME`; (0, 1) of all others.
+CENTRE_AND_SCALE = {
+    "slip": (0.2, 0.3),
+    "sinkage": (0.25, 0.15),
+    "drawbar_pull": (0.1, 0.2),
+    "load": (1.1, 0.1),
+    "torque": (0.4, 0.2),
+    "speed": (0.2, 0.2),
+    "rim_speed": (0.2, 0.2),
+    "pitch": (0.0, 0.15),
+    "odometry": (0.5, 0.3),
+    "motor_torque": (0.4, 0.2),
+    "acceleration": (0.0, 0.15),
+    "rim_command": (0.2, 0.2),
+    "friction_angle": (0.5, 0.1),
+    "log10_shear_modulus": (-2.0, 0.3),
+    "log10_sinkage_coefficient": (6.0, 0.3),
+    "friction_angle_sd": (0.05, 0.03),
+    "shear_modulus_sd": (0.3, 0.2),
+    "sinkage_coefficient_sd": (0.3, 0.2),
+    "cohesion": (1.0, 1.0),
+    "dig_gain": (2.0, 1.0),
+    "cohesion_sd": (0.5, 0.3),
+    "dig_gain_sd": (0.5, 0.2),
+    "sinkage_exponent": (1.0, 0.2),
+    "dig_recovery": (0.5, 0.5),
+    "border_distance": (1.0, 0.5),
+    "grade": (0.0, 0.15),
+    "margin": (0.0, 0.1),
+}
+_PREFIXES = tuple(f"{line}_" for line in LINES)
+_ALWAYS = "log10_sinkage_coefficient"
+
+
+class Scaling:
+    """To order one and back, of observations [..., D] with these entries; both ways unchanged if not `scaled`.
+
+    Entries of a line ahead are 0 while it is out of sight, on either side of the scaling.
+    """
+
+    def __init__(self, entries: Iterable[ObservedNumber], scaled: bool = True) -> None:
+        self.entries, self.scaled = tuple(entries), scaled
+        names = [e.name for e in self.entries]
+        plain = [n.partition("_")[2] if n.startswith(_PREFIXES) else n for n in names]
+        pairs = np.array([CENTRE_AND_SCALE.get(n, (0.0, 1.0)) for n in plain], dtype=np.float32).reshape(-1, 2)
+        self.centre, self.scale = pairs.T.copy()
+        # for each entry one that is 0 where its line is out of sight, and whether it is kept then
+        self._mark, self._kept = np.arange(len(names)), np.ones(len(names), dtype=np.float32)
+        for line in _PREFIXES:
+            if line + _ALWAYS in names:
+                columns = [k for k, n in enumerate(names) if n.startswith(line) and self.centre[k] != 0.0]
+                self._mark[columns], self._kept[columns] = names.index(line + _ALWAYS), 0.0
+
+    @property
+    def space(self) -> gymnasium.spaces.Box:
+        """Box of the observations."""
+        low, high = (np.array([getattr(e, side) for e in self.entries], np.float32) for side in ("low", "high"))
+        if self.scaled:
+            low, high = ((side - self.centre) / self.scale for side in (low, high))
+        return gymnasium.spaces.Box(low, high, dtype=np.float32)
+
+    def __call__(self, values: Any) -> Any:
+        """Observations, a new array, from values [..., D] in their units, float32."""
+        if not self.scaled:
+            return +values
+        return self._dark(values, (values - self.centre) / self.scale)
+
+    def physical(self, observation: Any) -> NDArray[np.float32]:
+        """Values in their units, a new array, from observations [..., D]."""
+        given = np.array(observation, dtype=np.float32)
+        if given.shape[-1:] != self.centre.shape:
+            raise ValueError(f"observation of shape {given.shape}: expected (..., {self.centre.size})")
+        if not self.scaled:
+            return given
+        out: NDArray[np.float32] = self._dark(given, given * self.scale + self.centre)
+        return out
+
+    def _dark(self, given: Any, out: Any) -> Any:
+        """`out` with 0 for the lines that are out of sight in `given`."""
+        if self._kept.all():
+            return out
+        return np.where(given[..., self._mark] == 0.0, out * self._kept, out)
