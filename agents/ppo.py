@@ -12,6 +12,7 @@ import json
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, load, to_dict
 from soil_env.env import action_space
 from soil_env.parameters import CourseSpec, Scenario
+from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import layout
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -107,9 +109,7 @@ def normalised(
     worlds = list(world) if isinstance(world, Sequence) else [world]
     shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
     parts = [
-        SoilWheelVecEnv(
-            share, scenario, observation, threads=config.threads, model=one, critic=config.critic, scaled=False
-        )
+        SoilWheelVecEnv(share, scenario, observation, threads=config.threads, model=one, critic=config.critic)
         for share, one in zip(shares, worlds, strict=True)
     ]
     wheels = parts[0] if len(parts) == 1 else SeveralWorlds(parts)
@@ -154,6 +154,7 @@ def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
         "scenario": to_dict(env.get_attr("scenario")[0]),
         "history": env.venv.history.steps if isinstance(env.venv, HistoryVecEnv) else 0,
         "critic": env.get_attr("critic")[0],
+        "scaled": True,
     }
     world = env.get_attr("model")[0]
     if world is not None:
@@ -174,7 +175,7 @@ def _course(meta: dict) -> CourseSpec:
 
 @dataclass
 class Agent:
-    """A trained agent that takes raw observations."""
+    """A trained agent that takes observations in their units."""
 
     model: PPO
     mean: np.ndarray
@@ -185,21 +186,27 @@ class Agent:
     meta: dict = field(repr=False)
     history: History | None = None
 
+    @cached_property
+    def scaling(self) -> Scaling:
+        """From observations in their units to those of the environment that it was trained in."""
+        return scaling_of(self.variant, _course(self.meta))
+
     @property
     def name(self) -> str:
         """Its name in tables."""
         return NAMES[self.variant]
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions for raw observations [n, D] or [D]; as SB3's predict. ParameterError for another number D."""
+        """Actions for observations [n, D] or [D] in their units; as SB3's predict. ParameterError for another D."""
         expected, shape = len(self.meta["observation_names"]), np.shape(observation)
         if not shape or shape[-1] != expected:
             raise ParameterError(
                 f"observation of shape {shape}: expected {expected} numbers, those of observation {self.variant!r}"
             )
+        observation = self.scaling(np.asarray(observation, dtype=np.float32))
         if self.history is None:
             return self.model.predict(self._normalised(observation), state, episode_start, deterministic)
-        batch = np.atleast_2d(np.asarray(observation, dtype=np.float32))
+        batch = np.atleast_2d(observation)
         fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
         empty = np.zeros((len(batch), self.history.kept), dtype=np.float32)
         kept, memory = (empty, None) if state is None else state
@@ -255,6 +262,7 @@ def read_meta(path: Path) -> dict:
 
 _NUMBER = (int, float)
 _META_TYPES = {
+    "scaled": bool,
     "timesteps": int,
     "observation": str,
     "observation_names": list,
@@ -295,7 +303,7 @@ def load_agent(path: Path) -> Agent:
 
 def agent_spaces(meta: dict) -> tuple:
     """Observation and action space of the network of a saved agent."""
-    box = scaling_of(meta["observation"], _course(meta), meta["critic"], scaled=False).space
+    box = scaling_of(meta["observation"], _course(meta), meta["critic"]).space
     history = _history(meta)
     return (box if history is None else history.space(box)), action_space()
 

@@ -44,9 +44,9 @@ def onnx_model(agent, description: dict):
     fresh = graph.input("new_course", "bool")
     sizes, history = _states(agent), getattr(agent, "history", None)
     memory = {name: graph.input(name, "float32") for name in sizes}
-    raw, past = seen, {}
+    raw, past = (agent.scaling(seen) if agent.scaling.scaled else seen), {}
     if history is not None:
-        raw, past["history"] = history.observe(seen, memory["history"], fresh)
+        raw, past["history"] = history.observe(raw, memory["history"], fresh)
     action, kept = action_of(graph, policy, _normalised(raw, agent, entries), memory, fresh)
     kept |= past
     inputs = [graph.info(seen, ["n", entries])]
@@ -70,11 +70,8 @@ def _named(graph: Graph, x: Traced, name: str) -> Traced:
 def _normalised(x: Traced, agent, entries: int) -> Traced:
     """Observations of so many `entries`, with their history, as the network reads them, float32.
 
-    As `Agent._normalised`, `Scaling` and `VecNormalize.normalize_obs`.
+    As `Agent._normalised` and `VecNormalize.normalize_obs`.
     """
-    scaling = getattr(agent, "scaling", None)
-    if scaling is not None and scaling.scaled:
-        x = scaling(x)
     if hasattr(agent, "mean"):
         acting = entries + (agent.history.size if agent.history else 0)  # what follows is for the value network alone
         mean, sd, clip = agent.mean[:acting], agent.sd[:acting], agent.clip

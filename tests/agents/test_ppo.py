@@ -112,7 +112,7 @@ def test_loaded_agent_acts_on_raw_observations_as_the_trained_model(scenario, va
     agent = load_agent(tmp_path / "model.zip")
     raw = raw_observations(scenario, variant)
     env = model.get_vec_normalize_env()
-    expected, _ = model.predict(env.normalize_obs(raw), deterministic=True)
+    expected, _ = model.predict(env.normalize_obs(agent.scaling(raw)), deterministic=True)
     actions, _ = agent.predict(raw, deterministic=True)
     np.testing.assert_allclose(actions, expected, atol=1e-6)
     assert (actions != model.predict(raw, deterministic=True)[0]).any()  # the normalisation matters
@@ -140,7 +140,8 @@ def test_a_save_that_fails_half_way_leaves_the_old_agent(saved, scenario, monkey
     raw = raw_observations(scenario, "identified")
     newer = trained(scenario, rollouts=1, seed=9)
     old, content = load_agent(saved).predict(raw)[0], saved.read_bytes()
-    new = newer.predict(newer.get_vec_normalize_env().normalize_obs(raw), deterministic=True)[0]
+    seen = load_agent(saved).scaling(raw)
+    new = newer.predict(newer.get_vec_normalize_env().normalize_obs(seen), deterministic=True)[0]
     assert np.abs(new - old).max() > 1e-3
 
     class Killed(BaseException):
