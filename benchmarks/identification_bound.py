@@ -14,6 +14,7 @@ Gaussian and the truth is not drawn from it, so that an estimator may be below t
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,7 +35,20 @@ from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
 
-SENSORS = {"all sensors": (True, True), "without motor torque and acceleration": (False, False)}
+
+class Fitted(NamedTuple):
+    """Sensors beyond those of slip, sinkage, forces and speeds."""
+
+    motor: bool = True
+    accelerometer: bool = True
+    stress: bool = False  # of the highest normal stress on the rim, which the environment does not have
+
+
+SENSORS = {
+    "all sensors": Fitted(), "without motor torque and acceleration": Fitted(False, False),
+    "all sensors and the stress on the rim": Fitted(stress=True),
+}  # fmt: skip
+STRESS_ERROR = 0.05  # of the stress on the rim, relative
 ESTIMATORS = {
     "filter bank": "ours", "filter bank, told the library": "library",
     "filter bank, borders by the forces alone": "forces", "moving window": "window",
@@ -128,7 +142,23 @@ def jacobians(log: dict, scenario: Scenario) -> np.ndarray:
     return found
 
 
-def bound(log: dict, scenario: Scenario, motor: bool, accelerometer: bool) -> np.ndarray:
+def stress_row(log: dict, J: np.ndarray, t: int, radius: float) -> np.ndarray:
+    """Derivatives of the ln of the highest normal stress on the rim, s y^n, by what `jacobians` is by, the slip last.
+
+    The stress is highest midway between the entry angle and the bottom, y = r (cos(theta1/2) - cos(theta1)) below the
+    surface there; s = S (z_w/z)^n is the mobilised sinkage coefficient, z_w the bearing sinkage.
+    """
+    z, n = log["sinkage"][t], log["soil"][t, 4]
+    depth = lambda z: math.log(radius * (math.sqrt(1.0 - 0.5 * z / radius) - 1.0 + z / radius))  # noqa: E731
+    step = 1e-4 * z
+    row = n * J[2, :STATES].copy()
+    row[2] += 1.0
+    row[4] += J[2, STATES] - math.log(z) - LN_DEPTH + depth(z)
+    row[6] += n * ((depth(z + step) - depth(z - step)) / (2.0 * step) - 1.0 / z)
+    return row
+
+
+def bound(log: dict, scenario: Scenario, fitted: Fitted) -> np.ndarray:
     """Standard deviations [T, 3] of (phi, ln K, ln S) of the soil under the wheel."""
     numbers, J, T = filter_numbers(scenario), jacobians(log, scenario), len(log["slip"])
     prior, sd, r, border = plain(scenario)[2], numbers.noise, numbers.radius, scenario.course.border
@@ -152,7 +182,7 @@ def bound(log: dict, scenario: Scenario, motor: bool, accelerometer: bool) -> np
         u = rim[t]
         if u >= 0.02:
             P = _driven(P, J[t], spread, log, t, u, numbers)
-            P = _measured(P, J[t], spread, log, t, u, numbers, variances, motor, accelerometer)
+            P = _measured(P, J[t], spread, log, t, u, numbers, variances, fitted)
         rows = spread[:3].copy()
         rows[2] += log["depth"][t] * spread[4]
         out[t] = np.sqrt(np.einsum("ip,pq,iq->i", rows, P, rows))
@@ -182,7 +212,7 @@ def _driven(P, J, spread, log, t, u, numbers):
     return P
 
 
-def _measured(P, J, spread, log, t, u, numbers, variances, motor, accelerometer):
+def _measured(P, J, spread, log, t, u, numbers, variances, fitted):
     """The covariance after the channels of one reading, whose slip is known from its own sensor and the speeds."""
     sd, mass, cos_pitch = numbers.noise, log["mass"][t], math.cos(log["grade"][t])
     pull, torque = J[0, :8] @ spread, J[1, :8] @ spread
@@ -190,13 +220,16 @@ def _measured(P, J, spread, log, t, u, numbers, variances, motor, accelerometer)
     load, sinkage = np.zeros(_SIZE), np.zeros(_SIZE)
     load[_MASS], sinkage[_SINKAGE] = numbers.gravity * cos_pitch, 1.0
     H, by_slip, R = [*H, load, sinkage], [*by_slip, 0.0, 0.0], [*R, *variances[2:]]
-    if motor:
+    if fitted.motor:
         spin = numbers.inertia / numbers.radius / numbers.period * sd[6]
         H, by_slip, R = [*H, torque], [*by_slip, J[1, 8]], [*R, sd[8] ** 2 + 2.0 * spin**2]
-    if accelerometer:
+    if fitted.accelerometer:
         force = pull / mass
         force[_MASS] -= J[0, STATES] / mass**2
         H, by_slip, R = [*H, force], [*by_slip, J[0, 8] / mass], [*R, sd[9] ** 2]
+    if fitted.stress:
+        row = stress_row(log, J, t, numbers.radius)
+        H, by_slip, R = [*H, row[:8] @ spread], [*by_slip, row[8]], [*R, STRESS_ERROR**2]
     H, by_slip = np.array(H), np.array(by_slip)
     slip_variance = 1.0 / (1.0 / sd[0] ** 2 + u**2 / (sd[5] ** 2 + sd[6] ** 2))
     S = H @ P @ H.T + np.diag(R) + slip_variance * np.outer(by_slip, by_slip)
@@ -222,8 +255,8 @@ def study(
     driven = [log["halt_left"] == 0.0 for log in logs]
     since = np.concatenate([log["since"][d] for log, d in zip(logs, driven, strict=True)])
     squares, inside = {}, {}
-    for name, (motor, accelerometer) in SENSORS.items():
-        sds = [bound(log, scenario, motor, accelerometer)[d] for log, d in zip(logs, driven, strict=True)]
+    for name, fitted in SENSORS.items():
+        sds = [bound(log, scenario, fitted)[d] for log, d in zip(logs, driven, strict=True)]
         squares[f"bound, {name}"] = np.concatenate(sds) ** 2
     for label, name in estimators.items():
         replays = [replay(name, scenario, log["readings"]) for log in logs]

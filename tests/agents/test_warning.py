@@ -172,8 +172,14 @@ def test_the_shipped_weights_do_on_a_sample_what_their_card_says():
 @pytest.mark.slow
 def test_the_command_writes_weights_figures_and_page(tmp_path, monkeypatch):
     pytest.importorskip("torch")
-    from agents.warning.__main__ import main
+    from agents.warning import __main__ as command
 
+    few = {name: FAMILIES[name] for name in (*DRIVERS[:2], next(name for name in FAMILIES if name not in DRIVERS))}
+    for module in (study, command):
+        monkeypatch.setattr(module, "FAMILIES", few)
+        monkeypatch.setattr(module, "DRIVERS", DRIVERS[:2])
+    monkeypatch.setattr(judging, "RESAMPLES", 40)
+    main = command.main
     small = dataclasses.replace(study.SMOKE, training=8, tuning=24, test=24)
     monkeypatch.setattr(study, "SMOKE", small)
     monkeypatch.setattr(study, "SCENARIOS", ("mixed", "field_vehicle"))

@@ -1,0 +1,51 @@
+"""The channels of the posterior Cramer-Rao bound against finite differences of the contact itself."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks import identification_bound as bound
+from benchmarks.common import TORQUE
+from soil_env.parameters import SoilState, load_scenario
+from soil_env.terramechanics.reaction import reaction
+
+
+@pytest.fixture(scope="module")
+def log():
+    return bound.record(load_scenario("mixed", TORQUE), 1, 5)[0]
+
+
+def stress(x, log, t, scenario):
+    """ln of the highest normal stress on the rim at (phi, ln K, q, c, n, ln g, sinkage, mass, slip)."""
+    phi, ln_K, q, c, n, _, z, mass, slip = x
+    S = math.exp(q - (n - scenario.belief.sinkage_exponent) * bound.LN_DEPTH)
+    r, load, u = scenario.wheel.radius, mass * scenario.gravity * math.cos(log["grade"][t]), 0.3
+    soil = SoilState(math.tan(phi), c, math.exp(ln_K), S, n, 1.0, 0.5)
+    s = reaction(u * (1.0 - slip), u, z, load, soil, r, scenario.wheel.width).sinkage_coefficient
+    entry = math.acos(1.0 - z / r)
+    return math.log(s) + n * math.log(r * (math.cos(0.5 * entry) - math.cos(entry)))
+
+
+def test_the_stress_on_the_rim_is_linearised_rightly(log):
+    scenario = load_scenario("mixed", TORQUE)
+    J, checked = bound.jacobians(log, scenario), 0
+    for t in np.flatnonzero((log["slip"] > 0.1) & (log["slip"] < 0.6) & (log["halt_left"] == 0.0))[::25]:
+        x = np.array([*log["soil"][t], log["sinkage"][t], log["mass"][t], log["slip"][t]])
+        row = bound.stress_row(log, J[t], t, scenario.wheel.radius)
+        for i, step in enumerate((1e-4, 1e-4, 1e-4, 1.0, 1e-4, 1e-4, 1e-6, 1e-3, 1e-4)):
+            low, high = x.copy(), x.copy()
+            low[i], high[i] = x[i] - step, x[i] + step
+            by_difference = (stress(high, log, t, scenario) - stress(low, log, t, scenario)) / (2.0 * step)
+            assert row[i] == pytest.approx(by_difference, rel=0.05, abs=0.05 * abs(row).max() if i == 3 else 0.02), i
+        checked += 1
+    assert checked >= 5
+
+
+def test_a_further_sensor_never_hurts(log):
+    scenario = load_scenario("mixed", TORQUE)
+    sd = {name: bound.bound(log, scenario, fitted) for name, fitted in bound.SENSORS.items()}
+    best, all_, few = (sd[n] for n in ("all sensors and the stress on the rim", "all sensors",
+                                      "without motor torque and acceleration"))  # fmt: skip
+    assert np.all(best <= all_ * (1.0 + 1e-9)) and np.all(all_ <= few * (1.0 + 1e-9))
+    assert np.mean(best) < 0.98 * np.mean(all_)
