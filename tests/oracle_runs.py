@@ -26,7 +26,9 @@ def world(effects: dict, law=(), **soil) -> WheelSoilModel:
 def make(maker=gymnasium.make, gravity=9.81, **options):
     """The environment of the keyword arguments."""
     return maker(
-        "soil_env:SoilWheel-v0", **{"action": "torque", "scenario": "mixed"} | options, gravity=gravity * (1.0 + NUDGE)
+        "soil_env:SoilWheel-v0",
+        **{"action": "torque", "scenario": "mixed", "scaled": False} | options,
+        gravity=gravity * (1.0 + NUDGE),
     )
 
 

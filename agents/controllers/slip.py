@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from soil_env.terramechanics.contact import travel_speeds
+
 from .base import SPEED, START, Controller, Ramped, Setting
 
 MOST_SLIP = 0.95  # that a controller can hold: the rim speed for it is V/(1 - i)
@@ -15,7 +17,7 @@ def travel_speed(controller: Controller, observation):
     """V [m/s], [n], from the sensors of slip and rim speed: less noisy at low speeds than the sensor of speed."""
     slip = observation[:, controller.column["slip"]]
     rim = np.maximum(observation[:, controller.column["rim_speed"]], 0.0) * controller.top_speed
-    return np.where(slip > 0.0, rim * (1.0 - slip), rim / (1.0 + np.maximum(slip, -0.9)))
+    return travel_speeds(rim, np.maximum(slip, -0.9))
 
 
 class SlipFollower(Ramped):

@@ -24,12 +24,8 @@ from soil_env.identification.border import cross_here, cross_where_the_grade_cha
 from soil_env.identification.digging import onto_fresh_ground
 from soil_env.identification.filter_bank import CROSSING, element, prior_of_soil, restart
 from soil_env.identification.filter_update import Point, renew
-from soil_env.identification.linearised import (
-    MASS,
-    SINKAGE,
-    SLIP,
-    STATES,
-)
+from soil_env.identification.linearised import MASS, SINKAGE, SLIP, STATES
+from soil_env.terramechanics.contact import motion_from_slip
 
 # of a point at most: readings, [m], range of slip, relative range of rim speed
 _READINGS, _LENGTH, _SLIP, _RIM = 8, 0.1, 0.05, 0.1
@@ -51,7 +47,7 @@ _SINKAGE_SD = 0.1  # of the radius, of the first sinkage: reached where none is 
 def _advance_clocks(p, k, reading, numbers):
     """Integrals over the last period, of the readings' mean over it."""
     u, i = reading.rim_speed, min(max(reading.slip, -0.95), 0.98)
-    v = u * (1.0 - i) if i >= 0.0 else u / (1.0 + i)
+    v = u * motion_from_slip(i)[1]
     mean_v, mean_u = 0.5 * (v + p.last_speed[k]), 0.5 * (u + p.last_rim[k])
     step = numbers.period / numbers.relaxation
     sliding = abs(mean_u - mean_v) * step

@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from soil_env.terramechanics.contact import travel_speeds
+
 _BLOCK = 1024  # steps
 
 
@@ -47,8 +49,8 @@ class Aligned:
         """Distance [N] in m from the beginning on, without what was travelled in gaps; `radius` [m] of the wheel."""
         nan = np.full(len(self), math.nan)
         rim, speed = self.readings["wheel_speed"] * radius, self.readings.get("speed", nan)
-        slip = self.readings.get("slip", nan)
-        speed = np.where(np.isnan(speed), np.where(slip >= 0.0, rim * (1.0 - slip), rim), speed)
+        slip = np.clip(np.nan_to_num(self.readings.get("slip", nan)), -0.9, 1.0)
+        speed = np.where(np.isnan(speed), travel_speeds(rim, slip), speed)
         steps = np.minimum(np.diff(self.time, prepend=self.time[:1]), self.period)
         return np.cumsum(np.abs(np.nan_to_num(speed)) * steps)
 

@@ -19,6 +19,7 @@ from soil_env.logs.align import Aligned
 from soil_env.logs.mapping import LogMap
 from soil_env.measurement.table import MEASURED
 from soil_env.online import slips
+from soil_env.terramechanics.contact import travel_speeds
 
 _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)
 _LEAST_SD = 1e-9
@@ -104,11 +105,7 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
     get = {name: log.readings.get(name, nan) for name in (*MEASURED, "slip", "load", "pitch", "speed", "wheel_speed")}
     rim = get["wheel_speed"] * log_map.wheel.radius
     slip = np.where(np.isnan(get["slip"]), slips(rim, get["speed"]), np.clip(get["slip"], -1.0, 1.0))
-    speed = np.where(
-        np.isnan(get["speed"]),
-        np.where(slip >= 0.0, rim * (1.0 - slip), rim / np.maximum(1.0 + slip, 1e-9)),
-        get["speed"],
-    )
+    speed = np.where(np.isnan(get["speed"]), travel_speeds(rim, slip), get["speed"])
     weight = log_map.weight * np.cos(np.nan_to_num(get["pitch"]))
     pull = np.where(
         np.isnan(get["drawbar_pull"]), log.readings.get("acceleration", nan) * log_map.wheel.body_mass,

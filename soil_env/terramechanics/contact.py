@@ -24,6 +24,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import (
     asin_root,
@@ -132,6 +134,11 @@ def motion_from_slip(slip):
     """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1 spins on the spot."""
     braking = larger(1.0 + slip, 1e-9)  # r w / V
     return alike(1.0, slip), where_less(slip, 0.0, 1.0 / braking, 1.0 - slip)
+
+
+def travel_speeds(rim_speed, slip):
+    """`motion_from_slip` of arrays of numpy: V [m/s], [N], at rim speeds r w [m/s] and slips in [-1, 1]."""
+    return rim_speed * np.where(slip < 0.0, 1.0 / np.maximum(1.0 + slip, 1e-9), 1.0 - slip)
 
 
 @inlined
