@@ -31,7 +31,7 @@ class Shifted(VecEnvWrapper):
         return self.venv.step_wait()
 
 
-def native(venv: VecEnv, initial_action: float = 0.3) -> VecEnv:
+def native(venv: VecEnv, initial_action: float = 0.1) -> VecEnv:
     """The wheels of `venv`, as SB3's make_vec_env makes them, driven together by the native vector environment.
 
     Scenario, observation, model and seed are those of `venv`, and its folder of monitor files gets one for all wheels.

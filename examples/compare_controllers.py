@@ -15,7 +15,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from soil_env.parameters import load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 from soil_env_agents.controllers import CONTROLLERS, make_controller
 from soil_env_agents.evaluate import HELD_OUT_SET, run_courses, wilson
 from soil_env_agents.evaluate.tuning import tuned_settings
@@ -24,7 +24,7 @@ from soil_env_agents.evaluate.tuning import tuned_settings
 def main() -> None:
     """Drive, print, draw."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--scenario", default="mixed", help="name or YAML file")
+    p.add_argument("--scenario", default=DEFAULT_SCENARIO, help="name or YAML file")
     p.add_argument("--courses", type=int, default=200)
     p.add_argument("--out", default="compared.png", help="the picture")
     p.add_argument("--tuning-courses", type=int, default=30, help="to tune each controller on (default: 30)")

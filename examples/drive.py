@@ -15,6 +15,7 @@ import gymnasium
 import numpy as np
 
 from soil_env import ParameterError
+from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env_agents.controllers import CONTROLLERS, make_controller
 
 
@@ -22,7 +23,7 @@ def main() -> None:
     """Parse the command line, drive, save."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--controller", choices=sorted(CONTROLLERS), default="best_slip_identified")
-    p.add_argument("--scenario", default="mixed", help="name of a scenario or path of a YAML file")
+    p.add_argument("--scenario", default=DEFAULT_SCENARIO, help="name of a scenario or path of a YAML file")
     p.add_argument("--seed", type=int, default=0, help="seed of the course")
     p.add_argument("--frame", type=int, help="control period of which to save a picture; the last one if left out")
     p.add_argument("--out", type=Path, help=".png for a picture, .mp4 for a video")

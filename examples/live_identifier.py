@@ -57,7 +57,7 @@ def rover(steps: int, seed: int) -> Iterator[str]:
     """Readings of a drive of SoilWheel-v0 as JSON, of those sensors that most rovers have: no pull, no load."""
     import gymnasium
 
-    env = gymnasium.make("soil_env:SoilWheel-v0", action="torque", scaled=False).unwrapped
+    env = gymnasium.make("soil_env:SoilWheel-v0", scenario=SCENARIO, action="torque", scaled=False).unwrapped
     radius, weight = SCENARIO.wheel.radius, SCENARIO.weight
     top = radius * SCENARIO.wheel.no_load_speed
     env.reset(seed=seed)

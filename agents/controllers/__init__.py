@@ -10,7 +10,7 @@ motor, weight), as an engineer would; the soil they know only where the name say
 | constant_torque | none: a constant command | blind |
 | constant_speed | fixed | blind |
 | soft_start | a ramp from rest up to a top speed | blind |
-| fixed_slip | V/(1 - i) for a fixed slip i | blind |
+| fixed_slip | its acceleration brings the slip to a fixed one | blind |
 | slip_limiter | the ramp, not above V/(1 - i) for a fixed slip i | blind |
 | extremum_seeking | the same, i seeks the highest drawbar pull | blind |
 | best_slip_identified | the same, i of the best drawbar pull on the identified soil | identified |

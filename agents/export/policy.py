@@ -26,7 +26,6 @@ from .graph import OPSET, Graph, Traced
 from .network import action_of, memory_sizes
 
 TOLERANCE = 1e-5  # of the action, between the agent and its export
-_FORGETTABLE = 1e-8  # what VecNormalize adds to the variance, and agents.ppo too
 
 
 def onnx_model(agent, description: dict):

@@ -16,7 +16,7 @@ when it has been below for `RELEASE` s of driving.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,8 +30,6 @@ FALSE = 0.05  # share of the driving time on finished courses, at which alarms a
 RESAMPLES = 400
 _BINS = 400  # of scores, for areas under the ROC curve
 EDGES = np.array([0.0, 0.01, 0.03, 0.06, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])  # of the reliability diagram
-
-Score = Callable[[Drives], np.ndarray]  # of drives: [periods, courses]
 
 
 @dataclass(frozen=True)

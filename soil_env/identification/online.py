@@ -1,10 +1,10 @@
-"""Online identification: a moving window of informative points, an estimate, its standard deviation and its status.
+"""Online identification by the filter (`filter`) or by the moving window: estimate, standard deviations, status.
 
-The identifier sees sensor readings only. Readings of a few control periods at the same slip are averaged to a point;
-the window keeps the points that are spread in slip and sinkage, drops the more redundant of two alike, forgets what
-lies further back than its memory, and starts anew when a point contradicts the estimate (a new soil). Each completed
-point triggers one safeguarded generalized Newton-Raphson solve (`solver`) on drawbar pull, load and
-torque, with the prior of the `Belief` as a further, weak measurement.
+Both see sensor readings only. The window, the cheaper one, is in this file. Readings of a few control periods at the
+same slip are averaged to a point; the window keeps the points that are spread in slip and sinkage, drops the more
+redundant of two alike, forgets what lies further back than its memory, and starts anew when a point contradicts the
+estimate (a new soil). Each completed point triggers one safeguarded generalized Newton-Raphson solve (`solver`) on
+drawbar pull, load and torque, with the prior of the `Belief` as a further, weak measurement.
 
 Slip and sinkage carry noise too. Their first-order effect on the three channels and a model error enter the weight of
 each point (errors in variables by effective variance, Fuller 1987, Sec. 1.4). How far the wheel has dug itself in is

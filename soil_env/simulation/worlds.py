@@ -186,6 +186,14 @@ def _learn_class(worlds, numbers, k, reading, renewed, sight):
 
 
 @inlined
+def _sum(terms):
+    total = terms[0]
+    for i in range(1, terms.size):
+        total += terms[i]
+    return total
+
+
+@inlined
 def after_period(worlds, numbers, k, first, last):
     """After a control period of wheel k: draw the course ahead, sense, identify, judge, reward, observe.
 
@@ -209,7 +217,7 @@ def after_period(worlds, numbers, k, first, last):
     after = knowledge(worlds.ids, k, prior) if paid and last else 0.0
     reward_terms(worlds.state, k, cause, before, after, numbers.task, terms)
     if last or cause != _RUNNING:
-        worlds.reward[k] = terms[0] + terms[1] + terms[2] + terms[3]
+        worlds.reward[k] = _sum(terms)
         _observation(worlds, numbers, k, reading, sight)
 
 
