@@ -134,7 +134,7 @@ def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:
     expected = ", ".join(f"{v}: {observation_space(v, course).shape[0]}" for v in VARIANTS)
     raise ParameterError(
         f"controllers: {path}: trained on another observation layout: shape {shape}, other numbers or bounds than "
-        f"those of here ({expected})"
+        f"those of this scenario ({expected}); --scenario names that of the training"
     )
 
 

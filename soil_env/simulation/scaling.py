@@ -13,6 +13,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from soil_env._io.loading import ParameterError
 from soil_env.simulation.task import LINES, ObservedNumber
 
 #: (centre, scale) in the unit of the entry, also of `ahead_NAME` and `beside_NAME`; (0, 1) of all others.
@@ -56,17 +57,21 @@ class Scaling:
     """
 
     def __init__(self, entries: Iterable[ObservedNumber], scaled: bool = True) -> None:
-        self.entries, self.scaled = tuple(entries), scaled
+        if not isinstance(scaled, (bool, np.bool_)):
+            raise ParameterError(f"scaled = {scaled!r}: expected True or False")
+        self.entries, self.scaled = tuple(entries), bool(scaled)
         names = [e.name for e in self.entries]
         plain = [n.partition("_")[2] if n.startswith(_PREFIXES) else n for n in names]
         pairs = np.array([CENTRE_AND_SCALE.get(n, (0.0, 1.0)) for n in plain], dtype=np.float32).reshape(-1, 2)
         self.centre, self.scale = pairs.T.copy()
         # for each entry one that is 0 where its line is out of sight, and whether it is kept then
         self._mark, self._kept = np.arange(len(names)), np.ones(len(names), dtype=np.float32)
+        self._lines = []  # the entries of each line that are not 0 in sight
         for line in _PREFIXES:
             if line + _ALWAYS in names:
                 columns = [k for k, n in enumerate(names) if n.startswith(line) and self.centre[k] != 0.0]
                 self._mark[columns], self._kept[columns] = names.index(line + _ALWAYS), 0.0
+                self._lines.append(columns)
 
     @property
     def space(self) -> gymnasium.spaces.Box:
@@ -80,20 +85,22 @@ class Scaling:
         """Observations, a new array, from values [..., D] in their units, float32."""
         if not self.scaled:
             return +values
-        return self._dark(values, (values - self.centre) / self.scale)
+        out = (values - self.centre) / self.scale
+        return out if not self._lines else np.where(values[..., self._mark] == 0.0, out * self._kept + 0.0, out)
 
     def physical(self, observation: Any) -> NDArray[np.float32]:
         """Values in their units, a new array, from observations [..., D]."""
-        given = np.array(observation, dtype=np.float32)
+        try:
+            given = np.array(observation, dtype=np.float32)
+        except (TypeError, ValueError):
+            raise ValueError(f"observation {observation!r}: expected {self.centre.size} numbers") from None
         if given.shape[-1:] != self.centre.shape:
             raise ValueError(f"observation of shape {given.shape}: expected (..., {self.centre.size})")
         if not self.scaled:
             return given
-        out: NDArray[np.float32] = self._dark(given, given * self.scale + self.centre)
+        out: NDArray[np.float32] = given * self.scale + self.centre
+        for columns in self._lines:  # in sight no line has all of them at their centres
+            out[..., columns] = np.where(
+                (given[..., columns] == 0.0).all(axis=-1, keepdims=True), 0.0, out[..., columns]
+            )
         return out
-
-    def _dark(self, given: Any, out: Any) -> Any:
-        """`out` with 0 for the lines that are out of sight in `given`."""
-        if self._kept.all():
-            return out
-        return np.where(given[..., self._mark] == 0.0, out * self._kept, out)

@@ -70,9 +70,23 @@ def test_a_line_out_of_sight_is_0():
     assert seen[0, names.index("log10_sinkage_coefficient")] == pytest.approx(-20.0)
 
 
+def test_a_coefficient_at_its_centre_is_in_sight():
+    """S = 1e6 exactly, the value of a line whose class was never met."""
+    belief = {"sinkage_coefficient": 1e6}
+    env, seen = driven(belief=belief)
+    _, values = driven(belief=belief, scaled=False)
+    assert (values[:, env.observation_names.index("ahead_log10_sinkage_coefficient")] == 6.0).any()
+    np.testing.assert_allclose(env.physical(seen), values, rtol=1e-5, atol=2e-6)
+
+
 def test_what_it_refuses():
     scaling = Scaling(layout("blind"))
     with pytest.raises(ValueError, match=r"shape \(3,\): expected \(..., 14\)"):
         scaling.physical(np.zeros(3))
+    with pytest.raises(ValueError, match="'abc': expected 14 numbers"):
+        scaling.physical("abc")
+    for wrong in ("no", None, 1, np.ones(2)):
+        with pytest.raises(ParameterError, match="scaled = .*expected True or False"):
+            SoilWheelVectorEnv(2, scaled=wrong)
     with pytest.raises(ParameterError, match="scale.*'scaled'"):
         SoilWheelEnv(scale=True)
