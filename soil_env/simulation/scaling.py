@@ -66,6 +66,7 @@ class Scaling:
         self.centre, self.scale = pairs.T.copy()
         # for each entry one that is 0 where its line is out of sight, and whether it is kept then
         self._mark, self._kept = np.arange(len(names)), np.ones(len(names), dtype=np.float32)
+        self._wide: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
         self._lines = []  # the entries of each line that are not 0 in sight
         for line in _PREFIXES:
             if line + _ALWAYS in names:
@@ -85,8 +86,25 @@ class Scaling:
         """Observations, a new array, from values [..., D] in their units, float32."""
         if not self.scaled:
             return +values
-        out = (values - self.centre) / self.scale
-        return out if not self._lines else np.where(values[..., self._mark] == 0.0, out * self._kept + 0.0, out)
+        if not isinstance(values, np.ndarray):  # recorded for an export
+            out = (values - self.centre) / self.scale
+            return out if not self._lines else np.where(values[..., self._mark] == 0.0, out * self._kept + 0.0, out)
+        centre, scale = self._rows(values)
+        out = values - centre
+        out /= scale
+        rows = out.reshape(-1, len(self.entries))
+        for columns in self._lines:
+            dark = np.flatnonzero(values.reshape(rows.shape)[:, self._mark[columns[0]]] == 0.0)
+            rows[dark[:, None], columns] = 0.0
+        return out
+
+    def _rows(self, values: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Centre and scale in the shape of `values`, kept: broadcast they would take twice as long."""
+        if self._wide is None or self._wide[0].shape != values.shape:
+            self._wide = (np.tile(self.centre, (*values.shape[:-1], 1)), np.tile(self.scale, (*values.shape[:-1], 1)))
+            if values.ndim == 1:
+                self._wide = self.centre, self.scale
+        return self._wide
 
     def physical(self, observation: Any) -> NDArray[np.float32]:
         """Values in their units, a new array, from observations [..., D]."""
