@@ -42,6 +42,7 @@ class Fitted(NamedTuple):
     motor: bool = True
     accelerometer: bool = True
     stress: bool = False  # of the highest normal stress on the rim, which the environment does not have
+    forces: bool = True  # drawbar pull and torque
 
 
 SENSORS = {
@@ -216,7 +217,7 @@ def _measured(P, J, spread, log, t, u, numbers, variances, fitted):
     """The covariance after the channels of one reading, whose slip is known from its own sensor and the speeds."""
     sd, mass, cos_pitch = numbers.noise, log["mass"][t], math.cos(log["grade"][t])
     pull, torque = J[0, :8] @ spread, J[1, :8] @ spread
-    H, by_slip, R = [pull, torque], [J[0, 8], J[1, 8]], list(variances[:2])
+    H, by_slip, R = ([pull, torque], [J[0, 8], J[1, 8]], list(variances[:2])) if fitted.forces else ([], [], [])
     load, sinkage = np.zeros(_SIZE), np.zeros(_SIZE)
     load[_MASS], sinkage[_SINKAGE] = numbers.gravity * cos_pitch, 1.0
     H, by_slip, R = [*H, load, sinkage], [*by_slip, 0.0, 0.0], [*R, *variances[2:]]

@@ -113,12 +113,16 @@ def test_without_a_channel_less_is_known(drive):
     scenario, readings, _ = drive
     nan = math.nan
     belief = scenario.belief
-    _, whole, _, _ = least(scenario, readings)
+    first = readings[:100]  # in one soil: after a border the window starts anew, at another reading with each channel
+    _, whole, _, _ = least(scenario, first)
     for names in ({"torque": nan}, {"drawbar_pull": nan}, {"load": nan}):
-        part = least(scenario, readings, **names)[1]  # of another estimate, and so not less to the last digit
-        assert 0.85 * whole < part < 0.5 * belief.shear_modulus_sd
-    _, K, s, _ = least(scenario, readings[:100], **NO_PULL_OR_TORQUE)  # in one soil
-    assert K > 0.65 * belief.shear_modulus_sd and s < 0.7 * belief.sinkage_coefficient_sd
+        part = least(scenario, first, **names)[1]  # of another estimate, and so not less to the last digit
+        assert 0.9 * whole < part < 0.5 * belief.shear_modulus_sd
+    _, K, s, _ = least(scenario, first, **NO_PULL_OR_TORQUE)
+    assert (
+        K > {"filter": 0.65, "window": 0.9}[belief.method] * belief.shear_modulus_sd
+        and s < 0.7 * belief.sinkage_coefficient_sd
+    )
 
 
 @pytest.mark.parametrize("drive", ["window"], indirect=True)

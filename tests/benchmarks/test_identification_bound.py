@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks import identification_bound as bound
 from benchmarks.common import TORQUE
+from soil_env.online import OnlineIdentifier, Readings
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.terramechanics.reaction import reaction
 
@@ -40,6 +41,21 @@ def test_the_stress_on_the_rim_is_linearised_rightly(log):
             assert row[i] == pytest.approx(by_difference, rel=0.05, abs=0.05 * abs(row).max() if i == 3 else 0.02), i
         checked += 1
     assert checked >= 5
+
+
+def test_without_forces_the_filter_knows_k_hardly_better_than_the_bound():
+    """At the end of the first soil of six courses; the bound is that of a Gaussian prior, the filter's is a mixture."""
+    scenario, ratios, nan = load_scenario("mixed", TORQUE), [], math.nan
+    for log in bound.record(scenario, 6, 5):
+        steps = int(np.argmax(log["x"] > log["edges"][0] - 0.2))
+        least = bound.bound(log, scenario, bound.Fitted(False, False, forces=False))[steps - 1, 1]
+        identifier = OnlineIdentifier.of_scenario(scenario)
+        for t, r in enumerate(log["readings"][:steps]):
+            e = identifier.update(
+                Readings(r[6] / scenario.wheel.radius, r[5], r[1], nan, r[3], nan, r[0], r[7], nan, nan, 0.1 * (t + 1))
+            )
+        ratios.append(e.shear_modulus_relative_sd / least)
+    assert min(ratios) > 0.85 and np.median(ratios) > 0.9
 
 
 def test_a_further_sensor_never_hurts(log):
