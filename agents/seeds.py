@@ -143,7 +143,7 @@ def main(arguments: list[str] | None = None) -> int:
     mapping = {} if options.config is None else read_yaml(config_file(options.config))
     config = load_config(merge(mapping, changes), options.config or "command line")
     scenario = load_scenario(config.scenario, config.changes)
-    training.check(config, scenario)
+    training.check(config)
     train(options.out, config, scenario, range(options.first, options.first + options.seeds), engine)
     trained = f"{NAMES[config.observation]}={options.out}/seed_*"
     again = f"python -m {__package__}.evaluate --controllers 'soft_start,{trained}' --out {options.out}/evaluation"

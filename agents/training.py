@@ -73,7 +73,7 @@ class _Watch(BaseCallback):
             self.next_save = self.num_timesteps + self.every
 
 
-def check(config: TrainConfig, scenario: Scenario) -> None:
+def check(config: TrainConfig) -> None:
     """ParameterError with one line where a training could not begin: no sb3-contrib."""
     if config.algorithm == "recurrent_ppo":
         recurrent.algorithm()
@@ -84,7 +84,7 @@ def make_run_folder(config: TrainConfig, scenario: Scenario) -> Path:
     name = config.name or f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
         raise ParameterError(f"name = {name!r}: expected the name of a folder, not a path")
-    check(config, scenario)
+    check(config)
     folder = Path(config.runs) / name
     try:
         folder.mkdir(parents=True)

@@ -331,7 +331,7 @@ def compare_times(scenario: Scenario, logs: list[dict], contenders=CONTENDERS, r
     return out
 
 
-def tune_ukf(courses: int = 30, seed: int = 0, progress=print, base=UnscentedKalman) -> dict:
+def tune_ukf(courses: int, seed: int, progress=print, base=UnscentedKalman) -> dict:
     """Root mean square of the errors over the prior sd for a grid of (walk, inflation), on courses of their own."""
     scenario = load_scenario("mixed", TORQUE)
     logs, _ = record(scenario, courses, TUNING_SET + seed)
@@ -360,7 +360,11 @@ def main(arguments: list[str] | None = None) -> int:
     )
     p.add_argument("--courses", metavar="N", type=whole_number(1), default=200, help="courses (default 200)")
     p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the courses (default 0)")
+    p.add_argument("--tune-ukf", action="store_true", help="only score settings of the unscented filter, other courses")
     options = p.parse_args(arguments)
+    if options.tune_ukf:
+        tune_ukf(2 if options.smoke else 6, options.seed, print)
+        return 0
     make_folder(options.out)
     result = run(2, options.seed, draws=50) if options.smoke else run(options.courses, options.seed, print)
     write_json(options.out / "online.json", result)

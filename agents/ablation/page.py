@@ -38,7 +38,7 @@ def write(asked: Ablation, folder: Path, result: dict, page: Path | None) -> lis
         study, records = studies.evaluation(asked, folder, name)
         own = folder / name / "evaluation"
         own.mkdir(parents=True, exist_ok=True)
-        report.write(study, records, results.evaluation_results.result(study, records), own)
+        report.write(records, results.evaluation_results.result(study, records), own)
     path = folder / "comparison.md"
     written = [*_files(asked, result, folder), path]
     replace_file(path, f"# Does the identifier help?\n\n{block(asked, result, '')}\n")
@@ -113,7 +113,7 @@ def profiles(result: dict) -> Figure:
 
 def block(asked: Ablation, result: dict, where: str) -> str:
     """The marked part of the page, as Markdown; figures are looked for in the folder `where` ('' or 'name/')."""
-    sections = [{"title": n, "parts": _scenario(asked, result, n, entry)} for n, entry in result["scenarios"].items()]
+    sections = [{"title": n, "parts": _scenario(asked, entry)} for n, entry in result["scenarios"].items()]
     sections += [{"title": f"What is lost on {n}", "parts": [_losses(result, n, e)]} for n, e in result["loss"].items()]
     agents = "; ".join(
         f"`{n}`: {a['algorithm']}, observation {a['observation']}, {_more(a)}{a['timesteps']:,} steps"
@@ -139,7 +139,7 @@ def _more(agent: dict) -> str:
     return "".join(text for there, text in parts if there)
 
 
-def _scenario(asked: Ablation, result: dict, name: str, entry: dict) -> list[str]:
+def _scenario(asked: Ablation, entry: dict) -> list[str]:
     table = metric_table({f"`{n}`": c["metrics"] for n, c in entry["controllers"].items()}, _COLUMNS)
     seeds = [c["members"] if n in asked.agents else "" for n, c in entry["controllers"].items()]
     rows = [[row[0], count, *row[1:]] for row, count in zip(table.rows, seeds, strict=True)]

@@ -39,7 +39,7 @@ def result(asked: Ablation, folder: Path) -> dict:
     scenarios = {}
     for name, (study, records) in kept.items():
         whole = evaluation_results.result(study, records)
-        scenarios[name] = _condensed(asked, name, study, records, whole) | {"worth": _worth(asked, study, records)}
+        scenarios[name] = _condensed(asked, name, records, whole) | {"worth": _worth(asked, study, records)}
     out = {
         "version": asked.version,
         "courses": asked.courses,
@@ -65,7 +65,7 @@ def knows_truth(asked: Ablation, name: str) -> bool:
     return (CONTROLLERS[name].variant if name in CONTROLLERS else asked.agents[name].observation) == "true_soil"
 
 
-def _condensed(asked, name, study, records, whole) -> dict:
+def _condensed(asked, name, records, whole) -> dict:
     controllers = {}
     for key, rows in records.items():
         entry = whole["controllers"][key]

@@ -95,7 +95,7 @@ def main(arguments: list[str] | None = None) -> int:
         with Bar("Driving", asked.courses * len(asked.controllers) + asked.oracle_courses, "courses") as bar:
             records = study.run(asked, folder, engine, job, lambda count: bar.update(advance=count))
         result = results.result(asked, records)
-        written = report.write(asked, records, result, folder)
+        written = report.write(records, result, folder)
         report.print_table(result)
         show(f"Written to {folder}: {', '.join(written)}")
     return 0

@@ -10,7 +10,6 @@ from soil_env._io.files import replace_file, write_json
 from ..progress import show
 from . import figures, limit, results
 from .records import METRICS, RATES, Records
-from .study import Study
 from .tables import Column, cell, labels, metric_table
 
 #: Columns of the printed table
@@ -74,7 +73,7 @@ def _title(result: dict) -> str:
     )
 
 
-def write(study: Study, records: dict[str, list[Records]], result: dict, folder: Path) -> list[str]:
+def write(records: dict[str, list[Records]], result: dict, folder: Path) -> list[str]:
     """Write evaluation.json, evaluation.csv, courses.csv, the figures and report.html; returns their names."""
     folder = Path(folder)
     write_json(folder / "evaluation.json", result)

@@ -71,7 +71,7 @@ def train_and_judge(out: Path, weights: Path, sizes: study.Sizes, smoke: bool) -
     }
     test = study.all_scored(study.SCENARIOS, tuple(FAMILIES), study.TEST_SET, sizes.test, learnt, show)
     test += study.all_scored(study.FOREIGN, DRIVERS, study.TEST_SET, sizes.test, learnt, show)
-    found = settings | study.judged(learnt, tuning, test)
+    found = settings | study.judged(tuning, test)
     ours = found["rivals"][study.NETWORK]
     card = {
         "what": f"Probability that the wheel stops for good within {HORIZONS[0]:g} and {HORIZONS[1]:g} s of driving",

@@ -145,7 +145,7 @@ def of(all_drives: Iterable[Drives], scenarios: Sequence[str] = (), families: Se
 OTHERS = (LOGISTIC, "criterion of the paper", "slip, least of the last second", "sinkage", "time without progress")
 
 
-def judged(learnt: Learnt, tuning: list[Drives], test: list[Drives]) -> dict:
+def judged(tuning: list[Drives], test: list[Drives]) -> dict:
     """The content of warning.json but for `others`, `limits` and `leakage`."""
     ours, one = of(test, SCENARIOS, DRIVERS), threshold(NETWORK, tuning)
     cells = [(s, f) for s in (*SCENARIOS, *FOREIGN) for f in FAMILIES if of(test, [s], [f])]

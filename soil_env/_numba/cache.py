@@ -83,7 +83,7 @@ def place() -> str:
 
 
 def keep(dispatcher):
-    """Turn on the cache of a dispatcher, valid for the present sources of all compiled rooms and of its own file."""
+    """Turn on the cache of a dispatcher, valid for its options and the sources of all compiled rooms and its own file."""
     if CACHE:
         with suppress(RuntimeError):  # a function of no file
             dispatcher.enable_caching()
@@ -92,7 +92,7 @@ def keep(dispatcher):
             store._cache_file = _Index(
                 cache_path=store._cache_path,
                 filename_base=store._impl.filename_base,
-                source_stamp=(_sources(), own),
+                source_stamp=(_sources(), own, repr(dispatcher.targetoptions)),
             )
     dispatcher.compile = _Once(dispatcher)
     return dispatcher

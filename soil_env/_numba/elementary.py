@@ -300,6 +300,13 @@ def below(a, b):
 
 
 @inlined
+def smooth_step(t):
+    """(w, dw/dt): cubic from 0 at t = 0 to 1 at t = 1, constant and level beyond."""
+    t = smaller(larger(t, 0.0), 1.0)
+    return t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t)
+
+
+@inlined
 def tanh(x):
     """Hyperbolic tangent, of a float or of lanes."""
     return 1.0 - 2.0 / (exp(2.0 * x) + 1.0)

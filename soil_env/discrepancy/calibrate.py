@@ -15,7 +15,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -353,7 +353,7 @@ class Problem:
         output: np.ndarray,
         added: Any,
         guess: np.ndarray,
-        at: np.ndarray | None = None,
+        at: Mapping[str, np.ndarray] | None = None,
     ) -> tuple[list[np.ndarray], np.ndarray]:
         """Form errors [N, 3, R] at the size 1 of the base law, by span, and of the effects; `at`: other conditions."""
 

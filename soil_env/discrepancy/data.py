@@ -53,7 +53,8 @@ class Data:
     @property
     def measured(self) -> np.ndarray:
         """[N, 3] True where a value was measured."""
-        return np.isfinite(self.y)
+        known: np.ndarray = np.isfinite(self.y)
+        return known
 
     @property
     def conditions(self) -> dict[str, np.ndarray]:
@@ -113,13 +114,13 @@ def prepare(table: Table, setup: Setup) -> Data:
 def _one_to_one(a: Factor, b: Factor) -> bool:
     """Whether the levels of two factors part the rows in the same way."""
     pairs = np.unique(np.stack([a.level, b.level]), axis=1).shape[1]
-    return pairs == a.levels == b.levels
+    return bool(pairs == a.levels == b.levels)
 
 
 def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
     """`ParameterError` where a whole column has a unit or a sign that cannot be right."""
 
-    def refuse(wrong, text: str) -> None:
+    def refuse(wrong: bool, text: str) -> None:
         if wrong:
             raise ParameterError(f"{table.source}: {text}")
 

@@ -82,7 +82,8 @@ def noise_scales(freedom: float) -> np.ndarray:
     """Noise over its estimate, equally probable values, where the estimate has so many degrees of freedom."""
     if not math.isfinite(freedom):
         return np.ones(1)
-    return np.sqrt(freedom / chi2.ppf(_NOISE_QUANTILES, freedom))
+    scales: np.ndarray = np.sqrt(freedom / chi2.ppf(_NOISE_QUANTILES, freedom))
+    return scales
 
 
 def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
@@ -102,7 +103,9 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
     total = float(logsumexp(log))
     share = np.exp(log - total)
     of = dict(zip(sizes, share.reshape(len(scales), -1).sum(axis=0).tolist(), strict=True))
-    return Evidence(fit, total - math.log(len(scales)), max(of, key=of.get), of, *mixed(share, mean, covariance))
+    return Evidence(
+        fit, total - math.log(len(scales)), max(of, key=lambda sizes: of[sizes]), of, *mixed(share, mean, covariance)
+    )
 
 
 def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -120,8 +123,10 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """log(Phi(b) - Phi(a)), a < b."""
     turn = a > 0.0
     a, b = np.where(turn, -b, a), np.where(turn, -a, b)
-    upper, lower = log_ndtr(b), log_ndtr(a)
-    return upper + np.log1p(-np.exp(np.minimum(lower - upper, -1e-12)))
+    upper: np.ndarray = log_ndtr(b)
+    lower: np.ndarray = log_ndtr(a)
+    between: np.ndarray = upper + np.log1p(-np.exp(np.minimum(lower - upper, -1e-12)))
+    return between
 
 
 def settle(problem: Problem, choices: tuple[Choice, ...], near: Evidence | None = None,

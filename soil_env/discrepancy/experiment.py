@@ -76,7 +76,8 @@ def separating(problem: Problem, candidates: Sequence[Evidence]) -> tuple[NextTe
     grid = conditions(problem, candidates)
     names = [" and ".join(c.names) or "base model" for c in candidates]
     there = _problem_at(problem, grid)
-    means, variances, feasible = [], [], True
+    means, variances = [], []
+    feasible = np.array(True)
     for c in candidates:
         mean, variance, ok = predicted(there, c)
         means.append(mean)
@@ -181,13 +182,13 @@ def predicted(there: Problem, candidate: Evidence) -> tuple[np.ndarray, np.ndarr
     law, effect = there.form_errors(values, fit.choices, out, added, guess, at)
     a, e = fit.linearised(sizes)
     inside = fit.free_unknowns
-    top = [
+    columns = [
         there.derivatives(fit.unknowns, fit.u, fit.choices, guess)[:, inside],
         sizes.law * there.whiten_all(law[sizes.span]),
     ]
     if sizes.effect > 0.0:
-        top.append(sizes.effect * there.whiten_all(effect))
-    top = np.concatenate(top, axis=1)
+        columns.append(sizes.effect * there.whiten_all(effect))
+    top = np.concatenate(columns, axis=1)
     covariance = np.linalg.inv(a.T @ a)
     mean = out / there.noise + (top @ (covariance @ (a.T @ e))).reshape(-1, 3)
     variance = np.sum((top @ covariance) * top, axis=1).reshape(-1, 3)

@@ -16,7 +16,7 @@ from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.experiment import DEEPEST, LEAST, MOST, NextTest
 from soil_env.discrepancy.symbolic import ResidualFit
-from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.model import Prediction, WheelSoilModel
 
 LAW, BASE, GOES_ON, STAYS = "the law", "the base model", "the law goes on", "it stays as at the end of the table"
 #: The condition of a table that moves a group of the law.
@@ -41,7 +41,7 @@ def law_tests(problem: Problem, base: Fit, law: ResidualFit, model: WheelSoilMod
 
 def _beyond(problem: Problem, law: ResidualFit, model: WheelSoilModel, point: dict[str, float]) -> list[NextTest]:
     """Tests with one condition of the law beyond the table, `point` for the rest."""
-    out, spread = [], law.covariance() if law.terms else None
+    out, spread = [], law.covariance() if law.terms else np.zeros((0, 0))
     asked = dict.fromkeys(_CONDITION[g] for t in law.terms for g in t.powers)
     for name in asked:
         if name != "slip" and name not in point:
@@ -58,7 +58,9 @@ def _beyond(problem: Problem, law: ResidualFit, model: WheelSoilModel, point: di
     return sorted(out, key=lambda t: -t.expected_sigma)
 
 
-def _difference(problem, law, model, there, name, spread) -> tuple[float, int] | None:
+def _difference(
+    problem: Problem, law: ResidualFit, model: WheelSoilModel, there: dict[str, float], name: str, spread: np.ndarray
+) -> tuple[float, int] | None:
     """(difference of the law going on and staying, over noise and uncertainty; channel); None where not feasible."""
     groups = [g for g, c in _CONDITION.items() if c == name]
     free = tuple(
@@ -69,6 +71,10 @@ def _difference(problem, law, model, there, name, spread) -> tuple[float, int] |
     on = dataclasses.replace(quiet, residual=free).predict(there)
     if not on.supported or not -0.1 < on.sinkage[0] / model.wheel.radius < DEEPEST:
         return None
+
+    def value(predicted: Prediction, j: int) -> float:
+        return float(getattr(predicted, CHANNELS[j])[0])
+
     best = (0.0, 0)
     for j, channel in enumerate(CHANNELS):
         if not problem.used[:, j].any():
@@ -76,9 +82,9 @@ def _difference(problem, law, model, there, name, spread) -> tuple[float, int] |
         slopes = np.zeros(len(free))
         for k, (a, b) in enumerate(zip(free, law.terms, strict=True)):
             if a.channel == channel and a.coefficient != 0.0:
-                one = [dataclasses.replace(quiet, residual=(t,)).predict(there)[j][0] for t in (a, b)]
+                one = [value(dataclasses.replace(quiet, residual=(t,)).predict(there), j) for t in (a, b)]
                 slopes[k] = (one[0] - one[1]) / a.coefficient
-        off = abs(float(on[j][0] - stays[j][0]))
+        off = abs(value(on, j) - value(stays, j))
         sd = math.sqrt(problem.noise[j] ** 2 + float(slopes @ spread @ slopes))
         best = max(best, (off / sd, j))
     return best

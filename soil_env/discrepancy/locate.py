@@ -52,7 +52,7 @@ class Boxes:
 def boxes(problem: Problem) -> Boxes:
     """All boxes: the whole table, intervals of one condition, half-lines of two; each set of rows once."""
     varied = problem.data.varied
-    limits = [{}]
+    limits: list[dict[str, tuple[int, int]]] = [{}]
     for name, c in varied.items():
         ends = ((a, b) for a in range(c.levels) for b in range(a, c.levels))
         limits += [{name: (a, b)} for a, b in ends if b - a + 1 < c.levels]
@@ -101,7 +101,8 @@ def locate(problem: Problem, fit: Fit, seed: int = 0, draws: int = 400) -> tuple
     # the next box must also show in the plain residual, with the same sign
     r = np.concatenate([fit.residual, np.zeros(e.size - fit.residual.size)])
     plain = (raw.T @ r) / total
-    out, taken = [], []
+    out: list[Disagreement] = []
+    taken: list[tuple[int, np.ndarray]] = []
     allowed = left & (np.abs(plain) > _SHOWS)
     while len(out) < MOST and allowed.any():
         t = v.T @ e

@@ -157,7 +157,7 @@ def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         return np.sqrt(total / freedom), freedom
 
 
-def _surface(basis, e, keep):
+def _surface(basis: np.ndarray, e: np.ndarray, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(residual [N], leverage [N]) of the least-squares surface through the kept values."""
     coefficients, *_ = np.linalg.lstsq(basis[keep], e[keep], rcond=1e-10)
     inverse = np.linalg.pinv(basis[keep].T @ basis[keep], rcond=1e-12)

@@ -207,7 +207,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     order = sorted(sets.found, key=lambda s: -(sets.log(s) / TEMPERATURE + log_prior[s]))
     entries = [(s, False, sets.best(s), sets.log(s)) for s in order]
     say("with something that no catalogue lists")
-    free = {(): anonymous(problem, base)}
+    free: dict[tuple[str, ...], Evidence] = {(): anonymous(problem, base)}
     # Under scatter the evidence without it does not say which sets matter.
     rough = free[()].sizes.scatter > 1.0
     for s in [s for s in order if len(s) == 1] if rough else order[:_FREE]:
@@ -250,8 +250,8 @@ def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Callable[[str],
         say(f"with {' and '.join(CATALOGUE[c.effect].title for c in pair)}")
         sets.add(pair, max((sets.best((c.effect,)) for c in pair), key=lambda e: e.log))
     tried = sorted({tuple(c.effect for c in p) for p in order}, key=lambda s: -sets.best(s).log)
-    for pair in tried[:_FORMS]:
-        best = sets.best(pair)
+    for names_of_pair in tried[:_FORMS]:
+        best = sets.best(names_of_pair)
         for at, other in ((0, 1), (1, 0)):
-            for choice in forms(problem, pair[at]):
+            for choice in forms(problem, names_of_pair[at]):
                 sets.add((choice, best.fit.choices[other]), best)

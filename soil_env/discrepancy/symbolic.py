@@ -314,7 +314,9 @@ def _left(a: np.ndarray, e: np.ndarray) -> float:
     return float(np.sum((e - a @ np.linalg.lstsq(a, e, rcond=None)[0]) ** 2))
 
 
-def _terms(problem: Problem, fit: Fit, offset: np.ndarray, here: Library, coefficient) -> tuple[ResidualTerm, ...]:
+def _terms(
+    problem: Problem, fit: Fit, offset: np.ndarray, here: Library, coefficient: np.ndarray
+) -> tuple[ResidualTerm, ...]:
     groups = groups_of(problem, fit, offset)[problem.used.any(axis=1)]
     out = []
     for j, powers, c in zip(here.channel, here.powers, coefficient, strict=True):
@@ -330,4 +332,5 @@ def law_offset(problem: Problem, fit: Fit, offset: np.ndarray, terms: tuple[Resi
     out = plain.copy()
     add_residual(residual_law(terms), rows.slip, rows.load, rows.wheels, rows.conditions,
                  problem.state(fit.parameters()), GRAVITY, out)  # fmt: skip
-    return out - plain
+    added: np.ndarray = out - plain
+    return added

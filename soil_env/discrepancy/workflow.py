@@ -25,6 +25,7 @@ from soil_env.measurement.table import Setup, Table, read_setup, read_table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.validity import seen
 
 
@@ -138,7 +139,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
 # --- the model --------------------------------------------------------------------------------------------------------
 
 
-def model_of(problem: Problem, fit: Fit, terms=()) -> WheelSoilModel:
+def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -> WheelSoilModel:
     """The `WheelSoilModel` of a fit, with residual terms."""
     soil = {**problem.known, **fit.parameters()}
     names = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")

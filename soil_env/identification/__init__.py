@@ -15,7 +15,7 @@ not reduce the weighted residual is shortened, and damped after Levenberg & Marq
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -79,7 +79,13 @@ def _check_reading(reading: Reading) -> None:
             raise ValueError(f"reading.{name} = {getattr(reading, name)}: expected metres > 0")
 
 
-def _points(slip, sinkage, channels, dig_ratio, reading) -> Points:
+def _points(
+    slip: ArrayLike,
+    sinkage: ArrayLike,
+    channels: tuple[ArrayLike | None, ...],
+    dig_ratio: ArrayLike | None,
+    reading: Reading,
+) -> Points:
     """Checked `Points` without weights; ValueError for a reading or arrays that make no sense."""
     _check_reading(reading)
     slip = np.asarray(slip, dtype=float)
@@ -194,7 +200,18 @@ class _Found(NamedTuple):
     cost: float
 
 
-def _run(x, slip_sd=0.0, sinkage_sd=0.0, *, points, variances, reading, tolerance, limit, spent=0) -> _Found:
+def _run(
+    x: np.ndarray,
+    slip_sd: float = 0.0,
+    sinkage_sd: float = 0.0,
+    *,
+    points: Points,
+    variances: np.ndarray,
+    reading: Reading,
+    tolerance: float,
+    limit: int,
+    spent: int = 0,
+) -> _Found:
     """Least squares from x, with the weights that the noise of slip and sinkage gives the points there."""
     x = x.copy()
     weigh_all(points, len(points), x, variances, slip_sd, sinkage_sd, reading)
@@ -217,7 +234,7 @@ def _restarted(found: _Found, allowed: float, run: Callable[..., _Found]) -> _Fo
     return found._replace(iterations=iterations)
 
 
-def _soil(x, reading: Reading) -> Soil:
+def _soil(x: np.ndarray, reading: Reading) -> Soil:
     return Soil(
         friction_angle_deg=math.degrees(x[0]),
         cohesion=reading.cohesion,
@@ -234,7 +251,7 @@ def _misfit_allowed(measured: int) -> float:
     return freedom * (1.0 - 2.0 / (9.0 * freedom) + 4.0 * math.sqrt(2.0 / (9.0 * freedom))) ** 3
 
 
-def _spread_starts():
+def _spread_starts() -> Iterator[np.ndarray]:
     """Unknowns to start again from: common soils, soft to stiff."""
     for phi in (0.3, 0.6, 0.9):
         for K in (0.005, 0.03):

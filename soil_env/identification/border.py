@@ -22,7 +22,7 @@ import math
 from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import exp, larger, log, smaller
+from soil_env._numba.elementary import exp, larger, log, smaller, smooth_step
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
 from soil_env.identification.filter_bank import (
     CANDIDATES,
@@ -78,8 +78,8 @@ def search(banks, k, numbers):
 @inlined
 def _share(x, place, length):
     """(share of the new soil at x, its derivative by the place of the border), as `terrain.ground_at` blends."""
-    t = smaller(larger((x - place) * (1.0 / length) + 0.5, 0.0), 1.0)
-    return t * t * (3.0 - 2.0 * t), (-6.0 / length) * (t * (1.0 - t))
+    w, rate = smooth_step((x - place) * (1.0 / length) + 0.5)
+    return w, (-1.0 / length) * rate
 
 
 @part

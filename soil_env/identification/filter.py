@@ -25,7 +25,7 @@ from soil_env.identification.digging import onto_fresh_ground
 from soil_env.identification.filter_bank import CROSSING, element, prior_of_soil, restart
 from soil_env.identification.filter_update import Point, renew
 from soil_env.identification.linearised import MASS, SINKAGE, SLIP, STATES
-from soil_env.terramechanics.contact import motion_from_slip
+from soil_env.terramechanics.contact import entry_angle, motion_from_slip, shear_displacement
 
 # of a point at most: readings, [m], range of slip, relative range of rim speed
 _READINGS, _LENGTH, _SLIP, _RIM = 8, 0.1, 0.05, 0.1
@@ -143,9 +143,10 @@ def _close(p, k, rim, time, numbers):
 def _refer(p, k, point, numbers):
     """Compare strength from now on at the mean shear displacement and normal stress of this point."""
     r = numbers.radius
-    entry = math.acos(max(1.0 - point.sinkage / r, -0.9))
-    middle, slip = 0.5 * entry, max(abs(point.slip), 0.02)
-    p.displacement[k] = r * ((entry - middle) - (1.0 - slip) * (math.sin(entry) - math.sin(middle)))
+    entry = entry_angle(min(point.sinkage, 1.9 * r), r)
+    middle = 0.5 * entry
+    rim, travel = motion_from_slip(max(abs(point.slip), 0.02))
+    p.displacement[k] = shear_displacement(middle, entry, math.sin(entry), rim, travel, r)[0]
     p.stress[k] = max(point.load, 1e-3) / (r * numbers.width * math.sin(middle) * 2.0)
 
 

@@ -93,7 +93,8 @@ def plate_coefficient(setup: Setup, load: np.ndarray, sinkage: np.ndarray, expon
     r = setup.wheel.radius
     z = float(np.nanmedian(sinkage)) if np.any(np.isfinite(sinkage)) else USUAL_SINKAGE * r
     z = min(max(z, 0.01 * r), r)
-    return float(np.median(load)) / (setup.wheel.width * math.sqrt(2.0 * r * z) * 0.6 * z**exponent)
+    carried: float = setup.wheel.width * math.sqrt(2.0 * r * z) * 0.6 * z**exponent
+    return float(np.median(load)) / carried
 
 
 def known_digging(setup: Setup) -> tuple[float, float]:

@@ -21,7 +21,7 @@ def predict_table(
     with W sin(b) against the pull. b is the tilt of the rig (`tilt_deg` of `values`), and of a vertical load the tilt
     and the grade of the row. S of wheels of another width than the setup's is k_c/b + k_phi where these are given.
     """
-    soil, tilt, along = soil_state(values, known_digging(setup)), math.radians(values.get("tilt_deg", 0.0)), 0.0
+    soil, tilt, along = soil_state(values, known_digging(setup)), math.radians(values.get("tilt_deg", 0.0)), np.zeros(1)
     if setup.load == "vertical":
         fx = fx._replace(grade_share=fx.grade_share + 1.0)
         if tilt != 0.0:

@@ -8,6 +8,7 @@ into words on what the data cannot tell.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -64,7 +65,8 @@ class ChannelFit:
     @property
     def residual(self) -> np.ndarray:
         """(measured - fitted) / noise [N]; nan where not measured."""
-        return (self.measured - self.fitted) / (self.noise * self.relative)
+        residual: np.ndarray = (self.measured - self.fitted) / (self.noise * self.relative)
+        return residual
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ class _Plain(NamedTuple):
     fits: dict[str, ChannelFit]
 
 
-def _settle(problem: TableProblem, u, max_passes: int, guess: bool = True) -> tuple[np.ndarray, bool]:
+def _settle(problem: TableProblem, u: np.ndarray, max_passes: int, guess: bool = True) -> tuple[np.ndarray, bool]:
     """The solution from u with conditions and, with `guess`, noise renewed until they no longer change; whether so."""
     guessed, converged = problem.estimated & guess, False
     share, last = 1.0, math.inf  # of each move; lessened where they go in circles, as when the model does not fit
@@ -156,7 +158,7 @@ def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
     return out, np.any(out > 0.0, axis=1)
 
 
-def _summary(problem: TableProblem, u, converged: bool, plain: _Plain,
+def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plain,
              scatter: Scatter | None) -> TableEstimate:  # fmt: skip
     scaling, free = _scaling(problem)
     told = np.eye(len(NAMES))  # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt)
@@ -197,7 +199,9 @@ def _summary(problem: TableProblem, u, converged: bool, plain: _Plain,
     )
 
 
-def _parameters(problem: TableProblem, u, covariance, scaling, scatter: Scatter | None) -> dict[str, Parameter]:
+def _parameters(
+    problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: np.ndarray, scatter: Scatter | None
+) -> dict[str, Parameter]:
     """Estimates and 95 % intervals, within the bounds; those of K, S and p_ref are computed in the logarithm.
 
     Where noise is estimated, Student's t with the degrees of freedom of the channel that has fewest; from few points
@@ -232,11 +236,11 @@ def _parameters(problem: TableProblem, u, covariance, scaling, scatter: Scatter 
         prior_sd = math.sqrt(by_u @ by_u)
         known = prior_sd == 0.0
         told = math.nan if known else half / reach / prior_sd
-        out[name] = Parameter(*bounds, unit=unit, known=known, told=told)
+        out[name] = Parameter(bounds[0], bounds[1], bounds[2], unit=unit, known=known, told=told)
     return out
 
 
-def _fits(problem: TableProblem, u) -> dict[str, ChannelFit]:
+def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
     (errors, left), variances = problem.errors(u), problem.variances
     out, fits = problem.predict(u), {}
     for j, name in enumerate(SOURCES):
@@ -284,7 +288,7 @@ def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[s
     return words
 
 
-def _untold(parameters: dict[str, Parameter], labels, correlation) -> list[str]:
+def _untold(parameters: dict[str, Parameter], labels: Sequence[str], correlation: np.ndarray) -> list[str]:
     words = [
         f"The data cannot tell the {label}: its standard deviation is {100 * parameters[name].told:.0f} % of that "
         "before the table."
@@ -301,7 +305,9 @@ def _untold(parameters: dict[str, Parameter], labels, correlation) -> list[str]:
     return words
 
 
-def _doubts(problem: TableProblem, u, plain: _Plain, fits: dict[str, ChannelFit], converged: bool) -> list[str]:
+def _doubts(
+    problem: TableProblem, u: np.ndarray, plain: _Plain, fits: dict[str, ChannelFit], converged: bool
+) -> list[str]:
     """Told of the solution u with its `fits`; whether the model fits, and agrees with its priors, by the plain one."""
     words = []
     (low, high), label = problem.bounds, dict(zip(NAMES, LABELS, strict=True))
@@ -361,7 +367,7 @@ def _doubts(problem: TableProblem, u, plain: _Plain, fits: dict[str, ChannelFit]
     return words
 
 
-def _follows(slip, load, residual) -> bool:
+def _follows(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
     """Whether a smooth function of slip and load explains more of the residuals than chance does (F test, 5e-4)."""
     kept = np.isfinite(residual)
     e, i, w = residual[kept], slip[kept], np.log(load[kept])

@@ -73,7 +73,7 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
         if runs[at] < 0 or runs[at] != runs[at + n - 1] or not of_one or not is_steady(part, log.period, log_map):
             at += max(1, n // 4)
             continue
-        row = _row(part, float(log.time[at]), log.period, f"ground{ground[at]}.drive{runs[at]}", log_map)
+        row = _row(part, float(log.time[at]), log.period, f"ground{ground[at]}.drive{runs[at]}")
         if row is not None:
             rows.append(row)
             grounds.append(int(ground[at]))
@@ -174,7 +174,7 @@ def _scatter(values: np.ndarray) -> float:
     return math.sqrt(float(residual @ residual) / (values.size - 2))
 
 
-def _row(part, start: float, period: float, run: str, log_map: LogMap) -> dict[str, float | str] | None:
+def _row(part, start: float, period: float, run: str) -> dict[str, float | str] | None:
     """The point of a stretch; None where it has nothing that a table needs."""
 
     def mean(name: str) -> float:

@@ -16,6 +16,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -36,7 +37,8 @@ __all__ = [
 ]
 
 REQUIRED = ("slip", "load")
-MEASURED = ("sinkage", "drawbar_pull", "torque")
+Channel = Literal["sinkage", "drawbar_pull", "torque"]
+MEASURED: tuple[Channel, ...] = ("sinkage", "drawbar_pull", "torque")
 OPTIONAL = ("speed", "pass", "grade_deg", "run", "time", "wheel_radius", "wheel_width", "grouser_height")
 NOISE = tuple(f"{name}_sd" for name in MEASURED)  # 1-sigma of the value in the same row
 COLUMNS = REQUIRED + OPTIONAL + MEASURED + NOISE

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined
+from soil_env._numba.elementary import smooth_step
 from soil_env.parameters import Scenario, SoilState
 
 CELL = 0.05  # [m] length of one cell of the rut
@@ -131,7 +132,7 @@ def ground_at(courses, k, x, patch, border):
     t = (x - edges[near]) / border + 0.5
     if near < 1 or near > last or t <= 0.0 or t >= 1.0:
         return row_soil(courses.soils[k, patch]), courses.grades[k, patch], patch
-    w = t * t * (3.0 - 2.0 * t)
+    w, _ = smooth_step(t)
     soil = blend(row_soil(courses.soils[k, near - 1]), row_soil(courses.soils[k, near]), w)
     return soil, (1.0 - w) * courses.grades[k, near - 1] + w * courses.grades[k, near], patch
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,9 @@ from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import larger, power, smaller, where_less
 from soil_env._numba.lanes import alike
+from soil_env.measurement.table import MEASURED as CHANNELS
+from soil_env.measurement.table import Channel
 
-CHANNELS = ("sinkage", "drawbar_pull", "torque")
 #: Dimensionless groups: |slip|, 1 - |slip|, z/r, W/(S b r^(n+1)), V/sqrt(g r), pass number, sin(grade).
 GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")
 
@@ -29,7 +30,7 @@ GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")
 class ResidualTerm(Checked):
     """One term: coefficient [-] and the power of each group in it."""
 
-    channel: Literal["sinkage", "drawbar_pull", "torque"]
+    channel: Channel
     coefficient: float = quantity("")
     powers: dict[str, Any] = None
     ranges: dict[str, Any] = (
