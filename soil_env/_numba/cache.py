@@ -83,7 +83,7 @@ def place() -> str:
 
 
 def keep(dispatcher):
-    """Turn on the cache of a dispatcher, valid for its options and the sources of all compiled rooms and its own file."""
+    """Turn on the cache of a dispatcher, valid for its options, its own file and the sources of all compiled rooms."""
     if CACHE:
         with suppress(RuntimeError):  # a function of no file
             dispatcher.enable_caching()
