@@ -15,7 +15,8 @@ PYTHON ?= python3
 BIN := $(VENV)/bin
 PY := $(BIN)/python
 endif
-PIP := $(PY) -m pip --disable-pip-version-check
+# Bytecode is written when a module is first imported: most of what torch and scipy bring never is.
+PIP := PIP_NO_COMPILE=1 $(PY) -m pip --disable-pip-version-check
 ARGS ?=
 JOBS ?= 2
 

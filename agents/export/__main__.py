@@ -54,7 +54,9 @@ def parser() -> argparse.ArgumentParser:
     p = manual_parser(command(_NAME), __doc__, _FILES)
     p.add_argument("run", metavar="RUN", type=Path, help="run folder, or a .zip of Stable-Baselines3")
     p.add_argument("--out", metavar="OUT", type=folder, required=True, help="folder of the export")
-    p.add_argument("--scenario", metavar="NAME", help="of a zip that does not say: scenario or YAML file (mixed)")
+    p.add_argument(
+        "--scenario", metavar="NAME", help=f"of a zip that does not say: scenario or YAML file ({DEFAULT_SCENARIO})"
+    )
     p.add_argument("--steps", metavar="N", type=whole_number(1), default=1000, help="compared (default: 1000)")
     p.add_argument(
         "--courses", metavar="N", type=whole_number(2), default=100,
