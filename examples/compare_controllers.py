@@ -4,7 +4,7 @@
     python examples/compare_controllers.py --scenario field_vehicle --courses 1000 --out compared.png
 
 The slip and speed controllers are tuned first, on courses of their own. The picture shows how often each controller
-gets stuck and how often it finishes. `python -m agents.evaluate` does the same for trained agents and for classes of
+gets stuck and how often it finishes. `soil-env-evaluate` does the same for trained agents and for classes of
 your own, with resume, many processes and a report.
 """
 
@@ -15,6 +15,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+from soil_env import ParameterError
 from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 from soil_env_agents.controllers import CONTROLLERS, make_controller
 from soil_env_agents.evaluate import HELD_OUT_SET, run_courses, wilson
@@ -49,4 +50,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except ParameterError as error:
+        raise SystemExit(f"compare_controllers.py: error: {error}") from None

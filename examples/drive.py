@@ -71,4 +71,7 @@ def drive(options) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except (ParameterError, gymnasium.error.Error) as error:
+        raise SystemExit(f"drive.py: error: {error}") from None

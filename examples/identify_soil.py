@@ -14,6 +14,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+from soil_env import ParameterError
 from soil_env.identification.table import identify_table
 from soil_env.measurement.table import read_setup, read_table
 
@@ -45,4 +46,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except ParameterError as error:
+        raise SystemExit(f"identify_soil.py: error: {error}") from None

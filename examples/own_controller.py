@@ -1,7 +1,7 @@
 """Write a controller of your own, and see it on a course beside full throttle.
 
     python examples/own_controller.py
-    python -m agents.evaluate --controllers soft_start,careful=examples.own_controller:Careful --out evaluation
+    soil-env-evaluate --controllers soft_start,careful=examples.own_controller:Careful --out evaluation
 
 The picture has a column for each of the two on the same course: grade, slip, sinkage, and the soil as identified. The
 second command, from the root of the repository, compares the class with others on 1000 courses.

@@ -55,7 +55,9 @@ def main() -> None:
         observation, _, terminated, truncated, info = env.step(action[0])
         over, steps = terminated or truncated, steps + 1
     matplotlib.image.imsave(options.out, env.render())
-    print(f"{info['cause']} at {info['state']['x']:.2f} m; identified {info['estimate']['friction_angle_deg']:.1f} deg")
+    found = info["estimate"]
+    told = f"{found['friction_angle_deg']:.1f} +- {found['friction_angle_sd_deg']:.1f} deg, {found['status']}"
+    print(f"{info['cause']} at {info['state']['x']:.2f} m; identified {told}")
     print(f"written: {options.out}, beach.yaml")
 
 

@@ -18,6 +18,7 @@ import numpy as np
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+from soil_env import ParameterError
 from soil_env.simulation.task import Cause
 
 
@@ -54,4 +55,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except (ParameterError, gymnasium.error.Error) as error:
+        raise SystemExit(f"vector_env.py: error: {error}") from None

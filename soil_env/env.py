@@ -251,7 +251,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     | ENTRAPPED | no progress, though the wheel turns |
     | STALLED | no progress, and the rim is slower than 0.01 m/s most of that time: torque required > torque available |
     | BOGGED | sinkage > 0.8 radii |
-    | TIME_LIMIT | neither in `control={"time_limit": ...}` (90 s) |
+    | TIME_LIMIT | neither finished nor immobilised in `control={"time_limit": ...}` (90 s) |
 
     No progress: 10 s, halts left out, without getting 0.1 m further than ever before, whatever the wheel does (spin,
     stand, rock, creep back); or 0.5 m behind the start. Never truncated, but by a wrapper of yours: being late costs

@@ -313,11 +313,13 @@ class OnlineIdentifier:
 
     def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
         """Whether the wheel can pass the ground as identified, under `load` [N] (its weight if left out) at `pitch`
-        [rad], uphill positive. ValueError for what is no finite number."""
+        [rad], uphill positive. ValueError for what is no finite number, or a pitch beyond a right angle."""
         e, belief, wheel = self._estimate, self.scenario.belief, self.scenario.wheel
         for name, given in (("load", 0.0 if load is None else load), ("pitch", pitch)):
             if not isinstance(given, Real) or not math.isfinite(given):
                 raise ValueError(f"{name} = {given!r}: expected a finite number")
+        if abs(pitch) >= 0.5 * math.pi:
+            raise ValueError(f"pitch = {pitch!r}: expected radians, less than pi/2")
         load = float(self._weight * math.cos(pitch) if load is None else max(load, 0.05 * self._weight))
         soil = SoilState(
             math.tan(math.radians(e.friction_angle_deg)), e.cohesion, e.shear_modulus,

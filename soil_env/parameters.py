@@ -208,11 +208,11 @@ class Noise(Checked):
 class Belief(Checked):
     """Prior of the identifier: what it assumes before it has measured anything.
 
-    Neither the soil nor the parameters of the world's slip-sinkage are known to it: cohesion, exponent and digging have
-    nominal values, the first and the last with a standard deviation that widens the reported ones, and (phi, K, S) a
-    prior distribution: friction normal, K and S log-normal (`..._sd` are relative there). The defaults are the mean and
-    the scatter of the soils that scenario "mixed" draws; S is compared at the exponent of the belief, at a sinkage of 3
-    cm.
+    Neither the soil nor the parameters of the world's slip-sinkage are known to it. Friction angle, cohesion and
+    exponent have a normal prior, K, S and the gain of digging a log-normal one (`..._sd` are relative there); the
+    recovery of digging has one value. The filter estimates all six; the window estimates phi, K and S, holds the
+    others and widens its standard deviations by those of cohesion and gain. The defaults are the mean and the scatter
+    of the soils that scenario "mixed" draws; S is compared at the exponent of the belief, at a sinkage of 3 cm.
     """
 
     friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=30.0)
@@ -267,7 +267,7 @@ class RewardWeights(Checked):
 
     progress: float = quantity("per course", 0.0, 1e4, default=10.0)
     energy: float = quantity("per weight x course length", 0.0, 1e4, default=1.0)
-    immobilisation: float = quantity("", 0.0, 1e4, default=10.0)
+    immobilisation: float = quantity("", 0.0, 1e4, default=10.0, doc="cost of it, and of the time limit")
     information: float = quantity("per nat", 0.0, 1e4, default=0.0)
     information_discount: float = quantity("a step", 0.0, 1.0, default=0.999, doc="the agent's own discount")
 

@@ -100,18 +100,7 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Reset all wheels, or those of `options["reset_mask"]` [N] bool. Returns (observations, info)."""
-        options = dict(options or {})
-        mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=np.bool_)), dtype=np.bool_)
-        if options:
-            raise ValueError(f"reset options {sorted(options)}: expected only 'reset_mask'")
-        if mask.shape != (self.num_envs,):
-            raise ValueError(f"reset_mask: expected shape ({self.num_envs},), got {mask.shape}")
-        if seed is None or isinstance(seed, (int, np.integer)):
-            seeds = [None if seed is None else int(seed) + k for k in range(self.num_envs)]
-        else:
-            seeds = list(seed)
-            if len(seeds) != self.num_envs:
-                raise ValueError(f"seed: expected {self.num_envs} seeds, got {len(seeds)}")
+        mask, seeds = self._mask(options), self._seeds(seed)
         if self._rngs is None:
             self._rngs = [None] * self.num_envs
         for k in np.flatnonzero(mask).tolist():
@@ -123,6 +112,33 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         self._done[mask] = False
         self._renew(mask)
         return self.scaling(self.simulation.worlds.observation), self.infos.many(self.simulation.worlds)
+
+    def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
+        """[N] which wheels are reset."""
+        if options is not None and not isinstance(options, dict):
+            raise ValueError(f"reset options = {options!r:.80}: expected a dictionary")
+        options = dict(options or {})
+        given = options.pop("reset_mask", None)
+        if options:
+            raise ValueError(f"reset options {sorted(map(str, options))}: expected only 'reset_mask'")
+        if given is None:
+            return np.ones(self.num_envs, dtype=np.bool_)
+        mask = np.asarray(given)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+            raise ValueError(f"reset_mask: expected shape ({self.num_envs},) of bool, got {mask.shape} of {mask.dtype}")
+        return mask
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """A seed a wheel; counted up from a single one."""
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, (int, np.integer)):
+            return [int(seed) + k for k in range(self.num_envs)]
+        if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
+            raise ValueError(f"seed = {seed!r:.80}: expected a whole number, {self.num_envs} of them, or None")
+        if len(seed) != self.num_envs:
+            raise ValueError(f"seed: expected {self.num_envs} seeds, got {len(seed)}")
+        return [None if s is None else int(s) for s in seed]
 
     def step(
         self, actions: ArrayLike

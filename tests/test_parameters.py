@@ -11,7 +11,7 @@ from soil_env import parameters
 from soil_env._io.loading import check, config_dir, load, merge, read_yaml, to_dict
 from soil_env.identification.rig import predict_table
 from soil_env.measurement import Setup, SetupWheel
-from soil_env.parameters import ParameterError, Scenario, Soil, SoilSpread, load_scenario
+from soil_env.parameters import Belief, Control, ParameterError, Scenario, Soil, SoilSpread, load_scenario
 from soil_env.terramechanics.effects import NO_EFFECTS
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, rows_of
 
@@ -112,6 +112,13 @@ def test_bad_scenario(changes, words):
     with pytest.raises(ParameterError) as caught:
         load_scenario("mixed", changes)
     assert_one_line(caught.value, words)
+
+
+def test_a_choice_that_does_not_exist_is_refused_on_construction():
+    with pytest.raises(ParameterError, match=r"Belief.method: unknown value 'kf' \(expected one of filter, window\)"):
+        Belief(method="kf")
+    with pytest.raises(ParameterError, match="Control.action.*did you mean 'torque'"):
+        Control(action="torq")
 
 
 def test_correlations_that_contradict_each_other():

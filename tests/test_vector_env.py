@@ -1,5 +1,7 @@
 """The vector environment: bit for bit the scalar one, in every autoreset mode and with any number of threads."""
 
+import math
+
 import gymnasium
 import numpy as np
 import pytest
@@ -351,7 +353,13 @@ def test_bad_resets_are_named():
         env.step(np.zeros((3, 1)))
     with pytest.raises(ValueError, match="expected 3 seeds, got 2"):
         env.reset(seed=[1, 2])
-    with pytest.raises(ValueError, match=r"reset_mask: expected shape \(3,\), got \(2,\)"):
+    for seed in (1.5, "a", [0, 1]):
+        with pytest.raises(ValueError, match=r"^seed"):
+            env.reset(seed=seed)
+    for options in ([1], "mask", {"reset_mask": [0, 1, 2]}, {"reset_mask": [math.nan] * 3}):
+        with pytest.raises(ValueError, match=r"^reset"):
+            env.reset(options=options)
+    with pytest.raises(ValueError, match=r"reset_mask: expected shape \(3,\) of bool, got \(2,\)"):
         env.reset(options={"reset_mask": np.ones(2, dtype=bool)})
     with pytest.raises(ValueError, match="options.*'x'"):
         env.reset(options={"x": 1})

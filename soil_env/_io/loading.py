@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 import math
 import re
 import types
@@ -65,11 +66,21 @@ def _bound(x: float) -> str:
     return str(x) if isinstance(x, int) and float(short) != x else short
 
 
+@functools.cache
+def _choices(cls: type) -> dict[str, tuple]:
+    """Values that each `Literal` field of a dataclass may have."""
+    hints = typing.get_type_hints(cls)
+    return {name: typing.get_args(h) for name, h in hints.items() if typing.get_origin(h) is typing.Literal}
+
+
 class Checked:
-    """Base of the parameter classes: every `quantity` is checked on construction."""
+    """Base of the parameter classes: every `quantity` and every choice is checked on construction."""
 
     def __post_init__(self) -> None:
         check(self)
+        for name, known in _choices(type(self)).items():
+            if getattr(self, name) not in known:
+                raise unknown_value(getattr(self, name), known, f"{type(self).__name__}.{name}")
 
 
 # --- strict loading ---------------------------------------------------------------------------------------------------

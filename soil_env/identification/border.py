@@ -13,7 +13,8 @@ v the variance of a reading, the likelihood of a border over that of none is (Ba
     (1 + A t^2/v)^-1/2 exp(B^2 / (2 v (A + v/t^2))),   A = sum w^2, B = sum w y.
 
 At even places these are the delayed hypotheses of where the border is; once one is likely enough, their mean and
-variance enter the filter (`begin`). One of the filters holds that the soil does not change: a slope alone costs little.
+variance enter the filter (`begin`). One filter of the bank holds that the soil stays the same there, so that a change
+of the grade within one soil loses little of what is known of it.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from soil_env.identification.linearised import GAIN, LN_K, MASS, SINKAGE, SLIP, 
 _ODDS = 3.0  # ln odds at which a change of the grade is a border
 _HAZARD = 0.5  # [1/m] of borders, as believed
 _KEPT = 60.0  # readings that the grade of a soil is the mean of, at most
+_KNOWN = 5.0  # readings that the grade behind a border, as estimated on it, counts as
 _FOUND = 1.0 / 6.0  # of the border: how far ahead its middle is, and its 1-sigma, where the forces tell of it
 _SAME = 0.1  # probability that the soil stays the same
 _LEAST = 1e-4  # share of either soil on a border
@@ -106,10 +108,10 @@ def note_grade(banks, k, pitch, numbers):
 
 
 @inlined
-def _likelihoods(found, i, v, k):
-    """ln likelihood ratios of the candidates i ... i + 7."""
+def _likelihoods(found, i, v, ratio):
+    """ln likelihood ratios of the candidates i ... i + 7; `ratio` = v/t^2."""
     a, b = from_array(found, i), from_array(found, CANDIDATES + i)
-    return b * b / (2.0 * v * (a + k)) - 0.5 * log(1.0 + a * (1.0 / k))
+    return b * b / (2.0 * v * (a + ratio)) - 0.5 * log(1.0 + a * (1.0 / ratio))
 
 
 @part
@@ -213,7 +215,7 @@ def end(banks, k, numbers):
     p.crossing[k] = 0.0
     w = exp(from_array(banks.log_weight[k], 0))
     p.grade[k] += total(w * from_array(banks.mean[k], RISE * COUNT)) / total(w)
-    p.grades[k], p.points[k] = 5.0, 0.0
+    p.grades[k], p.points[k] = _KNOWN, 0.0
     search(banks, k, numbers)
 
 

@@ -30,10 +30,10 @@ from soil_env.terramechanics.contact import entry_angle, motion_from_slip, shear
 # of a point at most: readings, [m], range of slip, relative range of rim speed
 _READINGS, _LENGTH, _SLIP, _RIM = 8, 0.1, 0.05, 0.1
 _ON_BORDER = 0.6  # of the readings and the length where the soil changes
-_SPINNING = 0.85  # slip beyond which a wheel digs on the spot and is passed over
+_SPINNING = 0.85  # |slip| beyond which readings are passed over: a wheel that digs on the spot, or is locked
 _SLOWEST = 0.02  # [m/s] rim speed below which readings say nothing of shear
-#: Of the sum of what the chi-squared of successive points exceeds `_EXPECTED` by, where the soil is another. Both were
-#: set on courses of seed 7001, docs/identification.md.
+#: The excess of the chi-squared of each point over `_EXPECTED` is summed, never below 0; a sum above this means another
+#: soil. Both were set on courses of seed 7001, docs/identification.md.
 CONTRADICTION_OF_POINTS = 12.0
 _EXPECTED = 10.0  # chi-squared of a point, of seven channels, that raises no suspicion
 _MASS_VARIANCE = 0.04  # relative, of the mass that the first load gives
@@ -196,7 +196,8 @@ def _complete(banks, k, rim, time, numbers):
         return
     p.grade_used[k] = 0.0
     before = p.misfit[k] if p.points[k] > 0.0 else 0.0
-    p.misfit[k] = max(before + misfit - _EXPECTED - p.crossing[k], 0.0)
+    expected = _EXPECTED + p.crossing[k]  # on a border the pitch is a channel more
+    p.misfit[k] = max(before + misfit - expected, 0.0)
     p.points[k] += 1.0
     if p.misfit[k] > CONTRADICTION_OF_POINTS and p.points[k] > 2.0 and p.crossing[k] == 0.0:
         cross_here(banks, k, numbers)

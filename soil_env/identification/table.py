@@ -87,7 +87,7 @@ class TableEstimate:
     exact: tuple[str, ...]  # of slip and load, what the setup gives no noise for
     converged: bool
     law_error: float  # relative error of the stress laws that the table suggests, root mean square
-    check_first: tuple[str, ...]  # of `warnings`: units and signs of setup and table that cannot be right
+    check_first: tuple[str, ...]  # of `warnings`: what looks like a wrong unit in setup or table
     warnings: tuple[str, ...]
 
 
@@ -328,19 +328,20 @@ def _doubts(
                 "its prior: prior, table or laws are wrong."
             )
     exact = " and ".join(_exact(problem))
-    first = f"Check first whether {exact} can be taken as exact (noise: in the setup); else an" if exact else "An"
+    first = f"Check whether {exact} can be taken as exact (noise: in the setup)" if exact else "Check units and signs"
+    first += ", then whether an effect is missing: python -m soil_env.discrepancy tries both."
     for name, fit in fits.items():
         if fit.p_value < 1e-3 / len(fits):
             rms = math.sqrt(float(np.nanmean(fit.residual**2)))
             words.append(
                 f"The base model does not fit the {name.replace('_', ' ')} to its noise: residuals are {rms:.1f} times "
-                f"the given standard deviation. The intervals allow for stress laws that are wrong, not for an effect "
-                f"that is missing. {first} effect may be."
+                f"the given standard deviation. The intervals allow for stress laws that are wrong, not for a wrong "
+                f"unit or sign or an effect that is missing. {first}"
             )
         elif fit.estimated and _follows(problem.rows.slip, problem.rows.load, plain.fits[name].residual):
             words.append(
                 f"The residuals of {name.replace('_', ' ')} follow slip and load instead of scattering: the base model "
-                f"does not fit, and its error counts here as noise. {first} effect may be missing."
+                f"does not fit, and its error counts here as noise. {first}"
             )
     few = problem.freedom[problem.estimated]
     if few.size and np.min(few) < SCARCE:

@@ -1,7 +1,7 @@
 """The task: what the agent observes, what it earns, when the episode ends and why.
 
-One layout serves all observation variants; forces, speeds and sinkage are relative to the wheel's weight, top rim
-speed and radius, so that they are of order one for any wheel.
+All observation variants begin with the same entries; forces, speeds and sinkage are relative to the wheel's weight,
+top rim speed and radius, so that they are of order one for any wheel.
 """
 
 from __future__ import annotations
@@ -289,7 +289,7 @@ def judge(state, counts, k, task):
     """`Cause` of wheel k after a step; advances its clocks, which stand still in halts.
 
     A wheel is immobilised when it has not got `no_progress_distance` further than ever before for `no_progress_time`,
-    whatever it does meanwhile, or has left the course backwards.
+    whatever it does meanwhile, has left the course backwards, or has sunk deeper than `bogged_sinkage` radii.
     """
     out_of_time = counts.steps[k] >= task.periods
     if state.halt_left[k] > 0.0:

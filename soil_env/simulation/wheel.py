@@ -177,6 +177,8 @@ def bearing_sinkage(sinkage, mobilised, soil):
 def relax_sinkage(sinkage, bearing, onto, speed, slip_speed, soil, length, h):
     """Sinkage [m] after h seconds of dz/dt = B z_w - A z + |V| (onto - z_w) / length (`effects.excavation_rate`).
 
+    Where z < z_w, 1/SETTLING_TIME is added to A and B: the wheel sinks under its load at once.
+
     `onto` [m] is the depth that travel leads to: z_w on fresh ground, that of the rut where the wheel has been.
     """
     a, b = excavation_rate(abs(speed), abs(slip_speed), soil.dig_gain, soil.dig_recovery, length)

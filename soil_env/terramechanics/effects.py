@@ -3,7 +3,8 @@
 `catalogue.py` lists the effects with their parameters, bounds and sources. Their values reach the kernels as one
 `Effects` tuple, in which every parameter has a neutral value that switches its law off. An effect acts at one of four
 places: on the soil under the wheel (`soil_in_contact`), on the contact arc and the shear law (`arc_ends`,
-`shear_law`), as an added force (`added_forces`), or on what is measured (`true_slip`, `drive_torque`).
+`shear_law`), as an added force (`reaction.ground_under`, `steady.steady_with`), or on what is measured (`true_slip`,
+`drive_torque`).
 """
 
 from __future__ import annotations

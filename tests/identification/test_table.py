@@ -278,7 +278,7 @@ def test_noise_in_the_slip_is_the_first_thing_to_check(tmp_path):
     table = table_of(tmp_path, rows, rng)
     e = identify_table(table, setup_of(known))
     assert e.exact == ("slip", "load")
-    assert any("Check first whether slip and load can be taken as exact" in w for w in e.warnings)
+    assert any("Check whether slip and load can be taken as exact" in w for w in e.warnings)
     e = identify_table(table, setup_of(known, SD | {"slip": 0.05, "load": 0.5}))
     assert e.exact == () and e.warnings == ()
 

@@ -140,7 +140,9 @@ def summary(report: Report) -> str:
         parts.append(f"With {_what(report)}, {_shrinks(report)}.")
         parts += [text for text in _of_gap(report) if "rises" in text]
     if report.verdict in ("named", "partly", "ambiguous") and MENTIONED <= finding.remainder < NAMED:
-        parts.append(f"That something is missing that is in no catalogue has {_sure(finding.remainder)}.")
+        parts.append(
+            f"The probability that something is missing that is in no catalogue is {_sure(finding.remainder)}."
+        )
     if finding.scatter > SCATTERED:
         parts.append(
             f"The values scatter by {finding.scatter:.1f} times their noise about any smooth law: rows on different "

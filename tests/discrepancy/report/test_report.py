@@ -121,7 +121,7 @@ def test_the_summary_says_what_the_probabilities_say(planted, nothing):
     assert "Not ruled out instead: bulldozing" in told(0.7, 0.3, 0.0, 0.0, 0.0)
     assert "in no catalogue (probability 90 %)" in told(0.1, 0.0, 0.0, 0.0, 0.9)
     assert "Something is missing with a probability of 85 %" in told(0.45, 0.4, 0.0, 0.15, 0.0)
-    assert "missing that is in no catalogue has 30 %" in told(0.7, 0.0, 0.1, 0.0, 0.2)
+    assert "missing that is in no catalogue is 30 %" in told(0.7, 0.0, 0.1, 0.0, 0.2)
 
 
 def test_something_in_no_catalogue_has_one_probability(planted):
@@ -130,7 +130,7 @@ def test_something_in_no_catalogue_has_one_probability(planted):
     parts = ((one, False, 0.83), (one, True, 0.05), (base, False, 0.1), (base, True, 0.02))
     hypotheses = tuple(dataclasses.replace(h, free=free, probability=p) for h, free, p in parts)
     report = dataclasses.replace(planted, finding=dataclasses.replace(planted.finding, hypotheses=hypotheses))
-    assert "in no catalogue has 7 %" in words.summary(report)
+    assert "in no catalogue is 7 %" in words.summary(report)
     assert "in no catalogue 0.070 (0.020 of it with nothing that is listed)" in " ".join(text(report).split())
     assert content(report)["probability"]["remainder"] == pytest.approx(0.07)
 
