@@ -35,10 +35,10 @@ from ..evaluate.study import code_version
 from ..evaluate.tuning import kept_settings
 from ..ppo import load_agent
 from ..progress import Bar
-from . import log
-from .log import Commissioning
+from . import drives, table
+from .drives import Commissioning
 
-CLASSICAL = ("constant_speed", "fixed_slip", "best_slip_identified")
+CLASSICAL = ("soft_start", "best_slip_identified")
 PPO = "ppo_identified"
 CONTROLLERS = (*CLASSICAL, PPO)
 UNCORRECTED, CORRECTED = ARMS = ("uncorrected", "corrected")
@@ -71,10 +71,10 @@ def read_worlds(paths: list[Path], scenario: Scenario) -> dict[str, dict]:
     out = {}
     for path in map(Path, paths):
         model, w = WheelSoilModel.load(path), scenario.wheel
-        if not model.effects:
+        if not model.effects and not model.residual:
             raise ParameterError(f"{path}: no effects; expected a world with at least one that is hidden")
-        if model.soil is not None or model.residual:
-            raise ParameterError(f"{path}: expected effects only: the courses have the soils of the scenario")
+        if model.soil is not None:
+            raise ParameterError(f"{path}: expected no soil: the courses have the soils of the scenario")
         if (model.wheel.radius, model.wheel.width) != (w.radius, w.width):
             raise ParameterError(
                 f"{path}: wheel of radius {model.wheel.radius:g} m and width {model.wheel.width:g} m: expected that of "
@@ -114,35 +114,39 @@ def run(study: Study, folder: Path, say: Callable[[str], None]) -> None:
 
 def corrected_arm(study: Study, base: Arm, here: Path, found: WheelSoilModel, say) -> Arm:
     """The corrected arm of a world: the uncorrected one where nothing was found to be missing."""
-    return Arm(study, here / CORRECTED, found, say) if found.effects else base
+    return Arm(study, here / CORRECTED, found, say) if found.effects or found.residual else base
 
 
 # --- from the log to the corrected model ------------------------------------------------------------------------------
 
 
 def correct(study: Study, name: str, here: Path, say: Callable[[str], None]) -> WheelSoilModel:
-    """Log, table, workflow; the effects found as a model for the soils of the scenario, kept in corrected.yaml."""
-    table, setup, kept = here / "table.csv", here / "setup.yaml", here / "corrected.yaml"
+    """Log, table, workflow; what was found as a model for the soils of the scenario, kept in corrected.yaml.
+
+    The effects of the workflow's model keep their parameters. Its residual law is written in dimensionless groups of
+    slip, load and soil, so that it says something of other soils as well; every group is held inside the range that it
+    had on the bed.
+    """
+    data, setup, kept = here / "table.csv", here / "setup.yaml", here / "corrected.yaml"
     if kept.is_file():
         return WheelSoilModel.load(kept)
     here.mkdir(parents=True, exist_ok=True)
     plan, hidden = study.commissioning, study.world(name)
     if not setup.is_file():
-        with Bar(f"Commissioning in {name}", log.drives_in_all(plan), "drives") as bar:
-            drives = log.drive_all(study.scenario, hidden, plan, study.seed,
+        with Bar(f"Commissioning in {name}", drives.drives_in_all(plan), "drives") as bar:
+            log = drives.drive_all(study.scenario, hidden, plan, study.seed,
                                    lambda count, note: bar.update(advance=count, note=note))  # fmt: skip
-        points = log.steady_points(drives, study.scenario, plan)
-        content = log.setup(study.scenario, hidden.wheel, plan, points)
-        log.write_table(points, table)
-        log.write_setup(content, setup)
+        points = table.steady_points(log, study.scenario, plan)
+        content = table.setup(study.scenario, hidden.wheel, plan, points)
+        table.write_table(points, data)
+        table.write_setup(content, setup)
     say(f"{name}: discrepancy workflow")
     workflow = here / "discrepancy"
     for left in (workflow, *here.glob(".report-*")):  # by a run that was killed
         shutil.rmtree(left, ignore_errors=True)
-    report = find_discrepancy(table, setup, workflow, seed=study.seed, progress=None)
-    # effects by name only: a law without a name holds on the bed that it was fitted to
+    report = find_discrepancy(data, setup, workflow, seed=study.seed, progress=None)
     named = report.model.effects if report.effects else {}
-    model = WheelSoilModel(hidden.wheel, None, named, (), report.model.gravity)
+    model = WheelSoilModel(hidden.wheel, None, named, report.model.residual, report.model.gravity)
     model.save(kept)
     return model
 
@@ -166,8 +170,8 @@ class Arm:
             self._train(k)
 
     def _settings(self) -> dict:
-        path, study = self.folder / "tuned.json", self.study
-        return kept_settings(path, study.scenario, study.tuning_courses, CLASSICAL, None, self.model)
+        path, study = self.folder / "tuned.json", self.study  # anew: with as many trials in every arm
+        return kept_settings(path, study.scenario, study.tuning_courses, CLASSICAL, None, self.model, anew=True)
 
     def _train(self, k: int) -> None:
         """Train PPO agent k, from its checkpoint where there is one."""

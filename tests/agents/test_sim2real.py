@@ -15,8 +15,9 @@ from agents.evaluate.study import load_study
 from agents.ppo import PPOConfig, TrainConfig, load_agent, load_config, read_meta
 from agents.sb3 import SoilWheelVecEnv
 from agents.sim2real import __main__ as command
-from agents.sim2real import log, report, study
-from agents.sim2real.log import Commissioning
+from agents.sim2real import drives as driving
+from agents.sim2real import report, study, table
+from agents.sim2real.drives import Commissioning
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.measurement.table import read_setup, read_table
 from soil_env.parameters import load_scenario, soils
@@ -34,19 +35,19 @@ PLAN = Commissioning(
 def drives():
     """(world, log, points) of a hidden world with bulldozing."""
     world = WheelSoilModel.load(WORLDS / "bulldozing.yaml")
-    drives = log.drive_all(SCENARIO, world, PLAN, 3)
-    return world, drives, log.steady_points(drives, SCENARIO, PLAN)
+    drives = driving.drive_all(SCENARIO, world, PLAN, 3)
+    return world, drives, table.steady_points(drives, SCENARIO, PLAN)
 
 
 def test_table_and_setup_are_read_back(drives, tmp_path):
     world, _, points = drives
-    log.write_table(points, tmp_path / "table.csv")
-    log.write_setup(log.setup(SCENARIO, world.wheel, PLAN, points), tmp_path / "setup.yaml")
+    table.write_table(points, tmp_path / "table.csv")
+    table.write_setup(table.setup(SCENARIO, world.wheel, PLAN, points), tmp_path / "setup.yaml")
     setup = read_setup(tmp_path / "setup.yaml")
-    table = read_table(tmp_path / "table.csv", setup.wheel)
-    assert len(table) == len(points) > 10
-    assert table.given == set(log.COLUMNS)
-    assert np.allclose(table.slip, [p.mean["slip"] for p in points], rtol=1e-5)
+    read = read_table(tmp_path / "table.csv", setup.wheel)
+    assert len(read) == len(points) > 10
+    assert read.given == set(table.COLUMNS)
+    assert np.allclose(read.slip, [p.mean["slip"] for p in points], rtol=1e-5)
     assert setup.soil.dig_gain.value == soils()[PLAN.soil].dig_gain and setup.soil.dig_gain.known
     assert setup.soil.friction_angle_deg.sd == SCENARIO.belief.friction_sd_deg
     assert len((tmp_path / "table.errors.csv").read_text().splitlines()) == len(points) + 1
@@ -55,11 +56,11 @@ def test_table_and_setup_are_read_back(drives, tmp_path):
 def test_points_are_steady_values_of_the_world_on_its_bed(drives):
     """Means of the log agree with the steady prediction of the true model, within the noise that the setup states."""
     world, _, points = drives
-    bed = log.bed_soil(SCENARIO, PLAN, np.random.default_rng([3, 7]))
+    bed = driving.bed_soil(SCENARIO, PLAN, np.random.default_rng([3, 7]))
     at = {name: np.array([p.mean[name] for p in points]) for name in ("slip", "load", "speed")}
     expected = WheelSoilModel(world.wheel, bed, world.effects).predict(at)
-    noise = log.repeat_noise(PLAN, points)
-    for name in log.CHANNELS:
+    noise = table.repeat_noise(PLAN, points)
+    for name in table.CHANNELS:
         e = (np.array([p.mean[name] for p in points]) - getattr(expected, name)) / noise[name]
         assert np.sqrt(np.mean(e**2)) < 1.4, name
         assert abs(e.mean()) < 0.6, name
@@ -70,22 +71,22 @@ def _readings(n=40, **drift):
     flat = {"slip": 0.1, "sinkage": 0.03, "drawbar_pull": 10.0, "load": 150.0, "torque": 5.0, "speed": 0.1}
     readings = {name: value + drift.get(name, 0.0) * t for name, value in flat.items()}
     zero = np.zeros(n, dtype=int)
-    return log.Log(zero, zero, t, np.ones(n, dtype=bool), readings)
+    return driving.Log(zero, zero, t, np.ones(n, dtype=bool), readings)
 
 
 @pytest.mark.parametrize("drift", [{"speed": 0.02}, {"sinkage": 0.003}, {"slip": 0.02}])
 def test_a_window_that_drifts_is_not_steady(drift):
     rows = np.arange(40)
-    assert log.steady(_readings(), rows, SCENARIO, PLAN)
-    assert not log.steady(_readings(**drift), rows, SCENARIO, PLAN)
+    assert table.steady(_readings(), rows, SCENARIO, PLAN)
+    assert not table.steady(_readings(**drift), rows, SCENARIO, PLAN)
 
 
 def test_a_window_that_scatters_or_stands_is_not_steady():
     rows, shaken, standing = np.arange(40), _readings(), _readings()
     shaken.readings["slip"][::2] += 0.1
     standing.readings["speed"][:] = 0.0
-    assert not log.steady(shaken, rows, SCENARIO, PLAN)
-    assert not log.steady(standing, rows, SCENARIO, PLAN)
+    assert not table.steady(shaken, rows, SCENARIO, PLAN)
+    assert not table.steady(standing, rows, SCENARIO, PLAN)
 
 
 def test_points_lie_after_the_run_in_and_last_long_enough(drives):
@@ -105,9 +106,9 @@ def test_repeat_noise_is_that_of_the_readings_and_of_slip():
     for run in range(len(plan.payloads) * len(plan.grades_deg) * plan.repeats):
         true = 0.1 * (run // plan.repeats % len(plan.grades_deg))
         slip = true + 0.004 * rng.standard_normal()
-        mean = {name: 100.0 * true + 0.5 * rng.standard_normal() for name in log.CHANNELS}
-        points.append(log.Steady(run, 0, 0.0, 1.0, {"slip": slip, **mean}, {}))
-    for value in log.repeat_noise(plan, points).values():
+        mean = {name: 100.0 * true + 0.5 * rng.standard_normal() for name in table.CHANNELS}
+        points.append(table.Steady(run, 0, 0.0, 1.0, {"slip": slip, **mean}, {}))
+    for value in table.repeat_noise(plan, points).values():
         assert value == pytest.approx(np.hypot(0.5, 0.4), rel=0.15)
 
 
