@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,13 +16,14 @@ from agents.evaluate.study import load_study
 from agents.ppo import PPOConfig, TrainConfig, load_agent, load_config, read_meta
 from agents.sb3 import SoilWheelVecEnv
 from agents.sim2real import __main__ as command
+from agents.sim2real import carried, report, study, table
 from agents.sim2real import drives as driving
-from agents.sim2real import report, study, table
 from agents.sim2real.drives import Commissioning
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.measurement.table import read_setup, read_table
 from soil_env.parameters import load_scenario, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.vector_env import SoilWheelVectorEnv
 
 WORLDS = Path(__file__).resolve().parents[2] / "configs" / "worlds"
@@ -167,6 +169,34 @@ def test_nothing_named_is_nothing_corrected(tmp_path):
     assert study.corrected_arm(asked, base, tmp_path, nothing, base.say) is base
 
 
+def test_a_law_without_a_name_is_carried_over_with_its_range(tmp_path, monkeypatch):
+    """The corrected model has the law of the workflow's model, on the soils of the scenario, and an arm of its own."""
+    term = ResidualTerm("drawbar_pull", -0.04, {"slip": 1.0}, {"slip": [0.1, 0.3]})
+    soil = soils()["dry_sand"]
+    unlisted = SimpleNamespace(effects=(), model=WheelSoilModel(ModelWheel(0.15, 0.15), soil, {}, (term,)))
+    monkeypatch.setattr(study, "find_discrepancy", lambda *_, **__: unlisted)
+    (tmp_path / "setup.yaml").touch()  # the drives are over
+    asked = tiny([WORLDS / "bulldozing.yaml"])
+    found = study.correct(asked, "bulldozing", tmp_path, lambda text: None)
+    assert found.soil is None and not found.effects
+    assert found.residual == (term,) == WheelSoilModel.load(tmp_path / "corrected.yaml").residual
+    base = study.Arm(asked, tmp_path, None, lambda text: None)
+    assert study.corrected_arm(asked, base, tmp_path, found, base.say).model is found
+
+
+def test_forces_left_are_those_of_what_acts():
+    """A pull of -3 % of the load in the hidden world: that much is left without it, and nothing with it."""
+    wheel, w = ModelWheel(0.15, 0.15), SCENARIO.weight
+    hidden = WheelSoilModel(wheel, residual=(ResidualTerm("drawbar_pull", -0.03),))
+    sensors = WheelSoilModel(wheel, None, {"slip_bias": {"offset": 0.05}, "sinkage_offset": {"offset": 0.01}})
+    left = carried.left(SCENARIO, hidden, {"nothing": None, "sensors": sensors, "all": hidden})
+    loads = w + np.array(SCENARIO.course.payload) * SCENARIO.gravity
+    assert left["nothing"]["drawbar_pull"] == pytest.approx(0.03 * np.sqrt(np.mean(loads**2)), rel=1e-6)
+    assert left["nothing"]["torque"] == pytest.approx(0.0, abs=1e-9)
+    assert left["sensors"] == left["nothing"]
+    assert left["all"] == {"drawbar_pull": 0.0, "torque": 0.0}
+
+
 def test_gaps_are_those_of_the_scores():
     """gap = own - hidden; its change = after - before."""
 
@@ -197,7 +227,7 @@ def test_shipped_worlds_can_be_played(path):
 
         ("wheel: {radius: 0.3, width: 0.15}\neffects: {bulldozing: {hegedus: 1.0}}", "that of scenario"),
         ("soil: {friction_angle_deg: 30, cohesion: 0, shear_modulus: 0.01, sinkage_exponent: 1, "
-         "sinkage_coefficient: 1.0e+6}\neffects: {bulldozing: {hegedus: 1.0}}", "effects only"),
+         "sinkage_coefficient: 1.0e+6}\neffects: {bulldozing: {hegedus: 1.0}}", "expected no soil"),
     ],
 )  # fmt: skip
 def test_bad_worlds_are_refused_in_one_line(content, expected, tmp_path, capsys):
