@@ -55,6 +55,7 @@ _NUMBERS = {
     "seed": "of drives, training and bootstraps",
     "timesteps": "environment steps of each PPO training",
     "training_seeds": "PPO trainings of each arm",
+    "logs": "logs of drives in each world; controllers are made from the first",
     "courses": "held-out courses",
     "tuning_courses": "courses that the classical controllers are tuned on",
 }

@@ -26,7 +26,7 @@ from ..evaluate.tables import cell, draw_intervals
 from ..progress import show
 from . import carried
 from .drives import bed_soil
-from .study import ARMS, CONTROLLERS, CORRECTED, PPO, UNCORRECTED, Study, scores
+from .study import ARMS, CONTROLLERS, CORRECTED, PPO, UNCORRECTED, Study, another_log, scores
 
 FILES = ("sim2real.json", "sim2real.md", "sim2real.png")
 
@@ -34,12 +34,13 @@ FILES = ("sim2real.json", "sim2real.md", "sim2real.png")
 def result(study: Study, folder: Path) -> dict:
     """The content of sim2real.json.
 
-    {"scenario", "seed", ..., "worlds": {name: {"planted", "planted_law", "found", "law", "verdict", "alternatives",
-    "closed", "rows", "bed" (friction angle, true and calibrated), "forces" (`carried.left`), "corrected" (whether
-    anything was found), "controllers": {controller: {metric: {"uncorrected", "corrected", "difference"}, "gap":
-    {"before", "after", "change"}, "gap_same": {"before", "after"}}}}}}; scores are {"value", "low", "high"}, 95 %.
-    difference = corrected - uncorrected on the same hidden courses. gap = return on the simulation that the controller
-    was made on - return in the hidden world; gap_same = the same of the uncorrected controller on both simulations.
+    {"scenario", "seed", ..., "worlds": {name: {"planted", "planted_law", "found", "law", "verdict", "probabilities",
+    "alternatives", "closed", "rows", "bed" (friction angle, true and calibrated), "forces" (`carried.left`), "logs"
+    (the same of further logs), "corrected" (whether anything was found), "controllers": {controller: {metric:
+    {"uncorrected", "corrected", "difference"}, "gap": {"before", "after", "change"}, "gap_same": {"before",
+    "after"}}}}}}; scores are {"value", "low", "high"}, 95 %. difference = corrected - uncorrected on the same hidden
+    courses. gap = return on the simulation that the controller was made on - return in the hidden world; gap_same = the
+    same of the uncorrected controller on both simulations.
     """
     folder = Path(folder)
     draws = st.draws(study.seed, study.courses, study.bootstrap)
@@ -50,43 +51,47 @@ def result(study: Study, folder: Path) -> dict:
         "training_seeds": study.training_seeds,
         "courses": study.courses,
         "tuning_courses": study.tuning_courses,
+        "logs": study.logs,
         "commissioning": study.commissioning.soil,
         "version": study.version,
         "worlds": {name: _world(study, folder, name, draws) for name in study.worlds},
     }
 
 
+def _found(study: Study, name: str, here: Path, seed: int) -> dict:
+    """What the workflow made of one log."""
+    report = json.loads((here / "discrepancy" / "report.json").read_text(encoding="utf-8"))
+    found, world = WheelSoilModel.load(here / "corrected.yaml"), study.world(name)
+    bed = bed_soil(study.scenario, study.commissioning, np.random.default_rng([seed, 7]))
+    models = {"uncorrected": None, "named": replace(found, residual=()), "corrected": found}
+    return {
+        "verdict": report["verdict"],
+        "found": {k: dict(v) for k, v in found.effects.items()},
+        "law": [f"{t.channel} {t}" for t in found.residual],
+        "probabilities": {e["name"]: e["probability"] for e in report["effects"]},
+        "alternatives": {e["name"]: e["alternatives"] for e in report["effects"]},
+        "closed": report["closed"],
+        "rows": report["rows"],
+        "bed": {"true": float(bed.friction_angle_deg), "calibrated": report["soil"]["friction_angle_deg"]["value"]},
+        "forces": carried.left(study.scenario, world, models),
+    }
+
+
 def _world(study: Study, folder: Path, name: str, draws: st.Draws) -> dict:
     here = folder / "worlds" / name
-    report = json.loads((here / "discrepancy" / "report.json").read_text(encoding="utf-8"))
-    found, hidden_world = WheelSoilModel.load(here / "corrected.yaml"), study.world(name)
-    corrected = bool(found.effects or found.residual)
+    first = _found(study, name, here, study.seed)
+    corrected = bool(first["found"] or first["law"])
     own = {UNCORRECTED: folder / UNCORRECTED / "runs", CORRECTED: here / CORRECTED / "runs"}
     hidden = {arm: here / "runs" / arm for arm in ARMS}
     foretold = here / "runs" / "foretold"
     if not corrected:
         own[CORRECTED], hidden[CORRECTED], foretold = own[UNCORRECTED], hidden[UNCORRECTED], own[UNCORRECTED]
-    bed = bed_soil(study.scenario, study.commissioning, np.random.default_rng([study.seed, 7]))
     settings = {arm: json.loads((own[arm].parent / "tuned.json").read_text(encoding="utf-8")) for arm in ARMS}
     return {
         "planted": study.worlds[name]["effects"],
-        "planted_law": [f"{t.channel} {t}" for t in hidden_world.residual],
-        "verdict": report["verdict"],
-        "found": {k: dict(v) for k, v in found.effects.items()},
-        "law": [f"{t.channel} {t}" for t in found.residual],
-        "bed": {"true": float(bed.friction_angle_deg), "calibrated": report["soil"]["friction_angle_deg"]["value"]},
-        "forces": carried.left(
-            study.scenario,
-            hidden_world,
-            {
-                "uncorrected": None,
-                "named": replace(found, residual=()),
-                "corrected": found,
-            },
-        ),
-        "alternatives": {e["name"]: e["alternatives"] for e in report["effects"]},
-        "closed": report["closed"],
-        "rows": report["rows"],
+        "planted_law": [f"{t.channel} {t}" for t in study.world(name).residual],
+        **first,
+        "logs": [_found(study, name, another_log(here, k), study.seed + k) for k in range(1, study.logs)],
         "corrected": corrected,
         "settings": settings,
         "controllers": {
@@ -187,7 +192,7 @@ def command(result: dict) -> str:
     if result["scenario"] != DEFAULT_SCENARIO:
         words.append(f"--scenario {result['scenario']}")
     default = Study.__dataclass_fields__
-    for name in ("timesteps", "training_seeds", "courses", "tuning_courses"):
+    for name in ("timesteps", "training_seeds", "courses", "tuning_courses", "logs"):
         if result[name] != default[name].default:
             words.append(f"--{name.replace('_', '-')} {result[name]}")
     return " ".join([*words, f"--seed {result['seed']}", "--out OUT"])
@@ -208,9 +213,13 @@ def page(result: dict) -> str:
         r=result,
         command=command(result),
         worlds=_markdown(("world", "planted", "found"), worlds),
-        forces=_markdown(("world", *_FORCES), [(n, *_forces(w)) for n, w in result["worlds"].items()]),
+        forces=_markdown(("world", "found", *_FORCES), [
+            (f"{n}, log {k}", *_forces(found))
+            for n, w in result["worlds"].items() for k, found in enumerate((w, *w["logs"]), 1)
+        ]),
         summaries=[summary(n, w) for n, w in result["worlds"].items()],
         immobilised=_by_controller(result, arms, lambda m: _arms(m["immobilised"], 100.0, 1)),
+        finished=_by_controller(result, arms, lambda m: _arms(m["finished"], 100.0, 1)),
         returns=_by_controller(result, arms, lambda m: _arms(m["return"])),
         gap=_by_controller(result, changes, lambda m: [
             cell(x, sign=True) for x in (*m["gap"].values(), m["gap_same"]["after"])
@@ -226,10 +235,12 @@ _FORCES = ("bed, true friction angle [deg]", "calibrated [deg]", "pull off by [N
            "corrected", "torque off by [N m], uncorrected", "named effects alone", "corrected")  # fmt: skip
 
 
-def _forces(world: dict) -> list[str]:
-    """Cells of a world: the bed's friction, and what is left of the forces."""
-    left = [f"{world['forces'][m][c]:.2f}" for c in carried.CHANNELS for m in ("uncorrected", "named", "corrected")]
-    return [f"{world['bed'][k]:.1f}" for k in ("true", "calibrated")] + left
+def _forces(found: dict) -> list[str]:
+    """Cells of a log: what was found, the bed's friction, and what is left of the forces."""
+    names = [f"{k} {found['probabilities'][k]:.2f}" for k in found["found"] if k in found["probabilities"]]
+    words = f"{found['verdict']}: " + (", ".join([*names, *["a law"][: len(found["law"])]]) or "nothing")
+    left = [f"{found['forces'][m][c]:.2f}" for c in carried.CHANNELS for m in ("uncorrected", "named", "corrected")]
+    return [words, *(f"{found['bed'][k]:.1f}" for k in ("true", "calibrated")), *left]
 
 
 def _by_controller(result: dict, header: tuple[str, ...], cells) -> str:

@@ -7,6 +7,7 @@ worlds/NAME/
   table.csv  setup.yaml          from the log of the commissioning drives in the hidden world
   discrepancy/                   report.json, report.html, model.yaml of `soil_env.discrepancy`
   corrected.yaml                 the effects found, for the soils of the scenario
+  logs/K/                        the same of further logs, for what is found again
   corrected/                     as uncorrected/, on that model
   runs/                          both arms in the hidden world
 """
@@ -53,6 +54,7 @@ class Study(Checked):
     worlds: dict = field(default_factory=dict)  # name -> content of its model.yaml
     seed: int = quantity("of the drives, the training and the bootstraps", 0, 2**31 - 1, default=0)
     timesteps: int = quantity("environment steps of each PPO training", 1, 10**12, default=3_000_000)
+    logs: int = quantity("logs of each world; all but the first for what is found only", 1, 100, default=3)
     training_seeds: int = quantity("PPO trainings of each arm", 1, 100, default=2)
     courses: int = quantity("held-out courses", 2, 10**6, default=1000)
     tuning_courses: int = quantity("courses that the classical controllers are tuned on", 1, 10**6, default=100)
@@ -100,7 +102,9 @@ def run(study: Study, folder: Path, say: Callable[[str], None]) -> None:
     base.drive(base.folder / "runs", None, "on the simulation it was made on")
     for name in study.worlds:
         here, hidden = folder / "worlds" / name, study.world(name)
-        found = correct(study, name, here, say)
+        for k in range(1, study.logs):
+            correct(study, name, another_log(here, k), say, study.seed + k)
+        found = correct(study, name, here, say, study.seed)
         say(f"{name}: uncorrected controllers in the hidden world")
         base.drive(here / "runs" / UNCORRECTED, hidden, f"in hidden world {name}")
         arm = corrected_arm(study, base, here, found, say)
@@ -112,6 +116,11 @@ def run(study: Study, folder: Path, say: Callable[[str], None]) -> None:
             base.drive(here / "runs" / "foretold", found, "uncorrected controllers on the corrected model")
 
 
+def another_log(here: Path, k: int) -> Path:
+    """Folder of log `k` of a world: of other drives on another bed."""
+    return here / "logs" / str(k)
+
+
 def corrected_arm(study: Study, base: Arm, here: Path, found: WheelSoilModel, say) -> Arm:
     """The corrected arm of a world: the uncorrected one where nothing was found to be missing."""
     return Arm(study, here / CORRECTED, found, say) if found.effects or found.residual else base
@@ -120,7 +129,7 @@ def corrected_arm(study: Study, base: Arm, here: Path, found: WheelSoilModel, sa
 # --- from the log to the corrected model ------------------------------------------------------------------------------
 
 
-def correct(study: Study, name: str, here: Path, say: Callable[[str], None]) -> WheelSoilModel:
+def correct(study: Study, name: str, here: Path, say: Callable[[str], None], seed: int) -> WheelSoilModel:
     """Log, table, workflow; what was found as a model for the soils of the scenario, kept in corrected.yaml.
 
     The effects of the workflow's model keep their parameters. Its residual law is written in dimensionless groups of
@@ -134,7 +143,7 @@ def correct(study: Study, name: str, here: Path, say: Callable[[str], None]) -> 
     plan, hidden = study.commissioning, study.world(name)
     if not setup.is_file():
         with Bar(f"Commissioning in {name}", drives.drives_in_all(plan), "drives") as bar:
-            log = drives.drive_all(study.scenario, hidden, plan, study.seed,
+            log = drives.drive_all(study.scenario, hidden, plan, seed,
                                    lambda count, note: bar.update(advance=count, note=note))  # fmt: skip
         points = table.steady_points(log, study.scenario, plan)
         content = table.setup(study.scenario, hidden.wheel, plan, points)
@@ -144,7 +153,7 @@ def correct(study: Study, name: str, here: Path, say: Callable[[str], None]) -> 
     workflow = here / "discrepancy"
     for left in (workflow, *here.glob(".report-*")):  # by a run that was killed
         shutil.rmtree(left, ignore_errors=True)
-    report = find_discrepancy(data, setup, workflow, seed=study.seed, progress=None)
+    report = find_discrepancy(data, setup, workflow, seed=seed, progress=None)
     named = report.model.effects if report.effects else {}
     model = WheelSoilModel(hidden.wheel, None, named, report.model.residual, report.model.gravity)
     model.save(kept)

@@ -117,7 +117,7 @@ def test_repeat_noise_is_that_of_the_readings_and_of_slip():
 def tiny(worlds, **changes):
     """A study that takes seconds."""
     values = {
-        "timesteps": 128, "training_seeds": 2, "courses": 5, "tuning_courses": 1, "bootstrap": 10,
+        "timesteps": 128, "training_seeds": 2, "courses": 5, "tuning_courses": 1, "bootstrap": 10, "logs": 2,
         "commissioning": PLAN, "ppo": PPOConfig(num_envs=8, n_steps=16, batch_size=64, n_epochs=1, layer=8),
     }  # fmt: skip
     return study.Study(SCENARIO, study.read_worlds(worlds, SCENARIO), **(values | changes))
@@ -150,7 +150,7 @@ def test_study_finds_the_planted_effect_reports_and_resumes(tmp_path):
     assert load_agent(trained).name == study.PPO
     # again: nothing is done twice, what is missing is done again with the same result
     times = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.zip")}
-    lost = tmp_path / "worlds/bulldozing/runs/corrected/fixed_slip.json"
+    lost = tmp_path / "worlds/bulldozing/runs/corrected/soft_start.json"
     before = lost.read_bytes()
     lost.unlink()
     study.begin(asked, tmp_path)
@@ -177,7 +177,7 @@ def test_a_law_without_a_name_is_carried_over_with_its_range(tmp_path, monkeypat
     monkeypatch.setattr(study, "find_discrepancy", lambda *_, **__: unlisted)
     (tmp_path / "setup.yaml").touch()  # the drives are over
     asked = tiny([WORLDS / "bulldozing.yaml"])
-    found = study.correct(asked, "bulldozing", tmp_path, lambda text: None)
+    found = study.correct(asked, "bulldozing", tmp_path, lambda text: None, asked.seed)
     assert found.soil is None and not found.effects
     assert found.residual == (term,) == WheelSoilModel.load(tmp_path / "corrected.yaml").residual
     base = study.Arm(asked, tmp_path, None, lambda text: None)
@@ -207,7 +207,7 @@ def test_gaps_are_those_of_the_scores():
         {"uncorrected": scores(8.0), "corrected": scores(5.0)},
         {"uncorrected": scores(2.0), "corrected": scores(4.0)},
     )
-    row = report._controller("fixed_slip", own, hidden, scores(3.0), draws(0, 4, 20), True)
+    row = report._controller("soft_start", own, hidden, scores(3.0), draws(0, 4, 20), True)
     assert [row["gap"][k]["value"] for k in ("before", "after", "change")] == [6.0, 1.0, -5.0]
     assert row["gap_same"]["after"]["value"] == 1.0
     assert row["return"]["difference"]["value"] == 2.0
