@@ -63,11 +63,12 @@ def _found(study: Study, name: str, here: Path, seed: int) -> dict:
     report = json.loads((here / "discrepancy" / "report.json").read_text(encoding="utf-8"))
     found, world = WheelSoilModel.load(here / "corrected.yaml"), study.world(name)
     bed = bed_soil(study.scenario, study.commissioning, np.random.default_rng([seed, 7]))
-    models = {"uncorrected": None, "named": replace(found, residual=()), "corrected": found}
+    law = WheelSoilModel.load(here / "discrepancy" / "model.yaml").residual
+    models = {UNCORRECTED: None, CORRECTED: found, "with_law": replace(found, residual=law)}
     return {
         "verdict": report["verdict"],
         "found": {k: dict(v) for k, v in found.effects.items()},
-        "law": [f"{t.channel} {t}" for t in found.residual],
+        "law": [f"{t.channel} {t}" for t in law],
         "probabilities": {e["name"]: e["probability"] for e in report["effects"]},
         "alternatives": {e["name"]: e["alternatives"] for e in report["effects"]},
         "closed": report["closed"],
@@ -80,7 +81,7 @@ def _found(study: Study, name: str, here: Path, seed: int) -> dict:
 def _world(study: Study, folder: Path, name: str, draws: st.Draws) -> dict:
     here = folder / "worlds" / name
     first = _found(study, name, here, study.seed)
-    corrected = bool(first["found"] or first["law"])
+    corrected = bool(first["found"])
     own = {UNCORRECTED: folder / UNCORRECTED / "runs", CORRECTED: here / CORRECTED / "runs"}
     hidden = {arm: here / "runs" / arm for arm in ARMS}
     foretold = here / "runs" / "foretold"
@@ -161,7 +162,7 @@ def planted_text(world: dict) -> str:
 
 def found_text(world: dict) -> str:
     """What the workflow found, in one line."""
-    law = "a law without a name: " + "; ".join(world["law"]) if world["law"] else ""
+    law = "a law without a name, which is not carried over: " + "; ".join(world["law"]) if world["law"] else ""
     text = ", ".join(filter(None, (effects_text(world["found"]), law)))
     others = [f"{k}: or {', '.join(v)}" for k, v in world["alternatives"].items() if v]
     closed = "" if world["closed"] is None else f"; gap of the table closed by {world['closed']:.1%}"
@@ -171,19 +172,23 @@ def found_text(world: dict) -> str:
 def summary(name: str, world: dict) -> str:
     """A world in one sentence, by what the intervals allow."""
     m = world["controllers"][PPO]
-    verdicts = {}
-    for c, row in world["controllers"].items():
-        d = row["immobilised"]["difference"]
-        kind = "less often" if d["high"] < 0.0 else "more often" if d["low"] > 0.0 else "no difference told apart"
-        verdicts.setdefault(kind, []).append(c)
     gap = f"gap in return of {PPO} {cell(m['gap']['before'], sign=True)}"
     if not world["corrected"]:
         return f"{name}: nothing is found, so nothing is corrected and both arms are the same; {gap}."
-    text = "; ".join(f"{kind} {', '.join(verdicts[kind])}" for kind in sorted(verdicts))
-    return (
-        f"{name}: immobilised after the correction: {text}. The {gap} before, "
-        f"{cell(m['gap']['after'], sign=True)} after."
-    )
+    stuck = _changes(world, "immobilised", "less often", "more often")
+    worth = _changes(world, "return", "lower", "higher")
+    after = cell(m["gap"]["after"], sign=True)
+    return f"{name}: immobilised after the correction: {stuck}. Return: {worth}. The {gap} before, {after} after."
+
+
+def _changes(world: dict, metric: str, falls: str, rises: str) -> str:
+    """'less often A; no difference told apart B': controllers by what the interval of the difference says."""
+    kinds: dict[str, list[str]] = {}
+    for c, row in world["controllers"].items():
+        d = row[metric]["difference"]
+        kind = falls if d["high"] < 0.0 else rises if d["low"] > 0.0 else "no difference told apart"
+        kinds.setdefault(kind, []).append(c)
+    return "; ".join(f"{kind} {', '.join(kinds[kind])}" for kind in sorted(kinds))
 
 
 def command(result: dict) -> str:
@@ -231,15 +236,15 @@ def _markdown(header, rows) -> str:
     return Table(header, rows).markdown()
 
 
-_FORCES = ("bed, true friction angle [deg]", "calibrated [deg]", "pull off by [N], uncorrected", "named effects alone",
-           "corrected", "torque off by [N m], uncorrected", "named effects alone", "corrected")  # fmt: skip
+_FORCES = ("bed, true friction angle [deg]", "calibrated [deg]", "pull off by [N], uncorrected", "corrected",
+           "with the law", "torque off by [N m], uncorrected", "corrected", "with the law")  # fmt: skip
 
 
 def _forces(found: dict) -> list[str]:
     """Cells of a log: what was found, the bed's friction, and what is left of the forces."""
     names = [f"{k} {found['probabilities'][k]:.2f}" for k in found["found"] if k in found["probabilities"]]
     words = f"{found['verdict']}: " + (", ".join([*names, *["a law"][: len(found["law"])]]) or "nothing")
-    left = [f"{found['forces'][m][c]:.2f}" for c in carried.CHANNELS for m in ("uncorrected", "named", "corrected")]
+    left = [f"{found['forces'][m][c]:.2f}" for c in carried.CHANNELS for m in (*ARMS, "with_law")]
     return [words, *(f"{found['bed'][k]:.1f}" for k in ("true", "calibrated")), *left]
 
 

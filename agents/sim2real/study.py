@@ -123,7 +123,7 @@ def another_log(here: Path, k: int) -> Path:
 
 def corrected_arm(study: Study, base: Arm, here: Path, found: WheelSoilModel, say) -> Arm:
     """The corrected arm of a world: the uncorrected one where nothing was found to be missing."""
-    return Arm(study, here / CORRECTED, found, say) if found.effects or found.residual else base
+    return Arm(study, here / CORRECTED, found, say) if found.effects else base
 
 
 # --- from the log to the corrected model ------------------------------------------------------------------------------
@@ -132,9 +132,8 @@ def corrected_arm(study: Study, base: Arm, here: Path, found: WheelSoilModel, sa
 def correct(study: Study, name: str, here: Path, say: Callable[[str], None], seed: int) -> WheelSoilModel:
     """Log, table, workflow; what was found as a model for the soils of the scenario, kept in corrected.yaml.
 
-    The effects of the workflow's model keep their parameters. Its residual law is written in dimensionless groups of
-    slip, load and soil, so that it says something of other soils as well; every group is held inside the range that it
-    had on the bed.
+    Effects that are named, in part or among others too, keep their parameters. A law without a name belongs to the soil
+    that it was fitted with, and is left behind: `carried.left` says what it would do on other soils.
     """
     data, setup, kept = here / "table.csv", here / "setup.yaml", here / "corrected.yaml"
     if kept.is_file():
@@ -155,7 +154,7 @@ def correct(study: Study, name: str, here: Path, say: Callable[[str], None], see
         shutil.rmtree(left, ignore_errors=True)
     report = find_discrepancy(data, setup, workflow, seed=seed, progress=None)
     named = report.model.effects if report.effects else {}
-    model = WheelSoilModel(hidden.wheel, None, named, report.model.residual, report.model.gravity)
+    model = WheelSoilModel(hidden.wheel, None, named, (), report.model.gravity)
     model.save(kept)
     return model
 

@@ -169,19 +169,16 @@ def test_nothing_named_is_nothing_corrected(tmp_path):
     assert study.corrected_arm(asked, base, tmp_path, nothing, base.say) is base
 
 
-def test_a_law_without_a_name_is_carried_over_with_its_range(tmp_path, monkeypatch):
-    """The corrected model has the law of the workflow's model, on the soils of the scenario, and an arm of its own."""
+def test_named_effects_are_carried_over_in_part_too_and_a_law_is_not(tmp_path, monkeypatch):
     term = ResidualTerm("drawbar_pull", -0.04, {"slip": 1.0}, {"slip": [0.1, 0.3]})
-    soil = soils()["dry_sand"]
-    unlisted = SimpleNamespace(effects=(), model=WheelSoilModel(ModelWheel(0.15, 0.15), soil, {}, (term,)))
-    monkeypatch.setattr(study, "find_discrepancy", lambda *_, **__: unlisted)
+    model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["dry_sand"], {"bulldozing": {"rankine": 1.0}}, (term,))
+    partly = SimpleNamespace(effects=("bulldozing",), model=model)
+    monkeypatch.setattr(study, "find_discrepancy", lambda *_, **__: partly)
     (tmp_path / "setup.yaml").touch()  # the drives are over
     asked = tiny([WORLDS / "bulldozing.yaml"])
     found = study.correct(asked, "bulldozing", tmp_path, lambda text: None, asked.seed)
-    assert found.soil is None and not found.effects
-    assert found.residual == (term,) == WheelSoilModel.load(tmp_path / "corrected.yaml").residual
-    base = study.Arm(asked, tmp_path, None, lambda text: None)
-    assert study.corrected_arm(asked, base, tmp_path, found, base.say).model is found
+    assert found.soil is None and found.effects == model.effects and found.residual == ()
+    assert WheelSoilModel.load(tmp_path / "corrected.yaml") == found
 
 
 def test_forces_left_are_those_of_what_acts():
