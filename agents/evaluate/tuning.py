@@ -156,13 +156,13 @@ def _on(bar: Bar) -> Progress:
     return lambda count, name: bar.update(advance=count, note=name)
 
 
-def kept_settings(path: Path, scenario: Scenario, courses: int, *options) -> dict[str, dict]:
+def kept_settings(path: Path, scenario: Scenario, courses: int, *options, anew: bool = False) -> dict[str, dict]:
     """The best settings of `tuned_settings`; found once and kept in the file `path`, the trials beside it meanwhile."""
+    log = path.with_suffix(".jsonl")
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
-        log = path.with_suffix(".jsonl")
-        write_json(path, tuned_settings(scenario, courses, *options, log=log)[0])
-        log.unlink(missing_ok=True)
+        write_json(path, tuned_settings(scenario, courses, *options, log=log, anew=anew)[0])
+    log.unlink(missing_ok=True)  # here: of a run that was killed between the two as well
     return json.loads(path.read_text(encoding="utf-8"))
 
 

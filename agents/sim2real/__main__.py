@@ -18,7 +18,7 @@ import argparse
 from pathlib import Path
 
 from soil_env._io.commands import command, command_line, label, leave
-from soil_env.parameters import load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 
 from ..cli import as_options, manual_parser
 from ..extras import needing_train
@@ -30,7 +30,7 @@ with needing_train(label(_NAME)):
     from . import report, study
 
 _EPILOG = """files:
-  YAML               model.yaml of a hidden world: `effects:` of the catalogue, `wheel:`; configs/worlds has five
+  YAML               model.yaml of a hidden world: `effects:` of the catalogue, `residual:`; see configs/worlds
   OUT/sim2real.*     .json, .md and .png: the comparison over all worlds
   OUT/worlds/WORLD/  table, report of the workflow, corrected model, what was tuned and trained on it
 
@@ -43,7 +43,8 @@ def parser() -> argparse.ArgumentParser:
     p = manual_parser(command(_NAME), __doc__, _EPILOG)
     p.add_argument("--world", metavar="YAML", nargs="+", required=True, help="model.yaml of each hidden world")
     p.add_argument("--out", metavar="OUT", type=Path, required=True, help="folder of the results")
-    p.add_argument("--scenario", metavar="NAME", default="mixed", help="name or YAML file (default: mixed)")
+    p.add_argument("--scenario", metavar="NAME", default=DEFAULT_SCENARIO,
+                   help=f"name or YAML file (default: {DEFAULT_SCENARIO})")  # fmt: skip
     for name, text in _NUMBERS.items():
         p.add_argument(f"--{name.replace('_', '-')}", metavar="N", type=int, default=default[name],
                        help=f"{text} (default: {default[name]})")  # fmt: skip
@@ -54,6 +55,7 @@ _NUMBERS = {
     "seed": "of drives, training and bootstraps",
     "timesteps": "environment steps of each PPO training",
     "training_seeds": "PPO trainings of each arm",
+    "logs": "logs of drives in each world; controllers are made from the first",
     "courses": "held-out courses",
     "tuning_courses": "courses that the classical controllers are tuned on",
 }

@@ -7,6 +7,7 @@ worlds/NAME/
   table.csv  setup.yaml          from the log of the commissioning drives in the hidden world
   discrepancy/                   report.json, report.html, model.yaml of `soil_env.discrepancy`
   corrected.yaml                 the effects found, for the soils of the scenario
+  logs/K/                        the same of further logs, for what is found again
   corrected/                     as uncorrected/, on that model
   runs/                          both arms in the hidden world
 """
@@ -35,10 +36,10 @@ from ..evaluate.study import code_version
 from ..evaluate.tuning import kept_settings
 from ..ppo import load_agent
 from ..progress import Bar
-from . import log
-from .log import Commissioning
+from . import drives, table
+from .drives import Commissioning
 
-CLASSICAL = ("constant_speed", "fixed_slip", "best_slip_identified")
+CLASSICAL = ("soft_start", "best_slip_identified")
 PPO = "ppo_identified"
 CONTROLLERS = (*CLASSICAL, PPO)
 UNCORRECTED, CORRECTED = ARMS = ("uncorrected", "corrected")
@@ -53,6 +54,7 @@ class Study(Checked):
     worlds: dict = field(default_factory=dict)  # name -> content of its model.yaml
     seed: int = quantity("of the drives, the training and the bootstraps", 0, 2**31 - 1, default=0)
     timesteps: int = quantity("environment steps of each PPO training", 1, 10**12, default=3_000_000)
+    logs: int = quantity("logs of each world; all but the first for what is found only", 1, 100, default=3)
     training_seeds: int = quantity("PPO trainings of each arm", 1, 100, default=2)
     courses: int = quantity("held-out courses", 2, 10**6, default=1000)
     tuning_courses: int = quantity("courses that the classical controllers are tuned on", 1, 10**6, default=100)
@@ -71,10 +73,10 @@ def read_worlds(paths: list[Path], scenario: Scenario) -> dict[str, dict]:
     out = {}
     for path in map(Path, paths):
         model, w = WheelSoilModel.load(path), scenario.wheel
-        if not model.effects:
+        if not model.effects and not model.residual:
             raise ParameterError(f"{path}: no effects; expected a world with at least one that is hidden")
-        if model.soil is not None or model.residual:
-            raise ParameterError(f"{path}: expected effects only: the courses have the soils of the scenario")
+        if model.soil is not None:
+            raise ParameterError(f"{path}: expected no soil: the courses have the soils of the scenario")
         if (model.wheel.radius, model.wheel.width) != (w.radius, w.width):
             raise ParameterError(
                 f"{path}: wheel of radius {model.wheel.radius:g} m and width {model.wheel.width:g} m: expected that of "
@@ -100,7 +102,9 @@ def run(study: Study, folder: Path, say: Callable[[str], None]) -> None:
     base.drive(base.folder / "runs", None, "on the simulation it was made on")
     for name in study.worlds:
         here, hidden = folder / "worlds" / name, study.world(name)
-        found = correct(study, name, here, say)
+        for k in range(1, study.logs):
+            correct(study, name, another_log(here, k), say, study.seed + k)
+        found = correct(study, name, here, say, study.seed)
         say(f"{name}: uncorrected controllers in the hidden world")
         base.drive(here / "runs" / UNCORRECTED, hidden, f"in hidden world {name}")
         arm = corrected_arm(study, base, here, found, say)
@@ -112,6 +116,11 @@ def run(study: Study, folder: Path, say: Callable[[str], None]) -> None:
             base.drive(here / "runs" / "foretold", found, "uncorrected controllers on the corrected model")
 
 
+def another_log(here: Path, k: int) -> Path:
+    """Folder of log `k` of a world: of other drives on another bed."""
+    return here / "logs" / str(k)
+
+
 def corrected_arm(study: Study, base: Arm, here: Path, found: WheelSoilModel, say) -> Arm:
     """The corrected arm of a world: the uncorrected one where nothing was found to be missing."""
     return Arm(study, here / CORRECTED, found, say) if found.effects else base
@@ -120,27 +129,30 @@ def corrected_arm(study: Study, base: Arm, here: Path, found: WheelSoilModel, sa
 # --- from the log to the corrected model ------------------------------------------------------------------------------
 
 
-def correct(study: Study, name: str, here: Path, say: Callable[[str], None]) -> WheelSoilModel:
-    """Log, table, workflow; the effects found as a model for the soils of the scenario, kept in corrected.yaml."""
-    table, setup, kept = here / "table.csv", here / "setup.yaml", here / "corrected.yaml"
+def correct(study: Study, name: str, here: Path, say: Callable[[str], None], seed: int) -> WheelSoilModel:
+    """Log, table, workflow; what was found as a model for the soils of the scenario, kept in corrected.yaml.
+
+    Effects that are named, in part or among others too, keep their parameters. A law without a name belongs to the soil
+    that it was fitted with, and is left behind: `carried.left` says what it would do on other soils.
+    """
+    data, setup, kept = here / "table.csv", here / "setup.yaml", here / "corrected.yaml"
     if kept.is_file():
         return WheelSoilModel.load(kept)
     here.mkdir(parents=True, exist_ok=True)
     plan, hidden = study.commissioning, study.world(name)
     if not setup.is_file():
-        with Bar(f"Commissioning in {name}", log.drives_in_all(plan), "drives") as bar:
-            drives = log.drive_all(study.scenario, hidden, plan, study.seed,
+        with Bar(f"Commissioning in {name}", drives.drives_in_all(plan), "drives") as bar:
+            log = drives.drive_all(study.scenario, hidden, plan, seed,
                                    lambda count, note: bar.update(advance=count, note=note))  # fmt: skip
-        points = log.steady_points(drives, study.scenario, plan)
-        content = log.setup(study.scenario, hidden.wheel, plan, points)
-        log.write_table(points, table)
-        log.write_setup(content, setup)
+        points = table.steady_points(log, study.scenario, plan)
+        content = table.setup(study.scenario, hidden.wheel, plan, points)
+        table.write_table(points, data)
+        table.write_setup(content, setup)
     say(f"{name}: discrepancy workflow")
     workflow = here / "discrepancy"
     for left in (workflow, *here.glob(".report-*")):  # by a run that was killed
         shutil.rmtree(left, ignore_errors=True)
-    report = find_discrepancy(table, setup, workflow, seed=study.seed, progress=None)
-    # effects by name only: a law without a name holds on the bed that it was fitted to
+    report = find_discrepancy(data, setup, workflow, seed=seed, progress=None)
     named = report.model.effects if report.effects else {}
     model = WheelSoilModel(hidden.wheel, None, named, (), report.model.gravity)
     model.save(kept)
@@ -166,8 +178,8 @@ class Arm:
             self._train(k)
 
     def _settings(self) -> dict:
-        path, study = self.folder / "tuned.json", self.study
-        return kept_settings(path, study.scenario, study.tuning_courses, CLASSICAL, None, self.model)
+        path, study = self.folder / "tuned.json", self.study  # anew: with as many trials in every arm
+        return kept_settings(path, study.scenario, study.tuning_courses, CLASSICAL, None, self.model, anew=True)
 
     def _train(self, k: int) -> None:
         """Train PPO agent k, from its checkpoint where there is one."""

@@ -33,7 +33,6 @@ from soil_env._io.commands import command_line, command_parser, leave, whole_num
 from soil_env._io.loading import ParameterError
 
 NAME = "benchmarks.blind"
-REPORTED = 2027
 
 
 @command_line(NAME, interrupted="go on with the same command")
@@ -127,8 +126,8 @@ def _parser() -> argparse.ArgumentParser:
                        help="only this group, see list; may be given several times")  # fmt: skip
         if name != "score":
             q.add_argument("--set", choices=list(SETS), default="laws", help="of the cases (default laws)")
-            q.add_argument("--seed", metavar="N", type=whole_number(), default=REPORTED,
-                           help=f"of the cases (default {REPORTED}, the reported one)")  # fmt: skip
+            q.add_argument("--seed", metavar="N", type=whole_number(), default=page.REPORTED,
+                           help=f"of the cases (default {page.REPORTED}, the reported one)")  # fmt: skip
             q.add_argument("--jobs", metavar="N", type=whole_number(1), default=1, help="processes (default 1)")
         if name == "run":
             q.add_argument(

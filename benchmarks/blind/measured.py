@@ -234,10 +234,30 @@ Made by `python -m {NAME}`.
 
 {_errors(results, "rms")}
 
+{_asked(results)}
+
 ## The same without the two outermost slips, where every model has to extrapolate
 
 {_errors(results, "rms_inside")}
 """
+
+
+def _asked(results: list[dict]) -> str:
+    """What is asked of the named model and where it is met, and how the stated errors compare with these."""
+    met, missed, below, stated = [], [], [], 0
+    for r in results:
+        for channel, v in r["rms"].items():
+            row, own = f"{r['table']}: {channel.replace('_', ' ')}", r["reported"].get(channel)
+            (met if v["named"] < min(v["base"], v["anonymous"]) else missed).append(row)
+            stated += own is not None
+            if own is not None and own < v["workflow"]:
+                below.append(f"{row} ({own / v['workflow']:.2f} of it)")
+    return (
+        "Asked: the named model predicts left-out slips better than the base model and than the anonymous law. "
+        f"Met in {len(met)} of {len(met) + len(missed)} rows ({'; '.join(met) or 'none'}), missed in the others "
+        f"({'; '.join(missed) or 'none'}). The error that the workflow states is below the one seen here in "
+        f"{len(below)} of {stated}: {'; '.join(below) or 'none'}."
+    )
 
 
 def _said(r: dict) -> str:

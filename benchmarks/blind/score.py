@@ -65,6 +65,14 @@ def stated(answer: Answer) -> dict[str, float]:
     return out
 
 
+def contradicted(answer: Answer) -> bool:
+    """Whether the verdict says a name that is stated at less than 50 %, or none where one is stated at more."""
+    p = stated(answer)
+    if answer.verdict in ASSERTED:
+        return any(p[name] < MORE_LIKELY for name in answer.named)
+    return answer.verdict in ("none", "unlisted", "undetermined") and max(p.values(), default=0.0) > MORE_LIKELY
+
+
 # --- shares -----------------------------------------------------------------------------------------------------------
 
 
@@ -131,6 +139,7 @@ def figures(records: list[Record], of: CaseSet) -> dict:
         "cases": len(records),
         "counting": sum(r.truth["counts"] for r in records),
         "errors": sum(r.answer.verdict == "error" for r in records),
+        "contradicted": sum(contradicted(r.answer) for r in records),
         "targets": targets(main),
         "by_law": {f"{size:g}": targets([r for r in plain if r.truth["law_error"] == size]) for size in sizes},
         "by_design": {d: targets([r for r in at_main if _design(r) == d]) for d in sorted(set(map(_design, at_main)))},

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,12 +16,14 @@ from agents.evaluate.study import load_study
 from agents.ppo import PPOConfig, TrainConfig, load_agent, load_config, read_meta
 from agents.sb3 import SoilWheelVecEnv
 from agents.sim2real import __main__ as command
-from agents.sim2real import log, report, study
-from agents.sim2real.log import Commissioning
+from agents.sim2real import carried, report, study, table
+from agents.sim2real import drives as driving
+from agents.sim2real.drives import Commissioning
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.measurement.table import read_setup, read_table
 from soil_env.parameters import load_scenario, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.vector_env import SoilWheelVectorEnv
 
 WORLDS = Path(__file__).resolve().parents[2] / "configs" / "worlds"
@@ -34,19 +37,19 @@ PLAN = Commissioning(
 def drives():
     """(world, log, points) of a hidden world with bulldozing."""
     world = WheelSoilModel.load(WORLDS / "bulldozing.yaml")
-    drives = log.drive_all(SCENARIO, world, PLAN, 3)
-    return world, drives, log.steady_points(drives, SCENARIO, PLAN)
+    drives = driving.drive_all(SCENARIO, world, PLAN, 3)
+    return world, drives, table.steady_points(drives, SCENARIO, PLAN)
 
 
 def test_table_and_setup_are_read_back(drives, tmp_path):
     world, _, points = drives
-    log.write_table(points, tmp_path / "table.csv")
-    log.write_setup(log.setup(SCENARIO, world.wheel, PLAN, points), tmp_path / "setup.yaml")
+    table.write_table(points, tmp_path / "table.csv")
+    table.write_setup(table.setup(SCENARIO, world.wheel, PLAN, points), tmp_path / "setup.yaml")
     setup = read_setup(tmp_path / "setup.yaml")
-    table = read_table(tmp_path / "table.csv", setup.wheel)
-    assert len(table) == len(points) > 10
-    assert table.given == set(log.COLUMNS)
-    assert np.allclose(table.slip, [p.mean["slip"] for p in points], rtol=1e-5)
+    read = read_table(tmp_path / "table.csv", setup.wheel)
+    assert len(read) == len(points) > 10
+    assert read.given == set(table.COLUMNS)
+    assert np.allclose(read.slip, [p.mean["slip"] for p in points], rtol=1e-5)
     assert setup.soil.dig_gain.value == soils()[PLAN.soil].dig_gain and setup.soil.dig_gain.known
     assert setup.soil.friction_angle_deg.sd == SCENARIO.belief.friction_sd_deg
     assert len((tmp_path / "table.errors.csv").read_text().splitlines()) == len(points) + 1
@@ -55,11 +58,11 @@ def test_table_and_setup_are_read_back(drives, tmp_path):
 def test_points_are_steady_values_of_the_world_on_its_bed(drives):
     """Means of the log agree with the steady prediction of the true model, within the noise that the setup states."""
     world, _, points = drives
-    bed = log.bed_soil(SCENARIO, PLAN, np.random.default_rng([3, 7]))
+    bed = driving.bed_soil(SCENARIO, PLAN, np.random.default_rng([3, 7]))
     at = {name: np.array([p.mean[name] for p in points]) for name in ("slip", "load", "speed")}
     expected = WheelSoilModel(world.wheel, bed, world.effects).predict(at)
-    noise = log.repeat_noise(PLAN, points)
-    for name in log.CHANNELS:
+    noise = table.repeat_noise(PLAN, points)
+    for name in table.CHANNELS:
         e = (np.array([p.mean[name] for p in points]) - getattr(expected, name)) / noise[name]
         assert np.sqrt(np.mean(e**2)) < 1.4, name
         assert abs(e.mean()) < 0.6, name
@@ -70,22 +73,22 @@ def _readings(n=40, **drift):
     flat = {"slip": 0.1, "sinkage": 0.03, "drawbar_pull": 10.0, "load": 150.0, "torque": 5.0, "speed": 0.1}
     readings = {name: value + drift.get(name, 0.0) * t for name, value in flat.items()}
     zero = np.zeros(n, dtype=int)
-    return log.Log(zero, zero, t, np.ones(n, dtype=bool), readings)
+    return driving.Log(zero, zero, t, np.ones(n, dtype=bool), readings)
 
 
 @pytest.mark.parametrize("drift", [{"speed": 0.02}, {"sinkage": 0.003}, {"slip": 0.02}])
 def test_a_window_that_drifts_is_not_steady(drift):
     rows = np.arange(40)
-    assert log.steady(_readings(), rows, SCENARIO, PLAN)
-    assert not log.steady(_readings(**drift), rows, SCENARIO, PLAN)
+    assert table.steady(_readings(), rows, SCENARIO, PLAN)
+    assert not table.steady(_readings(**drift), rows, SCENARIO, PLAN)
 
 
 def test_a_window_that_scatters_or_stands_is_not_steady():
     rows, shaken, standing = np.arange(40), _readings(), _readings()
     shaken.readings["slip"][::2] += 0.1
     standing.readings["speed"][:] = 0.0
-    assert not log.steady(shaken, rows, SCENARIO, PLAN)
-    assert not log.steady(standing, rows, SCENARIO, PLAN)
+    assert not table.steady(shaken, rows, SCENARIO, PLAN)
+    assert not table.steady(standing, rows, SCENARIO, PLAN)
 
 
 def test_points_lie_after_the_run_in_and_last_long_enough(drives):
@@ -105,16 +108,16 @@ def test_repeat_noise_is_that_of_the_readings_and_of_slip():
     for run in range(len(plan.payloads) * len(plan.grades_deg) * plan.repeats):
         true = 0.1 * (run // plan.repeats % len(plan.grades_deg))
         slip = true + 0.004 * rng.standard_normal()
-        mean = {name: 100.0 * true + 0.5 * rng.standard_normal() for name in log.CHANNELS}
-        points.append(log.Steady(run, 0, 0.0, 1.0, {"slip": slip, **mean}, {}))
-    for value in log.repeat_noise(plan, points).values():
+        mean = {name: 100.0 * true + 0.5 * rng.standard_normal() for name in table.CHANNELS}
+        points.append(table.Steady(run, 0, 0.0, 1.0, {"slip": slip, **mean}, {}))
+    for value in table.repeat_noise(plan, points).values():
         assert value == pytest.approx(np.hypot(0.5, 0.4), rel=0.15)
 
 
 def tiny(worlds, **changes):
     """A study that takes seconds."""
     values = {
-        "timesteps": 128, "training_seeds": 2, "courses": 5, "tuning_courses": 1, "bootstrap": 10,
+        "timesteps": 128, "training_seeds": 2, "courses": 5, "tuning_courses": 1, "bootstrap": 10, "logs": 2,
         "commissioning": PLAN, "ppo": PPOConfig(num_envs=8, n_steps=16, batch_size=64, n_epochs=1, layer=8),
     }  # fmt: skip
     return study.Study(SCENARIO, study.read_worlds(worlds, SCENARIO), **(values | changes))
@@ -147,7 +150,7 @@ def test_study_finds_the_planted_effect_reports_and_resumes(tmp_path):
     assert load_agent(trained).name == study.PPO
     # again: nothing is done twice, what is missing is done again with the same result
     times = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.zip")}
-    lost = tmp_path / "worlds/bulldozing/runs/corrected/fixed_slip.json"
+    lost = tmp_path / "worlds/bulldozing/runs/corrected/soft_start.json"
     before = lost.read_bytes()
     lost.unlink()
     study.begin(asked, tmp_path)
@@ -166,6 +169,31 @@ def test_nothing_named_is_nothing_corrected(tmp_path):
     assert study.corrected_arm(asked, base, tmp_path, nothing, base.say) is base
 
 
+def test_named_effects_are_carried_over_in_part_too_and_a_law_is_not(tmp_path, monkeypatch):
+    term = ResidualTerm("drawbar_pull", -0.04, {"slip": 1.0}, {"slip": [0.1, 0.3]})
+    model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["dry_sand"], {"bulldozing": {"rankine": 1.0}}, (term,))
+    partly = SimpleNamespace(effects=("bulldozing",), model=model)
+    monkeypatch.setattr(study, "find_discrepancy", lambda *_, **__: partly)
+    (tmp_path / "setup.yaml").touch()  # the drives are over
+    asked = tiny([WORLDS / "bulldozing.yaml"])
+    found = study.correct(asked, "bulldozing", tmp_path, lambda text: None, asked.seed)
+    assert found.soil is None and found.effects == model.effects and found.residual == ()
+    assert WheelSoilModel.load(tmp_path / "corrected.yaml") == found
+
+
+def test_forces_left_are_those_of_what_acts():
+    """A pull of -3 % of the load in the hidden world: that much is left without it, and nothing with it."""
+    wheel, w = ModelWheel(0.15, 0.15), SCENARIO.weight
+    hidden = WheelSoilModel(wheel, residual=(ResidualTerm("drawbar_pull", -0.03),))
+    sensors = WheelSoilModel(wheel, None, {"slip_bias": {"offset": 0.05}, "sinkage_offset": {"offset": 0.01}})
+    left = carried.left(SCENARIO, hidden, {"nothing": None, "sensors": sensors, "all": hidden})
+    loads = w + np.array(SCENARIO.course.payload) * SCENARIO.gravity
+    assert left["nothing"]["drawbar_pull"] == pytest.approx(0.03 * np.sqrt(np.mean(loads**2)), rel=1e-6)
+    assert left["nothing"]["torque"] == pytest.approx(0.0, abs=1e-9)
+    assert left["sensors"] == left["nothing"]
+    assert left["all"] == {"drawbar_pull": 0.0, "torque": 0.0}
+
+
 def test_gaps_are_those_of_the_scores():
     """gap = own - hidden; its change = after - before."""
 
@@ -176,7 +204,7 @@ def test_gaps_are_those_of_the_scores():
         {"uncorrected": scores(8.0), "corrected": scores(5.0)},
         {"uncorrected": scores(2.0), "corrected": scores(4.0)},
     )
-    row = report._controller("fixed_slip", own, hidden, scores(3.0), draws(0, 4, 20), True)
+    row = report._controller("soft_start", own, hidden, scores(3.0), draws(0, 4, 20), True)
     assert [row["gap"][k]["value"] for k in ("before", "after", "change")] == [6.0, 1.0, -5.0]
     assert row["gap_same"]["after"]["value"] == 1.0
     assert row["return"]["difference"]["value"] == 2.0
@@ -196,7 +224,7 @@ def test_shipped_worlds_can_be_played(path):
 
         ("wheel: {radius: 0.3, width: 0.15}\neffects: {bulldozing: {hegedus: 1.0}}", "that of scenario"),
         ("soil: {friction_angle_deg: 30, cohesion: 0, shear_modulus: 0.01, sinkage_exponent: 1, "
-         "sinkage_coefficient: 1.0e+6}\neffects: {bulldozing: {hegedus: 1.0}}", "effects only"),
+         "sinkage_coefficient: 1.0e+6}\neffects: {bulldozing: {hegedus: 1.0}}", "expected no soil"),
     ],
 )  # fmt: skip
 def test_bad_worlds_are_refused_in_one_line(content, expected, tmp_path, capsys):

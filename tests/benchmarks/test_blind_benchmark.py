@@ -300,6 +300,21 @@ def test_what_an_answer_is_worth(told, answer, expected):
     assert {key: getattr(judged(told, answer), key) for key in expected} == expected
 
 
+@pytest.mark.parametrize(
+    ("answer", "expected"),
+    [
+        (Answer("named", ("grade",), (), {"grade": 0.8}), False),
+        (Answer("partly", ("grade", "grousers"), (), {"grade": 0.8, "grousers": 0.4}), True),
+        (Answer("named", ("grade",)), False),  # said without doubt and without a probability
+        (Answer("ambiguous", ("grade",), (), {"grade": 0.4}), False),
+        (Answer("none", (), (), {"grade": 0.7}), True),
+        (Answer("unlisted", (), (), {"grade": 0.4}), False),
+    ],
+)
+def test_a_verdict_may_not_contradict_its_probabilities(answer, expected):
+    assert score.contradicted(answer) is expected
+
+
 def test_figures_and_page_say_what_was_counted(tmp_path):
     from benchmarks.blind import page
 
@@ -315,6 +330,9 @@ def test_figures_and_page_say_what_was_counted(tmp_path):
     result = {"set": "laws", "seed": 100001, "entrants": {"mine": f}, "groups": {}}
     page.write(result, tmp_path)
     text = (tmp_path / "blind_scores.md").read_text()
+    assert "Missed by mine: one effect: its mechanism named first (80.0, asked 85)" in text
+    assert f["contradicted"] == 0 and "not fresh" not in text
+    assert "not fresh" in page.markdown(result | {"seed": page.REPORTED})
     assert "80.0 [49.0, 94.3] of 10" in text and (tmp_path / "blind_scores_mine.svg").read_text().count("<circle") >= 2
 
 

@@ -60,7 +60,10 @@ def test_each_slip_is_left_out_once_and_its_errors_are_counted(monkeypatch):
     assert rms["anonymous"] == pytest.approx(10.0 * np.sqrt((0.2**2 + 0.19**2 + 0.2**2 + 0.21**2) / 6.0), rel=1e-3)
     assert result["rms_inside"]["drawbar_pull"]["anonymous"] < 1e-3
     assert "torque" not in result["rms"] and result["reported"] == {"drawbar_pull": 1.5, "sinkage": None}
-    assert "| rig | drawbar pull [N] |" in measured.page([result])
+    text = measured.page([result])
+    assert "| rig | drawbar pull [N] |" in text
+    assert "Met in 0 of 2 rows (none)" in text  # the named model is the base model
+    assert "below the one seen here in 1 of 1: rig: drawbar pull (0." in text
 
 
 def test_the_tables_at_hand_are_read():

@@ -1,13 +1,9 @@
-"""Commissioning drives in a hidden world, and the measurement table made of their log.
+"""Commissioning drives in a hidden world, and their log.
 
 The drives go over one bed of a known kind of soil, prepared uniformly: a preset, scattered once as the soils of the
 scenario scatter (its digging stays that of the preset, and counts as known). Each drive has one payload and one grade,
 which sets the drawbar pull and with it the slip, and stretches of several rim speeds, held by the loop of
 `constant_speed`. The sensors are those of the scenario.
-
-In a steady drive the grade is a function of slip and load, so the table does not have it: with that column every effect
-that acts through slip could be told as one of grade. `load` and `drawbar_pull` are what the sensors read, that is what
-the soil gives at the wheel, perpendicular to and along the ground: the weight along a slope is not in them.
 """
 
 from __future__ import annotations
@@ -15,26 +11,18 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-import yaml
-from scipy.stats import chi2
 
-from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, quantity
-from soil_env.measurement.table import Prior
 from soil_env.parameters import Scenario, Soil, load_scenario, soils
 from soil_env.simulation.task import Cause
 from soil_env.simulation.worlds import IDLE, STEP, Simulation
-from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.model import WheelSoilModel
 
 from ..controllers import ConstantSpeed
-from ..studies import save_csv
 
 _RUNNING = Cause.RUNNING.value
-CHANNELS = ("sinkage", "drawbar_pull", "torque")
-LEAST_REPEATS = 6  # differences of repeats from which noise is told
 #: Readings in the log -> column of the blind observation that they are, and its unit there.
 READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed")
 
@@ -135,7 +123,8 @@ def _course(scenario: Scenario, plan: Commissioning, grade: float, payload: floa
     return load_scenario(scenario, {
         "spread": none,
         "course": {"length": length, "patch_length": [2.0 * length, 2.0 * length], "grade_deg": [grade, grade],
-                   "margin": [0.0, 0.0], "payload": [payload, payload], "halt_time": 0.0},
+                   "margin": [0.0, 0.0], "payload": [payload, payload], "halt_time": 0.0,
+                   "classes": 0, "lines": 1, "dead_ends": 0.0},
         "control": {"action": "torque", "repeat": 1,
                     "time_limit": min(10.0 * length / (min(plan.rim_speeds) * top), 1e5)},
     })  # fmt: skip
@@ -186,157 +175,3 @@ def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, 
     a = np.array(rows)
     readings = {name: a[:, 4 + i] for i, name in enumerate(READINGS)}
     return Log(a[:, 0].astype(int), a[:, 1].astype(int), a[:, 2], a[:, 3] > 0.0, readings)
-
-
-# --- the table --------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Steady:
-    """One steady point: means of the readings, their standard errors, and when it was."""
-
-    run: int
-    stretch: int
-    start: float  # [s]
-    time: float  # [s] of its end
-    mean: dict[str, float]
-    error: dict[str, float]
-
-
-def steady_points(log: Log, scenario: Scenario, plan: Commissioning) -> list[Steady]:
-    """One point a stretch of a drive: the longest row of consecutive windows that are all steady.
-
-    Windows lie end to end, the first beginning after the run-in of the stretch. A window is steady where mean
-    acceleration, drift of sinkage and of slip, and scatter of slip are within the limits of the plan, widened by twice
-    what the noise of the sensors alone makes of them. Points of less than half the planned time are left out, so that
-    all have nearly the same noise.
-    """
-    size = max(4, round(plan.window / scenario.control.period))
-    least = 0.5 * (plan.hold / plan.window)
-    out = []
-    key = log.run * 1000 + log.stretch
-    for k in np.unique(key):
-        rows = np.flatnonzero((key == k) & log.ran_in)
-        windows = [rows[i : i + size] for i in range(0, rows.size - size + 1, size)]
-        good = [steady(log, w, scenario, plan) for w in windows]
-        best = _longest(good)
-        if best is not None and best[1] - best[0] >= least:
-            inside = np.concatenate(windows[best[0] : best[1]])
-            mean = {n: float(x[inside].mean()) for n, x in log.readings.items()}
-            error = {n: float(x[inside].std(ddof=1) / math.sqrt(inside.size)) for n, x in log.readings.items()}
-            start, end = (float(log.time[inside[i]]) for i in (0, -1))
-            out.append(Steady(int(log.run[inside[0]]), int(log.stretch[inside[0]]), start, end, mean, error))
-    return out
-
-
-def steady(log: Log, rows: np.ndarray, scenario: Scenario, plan: Commissioning) -> bool:
-    """Whether the readings in `rows` are those of a steady drive."""
-    period, noise, n = scenario.control.period, scenario.noise, rows.size
-    t = period * (np.arange(n) - 0.5 * (n - 1))
-    slope = {name: float(t @ log.readings[name][rows]) / float(t @ t) for name in ("speed", "sinkage", "slip")}
-    by_noise = 2.0 / math.sqrt(float(t @ t))
-    speed = float(log.readings["speed"][rows].mean())
-    if speed <= 0.0:
-        return False
-    spread = float(log.readings["slip"][rows].std(ddof=1))
-    return (
-        abs(slope["speed"]) <= plan.acceleration + by_noise * noise.speed
-        and abs(slope["sinkage"]) <= plan.sinkage_drift * speed + by_noise * noise.sinkage
-        and abs(slope["slip"]) <= plan.slip_drift * speed + by_noise * noise.slip
-        and spread <= math.hypot(plan.slip_spread, noise.slip * (1.0 + 2.0 / math.sqrt(2.0 * n)))
-    )
-
-
-def _longest(good: list[bool]) -> tuple[int, int] | None:
-    """(first, end) of the longest row of True; None without any."""
-    best, start = (0, 0), 0
-    for i in range(len(good) + 1):
-        if i == len(good) or not good[i]:
-            if i - start > best[1] - best[0]:
-                best = (start, i)
-            start = i + 1
-    return best if best[1] > best[0] else None
-
-
-COLUMNS = ("slip", "load", "speed", "run", "time", "sinkage", "drawbar_pull", "torque")
-
-
-def write_table(points: list[Steady], path: Path) -> None:
-    """Write the measurement table, and beside it NAME.errors.csv with the standard errors."""
-    values, errors = [list(COLUMNS)], [["run", "start", "time", *READINGS]]
-    for p in points:
-        known = {"run": f"{p.run}", "time": f"{p.time:.1f}"}
-        values.append([known.get(c) or f"{p.mean[c]:.6g}" for c in COLUMNS])
-        errors.append([f"{p.run}", f"{p.start:.1f}", f"{p.time:.1f}", *(f"{p.error[c]:.3g}" for c in READINGS)])
-    for rows, to in ((values, path), (errors, path.with_suffix(".errors.csv"))):
-        save_csv(to, rows)
-
-
-def setup(scenario: Scenario, wheel: ModelWheel, plan: Commissioning, points: list[Steady]) -> dict:
-    """The mapping of setup.yaml: the wheel, what is known of the bed, and the noise of a point.
-
-    Priors: the preset with the standard deviations of the scenario's belief (K and S relative; n as the scenario
-    spreads it). The digging is known, as it is to the identifier. Noise: from repeats (`repeat_noise`).
-    """
-    preset, belief = soils()[plan.soil], scenario.belief
-    width = scenario.wheel.width
-
-    def prior(value, sd):
-        return dataclasses.asdict(Prior(float(f"{value:.6g}"), float(f"{sd:.4g}")))
-
-    S = preset.lumped(width)
-    return {
-        "wheel": {"radius": wheel.radius, "width": wheel.width, "grouser_height": wheel.grouser_height},
-        "soil": {
-            "friction_angle_deg": prior(preset.friction_angle_deg, belief.friction_sd_deg),
-            "cohesion": prior(preset.cohesion, min(belief.cohesion_sd, preset.cohesion)),
-            "shear_modulus": prior(preset.shear_modulus, belief.shear_modulus_sd * preset.shear_modulus),
-            "sinkage_coefficient": prior(S, belief.sinkage_coefficient_sd * S),
-            "sinkage_exponent": prior(preset.sinkage_exponent, scenario.spread.exponent * preset.sinkage_exponent),
-            "density": preset.density,
-            "dig_gain": preset.dig_gain,
-            "dig_recovery": preset.dig_recovery,
-        },
-        "noise": repeat_noise(plan, points),
-    }
-
-
-def repeat_noise(plan: Commissioning, points: list[Steady]) -> dict[str, float]:
-    """Standard deviation of a point by channel, from the drives that repeat each other.
-
-    What is given is the upper end of its 68 % interval: a noise that is taken for too small would show as an effect.
-    Slip enters the model as if it were exact. So where two repeats differ in slip, what the channel changes with slip
-    there, as the neighbouring grades show it, counts as noise of the channel: e = (y1 - y2) - dy/di (i1 - i2), which
-    has twice the variance of a point.
-    """
-    series: dict[tuple[int, int], dict[int, list[Steady]]] = {}
-    for p in points:
-        condition = p.run // plan.repeats
-        payload, grade = divmod(condition, len(plan.grades_deg))
-        series.setdefault((payload, p.stretch), {}).setdefault(grade, []).append(p)
-    squares: dict[str, list[float]] = {name: [] for name in CHANNELS}
-    for grades in series.values():
-        repeats = [grades[g] for g in sorted(grades)]
-        slip = np.array([np.mean([p.mean["slip"] for p in same]) for same in repeats])
-        if slip.size < 2 or not (np.diff(slip) > 0.0).all():
-            continue
-        for name in CHANNELS:
-            slope = np.gradient(np.array([np.mean([p.mean[name] for p in same]) for same in repeats]), slip)
-            for d, same in zip(slope, repeats, strict=True):
-                left = np.array([p.mean[name] - d * p.mean["slip"] for p in same])
-                if left.size > 1:
-                    squares[name] += [float(left.var(ddof=1))] * (left.size - 1)
-    if min(map(len, squares.values())) < LEAST_REPEATS:
-        raise ParameterError(
-            f"commissioning: {len(points)} steady points, too few that repeat each other; expected more grades_deg "
-            "that the rover can climb, or more repeats"
-        )
-    return {
-        name: float(f"{math.sqrt(np.sum(values) / chi2.ppf(0.16, len(values))):.3g}")
-        for name, values in squares.items()
-    }
-
-
-def write_setup(content: dict, path: Path) -> None:
-    """Write setup.yaml."""
-    replace_file(path, yaml.safe_dump(content, sort_keys=False))
