@@ -328,8 +328,8 @@ def _doubts(
                 "its prior: prior, table or laws are wrong."
             )
     exact = " and ".join(_exact(problem))
-    first = f"Check whether {exact} can be taken as exact (noise: in the setup)" if exact else "Check units and signs"
-    first += ", then whether an effect is missing: python -m soil_env.discrepancy tries both."
+    first = f"Check whether {exact} can be taken as exact (noise: in the setup), then" if exact else "Check"
+    first += " units and signs, and whether an effect is missing (python -m soil_env.discrepancy)."
     for name, fit in fits.items():
         if fit.p_value < 1e-3 / len(fits):
             rms = math.sqrt(float(np.nanmean(fit.residual**2)))
