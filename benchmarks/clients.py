@@ -43,6 +43,7 @@ class Client:
     pins: Sequence[str]
     commands: Sequence[str]
     torch: bool = True
+    alone: Sequence[str] = ()  # pins installed without what they ask for, also of Python
     notes: str = ""
 
 
@@ -58,7 +59,7 @@ def environment(name: str, client: Client, envs: Path) -> Path:
     """The interpreter of a client's environment, made where it does not exist yet."""
     folder = envs / name
     python, mark = folder / "bin" / "python", folder / ".installed"
-    wanted = [f"-e{ROOT}[{client.extras}]" if client.extras else f"-e{ROOT}", *client.pins]
+    wanted = [f"-e{ROOT}[{client.extras}]" if client.extras else f"-e{ROOT}", *client.pins, *client.alone]
     if mark.exists() and mark.read_text(encoding="utf-8") == json.dumps(wanted):
         return python
     print(f"{name}: installing into {folder}", flush=True)
@@ -66,14 +67,16 @@ def environment(name: str, client: Client, envs: Path) -> Path:
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "-q"]
     if client.torch:  # first and alone, pinned: a range would take PyPI's newest, with gigabytes of CUDA
         subprocess.run([*pip, torch_pin()], check=True)
-    subprocess.run([*pip, *wanted], check=True)
+    subprocess.run([*pip, *wanted[: len(wanted) - len(client.alone)]], check=True)
+    if client.alone:
+        subprocess.run([*pip, "--no-deps", "--ignore-requires-python", *client.alone], check=True)
     mark.write_text(json.dumps(wanted), encoding="utf-8")
     return python
 
 
 def versions(python: Path, client: Client) -> dict[str, str]:
     """{package: version} of the pinned packages and of `SHOWN` in an environment."""
-    packages = [re.split(r"[\[=]", pin)[0] for pin in client.pins]
+    packages = [re.split(r"[\[=]", pin)[0] for pin in (*client.pins, *client.alone)]
     code = (
         "import json, sys; from importlib import metadata as m\n"
         "have = {d.metadata['Name'].lower().replace('_', '-'): d.version for d in m.distributions()}\n"
@@ -118,14 +121,14 @@ STUDY = re.compile(
 
 
 def told(text: str) -> str:
-    """The first and the last telling line of what a command printed, or the best trial of a study."""
+    """The telling lines of what a command printed (if over three, the first and the last), or a study's best trial."""
     if study := STUDY.search(text):
         trials, value, params = study.groups()
         best = ", ".join(_rounded(line.strip().replace(":", "")) for line in params.splitlines())
         return f"{trials} trials; best return {_rounded(value)} with {best}"
     lines = [" ".join(line.split()) for line in text.splitlines() if TELLING.search(line)]
     lines = lines or [" ".join(line.split()) for line in text.splitlines() if line.strip()][-1:]
-    lines = [lines[0], "...", lines[-1]] if len(lines) > 2 else lines
+    lines = [lines[0], "...", lines[-1]] if len(lines) > 3 else lines
     return re.sub(r" in [\d.]+s( \(.*\))?", "", "; ".join(lines)).strip("= ")
 
 

@@ -3,30 +3,28 @@
     python -m benchmarks.first_training sb3.PPO                    300 000 steps, seeds 0, 1 and 2
     python -m benchmarks.first_training sb3.SAC --steps 100000
     python -m benchmarks.first_training sbx.PPO sbx.SAC --seeds 1  pip install sbx-rl
+    python -m benchmarks.first_training skrl.PPO                   pip install skrl
+    python -m benchmarks.first_training cleanrl.PPO                its own ppo_continuous_action.py
     python -m benchmarks.first_training constant                   what a constant action of each kind finishes
 
 A learner is `sb3.NAME` (Stable-Baselines3) or `sbx.NAME` (the same in JAX): `NAME("MlpPolicy", env, seed=seed)` on
-`gymnasium.make("SoilWheel-v0")`, no wrapper, nothing set. The deterministic policy then drives held-out courses, which
-no training sees. `constant` drives the levels of a constant action; of each kind the level is chosen on tuning courses
-and judged on the held-out ones. Intervals are Wilson's (1927), 95 %, over courses.
+`gymnasium.make("SoilWheel-v0")`, no wrapper, nothing set; `cleanrl.PPO` is CleanRL's file with its own wrappers and
+defaults, `pip install --no-deps --ignore-requires-python cleanrl==1.2.0`; `skrl.PPO` drives 64 wheels at once, its
+configuration as it comes. The deterministic policy then drives held-out courses, which no training sees. `constant`
+drives the levels of a constant action; of each kind the level is chosen on tuning courses and judged on the held-out
+ones. Intervals are Wilson's (1927), 95 %, over courses.
 """
 
 from __future__ import annotations
 
-import importlib
-
-import gymnasium
 import numpy as np
 
-import soil_env  # noqa: F401  registers SoilWheel-v0
 from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET, Runs, run_courses
 from agents.evaluate.statistics import wilson
+from benchmarks.first_learners import learner, trained
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
-from soil_env._io.loading import ParameterError
 from soil_env.parameters import DEFAULT_SCENARIO, HELD, Scenario, load_scenario
-from soil_env.simulation.scaling import Scaling
 
-LIBRARIES = {"sb3": "stable_baselines3", "sbx": "sbx"}
 LEVELS = (0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0)
 
 
@@ -41,38 +39,6 @@ class Constant:
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1] float32."""
         return np.full((len(observation), 1), self.level, dtype=np.float32), state
-
-
-class Trained:
-    """The deterministic policy of a model of Stable-Baselines3 or SBX."""
-
-    def __init__(self, model, variant: str, scaling: Scaling):
-        self.model, self.variant, self.scaling = model, variant, scaling
-
-    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, 1]."""
-        return self.model.predict(self.scaling(observation), deterministic=True)
-
-
-def learner(name: str):
-    """The class of a learner by its name; ParameterError if there is none."""
-    library, _, algorithm = name.partition(".")
-    if library not in LIBRARIES:
-        raise ParameterError(f"learner {name!r}: expected 'constant', or {' or '.join(LIBRARIES)}, a dot and a class")
-    try:
-        return getattr(importlib.import_module(LIBRARIES[library]), algorithm)
-    except ModuleNotFoundError as error:
-        raise ParameterError(f"learner {name!r}: {error}") from None
-    except AttributeError:
-        raise ParameterError(f"learner {name!r}: {LIBRARIES[library]} has no {algorithm!r}") from None
-
-
-def trained(name: str, scenario: str, observation: str, steps: int, seed: int) -> Trained:
-    """A stock learner after `steps` steps of one wheel."""
-    env = gymnasium.make("SoilWheel-v0", scenario=scenario, observation=observation, info="short")
-    model = learner(name)("MlpPolicy", env, seed=seed)
-    model.learn(steps)
-    return Trained(model, observation, env.unwrapped.scaling)
 
 
 def said(runs: Runs) -> str:
