@@ -2,6 +2,7 @@
 
     python -m benchmarks.clients                        all clients; gigabytes and minutes; writes docs/clients.md
     python -m benchmarks.clients zoo minari             only these; the others keep what docs/clients.json has of them
+    python -m benchmarks.clients sb3 --match PPO        of sb3 the commands with that in them
     python -m benchmarks.clients --envs DIR             where the environments are (default: .venv-clients)
     python -m benchmarks.clients --page                 docs/clients.md from docs/clients.json
 
@@ -87,12 +88,12 @@ def versions(python: Path, client: Client) -> dict[str, str]:
     return {"python": platform.python_version()} | json.loads(done.stdout)
 
 
-def smoke(name: str, client: Client, python: Path) -> list[dict]:
-    """Run the commands of a client from the root of the clone up to the first failure; the outcome of each."""
+def smoke(name: str, client: Client, python: Path, match: str = "") -> list[dict]:
+    """Run the commands of a client that have `match` in them, from the root of the clone, up to the first failure."""
     runs = []
     with tempfile.TemporaryDirectory() as out:
         given = {"SDL_VIDEODRIVER": "dummy", "MPLBACKEND": "Agg", "MINARI_DATASETS_PATH": out, "PYTHONPATH": str(ROOT)}
-        for command in client.commands:
+        for command in (c for c in client.commands if match in c):
             print(f"{name}: {command}", flush=True)
             words = shlex.split(command.replace("{out}", out))
             try:
@@ -137,18 +138,26 @@ def _rounded(text: str) -> str:
     return re.sub(r"-?\d+\.\d+(e-?\d+)?", lambda found: f"{float(found.group()):.3g}", text)
 
 
+def merged(client: Client, before: list[dict], now: list[dict]) -> list[dict]:
+    """Outcomes in the order of the commands of a client: those of `now`, else those of `before`."""
+    known = {run["command"]: run for run in (*before, *now)}
+    return [known[command] for c in client.commands if (command := c.replace("{out}", "OUT")) in known]
+
+
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
 def page(result: dict) -> str:
-    """docs/clients.md."""
-    tables = {
-        name: Table(("command", "seen"), [
-            (f"`{run['command']}`", ("" if run["ok"] else "**failed**: ") + run["seen"].replace("|", "/"))
-            for run in found["runs"]
-        ]).markdown()
-        for name, found in result.items()
-    }  # fmt: skip
+    """docs/clients.md; a command without an outcome has not been run since it was written."""
+    tables = {}
+    for name, found in result.items():
+        runs = {run["command"]: run for run in found["runs"]}
+        rows = []
+        commands = [c.replace("{out}", "OUT") for c in CLIENTS[name].commands]
+        for command in (*(c for c in runs if c not in commands), *commands):
+            run = runs.get(command, {"ok": True, "seen": "not run yet"})
+            rows.append((f"`{command}`", ("" if run["ok"] else "**failed**: ") + run["seen"].replace("|", "/")))
+        tables[name] = Table(("command", "seen"), rows).markdown()
     return render("benchmarks:clients.md", clients=CLIENTS, result=result, tables=tables)
 
 
@@ -158,6 +167,7 @@ def main(arguments: list[str] | None = None) -> int:
     p = command_parser(f"python -m {NAME}", __doc__, status="")
     p.add_argument("clients", nargs="*", metavar="CLIENT", help=f"of {', '.join(CLIENTS)} (default: all)")
     p.add_argument("--envs", type=Path, default=ROOT / ".venv-clients", help="folder of the environments")
+    p.add_argument("--match", default="", metavar="TEXT", help="only commands with TEXT in them")
     p.add_argument("--out", type=folder, default=ROOT / "docs", help="folder of clients.json and clients.md")
     p.add_argument("--page", action="store_true", help="no runs: the page from clients.json in --out")
     options = p.parse_args(arguments)
@@ -177,7 +187,9 @@ def main(arguments: list[str] | None = None) -> int:
             found = versions(python, CLIENTS[name])
         except subprocess.CalledProcessError as error:
             raise ParameterError(f"{error.cmd[0]} ended with {error.returncode}") from None
-        result[name] = {"versions": found, "runs": smoke(name, CLIENTS[name], python)}
+        before = result.get(name, {"runs": []})["runs"] if options.match else []
+        runs = merged(CLIENTS[name], before, smoke(name, CLIENTS[name], python, options.match))
+        result[name] = {"versions": found, "runs": runs}
         write_json(file, result)
         replace_file(options.out / "clients.md", page(result))
     return 0 if all(run["ok"] for name in asked for run in result[name]["runs"]) else 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
+import re
 import runpy
 import sys
 import tempfile
@@ -14,15 +15,16 @@ import gymnasium
 import numpy as np
 
 import soil_env  # noqa: F401  registers SoilWheel-v0
+from benchmarks.common import ROOT
 from soil_env._io.loading import ParameterError
-from soil_env.parameters import load_scenario
+from soil_env.parameters import Scenario
 from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import layout
 
 CLEANRL = "cleanrl.ppo_continuous_action"
 SKRL_WHEELS = 64
 #: (scenario, observation, steps, seed) -> actions [n, 1] of observations [n, D], scaled as the environment scales them
-Train = Callable[[str, str, int, int], Callable[[np.ndarray], np.ndarray]]
+Train = Callable[[Scenario, str, int, int], Callable[[np.ndarray], np.ndarray]]
 
 
 class Trained:
@@ -36,10 +38,10 @@ class Trained:
         return self.act(self.scaling(observation)), state
 
 
-def trained(name: str, scenario: str, observation: str, steps: int, seed: int) -> Trained:
+def trained(name: str, scenario: Scenario, observation: str, steps: int, seed: int) -> Trained:
     """A stock learner after `steps` steps."""
     act = learner(name)(scenario, observation, steps, seed)
-    return Trained(act, observation, Scaling(layout(observation, load_scenario(scenario).course)))
+    return Trained(act, observation, Scaling(layout(observation, scenario.course)))
 
 
 def learner(name: str) -> Train:
@@ -64,10 +66,22 @@ def learner(name: str) -> Train:
         raise ParameterError(f"learner {name!r}: {module} has no {algorithm!r}") from None
 
 
+def shown(page: str) -> tuple[Trained, int]:
+    """The agent that the one Python block of docs/`page` with a training leaves as `model`, and its steps."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    (block,) = (b for b in re.findall(r"^```python\n(.*?)^```", text, re.M | re.S) if "model.learn(" in b)
+    names: dict = {}
+    exec(compile(block, page, "exec"), names)  # noqa: S102  a page of this repository
+    model = names["model"]
+    envs = model.get_env()
+    act = lambda rows: model.predict(rows, deterministic=True)[0]  # noqa: E731
+    return Trained(act, envs.observation_variant, envs.scaling), model.num_timesteps
+
+
 def stable_baselines(algorithm) -> Train:
     """Stable-Baselines3, or SBX: `algorithm("MlpPolicy", env)`."""
 
-    def train(scenario: str, observation: str, steps: int, seed: int):
+    def train(scenario: Scenario, observation: str, steps: int, seed: int):
         env = gymnasium.make("SoilWheel-v0", scenario=scenario, observation=observation, info="short")
         model = algorithm("MlpPolicy", env, seed=seed)
         model.learn(steps)
@@ -76,7 +90,7 @@ def stable_baselines(algorithm) -> Train:
     return train
 
 
-def skrl_ppo(scenario: str, observation: str, steps: int, seed: int):
+def skrl_ppo(scenario: Scenario, observation: str, steps: int, seed: int):
     """skrl's PPO with its default configuration on the native vector environment of 64 wheels.
 
     skrl has no default networks; two hidden layers of 64 units, as in its own examples for Gymnasium.
@@ -118,7 +132,7 @@ def skrl_ppo(scenario: str, observation: str, steps: int, seed: int):
     return act
 
 
-def cleanrl_ppo(scenario: str, observation: str, steps: int, seed: int):
+def cleanrl_ppo(scenario: Scenario, observation: str, steps: int, seed: int):
     """CleanRL's ppo_continuous_action.py, the file itself, under the Gymnasium it was written for: `as_before_1_0`."""
     import torch
 

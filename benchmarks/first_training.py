@@ -5,6 +5,7 @@
     python -m benchmarks.first_training sbx.PPO sbx.SAC --seeds 1  pip install sbx-rl
     python -m benchmarks.first_training skrl.PPO                   pip install skrl
     python -m benchmarks.first_training cleanrl.PPO                its own ppo_continuous_action.py
+    python -m benchmarks.first_training agents.md                  the training on that page of docs/, as it stands
     python -m benchmarks.first_training constant                   what a constant action of each kind finishes
 
 A learner is `sb3.NAME` (Stable-Baselines3) or `sbx.NAME` (the same in JAX): `NAME("MlpPolicy", env, seed=seed)` on
@@ -21,9 +22,10 @@ import numpy as np
 
 from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET, Runs, run_courses
 from agents.evaluate.statistics import wilson
-from benchmarks.first_learners import learner, trained
+from benchmarks.first_learners import learner, shown, trained
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env.parameters import DEFAULT_SCENARIO, HELD, Scenario, load_scenario
+from soil_env.simulation.task import REWARD_TERMS
 
 LEVELS = (0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0)
 
@@ -65,12 +67,17 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("learners", nargs="+", metavar="LEARNER")
     p.add_argument("--scenario", default=DEFAULT_SCENARIO)
     p.add_argument("--observation", default="identified")
+    p.add_argument("--repeat", type=whole_number(1), help="control periods of an action, in place of the scenario's")
+    p.add_argument("--reward-scale", type=float, default=1.0, help="of the reward in training (default: 1)")
     p.add_argument("--steps", type=whole_number(1), default=300_000)
     p.add_argument("--seeds", type=whole_number(1), default=3, help="number of seeds (default: 3)")
     p.add_argument("--seed", type=whole_number(), default=0, help="the first of them (default: 0)")
     p.add_argument("--courses", type=whole_number(1), default=500, help="to be judged on (default: 500)")
     options = p.parse_args(arguments)
-    scenario = load_scenario(options.scenario)
+    changes = {} if options.repeat is None else {"control": {"repeat": options.repeat}}
+    scenario = load_scenario(options.scenario, changes)
+    weights = {name: options.reward_scale * getattr(scenario.reward, name) for name in REWARD_TERMS}
+    lesson = load_scenario(options.scenario, {**changes, "reward": weights})
     for name in options.learners:
         if name == "constant":
             for action in HELD:
@@ -79,9 +86,13 @@ def main(arguments: list[str] | None = None) -> int:
                 runs = run_courses(Constant(level), there, HELD_OUT_SET, options.courses)
                 print(f"constant {action} {level:g}: {said(runs)}", flush=True)
             continue
+        if name == "agents.md":
+            agent, steps = shown(name)
+            print(f"{name}, {steps:,} steps: {said(run_courses(agent, scenario, HELD_OUT_SET, options.courses))}")
+            continue
         learner(name)
         for seed in range(options.seed, options.seed + options.seeds):
-            agent = trained(name, options.scenario, options.observation, options.steps, seed)
+            agent = trained(name, lesson, options.observation, options.steps, seed)
             runs = run_courses(agent, scenario, HELD_OUT_SET, options.courses)
             print(f"{name}, {options.steps:,} steps, seed {seed}: {said(runs)}", flush=True)
     return 0

@@ -82,7 +82,7 @@ def test_the_file_of_cleanrl_is_run_unchanged_under_the_gymnasium_it_was_written
     monkeypatch.syspath_prepend(str(tmp_path))
     here, registered = os.getcwd(), set(gymnasium.registry)
     names = gymnasium.vector.SyncVectorEnv, gymnasium.wrappers.TransformObservation, sys.argv
-    agent = first_learners.trained("cleanrl.PPO", "mixed", "blind", 7, 3)
+    agent = first_learners.trained("cleanrl.PPO", load_scenario("mixed"), "blind", 7, 3)
     assert capsys.readouterr().out == "" and os.getcwd() == here and not os.path.exists("runs")
     assert (gymnasium.vector.SyncVectorEnv, gymnasium.wrappers.TransformObservation, sys.argv) == names
     assert set(gymnasium.registry) == registered
