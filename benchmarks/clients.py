@@ -174,13 +174,17 @@ def main(arguments: list[str] | None = None) -> int:
     for name in options.clients:
         if name not in CLIENTS:
             raise unknown_value(name, CLIENTS, "CLIENT")
+    asked = [n for n in options.clients or CLIENTS if any(options.match in c for c in CLIENTS[n].commands)]
+    if not asked:
+        raise ParameterError(
+            f"--match {options.match!r}: no command of {', '.join(options.clients or CLIENTS)} has that"
+        )
     make_folder(options.out)
     file = options.out / "clients.json"
     result = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
     if options.page:
         replace_file(options.out / "clients.md", page(result))
         return 0
-    asked = options.clients or CLIENTS
     for name in asked:
         try:
             python = environment(name, CLIENTS[name], options.envs.resolve())

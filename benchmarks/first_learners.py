@@ -19,7 +19,7 @@ from benchmarks.common import ROOT
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 from soil_env.simulation.scaling import Scaling
-from soil_env.simulation.task import layout
+from soil_env.simulation.task import LINES, layout
 
 CLEANRL = "cleanrl.ppo_continuous_action"
 SKRL_WHEELS = 64
@@ -28,14 +28,43 @@ Train = Callable[[Scenario, str, int, int], Callable[[np.ndarray], np.ndarray]]
 
 
 class Trained:
-    """The deterministic policy of a learner, for `run_courses`, whose observations are in their units."""
+    """The deterministic policy of a learner, for `run_courses`, whose observations are in their units.
+
+    Counts which line it takes where there is one to choose.
+    """
 
     def __init__(self, act: Callable[[np.ndarray], np.ndarray], variant: str, scaling: Scaling):
         self.act, self.variant, self.scaling = act, variant, scaling
+        self.names = [entry.name for entry in scaling.entries]
+        self.before = np.empty((0, len(self.names)))
+        self.choices = self.beside = self.larger = 0
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1]."""
-        return self.act(self.scaling(observation)), state
+        actions = self.act(self.scaling(observation))
+        if "choice" in self.names:
+            self._count(observation, np.reshape(actions, -1) < 0.0)
+        return actions, state
+
+    def _count(self, observation: np.ndarray, beside: np.ndarray) -> None:
+        choosing = observation[:, self.names.index("choice")] > 0.5
+        if self.before.shape == observation.shape:
+            choosing &= (observation != self.before).any(axis=1)  # rows of ended courses stay as they are
+        self.before = observation.copy()
+        self.choices += int(choosing.sum())
+        self.beside += int((choosing & beside).sum())
+        if "ahead_margin" in self.names:
+            ahead, other = (observation[:, self.names.index(f"{line}_margin")] for line in LINES)
+            self.larger += int((choosing & (beside == (other > ahead))).sum())
+
+    def lines(self) -> str:
+        """What it chose, in words."""
+        if not self.choices:
+            return ""
+        better = f", that of the larger margin {100.0 * self.larger / self.choices:.0f} %"
+        return f"; line beside {100.0 * self.beside / self.choices:.0f} % of the time" + better * (
+            "ahead_margin" in self.names
+        )
 
 
 def trained(name: str, scenario: Scenario, observation: str, steps: int, seed: int) -> Trained:

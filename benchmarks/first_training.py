@@ -22,10 +22,11 @@ import numpy as np
 
 from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET, Runs, run_courses
 from agents.evaluate.statistics import wilson
-from benchmarks.first_learners import learner, shown, trained
+from benchmarks.first_learners import Trained, learner, shown, trained
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env.parameters import DEFAULT_SCENARIO, HELD, Scenario, load_scenario
-from soil_env.simulation.task import REWARD_TERMS
+from soil_env.simulation.scaling import Scaling
+from soil_env.simulation.task import REWARD_TERMS, layout
 
 LEVELS = (0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0)
 
@@ -60,6 +61,21 @@ def best_constant(scenario: Scenario, courses: int) -> float:
     return LEVELS[int(np.argmax(shares))]
 
 
+def choosing(scenario: Scenario, level: float, options) -> Runs:
+    """A constant `level`, its sign where there is a line to choose that of the line with the larger margin."""
+    scaling = Scaling(layout("identified", scenario.course))
+    names = [entry.name for entry in scaling.entries]
+    if "choice" not in names:
+        return run_courses(Constant(level), scenario, HELD_OUT_SET, options.courses)
+    ahead, beside, choice = (names.index(name) for name in ("ahead_margin", "beside_margin", "choice"))
+
+    def act(rows: np.ndarray) -> np.ndarray:
+        other = (rows[:, choice] > 0.5) & (rows[:, beside] > rows[:, ahead])
+        return np.where(other, -level, level)[:, None]
+
+    return run_courses(Trained(act, "identified", scaling), scenario, HELD_OUT_SET, options.courses)
+
+
 @command_line("benchmarks.first_training")
 def main(arguments: list[str] | None = None) -> int:
     """Train and judge; returns the exit status."""
@@ -85,16 +101,18 @@ def main(arguments: list[str] | None = None) -> int:
                 level = best_constant(there, options.courses)
                 runs = run_courses(Constant(level), there, HELD_OUT_SET, options.courses)
                 print(f"constant {action} {level:g}: {said(runs)}", flush=True)
+            print(f"constant {action} {level:g}, line of the larger margin: {said(choosing(there, level, options))}")
             continue
         if name == "agents.md":
             agent, steps = shown(name)
-            print(f"{name}, {steps:,} steps: {said(run_courses(agent, scenario, HELD_OUT_SET, options.courses))}")
+            runs = run_courses(agent, scenario, HELD_OUT_SET, options.courses)
+            print(f"{name}, {steps:,} steps: {said(runs)}{agent.lines()}", flush=True)
             continue
         learner(name)
         for seed in range(options.seed, options.seed + options.seeds):
             agent = trained(name, lesson, options.observation, options.steps, seed)
             runs = run_courses(agent, scenario, HELD_OUT_SET, options.courses)
-            print(f"{name}, {options.steps:,} steps, seed {seed}: {said(runs)}", flush=True)
+            print(f"{name}, {options.steps:,} steps, seed {seed}: {said(runs)}{agent.lines()}", flush=True)
     return 0
 
 

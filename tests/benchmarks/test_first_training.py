@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
+from agents.evaluate.driving import HELD_OUT_SET, run_courses  # noqa: E402
 from benchmarks import first_learners  # noqa: E402
 from benchmarks.first_training import LEVELS, Constant, best_constant, main  # noqa: E402
 from soil_env.parameters import HELD, load_scenario  # noqa: E402
 
 LINE = re.compile(
-    r"finished ([\d.]+) \[([\d.]+), ([\d.]+)\] %, immobilised ([\d.]+) %, out of time ([\d.]+) %, return (-?[\d.]+)$"
+    r"finished ([\d.]+) \[([\d.]+), ([\d.]+)\] %, immobilised ([\d.]+) %, out of time ([\d.]+) %, return (-?[\d.]+)"
+    r"(?:; line beside \d+ % of the time, that of the larger margin \d+ %)?$"
 )
 
 
@@ -30,7 +32,8 @@ def test_constant_actions_are_judged_for_each_kind(capsys, monkeypatch):
     monkeypatch.setattr("benchmarks.first_training.LEVELS", (0.2, 0.5))
     assert main(["constant", "--courses=3"]) == 0
     lines = capsys.readouterr().out.strip().split("\n")
-    assert [line.split()[1] for line in lines] == list(HELD) and all(LINE.search(line) for line in lines)
+    assert [line.split()[1] for line in lines] == [*HELD, list(HELD)[-1]] and all(LINE.search(line) for line in lines)
+    assert "larger margin" in lines[-1]
 
 
 def test_the_best_constant_is_one_that_arrives():
@@ -38,6 +41,26 @@ def test_the_best_constant_is_one_that_arrives():
     torque = load_scenario("mixed", {"control": {"action": "torque"}})
     assert best_constant(torque, 12) in LEVELS[3:7]
     assert Constant(0.3).predict([0, 0])[0].tolist() == [[pytest.approx(0.3)]] * 2
+
+
+def test_it_is_counted_which_line_is_taken():
+    """A rule that takes the line of the larger margin does so always, a constant always goes straight ahead."""
+    scenario = load_scenario("two_lines")
+    scaling = first_learners.Scaling(first_learners.layout("identified", scenario.course))
+    names = [entry.name for entry in scaling.entries]
+
+    def rule(rows):
+        ahead, beside = (rows[:, [names.index(f"{line}_margin")]] for line in ("ahead", "beside"))
+        return np.where((rows[:, [names.index("choice")]] > 0.5) & (beside > ahead), -0.35, 0.35)
+
+    counted = []
+    for act in (rule, lambda rows: np.full((len(rows), 1), 0.35)):
+        agent = first_learners.Trained(act, "identified", scaling)
+        finished = run_courses(agent, scenario, HELD_OUT_SET, 60).metric("finished").mean()
+        counted.append((finished, agent.beside / agent.choices, agent.larger / agent.choices))
+        assert f"larger margin {100 * counted[-1][2]:.0f} %" in agent.lines()
+    (wise, some, always), (straight, none, half) = counted
+    assert wise > straight + 0.2 and always == 1.0 and none == 0.0 and 0.3 < some < 0.7 and 0.3 < half < 0.7
 
 
 SCRIPT = """

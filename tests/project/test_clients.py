@@ -38,6 +38,7 @@ def test_matching_commands_are_run_and_the_others_keep_their_outcome(monkeypatch
             r for r in (tmp_path / "clients.md").read_text(encoding="utf-8").split("\n") if r.startswith("| `python")
         ]
         assert [row.split(" | ")[1].rstrip(" |") for row in rows] == seen
+    assert clients.main(["--match", "(4)", f"--out={tmp_path}"]) == 2
 
 
 def test_an_unknown_client_is_refused_in_one_line(capsys, tmp_path):
