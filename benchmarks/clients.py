@@ -122,14 +122,14 @@ STUDY = re.compile(
 
 
 def told(text: str) -> str:
-    """The telling lines of what a command printed (if over three, the first and the last), or a study's best trial."""
+    """The telling lines of what a command printed (if over four, the first and the last), or a study's best trial."""
     if study := STUDY.search(text):
         trials, value, params = study.groups()
         best = ", ".join(_rounded(line.strip().replace(":", "")) for line in params.splitlines())
         return f"{trials} trials; best return {_rounded(value)} with {best}"
     lines = [" ".join(line.split()) for line in text.splitlines() if TELLING.search(line)]
     lines = lines or [" ".join(line.split()) for line in text.splitlines() if line.strip()][-1:]
-    lines = [lines[0], "...", lines[-1]] if len(lines) > 3 else lines
+    lines = [lines[0], "...", lines[-1]] if len(lines) > 4 else lines
     return re.sub(r" in [\d.]+s( \(.*\))?", "", "; ".join(lines)).strip("= ")
 
 
