@@ -29,6 +29,7 @@ from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.document import Table, render
 from soil_env._io.files import make_folder, replace_file, write_json
 from soil_env._io.loading import ParameterError, read_yaml, unknown_value
+from soil_env.parameters import DEFAULT_SCENARIO
 
 NAME = "benchmarks.clients"
 SHOWN = ("gymnasium", "numpy", "torch")  # versions in the page, besides those pinned for the client
@@ -158,7 +159,7 @@ def page(result: dict) -> str:
             run = runs.get(command, {"ok": True, "seen": "not run yet"})
             rows.append((f"`{command}`", ("" if run["ok"] else "**failed**: ") + run["seen"].replace("|", "/")))
         tables[name] = Table(("command", "seen"), rows).markdown()
-    return render("benchmarks:clients.md", clients=CLIENTS, result=result, tables=tables)
+    return render("benchmarks:clients.md", clients=CLIENTS, result=result, tables=tables, task=DEFAULT_SCENARIO)
 
 
 @command_line(NAME)
@@ -193,7 +194,7 @@ def main(arguments: list[str] | None = None) -> int:
             raise ParameterError(f"{error.cmd[0]} ended with {error.returncode}") from None
         before = result.get(name, {"runs": []})["runs"] if options.match else []
         runs = merged(CLIENTS[name], before, smoke(name, CLIENTS[name], python, options.match))
-        result[name] = {"versions": found, "runs": runs}
+        result[name] = {"versions": found, "runs": runs, "task": DEFAULT_SCENARIO}
         write_json(file, result)
         replace_file(options.out / "clients.md", page(result))
     return 0 if all(run["ok"] for name in asked for run in result[name]["runs"]) else 1
