@@ -73,7 +73,7 @@ def tianshou() -> None:
         ends += over.size
         if over.size:
             envs.reset(over)
-    assert ends > 0 and len(infos) == 4 and observation.shape == envs.observation_space.shape
+    assert ends > 0 and len(infos) == 4 and observation.shape == (4, *envs.observation_space[0].shape)
     print(f"replayed: DummyVectorEnv: 800 steps, {ends} courses ended, {len(infos[0])} infos of each")
 
 

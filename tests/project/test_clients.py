@@ -24,6 +24,23 @@ def test_a_failing_command_is_told_and_ends_the_client(capsys):
     )
 
 
+def test_matching_commands_are_run_and_the_others_keep_their_outcome(monkeypatch, tmp_path):
+    mine = clients.Client("", "", (), ("python -c 'print(1)'", "python -c 'print(2)'", "python -c 'print(3)'"))
+    monkeypatch.setattr(clients, "CLIENTS", {"mine": mine})
+    monkeypatch.setattr(clients, "environment", lambda *_: Path(sys.executable))
+    for match, seen in (
+        ("(2)", ["not run yet", "2", "not run yet"]),
+        ("(1)", ["1", "2", "not run yet"]),
+        ("", list("123")),
+    ):
+        assert clients.main(["--match", match, f"--out={tmp_path}"]) == 0
+        rows = [
+            r for r in (tmp_path / "clients.md").read_text(encoding="utf-8").split("\n") if r.startswith("| `python")
+        ]
+        assert [row.split(" | ")[1].rstrip(" |") for row in rows] == seen
+    assert clients.main(["--match", "(4)", f"--out={tmp_path}"]) == 2
+
+
 def test_an_unknown_client_is_refused_in_one_line(capsys, tmp_path):
     assert clients.main(["zo", f"--out={tmp_path}"]) == 2
     error = capsys.readouterr().err

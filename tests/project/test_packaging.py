@@ -106,6 +106,12 @@ def run(python, *arguments, cwd):
 
 
 @pytest.mark.slow
+def test_the_page_of_the_installation_names_every_extra():
+    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+    table = page.partition("| extra |")[2].partition("\n\n")[0]
+    assert sorted(re.findall(r"^\| `(\w+)`", table, re.M)) == sorted(PROJECT["optional-dependencies"])
+
+
 def test_it_is_installed_beside_openai_agents(wheel, tmp_path):
     """That distribution owns the name `agents`; neither overwrites a file of the other, and both run."""
     pytest.importorskip("pip")
