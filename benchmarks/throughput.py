@@ -32,6 +32,7 @@ from benchmarks.common import ROOT, machine, renew_page, spread, study_parser
 from soil_env._io.commands import command_line, leave
 from soil_env._io.files import make_folder, write_json
 from soil_env.env import SoilWheelEnv
+from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.simulation.task import Cause
 from soil_env.simulation.worlds import IDLE, STEP
 from soil_env.vector_env import SoilWheelVectorEnv
@@ -49,9 +50,10 @@ class Runner(NamedTuple):
     step: Callable[[], object]
 
 
-def ours(wheels: int, threads: int, **changes) -> Runner:
+def ours(wheels: int, threads: int, scenario: str = "mixed", **changes) -> Runner:
     """`SoilWheelVectorEnv` under held random torque commands, resets included."""
-    env, rng = SoilWheelVectorEnv(wheels, action="torque", threads=threads, **changes), np.random.default_rng(0)
+    env = SoilWheelVectorEnv(wheels, scenario=scenario, action="torque", threads=threads, **changes)
+    rng = np.random.default_rng(0)
     env.reset(seed=0)
     actions = [rng.uniform(0.0, 0.8, (wheels, 1)).astype(np.float32) for _ in range(16)]
     held = itertools.cycle([a for a in actions for _ in range(HELD)])
@@ -74,7 +76,7 @@ def single(env: gymnasium.Env, actions: Iterable[np.ndarray]) -> Runner:
 def ours_single() -> Runner:
     """`SoilWheelEnv` under held random torque commands."""
     actions = np.random.default_rng(0).uniform(0.0, 0.8, (512, 1)).astype(np.float32)
-    return single(SoilWheelEnv(action="torque"), np.repeat(actions, HELD, axis=0))
+    return single(SoilWheelEnv("mixed", action="torque"), np.repeat(actions, HELD, axis=0))
 
 
 def envpool_cartpole(size: int, threads: int) -> Runner:
@@ -137,6 +139,8 @@ def against_others(seconds: float, rounds: int, wheels: int, threads: int, notes
         "wheels": wheels,
         "threads": threads,
         "vector": comparison(ours(wheels, threads), cartpole, seconds, rounds),
+        "vector_window": comparison(ours(wheels, threads, belief={"method": "window"}), None, seconds, rounds),
+        "vector_default": comparison(ours(wheels, threads, DEFAULT_SCENARIO), None, seconds, rounds),
         "single": comparison(ours_single(), cheetah, seconds, rounds),
     }
 
