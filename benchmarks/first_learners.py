@@ -10,6 +10,7 @@ import runpy
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -99,9 +100,10 @@ def shown(page: str) -> tuple[Trained, int]:
     """The agent that the one Python block of docs/`page` with a training leaves as `model`, and its steps."""
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     (block,) = (b for b in re.findall(r"^```python\n(.*?)^```", text, re.M | re.S) if "model.learn(" in b)
-    names: dict = {}
-    exec(compile(block, page, "exec"), names)  # noqa: S102  a page of this repository
-    model = names["model"]
+    with tempfile.TemporaryDirectory() as folder:
+        script = Path(folder) / "block.py"
+        script.write_text(block, encoding="utf-8")
+        model = runpy.run_path(str(script))["model"]
     envs = model.get_env()
     act = lambda rows: model.predict(rows, deterministic=True)[0]  # noqa: E731
     return Trained(act, envs.observation_variant, envs.scaling), model.num_timesteps
