@@ -1,7 +1,7 @@
 """Knowledge of the identifier along a drive, and what a plain bonus for every gain of it would pay.
 
 Knowledge is that of the reward term `information` (`task.knowledge`, nat). A bonus for every gain of it could be earned
-again and again: `Rocking` hardly leaves its place and makes the identifier start anew each time.
+again and again where an identifier can be made to start anew: `Rocking` hardly leaves its place and tries.
 
     python -m benchmarks.paying --controllers 'soft_start,rocking=benchmarks.paying:Rocking,ppo=runs/paid_1/seed_*'
 
