@@ -89,7 +89,7 @@ def sim2real(folder: Path) -> None:
     from tests.agents.test_sim2real import WORLDS, tiny
 
     study.TrainConfig = functools.partial(TrainConfig, checkpoint_every=128)
-    asked = tiny([WORLDS / "bulldozing.yaml"], timesteps=384, training_seeds=1, courses=3)
+    asked = tiny([WORLDS / "bulldozing.yaml"], timesteps=384, training_seeds=1, courses=3, logs=1)
     study.begin(asked, folder)
     study.run(asked, folder, lambda text: None)
     report.write(asked, report.result(asked, folder), folder)
