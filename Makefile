@@ -28,7 +28,7 @@ TEST_READY := $(VENV)/.installed-test
 DOCS_READY := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
-.PHONY: help train test lint format kernels docs dist bench clients clean
+.PHONY: help train test lint types format kernels docs dist bench clients clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
@@ -51,6 +51,10 @@ lint: $(TEST_READY)  ## ruff, import contracts, types, workflow files
 format: $(TEST_READY)  ## let ruff format the code and repair what it can
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# Pyright is a program of Node; it does not follow an editable install, hence PYTHONPATH.
+types: $(TEST_READY)  ## whether every public name of soil_env has a complete type; needs npx
+	PATH="$(CURDIR)/$(BIN):$$PATH" PYTHONPATH="$(CURDIR)" npx --yes pyright@1.1.414 --ignoreexternal --verifytypes soil_env
 
 kernels: $(TEST_READY)  ## compile what most tests use, once for all test processes
 	$(PY) -m soil_env.warmup

@@ -291,7 +291,7 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
       repeat and rim_command; observations of order one (`scaled`).
     """
 
-    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
 
     def __init__(
         self,
@@ -309,19 +309,19 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             raise ParameterError(
                 f"render_mode = {render_mode!r}: expected one of {self.metadata['render_modes']} or None"
             )
-        self.scenario = build_scenario(scenario, action, repeat, changes)
+        self.scenario: Scenario = build_scenario(scenario, action, repeat, changes)
         self.observation_variant = observation
         entries = layout(observation, self.scenario.course)
-        self.observation_names = tuple(e.name for e in entries)
-        self.scaling = Scaling(entries, scaled)
-        self.observation_space = self.scaling.space
-        self.action_space = action_space()
+        self.observation_names: tuple[str, ...] = tuple(e.name for e in entries)
+        self.scaling: Scaling = Scaling(entries, scaled)
+        self.observation_space: gymnasium.spaces.Box = self.scaling.space
+        self.action_space: gymnasium.spaces.Box = action_space()
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.duration))}
-        self.model = load_model(model)
-        self.infos = Infos(self.scenario, info, 1)
+        self.model: WheelSoilModel | None = load_model(model)
+        self.infos: Infos = Infos(self.scenario, info, 1)
         warnings = info in ("full", "numeric")
-        self.simulation = Simulation(1, self.scenario, observation, 1, self.model, warnings)
+        self.simulation: Simulation = Simulation(1, self.scenario, observation, 1, self.model, warnings)
         self._renderer: Renderer | None = None
         self._seeded = False
         self._over = True

@@ -74,21 +74,21 @@ class SoilWheelVectorEnv(gymnasium.vector.VectorEnv):
         except ValueError:
             known = ", ".join(repr(m.value) for m in AutoresetMode)
             raise ParameterError(f"autoreset_mode = {autoreset_mode!r}: expected one of {known}") from None
-        self.num_envs = int(num_envs)
-        self.scenario = build_scenario(scenario, action, repeat, changes, _OWN)
+        self.num_envs: int = int(num_envs)
+        self.scenario: Scenario = build_scenario(scenario, action, repeat, changes, _OWN)
         entries = layout(observation, self.scenario.course)
-        self.observation_names = tuple(e.name for e in entries)
-        self.scaling = Scaling(entries, scaled)
-        self.single_observation_space = self.scaling.space
-        self.single_action_space = action_space()
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.metadata = {"render_modes": [], "autoreset_mode": mode}
+        self.observation_names: tuple[str, ...] = tuple(e.name for e in entries)
+        self.scaling: Scaling = Scaling(entries, scaled)
+        self.single_observation_space: gymnasium.spaces.Box = self.scaling.space
+        self.single_action_space: gymnasium.spaces.Box = action_space()
+        self.observation_space: gymnasium.Space[Any] = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space: gymnasium.Space[Any] = batch_space(self.single_action_space, self.num_envs)
+        self.metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": mode}
         self.autoreset_mode = mode
-        self.infos = Infos(self.scenario, info, self.num_envs)
+        self.infos: Infos = Infos(self.scenario, info, self.num_envs)
         finals = mode == AutoresetMode.SAME_STEP and info != "none"
         self._follow = finals or info in ("full", "numeric")  # whether anybody asks for the traversability
-        self.simulation = Simulation(
+        self.simulation: Simulation = Simulation(
             self.num_envs, self.scenario, observation, threads, load_model(model), self._follow
         )
         # [control periods] after which an episode is truncated

@@ -216,7 +216,7 @@ def merge(base: dict, changes: dict) -> dict:
     return out
 
 
-def to_dict(instance) -> dict:
+def to_dict(instance: object) -> dict[str, typing.Any]:
     """A dataclass as nested plain values, ready for YAML."""
 
     def plain(x):

@@ -142,8 +142,8 @@ class Problem:
     def __post_init__(self) -> None:
         setup = self.data.setup
         self.soil, self.known = soil_unknowns(setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH)
-        self.density = 1500.0 if setup.soil.density is None else setup.soil.density.value
-        self.digging = known_digging(setup)
+        self.density: float = 1500.0 if setup.soil.density is None else setup.soil.density.value
+        self.digging: tuple[float, float] = known_digging(setup)
         self._effect_scales()
         self._processes()
 
@@ -152,12 +152,14 @@ class Problem:
         at = self.data.conditions
         own = {e.varies for e in CATALOGUE.values()}
         spans = [{name: span * length for name, length in LENGTHS.items()} for span in SPANS]
-        self.law_processes = [Process.over(at, INPUTS, most=_LAW, lengths=lengths) for lengths in spans]
-        self.effect_processes = {v: Process.over(at, (*INPUTS, v), most=_EFFECT) for v in own}
+        self.law_processes: list[Process] = [Process.over(at, INPUTS, most=_LAW, lengths=lengths) for lengths in spans]
+        self.effect_processes: dict[str | None, Process] = {
+            v: Process.over(at, (*INPUTS, v), most=_EFFECT) for v in own
+        }
         at, lengths = at | self.data.elapsed, {k: _LONGER * v for k, v in (LENGTHS | {"elapsed": 0.5}).items()}
-        self.free_functions = Process.over(at, additive=True, most=_FREE, lengths=lengths).at_points
+        self.free_functions: np.ndarray = Process.over(at, additive=True, most=_FREE, lengths=lengths).at_points
         square = np.where(self.used, np.nan_to_num(self.data.y) ** 2, 0.0)
-        self.size = np.sqrt(square.sum(axis=0) / np.maximum(self.used.sum(axis=0), 1))
+        self.size: np.ndarray = np.sqrt(square.sum(axis=0) / np.maximum(self.used.sum(axis=0), 1))
 
     def _effect_scales(self) -> None:
         """Prior scales in the units of this rig, and reference speeds that the data set."""
@@ -181,7 +183,7 @@ class Problem:
         if np.min(rows.slip) > -0.02:  # every published peak of a driven wheel moves forward with slip
             self.scales["stress_peak_shift_slope"] = (0.3, 0.0, 0.9)
         slide = np.array([sliding_speed(i, v) for i, v in zip(rows.slip, speed, strict=True)])
-        self.neutral = NO_EFFECTS._replace(shear_softening_length=0.3 * r)
+        self.neutral: Effects = NO_EFFECTS._replace(shear_softening_length=0.3 * r)
         if np.all(speed > 0.0):
             middle = math.exp(float(np.mean(np.log(speed))))
             slide = slide[slide > 0.0]

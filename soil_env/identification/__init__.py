@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soil_env._numba.rows import Rows
 from soil_env.identification.point import Points, Reading, predict, weigh_all
 from soil_env.identification.solver import (
     LOWER,
@@ -85,7 +86,7 @@ def _points(
     channels: tuple[ArrayLike | None, ...],
     dig_ratio: ArrayLike | None,
     reading: Reading,
-) -> Points:
+) -> Rows:
     """Checked `Points` without weights; ValueError for a reading or arrays that make no sense."""
     _check_reading(reading)
     slip = np.asarray(slip, dtype=float)
@@ -176,7 +177,7 @@ def generalized_newton_raphson(
     return _estimate(found, points, measured, reading)
 
 
-def _estimate(found: _Found, points: Points, measured: int, reading: Reading) -> Estimate:
+def _estimate(found: _Found, points: Rows, measured: int, reading: Reading) -> Estimate:
     """`Estimate` at the end of an iteration."""
     cost, matrix, _ = normal_equations(found.x, points, _NO_PRIOR, _NO_PRIOR, reading)
     eigenvalues = np.linalg.eigvalsh(matrix)
@@ -205,7 +206,7 @@ def _run(
     slip_sd: float = 0.0,
     sinkage_sd: float = 0.0,
     *,
-    points: Points,
+    points: Rows,
     variances: np.ndarray,
     reading: Reading,
     tolerance: float,

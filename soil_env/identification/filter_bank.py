@@ -118,6 +118,7 @@ def element(i, j):
 
 @inlined
 def reference_of(banks, k):
+    """`Reference` of the filters of wheel k."""
     return Reference(banks.point.displacement[k], banks.point.stress[k])
 
 

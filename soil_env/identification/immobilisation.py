@@ -258,7 +258,8 @@ class ImmobilisationWarning:
     """Probabilities of immobilisation within `HORIZONS` of wheels whose averages a simulation keeps."""
 
     def __init__(self, scenario: Scenario, net: Network | None = None):
-        self.numbers, self._net = warning_numbers(scenario), shipped_network() if net is None else net
+        self.numbers: WarningNumbers = warning_numbers(scenario)
+        self._net = shipped_network() if net is None else net
         self._write, self._run = FastCall(write_inputs), FastCall(run_network)
         self._work = _work(self._net)
 

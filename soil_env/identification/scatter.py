@@ -31,17 +31,19 @@ class Scatter:
     """Samples of the unknown noise with weights [M], and the unknowns under each: shift [M, p], covariance."""
 
     def __init__(self, problem: TableProblem, u: np.ndarray) -> None:
-        self.channels = np.flatnonzero(problem.estimated)
-        self.u, self.e, self.J = u, problem.residual(u), problem.by_unknowns(u)
+        self.channels: np.ndarray = np.flatnonzero(problem.estimated)
+        self.u: np.ndarray = u
+        self.e: np.ndarray = problem.residual(u)
+        self.J: np.ndarray = problem.by_unknowns(u)
         unit = problem.measured[:, None, :] * np.eye(3)  # [N, 3, 3]
-        self.parts = np.stack([unit * np.eye(3)[j - 2] for j in self.channels])
+        self.parts: np.ndarray = np.stack([unit * np.eye(3)[j - 2] for j in self.channels])
         known = np.where(problem.estimated, 0.0, problem.noise) ** 2
-        self.rest = np.einsum("kcj,j,kdj->kcd", problem.F, known[:2], problem.F)
+        self.rest: np.ndarray = np.einsum("kcj,j,kdj->kcd", problem.F, known[:2], problem.F)
         self.rest += unit * (known[2:] * problem.relative**2)[:, None, :]
         self.rest += ~problem.measured[:, None, :] * np.eye(3)
         self._sample(problem)
 
-    def _evaluate(self, ln_sd):
+    def _evaluate(self, ln_sd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """ln L [M], shift [M, p] of the unknowns and their covariance [M, p, p] at ln sigma [M, channels]."""
         V = self.rest + np.einsum("mj,jkcd->mkcd", np.exp(2.0 * ln_sd), self.parts)
         scale = np.sqrt(np.einsum("mkcc->mkc", V))  # whitened first, the channels differ by powers of ten
@@ -73,8 +75,10 @@ class Scatter:
             ln_p += np.sum(ln_sd[:, flat], axis=1)
             ln_w = np.where(inside, ln_p - ln_q, -np.inf)
             weights = np.exp(ln_w - np.max(ln_w))
-            self.weights = weights / np.sum(weights)
-            self.ln_sd, self.shift, self.covariance = ln_sd, shift, covariance
+            self.weights: np.ndarray = weights / np.sum(weights)
+            self.ln_sd: np.ndarray = ln_sd
+            self.shift: np.ndarray = shift
+            self.covariance: np.ndarray = covariance
             center = self.weights @ ln_sd
             if not count:
                 break
@@ -84,7 +88,7 @@ class Scatter:
             ln_sd = center + u @ factor.T
             ln_q = -0.5 * (_TAIL + k) * np.log1p(np.sum(u * u, axis=1) / _TAIL)
 
-    def noise(self):
+    def noise(self) -> np.ndarray:
         """Geometric mean of the noise of the estimated channels."""
         return np.exp(self.weights @ self.ln_sd)
 

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from soil_env._numba.compiling import inlined, root
 from soil_env._numba.lanes import scratch
+from soil_env._numba.rows import Rows
 from soil_env.identification.normal_equations import (
     SIZE,
     SOIL,
@@ -30,7 +31,7 @@ from soil_env.identification.normal_equations import (
     prepare,
     workspace,
 )
-from soil_env.identification.point import Points, Reading
+from soil_env.identification.point import Reading
 
 
 class Status(enum.IntEnum):
@@ -232,7 +233,7 @@ def _solve_points(x, points, count, prior, precision, reading, max_iterations, t
 
 def solve(
     start: np.ndarray,
-    points: Points,
+    points: Rows,
     prior: np.ndarray,
     precision: np.ndarray,
     reading: Reading,
@@ -265,7 +266,7 @@ def _normal_points(x, points, count, prior, precision, reading, system, work):
 
 
 def normal_equations(
-    x: ArrayLike, points: Points, prior: ArrayLike, precision: ArrayLike, reading: Reading
+    x: ArrayLike, points: Rows, prior: ArrayLike, precision: ArrayLike, reading: Reading
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """(cost, matrix J^T J + diag(precision) [3, 3], vector J^T residual [3]) at x [3], whitened."""
     system = np.zeros(SYSTEM)

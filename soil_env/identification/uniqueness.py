@@ -13,7 +13,8 @@ import math
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part, root
-from soil_env.identification.point import Points, Reading, channels_at, weights
+from soil_env._numba.rows import Rows
+from soil_env.identification.point import Reading, channels_at, weights
 from soil_env.identification.solver import (
     LOWER,
     UPPER,
@@ -94,6 +95,6 @@ def _search(x, points, count, reading, out):
     return False
 
 
-def other_soil(x: np.ndarray, points: Points, reading: Reading, out: np.ndarray) -> bool:
+def other_soil(x: np.ndarray, points: Rows, reading: Reading, out: np.ndarray) -> bool:
     """Whether another soil than x [3] within the bounds explains the three values of `points`; that one into `out`."""
     return bool(_search(x, points, len(points), reading, out))

@@ -131,22 +131,28 @@ class TableProblem:
         wheels = np.stack([table.radius(setup.wheel), table.width(setup.wheel), np.zeros(len(table))], axis=1)
         level = np.zeros(len(table))  # no speed: the base model does not depend on it, nor on the pass
         grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))
-        self.table, self.setup, self.use = table, setup, use
+        self.table: Table = table
+        self.setup: Setup = setup
+        self.use: np.ndarray = use
         rows = (table.rim_slip(setup), table.load, wheels, np.stack([level, level + 1.0, grade], axis=1))
-        self.rows = Rows(*(column[use] for column in rows))
-        self.corrected = self.rows  # at the most probable slip and load
-        self.y = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
-        self.measured = np.isfinite(self.y)
-        self.relative = np.broadcast_to(table.relative_sd(setup), table.slip.shape + (3,))[use]
+        self.rows: Rows = Rows(*(column[use] for column in rows))
+        self.corrected: Rows = self.rows  # at the most probable slip and load
+        self.y: np.ndarray = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
+        self.measured: np.ndarray = np.isfinite(self.y)
+        self.relative: np.ndarray = np.broadcast_to(table.relative_sd(setup), table.slip.shape + (3,))[use]
         seen = self.measured[:, 0]
-        self.z_ref = float(np.median(self.y[seen, 0])) if seen.any() else USUAL_SINKAGE * setup.wheel.radius
+        self.z_ref: float = float(np.median(self.y[seen, 0])) if seen.any() else USUAL_SINKAGE * setup.wheel.radius
+        self.unknowns: tuple[Unknown, ...]
+        self.known: dict[str, float]
         self.unknowns, self.known = soil_unknowns(setup, self.rows.load, self.y[:, 0])
         if not self.unknowns:
             raise ParameterError(
                 f"{setup.source}: soil: every parameter is known: expected at least one to identify, left out or as "
                 "{value: ..., sd: ...}"
             )
-        self.bounds = tuple(np.array(b) for b in zip(*(k.bounds for k in self.unknowns), strict=True))
+        self.bounds: tuple[np.ndarray, ...] = tuple(
+            np.array(b) for b in zip(*(k.bounds for k in self.unknowns), strict=True)
+        )
         self._noise()
         values, needed = int(self.measured.sum()), len(self.unknowns)
         if values < needed + int(self.estimated.sum()):
@@ -158,15 +164,17 @@ class TableProblem:
         wheel = dict(zip(("wheel_radius", "wheel_width"), wheels.T, strict=False))
         at = {"slip": self.rows.slip, "load": self.rows.load, **wheel}
         spans = [{name: span * length for name, length in LENGTHS.items()} for span in SPANS]
-        self.processes = [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in spans]
+        self.processes: list[Process] = [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in spans]
         self.form_error: Compression | None = None  # of the base law, beside the noise; none as long as it is not known
         self.weigh(np.zeros((count, 3, 2)))
 
     def _noise(self) -> None:
         size, r = float(np.median(self.rows.load)), float(self.rows.wheels[0, 0])
         guess = {"sinkage": 0.05 * self.z_ref, "drawbar_pull": 0.03 * size, "torque": 0.03 * size * r}
-        self.noise, self.estimated = np.zeros(5), np.zeros(5, dtype=bool)
-        self.floor, self.freedom = np.zeros(5), np.full(5, math.inf)  # degrees of freedom behind an estimated noise
+        self.noise: np.ndarray = np.zeros(5)
+        self.estimated: np.ndarray = np.zeros(5, dtype=bool)
+        self.floor: np.ndarray = np.zeros(5)
+        self.freedom: np.ndarray = np.full(5, math.inf)  # degrees of freedom behind an estimated noise
         for k, name in enumerate(SOURCES):
             given = getattr(self.setup.noise, name) if k < 2 else self.table.channel_sd(self.setup, name)
             least = 1e-7 * guess.get(name, 0.03 * size if name == "load" else 0.03)

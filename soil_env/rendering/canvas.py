@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    import pygame
 
 Colour: TypeAlias = tuple[int, ...]
 Point: TypeAlias = Sequence[float] | np.ndarray
@@ -114,7 +117,7 @@ class Canvas:
         place = self._offset + self._scale * np.array([x, y]) - np.multiply(image.get_size(), (align, 0.5))
         self._texts.append((image, place.round()))
 
-    def finish(self):
+    def finish(self) -> pygame.Surface:
         """The finished picture as a surface, which the next picture overwrites."""
         self._pygame.transform.smoothscale(self._large, self._surface.get_size(), self._surface)
         self._surface.blits(self._texts)

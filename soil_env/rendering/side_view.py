@@ -124,7 +124,9 @@ class Renderer:
     def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
         if mode not in MODES:
             raise ValueError(f"render mode {mode!r}: expected one of {', '.join(MODES)}")
-        self.scenario, self.mode, self.size = scenario, mode, tuple(size)
+        self.scenario: Scenario = scenario
+        self.mode: str = mode
+        self.size: tuple[int, int] = (size[0], size[1])
         self._canvas = self._window = self._clock = None
         self._course_key = self._profile = None
         self._step = scenario.control.duration  # [s] from record to record

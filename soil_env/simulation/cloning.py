@@ -17,7 +17,9 @@ from soil_env._numba.rows import Rows
 from soil_env.simulation.worlds import Simulation, Worlds
 
 
-def clone(source: Simulation, wheels: Sequence[int] | np.ndarray, target: Simulation, places) -> None:
+def clone(
+    source: Simulation, wheels: Sequence[int] | np.ndarray, target: Simulation, places: Sequence[int] | np.ndarray
+) -> None:
     """Make wheel `places[i]` of `target` a clone of wheel `wheels[i]` of `source`.
 
     Both simulations are of one scenario, observation and model; reward and time limit may differ. A wheel may be cloned

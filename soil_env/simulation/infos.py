@@ -69,7 +69,8 @@ class Infos:
     """
 
     def __init__(self, scenario: Scenario, kind: str, wheels: int) -> None:
-        self.scenario, self.kind = scenario, checked(kind)
+        self.scenario: Scenario = scenario
+        self.kind: str = checked(kind)
         self._best: Callable[..., Any] = FastCall(best_working_point)
         self._foresight = ImmobilisationWarning(scenario) if kind != "none" else None
         self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate last changed

@@ -12,6 +12,7 @@ goes on with the next of up to `MANY`.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -73,9 +74,10 @@ _Newton: type[Rows] = rows(
     "f1", "f2", "motor_slope", "norm", "before", "share", "tries", "passes",
 )  # fmt: skip
 # Scratch of a substep, for `Substep`. The last block is that of the wheels that take longer.
-new_footing = scratch_rows(Footing, MANY)
-new_equations, new_newton = scratch_rows(_Equations, MANY + COUNT), scratch_rows(_Newton, MANY + COUNT)
-new_nodes = scratch_rows(Nodes, (MANY // COUNT + 1) * NODE_COLUMNS)
+new_footing: Callable[[], Rows] = scratch_rows(Footing, MANY)
+new_equations: Callable[[], Rows] = scratch_rows(_Equations, MANY + COUNT)
+new_newton: Callable[[], Rows] = scratch_rows(_Newton, MANY + COUNT)
+new_nodes: Callable[[], Rows] = scratch_rows(Nodes, (MANY // COUNT + 1) * NODE_COLUMNS)
 _Queue: type[Rows] = rows("_Queue", "wheel", kind=np.int64)
 _queue, _occupants = scratch_rows(_Queue, MANY), scratch_rows(_Queue, COUNT)
 
@@ -91,6 +93,7 @@ class Substep(NamedTuple):
 
 @inlined
 def load_reaction(n, i):
+    """`Reaction` of the eight wheels that begin at column i."""
     return Reaction(
         from_array(n.load, i), from_array(n.drawbar_pull, i), from_array(n.torque, i),
         from_array(n.sinkage_coefficient, i),

@@ -59,11 +59,13 @@ class Scaling:
     def __init__(self, entries: Iterable[ObservedNumber], scaled: bool = True) -> None:
         if not isinstance(scaled, (bool, np.bool_)):
             raise ParameterError(f"scaled = {scaled!r}: expected True or False")
-        self.entries, self.scaled = tuple(entries), bool(scaled)
+        self.entries: tuple[ObservedNumber, ...] = tuple(entries)
+        self.scaled: bool = bool(scaled)
         names = [e.name for e in self.entries]
         plain = [n.partition("_")[2] if n.startswith(_PREFIXES) else n for n in names]
         pairs = np.array([CENTRE_AND_SCALE.get(n, (0.0, 1.0)) for n in plain], dtype=np.float32).reshape(-1, 2)
-        self.centre, self.scale = pairs.T.copy()
+        self.centre: NDArray[np.float32] = pairs[:, 0].copy()
+        self.scale: NDArray[np.float32] = pairs[:, 1].copy()
         # for each entry one that is 0 where its line is out of sight, and whether it is kept then
         self._mark, self._kept = np.arange(len(names)), np.ones(len(names), dtype=np.float32)
         self._wide: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None

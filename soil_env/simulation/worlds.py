@@ -302,13 +302,13 @@ class Simulation:
         model: WheelSoilModel | None = None,
         warnings: bool = False,
     ) -> None:
-        self.scenario = scenario
+        self.scenario: Scenario = scenario
         self._threads = threads or _processors()
         self._run = FastCall(step_chunks)
         self._commands, self._what = np.zeros(wheels), np.full(wheels, IDLE)
         self._counter = np.ones(2, dtype=np.int64)
         task = task_numbers(scenario, variant, model)
-        self.numbers = Numbers(
+        self.numbers: Numbers = Numbers(
             world_numbers(scenario, model),
             course_numbers(scenario, model).drawn,
             identifier_numbers(scenario),
@@ -316,7 +316,7 @@ class Simulation:
             task,
             warning_numbers(scenario),
         )
-        self.worlds = new_worlds(wheels, scenario, task, warnings)
+        self.worlds: Worlds = new_worlds(wheels, scenario, task, warnings)
         self._check_passable(task)
 
     def _check_passable(self, task: TaskNumbers) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +20,7 @@ class OutsideValidity(UserWarning):
     """A model predicts conditions beyond those that it was fitted to."""
 
 
-def checked(validity: Mapping, where: str = "validity") -> dict[str, tuple[float, float]]:
+def checked(validity: Mapping[str, Any], where: str = "validity") -> dict[str, tuple[float, float]]:
     """A range for each condition that has one; `ParameterError` for unknown names and for what is no range."""
     if not isinstance(validity, Mapping):
         raise ParameterError(f"{where}: expected a mapping of conditions to [lowest, highest], got {validity!r}")
