@@ -16,7 +16,8 @@ BIN := $(VENV)/bin
 PY := $(BIN)/python
 endif
 # Bytecode is written when a module is first imported: most of what torch and scipy bring never is.
-PIP := PIP_NO_COMPILE=1 $(PY) -m pip --disable-pip-version-check
+PIP := $(PY) -m pip --disable-pip-version-check
+unexport PYTHONDONTWRITEBYTECODE
 ARGS ?=
 JOBS ?= 2
 
@@ -63,7 +64,7 @@ docs: $(DOCS_READY)  ## build the documentation into site/; a warning is an erro
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 dist: $(TEST_READY)  ## wheel and sdist into dist/
-	$(PIP) install -q -c constraints.txt build
+	$(PIP) install -q --no-compile -c constraints.txt build
 	$(PY) -m build
 
 bench: $(TRAIN_READY)  ## run the studies of benchmarks/ and renew their pages in docs/
@@ -86,16 +87,16 @@ $(PY):
 # the CPU build. Where that index cannot be reached, the install below takes torch from pip's usual indexes.
 $(TRAIN_READY): pyproject.toml constraints.txt | $(PY)
 	@test -z "$(TORCH_INDEX)" \
-	  || $(PIP) install -q --no-deps --retries 1 --timeout 15 --index-url $(TORCH_INDEX) $(TORCH) \
+	  || $(PIP) install -q --no-compile --no-deps --retries 1 --timeout 15 --index-url $(TORCH_INDEX) $(TORCH) \
 	  || echo "No CPU build of torch from $(TORCH_INDEX); going on with pip's usual indexes."
-	$(PIP) install -q -c constraints.txt -e '.[train]'
+	$(PIP) install -q --no-compile -c constraints.txt -e '.[train]'
 	@touch $@
 
 $(TEST_READY): $(TRAIN_READY)
-	$(PIP) install -q -c constraints.txt -e '.[train,recurrent,export,logs,test,docs]'
+	$(PIP) install -q --no-compile -c constraints.txt -e '.[train,recurrent,export,logs,test,docs]'
 	@touch $@ $(DOCS_READY)
 
 # The site is made from the sources, none of which is imported: no torch.
 $(DOCS_READY): pyproject.toml constraints.txt | $(PY)
-	$(PIP) install -q -c constraints.txt -e '.[docs]'
+	$(PIP) install -q --no-compile -c constraints.txt -e '.[docs]'
 	@touch $@

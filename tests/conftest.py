@@ -12,7 +12,8 @@ PYTHONPATH = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPA
 
 for name, value in (("SDL_VIDEODRIVER", "dummy"), ("SDL_AUDIODRIVER", "dummy"), ("MPLBACKEND", "Agg")):
     os.environ.setdefault(name, value)
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small, and as many tests run as there are cores
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(name, "1")  # matrices and networks are small, and as many tests run as there are cores
 
 # A shell starts what runs in the background with Ctrl-C ignored, and processes started from here would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -27,10 +27,15 @@ def summary(runs: Runs, seed: int = 0, resamples: int = 2000) -> dict[str, dict[
         if name in RATES:
             low, high = wilson(x.sum(), n)
         else:
-            means = np.array([x[rng.integers(0, n, n)].mean() for _ in range(resamples)])
-            low, high = (float(q) for q in np.percentile(means, [2.5, 97.5]))
+            low, high = _interval(x, rng, resamples)
         out[name] = {"value": value, "low": min(low, value), "high": max(high, value)}
     return out
+
+
+def _interval(x: np.ndarray, rng: np.random.Generator, resamples: int) -> list[float]:
+    """95 % bootstrap interval of the mean of x [n]."""
+    means = x[rng.integers(0, x.size, (resamples, x.size))].mean(axis=1)
+    return np.percentile(means, [2.5, 97.5]).tolist()
 
 
 def comparison(
@@ -66,8 +71,7 @@ def paired_difference(a: Runs, b: Runs, metric: str, seed: int = 0, resamples: i
     """Mean of a - b over the courses both have driven, with a 95 % bootstrap interval over courses."""
     d = a.metric(metric) - b.metric(metric)
     rng = np.random.default_rng(seed)
-    means = np.array([d[rng.integers(0, d.size, d.size)].mean() for _ in range(resamples)])
-    low, high = (float(q) for q in np.percentile(means, [2.5, 97.5]))
+    low, high = _interval(d, rng, resamples)
     return {"value": float(d.mean()), "low": low, "high": high}
 
 

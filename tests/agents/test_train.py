@@ -292,10 +292,7 @@ def test_an_existing_run_is_not_overwritten(capsys, tmp_path):
     assert [p.name for p in folder.iterdir()] == ["precious"]
 
 
-def test_resume_of_what_is_no_run_and_with_other_options_is_refused(capsys, finished, tmp_path):
-    folder, _, _ = finished
-    assert "--resume" in refused(capsys, "--resume", folder, "--courses", "5")
-    assert "x" in refused(capsys, "--resume", folder.parent / "y").split("found:")[1]
+def test_resume_of_what_is_no_run_is_refused(capsys, tmp_path):
     assert "config.yaml" in refused(capsys, "--resume", tmp_path)
     (tmp_path / "config.yaml").write_text("seed: 1\n")
     assert "scenario.yaml" in refused(capsys, "--resume", tmp_path)
@@ -304,13 +301,17 @@ def test_resume_of_what_is_no_run_and_with_other_options_is_refused(capsys, fini
 # --- resume -----------------------------------------------------------------------------------------------------------
 
 
-def test_resume_of_a_finished_run_does_nothing_and_without_its_result_compares_again(capsys, tmp_path, monkeypatch):
+def test_resume_of_a_finished_run_does_nothing_takes_no_options_and_without_its_result_compares_again(
+    capsys, tmp_path, monkeypatch
+):
     assert run(capsys, *TINY, "--runs", tmp_path, "--name", "n")[0] == 0
     folder = tmp_path / "n"
     with monkeypatch.context() as patch:
         patch.setattr(training, "tuned_settings", None)  # would be a TypeError
         assert run(capsys, "--resume", folder)[0] == 0
     before, model = (folder / "comparison.json").read_text(), (folder / "model.zip").read_bytes()
+    assert "--resume" in refused(capsys, "--resume", folder, "--courses", "5")
+    assert "n" in refused(capsys, "--resume", tmp_path / "y").split("found:")[1]
     (folder / "comparison.json").unlink()
     code, out, err = run(capsys, "--resume", folder)
     assert code == 0, err
