@@ -32,7 +32,7 @@ from soil_env.identification.online import (
 )
 from soil_env.identification.solver import Status
 from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
-from soil_env.terramechanics.contact import slip_ratio, travel_speeds
+from soil_env.slip import rim_speeds, slip_ratio, travel_speeds
 from soil_env.terramechanics.model import steady_state
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.traversability import best_working_point
@@ -433,5 +433,4 @@ def _completed(rim: float, speed: float, slip: float) -> tuple[float, float]:
     """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip; NaN without it."""
     if speed != speed:
         return rim, float(travel_speeds(rim, slip))
-    driving = speed / (1.0 - slip) if 0.0 <= slip < 1.0 else _NAN
-    return (speed * (1.0 + slip) if slip < 0.0 else driving), speed
+    return (float(rim_speeds(speed, slip)) if slip < 1.0 else _NAN), speed

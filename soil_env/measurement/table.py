@@ -22,6 +22,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.measurement.setup import LARGEST_WHEEL, NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
+from soil_env.slip import slips_of_radius
 
 __all__ = [
     "LARGEST_WHEEL",
@@ -114,7 +115,7 @@ class Table:
     def rim_slip(self, setup: Setup) -> np.ndarray:
         """Slip [N] by the radius of the rim, from that by the radius to the lug tips where the setup says so.
 
-        V/(r w) is (r + h)/r times V/((r + h) w), driving or braking. `ParameterError` where h is not known.
+        V/(r w) is (r + h)/r times V/((r + h) w). `ParameterError` where h is not known.
         """
         if setup.slip_reference == "rim":
             return self.slip
@@ -123,11 +124,7 @@ class Table:
             raise ParameterError(
                 f"{setup.source}: slip_reference: tip: expected wheel.grouser_height, or a column grouser_height"
             )
-        with np.errstate(divide="ignore"):
-            ratio = np.where(self.slip >= 0.0, 1.0 - self.slip, 1.0 / (1.0 + self.slip))
-            ratio = ratio * (1.0 + height / self.radius(setup.wheel))
-            slip: np.ndarray = np.where(ratio <= 1.0, 1.0 - ratio, 1.0 / ratio - 1.0)
-        return slip
+        return slips_of_radius(self.slip, 1.0 + height / self.radius(setup.wheel))
 
 
 def read_table(path: str | Path, wheel: SetupWheel | None = None, ignore: Sequence[str] = ()) -> Table:
