@@ -10,12 +10,14 @@ It is the identifier that `SoilWheel-v0` runs (`identification.online`): the sam
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+import re
+from dataclasses import dataclass, fields, replace
 from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, root
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.linearised import SINKAGE
@@ -183,7 +185,7 @@ class OnlineIdentifier:
     its last value, otherwise the averages that it is missing from go without it.
 
     An instance is not for several threads at once. It can be pickled and copied. Raises TypeError for arguments of
-    other types.
+    other types, `ParameterError` for numbers out of range.
     """
 
     def __init__(
@@ -201,13 +203,15 @@ class OnlineIdentifier:
                 known = " such as wheels()['planetary_rover']" if kind is Wheel else ""
                 raise TypeError(f"{name} = {value!r}: expected a {kind.__name__} of soil_env.parameters{known}")
         any_soil = Soil(30.0, 0.0, 0.01, 1.0, sinkage_coefficient=1e6)  # a scenario has one; nothing here reads it
-        control = Control(period=period, substep=min(period, 0.05))
-        self._set(
-            Scenario(
+        try:
+            control = replace(Control(period=period), substep=min(period, 0.05))
+            scenario = Scenario(
                 wheel, {"any": 1.0}, {"any": any_soil}, gravity=gravity, relaxation=relaxation, belief=belief,
                 noise=noise, control=control,
-            )
-        )  # fmt: skip
+            )  # fmt: skip
+        except ParameterError as error:  # begins with the class that the argument went into
+            raise ParameterError(re.sub(r"^(Control|Scenario)\.", "", str(error))) from None
+        self._set(scenario)
 
     @classmethod
     def of_scenario(cls, scenario: Scenario) -> OnlineIdentifier:
