@@ -14,6 +14,7 @@ from typing import Any, Literal
 from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml
 from soil_env.parameters import Soil
 
+REQUIRED = ("slip", "load")  # columns of every table
 LARGEST_WHEEL = 3.0  # [m] as in `parameters.Wheel`
 STEEPEST_TILT = 20.0  # [deg] of a rig that is not level
 LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the value known
@@ -148,6 +149,11 @@ class Setup(Checked):
         if self.tilt_deg is not None and not abs(self.tilt_deg.value) <= STEEPEST_TILT:
             limits = f"[-{STEEPEST_TILT:g}, {STEEPEST_TILT:g}]"
             raise ParameterError(f"tilt_deg = {self.tilt_deg.value:g}: expected degrees in {limits}")
+        for name in self.ignore_columns:
+            if name in REQUIRED:
+                raise ParameterError(
+                    f"ignore_columns: {name!r}: expected other columns, this one is needed in every table"
+                )
         sinkage = self.noise.sinkage
         if sinkage is not None and sinkage > 0.5 * self.wheel.radius:
             raise ParameterError(

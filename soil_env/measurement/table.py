@@ -21,11 +21,21 @@ from typing import Literal
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.measurement.setup import LARGEST_WHEEL, NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
+from soil_env.measurement.setup import (
+    LARGEST_WHEEL,
+    REQUIRED,
+    NoiseLevels,
+    Prior,
+    Setup,
+    SetupWheel,
+    SoilPriors,
+    read_setup,
+)
 from soil_env.slip import slips_of_radius
 
 __all__ = [
     "LARGEST_WHEEL",
+    "REQUIRED",
     "NoiseLevels",
     "Prior",
     "Setup",
@@ -37,7 +47,6 @@ __all__ = [
     "read_table",
 ]
 
-REQUIRED = ("slip", "load")
 Channel = Literal["sinkage", "drawbar_pull", "torque"]
 MEASURED: tuple[Channel, ...] = ("sinkage", "drawbar_pull", "torque")
 OPTIONAL = ("speed", "pass", "grade_deg", "run", "time", "wheel_radius", "wheel_width", "grouser_height")
@@ -273,8 +282,8 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
     for name in REQUIRED:
         refuse(name, np.isnan(getattr(table, name)), "a number in every row")
     outside = np.abs(table.slip) > 1.0
-    percent = np.any(outside) and np.max(np.abs(table.slip)) <= 100.0
-    refuse("slip", outside, "slip in [-1, 1]" + (" (these look like percent: divide by 100)" if percent else ""))
+    percent = 2.0 < np.max(np.abs(table.slip)) <= 100.0
+    refuse("slip", outside, "slip in [-1, 1]" + (" (if it is percent, divide by 100)" if percent else ""))
     refuse("load", table.load <= 0.0, "a load > 0 N, upward on the wheel")
     refuse("speed", table.speed < 0.0, "a travel speed >= 0 m/s")
     refuse("speed", table.speed > FASTEST, f"metres per second, at most {FASTEST:g} (if it is mm/s, divide by 1000)")
@@ -307,6 +316,8 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
     if np.any(nothing):
         line = table.row[nothing][0]
         raise ParameterError(f"{table.source}: row {line}: nothing measured: expected one of {', '.join(MEASURED)}")
+    if len(table) == 1:
+        raise ParameterError(f"{table.source}: one row: expected at least two, with different slips")
     if np.all(table.slip == table.slip[0]):
         raise ParameterError(
             f"{table.source}: slip = {table.slip[0]:g} in every row: expected at least two different slips"
