@@ -27,6 +27,12 @@ _ODD = (
 )
 
 
+def check_lugs(height: float, radius: float) -> None:
+    """Raise `ParameterError` for lugs [m] that are no shorter than the radius [m] of their wheel."""
+    if height >= radius:
+        raise ParameterError(f"grouser_height = {height:g}: expected metres, less than the wheel radius {radius:g} m")
+
+
 @dataclass(frozen=True)
 class SetupWheel(Checked):
     """The wheel that was measured; `grouser_height` 0 is a smooth rim, None one of which nothing is said.
@@ -41,6 +47,7 @@ class SetupWheel(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_lugs(self.grouser_height or 0.0, self.radius)
         if self.grouser_count is not None and self.grouser_height == 0.0:
             raise ParameterError(f"grouser_count = {self.grouser_count}: expected with a grouser_height > 0 m only")
 

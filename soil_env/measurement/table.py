@@ -306,7 +306,11 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
         np.abs(table.sinkage) > DEEPEST,
         "metres (this can only be millimetres, divide by 1000, or centimetres)",
     )
-    radius = table.wheel_radius if wheel is None else table.radius(wheel)
+    radius, height = (
+        (table.wheel_radius, table.grouser_height) if wheel is None else (table.radius(wheel), table.height(wheel))
+    )
+    refuse("grouser_height", table.grouser_height >= radius, "metres, less than the wheel radius")
+    refuse("wheel_radius", table.wheel_radius <= height, "metres, more than the grouser height")
     deep = np.abs(table.sinkage) > radius
     if np.any(deep):
         r = radius[deep][0]
