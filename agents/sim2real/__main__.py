@@ -22,7 +22,7 @@ from soil_env._io.commands import command, command_line, label, leave
 from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 
 from ..cli import as_options, manual_parser
-from ..extras import needing_train
+from ..extras import needing
 from ..progress import show
 from . import report, study
 
@@ -64,7 +64,7 @@ _NUMBERS = {
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options = parser().parse_args(arguments)
-    with needing_train(label(_NAME)):
+    with needing("train", label(_NAME)):
         importlib.import_module("..training", __package__)  # takes seconds, which --help need not
     scenario = load_scenario(options.scenario)
     worlds = study.read_worlds(options.world, scenario)
