@@ -6,22 +6,32 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_OF_TRAIN = ("stable_baselines3", "tensorboard", "torch", "tqdm")
-TRAIN = "Stable-Baselines3: pip install 'soil_env[train]'"
+#: Extra of soil_env: what it is wanted for, and the modules that it brings.
+_EXTRAS = {
+    "train": ("Stable-Baselines3", ("stable_baselines3", "tensorboard", "torch", "tqdm")),
+    "rllib": ("Ray RLlib", ("ray", "torch")),
+    "minari": ("Minari", ("minari",)),
+    "logs": ("rosbags", ("rosbags", "mcap")),
+}
 
 
-def lacks_train(error: ImportError) -> bool:
-    """Whether an import failed for want of a package of the extra `train`."""
-    return isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in _OF_TRAIN
+def advice(extra: str) -> str:
+    """What to install for an extra."""
+    return f"{_EXTRAS[extra][0]}: pip install 'soil_env[{extra}]'"
+
+
+def lacks(error: ImportError, extra: str) -> bool:
+    """Whether an import failed for want of a package of an extra."""
+    return isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in _EXTRAS[extra][1]
 
 
 @contextmanager
-def needing_train(name: str) -> Iterator[None]:
-    """Around imports of the command `name`: one line on stderr and exit status 2 where the extra `train` is missing."""
+def needing(extra: str, name: str) -> Iterator[None]:
+    """Around imports of the command `name`: one line on stderr and exit status 2 where the extra is missing."""
     try:
         yield
     except ModuleNotFoundError as error:
-        if not lacks_train(error):
+        if not lacks(error, extra):
             raise
-        print(f"{name}: needs {TRAIN}", file=sys.stderr)
+        print(f"{name}: needs {advice(extra)}", file=sys.stderr)
         sys.exit(2)

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from .extras import TRAIN, lacks_train
+from .extras import advice, lacks
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ModuleNotFoundError as error:
-    if lacks_train(error):
-        raise ModuleNotFoundError(f"{__name__} needs {TRAIN}", name=error.name) from None
+    if lacks(error, "train"):
+        raise ModuleNotFoundError(f"{__name__} needs {advice('train')}", name=error.name) from None
     raise
 
 from soil_env._io.loading import unknown_value

@@ -32,11 +32,11 @@ from soil_env.parameters import Scenario, load_scenario
 from . import studies
 from .cli import config_file, manual_parser, overrides
 from .config import NAMES, TrainConfig, load_config
-from .extras import needing_train
+from .extras import needing
 from .progress import Bar, console, show
 
 NAME = f"{__package__}.seeds"
-with needing_train(NAME):
+with needing("train", NAME):
     from . import training
 
 _SET_HERE = ("seed", "name", "runs")

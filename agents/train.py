@@ -25,7 +25,7 @@ from soil_env.parameters import load_scenario
 
 from .cli import config_file, manual_parser, overrides
 from .config import PPOConfig, TrainConfig, load_config
-from .extras import needing_train
+from .extras import needing
 
 _STARTED_AS = f"{__package__}.train", "train.py"
 _FILES = """
@@ -82,7 +82,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options, rest = parser().parse_known_args(arguments)
-    with needing_train(label(*_STARTED_AS)):
+    with needing("train", label(*_STARTED_AS)):
         importlib.import_module(".training", __package__)  # takes seconds, in which Ctrl-C ends the process at once
     return _run(options, rest)
 

@@ -252,8 +252,8 @@ def print_table(result: dict) -> None:
 
 def verdict(result: dict, name: str) -> str:
     """How many courses the agent finishes, against the best controller that does not know the true soil, and the
-    references that do. Only the first word of the claim depends on the intervals: "more" means that they do not
-    overlap."""
+    references that do: the difference on the same courses, and both alone. "More" and "fewer" are said only where the
+    intervals of the two alone do not overlap."""
     rows = result["controllers"]
     fair = [n for n in rows if n not in (name, "best_slip_true", "ppo_true")]
     best = max(fair, key=lambda n: rows[n]["finished"]["value"])
@@ -261,18 +261,13 @@ def verdict(result: dict, name: str) -> str:
     known = {n: rows[n]["finished"] for n in ("best_slip_true",) if n in rows and n != name}
     known |= {n: metrics["finished"] for n, metrics in limit.rows(result).items()}
     difference = points(result["paired"][name][best]["finished"])
+    apart = "more" if agent["low"] > other["high"] else "fewer" if agent["high"] < other["low"] else ""
+    claim = f"finishes {apart} courses than" if apart else "against"
     text = (
-        f"{name} finishes {_judgement(agent, other)} {best}, the best of the others without the true soil: "
-        f"{percent(agent)} against {percent(other)}, on the same courses {difference} percentage points"
+        f"{name} {claim} {best}, the best of the others without the true soil: {difference} percentage points of "
+        f"courses finished, on the same courses; each alone {percent(agent)} and {percent(other)}"
     )
+    text += "" if apart else ", intervals that overlap"
     references = ", ".join(f"{n} {percent(m)}" for n, m in known.items())
     text += f". With the true soil: {references}" if references else ""
     return f"{text}. One training seed; the intervals are over courses."
-
-
-def _judgement(a: dict, b: dict) -> str:
-    if a["low"] > b["high"]:
-        return "more courses than"
-    return (
-        "fewer courses than" if a["high"] < b["low"] else "neither more nor fewer courses, within the intervals, than"
-    )

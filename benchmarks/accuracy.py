@@ -12,10 +12,9 @@ of torque over radius, whichever is larger, over the load.
 
 from __future__ import annotations
 
-import argparse
-
 import numpy as np
 
+from soil_env._io.commands import command_parser
 from soil_env.simulation.terrain import cell_at
 from soil_env.terramechanics.arc_integrals import arc_integrals, simpson_integrals
 from soil_env.terramechanics.contact import forces
@@ -108,7 +107,7 @@ def quadrature(slips: tuple[float, float], ratios: tuple[float, float], rng, arc
 
 def main() -> None:
     """Print both tables."""
-    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+    command_parser("python -m benchmarks.accuracy", __doc__).parse_args()
     time_step()
     print("\n| slip | K/r | median | 90 % | largest |\n|---|---|---|---|---|")
     for slips in ((0.02, 0.95), (-0.95, -0.02)):

@@ -28,6 +28,7 @@ from soil_env._io.document import Table
 from soil_env._io.files import make_folder, write_json
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import LINES, layout
+from soil_env.slip import rim_speeds
 from soil_env.terramechanics.traversability import best_points
 
 COURSE_SET = 3_000_029  # neither of training, tuning nor another comparison
@@ -85,7 +86,7 @@ class SoftStart:
             halted, 0.0, np.minimum(state["rim"] + self.acceleration * self.scenario.control.period, self.speed)
         )
         forward = np.maximum(o["speed"], 0.0) * self.top
-        state["rim"] = rim = np.minimum(rim, forward / (1.0 - self._slip(o, state)) + _LEAD)
+        state["rim"] = rim = np.minimum(rim, rim_speeds(forward, self._slip(o, state)) + _LEAD)
         droop = (
             o["torque"] * self.scenario.weight * self.scenario.wheel.radius / (10.0 * self.scenario.wheel.stall_torque)
         )

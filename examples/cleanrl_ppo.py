@@ -15,12 +15,16 @@ import time
 import gymnasium
 import matplotlib
 import numpy as np
-import torch
 from gymnasium.vector import AutoresetMode
-from torch import nn
+
+from soil_env_agents.extras import needing
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+
+with needing("train", "cleanrl_ppo.py"):
+    import torch
+    from torch import nn
 
 GAMMA, LAMBDA, CLIP, EPOCHS, BATCH, RATE = 0.99, 0.95, 0.2, 10, 256, 3e-4
 

@@ -11,11 +11,14 @@ them. Data sets lie in ~/.minari/datasets, or where MINARI_DATASETS_PATH says.
 import argparse
 import sys
 
-import minari
 import numpy as np
 
 from soil_env_agents import dataset
 from soil_env_agents.controllers import CONTROLLERS
+from soil_env_agents.extras import needing
+
+with needing("minari", "minari_dataset.py"):
+    import minari
 
 
 def main() -> int:

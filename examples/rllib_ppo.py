@@ -12,13 +12,17 @@ import argparse
 from collections import deque
 
 import numpy as np
-import ray
-import torch
-from ray.rllib.algorithms.ppo import PPOConfig
-from ray.rllib.algorithms.ppo.torch.default_ppo_torch_rl_module import DefaultPPOTorchRLModule
-from ray.rllib.connectors.env_to_module import MeanStdFilter
-from ray.rllib.core.rl_module import RLModuleSpec
-from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
+
+from soil_env_agents.extras import needing
+
+with needing("rllib", "rllib_ppo.py"):
+    import ray
+    import torch
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.rllib.algorithms.ppo.torch.default_ppo_torch_rl_module import DefaultPPOTorchRLModule
+    from ray.rllib.connectors.env_to_module import MeanStdFilter
+    from ray.rllib.core.rl_module import RLModuleSpec
+    from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 
 
 class Driving(DefaultPPOTorchRLModule):

@@ -1,5 +1,6 @@
 """Public path of `soil_env.terramechanics.contact`: stresses under the wheel and the forces they sum to."""
 
+from soil_env.slip import motion_from_slip, slip_ratio
 from soil_env.terramechanics.arc_integrals import (
     arc_integrals,
     simpson_integrals,
@@ -13,9 +14,7 @@ from soil_env.terramechanics.contact import (
     compaction_resistance,
     entry_angle,
     forces,
-    motion_from_slip,
     motion_from_speeds,
-    slip_ratio,
 )
 
 __all__ = [

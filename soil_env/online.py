@@ -10,12 +10,14 @@ It is the identifier that `SoilWheel-v0` runs (`identification.online`): the sam
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+import re
+from dataclasses import dataclass, fields, replace
 from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, root
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.linearised import SINKAGE
@@ -32,7 +34,7 @@ from soil_env.identification.online import (
 )
 from soil_env.identification.solver import Status
 from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
-from soil_env.terramechanics.contact import slip_ratio, travel_speeds
+from soil_env.slip import rim_speeds, slip_ratio, travel_speeds
 from soil_env.terramechanics.model import steady_state
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.traversability import best_working_point
@@ -183,7 +185,7 @@ class OnlineIdentifier:
     its last value, otherwise the averages that it is missing from go without it.
 
     An instance is not for several threads at once. It can be pickled and copied. Raises TypeError for arguments of
-    other types.
+    other types, `ParameterError` for numbers out of range.
     """
 
     def __init__(
@@ -201,13 +203,15 @@ class OnlineIdentifier:
                 known = " such as wheels()['planetary_rover']" if kind is Wheel else ""
                 raise TypeError(f"{name} = {value!r}: expected a {kind.__name__} of soil_env.parameters{known}")
         any_soil = Soil(30.0, 0.0, 0.01, 1.0, sinkage_coefficient=1e6)  # a scenario has one; nothing here reads it
-        control = Control(period=period, substep=min(period, 0.05))
-        self._set(
-            Scenario(
+        try:
+            control = replace(Control(period=period), substep=min(period, 0.05))
+            scenario = Scenario(
                 wheel, {"any": 1.0}, {"any": any_soil}, gravity=gravity, relaxation=relaxation, belief=belief,
                 noise=noise, control=control,
-            )
-        )  # fmt: skip
+            )  # fmt: skip
+        except ParameterError as error:  # begins with the class that the argument went into
+            raise ParameterError(re.sub(r"^(Control|Scenario)\.", "", str(error))) from None
+        self._set(scenario)
 
     @classmethod
     def of_scenario(cls, scenario: Scenario) -> OnlineIdentifier:
@@ -433,5 +437,4 @@ def _completed(rim: float, speed: float, slip: float) -> tuple[float, float]:
     """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip; NaN without it."""
     if speed != speed:
         return rim, float(travel_speeds(rim, slip))
-    driving = speed / (1.0 - slip) if 0.0 <= slip < 1.0 else _NAN
-    return (speed * (1.0 + slip) if slip < 0.0 else driving), speed
+    return (float(rim_speeds(speed, slip)) if slip < 1.0 else _NAN), speed

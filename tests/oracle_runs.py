@@ -148,7 +148,7 @@ def identify(csv=None, setup=None, **design) -> dict:
         csv, setup = (ROOT / csv, ROOT / setup) if csv else table(folder, setup=setup, **design)
         read = read_setup(setup)
         found = identify_table(read_table(csv, read.wheel), read)
-    out = {name: np.array([p.value, p.low, p.high, p.told]) for name, p in found.parameters.items()}
+    out = {name: np.array([p.value, p.low, p.high, p.sd_over_prior]) for name, p in found.parameters.items()}
     out |= {f"fitted.{name}": np.array([*f.fitted, f.noise]) for name, f in found.fits.items()}
     out |= {"covariance": found.covariance, "condition": np.array([found.condition])}
     return out | {"free": ", ".join(found.free), "converged": str(found.converged)}

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import soil_env  # noqa: F401  (registers SoilWheel-v0)
+from soil_env._io.loading import ParameterError
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.filter_bank import element
 from soil_env.identification.linearised import MASS
@@ -311,6 +312,14 @@ def test_arguments_of_another_type_are_named(arguments):
         OnlineIdentifier(WHEEL).update(STEADY._asdict())
     with pytest.raises(ValueError, match="load"):
         OnlineIdentifier(WHEEL).traversability(load=math.nan)
+
+
+@pytest.mark.parametrize(
+    "name, value", [("period", 0.0), ("gravity", -9.81), ("relaxation", math.nan), ("period", "1")]
+)
+def test_numbers_out_of_range_are_named(name, value):
+    with pytest.raises(ParameterError, match=f"^{name} = {value!r}: expected a number in "):
+        OnlineIdentifier(WHEEL, **{name: value})
 
 
 @pytest.mark.parametrize("method", METHODS)

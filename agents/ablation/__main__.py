@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import importlib
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -25,13 +26,11 @@ from soil_env._io.loading import ParameterError, config_dir
 
 from .. import studies
 from ..cli import as_options, config_file, go_on_with, manual_parser
-from ..extras import needing_train
+from ..extras import needing
 from ..progress import Bar, console, show
+from . import page, results, study
 
 _NAME = __package__
-
-with needing_train(label(_NAME)):
-    from . import page, results, study
 
 
 def parser() -> argparse.ArgumentParser:
@@ -60,6 +59,8 @@ _ASKING = ("config", "scenarios", "seeds", "steps", "courses")
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options = parser().parse_args(arguments)
+    with needing("train", label(_NAME)):
+        importlib.import_module("..training", __package__)  # takes seconds, which --help need not
     if [options.out, options.resume, options.report].count(None) != 2:
         raise ParameterError("expected one of --out, --resume and --report (see --help)")
     engine = studies.choose("local", options.workers)

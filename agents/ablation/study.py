@@ -26,7 +26,7 @@ from soil_env._io.loading import Checked, ParameterError, load, quantity, read_y
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
-from .. import studies, training
+from .. import studies
 from ..config import PPOConfig, TrainConfig
 from ..controllers import CONTROLLERS
 from ..evaluate import HELD_OUT_SET
@@ -260,6 +260,8 @@ def _train(study: Ablation, folder: Path, step: Step, progress: Callable[[int], 
         name=f"{step.agent}-{step.seed}", runs=str(folder / step.source / "trained"), seed=_seed_of(step),
         timesteps=spec.timesteps, checkpoint_every=study.checkpoint_every, ppo=spec.ppo,
     )  # fmt: skip
+    from .. import training  # needs the extra `train`, which --help does not
+
     return training.trained(config, target.scenario, lambda title, total, unit, done: _Count(progress, done))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from soil_env.terramechanics.contact import travel_speeds
+from soil_env.slip import rim_speeds, travel_speeds
 
 from .base import SPEED, START, Controller, Ramped, Setting
 
@@ -33,7 +33,7 @@ class SlipFollower(Ramped):
         """V/(1 - i) with a lead, at least the starting speed [m/s], [n]."""
         slip = np.minimum(self.target_slip(observation, state), MOST_SLIP)
         start = self.settings["start"]
-        return np.maximum(travel_speed(self, observation) / (1.0 - slip) + _CREEP * start, start)
+        return np.maximum(rim_speeds(travel_speed(self, observation), slip) + _CREEP * start, start)
 
     def rim_speed(self, observation, state):
         """The lower of `of_slip` and the ramp."""

@@ -32,7 +32,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 from ..cli import manual_parser
 from ..exported import POLICY, ExportedAgent
-from ..extras import needing_train
+from ..extras import needing
 from ..progress import show
 from . import CARD, COURSE, DESCRIPTION, RUNNER, zip_name
 
@@ -68,7 +68,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options = parser().parse_args(arguments)
-    with needing_train(_NAME):
+    with needing("train", _NAME):
         import torch  # noqa: F401
     return _run(options)
 

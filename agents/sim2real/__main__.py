@@ -15,19 +15,18 @@ sim2real.png, and for each world its table, the report of the workflow and the c
 from __future__ import annotations
 
 import argparse
+import importlib
 from pathlib import Path
 
 from soil_env._io.commands import command, command_line, label, leave
 from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 
 from ..cli import as_options, manual_parser
-from ..extras import needing_train
+from ..extras import needing
 from ..progress import show
+from . import report, study
 
 _NAME = __package__
-
-with needing_train(label(_NAME)):
-    from . import report, study
 
 _EPILOG = """files:
   YAML               model.yaml of a hidden world: `effects:` of the catalogue, `residual:`; see configs/worlds
@@ -65,6 +64,8 @@ _NUMBERS = {
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options = parser().parse_args(arguments)
+    with needing("train", label(_NAME)):
+        importlib.import_module("..training", __package__)  # takes seconds, which --help need not
     scenario = load_scenario(options.scenario)
     worlds = study.read_worlds(options.world, scenario)
     with as_options():

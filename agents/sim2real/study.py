@@ -28,13 +28,12 @@ from soil_env.discrepancy import run as find_discrepancy
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
-from .. import studies, training
+from .. import studies
 from ..config import PPOConfig, TrainConfig
 from ..controllers import make_controller
 from ..evaluate import HELD_OUT_SET, run_courses
 from ..evaluate.study import code_version
 from ..evaluate.tuning import kept_settings
-from ..ppo import load_agent
 from ..progress import Bar
 from . import drives, table
 from .drives import Commissioning
@@ -188,11 +187,15 @@ class Arm:
             scenario=study.scenario.name, name=f"ppo_{k}", runs=str(self.folder), seed=study.seed + k,
             model=self.model.content() if self.model else {}, timesteps=study.timesteps, ppo=study.ppo,
         )  # fmt: skip
+        from .. import training  # needs the extra `train`, which --help does not
+
         training.trained(config, study.scenario)
 
     def members(self, name: str) -> list:
         """The controllers of that name."""
         if name == PPO:
+            from ..ppo import load_agent
+
             return [load_agent(self.folder / f"ppo_{k}") for k in range(self.study.training_seeds)]
         return [make_controller(name, self.study.scenario, **self._settings()[name])]
 

@@ -27,7 +27,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.identification.immobilisation import HORIZONS, INPUTS, SCALES, Network
 
 from ..cli import manual_parser
-from ..extras import needing_train
+from ..extras import needing
 from ..progress import show
 from . import page, study
 from .drivers import DRIVERS, FAMILIES
@@ -109,7 +109,7 @@ def main(arguments: list[str] | None = None) -> int:
             found["others"] = study.others(sizes, show)
             write_json(options.out / RESULT, found)
     else:
-        with needing_train(_NAME):
+        with needing("train", _NAME):
             import torch
         torch.set_num_threads(1)
         found = train_and_judge(options.out, options.weights or options.out / WEIGHTS, sizes, options.smoke)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from soil_env.parameters import Scenario
+from soil_env.slip import rim_speeds
 
 from ..controllers import Controller, make_controller
 from ..controllers.soil import BestSlipIdentified
@@ -85,7 +86,7 @@ class DrawnSlip(Drawn):
     def rim_speed(self, observation, state):
         """V/(1 - i) with the measured V and a lead of a fifth of the start."""
         speed = np.maximum(observation[:, self.column["speed"]] * self.top_speed, 0.0)
-        return np.clip(speed / (1.0 - self.slip) + 0.2 * self.start, self.start, self.cap)
+        return np.clip(rim_speeds(speed, self.slip) + 0.2 * self.start, self.start, self.cap)
 
 
 class RandomSpeed(Drawn):
@@ -132,7 +133,7 @@ class BestSlip(BestSlipIdentified):
         """V/(1 - i) with the measured V and a lead, between 10 and 40 % of the top rim speed."""
         speed = np.maximum(observation[:, self.column["speed"]] * self.top_speed, 0.0)
         slip, start = np.minimum(self.target_slip(observation, state), 0.95), 0.1 * self.top_speed
-        return np.clip(speed / (1.0 - slip) + 0.2 * start, start, 4.0 * start)
+        return np.clip(rim_speeds(speed, slip) + 0.2 * start, start, 4.0 * start)
 
 
 FAMILIES = {

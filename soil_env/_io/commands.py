@@ -31,11 +31,18 @@ def label(module: str, script: str = "") -> str:
     return command(module, script).rpartition(" ")[2]
 
 
+class _Parser(argparse.ArgumentParser):
+    """Parser whose errors are one line, without the usage before it."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"{self.prog}: error: {' '.join(message.split())}\n")
+
+
 def command_parser(
     prog: str, description: str, epilog: str = "", status: str = STATUS, **options
 ) -> argparse.ArgumentParser:
     """Parser that prints description and epilog as they are written, and after them what the exit status means."""
-    return argparse.ArgumentParser(
+    return _Parser(
         prog,
         description=description,
         epilog="\n\n".join(filter(None, (epilog, status))),

@@ -133,8 +133,8 @@ def _soil(estimate: TableEstimate) -> Table:
             continue
         p = estimate.parameters[key]
         interval = "" if p.low == p.high else f"{p.low:.4g} .. {p.high:.4g}"
-        told = "" if key == "reference_pressure" else "known" if p.known else f"{p.told:.3f}"
-        rows.append((label, f"{p.value:.4g}", interval, p.unit, told))
+        share = "" if key == "reference_pressure" else "known" if p.known else f"{p.sd_over_prior:.3f}"
+        rows.append((label, f"{p.value:.4g}", interval, p.unit, share))
     return Table(("parameter", "estimate", "95 % interval", "unit", "sd / prior sd"), rows)
 
 
@@ -156,7 +156,7 @@ def _rms(off: np.ndarray) -> float:
 
 def report_of(estimate: TableEstimate) -> dict[str, Any]:
     """The estimate as plain values for JSON; null where there is none."""
-    keys = ("value", "low", "high", "unit", "known", "told")
+    keys = ("value", "low", "high", "unit", "known", "sd_over_prior")
     return plain({
         "parameters": {name: {key: getattr(p, key) for key in keys} for name, p in estimate.parameters.items()},
         "reference_sinkage": estimate.reference_sinkage,

@@ -25,7 +25,8 @@ from soil_env.identification.digging import onto_fresh_ground
 from soil_env.identification.filter_bank import CROSSING, element, prior_of_soil, restart
 from soil_env.identification.filter_update import Point, renew
 from soil_env.identification.linearised import MASS, SINKAGE, SLIP, STATES
-from soil_env.terramechanics.contact import entry_angle, motion_from_slip, shear_displacement
+from soil_env.slip import motion_from_slip
+from soil_env.terramechanics.contact import entry_angle, shear_displacement
 
 # of a point at most: readings, [m], range of slip, relative range of rim speed
 _READINGS, _LENGTH, _SLIP, _RIM = 8, 0.1, 0.05, 0.1

@@ -31,6 +31,7 @@ from soil_env.identification.linearised import (
     Linearised,
     linearise,
 )
+from soil_env.slip import motion_from_slip
 
 _YIELD_RATE = 6.0  # [1/s] at which a wheel comes up to its bearing sinkage, in the mean over a point
 _LAG = 0.5  # of the change of the bearing sinkage since the last point: what the wheel has not borne on yet
@@ -224,9 +225,10 @@ def _measure(mean, covariance, at, out, size, point, numbers):
     z, v = from_array(at, SINKAGE * COUNT), fill(sd[1] * sd[1] / n)
     a, b = _absorb_state(mean, covariance, at, SINKAGE, fill(1.0), z, fill(point.sinkage), v, size)
     x2, logs = x2 + a, logs + b
-    braking = 1.0 / (1.0 + smaller(slip, 0.0))
+    travel = motion_from_slip(slip)[1]
+    braking = larger(travel, 1.0)  # V/(r w) where it brakes, whose slope by the slip is its square
     slope, v = (-point.rim_speed) * braking * braking, fill((sd[5] * sd[5] + sd[6] * sd[6]) / n)
-    speed = point.rim_speed * (1.0 - larger(slip, 0.0)) * braking
+    speed = point.rim_speed * travel
     a, b = _absorb_state(mean, covariance, at, SLIP, slope, speed, fill(point.speed), v, size)
     x2, logs = x2 + a, logs + b
     pull, torque = from_array(out.pull, size * COUNT), from_array(out.torque, size * COUNT)

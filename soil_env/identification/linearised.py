@@ -22,6 +22,7 @@ from soil_env._numba.compiling import inlined
 from soil_env._numba.elementary import exp, larger, log
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import Rows, rows, scratch_rows
+from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.arc_integrals import (
     NODE_COLUMNS,
     Nodes,
@@ -35,7 +36,6 @@ from soil_env.terramechanics.contact import (
     Forces,
     forces,
     mobilised_sinkage_coefficient,
-    motion_from_slip,
     shear_forces,
     smooth_arc,
 )

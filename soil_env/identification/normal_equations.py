@@ -14,6 +14,7 @@ from soil_env._numba.elementary import exp, half_sin_cos, log
 from soil_env._numba.lanes import COUNT, fill, first, from_array, lane, made_of, to_array, totals
 from soil_env._numba.rows import Rows, rows
 from soil_env.identification.point import channels, channels_at, dot, weights, whitened
+from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.arc_integrals import (
     NODE_COLUMNS,
     ArcFrame,
@@ -23,7 +24,6 @@ from soil_env.terramechanics.arc_integrals import (
 )
 from soil_env.terramechanics.contact import (
     JANOSI,
-    motion_from_slip,
     smooth_arc,
 )
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part, root
 from soil_env._numba.rows import Rows, rows
+from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.arc_integrals import (
     integrals_of,
     shear_modulus_rates,
@@ -18,7 +19,6 @@ from soil_env.terramechanics.contact import (
     JANOSI,
     compaction_resistance,
     forces,
-    motion_from_slip,
     shear_forces,
     smooth_arc,
 )

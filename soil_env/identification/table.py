@@ -46,7 +46,7 @@ class Parameter:
     high: float
     unit: str
     known: bool
-    told: float  # sd after the data over sd of the prior; nan if known
+    sd_over_prior: float  # sd after the data over that of the prior; nan if known
 
 
 @dataclass(frozen=True)
@@ -235,8 +235,8 @@ def _parameters(
             bounds[0] = 0.0 if abs(bounds[0]) < 1e-9 * half else bounds[0]
         prior_sd = math.sqrt(by_u @ by_u)
         known = prior_sd == 0.0
-        told = math.nan if known else half / reach / prior_sd
-        out[name] = Parameter(bounds[0], bounds[1], bounds[2], unit=unit, known=known, told=told)
+        shrunk = math.nan if known else half / reach / prior_sd
+        out[name] = Parameter(bounds[0], bounds[1], bounds[2], unit=unit, known=known, sd_over_prior=shrunk)
     return out
 
 
@@ -289,11 +289,12 @@ def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[s
 
 
 def _untold(parameters: dict[str, Parameter], labels: Sequence[str], correlation: np.ndarray) -> list[str]:
+    named = ((label, parameters[name]) for name, label in zip(NAMES, LABELS, strict=True) if name in parameters)
     words = [
-        f"The data cannot tell the {label}: its standard deviation is {100 * parameters[name].told:.0f} % of that "
-        "before the table."
-        for name, label in zip(NAMES, LABELS, strict=True)
-        if name in parameters and parameters[name].told > UNTOLD
+        f"The data cannot tell the {label}: its standard deviation is {100 * p.sd_over_prior:.0f} % of that before the "
+        "table."
+        for label, p in named
+        if p.sd_over_prior > UNTOLD
     ]
     for i in range(len(labels)):
         for j in range(i):

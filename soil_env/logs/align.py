@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from soil_env.terramechanics.contact import travel_speeds
+from soil_env.slip import travel_speeds
 
 _BLOCK = 1024  # steps
 

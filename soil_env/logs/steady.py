@@ -19,7 +19,7 @@ from soil_env.logs.align import Aligned
 from soil_env.logs.mapping import LogMap
 from soil_env.measurement.table import MEASURED
 from soil_env.online import slips
-from soil_env.terramechanics.contact import travel_speeds
+from soil_env.slip import travel_speeds
 
 _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)
 _LEAST_SD = 1e-9

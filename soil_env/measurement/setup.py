@@ -14,6 +14,7 @@ from typing import Any, Literal
 from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml
 from soil_env.parameters import Soil
 
+REQUIRED = ("slip", "load")  # columns of every table
 LARGEST_WHEEL = 3.0  # [m] as in `parameters.Wheel`
 STEEPEST_TILT = 20.0  # [deg] of a rig that is not level
 LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the value known
@@ -24,6 +25,12 @@ _ODD = (
     ("sinkage_coefficient", 1e4, "N/m^(n+2)", "kN/m^(n+2)", 1e3),
     ("k_phi", 1e4, "N/m^(n+2)", "kN/m^(n+2)", 1e3),
 )
+
+
+def check_lugs(height: float, radius: float) -> None:
+    """Raise `ParameterError` for lugs [m] that are no shorter than the radius [m] of their wheel."""
+    if height >= radius:
+        raise ParameterError(f"grouser_height = {height:g}: expected metres, less than the wheel radius {radius:g} m")
 
 
 @dataclass(frozen=True)
@@ -40,6 +47,7 @@ class SetupWheel(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_lugs(self.grouser_height or 0.0, self.radius)
         if self.grouser_count is not None and self.grouser_height == 0.0:
             raise ParameterError(f"grouser_count = {self.grouser_count}: expected with a grouser_height > 0 m only")
 
@@ -148,6 +156,11 @@ class Setup(Checked):
         if self.tilt_deg is not None and not abs(self.tilt_deg.value) <= STEEPEST_TILT:
             limits = f"[-{STEEPEST_TILT:g}, {STEEPEST_TILT:g}]"
             raise ParameterError(f"tilt_deg = {self.tilt_deg.value:g}: expected degrees in {limits}")
+        for name in self.ignore_columns:
+            if name in REQUIRED:
+                raise ParameterError(
+                    f"ignore_columns: {name!r}: expected other columns, this one is needed in every table"
+                )
         sinkage = self.noise.sinkage
         if sinkage is not None and sinkage > 0.5 * self.wheel.radius:
             raise ParameterError(

@@ -21,10 +21,21 @@ from typing import Literal
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.measurement.setup import LARGEST_WHEEL, NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
+from soil_env.measurement.setup import (
+    LARGEST_WHEEL,
+    REQUIRED,
+    NoiseLevels,
+    Prior,
+    Setup,
+    SetupWheel,
+    SoilPriors,
+    read_setup,
+)
+from soil_env.slip import slips_of_radius
 
 __all__ = [
     "LARGEST_WHEEL",
+    "REQUIRED",
     "NoiseLevels",
     "Prior",
     "Setup",
@@ -36,7 +47,6 @@ __all__ = [
     "read_table",
 ]
 
-REQUIRED = ("slip", "load")
 Channel = Literal["sinkage", "drawbar_pull", "torque"]
 MEASURED: tuple[Channel, ...] = ("sinkage", "drawbar_pull", "torque")
 OPTIONAL = ("speed", "pass", "grade_deg", "run", "time", "wheel_radius", "wheel_width", "grouser_height")
@@ -114,7 +124,7 @@ class Table:
     def rim_slip(self, setup: Setup) -> np.ndarray:
         """Slip [N] by the radius of the rim, from that by the radius to the lug tips where the setup says so.
 
-        V/(r w) is (r + h)/r times V/((r + h) w), driving or braking. `ParameterError` where h is not known.
+        V/(r w) is (r + h)/r times V/((r + h) w). `ParameterError` where h is not known.
         """
         if setup.slip_reference == "rim":
             return self.slip
@@ -123,11 +133,7 @@ class Table:
             raise ParameterError(
                 f"{setup.source}: slip_reference: tip: expected wheel.grouser_height, or a column grouser_height"
             )
-        with np.errstate(divide="ignore"):
-            ratio = np.where(self.slip >= 0.0, 1.0 - self.slip, 1.0 / (1.0 + self.slip))
-            ratio = ratio * (1.0 + height / self.radius(setup.wheel))
-            slip: np.ndarray = np.where(ratio <= 1.0, 1.0 - ratio, 1.0 / ratio - 1.0)
-        return slip
+        return slips_of_radius(self.slip, 1.0 + height / self.radius(setup.wheel))
 
 
 def read_table(path: str | Path, wheel: SetupWheel | None = None, ignore: Sequence[str] = ()) -> Table:
@@ -276,8 +282,8 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
     for name in REQUIRED:
         refuse(name, np.isnan(getattr(table, name)), "a number in every row")
     outside = np.abs(table.slip) > 1.0
-    percent = np.any(outside) and np.max(np.abs(table.slip)) <= 100.0
-    refuse("slip", outside, "slip in [-1, 1]" + (" (these look like percent: divide by 100)" if percent else ""))
+    percent = 2.0 < np.max(np.abs(table.slip)) <= 100.0
+    refuse("slip", outside, "slip in [-1, 1]" + (" (if it is percent, divide by 100)" if percent else ""))
     refuse("load", table.load <= 0.0, "a load > 0 N, upward on the wheel")
     refuse("speed", table.speed < 0.0, "a travel speed >= 0 m/s")
     refuse("speed", table.speed > FASTEST, f"metres per second, at most {FASTEST:g} (if it is mm/s, divide by 1000)")
@@ -300,7 +306,11 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
         np.abs(table.sinkage) > DEEPEST,
         "metres (this can only be millimetres, divide by 1000, or centimetres)",
     )
-    radius = table.wheel_radius if wheel is None else table.radius(wheel)
+    radius, height = (
+        (table.wheel_radius, table.grouser_height) if wheel is None else (table.radius(wheel), table.height(wheel))
+    )
+    refuse("grouser_height", table.grouser_height >= radius, "metres, less than the wheel radius")
+    refuse("wheel_radius", table.wheel_radius <= height, "metres, more than the grouser height")
     deep = np.abs(table.sinkage) > radius
     if np.any(deep):
         r = radius[deep][0]
@@ -310,6 +320,8 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
     if np.any(nothing):
         line = table.row[nothing][0]
         raise ParameterError(f"{table.source}: row {line}: nothing measured: expected one of {', '.join(MEASURED)}")
+    if len(table) == 1:
+        raise ParameterError(f"{table.source}: one row: expected at least two, with different slips")
     if np.all(table.slip == table.slip[0]):
         raise ParameterError(
             f"{table.source}: slip = {table.slip[0]:g} in every row: expected at least two different slips"

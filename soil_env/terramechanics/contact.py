@@ -8,8 +8,8 @@ wheel travels to. The contact arc runs from the exit angle `theta2` to the entry
 at `thetam`.
 
 The motion enters through two numbers without unit, `rim` = r w / v* and `travel` = V / v*, where v* is the rim speed
-(`motion_from_slip`, `motion_from_speeds`). They make Eq. (10) one expression for driving, braking, a locked wheel and
-reverse: j = r [rim (theta1 - theta) - travel (sin theta1 - sin theta)], the sign of j being the sign of the shear
+(`slip.motion_from_slip`, `motion_from_speeds`). They make Eq. (10) one expression for driving, braking, a locked wheel
+and reverse: j = r [rim (theta1 - theta) - travel (sin theta1 - sin theta)], the sign of j being the sign of the shear
 stress.
 
 For a given shear deformation modulus and sinkage exponent every force is linear in S, S tan(phi) and c. So there are
@@ -24,19 +24,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import (
     asin_root,
     copysign,
     exp,
-    larger,
     root,
-    smaller,
     where_less,
 )
-from soil_env._numba.lanes import alike
 
 
 class ShearLaw(NamedTuple):
@@ -115,30 +110,6 @@ def smooth_arc(sinkage, r):
     """`Arc` of the source paper: theta2 = 0 and the peak midway, Eq. (9)."""
     theta1 = entry_angle(sinkage, r)
     return Arc(theta1, 0.0 * theta1, 0.5 * theta1, theta1, r)
-
-
-@inlined
-def slip_ratio(rim_speed, travel_speed, floor):
-    """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse.
-
-    `floor` [m/s] bounds the denominator from below, so that a wheel at rest has slip 0.
-    """
-    scale = larger(larger(abs(rim_speed), abs(travel_speed)), floor)
-    difference = rim_speed - travel_speed
-    forward = where_less(rim_speed + travel_speed, 0.0, -difference, difference)
-    return larger(-1.0, smaller(1.0, forward / scale))
-
-
-@inlined
-def motion_from_slip(slip):
-    """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1 spins on the spot."""
-    braking = larger(1.0 + slip, 1e-9)  # r w / V
-    return alike(1.0, slip), where_less(slip, 0.0, 1.0 / braking, 1.0 - slip)
-
-
-def travel_speeds(rim_speed: float | np.ndarray, slip: float | np.ndarray) -> np.ndarray:
-    """`motion_from_slip` of arrays of numpy: V [m/s], [N], at rim speeds r w [m/s] and slips in [-1, 1]."""
-    return rim_speed * np.where(slip < 0.0, 1.0 / np.maximum(1.0 + slip, 1e-9), 1.0 - slip)
 
 
 @inlined

@@ -18,6 +18,7 @@ from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import asin_root, exp, larger, log, power, root, smaller, tanh, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
+from soil_env.slip import slip_of_radius
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.contact import (
     ShearLaw,
@@ -318,28 +319,19 @@ def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
 
 
 @part
-def _slip_of_radius(slip, scale):
-    """Slip after V/(r w) is multiplied by `scale`, driving or braking."""
-    if slip <= -1.0 or scale == 1.0:
-        return slip
-    ratio = scale * (1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip))
-    return 1.0 - ratio if ratio <= 1.0 else 1.0 / ratio - 1.0
-
-
-@part
 def true_slip(measured, fx):
     """Slip of the wheel where the measured one has an offset d, or comes from a rolling radius r (1 - e).
 
     Driving, the latter is i = m + e (1 - m).
     """
-    i = _slip_of_radius(measured, 1.0 - fx.slip_bias_radius_error) + fx.slip_bias_offset
+    i = slip_of_radius(measured, 1.0 - fx.slip_bias_radius_error) + fx.slip_bias_offset
     return min(max(i, -1.0), 1.0)
 
 
 @part
 def measured_slip(slip, fx):
     """Inverse of `true_slip`."""
-    return _slip_of_radius(slip - fx.slip_bias_offset, 1.0 / (1.0 - fx.slip_bias_radius_error))
+    return slip_of_radius(slip - fx.slip_bias_offset, 1.0 / (1.0 - fx.slip_bias_radius_error))
 
 
 @part

@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, check, load, quantity, read_yaml, to_dict, unknown_key
 from soil_env._numba.compiling import part
-from soil_env.measurement.table import LARGEST_WHEEL, STEEPEST, Table
+from soil_env.measurement.setup import LARGEST_WHEEL, check_lugs
+from soil_env.measurement.table import STEEPEST, Table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.effects import Effects, pack_effects
 from soil_env.terramechanics.residual import ResidualTerm, dimensionless_groups, residual_at, residual_law
@@ -49,6 +50,10 @@ class ModelWheel(Checked):
     radius: float = quantity("m", 0.01, 3.0)
     width: float = quantity("m", 0.005, 3.0)
     grouser_height: float = quantity("m", 0.0, 1.0, default=0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_lugs(self.grouser_height, self.radius)
 
 
 _EXPECTED = {"wheel": "a ModelWheel", "soil": "a Soil or None", "residual": "a sequence of ResidualTerm"}
@@ -259,6 +264,8 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     for name, low, high, expected in _RANGES:
         if np.any((column[name] < low) | (column[name] > high)):
             raise ParameterError(f"conditions: {name}: expected {expected}")
+    if np.any(column["grouser_height"] >= column["wheel_radius"]):
+        raise ParameterError("conditions: grouser_height: expected metres, less than the wheel radius")
     return Rows(
         column["slip"].copy(),
         column["load"].copy(),

@@ -11,6 +11,7 @@ from soil_env._numba.compiling import inlined, part, uncompiled
 from soil_env._numba.elementary import larger, root, tanh, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
+from soil_env.slip import slip_ratio
 from soil_env.terramechanics.arc_integrals import (
     integrals_of,
 )
@@ -23,7 +24,6 @@ from soil_env.terramechanics.contact import (
     mobilised_sinkage_coefficient,
     motion_from_speeds,
     shear_forces,
-    slip_ratio,
     smooth_arc,
     smoothed_sign,
 )

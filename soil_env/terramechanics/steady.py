@@ -8,6 +8,7 @@ from typing import NamedTuple
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import asin_root
 from soil_env.parameters import SoilState
+from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.arc_integrals import (
     integrals_alone,
 )
@@ -20,7 +21,6 @@ from soil_env.terramechanics.contact import (
     entry_angle,
     forces,
     mobilised_sinkage_coefficient,
-    motion_from_slip,
     smooth_arc,
 )
 from soil_env.terramechanics.effects import (

@@ -1,4 +1,4 @@
-"""Without the extra `train`: one line that says what to install, and the help of training, which needs none of it."""
+"""Without the extra `train`: one line that says what to install, and help, which needs none of it."""
 
 import json
 import os
@@ -13,6 +13,7 @@ COMMANDS = {
     "soil-env-sim2real": ("agents.sim2real.__main__", ["--world", "w.yaml", "--out", "o"]),
     "agents.seeds": ("agents.seeds", ["--out", "o"]),
 }
+HELP = ("agents.train", "agents.ablation.__main__", "agents.sim2real.__main__")
 BARE = """
 import contextlib, importlib, io, json, sys
 class Absent:
@@ -21,8 +22,8 @@ class Absent:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Absent())
 said = {}
-for name, (module, arguments) in {**json.loads(sys.argv[1]), "help": ("agents.train", ["--help"])}.items():
-    sys.argv[0] = "soil-env-train" if name == "help" else name
+for name, (module, arguments) in json.loads(sys.argv[1]).items():
+    sys.argv[0] = name
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
@@ -41,8 +42,9 @@ print(json.dumps(said))
 @pytest.fixture(scope="module")
 def said():
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    asked = json.dumps(COMMANDS | {module: (module, ["--help"]) for module in HELP})
     ended = subprocess.run(
-        [sys.executable, "-c", BARE, json.dumps(COMMANDS)], capture_output=True, text=True, env=environment, timeout=300
+        [sys.executable, "-c", BARE, asked], capture_output=True, text=True, env=environment, timeout=300
     )
     assert ended.returncode == 0, ended.stderr
     return json.loads(ended.stdout)
@@ -51,6 +53,12 @@ def said():
 @pytest.mark.parametrize("name", COMMANDS)
 def test_command_says_what_to_install(said, name):
     assert said[name] == [2, "", f"{name}: needs Stable-Baselines3: pip install 'soil_env[train]'\n"]
+
+
+@pytest.mark.parametrize("module", HELP)
+def test_help_needs_nothing_of_it(said, module):
+    status, out, err = said[module]
+    assert status == 0 and out.startswith("usage: ") and not err
 
 
 def test_adapter_of_sb3_says_what_to_install(said):

@@ -24,6 +24,7 @@ def test_command_line(tmp_path):
     assert "\x1b" not in done.stdout and done.stderr == ""
     report = json.loads((tmp_path / "out" / "identification.json").read_text())
     assert set(report["parameters"]) == {*NAMES, "reference_pressure"} and len(report["slip"]) == 18
+    assert 0.0 < report["parameters"]["friction_angle_deg"]["sd_over_prior"] < 1.0
     assert (tmp_path / "out" / "identification.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert len(list((tmp_path / "out").iterdir())) == 2
 

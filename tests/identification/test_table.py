@@ -225,7 +225,7 @@ def test_names_what_the_data_cannot_tell(tmp_path):
     assert "cannot tell the sinkage exponent" in words
     assert "friction angle and cohesion together" in words or "cannot tell the friction angle" in words
     p = e.parameters["sinkage_exponent"]
-    assert p.told > 0.7 and p.high - p.low == pytest.approx(2 * 1.96 * 0.02, rel=0.3)
+    assert p.sd_over_prior > 0.7 and p.high - p.low == pytest.approx(2 * 1.96 * 0.02, rel=0.3)
     assert e.condition > identify_table(table_of(tmp_path, clean()), setup_of()).condition
 
 

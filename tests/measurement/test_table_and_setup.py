@@ -73,6 +73,12 @@ def test_reads_a_full_table(tmp_path):
         ([HEADER + ",speed", "0.1,100,0.02,5,-1"], ["row 2", "speed = -1"]),
         ([*GOOD, "0.10,100,0.02,5"], ["row 5 repeats row 2"]),
         ([HEADER, "0.1,100,0.02,5", "0.1,120,0.02,6"], ["slip = 0.1 in every row"]),
+        ([HEADER, "0.1,100,0.02,5"], ["one row: expected at least two, with different slips"]),
+        ([HEADER, "1.02,100,0.02,5"], ["row 2, slip = 1.02: expected slip in [-1, 1]\n"]),
+        (
+            [HEADER + ",grouser_height,wheel_radius", "0.1,100,0.02,5,0.1,0.1"],
+            ["row 2, grouser_height = 0.1", "less than"],
+        ),
         ([HEADER, "0.1,100,,"], ["row 2: nothing measured"]),
         ([HEADER], ["no rows"]),
         ([""], ["empty file"]),
@@ -90,7 +96,7 @@ def test_refuses_a_bad_table(tmp_path, lines, words):
     message = refusal(read_table, written(tmp_path, *lines))
     assert "data.csv" in message
     for word in words:
-        assert word in message
+        assert word in message + "\n"
 
 
 def test_refuses_what_is_no_table(tmp_path):
@@ -104,6 +110,14 @@ def test_sinkage_is_held_against_the_wheel_of_the_setup(tmp_path):
     path = written(tmp_path, HEADER, "0.1,100,0.2,5", "0.2,100,0.1,5")
     assert len(read_table(path)) == 2
     assert "sinkage = 0.2" in refusal(read_table, path, SetupWheel(0.15, 0.12))
+
+
+def test_lugs_are_held_against_the_wheel(tmp_path):
+    lugs = written(tmp_path, HEADER + ",grouser_height", "0.1,100,0.02,5,0.12", "0.2,100,0.02,5,")
+    assert "row 2, grouser_height = 0.12: " in refusal(read_table, lugs, SetupWheel(0.1, 0.1))
+    radii = written(tmp_path, HEADER + ",wheel_radius", "0.1,100,0.02,5,", "0.2,100,0.02,5,0.1")
+    assert "row 3, wheel_radius = 0.1: " in refusal(read_table, radii, SetupWheel(0.3, 0.1, 0.12))
+    assert "less than the wheel radius 0.1 m" in refusal(SetupWheel, 0.1, 0.1, 0.1)
 
 
 def test_grades_that_are_degrees_stay_degrees(tmp_path):
@@ -221,6 +235,11 @@ def test_a_setup_says_what_rig_it_was(tmp_path):
         (SETUP + "slip_reference: hub", ["slip_reference = 'hub'", "'rim', 'tip'"]),
         (SETUP + "tilt_deg: 40", ["tilt_deg = 40", "[-20, 20]"]),
         (SETUP + "ignore_columns: note", ["ignore_columns = 'note'", "a list"]),
+        (SETUP + "ignore_columns: [note, load]", ["ignore_columns: 'load'", "needed in every table"]),
+        (
+            "wheel: {radius: 0.1, width: 0.1, grouser_height: 0.2}",
+            ["wheel", "grouser_height = 0.2", "wheel radius 0.1 m"],
+        ),
         ("wheel: {radius: 0.1, width: 0.1, grouser_count: 1.5}", ["grouser_count = 1.5", "whole number"]),
         ("wheel: {radius: 0.1, width: 0.1, grouser_height: 0, grouser_count: 12}", ["grouser_count = 12", "> 0 m"]),
     ],

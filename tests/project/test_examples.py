@@ -58,6 +58,21 @@ def test_example_runs(name, tmp_path, monkeypatch, capsys):
         assert min(pixels.shape[:2]) > 200 and np.std(pixels[..., :3]) > 0.02  # something is drawn
 
 
+@pytest.mark.parametrize(
+    "name, module, extra",
+    [("train_ppo", "stable_baselines3", "train"), ("cleanrl_ppo", "torch", "train"), ("rllib_ppo", "ray", "rllib"),
+     ("minari_dataset", "minari", "minari"), ("record_bag", "rosbags", "logs")],
+)  # fmt: skip
+def test_an_example_without_its_extra_says_what_to_install(name, module, extra, tmp_path, monkeypatch, capsys):
+    for known in {module, *(m for m in sys.modules if m.startswith(f"{module}."))}:
+        monkeypatch.setitem(sys.modules, known, None)
+    with pytest.raises(SystemExit) as end:
+        run(name, "", tmp_path, monkeypatch)
+    said = capsys.readouterr().err
+    assert end.value.code == 2 and said.count("\n") == 1
+    assert said.startswith(f"{name}.py: needs ") and said.endswith(f": pip install 'soil_env[{extra}]'\n")
+
+
 def test_every_example_is_run():
     assert {p.stem for p in FOLDER.glob("*.py")} == set(RUNS)
 

@@ -1,4 +1,4 @@
-"""`--help` of every command prints its usage and ends with status 0."""
+"""`--help` of every command prints its usage and ends with status 0; an unknown option is refused in one line."""
 
 import importlib
 import sys
@@ -18,12 +18,27 @@ BENCHMARKS = [
 pytestmark = pytest.mark.documents
 
 
-@pytest.mark.parametrize("command", [*SCRIPTS.values(), *BENCHMARKS])
-def test_help(command, capsys, monkeypatch):
-    module, function = command.split(":")
-    monkeypatch.setattr(sys, "argv", [module, "--help"])
-    with pytest.raises(SystemExit) as end:
-        getattr(importlib.import_module(module), function)()
-    assert end.value.code == 0
+@pytest.fixture(params=[*SCRIPTS.values(), *BENCHMARKS])
+def status_of(request, monkeypatch):
+    """A function that runs a command with an option; its exit status."""
+    module, function = request.param.split(":")
+
+    def run(option: str) -> int:
+        monkeypatch.setattr(sys, "argv", [module, option])
+        try:
+            return getattr(importlib.import_module(module), function)()
+        except SystemExit as end:
+            return end.code
+
+    return run
+
+
+def test_an_unknown_option_is_refused_in_one_line(status_of, capsys):
+    assert status_of("--no-such-option") == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_help(status_of, capsys):
+    assert status_of("--help") == 0
     text = capsys.readouterr().out
     assert text.startswith("usage: ") and "\noptions:\n" in text and "--" in text

@@ -8,6 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from soil_env.paper.printed import WONG_REECE_PEAK, WONG_REECE_RADIUS, printed
+from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import arc_integrals as quadrature
 from soil_env.terramechanics import contact
 from tests.terramechanics import reference
@@ -29,7 +30,7 @@ def tan_phi(soil):
 def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
     """`contact.Forces` of a wheel travelling forward at the given slip."""
     thetam = 0.5 * (theta1 + theta2) if thetam is None else thetam
-    motion = contact.motion_from_slip(slip)
+    motion = motion_from_slip(slip)
     q = quadrature.arc_integrals(theta1, theta2, thetam, *motion, soil.shear_modulus, soil.sinkage_exponent, r)[0]
     return contact.forces(q, soil.sinkage_coefficient, tan_phi(soil), soil.cohesion, r, b, 1.0)
 
@@ -84,7 +85,7 @@ def test_simpson_converges_to_the_quadrature():
     judge = reference.forces(soil, 0.3, theta1, r, b)
     errors = []
     for m in (2, 4, 8, 16):
-        motion = contact.motion_from_slip(0.3)
+        motion = motion_from_slip(0.3)
         q = quadrature.simpson_integrals(theta1, 0.0, 0.45, *motion, soil.shear_modulus, 1.0, r, m)[0]
         w = contact.forces(q, soil.sinkage_coefficient, tan_phi(soil), soil.cohesion, r, b, 1.0)
         errors.append(relative_error(w, judge, r))
@@ -105,7 +106,7 @@ def test_simpson_shrinks_slowly_on_the_papers_soil():
 
 def simpson_integrals(m, peak=0.5, r=PAPER_WHEEL["r"]):
     k, n = PAPER_SOIL.shear_modulus, PAPER_SOIL.sinkage_exponent
-    motion = contact.motion_from_slip(PAPER_SLIP)
+    motion = motion_from_slip(PAPER_SLIP)
     return quadrature.simpson_integrals(PAPER_ENTRY, 0.0, peak * PAPER_ENTRY, *motion, k, n, r, m)[0]
 
 
@@ -126,7 +127,7 @@ def test_golden_drawbar_pull_exact():
     """1318 N by Eq. (11), 1095 N by Eq. (12), both integrated exactly (design value and an adaptive quadrature)."""
     w = forces(PAPER_SOIL, PAPER_SLIP, PAPER_ENTRY, **PAPER_WHEEL)
     k, n, r = PAPER_SOIL.shear_modulus, PAPER_SOIL.sinkage_exponent, PAPER_WHEEL["r"]
-    motion = contact.motion_from_slip(PAPER_SLIP)
+    motion = motion_from_slip(PAPER_SLIP)
     q = quadrature.arc_integrals(PAPER_ENTRY, 0.0, 0.5 * PAPER_ENTRY, *motion, k, n, r)[0]
     assert w.drawbar_pull == pytest.approx(1318.42, abs=0.1)
     assert with_compaction_resistance(w, q) == pytest.approx(1095.05, abs=0.1)
@@ -160,7 +161,7 @@ def test_resting_wheel_has_no_shear():
 
 @pytest.mark.parametrize(("slip", "sign"), [(1.0, 1.0), (0.5, 1.0), (-1.0, -1.0)])
 def test_small_shear_modulus_mobilises_everything(slip, sign):
-    q = quadrature.arc_integrals(0.8, 0.0, 0.4, *contact.motion_from_slip(slip), 1e-9, 1.0, 0.15)[0]
+    q = quadrature.arc_integrals(0.8, 0.0, 0.4, *motion_from_slip(slip), 1e-9, 1.0, 0.15)[0]
     assert q.e == pytest.approx(sign * 0.8, rel=1e-6)
     assert q.pe_cos == pytest.approx(sign * q.p_cos, rel=1e-6)
     assert q.pe_sin == pytest.approx(sign * q.p_sin, rel=1e-6)
@@ -178,7 +179,7 @@ def test_locked_wheel_drags():
 def test_spinning_wheel_shears_over_the_whole_arc():
     """At slip 1 the shear displacement is r (theta1 - theta): Int e has a closed form."""
     k, r, theta1 = 0.03, 0.15, 0.8
-    q = quadrature.arc_integrals(theta1, 0.0, 0.4, *contact.motion_from_slip(1.0), k, 1.0, r)[0]
+    q = quadrature.arc_integrals(theta1, 0.0, 0.4, *motion_from_slip(1.0), k, 1.0, r)[0]
     assert q.e == pytest.approx(theta1 - k / r * (1.0 - math.exp(-r * theta1 / k)), rel=1e-6)
 
 
@@ -199,15 +200,6 @@ def test_mirror_angle_ends():
 @pytest.mark.parametrize("sinkage", [1e-4, 0.02, 0.1, 0.29])
 def test_entry_angle_inverts_the_geometry(sinkage):
     assert 0.15 * (1.0 - math.cos(contact.entry_angle(sinkage, 0.15))) == pytest.approx(sinkage, rel=1e-9)
-
-
-def test_slip_ratio():
-    assert contact.slip_ratio(1.0, 0.6, 1e-3) == pytest.approx(0.4)
-    assert contact.slip_ratio(0.6, 1.0, 1e-3) == pytest.approx(-0.4)
-    assert contact.slip_ratio(-1.0, -0.6, 1e-3) == pytest.approx(0.4)
-    assert contact.slip_ratio(1.0, 0.0, 1e-3) == 1.0
-    assert contact.slip_ratio(0.0, 1.0, 1e-3) == -1.0
-    assert contact.slip_ratio(0.0, 0.0, 1e-3) == 0.0
 
 
 # --- symmetry, range, derivatives -------------------------------------------------------------------------------------
@@ -269,7 +261,7 @@ def test_rates_against_central_differences(seed):
 @pytest.mark.parametrize("slip", [-0.9, -0.2, 0.0, 0.3, 1.0])
 @pytest.mark.parametrize("cohesion", [0.0, 2000.0])
 def test_mobilised_sinkage_coefficient_inverts_the_balance(slip, cohesion):
-    q = quadrature.arc_integrals(0.8, 0.0, 0.4, *contact.motion_from_slip(slip), 0.02, 0.8, 0.15)[0]
+    q = quadrature.arc_integrals(0.8, 0.0, 0.4, *motion_from_slip(slip), 0.02, 0.8, 0.15)[0]
     load = contact.forces(q, 7e5, 0.5, cohesion, 0.15, 0.15, 1.0).load
     assert contact.mobilised_sinkage_coefficient(q, load, 0.5, cohesion, 0.15, 0.15, 1.0) == pytest.approx(
         7e5, rel=1e-9

@@ -138,6 +138,7 @@ def test_friction_shows_where_no_speed_is_given():
         ({"speed": -0.1}, "conditions: speed"),
         ({"pass": 0}, "conditions: pass"),
         ({"wheel_radius": 0.0}, "conditions: wheel_radius"),
+        ({"grouser_height": 0.15}, "conditions: grouser_height: expected metres, less than the wheel radius"),
         ({"load": [90.0, 90.0, 90.0]}, "conditions: .*same length"),
     ],
     ids=str,
@@ -147,6 +148,13 @@ def test_wrong_conditions_are_refused_in_one_line(change, message):
     with pytest.raises(ParameterError, match=message) as error:
         MODEL.predict(given)
     assert "\n" not in str(error.value)
+
+
+def test_lugs_longer_than_the_radius_are_refused():
+    with pytest.raises(
+        ParameterError, match="grouser_height = 0.2: expected metres, less than the wheel radius 0.15 m"
+    ):
+        ModelWheel(0.15, 0.12, 0.2)
 
 
 # --- residual terms ---------------------------------------------------------------------------------------------------

@@ -1,0 +1,47 @@
+"""The definition of slip: its values, its inverses, and that numbers and arrays give the same bits."""
+
+import numpy as np
+import pytest
+
+from soil_env.slip import (
+    motion_from_slip,
+    rim_speeds,
+    slip_of_radius,
+    slip_ratio,
+    slips_of_radius,
+    travel_speeds,
+)
+
+SLIPS = np.array([-1.0, -0.7, -1e-12, 0.0, 1e-12, 0.3, 0.95])
+
+
+def test_slip_ratio():
+    assert slip_ratio(1.0, 0.6, 1e-3) == pytest.approx(0.4)
+    assert slip_ratio(0.6, 1.0, 1e-3) == pytest.approx(-0.4)
+    assert slip_ratio(-1.0, -0.6, 1e-3) == pytest.approx(0.4)
+    assert slip_ratio(1.0, 0.0, 1e-3) == 1.0
+    assert slip_ratio(0.0, 1.0, 1e-3) == -1.0
+    assert slip_ratio(0.0, 0.0, 1e-3) == 0.0
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+def test_speeds_have_the_slip_that_they_were_made_from(slip):
+    rim, travel = motion_from_slip(slip)
+    assert slip_ratio(rim, travel, 1e-30) == pytest.approx(slip, abs=1e-9)
+    assert slip_ratio(float(rim_speeds(0.2, slip)), 0.2, 1e-30) == pytest.approx(slip, abs=1e-15)
+
+
+def test_arrays_give_the_bits_of_numbers_and_keep_their_type():
+    rim = np.linspace(0.1, 0.9, SLIPS.size)
+    assert travel_speeds(rim, SLIPS).tolist() == [u * motion_from_slip(i)[1] for u, i in zip(rim, SLIPS, strict=True)]
+    assert slips_of_radius(SLIPS, 1.0 + rim).tolist() == list(map(slip_of_radius, SLIPS, 1.0 + rim))
+    single = np.float32(0.1), SLIPS.astype(np.float32)
+    assert travel_speeds(*single).dtype == rim_speeds(*single).dtype == np.float32
+
+
+def test_slip_by_another_radius():
+    """V 0.1 to 0.4 m/s at w 3 rad/s: slips of radii 0.11 and 0.1 m, driving and braking."""
+    slips = [[slip_ratio(3.0 * r, v, 1e-30) for v in (0.1, 0.25, 0.32, 0.4)] for r in (0.11, 0.1)]
+    assert slips_of_radius(np.array(slips[0]), np.full(4, 1.1)) == pytest.approx(slips[1], abs=1e-15)
+    assert slip_of_radius(0.3, 1.0) == 0.3
+    assert slip_of_radius(-1.0, 1.1) == -1.0
