@@ -16,7 +16,8 @@ from soil_env.identification.online import (
     forget,
     identifier_numbers,
     new_identifiers,
-    observe,
+    new_replay,
+    observe_rows,
 )
 from soil_env.identification.point import Reading, channels_at, predict, weights, whitened
 from soil_env.identification.solver import LOWER, UPPER, Status
@@ -59,7 +60,7 @@ class Contender:
 
 
 class Ours(Contender):
-    """`soil_env.identification.online.observe`, called from Python."""
+    """`soil_env.identification.online.observe_rows`, called from Python."""
 
     name = "ours"
 
@@ -69,9 +70,16 @@ class Ours(Contender):
         forget(self.ids, 0, self.numbers)
 
     def update(self, reading):
-        """One call of `observe`."""
-        self.solved = observe(self.ids, 0, reading, self.numbers) == RENEWED
+        """One call of `observe_rows`."""
+        self.solved = observed(self.ids, np.array([reading]), self.numbers).outcome[0] == RENEWED
         return self.ids.estimate[0, :3], self.ids.sd[0, :3], self.ids.status[0] == _CONVERGED
+
+
+def observed(ids, readings: np.ndarray, numbers):
+    """`Replay` of the readings [T, 10] of one wheel."""
+    replay = new_replay(len(readings))
+    observe_rows(ids, np.zeros(len(readings), dtype=np.int64), readings, numbers, replay)
+    return replay
 
 
 class Digging:
@@ -273,7 +281,7 @@ class Batch(Contender):
     def update(self, reading):
         """One step of our window, then scipy."""
         began = perf_counter()
-        self.solved = observe(self.ids, 0, reading, self.numbers) == RENEWED
+        self.solved = observed(self.ids, np.array([reading]), self.numbers).outcome[0] == RENEWED
         self.elsewhere += perf_counter() - began
         if self.solved:
             self._solve(int(self.ids.count[0]))
@@ -330,25 +338,6 @@ def make(name: str, scenario: Scenario) -> Contender:
 # --- replay -----------------------------------------------------------------------------------------------------------
 
 
-@root
-def replay_compiled(readings, ids, numbers, estimate, sd, valid):
-    """`observe` over a log [T, 7], compiled as in the environment; the number of solves."""
-    forget(ids, 0, numbers)
-    solves = 0
-    for t in range(len(readings)):
-        reading = SensorReading(
-            readings[t, 0], readings[t, 1], readings[t, 2], readings[t, 3], readings[t, 4], readings[t, 5],
-            readings[t, 6], readings[t, 7], readings[t, 8], readings[t, 9],
-        )  # fmt: skip
-        if observe(ids, 0, reading, numbers) == RENEWED:
-            solves += 1
-        for i in range(3):
-            estimate[t, i] = ids.estimate[0, i]
-            sd[t, i] = ids.sd[0, i]
-        valid[t] = ids.status[0] == _CONVERGED
-    return solves
-
-
 def replay(name: str, scenario: Scenario, readings: np.ndarray):
     """One contender over one log: (estimate [T, 3], sd [T, 3], valid [T], seconds of each update [T]).
 
@@ -357,11 +346,12 @@ def replay(name: str, scenario: Scenario, readings: np.ndarray):
     if name in COMPILED:
         scenario = load_scenario(scenario, COMPILED[name](scenario))
         T, numbers, ids = len(readings), identifier_numbers(scenario), new_identifiers(1)
-        estimate, sd, valid = np.empty((T, 3)), np.empty((T, 3)), np.empty(T, dtype=bool)
-        replay_compiled(readings[:1], ids, numbers, estimate, sd, valid)
+        observed(ids, readings[:1], numbers)  # compiled and warm before it is timed
+        forget(ids, 0, numbers)
         began = perf_counter()
-        replay_compiled(readings, ids, numbers, estimate, sd, valid)
-        return estimate, sd, valid, np.full(T, (perf_counter() - began) / T)
+        replay = observed(ids, readings, numbers)
+        seconds = (perf_counter() - began) / T
+        return replay.estimate[:, :3], replay.sd[:, :3], replay.status == _CONVERGED, np.full(T, seconds)
     return called(make(name, scenario), readings)[:4]
 
 

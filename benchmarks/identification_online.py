@@ -6,7 +6,7 @@ has one, and whether it holds its estimate for valid. An estimate that is not va
 
 | name | method | per |
 |------|--------|-----|
-| ours | `soil_env.identification.online.observe`: the filter bank, with motor torque and acceleration | point |
+| ours | `soil_env.identification.online.observe_rows`: the filter bank, with motor torque and acceleration | point |
 | library | the same, told which soils may come (`Belief.soils`) | point |
 | window | `observe` by the moving window (`Belief.method`) | point |
 | newton_raphson | the source paper's: three points, drawbar pull, Newton's iteration as it stands | point |
@@ -43,15 +43,15 @@ from benchmarks.identification_contenders import (
     Contender,
     called,
     make,
+    observed,
     replay,
-    replay_compiled,
 )
 from benchmarks.identification_kalman import UnscentedKalman
 from benchmarks.identification_online_figure import figure
 from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.files import make_folder, plain, write_json
 from soil_env._numba.compiling import root
-from soil_env.identification.online import identifier_numbers, new_identifiers
+from soil_env.identification.online import RENEWED, forget, identifier_numbers, new_identifiers
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
@@ -298,11 +298,11 @@ def _timed_compiled(name: str, scenario: Scenario, readings: np.ndarray):
         new_identifiers(1),
         len(readings),
     )
-    estimate, sd, valid = np.empty((T, 3)), np.empty((T, 3)), np.empty(T, dtype=bool)
+    forget(ids, 0, numbers)
     began = perf_counter()
-    solves = replay_compiled(readings, ids, numbers, estimate, sd, valid)
+    done = observed(ids, readings, numbers)
     spent = perf_counter() - began
-    return spent / T, spent / max(solves, 1)
+    return spent / T, spent / max(int(np.sum(done.outcome == RENEWED)), 1)
 
 
 def compare_times(scenario: Scenario, logs: list[dict], contenders=CONTENDERS, repeats: int = 7) -> dict:
@@ -310,7 +310,7 @@ def compare_times(scenario: Scenario, logs: list[dict], contenders=CONTENDERS, r
 
     `us_per_reading`: all time over all readings. `us_per_solve`: of the readings that solved; for those that run
     compiled (`COMPILED`), all time over the solves, so that collecting is charged to them. `ours_from_python` is the
-    `observe` of ours, called from Python once a reading: most of it is the call.
+    `observe_rows` of ours, called from Python once a reading: most of it is the call.
     """
     readings = max((log["readings"] for log in logs), key=len)
     rows: dict[str, list] = {name: [] for name in (*contenders, "ours_from_python")}

@@ -11,14 +11,14 @@ from benchmarks.common import TORQUE, spread
 from soil_env._numba import elementary, lanes
 from soil_env._numba.compiling import FastCall, inlined, root
 from soil_env._numba.rows import Rows
-from soil_env.identification.online import HELD, SensorReading, observe
+from soil_env.identification.online import HELD, SensorReading, new_replay, observe_rows
 from soil_env.parameters import load_scenario
 from soil_env.simulation.camera import Sight
 from soil_env.simulation.courses import CourseNumbers, draw_ahead
 from soil_env.simulation.dynamics import MANY, advance
 from soil_env.simulation.sensors import sense
 from soil_env.simulation.task import Cause, judge, reward_terms, write_observation
-from soil_env.simulation.worlds import RESTART, STEP, Simulation, restart
+from soil_env.simulation.worlds import RESTART, STEP, Simulation
 from soil_env.terramechanics import arc_integrals as quadrature
 from soil_env.terramechanics import contact
 from soil_env.vector_env import SoilWheelVectorEnv
@@ -28,7 +28,7 @@ NOTHING_SEEN = Sight(0, 0.0, 0.0)  # by a camera, which "mixed" does not have
 # --- parts: of a step of the wheels with what[k] = STEP ---------------------------------------------------------------
 
 
-_advance = FastCall(advance)
+_advance, _observe = FastCall(advance), FastCall(observe_rows)
 
 
 def _drive(worlds, numbers, what, commands):
@@ -37,6 +37,13 @@ def _drive(worlds, numbers, what, commands):
         _advance(
             worlds.state, worlds.counts, start, count, what, commands, worlds.courses, worlds.streams, numbers.world
         )
+
+
+def _identify(worlds, numbers, what, readings):
+    wheels = np.flatnonzero(what == STEP)
+    replay = new_replay(wheels.size)
+    _observe(worlds.ids, wheels, readings[wheels], numbers.identifier, replay)
+    worlds.changed[wheels] = replay.outcome != HELD
 
 
 @root
@@ -56,13 +63,6 @@ def _reading(a, k):
 
 
 @root
-def _identify(worlds, numbers, what, readings):
-    for k in range(what.size):
-        if what[k] == STEP:
-            worlds.changed[k] = observe(worlds.ids, k, _reading(readings, k), numbers.identifier) != HELD
-
-
-@root
 def _report(worlds, numbers, what, readings):
     for k in range(what.size):
         if what[k] == STEP:
@@ -76,16 +76,14 @@ def _report(worlds, numbers, what, readings):
 
 
 @root
-def _ground(worlds, numbers, what):
+def _draw_ahead(worlds, numbers, what):
     for k in range(what.size):
-        if what[k] == RESTART:
-            restart(worlds, numbers, k)
-        else:
+        if what[k] != RESTART:
             course = CourseNumbers(numbers.drawn, numbers.world.wheel)
             draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], course)
 
 
-_PARTS = {"ground": _ground, "dynamics": _drive, "sensors": _sense, "identification": _identify, "report": _report}
+_PARTS = ("ground", "dynamics", "sensors", "identification", "report")
 
 
 class _Drive:
@@ -97,9 +95,15 @@ class _Drive:
         for k in range(wheels):
             self.simulation.seed(k, self.rng)
         self.simulation.restart_where(np.ones(wheels, dtype=np.bool_))
-        self.calls = {name: f if f is _drive else FastCall(f) for name, f in _PARTS.items()}
+        self.ahead = FastCall(_draw_ahead)
+        calls = self._ground, _drive, FastCall(_sense), _identify, FastCall(_report)
+        self.calls = dict(zip(_PARTS, calls, strict=True))
         self.readings, self.what = np.zeros((wheels, 10)), np.full(wheels, STEP)
         self.counts = {"solves": 0, "resets": 0, "patches": 0}
+
+    def _ground(self, worlds, numbers, what) -> None:
+        self.simulation.restart_where(what == RESTART)
+        self.ahead(worlds, numbers, what)
 
     def turn(self, steps: int) -> dict[str, float]:
         """Processor time a wheel and step [us] of each part, over this many steps."""

@@ -30,7 +30,8 @@ from soil_env.identification.online import (
     forget,
     identifier_numbers,
     new_identifiers,
-    observe,
+    new_replay,
+    observe_rows,
 )
 from soil_env.identification.solver import Status
 from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
@@ -133,19 +134,15 @@ def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
 
 
 @root(nogil=True)
-def _take(ids: Identifiers, values: np.ndarray, limits: np.ndarray, numbers: IdentifierNumbers) -> int:
-    """What `values` [10], in the order of `SensorReading`, did (`observe`); -1 if one is too large."""
+def _ready(values: np.ndarray, limits: np.ndarray) -> bool:
+    """Whether `values` [10], in the order of `SensorReading`, are within the limits; the slip is completed."""
     for i in range(values.size):
         if not abs(values[i]) <= limits[i] and not (i == 0 and np.isnan(values[0])):
-            return -1
-    slip, speed, rim = values[0], values[5], values[6]
-    if np.isnan(slip):
-        slip = slip_ratio(rim, speed, REST_SPEED)
-    reading = SensorReading(
-        min(max(slip, -1.0), 1.0), values[1], values[2], values[3], values[4], speed, rim, values[7], values[8],
-        values[9],
-    )  # fmt: skip
-    return int(observe(ids, 0, reading, numbers))
+            return False
+    if np.isnan(values[0]):
+        values[0] = slip_ratio(values[6], values[5], REST_SPEED)
+    values[0] = min(max(values[0], -1.0), 1.0)
+    return True
 
 
 @root(nogil=True)
@@ -229,7 +226,8 @@ class OnlineIdentifier:
         self._rim_sd, self._speed_sd = noise.wheel_speed * wheel.radius, noise.speed
         twist = self._weight * wheel.radius
         self._motor_sd, self._accelerometer_sd = noise.motor_torque * twist, noise.acceleration
-        self._take, self._start, self._best = FastCall(_take), FastCall(_start), FastCall(best_working_point)
+        self._ready, self._observe = FastCall(_ready), FastCall(observe_rows)
+        self._start, self._best = FastCall(_start), FastCall(best_working_point)
         self._numbers = identifier_numbers(scenario)
         self._force_sd = self._numbers.force_sd.tolist()  # of pull, load, torque where they are measured
         self._sd = self._numbers.filter.noise.tolist()  # of `SensorReading` where it is measured
@@ -244,7 +242,7 @@ class OnlineIdentifier:
         )  # fmt: skip
         self._put = self._put_for_filter if self._numbers.by_filter else self._put_for_window
         self._first_sinkage = _bearing_sinkage(scenario)
-        self._ids, self._values = new_identifiers(1), np.zeros(len(SensorReading._fields))
+        self._ids, self._values, self._done = new_identifiers(1), np.zeros(len(SensorReading._fields)), new_replay(1)
         self.reset()
 
     def reset(self) -> None:
@@ -290,9 +288,10 @@ class OnlineIdentifier:
         if rim == rim and speed == speed:
             now = self._put(r, rim, speed, period)
             numbers = self._numbers_now(period, slip_sd)
-            outcome = self._take(self._ids, self._values, self._limits, numbers)
-            if outcome < 0:
+            if not self._ready(self._values, self._limits):
                 raise ValueError(f"{r}: expected the speeds and forces of a wheel; these lead beyond {self._largest}")
+            self._observe(self._ids, _ONE, self._values[None], numbers, self._done)
+            outcome = self._done.outcome.item()
             self._missing = now if outcome == RENEWED else [a or b for a, b in zip(self._missing, now, strict=True)]
             self._slip_sd = slip_sd if outcome == RENEWED else max(slip_sd, self._slip_sd)
         elif refusal := _refusal(r, self._largest):
@@ -430,6 +429,7 @@ def _bearing_sinkage(scenario: Scenario) -> float:
 
 
 _BOUNDS = {f.name: f.metadata for f in fields(Soil)}
+_ONE = np.zeros(1, dtype=np.int64)  # the one wheel of an `OnlineIdentifier`
 _STATUS = {status.value: status for status in Status}
 
 

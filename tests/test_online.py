@@ -14,12 +14,13 @@ from soil_env._io.loading import ParameterError
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.filter_bank import element
 from soil_env.identification.linearised import MASS
-from soil_env.identification.online import HELD, observe
+from soil_env.identification.online import HELD
 from soil_env.online import OnlineIdentifier, Readings, Status, largest_readings, slips
 from soil_env.parameters import Belief, Noise, load_scenario, wheels
 from soil_env.simulation.dynamics import STEP, advance
 from soil_env.simulation.sensors import sense
 from soil_env.simulation.worlds import Simulation
+from tests.identification.observing import observe
 
 WHEEL, BELIEF = wheels()["planetary_rover"], Belief()
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import inlined, part, root
 from soil_env._numba.lanes import COUNT, fill, first, from_array, lane, smallest
 from soil_env._numba.rows import Rows, copy_column, rows, scratch_rows, zero_column
 from soil_env.identification.digging import KEPT, Digging, DiggingPlaces, close_point, note, roll
@@ -113,6 +113,21 @@ class Identifiers(NamedTuple):
     borders: np.ndarray  # [wheels] to another soil that the filter has found since `forget`
 
 
+class Replay(NamedTuple):
+    """What each of T sets of readings did, and what was known after it."""
+
+    outcome: np.ndarray  # [T] `HELD`, `MOVED` or `RENEWED`
+    estimate: np.ndarray  # [T, 5] as in `Identifiers`
+    sd: np.ndarray  # [T, 5]
+    status: np.ndarray  # [T] `Status`
+
+
+def new_replay(count: int) -> Replay:
+    """For `observe_rows` with `count` sets of readings."""
+    whole = np.zeros((2, count), dtype=np.int64)
+    return Replay(whole[0], np.zeros((count, 5)), np.zeros((count, 5)), whole[1])
+
+
 class IdentifierNumbers(NamedTuple):
     """What the identifier takes from a `Scenario`."""
 
@@ -200,6 +215,24 @@ def observe(ids, k, reading, numbers):
     if numbers.by_filter:
         return _observe_by_filter(ids, k, reading, numbers)
     return _observe_by_window(ids, k, reading, numbers)
+
+
+@root(nogil=True)
+def observe_rows(
+    ids: Identifiers,
+    wheels: np.ndarray,
+    readings: np.ndarray,
+    numbers: IdentifierNumbers,
+    replay: Replay,
+) -> None:
+    """`observe` of `readings` [T, 10], in the order of `SensorReading`; row t is of wheel `wheels[t]`."""
+    for t in range(wheels.size):
+        k, r = wheels[t], readings[t]
+        reading = SensorReading(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9])
+        replay.outcome[t] = observe(ids, k, reading, numbers)
+        for i in range(replay.estimate.shape[1]):
+            replay.estimate[t, i], replay.sd[t, i] = ids.estimate[k, i], ids.sd[k, i]
+        replay.status[t] = ids.status[k]
 
 
 @part

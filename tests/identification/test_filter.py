@@ -36,6 +36,7 @@ from soil_env.identification.mixture_prior import (
 from soil_env.identification.online import SensorReading
 from soil_env.parameters import ParameterError, load_scenario
 from soil_env.simulation.worlds import Simulation
+from tests.identification.observing import observe
 
 SCENARIO = load_scenario("mixed")
 LIBRARY = {"belief": {"soils": dict(SCENARIO.soils), "spread": {"shear_modulus": 0.7, "dig_gain": 0.8}}}
@@ -388,7 +389,7 @@ def test_wild_readings_never_give_nan(data):
             data.draw(speed), data.draw(speed), data.draw(st.floats(-1.6, 1.6)), data.draw(wild), data.draw(wild),
         )  # fmt: skip
         for _ in range(5):
-            identifier.observe(ids, 0, reading, numbers)
+            observe(ids, 0, reading, numbers)
         assert np.all(np.isfinite(numbers_of(ids))) and np.all(ids.sd > 0.0)
         assert isinstance(Status(ids.status[0]), Status)
 
@@ -398,7 +399,7 @@ def test_a_reading_that_is_not_a_number_is_passed_over():
     identifier.forget(ids, 0, numbers)
     before = numbers_of(ids)
     for _ in range(20):
-        identifier.observe(ids, 0, SensorReading(0.2, math.nan, *[1.0] * 8), numbers)
+        observe(ids, 0, SensorReading(0.2, math.nan, *[1.0] * 8), numbers)
     np.testing.assert_array_equal(numbers_of(ids), before)
 
 
@@ -415,7 +416,7 @@ def test_readings_that_contradict_each_other_give_no_current_estimate():
     numbers, ids, seen = identifier.identifier_numbers(scenario), identifier.new_identifiers(1), set()
     identifier.forget(ids, 0, numbers)
     for _ in range(100):
-        identifier.observe(ids, 0, CONTRARY, numbers)
+        observe(ids, 0, CONTRARY, numbers)
         seen.add(Status(ids.status[0]))
         if ids.status[0] != Status.MISFIT:
             assert np.all(np.abs(ids.estimate[0, :3] - numbers.prior[:3]) < 3.0 / np.sqrt(numbers.precision[:3]))
@@ -433,7 +434,7 @@ def test_forget_leaves_nothing_of_the_course_before():
     for ids in (used, fresh):
         identifier.forget(ids, 0, numbers)
         for _ in range(60):
-            identifier.observe(ids, 0, CONTRARY._replace(load=14.7), numbers)
+            observe(ids, 0, CONTRARY._replace(load=14.7), numbers)
     np.testing.assert_array_equal(numbers_of(used), numbers_of(fresh))
     np.testing.assert_array_equal(used.banks.candidates, fresh.banks.candidates)
     assert used.banks.point.tobytes() == fresh.banks.point.tobytes()

@@ -17,6 +17,7 @@ from soil_env.simulation.dynamics import STEP, advance
 from soil_env.simulation.sensors import sense
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import steady_state
+from tests.identification.observing import observe
 
 R, B, LOAD = 0.15, 0.15, 150.0
 SAND = soils()["lunar_nominal"].state(B)
@@ -63,7 +64,7 @@ class Fed:
 
     def feed(self, readings):
         """Number of solves that the readings caused."""
-        return sum(identifier.observe(self.ids, 0, r, self.numbers) == identifier.RENEWED for r in readings)
+        return sum(observe(self.ids, 0, r, self.numbers) == identifier.RENEWED for r in readings)
 
     def excite(self, seconds, soil=STILL, rng=None):
         """Readings at slips that go up and down between 0.02 and 0.6."""
@@ -226,8 +227,8 @@ def test_identifiers_do_not_disturb_each_other():
     for k in range(60):
         slip = 0.3 + 0.3 * math.sin(0.4 * k)
         alone.feed([reading(slip)])
-        identifier.observe(two.ids, 1, reading(slip, FIRM), NUMBERS)
-        identifier.observe(two.ids, 0, reading(slip), NUMBERS)
+        observe(two.ids, 1, reading(slip, FIRM), NUMBERS)
+        observe(two.ids, 0, reading(slip), NUMBERS)
     for (name, a), b in zip(snapshot(alone.ids).items(), snapshot(two.ids).values(), strict=True):
         np.testing.assert_array_equal(a, b, name)
     assert np.abs(two.ids.estimate[0] - two.ids.estimate[1]).max() > 0.5
@@ -317,13 +318,13 @@ def test_only_readings_enter(hide, method):
         commands = np.array([0.4 + 0.35 * math.sin(0.7 * k)])
         advance(w.state, w.counts, 0, 1, what, commands, w.courses, w.streams, n.world)
         readings = sense(w.state, 0, w.streams, n.task.sensors)
-        identifier.observe(other, 0, readings, n.identifier)
+        observe(other, 0, readings, n.identifier)
         kept = w.courses.soils.copy(), w.state.copy()
         if hide:
             w.courses.soils[:] *= 1.7  # with n and c
             for name in w.state.NAMES:
                 w.state[name] *= 1.3
-        identifier.observe(w.ids, 0, readings, n.identifier)
+        observe(w.ids, 0, readings, n.identifier)
         w.courses.soils[:], w.state.data[:] = kept[0], kept[1].data
     assert w.ids.status[0] == Status.CONVERGED
     for (name, a), b in zip(snapshot(w.ids).items(), snapshot(other).values(), strict=True):
