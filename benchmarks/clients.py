@@ -154,8 +154,7 @@ def page(result: dict) -> str:
     for name, found in result.items():
         runs = {run["command"]: run for run in found["runs"]}
         rows = []
-        commands = [c.replace("{out}", "OUT") for c in CLIENTS[name].commands]
-        for command in (*(c for c in runs if c not in commands), *commands):
+        for command in (c.replace("{out}", "OUT") for c in CLIENTS[name].commands):
             run = runs.get(command, {"ok": True, "seen": "not run yet"})
             rows.append((f"`{command}`", ("" if run["ok"] else "**failed**: ") + run["seen"].replace("|", "/")))
         tables[name] = Table(("command", "seen"), rows).markdown()
