@@ -24,6 +24,7 @@ JOBS ?= 2
 TORCH := $(shell sed -n 's/^\(torch==[^ ]*\).*/\1/p' constraints.txt)
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
+TORCH_READY := $(VENV)/.installed-torch
 TRAIN_READY := $(VENV)/.installed-train
 TEST_READY := $(VENV)/.installed-test
 DOCS_READY := $(VENV)/.installed-docs
@@ -85,16 +86,19 @@ $(PY):
 
 # torch goes first and alone. On Linux PyPI's build brings several GB of CUDA libraries, PyTorch's own index has
 # the CPU build. Where that index cannot be reached, the install below takes torch from pip's usual indexes.
-$(TRAIN_READY): pyproject.toml constraints.txt | $(PY)
+$(TORCH_READY): constraints.txt | $(PY)
 	@test -z "$(TORCH_INDEX)" \
 	  || $(PIP) install -q --no-compile --no-deps --retries 1 --timeout 15 --index-url $(TORCH_INDEX) $(TORCH) \
 	  || echo "No CPU build of torch from $(TORCH_INDEX); going on with pip's usual indexes."
+	@touch $@
+
+$(TRAIN_READY): pyproject.toml constraints.txt $(TORCH_READY)
 	$(PIP) install -q --no-compile -c constraints.txt -e '.[train]'
 	@touch $@
 
-$(TEST_READY): $(TRAIN_READY)
+$(TEST_READY): pyproject.toml constraints.txt $(TORCH_READY)
 	$(PIP) install -q --no-compile -c constraints.txt -e '.[train,recurrent,export,logs,test,docs]'
-	@touch $@ $(DOCS_READY)
+	@touch $@ $(TRAIN_READY) $(DOCS_READY)
 
 # The site is made from the sources, none of which is imported: no torch.
 $(DOCS_READY): pyproject.toml constraints.txt | $(PY)
