@@ -48,7 +48,6 @@ _UNKNOWN = 1e2  # standard deviation, in weights and the like, of what is not me
 _FILTERED = (1, 2, 3, 4, 5, 8, 9)
 _LEAST_SLIP_SD = 1e-3
 _LEAST_SHARE = 1e-6  # of the weight: least standard deviation of what stands for a force
-_FARTHEST = 60.0  # |ln| of K, of S and of the gain over its prior, beyond which an estimate is that of no soil
 
 
 class Readings(NamedTuple):
@@ -408,9 +407,6 @@ class OnlineIdentifier:
 
     def _published(self, renewed: bool) -> Estimate:
         x, sd = self._ids.estimate[0].tolist(), self._ids.sd[0].tolist()
-        if max(abs(x[1]), abs(x[2]), abs(x[4])) > _FARTHEST:
-            self._start(self._ids, self._numbers)
-            x, sd = self._ids.estimate[0].tolist(), self._ids.sd[0].tolist()
         return Estimate(
             math.degrees(x[0]), math.exp(x[1]), math.exp(x[2]), x[3], self.scenario.belief.dig_gain * math.exp(x[4]),
             math.degrees(sd[0]), sd[1], sd[2], sd[3], sd[4], _STATUS[self._ids.status.item(0)], renewed,

@@ -60,6 +60,15 @@ def test_the_command_covers_what_it_says(capsys, tmp_path):
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.parametrize(("number", "what"), [
+    (40, "an estimate driven so far off by its readings that its exponential overflowed"),
+    (106, "a wheel that stood still for a control period, as no step was short enough for Newton's method"),
+])  # fmt: skip
+def test_what_was_broken_once(capsys, number, what):
+    assert fuzz.main(["--seed", "0", "--case", str(number)]) == 0
+    assert "| exceptions, NaN, broken invariants | 0 |" in capsys.readouterr().out, what
+
+
 def test_a_case_is_the_same_again():
     a, b = (draw_case(Random(np.random.default_rng([0, 5]))) for _ in range(2))
     assert a == b

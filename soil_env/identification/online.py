@@ -60,6 +60,7 @@ RATIO_ERROR = 0.07  # relative error of the digging ratio that the law of sinkag
 #: What a set of readings did to the estimate: nothing; the wheel is elsewhere on a border, and so on other ground; it
 #: completed a point.
 HELD, MOVED, RENEWED = 0, 1, 2
+FARTHEST = 60.0  # |ln| of K, of S and of the gain over its prior, beyond which an estimate is that of no soil
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
 _HALF = math.log(0.5)  # ln probability of the soil having stayed the same, below which a border is counted
 _MINIMUM_RIM_SPEED = 0.02  # [m/s] below which readings say nothing of shear
@@ -247,6 +248,9 @@ def _observe_by_filter(ids, k, reading, numbers):
         ids.borders[k] += 1  # the grade told of a border, and it was one of soil
     # on a border the soil under the wheel changes from reading to reading
     publish(ids.banks, k, numbers.filter, ids.estimate[k], ids.sd[k], ids.covariance[k])
+    if max(abs(ids.estimate[k, 1]), abs(ids.estimate[k, 2]), abs(ids.estimate[k, 4])) > FARTHEST:
+        forget(ids, k, numbers)
+        return RENEWED
     learnt = 0.0
     for i in range(2):  # friction and shear deformation modulus need a range of slip
         learnt = max(learnt, ids.sd[k, i] * math.sqrt(numbers.precision[i]))

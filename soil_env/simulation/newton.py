@@ -53,6 +53,9 @@ _SHORT = 0.1  # share of the rim speed up to which the first try is the foreseen
 _FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
 _PASSES = 60  # evaluations of the reaction in a substep, at most
 _TRIES = 8  # of them at most along one step of Newton's method
+# Residual that is let pass where no shorter step makes it smaller: at most this [m/s], and this share of the change of
+# speed that was found. Without the second a step short enough would leave the speeds as they are, and so would the next.
+_NEARLY, _OF_CHANGE = 1e-4, 0.1
 _HUGE = 1e300
 
 # --- scratch, a column a wheel ----------------------------------------------------------------------------------------
@@ -380,7 +383,9 @@ def _iterate(sub, i, world, h):
     to_array(chosen(seen, v + dv, v), n.v, i)
     to_array(chosen(seen, u + du, u), n.u, i)
     _store_reaction(_chosen_reaction(seen, ahead, f), n, i)
-    to_array(larger(failed * below(norm, 1e-4), there), n.converged, i)
+    change = larger(abs(v - from_array(e.speed0, i)), abs(u - from_array(e.rim0, i)))
+    settled = failed * below(norm, _NEARLY) * below(norm, TOLERANCE + _OF_CHANGE * change)
+    to_array(larger(settled, there), n.converged, i)
     return larger(larger(failed, there), below(_PASSES - 0.5, passes))
 
 
