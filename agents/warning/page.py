@@ -84,9 +84,9 @@ def tables(found: dict) -> dict[str, str]:
         [_named(key), *_cells(both["with"], _KEPT), *_cells(both["without"], _KEPT)]
         for key, both in found["kept_from"].items()
     ]
-    drivers = list(next(iter(found["limits"].values())))
+    groups = list(next(iter(found["limits"].values())))
     limits = [
-        [name, *("; ".join(_cells(by[f], (_AUC, _MEDIAN))) for f in drivers)] for name, by in found["limits"].items()
+        [name, *("; ".join(_cells(by[g], (_AUC, _MEDIAN))) for g in groups)] for name, by in found["limits"].items()
     ]
     calibration = [
         [name, *(cell for h in _HORIZONS for cell in _calibrated(by[h]))] for name, by in found["calibration"].items()
@@ -97,7 +97,7 @@ def tables(found: dict) -> dict[str, str]:
         "own": Table([*place, *worth], own).markdown(),
         "rivals": Table(["score", *_headings(_RIVALS)], rivals).markdown(),
         "kept": Table(["kept from", *_headings(_KEPT, "seen: "), *_headings(_KEPT, "kept from it: ")], kept).markdown(),
-        "limits": Table(["network that knows", *map(_named, drivers)], limits).markdown(),
+        "limits": Table(["network that knows", *map(_named, groups)], limits).markdown(),
         "calibration": Table(["courses", *heads], calibration).markdown(),
         "facts": facts(found),
     }
@@ -111,7 +111,9 @@ def facts(found: dict) -> str:
         f"({', '.join(map(_named, found['scenarios']))}; {len(found['families'])} families of drivers), "
         f"{found['rows_of_training']:,} control periods of them, {sizes['epochs']} epochs. Threshold of the alarm: "
         f"{found['alarm']:.3f}, set on {sizes['tuning']} courses of set {found['sets']['tuning']} with each driver. "
-        f"Tests: {sizes['test']} courses of set {found['sets']['test']} with each.\n"
+        f"Tests: {sizes['test']} courses of set {found['sets']['test']} with each"
+        + "".join(f", {sizes['models']} on `{s}` with the agent" for s in found["models"])
+        + ".\n"
         f"- AUC on {', '.join(f'{name}: {text(m, 1.0, 3)}' for name, m in leak.items())} (`mixed`).\n"
         f"- Another patch than the one it stopped on was under {100 * found['other_ground']:.0f} % of the immobilised "
         "wheels 2.9 s before."
