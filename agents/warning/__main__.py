@@ -90,7 +90,8 @@ def train_and_judge(out: Path, weights: Path, sizes: study.Sizes, smoke: bool, m
     }
     test = study.all_scored(study.SCENARIOS, tuple(FAMILIES), study.TEST_SET, sizes.test, learnt, show)
     test += study.all_scored(study.FOREIGN, DRIVERS, study.TEST_SET, sizes.test, learnt, show)
-    test += study.of_models(models, sizes.models, learnt, show)
+    tuning += study.of_models(models, study.TUNING_SET, sizes.tuning, learnt, show)
+    test += study.of_models(models, study.TEST_SET, sizes.models, learnt, show)
     found = settings | study.judged(tuning, test)
     ours = found["rivals"][study.NETWORK]
     card = {

@@ -78,6 +78,7 @@ def tables(found: dict) -> dict[str, str]:
         [*at, c["immobilised"]["value"], *_cells(c, _WORTH)]
         for at, c in zip(places["cells"], found["cells"], strict=True)
     ]
+    scenarios = [[_named(s), m["immobilised"]["value"], *_cells(m, _WORTH)] for s, m in found["scenarios"].items()]
     own = [[*at, *_cells(c, _WORTH)] for at, c in zip(places["own"], found["own"], strict=True)]
     rivals = [[name, *_cells(m, _RIVALS)] for name, m in (found["rivals"] | found["others"]).items()]
     kept = [
@@ -94,6 +95,7 @@ def tables(found: dict) -> dict[str, str]:
     heads = [f"{what}, {h}" for h in _HORIZONS for what in ("mean [%]", "observed [%]", "error [points]", "skill")]
     return {
         "cells": Table([*place, "immobilised", *worth], cells).markdown(),
+        "scenarios": Table(["scenario", "immobilised", *worth], scenarios).markdown(),
         "own": Table([*place, *worth], own).markdown(),
         "rivals": Table(["score", *_headings(_RIVALS)], rivals).markdown(),
         "kept": Table(["kept from", *_headings(_KEPT, "seen: "), *_headings(_KEPT, "kept from it: ")], kept).markdown(),
@@ -140,7 +142,7 @@ def figure(found: dict) -> Figure:
 
 def check(page: Path) -> None:
     """Before the work: ParameterError or OSError if the page could not be renewed."""
-    names = ("cells", "own", "rivals", "kept", "limits", "calibration", "facts")
+    names = ("scenarios", "cells", "own", "rivals", "kept", "limits", "calibration", "facts")
     renewed(page.read_text(encoding="utf-8"), dict.fromkeys(names, ""), page)
 
 

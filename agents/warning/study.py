@@ -122,15 +122,15 @@ def all_scored(
     return [scored(d, learnt) for s in scenarios for f in families for d in blocks(s, f, seed, courses, progress)]
 
 
-def of_models(models: dict[str, Path], courses: int, learnt: Learnt, progress: Callable[[str], None]) -> list[Drives]:
-    """Drives of {scenario: trained agent} over test courses with their scores."""
-    return [
-        scored(d, learnt)
-        for s, path in models.items()
-        for d in blocks(
-            s, MODEL, TEST_SET, courses, progress, make=lambda scenario, path=path: load_model(path, scenario)
-        )
-    ]
+def of_models(
+    models: dict[str, Path], seed: int, courses: int, learnt: Learnt, progress: Callable[[str], None]
+) -> list[Drives]:
+    """Drives of {scenario: trained agent} with their scores."""
+    out = []
+    for s, path in models.items():
+        found = blocks(s, MODEL, seed, courses, progress, make=lambda scenario, path=path: load_model(path, scenario))
+        out += [scored(d, learnt) for d in found]
+    return out
 
 
 def threshold(name: str, tuning: Sequence[Drives]) -> float:
@@ -165,7 +165,8 @@ OTHERS = (LOGISTIC, "criterion of the paper", "slip, least of the last second", 
 
 def judged(tuning: list[Drives], test: list[Drives]) -> dict:
     """The content of warning.json but for `others`, `limits` and `leakage`."""
-    ours, one = of(test, SCENARIOS, DRIVERS), threshold(NETWORK, tuning)
+    ours, usual = of(test, SCENARIOS, DRIVERS), of(tuning, SCENARIOS, DRIVERS)
+    one = threshold(NETWORK, usual)
     cells = [(s, f) for s in (*SCENARIOS, *FOREIGN) for f in (*FAMILIES, MODEL) if of(test, [s], [f])]
     own = {}
     for s, f in cells:
@@ -178,7 +179,8 @@ def judged(tuning: list[Drives], test: list[Drives]) -> dict:
         kept[key] = {with_it: worth(name, threshold(name, groups[0]), groups[1]) for with_it, name in names.items()}
     return {
         "alarm": one,
-        "rivals": {name: worth(name, threshold(name, tuning), ours) for name in (NETWORK, SHORT)},
+        "rivals": {name: worth(name, threshold(name, usual), ours) for name in (NETWORK, SHORT)},
+        "scenarios": {s: worth(NETWORK, one, of(test, [s], DRIVERS)) for s in (*SCENARIOS, *FOREIGN)},
         "cells": [{"scenario": s, "driver": f, **worth(NETWORK, one, of(test, [s], [f]))} for s, f in cells],
         "own": [{"scenario": s, "driver": f, **value} for (s, f), value in own.items()],
         "kept_from": kept,

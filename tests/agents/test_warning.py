@@ -207,7 +207,7 @@ def test_the_command_writes_weights_figures_and_page(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "SMOKE", small)
     monkeypatch.setattr(study, "SCENARIOS", ("mixed", "field_vehicle"))
     page = tmp_path / "page.md"
-    names = ("cells", "own", "rivals", "kept", "limits", "calibration", "facts")
+    names = ("scenarios", "cells", "own", "rivals", "kept", "limits", "calibration", "facts")
     page.write_text("\n".join(f"<!-- {name} -->\n<!-- end -->" for name in names), encoding="utf-8")
     assert main(["--smoke", "--out", str(tmp_path), "--page", str(page)]) == 0
     found = json.loads((tmp_path / "warning.json").read_text(encoding="utf-8"))
