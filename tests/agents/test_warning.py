@@ -192,6 +192,26 @@ def test_the_shipped_weights_do_on_a_sample_what_their_card_says():
     assert FILE.stat().st_size < 100_000
 
 
+@pytest.mark.parametrize("given, words", [
+    (["runs/mine"], "expected SCENARIO=MODEL with one of two_lines, mixed"),
+    (["nowhere=runs/mine"], "expected SCENARIO=MODEL with one of"),
+    (["mixed=no/such.zip"], "no/such.zip"),
+    (["mixed=a.zip", "mixed=b.zip"], "expected one agent for each scenario"),
+])  # fmt: skip
+def test_agents_to_judge_it_on_are_refused_in_one_line(given, words, tmp_path, capsys, monkeypatch):
+    from agents.warning import __main__ as command
+
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.zip", "b.zip"):
+        (tmp_path / name).write_bytes(b"")
+    try:
+        status = command.main(["--out", "out", "--models", *given])
+    except SystemExit as left:  # of argparse
+        status = left.code
+    assert status == 2
+    assert words in capsys.readouterr().err.splitlines()[-1] and not (tmp_path / "out").exists()
+
+
 @pytest.mark.slow
 def test_the_command_writes_weights_figures_and_page(tmp_path, monkeypatch):
     pytest.importorskip("torch")
