@@ -20,7 +20,8 @@ are not in their means: read them together with the share that was warned of, an
 under warning on courses that did not end so.
 
 A second warning, `Foresight`, is by the probability of immobilisation within 5 s, a network on the last seconds of the
-same sensors: on while it is over the threshold on its card, off after `RELEASE` s below.
+same sensors, the estimate and what a camera shows ahead: on where it reaches the threshold on its card, off after
+`RELEASE` s below half of that (`KEPT`), so that it does not flicker.
 
 Published for another method, machine and ground: 1.8 m and 2.9 s on average, a four-wheeled rover in snow, ASME J.
 Autonomous Vehicles and Systems 2(3) 031001 (2022). Other conditions: not a figure to be compared digit by digit.
@@ -39,6 +40,7 @@ from soil_env.terramechanics.traversability import best_points
 SLIP_MARGIN = 0.5  # [-]
 HOLD = 0.5  # [s]
 RELEASE = 1.0  # [s]
+KEPT = 0.5  # of the threshold of a probability: an alarm that is on stays on over that
 # Change of phi [rad], ln K, ln S, strength by cohesion [of the load], ln of the gain of digging.
 _STEP = np.array([0.002, 0.01, 0.01, 0.002, 0.01])
 
@@ -48,9 +50,10 @@ _LOAD, _PITCH, _SLIP = (
 
 
 class Alarm:
-    """Alarms of `count` wheels side by side, step by step: on after `hold` s of a sign, off after `release` s without.
+    """Alarms of `count` wheels side by side, step by step: on after `hold` s of a sign, off after `release` s without
+    what keeps it on.
 
-    What the sign is, a class that derives from this one says.
+    What the sign is, a class that derives from this one says, and what keeps it on if that is not the sign.
     """
 
     def __init__(self, scenario: Scenario, count: int, hold: float, release: float):
@@ -70,13 +73,17 @@ class Alarm:
         """Which wheels show the sign in this control period [count] bool."""
         raise NotImplementedError
 
+    def keeps(self, looks: np.ndarray) -> np.ndarray:
+        """Which alarms stay on where they are on [count] bool; `looks`: which wheels show the sign."""
+        return looks
+
     def step(self, worlds: Worlds, alive: np.ndarray) -> None:
         """Take in one control period of the wheels that are `alive` [count]."""
         driving = alive & (worlds.state["halt_left"] == 0.0)
         looks = self.signs(worlds, alive) & driving
         self.time[alive] += self.period
         self.held = np.where(driving, np.where(looks, self.held + self.period, 0.0), self.held)
-        self.quiet = np.where(driving, np.where(looks, 0.0, self.quiet + self.period), self.quiet)
+        self.quiet = np.where(driving, np.where(self.keeps(looks), 0.0, self.quiet + self.period), self.quiet)
         come = driving & ~self.on & (self.held >= self.hold - 1e-9) & looks
         self.on |= come
         self.start_time[come], self.start_x[come] = self.time[come], worlds.state["best_x"][come]
@@ -106,13 +113,18 @@ class Foresight(Alarm):
     def __init__(self, scenario: Scenario, count: int):
         super().__init__(scenario, count, 0.0, RELEASE)
         self.warning, self.threshold = ImmobilisationWarning(scenario), float(shipped()["alarm"])
+        self.probability = np.zeros(count)  # within the longer horizon
 
     def signs(self, worlds, alive):
         """Whose probability is over the threshold; the worlds keep the last seconds of the sensors."""
-        rows, out = np.flatnonzero(alive), np.zeros(self.count, dtype=bool)
+        rows = np.flatnonzero(alive)
         found = self.warning.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
-        out[rows] = found[:, -1] >= self.threshold
-        return out
+        self.probability[rows] = found[:, -1]
+        return self.probability >= self.threshold
+
+    def keeps(self, looks):
+        """Whose probability is over the lower threshold."""
+        return self.probability >= KEPT * self.threshold
 
 
 class Warnings(Alarm):

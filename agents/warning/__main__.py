@@ -7,6 +7,7 @@ their card (immobilisation.json), what was found (warning.json), and docs/warnin
 Examples:
   python -m agents.warning --smoke --out /tmp/w                    every part in a minute, numbers without meaning
   python -m agents.warning --out docs --weights soil_env/identification/immobilisation.json
+  python -m agents.warning --out docs --models two_lines=runs/NAME mixed=runs/OTHER
   python -m agents.warning --out docs --others                     only what it is compared with again, and the page
   python -m agents.warning --out docs --draw                       page and figure again, from warning.json
 """
@@ -27,6 +28,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.identification.immobilisation import HORIZONS, INPUTS, SCALES, Network
 
 from ..cli import manual_parser
+from ..evaluate.contestants import parse
 from ..extras import needing
 from ..progress import show
 from . import page, study
@@ -42,10 +44,26 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--out", metavar="DIR", type=folder, required=True, help="folder of warning.json and the figure")
     p.add_argument("--weights", metavar="FILE", type=Path, help=f"where the weights go (default: DIR/{WEIGHTS})")
     p.add_argument("--page", metavar="MD", type=Path, help="put the tables between the markers of this page")
+    p.add_argument(
+        "--models", metavar="SCENARIO=MODEL", type=trained, nargs="+", default=[],
+        help="agents to judge it on too: run folders or zips of train.py, each with the scenario it was trained on",
+    )  # fmt: skip
     p.add_argument("--draw", action="store_true", help="only page and figure, from the warning.json of DIR")
     p.add_argument("--others", action="store_true", help="only what it is compared with, into the warning.json of DIR")
     p.add_argument("--smoke", action="store_true", help="every part in a minute, numbers without meaning")
     return p
+
+
+def trained(text: str) -> tuple[str, Path]:
+    """(scenario, model) of SCENARIO=MODEL."""
+    scenario, equals, path = text.partition("=")
+    if not equals or scenario not in study.SCENARIOS:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected SCENARIO=MODEL with one of {', '.join(study.SCENARIOS)}")
+    try:
+        (found,) = parse(f"{study.MODEL}={path}").values()
+    except ParameterError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return scenario, Path(found.source)
 
 
 def content(net: Network, alarm: float, card: dict) -> dict:
@@ -54,7 +72,7 @@ def content(net: Network, alarm: float, card: dict) -> dict:
     return {"card": card, "alarm": alarm, "inputs": list(INPUTS), **arrays}
 
 
-def train_and_judge(out: Path, weights: Path, sizes: study.Sizes, smoke: bool) -> dict:
+def train_and_judge(out: Path, weights: Path, sizes: study.Sizes, smoke: bool, models: dict[str, Path]) -> dict:
     """Do all of it; writes the weights and warning.json, whose content is returned."""
     learnt = study.learn(sizes, show)
     tuning = study.all_scored(study.SCENARIOS, DRIVERS, study.TUNING_SET, sizes.tuning, learnt, show)
@@ -64,6 +82,7 @@ def train_and_judge(out: Path, weights: Path, sizes: study.Sizes, smoke: bool) -
         "smoke": smoke,
         "scenarios": list(study.SCENARIOS),
         "families": list(FAMILIES),
+        "models": list(models),
         "sets": {"training": study.TRAINING_SET, "tuning": study.TUNING_SET, "test": study.TEST_SET},
         "sizes": dataclasses.asdict(sizes),
         "courses_of_training": learnt.courses,
@@ -71,6 +90,8 @@ def train_and_judge(out: Path, weights: Path, sizes: study.Sizes, smoke: bool) -
     }
     test = study.all_scored(study.SCENARIOS, tuple(FAMILIES), study.TEST_SET, sizes.test, learnt, show)
     test += study.all_scored(study.FOREIGN, DRIVERS, study.TEST_SET, sizes.test, learnt, show)
+    tuning += study.of_models(models, study.TUNING_SET, sizes.tuning, learnt, show)
+    test += study.of_models(models, study.TEST_SET, sizes.models, learnt, show)
     found = settings | study.judged(tuning, test)
     ours = found["rivals"][study.NETWORK]
     card = {
@@ -98,6 +119,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     if options.page is not None:
         page.check(options.page)
+    models = dict(options.models)
+    if len(models) < len(options.models):
+        raise ParameterError("--models: expected one agent for each scenario")
     make_folder(options.out)
     sizes = study.SMOKE if options.smoke else study.Sizes()
     if options.draw or options.others:
@@ -112,7 +136,9 @@ def main(arguments: list[str] | None = None) -> int:
         with needing("train", _NAME):
             import torch
         torch.set_num_threads(1)
-        found = train_and_judge(options.out, options.weights or options.out / WEIGHTS, sizes, options.smoke)
+        found = train_and_judge(
+            options.out, options.weights or options.out / WEIGHTS, sizes, options.smoke, dict(options.models)
+        )
     page.write(plain(found), options.out, options.page)
     return 0
 

@@ -108,6 +108,10 @@ class RandomSpeed(Drawn):
         self.level = np.where(change, new, self.level)
         return self.level
 
+    def beside(self, batch):
+        """Either line with equal chance."""
+        return self.rng.random(len(batch)) < 0.5
+
     def rim_speed(self, observation, state):
         """A share of the top rim speed."""
         return self.levels() * self.top_speed

@@ -85,11 +85,12 @@ def drives(
     make: Callable[[Scenario], object] | None = None,
     ground: bool = False,
 ) -> Drives:
-    """Drive courses `first` ... `first + count - 1` of set `seed`; `make` makes another driver than that of `family`.
+    """Drive courses `first` ... `first + count - 1` of set `seed`; `make` makes another driver than that of `family`,
+    which acts as the scenario says, the families by torque.
 
     `ground`: with the true ground too, which no sensor gives.
     """
-    task = load_scenario(scenario, {"control": {"action": "torque"}})
+    task = load_scenario(scenario, {"control": {"action": "torque"}} if make is None else {})
     driver = make_driver(family, task, [seed, first]) if make is None else make(task)
     foresight, criterion, rows = ImmobilisationWarning(task), Warnings(task, count), np.arange(count)
     kept, places = [], []

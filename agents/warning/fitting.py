@@ -13,7 +13,7 @@ from soil_env.identification.immobilisation import HORIZONS, LARGEST, Network
 
 from .drives import Drives
 
-HIDDEN = (32, 16)
+HIDDEN = (64, 32)
 RATE, DECAY, BATCH = 1e-2, 1e-3, 4096
 
 
@@ -70,7 +70,7 @@ def fit(rows: Rows, epochs: int, seed: int = 0, hidden: tuple[int, int] = HIDDEN
 
 
 def fit_logistic(rows: Rows, most: int = 200_000) -> Callable[[np.ndarray], np.ndarray]:
-    """Logistic regression of being immobilised within the longer horizon, on the first `most` rows: log-odds [n] of
+    """Logistic regression of being immobilised within the longer horizon, on the first `most` rows: probability [n] of
     inputs [n, inputs]."""
     x, y = rows.inputs[:most].astype(np.float64), (rows.ahead[:most] <= HORIZONS[-1]).astype(float)
     mean, scale = x.mean(axis=0), 1.0 / (x.std(axis=0) + 1e-6)
@@ -87,4 +87,4 @@ def fit_logistic(rows: Rows, most: int = 200_000) -> Callable[[np.ndarray], np.n
         return value / len(y), np.concatenate([[error.sum()], x.T @ error + w[1:]]) / len(y)
 
     w = minimize(loss, np.zeros(x.shape[1] + 1), jac=True, method="L-BFGS-B", options={"maxiter": 300}).x
-    return lambda inputs: scaled(inputs) @ w[1:] + w[0]
+    return lambda inputs: expit(scaled(inputs) @ w[1:] + w[0])

@@ -1,7 +1,7 @@
 """What a warning is worth: area under the ROC curve, warned, lead and false alarms at a threshold, calibration.
 
-A score is a number for every control period and course; the alarm comes on where it reaches a threshold and goes off
-when it has been below for `RELEASE` s of driving.
+A score is a number for every control period and course, not negative while driving; the alarm comes on where it reaches
+a threshold and goes off when it has been below `KEPT` of that for `RELEASE` s of driving (as `agents.evaluate` has it).
 
 - *Warned*: share of immobilised courses on which the alarm is on in the last control period with progress
   (`Drives.stop`).
@@ -23,9 +23,9 @@ import numpy as np
 
 from soil_env.identification.immobilisation import HORIZONS
 
+from ..evaluate.warning import KEPT, RELEASE
 from .drives import Drives
 
-RELEASE = 1.0  # [s]
 FALSE = 0.05  # share of the driving time on finished courses, at which alarms are compared
 RESAMPLES = 400
 _BINS = 400  # of scores, for areas under the ROC curve
@@ -56,7 +56,8 @@ def alarms_on(score: np.ndarray, threshold: float, drives: Drives) -> tuple[np.n
         above = driving & (score[t] >= threshold)
         began = np.where(above & ~now, t, began)
         now |= above
-        quiet = np.where(driving, np.where(above, 0.0, quiet + drives.period), quiet)
+        keeps = score[t] >= KEPT * threshold
+        quiet = np.where(driving, np.where(keeps, 0.0, quiet + drives.period), quiet)
         now &= quiet < RELEASE - 1e-9
         on[t], start[t] = now, began
     return on, start

@@ -78,15 +78,16 @@ def tables(found: dict) -> dict[str, str]:
         [*at, c["immobilised"]["value"], *_cells(c, _WORTH)]
         for at, c in zip(places["cells"], found["cells"], strict=True)
     ]
+    scenarios = [[_named(s), m["immobilised"]["value"], *_cells(m, _WORTH)] for s, m in found["scenarios"].items()]
     own = [[*at, *_cells(c, _WORTH)] for at, c in zip(places["own"], found["own"], strict=True)]
     rivals = [[name, *_cells(m, _RIVALS)] for name, m in (found["rivals"] | found["others"]).items()]
     kept = [
         [_named(key), *_cells(both["with"], _KEPT), *_cells(both["without"], _KEPT)]
         for key, both in found["kept_from"].items()
     ]
-    drivers = list(next(iter(found["limits"].values())))
+    groups = list(next(iter(found["limits"].values())))
     limits = [
-        [name, *("; ".join(_cells(by[f], (_AUC, _MEDIAN))) for f in drivers)] for name, by in found["limits"].items()
+        [name, *("; ".join(_cells(by[g], (_AUC, _MEDIAN))) for g in groups)] for name, by in found["limits"].items()
     ]
     calibration = [
         [name, *(cell for h in _HORIZONS for cell in _calibrated(by[h]))] for name, by in found["calibration"].items()
@@ -94,10 +95,11 @@ def tables(found: dict) -> dict[str, str]:
     heads = [f"{what}, {h}" for h in _HORIZONS for what in ("mean [%]", "observed [%]", "error [points]", "skill")]
     return {
         "cells": Table([*place, "immobilised", *worth], cells).markdown(),
+        "scenarios": Table(["scenario", "immobilised", *worth], scenarios).markdown(),
         "own": Table([*place, *worth], own).markdown(),
         "rivals": Table(["score", *_headings(_RIVALS)], rivals).markdown(),
         "kept": Table(["kept from", *_headings(_KEPT, "seen: "), *_headings(_KEPT, "kept from it: ")], kept).markdown(),
-        "limits": Table(["network that knows", *map(_named, drivers)], limits).markdown(),
+        "limits": Table(["network that knows", *map(_named, groups)], limits).markdown(),
         "calibration": Table(["courses", *heads], calibration).markdown(),
         "facts": facts(found),
     }
@@ -111,7 +113,9 @@ def facts(found: dict) -> str:
         f"({', '.join(map(_named, found['scenarios']))}; {len(found['families'])} families of drivers), "
         f"{found['rows_of_training']:,} control periods of them, {sizes['epochs']} epochs. Threshold of the alarm: "
         f"{found['alarm']:.3f}, set on {sizes['tuning']} courses of set {found['sets']['tuning']} with each driver. "
-        f"Tests: {sizes['test']} courses of set {found['sets']['test']} with each.\n"
+        f"Tests: {sizes['test']} courses of set {found['sets']['test']} with each"
+        + "".join(f", {sizes['models']} on `{s}` with the agent" for s in found["models"])
+        + ".\n"
         f"- AUC on {', '.join(f'{name}: {text(m, 1.0, 3)}' for name, m in leak.items())} (`mixed`).\n"
         f"- Another patch than the one it stopped on was under {100 * found['other_ground']:.0f} % of the immobilised "
         "wheels 2.9 s before."
@@ -138,7 +142,7 @@ def figure(found: dict) -> Figure:
 
 def check(page: Path) -> None:
     """Before the work: ParameterError or OSError if the page could not be renewed."""
-    names = ("cells", "own", "rivals", "kept", "limits", "calibration", "facts")
+    names = ("scenarios", "cells", "own", "rivals", "kept", "limits", "calibration", "facts")
     renewed(page.read_text(encoding="utf-8"), dict.fromkeys(names, ""), page)
 
 

@@ -7,20 +7,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from soil_env.identification.immobilisation import HORIZONS, INPUTS, Network, score_inputs
+from soil_env.identification.immobilisation import BLIND, HORIZONS, INPUTS, Network, score_inputs
+from soil_env.parameters import Scenario
 
+from ..evaluate.models import load_model
 from . import judging
 from .drivers import DRIVERS, FAMILIES
-from .drives import Drives, drives
+from .drives import AHEAD, Drives, drives
 from .fitting import Rows, fit, fit_logistic, rows_of, together
 
 #: Course sets, disjoint from each other and from those of `agents.evaluate`.
 TRAINING_SET, TUNING_SET, TEST_SET = 5_000_011, 6_000_011, 7_000_003
-SCENARIOS = ("mixed", "sticky", "loose_slopes", "field_vehicle")  # of the training
+SCENARIOS = ("two_lines", "mixed", "sticky", "loose_slopes", "field_vehicle")  # of the training
 FOREIGN = ("unseen",)  # never trained on: other soils
+MODEL = "ppo"  # the driver that is a trained agent: never trained on
 BLOCK = 300  # courses driven side by side
 
 
@@ -28,16 +32,17 @@ BLOCK = 300  # courses driven side by side
 class Sizes:
     """How much is driven and learnt."""
 
-    training: int = 1200  # courses of each scenario and family, a third of it for the random ones
+    training: int = 2400  # courses of each scenario and family, a third of it for the random ones
     tuning: int = 300  # of each scenario and driver
     test: int = 300
-    share: float = 0.1  # of the control periods that is learnt from
+    models: int = 900  # of each trained agent
+    share: float = 0.06  # of the control periods that is learnt from
     epochs: int = 10
     small: float = 0.25  # share of the rows for networks that are kept from seeing some, and
     small_epochs: int = 6
 
 
-SMOKE = Sizes(training=12, tuning=12, test=12, share=0.5, epochs=2, small=0.5, small_epochs=1)
+SMOKE = Sizes(training=12, tuning=12, test=12, models=12, share=0.5, epochs=2, small=0.5, small_epochs=1)
 
 
 @dataclass(frozen=True)
@@ -51,12 +56,13 @@ class Learnt:
 
 
 def blocks(
-    scenario: str, family: str, seed: int, courses: int, progress: Callable[[str], None], ground: bool = False
-) -> Iterable[Drives]:
+    scenario: str, family: str, seed: int, courses: int, progress: Callable[[str], None], ground: bool = False,
+    make: Callable[[Scenario], object] | None = None,
+) -> Iterable[Drives]:  # fmt: skip
     """The courses of a set, `BLOCK` side by side."""
     for first in range(0, courses, BLOCK):
         progress(f"{scenario}, {family}")
-        yield drives(scenario, family, seed, first, min(BLOCK, courses - first), ground=ground)
+        yield drives(scenario, family, seed, first, min(BLOCK, courses - first), make, ground)
 
 
 def learn(sizes: Sizes, progress: Callable[[str], None]) -> Learnt:
@@ -91,10 +97,11 @@ NETWORK, SHORT, LOGISTIC = "network, within 5 s", "network, within 3 s", "logist
 
 
 def of_network(net: Network, d: Drives, horizon: int = 1) -> np.ndarray:
-    """Probability within `HORIZONS[horizon]` [periods, courses]; 0 where a course has ended."""
-    out = np.zeros(d.alive.shape)
-    extra = d.ground[d.alive] if net.mean.size > len(INPUTS) else d.ground[d.alive][:, :0]
-    out[d.alive] = score_inputs(np.concatenate([d.inputs[d.alive], extra], axis=1).astype(float), net)[:, horizon]
+    """Probability within `HORIZONS[horizon]` [periods, courses] of a network that reads the first of the inputs and of
+    the true ground; 0 where a course has ended."""
+    out, read = np.zeros(d.alive.shape), net.mean.size
+    ground = d.ground[d.alive][:, : max(read - len(INPUTS), 0)]
+    out[d.alive] = score_inputs(np.concatenate([d.inputs[d.alive][:, :read], ground], axis=1), net)[:, horizon]
     return out
 
 
@@ -113,6 +120,17 @@ def all_scored(
 ) -> list[Drives]:  # fmt: skip
     """Drives of every scenario and family with their scores."""
     return [scored(d, learnt) for s in scenarios for f in families for d in blocks(s, f, seed, courses, progress)]
+
+
+def of_models(
+    models: dict[str, Path], seed: int, courses: int, learnt: Learnt, progress: Callable[[str], None]
+) -> list[Drives]:
+    """Drives of {scenario: trained agent} with their scores."""
+    out = []
+    for s, path in models.items():
+        found = blocks(s, MODEL, seed, courses, progress, make=lambda scenario, path=path: load_model(path, scenario))
+        out += [scored(d, learnt) for d in found]
+    return out
 
 
 def threshold(name: str, tuning: Sequence[Drives]) -> float:
@@ -147,8 +165,9 @@ OTHERS = (LOGISTIC, "criterion of the paper", "slip, least of the last second", 
 
 def judged(tuning: list[Drives], test: list[Drives]) -> dict:
     """The content of warning.json but for `others`, `limits` and `leakage`."""
-    ours, one = of(test, SCENARIOS, DRIVERS), threshold(NETWORK, tuning)
-    cells = [(s, f) for s in (*SCENARIOS, *FOREIGN) for f in FAMILIES if of(test, [s], [f])]
+    ours, usual = of(test, SCENARIOS, DRIVERS), of(tuning, SCENARIOS, DRIVERS)
+    one = threshold(NETWORK, usual)
+    cells = [(s, f) for s in (*SCENARIOS, *FOREIGN) for f in (*FAMILIES, MODEL) if of(test, [s], [f])]
     own = {}
     for s, f in cells:
         if of(tuning, [s], [f]):
@@ -160,7 +179,8 @@ def judged(tuning: list[Drives], test: list[Drives]) -> dict:
         kept[key] = {with_it: worth(name, threshold(name, groups[0]), groups[1]) for with_it, name in names.items()}
     return {
         "alarm": one,
-        "rivals": {name: worth(name, threshold(name, tuning), ours) for name in (NETWORK, SHORT)},
+        "rivals": {name: worth(name, threshold(name, usual), ours) for name in (NETWORK, SHORT)},
+        "scenarios": {s: worth(NETWORK, one, of(test, [s], DRIVERS)) for s in (*SCENARIOS, *FOREIGN)},
         "cells": [{"scenario": s, "driver": f, **worth(NETWORK, one, of(test, [s], [f]))} for s, f in cells],
         "own": [{"scenario": s, "driver": f, **value} for (s, f), value in own.items()],
         "kept_from": kept,
@@ -198,7 +218,7 @@ def others(sizes: Sizes, progress: Callable[[str], None]) -> dict:
 def _calibrations(test: list[Drives]) -> dict:
     groups = {"all scenarios of the training": of(test, SCENARIOS, DRIVERS)}
     groups |= {s: of(test, [s], DRIVERS) for s in (*SCENARIOS, *FOREIGN)}
-    groups |= {f: of(test, SCENARIOS, [f]) for f in FAMILIES}
+    groups |= {f: of(test, SCENARIOS, [f]) for f in (*FAMILIES, MODEL) if of(test, SCENARIOS, [f])}
     return {
         group: {f"{h:g} s": judging.calibration([d.signals[name] for d in found], found, h)
                 for h, name in zip(HORIZONS, (SHORT, NETWORK), strict=True)}
@@ -216,27 +236,37 @@ def other_ground(test: Sequence[Drives], lead: float = 2.9) -> float:
     return float(np.concatenate(other).mean())
 
 
+#: What a network of `limits` reads beside what those before it do, and how many columns that makes.
+KNOWN = {
+    "sensors": BLIND,
+    "and the camera": len(INPUTS),
+    "and the true ground here": len(INPUTS) + 10,  # the way to the next halt; soil, grade and reserve under the wheel
+    f"and {AHEAD[-1]:g} m ahead": len(INPUTS) + 1 + 9 * len(AHEAD),
+}
+
+
 def limits(sizes: Sizes, progress: Callable[[str], None]) -> dict:
-    """{what the network knows beside the sensors: its worth} on "mixed": nothing, the true ground here, and ahead."""
-    rng = np.random.default_rng([TRAINING_SET, 1])
-    parts = []
-    for family in DRIVERS:
-        for d in blocks("mixed", family, TRAINING_SET, min(sizes.training, 3 * BLOCK), progress, True):
-            parts.append(rows_of(d, sizes.share, rng))
-    rows = together(parts)
-    sets = {driver: list(blocks("mixed", driver, TUNING_SET, sizes.tuning, progress, True)) for driver in DRIVERS}
-    tuning = [d for found in sets.values() for d in found]
-    test = [d for f in DRIVERS for d in blocks("mixed", f, TEST_SET, min(sizes.test, BLOCK), progress, True)]
-    whole, out = rows.inputs.shape[1], {}
-    here = len(INPUTS) + 1 + 9  # the way to the next halt; soil, grade and reserve under the wheel
-    for name, columns in (("sensors", len(INPUTS)), ("and the true ground here", here), ("and 1.5 m ahead", whole)):
+    """{what the network knows: {scenario or "all": its worth, at a threshold of its own}}."""
+    rng, parts = np.random.default_rng([TRAINING_SET, 1]), []
+    for s in SCENARIOS:
+        for f in DRIVERS:
+            of_both = blocks(s, f, TRAINING_SET, min(sizes.training, 3 * BLOCK), progress, True)
+            parts += [rows_of(d, sizes.share, rng) for d in of_both]
+    rows, nets = together(parts), {}
+    for name, columns in KNOWN.items():
         progress(f"fit with {name}")
-        net = fit(Rows(rows.inputs[:, :columns], rows.ahead), sizes.small_epochs)
-        cut = [[replace(d, ground=d.ground[..., : columns - len(INPUTS)]) for d in found] for found in (tuning, test)]
-        marked = [[replace(d, signals={name: of_network(net, d)}) for d in found] for found in cut]
-        out[name] = {f: worth(name, threshold(name, of(marked[0], (), [f])), of(marked[1], (), [f])) for f in DRIVERS}
-        out[name]["all"] = worth(name, threshold(name, marked[0]), marked[1])
-    return out
+        nets[name] = fit(Rows(rows.inputs[:, :columns], rows.ahead), sizes.small_epochs)
+    sets = []
+    for seed, courses in ((TUNING_SET, sizes.tuning), (TEST_SET, min(sizes.test, BLOCK))):
+        found = []
+        for d in (d for s in SCENARIOS for f in DRIVERS for d in blocks(s, f, seed, courses, progress, True)):
+            signals = {name: of_network(net, d) for name, net in nets.items()}
+            found.append(replace(d, signals=signals, inputs=d.inputs[:, :, :0], ground=d.ground[:, :, :0]))
+        sets.append(found)
+    groups = {s: [of(found, [s]) for found in sets] for s in SCENARIOS} | {"all": sets}
+    return {
+        name: {g: worth(name, threshold(name, tuning), test) for g, (tuning, test) in groups.items()} for name in KNOWN
+    }
 
 
 def leakage(learnt: Learnt, test: list[Drives], sizes: Sizes, progress: Callable[[str], None]) -> dict:

@@ -5,9 +5,11 @@ identified.
 ever before at the least mean speed that the task asks for (`no_progress_distance` over `no_progress_time`). The task
 declares it up to ten seconds later (`simulation.task.judge`). Seconds are of driving: halts do not count.
 
-A small network reads moving averages of ten sensor channels over four time constants, the time since the last halt, and
-eight numbers of the estimate. All are without dimension, forces by the measured load, lengths by the radius, speeds in
-radii a second, so that one set of weights serves any wheel. It was trained on simulated drives
+A small network reads moving averages of ten sensor channels over four time constants, the time since the last halt,
+eight numbers of the estimate, and, where there is a camera, twelve of the ground ahead: how far off the border is, and
+how much drawbar pull the soil of that class, as the identifier has met it on this course, leaves over the grade that is
+seen (`View`; all 0 without a camera). All are without dimension, forces by the measured load, lengths by the radius,
+speeds in radii a second, so that one set of weights serves any wheel. It was trained on simulated drives
 (`python -m agents.warning`); its weights and its card, which says how and on what, are in immobilisation.json beside
 this file. Its two outputs are hazards, of the first `HORIZONS` and of what is between them, so that the probability of
 the longer one is never the lower.
@@ -27,6 +29,8 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, inlined, root
+from soil_env._numba.elementary import exp, fma
+from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env.parameters import Scenario
 
 FILE = Path(__file__).with_suffix(".json")
@@ -53,11 +57,42 @@ class Channels(NamedTuple):
     acceleration: float  # of travel [of gravity]
 
 
+class View(NamedTuple):
+    """What the camera and the memory of terrain classes tell: of the ground here, and of the patch ahead.
+
+    The line is the one that the wheel is on the way to; the one beside it is the other, the same where there is one
+    line. A capacity is the best steady drawbar pull [of load] of a class, a count that of the patches it was found on.
+    """
+
+    since: float  # [m] from the last border
+    left: float  # [m] to the next border, at most as far as the camera sees
+    capacity: float  # of the class here
+    count: float
+    seen: bool  # whether the patch ahead is in sight; what follows means something only then
+    chosen: bool  # whether there is no choice of a line any more
+    line_grade: float  # [rad]
+    line_capacity: float
+    line_count: float
+    beside_grade: float
+    beside_capacity: float
+    beside_count: float
+
+
+_VIEW = (
+    "camera", "border_behind", "border_ahead", "here_margin", "here_met", "ahead_seen", "line_chosen", "grade_change",
+    "line_margin", "line_met", "beside_margin", "beside_met",
+)  # fmt: skip
 _SOIL = ("strength", "log_modulus", "log_bearing", "log_digging", "phi_sd", "modulus_sd", "bearing_sd", "digging_sd")
 #: What the network reads, in this order.
-INPUTS = (*(f"{name}_{scale:g}s" for scale in SCALES for name in Channels._fields), "log_since_halt", *_SOIL)
+INPUTS = (*(f"{name}_{scale:g}s" for scale in SCALES for name in Channels._fields), "log_since_halt", *_SOIL, *_VIEW)
+BLIND = len(INPUTS) - len(_VIEW)  # of them need no camera
 _CHANNELS, _AVERAGES = len(Channels._fields), len(Channels._fields) * len(SCALES)
-MEMORY = _AVERAGES + 1  # numbers kept of each wheel: moving averages, seconds of driving since the start or a halt
+_SEEN = _AVERAGES + 1
+#: Numbers kept of each wheel: moving averages, seconds of driving since the start or a halt, what is seen now.
+MEMORY = _SEEN + len(_VIEW)
+_PITCH = 2 * _CHANNELS + Channels._fields.index("pitch")  # the average over 2 s
+_BEHIND = 7.0  # [radii] since the last border, beyond which it does not matter
+_OFTEN = 2.0  # patches of a class, beyond which more do not matter
 
 
 class WarningNumbers(NamedTuple):
@@ -151,6 +186,23 @@ def follow(recent, k, reading, halted, numbers):
     recent[k, _AVERAGES] += numbers.period
 
 
+@inlined
+def see(recent, k, view, numbers):
+    """Note the `View` of a control period of wheel k."""
+    out, sine = recent[k, _SEEN:], recent[k, _PITCH]
+    tangent = sine / math.sqrt(max(1.0 - sine * sine, 0.01))
+    seen = 1.0 if view.seen else 0.0
+    out[0] = 1.0
+    out[1] = min(max(view.since / numbers.radius, 0.0), _BEHIND)
+    out[2] = max(view.left / numbers.radius, 0.0)
+    out[3], out[4] = view.capacity - tangent, min(view.count, _OFTEN)
+    out[5], out[6] = seen, seen if view.chosen else 0.0
+    out[7] = seen * (math.sin(view.line_grade) - sine)
+    out[8], out[9] = seen * (view.line_capacity - math.tan(view.line_grade)), seen * min(view.line_count, _OFTEN)
+    out[10] = seen * (view.beside_capacity - math.tan(view.beside_grade))
+    out[11] = seen * min(view.beside_count, _OFTEN)
+
+
 @root(nogil=True)
 def write_inputs(rows, recent, estimate, sd, numbers, out):
     """Write `INPUTS` of the wheels `rows` [n] into `out` [n, inputs].
@@ -171,20 +223,31 @@ def write_inputs(rows, recent, estimate, sd, numbers, out):
         soil[2] = x[2] + math.log(numbers.area / numbers.weight) + numbers.sinkage_exponent * numbers.log_radius
         soil[3] = numbers.log_dig_gain + x[4]
         soil[4], soil[5], soil[6], soil[7] = doubt[0], doubt[1], doubt[2], doubt[4]
+        for i in range(_SEEN, MEMORY):
+            soil[i - _SEEN + len(_SOIL)] = recent[k, i]
 
 
 @inlined
 def _layer(x, weights, bias, out):
-    for j in range(out.size):
+    whole = out.size - out.size % COUNT
+    for j in range(0, whole, COUNT):
+        eight = from_array(bias, j)
+        for i in range(x.size):
+            eight = fma(fill(x[i]), from_array(weights[i], j), eight)
+        to_array(eight, out, j)
+    for j in range(whole, out.size):
         out[j] = bias[j]
-    for i in range(x.size):
-        for j in range(out.size):
+        for i in range(x.size):
             out[j] += x[i] * weights[i, j]
 
 
 @inlined
 def _squash(x):
-    for i in range(x.size):
+    """tanh of each, eight at a time."""
+    whole = x.size - x.size % COUNT
+    for i in range(0, whole, COUNT):
+        to_array(1.0 - 2.0 / (1.0 + exp(2.0 * from_array(x, i))), x, i)
+    for i in range(whole, x.size):
         x[i] = math.tanh(x[i])
 
 
@@ -259,9 +322,9 @@ class ImmobilisationWarning:
 
     def __init__(self, scenario: Scenario, net: Network | None = None):
         self.numbers: WarningNumbers = warning_numbers(scenario)
-        self._net = shipped_network() if net is None else net
+        self._net = net
         self._write, self._run = FastCall(write_inputs), FastCall(run_network)
-        self._work = _work(self._net)
+        self._work = np.zeros(0) if net is None else _work(net)
 
     def inputs(self, rows: np.ndarray, recent: np.ndarray, estimate: np.ndarray, sd: np.ndarray) -> np.ndarray:
         """`INPUTS` [n, inputs] of the wheels `rows` [n]."""
@@ -271,6 +334,9 @@ class ImmobilisationWarning:
 
     def probabilities(self, rows: np.ndarray, recent: np.ndarray, estimate: np.ndarray, sd: np.ndarray) -> np.ndarray:
         """Probabilities [n, 2] of the wheels `rows` [n] int64."""
+        if self._net is None:  # not before it is needed: inputs for the training of other code have no weights yet
+            self._net = shipped_network()
+            self._work = _work(self._net)
         out = np.empty((len(rows), len(HORIZONS)))
         self._run(self.inputs(rows, recent, estimate, sd), self._net, self._work, out)
         return out

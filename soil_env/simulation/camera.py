@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined
 from soil_env._numba.random_streams import normal_pair
+from soil_env.identification.immobilisation import View
 from soil_env.parameters import Scenario
-from soil_env.simulation.lines import choosing
+from soil_env.simulation.lines import choosing, settled
 
 
 class CameraNumbers(NamedTuple):
@@ -68,6 +69,21 @@ def patch_ahead(courses, k, sight, camera):
 def seen_grade(courses, k, patch, line):
     """Grade [rad] of a line as the camera sees it."""
     return courses.lines.grades[k, patch, line] + courses.lines.grade_errors[k, patch, line]
+
+
+@inlined
+def way_ahead(state, k, courses, memory, sight, camera):
+    """The `View` of wheel k, for the warning of immobilisation: of its class here, and of the lines ahead."""
+    here, ahead = label_here(courses, k, sight), patch_ahead(courses, k, sight, camera)
+    patch = max(ahead, 0)
+    line = courses.lines.taken[k, patch]
+    a, b = courses.lines.labels[k, patch, line], courses.lines.labels[k, patch, 1 - line]
+    return View(
+        sight.since, min(sight.left, camera.sight), memory.capacity[k, here], float(memory.judged[k, here]),
+        ahead >= 0, settled(state, k, courses, patch),
+        seen_grade(courses, k, patch, line), memory.capacity[k, a], float(memory.judged[k, a]),
+        seen_grade(courses, k, patch, 1 - line), memory.capacity[k, b], float(memory.judged[k, b]),
+    )  # fmt: skip
 
 
 @inlined

@@ -261,3 +261,11 @@ def choosing(state, counts, k, courses, numbers):
     """The patch whose line the action of wheel k chooses now, or -1: at a halt within `sight` of a fork."""
     fork = next_fork(state, counts, k, courses, numbers.border) if state.halt_left[k] > 0.0 else -1
     return fork if fork >= 0 and courses.edges[k, fork] - state.x[k] <= numbers.sight else -1
+
+
+@inlined
+def settled(state, k, courses, patch):
+    """Whether wheel k has no choice of a line over a patch any more, or never had: it has come to the halt before."""
+    return (
+        courses.lines.count[k, patch] < 2 or state.best_x[k] >= courses.edges[k, patch] + courses.lines.halts[k, patch]
+    )

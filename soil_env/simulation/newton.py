@@ -54,7 +54,7 @@ _FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unsee
 _PASSES = 60  # evaluations of the reaction in a substep, at most
 _TRIES = 8  # of them at most along one step of Newton's method
 # Residual that is let pass where no shorter step makes it smaller: at most this [m/s], and this share of the change of
-# speed that was found. Without the second a step short enough would leave the speeds as they are, and so would the next.
+# speed that was found. Without the second a step that is short enough would leave the speeds as they are.
 _NEARLY, _OF_CHANGE = 1e-4, 0.1
 _HUGE = 1e300
 

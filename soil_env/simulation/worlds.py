@@ -24,7 +24,7 @@ from soil_env.identification.class_memory import (
     new_memory,
     remember,
 )
-from soil_env.identification.immobilisation import MEMORY, WarningNumbers, begin, follow, warning_numbers
+from soil_env.identification.immobilisation import MEMORY, WarningNumbers, begin, follow, see, warning_numbers
 from soil_env.identification.online import (
     HELD,
     RENEWED,
@@ -36,7 +36,7 @@ from soil_env.identification.online import (
     observe,
 )
 from soil_env.parameters import Scenario
-from soil_env.simulation.camera import Sight, label_here, look
+from soil_env.simulation.camera import Sight, label_here, look, way_ahead
 from soil_env.simulation.courses import (
     CourseDistribution,
     CourseNumbers,
@@ -89,7 +89,7 @@ class Worlds(NamedTuple):
     cause: np.ndarray  # [wheels] `task.Cause`
     changed: np.ndarray  # [wheels] True where the last step changed the estimate
     going: np.ndarray  # [wheels] int8, scratch of a step: STEP while the wheel drives
-    recent: np.ndarray  # [wheels, MEMORY] the last seconds of the sensors, for warnings; no rows where none are wanted
+    recent: np.ndarray  # [wheels, MEMORY] last seconds of the sensors, and the view, for warnings; no rows: none wanted
 
 
 def new_worlds(wheels: int, scenario: Scenario, task: TaskNumbers, warnings: bool = False) -> Worlds:
@@ -145,7 +145,9 @@ def restart(worlds, numbers, k):
     reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
     if worlds.recent.shape[0] > 0:
         begin(worlds.recent, k, reading, numbers.warning)
-    _observation(worlds, numbers, k, reading, _look(worlds, numbers, k))
+    sight = _look(worlds, numbers, k)
+    _foresee(worlds, numbers, k, sight)
+    _observation(worlds, numbers, k, reading, sight)
 
 
 @inlined
@@ -186,6 +188,14 @@ def _learn_class(worlds, numbers, k, reading, renewed, sight):
 
 
 @inlined
+def _foresee(worlds, numbers, k, sight):
+    """Note what the camera shows of the way ahead, for the warning of immobilisation, where it is wanted."""
+    if worlds.recent.shape[0] > 0 and numbers.task.camera.classes > 0:
+        view = way_ahead(worlds.state, k, worlds.courses, worlds.memory, sight, numbers.task.camera)
+        see(worlds.recent, k, view, numbers.warning)
+
+
+@inlined
 def _sum(terms):
     total = terms[0]
     for i in range(1, terms.size):
@@ -211,6 +221,7 @@ def after_period(worlds, numbers, k, first, last):
     sight = _look(worlds, numbers, k)
     if numbers.task.camera.classes > 0:
         _learn_class(worlds, numbers, k, reading, outcome == RENEWED, sight)
+        _foresee(worlds, numbers, k, sight)
     cause = judge(worlds.state, worlds.counts, k, numbers.task)
     worlds.cause[k] = cause
     terms = worlds.terms[k]

@@ -10,7 +10,7 @@ import pytest
 from agents.controllers import make_controller
 from agents.evaluate import ControllerError, Runs, course_rng, run_courses
 from agents.evaluate.records import METRICS, Records, record
-from agents.evaluate.warning import HOLD, RELEASE, Warnings
+from agents.evaluate.warning import HOLD, RELEASE, Foresight, Warnings
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
@@ -188,6 +188,19 @@ def test_slip_beyond_the_stable_branch_is_warned_of(scenario):
     assert lead[1] == pytest.approx(1.5)
     _, lead, _ = play(scenario, drive(seconds=2) + drive(slip=0.4, seconds=2) + drive(slip=0.4, clock=1.0))
     assert np.isnan(lead).all()
+
+
+def test_foresight_stays_on_over_half_of_its_threshold(scenario, monkeypatch):
+    foresight, threshold = Foresight(scenario, 2), Foresight(scenario, 2).threshold
+    worlds = SimpleNamespace(state=WheelState(2), recent=None, ids=SimpleNamespace(estimate=None, sd=None))
+    on = []
+    for share in [0.9, 1.0, *[0.51] * 15, *[0.49] * 10, 0.9]:
+        found = np.array([[0.0, share * threshold], [0.0, 0.9 * threshold]])
+        monkeypatch.setattr(foresight.warning, "probabilities", lambda *_, found=found: found)
+        foresight.step(worlds, np.array([True, True]))
+        on.append(foresight.on.copy())
+    assert [bool(x) for x in np.array(on)[:, 0]] == [False] + [True] * 25 + [False] * 2
+    assert not np.any(np.array(on)[:, 1]) and foresight.under[0] == pytest.approx(2.5)
 
 
 def test_impassable_is_what_the_environment_calls_impassable(scenario):

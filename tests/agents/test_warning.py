@@ -8,10 +8,11 @@ import pytest
 
 from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET
 from agents.warning import judging, study
-from agents.warning.drivers import DRIVERS, FAMILIES
+from agents.warning.drivers import DRIVERS, FAMILIES, make_driver
 from agents.warning.drives import Drives, drives, held_minimum
 from soil_env.identification.immobilisation import FILE, INPUTS, shipped, shipped_network
-from soil_env.simulation.task import Cause
+from soil_env.parameters import load_scenario
+from soil_env.simulation.task import Cause, layout
 
 ENTRAPPED, FINISHED, LATE = Cause.ENTRAPPED.value, Cause.FINISHED.value, Cause.TIME_LIMIT.value
 
@@ -72,6 +73,14 @@ def test_an_alarm_that_has_gone_off_or_comes_late_warns_of_nothing(made):
     assert (found.warned[0], found.time[0], found.declared[0]) == (0.0, 0.0, 0.0)
     score[:], score[70:, 0] = 0.0, 1.0
     assert judging.alarms(score, 0.5, made).warned[0] == 0.0
+
+
+def test_an_alarm_stays_on_over_half_of_its_threshold(made):
+    score = np.zeros(made.alive.shape)
+    score[10, 1], score[11:40, 1], score[40:, 1] = 1.0, 0.51, 0.49  # on at 1.1 s, and 1 s more from 4.1 s on
+    assert judging.alarms(score, 1.0, made).under[1] == pytest.approx(3.9)
+    score[10, 1] = 0.99
+    assert judging.alarms(score, 1.0, made).under[1] == 0.0
 
 
 def random_drives(rng, courses=60, periods=120):
@@ -150,6 +159,19 @@ def test_a_driver_s_course_and_settings_follow_from_their_seeds():
     assert not np.array_equal(a.best[50], other.best[50])
 
 
+def test_the_random_drivers_take_either_line_and_those_who_cannot_know_the_less_steep():
+    task = load_scenario("two_lines", {"control": {"action": "torque"}})
+    column = {e.name: i for i, e in enumerate(layout("blind", task.course))}
+    observed = np.zeros((400, len(column)))
+    observed[:, column["choice"]], observed[:, column["ahead_grade"]] = 1.0, 0.1
+    for family in FAMILIES:
+        driver = make_driver(family, task, [1, 0])
+        if driver.variant == "blind":
+            beside = driver.predict(observed)[0][:, 0] < 0.0
+            share = {"random_speed": 0.5, "random_throttle": 0.5, "full_throttle": 0.0}.get(family, 1.0)
+            assert beside.mean() == pytest.approx(share, abs=0.1)
+
+
 def test_course_sets_are_disjoint():
     assert len({study.TRAINING_SET, study.TUNING_SET, study.TEST_SET, HELD_OUT_SET, TUNING_SET}) == 5
 
@@ -157,7 +179,8 @@ def test_course_sets_are_disjoint():
 def test_the_shipped_weights_do_on_a_sample_what_their_card_says():
     card = shipped()["card"]
     assert tuple(shipped()["inputs"]) == INPUTS and not card["smoke"]
-    assert set(card["families"]) == set(FAMILIES) and card["sets"]["test"] == study.TEST_SET
+    assert set(card["families"]) == set(FAMILIES) and card["scenarios"] == list(study.SCENARIOS)
+    assert card["sets"]["test"] == study.TEST_SET
     net, sample = shipped_network(), card["sample"]
     assert sample["driver"] in DRIVERS
     d = drives(sample["scenario"], sample["driver"], study.TEST_SET, 0, sample["courses"])
@@ -167,6 +190,26 @@ def test_the_shipped_weights_do_on_a_sample_what_their_card_says():
     assert np.nanmean(alarms.warned) > 0.9
     assert judging._ratio(alarms.under, alarms.driven) < 3.0 * judging.FALSE
     assert FILE.stat().st_size < 100_000
+
+
+@pytest.mark.parametrize("given, words", [
+    (["runs/mine"], "expected SCENARIO=MODEL with one of two_lines, mixed"),
+    (["nowhere=runs/mine"], "expected SCENARIO=MODEL with one of"),
+    (["mixed=no/such.zip"], "no/such.zip"),
+    (["mixed=a.zip", "mixed=b.zip"], "expected one agent for each scenario"),
+])  # fmt: skip
+def test_agents_to_judge_it_on_are_refused_in_one_line(given, words, tmp_path, capsys, monkeypatch):
+    from agents.warning import __main__ as command
+
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.zip", "b.zip"):
+        (tmp_path / name).write_bytes(b"")
+    try:
+        status = command.main(["--out", "out", "--models", *given])
+    except SystemExit as left:  # of argparse
+        status = left.code
+    assert status == 2
+    assert words in capsys.readouterr().err.splitlines()[-1] and not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
@@ -184,7 +227,7 @@ def test_the_command_writes_weights_figures_and_page(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "SMOKE", small)
     monkeypatch.setattr(study, "SCENARIOS", ("mixed", "field_vehicle"))
     page = tmp_path / "page.md"
-    names = ("cells", "own", "rivals", "kept", "limits", "calibration", "facts")
+    names = ("scenarios", "cells", "own", "rivals", "kept", "limits", "calibration", "facts")
     page.write_text("\n".join(f"<!-- {name} -->\n<!-- end -->" for name in names), encoding="utf-8")
     assert main(["--smoke", "--out", str(tmp_path), "--page", str(page)]) == 0
     found = json.loads((tmp_path / "warning.json").read_text(encoding="utf-8"))

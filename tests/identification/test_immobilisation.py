@@ -12,6 +12,7 @@ from soil_env.env import SoilWheelEnv
 from soil_env.identification import immobilisation as im
 from soil_env.identification.online import SensorReading
 from soil_env.parameters import ParameterError, load_scenario
+from soil_env.simulation.task import layout
 
 SIZE = len(im.INPUTS)
 READING = SensorReading(0.3, 0.03, 10.0, 150.0, 5.0, 0.1, 0.15, 0.1, 6.0, 1.2)
@@ -27,8 +28,11 @@ def follow(readings, halted=None, numbers=None):
     return recent[0]
 
 
+AVERAGES = len(im.SCALES) * len(im.Channels._fields)
+
+
 def by_name(recent):
-    return dict(zip(im.INPUTS, recent[:-1], strict=False))
+    return dict(zip(im.INPUTS, recent[:AVERAGES], strict=False))
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=SIZE, max_size=SIZE), st.integers(0, 100))
@@ -72,8 +76,8 @@ def test_halts_are_left_out():
     other = READING._replace(slip=0.0, rim_speed=0.0, speed=0.0)
     driven = follow([READING] * 5)
     halted = follow([READING] * 5 + [other] * 3, [False] * 4 + [True] * 3)
-    np.testing.assert_array_equal(halted[:-1], driven[:-1])
-    assert (driven[-1], halted[-1]) == (pytest.approx(0.4), 0.0)
+    np.testing.assert_array_equal(halted[:AVERAGES], driven[:AVERAGES])
+    assert (driven[AVERAGES], halted[AVERAGES]) == (pytest.approx(0.4), 0.0)
 
 
 def test_a_wheel_of_another_size_reads_the_same():
@@ -103,6 +107,81 @@ def test_inputs_have_the_estimate_without_dimension():
     assert found["log_bearing"] == pytest.approx(math.log(8e5 * wheel.radius**n * area / scenario.weight))
     assert found["log_digging"] == pytest.approx(math.log(scenario.belief.dig_gain) + 0.2)
     assert [found[name] for name in ("phi_sd", "modulus_sd", "bearing_sd", "digging_sd")] == [0.1, 0.2, 0.3, 0.5]
+
+
+VIEW = im.View(0.5, 0.3, 0.2, 3.0, True, False, -0.1, 0.25, 1.0, 0.2, 0.1, 0.0)
+
+
+def seen(view, radius=0.15):
+    """What the network reads of a view on a pitch of 0.1 rad, by name."""
+    plain = load_scenario("mixed", {"wheel": {"radius": radius, "width": radius}})
+    recent, numbers = follow([READING])[None], im.warning_numbers(plain)
+    im.see(recent, 0, view, numbers)
+    return dict(zip(im.INPUTS[im.BLIND :], recent[0, AVERAGES + 1 :], strict=True))
+
+
+def test_margins_of_a_view_are_over_the_grade_of_their_line():
+    found = seen(VIEW)
+    assert found["here_margin"] == pytest.approx(0.2 - math.tan(0.1)) and found["here_met"] == 2.0
+    assert found["line_margin"] == pytest.approx(0.25 + math.tan(0.1)) and found["line_met"] == 1.0
+    assert found["beside_margin"] == pytest.approx(0.1 - math.tan(0.2)) and found["beside_met"] == 0.0
+    assert found["grade_change"] == pytest.approx(-2.0 * math.sin(0.1))
+    assert (found["camera"], found["ahead_seen"], found["line_chosen"]) == (1.0, 1.0, 0.0)
+    assert (found["border_behind"], found["border_ahead"]) == (pytest.approx(0.5 / 0.15), pytest.approx(2.0))
+    assert seen(VIEW._replace(since=1.5, left=0.9), 0.45) == pytest.approx(found)  # lengths by the radius
+
+
+def test_a_patch_out_of_sight_tells_nothing():
+    found = seen(VIEW._replace(seen=False, chosen=True))
+    for name in ("ahead_seen", "line_chosen", "grade_change", "line_margin", "line_met", "beside_margin", "beside_met"):
+        assert found[name] == 0.0
+    assert found["here_margin"] == seen(VIEW)["here_margin"]
+
+
+def views(scenario, steps):
+    """(inputs of the view by name, observation by name) after each of `steps` steps to the line with more margin."""
+    env = SoilWheelEnv(scenario, observation="identified", action="torque", repeat=1)
+    env.reset(seed=3)
+    worlds, names = env.simulation.worlds, [e.name for e in layout("identified", env.scenario.course)]
+    warning, out = im.ImmobilisationWarning(env.scenario), []
+    for _ in range(steps):
+        observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
+        beside = observed.get("choice") and observed["beside_margin"] > observed["ahead_margin"]
+        *_, ended, _, _ = env.step([-0.1 if beside else 0.45])
+        inputs = warning.inputs(np.array([0]), worlds.recent, worlds.ids.estimate, worlds.ids.sd)[0]
+        found = dict(zip(im.INPUTS, inputs.tolist(), strict=True)) | {"radius": env.scenario.wheel.radius}
+        out.append((found, dict(zip(names, worlds.observation[0].tolist(), strict=True))))
+        if ended:
+            env.reset()
+    return out
+
+
+def test_without_a_camera_the_view_is_nothing():
+    for found, _ in views("mixed", 30):
+        assert [found[name] for name in im.INPUTS[im.BLIND :]] == [0.0] * (len(im.INPUTS) - im.BLIND)
+
+
+def test_with_a_camera_the_view_is_that_of_the_observation():
+    ways, forks, before = [], {"open": 0, "settled": 0}, None
+    for found, observed in views("two_lines", 1200):
+        assert found["camera"] == 1.0
+        assert found["ahead_seen"] == (observed["ahead_friction_angle"] > 0.0)
+        if not found["ahead_seen"]:
+            before = None
+            continue
+        assert found["border_ahead"] * found["radius"] == pytest.approx(observed["border_distance"], abs=1e-6)
+        two = observed["beside_friction_angle"] > 0.0
+        margins = [observed["ahead_margin"], observed["beside_margin"] if two else observed["ahead_margin"]]
+        assert sorted([found["line_margin"], found["beside_margin"]]) == pytest.approx(sorted(margins), abs=1e-6)
+        settled = found["line_chosen"] == 1.0
+        assert settled or two
+        if two:
+            forks["settled" if settled else "open"] += 1
+            ways.append("ahead" if found["line_margin"] == pytest.approx(margins[0], abs=1e-6) else "beside")
+            if settled and before is False and observed["border_distance"] > 0.2:  # not back over a border, by noise
+                assert observed["choice"] == 1.0  # it is settled at the halt before the fork
+        before = settled if two else None
+    assert min(forks.values()) > 20 and set(ways) == {"ahead", "beside"}
 
 
 @pytest.mark.parametrize("change, words", [
