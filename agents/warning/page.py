@@ -78,7 +78,7 @@ def tables(found: dict) -> dict[str, str]:
         [*at, c["immobilised"]["value"], *_cells(c, _WORTH)]
         for at, c in zip(places["cells"], found["cells"], strict=True)
     ]
-    scenarios = [[_named(s), m["immobilised"]["value"], *_cells(m, _WORTH)] for s, m in found["scenarios"].items()]
+    scenarios = [[_named(s), m["immobilised"]["value"], *_cells(m, _WORTH)] for s, m in found["by_scenario"].items()]
     own = [[*at, *_cells(c, _WORTH)] for at, c in zip(places["own"], found["own"], strict=True)]
     rivals = [[name, *_cells(m, _RIVALS)] for name, m in (found["rivals"] | found["others"]).items()]
     kept = [

@@ -180,7 +180,7 @@ def judged(tuning: list[Drives], test: list[Drives]) -> dict:
     return {
         "alarm": one,
         "rivals": {name: worth(name, threshold(name, usual), ours) for name in (NETWORK, SHORT)},
-        "scenarios": {s: worth(NETWORK, one, of(test, [s], DRIVERS)) for s in (*SCENARIOS, *FOREIGN)},
+        "by_scenario": {s: worth(NETWORK, one, of(test, [s], DRIVERS)) for s in (*SCENARIOS, *FOREIGN)},
         "cells": [{"scenario": s, "driver": f, **worth(NETWORK, one, of(test, [s], [f]))} for s, f in cells],
         "own": [{"scenario": s, "driver": f, **value} for (s, f), value in own.items()],
         "kept_from": kept,
