@@ -291,7 +291,7 @@ def check_layout(meta: dict, where, course: CourseSpec | None = None) -> None:
         )
 
 
-def load_agent(path: Path) -> Agent:
+def load_agent(path: str | Path) -> Agent:
     """Load an agent saved by `save`, from its zip or its run folder; ParameterError if it cannot be used."""
     path = Path(path)
     if path.is_dir():

@@ -1,6 +1,7 @@
 """Train a PPO agent on randomised soil and compare it with slip controllers at avoiding immobilisation.
 
-The run trains the agent, tunes the classical controllers on courses of their own, drives all of them over the same
+The run trains the agent, takes the classical controllers as they come tuned for the scenario (another scenario: tunes
+them on courses of their own), drives all of them over the same
 held-out courses, prints the comparison, and says where the wall time went. On two cores the defaults take a few
 minutes. Everything is kept in one run folder.
 

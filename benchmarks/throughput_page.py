@@ -101,7 +101,7 @@ def startup(result: dict) -> str:
         [
             ["`import soil_env` beyond numpy and gymnasium", range_text(s["import"])],
             ["first env and `reset`, nothing cached", f"{s['first_reset']:.1f}"],
-            ["then the first env, `reset` and `step`", f"{s['first_step_after']:.1f}"],
+            ["the first env, `reset` and `step` after that, in the same process", f"{s['first_step_after']:.1f}"],
             ["env and `reset`, cached", range_text(s["cached_reset"])],
             ["env, `reset` and `step`, cached", range_text(s["cached_step"])],
         ],

@@ -135,7 +135,7 @@ _OUTPUTS = {  # what the action means on a vehicle, and what 1 is
         "scale": {"value": wheel.no_load_speed, "unit": "rad/s"},
     },
     "rim_acceleration": lambda wheel, control: {
-        "meaning": "rate of the rim speed that the drive's own loop follows; that speed is 0 at the start and in halts",
+        "meaning": "rate of the rim speed that the drive's own loop follows and that is 0 at the start and in halts",
         "scale": {"value": control.rim_acceleration, "unit": "m/s2"},
         "limits": {"value": [-REVERSE * wheel.radius * wheel.no_load_speed, wheel.radius * wheel.no_load_speed],
                    "unit": "m/s, of that rim speed"},

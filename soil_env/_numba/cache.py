@@ -195,4 +195,4 @@ def _announcement() -> str:
         return f"compiling, about 20 s, in every process: {wish}; set NUMBA_CACHE_DIR to a folder that can"
     if wanted and Path(wanted).resolve() not in _FOLDER.resolve().parents:
         return f"NUMBA_CACHE_DIR={wanted} cannot be written; compiling, about 20 s, once, {place()} instead"
-    return "compiling what is used for the first time, about 20 s for an environment, once per installation"
+    return "compiling what is used for the first time: about 20 s for an environment, less for other parts, each once"

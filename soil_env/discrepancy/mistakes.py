@@ -40,7 +40,7 @@ class Reinterpretation(NamedTuple):
 def examine(problem: Problem) -> tuple[str, ...]:
     """Doubts in sentences, none as a rule; `ParameterError` where the table cannot be right."""
     load = load_doubt(problem.data.table, problem.data.setup)
-    always = (*filter(None, (load,)), *_grades_doubted(problem.data))
+    always = (*filter(None, (load,)), *problem.data.setup.doubts(), *_grades_doubted(problem.data))
     rms = _rms(problem)
     if rms < LARGE:
         return always

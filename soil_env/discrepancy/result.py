@@ -102,6 +102,10 @@ class Report:
         """Whether the setup gives a soil parameter as known."""
         return name in self.problem.known or (name == "density" and self.problem.data.setup.soil.density is not None)
 
+    def is_free(self, effect: str, parameter: str) -> bool:
+        """Whether a parameter of a named effect was fitted; without an interval it is then at a bound of its range."""
+        return f"{effect}_{parameter}" in {unknown.name for unknown in self.fit.unknowns}
+
     @property
     def left_out(self) -> list[tuple[int, str]]:
         """(line of the file, channel) of the values that were taken for outliers."""

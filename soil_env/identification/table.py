@@ -268,12 +268,15 @@ def _exact(problem: TableProblem) -> tuple[str, ...]:
 
 def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]) -> list[str]:
     """What looks like a wrong unit in setup and table."""
-    words = [*filter(None, (load_doubt(problem.table, problem.setup),)), *problem.setup.doubts()]
+    words = problem.setup.doubts()
     load, S = float(np.median(problem.rows.load)), parameters["sinkage_coefficient"]
     if load < LIGHT:
         words.append(
-            f"The median load is {load:.3g} N: expected newtons; if it is kN, multiply forces and torque by 1000."
+            f"The median load is {load:.3g} N: expected newtons; if it is kN, multiply it by 1000, and forces and "
+            "torque where they are in kN too."
         )
+    elif doubt := load_doubt(problem.table, problem.setup):
+        words.append(doubt)
     elif S.high < SOFT and not S.known:
         words.append(
             f"The sinkage coefficient came out as {S.value:.3g} {S.unit}, softer than any soil: expected newtons and "
@@ -291,8 +294,12 @@ def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[s
 def _untold(parameters: dict[str, Parameter], labels: Sequence[str], correlation: np.ndarray) -> list[str]:
     named = ((label, parameters[name]) for name, label in zip(NAMES, LABELS, strict=True) if name in parameters)
     words = [
-        f"The data cannot tell the {label}: its standard deviation is {100 * p.sd_over_prior:.0f} % of that before the "
-        "table."
+        f"The data cannot tell the {label}: its standard deviation is "
+        + (
+            f"{100 * p.sd_over_prior:.0f} % of that before the table."
+            if p.sd_over_prior <= 1.0
+            else f"{p.sd_over_prior:.2g} times that before the table, whose stress law allows more than the setup does."
+        )
         for label, p in named
         if p.sd_over_prior > UNTOLD
     ]
@@ -335,7 +342,7 @@ def _doubts(
         if fit.p_value < 1e-3 / len(fits):
             rms = math.sqrt(float(np.nanmean(fit.residual**2)))
             words.append(
-                f"The base model does not fit the {name.replace('_', ' ')} to its noise: residuals are {rms:.1f} times "
+                f"The base model does not fit the {name.replace('_', ' ')} to its noise: residuals are {rms:.3g} times "
                 f"the given standard deviation. The intervals allow for stress laws that are wrong, not for a wrong "
                 f"unit or sign or an effect that is missing. {first}"
             )

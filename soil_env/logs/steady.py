@@ -20,6 +20,7 @@ from soil_env.logs.mapping import LogMap
 from soil_env.measurement.table import MEASURED
 from soil_env.online import slips
 from soil_env.slip import travel_speeds
+from soil_env.terramechanics.effects import excavation_rate
 
 _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)
 _LEAST_SD = 1e-9
@@ -142,8 +143,9 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
         return False
     rim = float(np.mean(np.abs(part["rim"])))
     sliding = np.abs(part["rim"] - part["speed"])
-    rate = float(np.mean(np.abs(part["speed"]) + log_map.belief.dig_recovery * sliding))
-    come = -math.expm1(-rate * (n / 2) * period / (log_map.relaxation * radius))
+    speeds = float(np.mean(np.abs(part["speed"]))), float(np.mean(sliding))
+    rate, _ = excavation_rate(*speeds, 0.0, log_map.belief.dig_recovery, log_map.relaxation * radius)
+    come = -math.expm1(-rate * (n / 2) * period)
     limits = {
         "slip": w.slip_change,
         "speed": w.speed_change * rim,

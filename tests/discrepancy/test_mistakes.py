@@ -38,6 +38,13 @@ def test_a_sound_table_raises_no_doubt(tmp_path, effects):
     assert examined(tmp_path, table_text(effects)) == ()
 
 
+def test_a_soil_of_the_setup_in_another_unit_is_doubted(tmp_path):
+    """As identification does, which reads the same setup."""
+    odd = SETUP.replace("{value: 3700, sd: 700}", "{value: 3.7, sd: 0.7}")
+    assert odd != SETUP
+    assert any("soil.cohesion = 3.7 Pa looks like kPa" in said for said in examined(tmp_path, table_text({}), odd))
+
+
 def test_a_turned_drawbar_pull_is_refused(tmp_path):
     expected = (
         r"data\.csv: drawbar_pull falls with slip in every group of rows .* with the sign of drawbar_pull turned, the "

@@ -12,11 +12,12 @@ from soil_env.simulation.task import REWARD_TERMS
 pytestmark = pytest.mark.benchmarks
 
 
-def test_a_failing_command_is_told_and_ends_the_client(capsys):
+def test_a_failing_command_is_told_and_ends_the_client(capsys, monkeypatch):
     client = clients.Client("", "", (), ("python -c 'print(1)'", "python -c 'print(2/0)'", "python -c 'print(3)'"))
     runs = clients.smoke("mine", client, Path(sys.executable))
     assert [(r["ok"], r["seen"]) for r in runs] == [(True, "1"), (False, "ZeroDivisionError: division by zero")]
     assert "Traceback" in capsys.readouterr().err
+    monkeypatch.setitem(clients.CLIENTS, "zoo", client)
     text = clients.page({"zoo": {"versions": {"zoo": "1"}, "runs": runs}})
     assert (
         "| `python -c 'print(2/0)'` | **failed**: ZeroDivisionError" in text

@@ -50,7 +50,8 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
     numbers = []
     for name in equations.used(e.name, e.form):
         p = effect.parameter(name)
-        numbers.append((symbols[name], _told(e.parameters[name], p.unit, _meaning(p.doc, symbols[name]))))
+        free = report.is_free(e.name, name)
+        numbers.append((symbols[name], _told(e.parameters[name], p.unit, _meaning(p.doc, symbols[name]), free)))
     known = {symbol: _number(report.soil[key].value, unit) for symbol, (key, unit) in _SOIL.items()}
     known |= {"r": _number(wheel.radius, "m"), "h": _number(wheel.grouser_height, "m"),
               "gamma": _number(report.model.density * report.model.gravity, "N/m3")}  # fmt: skip
@@ -98,12 +99,12 @@ def _number(x: float, unit: str = "", digits: int = 4) -> str:
     return f"{plain(x, digits)} {unit}".rstrip()
 
 
-def _told(value: Interval, unit: str, meaning: str) -> str:
+def _told(value: Interval, unit: str, meaning: str, free: bool) -> str:
     text = f" = {_number(value.value, unit, 3)}"
     if value.low != value.high:
         text += f" (95 % interval {_number(value.low, '', 3)} to {_number(value.high, unit, 3)})"
     else:
-        text += " (set, not fitted)"
+        text += " (at a bound of its range)" if free else " (set, not fitted)"
     return f"{text}: {meaning}" if meaning else text
 
 

@@ -19,7 +19,8 @@ def effects(report: Report) -> Table:
         for name, p in e.parameters.items():
             unit = CATALOGUE[e.name].parameter(name).unit
             there = figures(report.model.effects[e.name][name])
-            rows.append((label, name.replace("_", " "), figures(p.value), _interval(p) or "set", there, unit))
+            interval = _interval(p) or ("at a bound" if report.is_free(e.name, name) else "set")
+            rows.append((label, name.replace("_", " "), figures(p.value), interval, there, unit))
             label = ""
     return Table(("effect", "parameter", "value", "95 % interval", "in model.yaml", "unit"), rows)
 

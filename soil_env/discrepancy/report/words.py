@@ -267,6 +267,11 @@ def validity(report: Report) -> str:
     return f"Fitted to {in_words(report.model.validity)}; beyond, model.yaml is an extrapolation and warns of it."
 
 
+IN_MODEL = (
+    "Values and intervals allow for errors of the laws; model.yaml, which simulates without them, has the values that "
+    "predict best so."
+)
+
 # --- cautions ---------------------------------------------------------------------------------------------------------
 
 
