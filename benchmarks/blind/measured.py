@@ -20,7 +20,7 @@ import os
 import tempfile
 import warnings
 from collections import Counter
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -74,12 +74,6 @@ def slips_of(table: Table, same: float) -> list[np.ndarray]:
     """Rows of each slip; slips nearer than `same` to the one before are one."""
     order = np.argsort(table.slip)
     return np.split(order, 1 + np.flatnonzero(np.diff(table.slip[order]) > same))
-
-
-def subset(table: Table, rows: np.ndarray) -> Table:
-    """The table with these rows only."""
-    columns = {f.name: getattr(table, f.name) for f in fields(table)}
-    return replace(table, **{k: v[rows] for k, v in columns.items() if isinstance(v, np.ndarray)})
 
 
 def _read(path: Path) -> list[dict[str, str]]:
@@ -153,7 +147,7 @@ def polynomial(slip: np.ndarray, residual: np.ndarray, same: float) -> np.ndarra
 
 def fold(table: Table, setup: Setup, out: np.ndarray, same: float) -> dict:
     """One slip left out: what the workflow says of the rest, and the errors [3, n] of each model where it is."""
-    seen, unseen = subset(table, np.setdiff1d(np.arange(len(table)), out)), subset(table, out)
+    seen, unseen = table.only(np.setdiff1d(np.arange(len(table)), out)), table.only(out)
     report = run(seen, setup)
     base = report.base_model
     named = replace(report.model, residual=()) if report.effects else base

@@ -18,6 +18,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.data import CHANNELS, WHEEL, Data
 
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
+ALONE = 0.8  # leverage on the smooth surface above which a value is checked by no other
 LEAST_NOISE = 1e-5  # scatter over the size of the values below which they are rounded or computed, not measured
 REPEAT_SLIP = 0.02  # largest difference of slip within repeats
 REPEAT_LOAD = 0.2  # largest difference of load within repeats, over their mean
@@ -32,6 +33,7 @@ class NoiseEstimate:
     origin: tuple[str, ...]  # [3] "setup", "repeats", "scatter" or "" where not measured
     used: np.ndarray  # [N, 3] bool
     outliers: int  # values that were left out
+    alone: np.ndarray  # [N] bool, rows whose values no other row comes near enough to check
 
 
 def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
@@ -44,6 +46,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     repeat_sd, repeat_freedom = repeat_noise(data, model)
     basis = smooth_basis(data)
     used, sd, freedom, origin = data.measured.copy(), np.ones(3), np.full(3, math.inf), [""] * 3
+    alone = np.zeros(len(used), dtype=bool)
     for j, name in enumerate(CHANNELS):
         if not used[:, j].any():
             continue
@@ -60,6 +63,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         relative = data.relative_sd[:, j]
         e, weighted = (data.y[:, j] - model[:, j]) / relative, basis / relative[:, None]
         used[:, j] = _without_outliers(weighted, e, used[:, j], given[j])
+        alone |= used[:, j] & (_surface(weighted, e, used[:, j])[1] > ALONE)
         if origin[j] == "scatter":
             left, _ = _surface(weighted, e, used[:, j])
             freedom[j] = used[:, j].sum() - basis.shape[1]
@@ -70,7 +74,8 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         repeat_sd, repeat_freedom = repeat_noise(cleaned, model)
         sd[repeats], freedom[repeats] = repeat_sd[repeats], repeat_freedom[repeats]
     _refuse_no_scatter(data, used, sd, origin)
-    return NoiseEstimate(np.maximum(sd, 1e-12), freedom, tuple(origin), used, int(data.measured.sum() - used.sum()))
+    left_out = int(data.measured.sum() - used.sum())
+    return NoiseEstimate(np.maximum(sd, 1e-12), freedom, tuple(origin), used, left_out, alone)
 
 
 def _without_outliers(basis: np.ndarray, e: np.ndarray, used: np.ndarray, sd: float | None) -> np.ndarray:
@@ -83,7 +88,7 @@ def _without_outliers(basis: np.ndarray, e: np.ndarray, used: np.ndarray, sd: fl
             median = float(np.median(np.abs(left[keep]) / np.sqrt(np.maximum(1.0 - leverage[keep], 0.05))))
             scale = max(1.4826 * median, 1e-12)
         far = np.abs(left) / (scale * np.sqrt(np.maximum(1.0 - leverage, 0.05)))
-        far[~keep | (leverage > 0.8)] = 0.0
+        far[~keep | (leverage > ALONE)] = 0.0
         worst = int(np.argmax(far))
         if far[worst] <= OUTLIER:
             break

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy import judgement, mistakes, symbolic
+from soil_env.discrepancy import influence, judgement, mistakes, symbolic
 from soil_env.discrepancy.calibrate import EXACT, GRAVITY, Choice, Fit, Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.experiment import next_tests
@@ -80,6 +80,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     problem, noise = calibrate(data)
     doubts = mistakes.examine(problem)
     finding = search(problem, lambda text: say(f"searching: {text}"))
+    doubts += influence.examine(problem, noise, finding, say)
     base = finding.best().evidence.fit
     say("locating the disagreement")
     where = locate(problem, problem.fit((), base.parameters()), settings.seed)

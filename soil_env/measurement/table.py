@@ -95,6 +95,11 @@ class Table:
     def __len__(self) -> int:
         return self.slip.size
 
+    def only(self, rows: np.ndarray) -> Table:
+        """The table with these rows only: indices, or [N] bool."""
+        columns = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return dataclasses.replace(self, **{k: v[rows] for k, v in columns.items() if isinstance(v, np.ndarray)})
+
     def radius(self, wheel: SetupWheel) -> np.ndarray:
         """Wheel radius [m] of each row: the override where there is one."""
         return np.where(np.isnan(self.wheel_radius), wheel.radius, self.wheel_radius)

@@ -29,7 +29,7 @@ def table(extra=lambda slip: 0.0 * slip) -> measured.Measured:
 def test_slips_that_are_near_are_one(tmp_path):
     rows, _ = table().read(tmp_path)
     assert [sorted(group) for group in measured.slips_of(rows, 0.05)] == [[0, 1], [2], [3], [4, 5]]
-    some = measured.subset(rows, np.array([2, 5]))
+    some = rows.only(np.array([2, 5]))
     np.testing.assert_allclose(some.slip, [0.3, 0.71])
     assert len(some) == 2 and some.source == rows.source
 
