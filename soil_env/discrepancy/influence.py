@@ -33,15 +33,11 @@ def examine(problem: Problem, noise: NoiseEstimate, finding: Finding, say: Calla
     found = search(others, lambda text: say(f"searching without the rows that stand alone: {text}"))
     if (found.verdict, {*found.names}) == (finding.verdict, {*finding.names}):
         return ()
-    rows = ", ".join(f"line {table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone)
+    rows = ", line ".join(f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone)
     named = " and ".join(CATALOGUE[name].title for name in found.names) or "nothing"
     one = alone.size == 1
     return (
-        f"{_first_upper(rows)} {'stands' if one else 'stand'} alone in {'its' if one else 'their'} conditions and "
+        f"Line {rows} {'stands' if one else 'stand'} alone in {'its' if one else 'their'} conditions and "
         f"{'decides' if one else 'decide'} what is named: without {'it' if one else 'them'} that is {named}. Check "
         f"slip and load there.",
     )
-
-
-def _first_upper(text: str) -> str:
-    return text[:1].upper() + text[1:]

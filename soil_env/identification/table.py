@@ -298,7 +298,7 @@ def _untold(parameters: dict[str, Parameter], labels: Sequence[str], correlation
         + (
             f"{100 * p.sd_over_prior:.0f} % of that before the table."
             if p.sd_over_prior <= 1.0
-            else f"{p.sd_over_prior:.2g} times that before the table, whose stress law allows more than the setup does."
+            else f"{p.sd_over_prior:.2g} times that before the table."
         )
         for label, p in named
         if p.sd_over_prior > UNTOLD
