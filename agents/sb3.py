@@ -18,7 +18,8 @@ except ModuleNotFoundError as error:
     raise
 
 from soil_env._io.loading import unknown_value
-from soil_env.env import action_space, build_scenario, check_count, numbers
+from soil_env.course_env import actions_of, check_count
+from soil_env.env import action_space, build_scenario
 from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec
 from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import Cause, ObservedNumber, layout, truth
@@ -108,7 +109,7 @@ class SoilWheelVecEnv(VecEnv):
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the actions [num_envs, 1]; NaN raises ValueError."""
-        np.clip(numbers(actions, self.num_envs)[:, 0], -1.0, 1.0, out=self._commands)
+        self._commands[:] = actions_of(actions, (self.num_envs, 1))[:, 0]
 
     def step_wait(self):
         """One action; (observations, rewards, dones, infos)."""

@@ -22,3 +22,9 @@ if "SoilWheel-v0" not in registry:
         entry_point="soil_env.env:SoilWheelEnv",
         vector_entry_point="soil_env.vector_env:SoilWheelVectorEnv",
     )
+if "SoilRover-v0" not in registry:
+    register(
+        id="SoilRover-v0",
+        entry_point="soil_env.rover_env:SoilRoverEnv",
+        vector_entry_point="soil_env.rover_vector_env:SoilRoverVectorEnv",
+    )

@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-import copy
-import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from soil_env._io.loading import ParameterError, UnknownKeyword
+from soil_env.course_env import CourseEnv, View, scenario_changes
 from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec, Scenario, Soil, SoilState, load_scenario
 from soil_env.simulation.infos import IMMOBILISED, Infos
 from soil_env.simulation.scaling import Scaling
-from soil_env.simulation.task import Cause, layout
+from soil_env.simulation.task import layout
 from soil_env.simulation.terrain import ground_at
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 
-if TYPE_CHECKING:
-    from soil_env.rendering.side_view import Renderer
-
-__all__ = ["IMMOBILISED", "SoilWheelEnv", "action_space", "build_scenario", "check_count", "observation_space"]
+__all__ = ["IMMOBILISED", "SoilWheelEnv", "action_space", "build_scenario", "observation_space"]
 #: Keywords that are no part of a scenario.
 _OWN = ("scenario", "observation", "action", "repeat", "render_mode", "model", "info", "scaled")
 _ONLY = np.ones(1, dtype=np.bool_)
-_FIELDS = tuple(f.name for f in dataclasses.fields(Scenario))
 
 
 def build_scenario(
@@ -40,22 +33,7 @@ def build_scenario(
     own: tuple[str, ...] = _OWN,
 ) -> Scenario:
     """The scenario that the keyword arguments of an environment describe; `own`: those that are no part of it."""
-    for key in changes:
-        if key not in _FIELDS:
-            raise UnknownKeyword(key, (*own, *_FIELDS))
-    given = {name: value for name, value in (("action", action), ("repeat", repeat)) if value is not None}
-    if given:
-        control = changes.get("control", {})
-        if not isinstance(control, dict):
-            raise ParameterError(f"{next(iter(given))}: expected only where `control` is not given as an object")
-        changes = {**changes, "control": {**control, **given}}
-    return load_scenario(scenario, changes, "keyword")
-
-
-def check_count(name: str, count: object) -> None:
-    """ParameterError unless `count` is a whole number of at least one."""
-    if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
-        raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
+    return load_scenario(scenario, scenario_changes(changes, action, repeat, own, Scenario), "keyword")
 
 
 def observation_space(variant: str, course: CourseSpec | None = None, scaled: bool = True) -> gymnasium.spaces.Box:
@@ -68,7 +46,7 @@ def action_space() -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
 
 
-class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
+class SoilWheelEnv(CourseEnv):
     """
     ## Description
     A rigid, driven wheel with its share of a vehicle has to cross a course of unknown soils and grades without getting
@@ -291,8 +269,6 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
       repeat and rim_command; observations of order one (`scaled`).
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
-
     def __init__(
         self,
         scenario: str | Path | Scenario = DEFAULT_SCENARIO,
@@ -305,99 +281,29 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         scaled: bool = True,
         **changes: Any,
     ):
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ParameterError(
-                f"render_mode = {render_mode!r}: expected one of {self.metadata['render_modes']} or None"
-            )
-        self.scenario: Scenario = build_scenario(scenario, action, repeat, changes)
-        self.observation_variant = observation
-        entries = layout(observation, self.scenario.course)
-        self.observation_names: tuple[str, ...] = tuple(e.name for e in entries)
-        self.scaling: Scaling = Scaling(entries, scaled)
-        self.observation_space: gymnasium.spaces.Box = self.scaling.space
-        self.action_space: gymnasium.spaces.Box = action_space()
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.scenario.control.duration))}
+        scenario = build_scenario(scenario, action, repeat, changes)
+        entries = layout(observation, scenario.course)
+        super().__init__(scenario, entries, observation, action_space(), render_mode, scaled)
         self.model: WheelSoilModel | None = load_model(model)
         self.infos: Infos = Infos(self.scenario, info, 1)
         warnings = info in ("full", "numeric")
         self.simulation: Simulation = Simulation(1, self.scenario, observation, 1, self.model, warnings)
-        self._renderer: Renderer | None = None
-        self._seeded = False
-        self._over = True
-        self._spec: EnvSpec | None = None
 
-    @property
-    def spec(self) -> EnvSpec | None:
-        """What `gymnasium.make` was given, with the length of an episode, which wrappers ask for."""
-        return self._spec
+    def _act(self, action: NDArray[np.float64]) -> None:
+        self.simulation.step(0, action.item(0))
+        if self.simulation.worlds.changed[0]:
+            self._begun()
 
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None and spec.max_episode_steps is None:
-            spec = copy.deepcopy(spec)
-            spec.max_episode_steps = self.scenario.steps
-        self._spec = spec
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """New course, wheel at rest at its start. `options` must be empty. Returns (observation, info)."""
-        super().reset(seed=seed)
-        if options:
-            raise ValueError(f"reset options {sorted(options)}: expected none; scenarios are set when the env is made")
-        if seed is not None or not self._seeded:
-            self.simulation.seed(0, self.np_random)
-            self._seeded = True
-        self.simulation.restart(0)
-        self._over = False
+    def _begun(self) -> None:
         self.infos.renew(self.simulation.worlds, _ONLY)
-        if self.render_mode is not None:
-            self._view().clear()
-            self._view().record(self.simulation, 0)
-            if self.render_mode == "human":
-                self.render()
-        return self.scaling(self.simulation.worlds.observation[0]), self.infos.one(self.simulation.worlds, 0)
 
-    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Drive as long as an action lasts. Returns (observation, reward, terminated, truncated, info)."""
-        if self._over:
-            raise gymnasium.error.ResetNeeded("step() before reset(), or after the end of the episode")
-        self.simulation.step(0, command(action))
-        worlds = self.simulation.worlds
-        cause = Cause(worlds.cause[0])
-        self._over = cause != Cause.RUNNING
-        if worlds.changed[0]:
-            self.infos.renew(worlds, _ONLY)
-        if self.render_mode is not None:
-            self._view().record(self.simulation, 0)
-            if self.render_mode == "human":
-                self.render()
-        seen = self.scaling(worlds.observation[0])
-        return seen, float(worlds.reward[0]), self._over, False, self.infos.one(worlds, 0)
+    def _info(self) -> dict[str, Any]:
+        return self.infos.one(self.simulation.worlds, 0)
 
-    def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
-        """Observations [..., D] of this env in the units of the tables."""
-        return self.scaling.physical(observation)
+    def _new_view(self, mode: str) -> View:
+        from soil_env.rendering.side_view import Renderer
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""
-        if self.render_mode is None:
-            gymnasium.logger.warn(
-                "render() without a render_mode; make the env with render_mode='rgb_array' or 'human'."
-            )
-            return None
-        return self._view().draw(self.simulation, 0)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """All but the window: a copy opens its own."""
-        return {**self.__dict__, "_renderer": None}
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        return Renderer(self.scenario, mode)
 
     def estimate(self) -> Soil:
         """The identified soil, with the belief's exponent and recovery of digging."""
@@ -418,37 +324,3 @@ class SoilWheelEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         soil: SoilState
         soil, _, _ = ground_at(w.courses, 0, w.state.x[0], w.counts.patch[0], self.scenario.course.border)
         return soil
-
-    def _view(self) -> Renderer:
-        if self._renderer is None:
-            from soil_env.rendering.side_view import Renderer
-
-            assert self.render_mode is not None
-            self._renderer = Renderer(self.scenario, self.render_mode)
-        return self._renderer
-
-
-def command(action: ArrayLike) -> float:
-    """The command in [-1, 1] of an action of shape (1,); ValueError if it is anything else."""
-    try:
-        a = np.asarray(action, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"action = {action!r}: expected one number in [-1, 1], shape (1,)") from None
-    if a.shape != (1,):
-        raise ValueError(f"action: expected shape (1,), got {a.shape}")
-    if not np.isfinite(a[0]):
-        raise ValueError(f"action = {a[0]}: expected a finite number in [-1, 1]")
-    return min(max(float(a[0]), -1.0), 1.0)
-
-
-def numbers(actions: ArrayLike, count: int) -> NDArray[np.float64]:
-    """Actions of `count` wheels as an array [count, 1]; ValueError if they are anything else."""
-    try:
-        a = np.asarray(actions, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"actions = {actions!r:.80}: expected numbers in [-1, 1], shape ({count}, 1)") from None
-    if a.shape != (count, 1):
-        raise ValueError(f"actions: expected shape ({count}, 1), got {a.shape}")
-    if not np.isfinite(a).all():
-        raise ValueError("actions: expected finite numbers in [-1, 1]")
-    return a

@@ -7,8 +7,9 @@ Presets with their sources: configs/soils.yaml, configs/wheels.yaml, configs/sce
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -403,32 +404,55 @@ def load_scenario(
     `preset` names one. `soils`, where given in `changes`, replaces the whole mixture. Raises `ParameterError` with one
     line for anything unknown or out of range.
     """
-    if isinstance(which, Scenario):
-        mapping, where = to_dict(which), f"scenario {which.name!r}"
+    scenario: Scenario = load_scenario_as(Scenario, "scenarios", which, changes, place)
+    return scenario
+
+
+def load_scenario_as(
+    kind: type[Scenario],
+    folder: str,
+    which: str | Path | Scenario,
+    changes: dict[str, Any] | None,
+    place: str,
+    complete: Callable[[dict[str, Any]], dict[str, Any]] = dict,
+) -> Any:
+    """`load_scenario` of another class, whose shipped ones are in a `folder` of configs/; `complete` adds what follows
+    from the rest of the mapping."""
+    singular = folder.removesuffix("s")
+    if isinstance(which, kind):
+        mapping, where = to_dict(which), f"{singular} {which.name!r}"
     elif not isinstance(which, (str, Path)):
-        raise ParameterError(f"scenario = {which!r}: expected a name, the path of a YAML file, or a Scenario")
+        raise ParameterError(f"{singular} = {which!r}: expected a name, the path of a YAML file, or a {kind.__name__}")
     else:
         path = Path(which)
         if path.suffix not in (".yaml", ".yml"):
-            path = config_dir() / "scenarios" / f"{which}.yaml"
+            path = config_dir() / folder / f"{which}.yaml"
             if not path.is_file():
                 if Path(which).is_dir():
-                    raise ParameterError(f"scenario = {str(which)!r}: is a folder; expected a name or a YAML file")
-                raise unknown_value(which, scenario_names(), "scenario")
+                    raise ParameterError(f"{singular} = {str(which)!r}: is a folder; expected a name or a YAML file")
+                names = sorted(p.stem for p in (config_dir() / folder).glob("*.yaml"))
+                raise unknown_value(which, names, singular)
         mapping, where = read_yaml(path), path.name
         mapping.setdefault("name", path.stem)
-    return _merged(mapping, changes or {}, place if changes and _is_valid(mapping) else where)
+    merged = partial(_merged, kind, complete, mapping)
+    return merged(changes or {}, place if changes and _is_valid(merged) else where)
 
 
-def _is_valid(mapping: dict[str, Any]) -> bool:
+def _is_valid(merged: Callable[[dict[str, Any], str], Any]) -> bool:
     try:
-        _merged(mapping, {}, "")
+        merged({}, "")
     except ParameterError:
         return False
     return True
 
 
-def _merged(mapping: dict[str, Any], changes: dict[str, Any], where: str) -> Scenario:
+def _merged(
+    kind: type[Scenario],
+    complete: Callable[[dict[str, Any]], dict[str, Any]],
+    mapping: dict[str, Any],
+    changes: dict[str, Any],
+    where: str,
+) -> Any:
     """The scenario of a mapping with `changes` over it."""
     mapping = dict(mapping)
     changes = dict(changes)
@@ -446,5 +470,4 @@ def _merged(mapping: dict[str, Any], changes: dict[str, Any], where: str) -> Sce
         if not isinstance(preset, str) or preset not in wheels():
             raise unknown_value(preset, wheels(), f"{where}: wheel")
         mapping["wheel"] = merge(to_dict(wheels()[preset]), wheel)
-    scenario: Scenario = load(Scenario, mapping, where)
-    return scenario
+    return load(kind, complete(mapping), where)

@@ -78,6 +78,7 @@ class FilterNumbers(NamedTuple):
     model_error: float  # of the load
     border: float  # [m] over which one soil passes into the next, as believed
     grade_change: float  # [rad] sd of the rise of the grade from one soil to the next; 0: not looked at
+    load_drift: float  # relative sd of the change of the load from point to point; 0: a constant mass under gravity
     offsets: np.ndarray  # [CANDIDATES] of the places of a border [m], from the first on
 
 
@@ -94,7 +95,7 @@ def filter_numbers(scenario: Scenario) -> FilterNumbers:
         w.radius, w.width, w.inertia, scenario.gravity, b.sinkage_exponent, b.dig_gain, b.dig_recovery,
         scenario.relaxation * w.radius, scenario.control.period, mixture_prior(scenario),
         np.maximum(noise, floor), max(0.55 * b.model_error, 1e-3), b.border, math.radians(b.grade_change_deg),
-        b.border * np.arange(CANDIDATES) / (CANDIDATES - 1),
+        0.0, b.border * np.arange(CANDIDATES) / (CANDIDATES - 1),
     )  # fmt: skip
 
 

@@ -155,6 +155,8 @@ def _drive(mean, covariance, ground, gain_slopes, out, size, last_bearing, point
         to_array(from_array(product, i * COUNT), covariance, element(SINKAGE, i))
         to_array(fill(0.0), covariance, element(SLIP, i))
     to_array(variance + own, covariance, element(SINKAGE, SINKAGE))
+    drift = numbers.load_drift * from_array(mean, MASS * COUNT)
+    to_array(from_array(covariance, element(MASS, MASS)) + drift * drift, covariance, element(MASS, MASS))
     to_array(fill(point.slip), mean, SLIP * COUNT)
     to_array(fill(numbers.noise[0] * numbers.noise[0] / point.readings), covariance, element(SLIP, SLIP))
 

@@ -42,7 +42,7 @@ from soil_env.simulation.newton import (
     soil_in_lanes,
     solve_speeds,
 )
-from soil_env.simulation.terrain import cell_after, digging_ratio_of, leave_rut
+from soil_env.simulation.terrain import COMPACTION, cell_after, digging_ratio_of, leave_rut
 from soil_env.simulation.wheel import (
     SHALLOWEST,
     bearing_sinkage,
@@ -59,7 +59,7 @@ STEP = 0  # what is to be done with a wheel: a control period
 MOST_STEPS = 8  # where others take one
 # Foreseen changes of speed [of the top rim speed] beyond which a wheel takes 2, 4 and 8 steps where others take one.
 REFINED_BEYOND = (0.3, 0.6, 1.2)
-_FINEST = 1024  # a step that fails is halved down to this fraction; softening soil breaks away within 1 ms
+FINEST = 1024  # a step that fails is halved down to this fraction; softening soil breaks away within 1 ms
 _period = scratch_rows(Period, MANY)
 
 
@@ -79,14 +79,14 @@ class Stage(NamedTuple):
 
 
 @inlined
-def _stage(number, h):
+def stage_of(number, h):
     """`Stage` 0 or 1 of a step of h seconds."""
     g = GAMMA * h
     return Stage(g, 0.0, g, 0.0) if number == 0 else Stage(h - g, h - 2.0 * g, g, LEAD)
 
 
 @inlined
-def _move(state, first, i, period, sub, world, stage, anyhow):
+def move(state, first, i, period, sub, world, stage, anyhow):
     """Eight wheels to the end of a stage, but those not alive; who did not converge dies, unless `anyhow` is 1."""
     n, k, r = sub.newton, first + i, world.wheel.radius
     v, u, f = from_array(n.v, i), from_array(n.u, i), load_reaction(n, i)
@@ -182,30 +182,31 @@ def _drive(state, counts, first, begin, end, period, courses, world, left, longe
     while left > 1e-9 * longest:
         h = min(longest, left)
         for number in range(2):
-            stage = _stage(number, h)
+            stage = stage_of(number, h)
             for i in range(begin, end, COUNT):
-                gather_ground(state, counts, first, i, period, sub.footing, courses, world, stage.duration)
+                gather_ground(state, counts, first, i, period, sub.footing, courses, courses, world, stage.duration)
                 set_up(state, first, i, period, sub, world, GAMMA * h, stage.lead, stage.duration)
             solve_speeds(sub, period, begin, end, world, GAMMA * h)
             for i in range(begin, end, COUNT):
-                _move(state, first, i, period, sub, world, stage, anyhow)
+                move(state, first, i, period, sub, world, stage, anyhow)
             for i in range(begin, end):
                 if period.alive[i] > 0.0:
-                    _leave_ruts(state, counts, first + i, courses, sub.footing.dig_gain[i], sub.footing.dig_recovery[i])
+                    dug = sub.footing.dig_gain[i], sub.footing.dig_recovery[i]
+                    leave_ruts(state, counts, first + i, courses, dug[0], dug[1], COMPACTION)
         left -= h
 
 
 @inlined
-def _leave_ruts(state, counts, k, courses, gain, recovery):
+def leave_ruts(state, counts, k, ruts, gain, recovery, compaction):
     """Mark the cells that wheel k has passed in this stage."""
-    cell, after = counts.cell[k], cell_after(courses, counts.cell[k], state.x[k])
+    cell, after = counts.cell[k], cell_after(ruts, counts.cell[k], state.x[k])
     if after == cell:
         return
     dug = digging_ratio_of(state.slid[k], max(abs(state.x[k] - state.cell_x[k]), 1e-6), gain, recovery)
     while cell != after:
-        leave_rut(courses, k, cell, state.rut_depth[k], dug)
+        leave_rut(ruts, k, cell, state.rut_depth[k], dug, compaction)
         cell += 1 if after > cell else -1
-        rut = courses.rut[k, cell]
+        rut = ruts.rut[k, cell]
         state.rut_depth[k] = rut if rut > 0.0 else state.sinkage[k]
     counts.cell[k], state.slid[k], state.cell_x[k] = cell, 0.0, state.x[k]
 
@@ -235,7 +236,7 @@ def _drive_alone(state, counts, first, i, period, courses, world):
     left, h = period.left[i], longest
     while left > 1e-9 * longest:
         h = min(h, left)
-        finest = h <= longest / _FINEST
+        finest = h <= longest / FINEST
         period.alive[i], period.left[i] = 1.0, h
         _drive(state, counts, first, block, block + COUNT, period, courses, world, h, h, 1.0 if finest else 0.0)
         failed = period.alive[i] == 0.0

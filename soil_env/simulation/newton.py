@@ -23,9 +23,7 @@ from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
 from soil_env._numba.rows import Rows, copy_column, rows, scratch_rows
 from soil_env.parameters import SoilState
 from soil_env.simulation.terrain import ground_at, rut_factor
-from soil_env.simulation.wheel import (
-    motor,
-)
+from soil_env.simulation.wheel import axle_of, course_of, motor
 from soil_env.terramechanics.arc_integrals import (
     NODE_COLUMNS,
     ArcFrame,
@@ -49,14 +47,14 @@ MANY = 16 * COUNT  # wheels that `advance` takes at most
 GAMMA = 1.0 - math.sqrt(0.5)  # duration of a stage over that of the step
 LEAD = math.sqrt(2.0)  # (1 - GAMMA) / GAMMA - 1: how far the second stage begins beyond the end of the first
 TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
-_SHORT = 0.1  # share of the rim speed up to which the first try is the foreseen speed
+SHORT = 0.1  # share of the rim speed up to which the first try is the foreseen speed
 _FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
-_PASSES = 60  # evaluations of the reaction in a substep, at most
-_TRIES = 8  # of them at most along one step of Newton's method
+PASSES = 60  # evaluations of the reaction in a substep, at most
+TRIES = 8  # of them at most along one step of Newton's method
 # Residual that is let pass where no shorter step makes it smaller: at most this [m/s], and this share of the change of
 # speed that was found. Without the second a step that is short enough would leave the speeds as they are.
-_NEARLY, _OF_CHANGE = 1e-4, 0.1
-_HUGE = 1e300
+NEARLY, OF_CHANGE = 1e-4, 0.1
+HUGE = 1e300
 
 # --- scratch, a column a wheel ----------------------------------------------------------------------------------------
 
@@ -106,7 +104,7 @@ def load_reaction(n, i):
 
 
 @inlined
-def _store_reaction(f, n, i):
+def store_reaction(f, n, i):
     to_array(f.load, n.load, i)
     to_array(f.drawbar_pull, n.drawbar_pull, i)
     to_array(f.torque, n.torque, i)
@@ -120,7 +118,7 @@ def _store_reaction(f, n, i):
 
 
 @inlined
-def _chosen_reaction(mask, f, g):
+def chosen_reaction(mask, f, g):
     return Reaction(
         chosen(mask, f.load, g.load), chosen(mask, f.drawbar_pull, g.drawbar_pull), chosen(mask, f.torque, g.torque),
         chosen(mask, f.sinkage_coefficient, g.sinkage_coefficient), chosen(mask, f.dp_v, g.dp_v),
@@ -144,22 +142,23 @@ def newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
 
 
 @inlined
-def gather_ground(state, counts, first, block, period, g, courses, world, h):
-    """The undisturbed ground under eight wheels in the middle of a stage of h seconds, with its rut."""
+def gather_ground(state, counts, first, block, period, g, courses, ruts, world, h):
+    """The ground under eight wheels in the middle of a stage of h seconds, with what has been left in `ruts`."""
     for i in range(block, block + COUNT):
         k = first + i
         if period.alive[i] == 0.0:  # nobody there
             g.tan_phi[i] = g.cohesion[i] = g.shear_modulus[i] = g.sinkage_coefficient[i] = g.sinkage_exponent[i] = 1.0
             g.dig_gain[i] = g.dig_recovery[i] = g.grade[i] = g.passes[i] = 0.0
             continue
-        x, cell = state.x[k] + 0.5 * h * state.speed[k], counts.cell[k]
-        soil, grade, patch = ground_at(courses, k, x, counts.patch[k], world.border)
+        x, cell, course = state.x[k] + 0.5 * h * state.speed[k], counts.cell[k], course_of(k, world.axles)
+        soil, grade, patch = ground_at(courses, course, x, counts.patch[k], world.border)
         counts.patch[k] = patch
         g.tan_phi[i], g.cohesion[i], g.shear_modulus[i] = soil.tan_phi, soil.cohesion, soil.shear_modulus
-        g.sinkage_coefficient[i] = soil.sinkage_coefficient * rut_factor(courses, k, x)
+        g.sinkage_coefficient[i] = soil.sinkage_coefficient * rut_factor(ruts, k, x)
         g.sinkage_exponent[i] = soil.sinkage_exponent
         g.dig_gain[i], g.dig_recovery[i], g.grade[i] = soil.dig_gain, soil.dig_recovery, grade
-        g.passes[i] = 2.0 if courses.rut[k, cell] > 0.0 else 1.0
+        again = 1.0 if ruts.rut[k, cell] > 0.0 else 0.0
+        g.passes[i] = 1.0 + axle_of(k, world.axles) + again
 
 
 @inlined
@@ -205,44 +204,61 @@ def change_ahead(state, k, command, by_speed, world, h):
 def set_up(state, first, i, period, sub, world, h, lead, duration):
     """The equations of a stage of the eight wheels from column i on, and where Newton's method starts.
 
-    The stage begins at speeds that lie beyond the present ones by `lead` times the change in the stage before, and
-    sinkage is that at its end if it goes on as in the stage before, over the `duration` [s] of this one.
+    The stage begins at speeds that lie beyond the present ones by `lead` times the change in the stage before.
+    """
+    e, k = sub.equations, first + i
+    stand(state, first, i, sub, world, duration)
+    cv, cu = h / from_array(state.mass, k), h * world.wheel.radius / world.inertia
+    speed0, u0 = from_array(state.speed, k), world.wheel.radius * from_array(state.wheel_speed, k)
+    back_v, back_u = behind(state, k, i, period, world, lead)
+    command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
+    dv, du = _foreseen(state, k, back_v, back_u, cv, cu, from_array(e.weight_along, i), command, by_speed, world)
+    short = below(larger(abs(dv), abs(du)), SHORT * (abs(u0) + REST_SPEED))
+    to_array(cv, e.gain_v, i)
+    to_array(speed0 - back_v, e.speed0, i)
+    to_array(u0 - back_u, e.rim0, i)
+    to_array(command, e.command, i)
+    to_array(by_speed, e.by_speed, i)
+    to_array(speed0 + short * dv, e.try_v, i)
+    to_array(u0 + short * du, e.try_u, i)
+
+
+@inlined
+def behind(state, k, i, period, world, lead):
+    """By how much the speeds that a stage begins with lie behind the present ones, of the wheels in column i on."""
+    if lead == 0.0:
+        return fill(0.0), fill(0.0)
+    rim = world.wheel.radius * from_array(state.wheel_speed, k)
+    return (
+        lead * (from_array(period.speed_before, i) - from_array(state.speed, k)),
+        lead * (from_array(period.rim_before, i) - rim),
+    )
+
+
+@inlined
+def stand(state, first, i, sub, world, duration):
+    """What eight wheels stand on in a stage: arc, soil and load, with the weight that pulls along the grade.
+
+    Sinkage is that at the end of the stage if it goes on as in the stage before, over the `duration` [s] of this one.
     """
     wheel, e, g = world.wheel, sub.equations, sub.footing
     k = first + i
-    mass, speed0 = from_array(state.mass, k), from_array(state.speed, k)
-    u0, sinkage = wheel.radius * from_array(state.wheel_speed, k), from_array(state.sinkage, k)
-    command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
+    speed0, u0 = from_array(state.speed, k), wheel.radius * from_array(state.wheel_speed, k)
+    sinkage, weight = from_array(state.sinkage, k), wheel.gravity * from_array(state.mass, k)
     sin_half, cos_half = half_sin_cos(from_array(g.grade, i))
-    sine, weight = 2.0 * sin_half * cos_half, wheel.gravity * mass
+    sine = 2.0 * sin_half * cos_half
     ahead = duration * from_array(state.sinking, k)
     sinkage = sinkage + smaller(larger(ahead, -0.1 * sinkage), 0.1 * sinkage)
     to_array(sinkage, g.sinkage, i)
     ground = ground_under(sinkage, speed0, u0, weight, soil_in_lanes(g, i), sine, from_array(g.passes, i), wheel)
-    cv, cu = h / mass, h * wheel.radius / world.inertia
-    back_v, back_u = fill(0.0), fill(0.0)
-    if lead > 0.0:
-        back_v = lead * (from_array(period.speed_before, i) - speed0)
-        back_u = lead * (from_array(period.rim_before, i) - u0)
-    dv, du = _foreseen(state, k, back_v, back_u, cv, cu, weight * sine, command, by_speed, world)
-    short = below(larger(abs(dv), abs(du)), _SHORT * (abs(u0) + REST_SPEED))
-    v1, u1 = speed0 + short * dv, u0 + short * du
-    speed0, u0 = speed0 - back_v, u0 - back_u
     soil = ground.soil
     frame = store_nodes(ground.arc, soil.sinkage_exponent, sub.nodes, (i // COUNT) * NODE_COLUMNS)
     _store_frame(frame, e, i)
-    to_array(speed0, e.speed0, i)
-    to_array(u0, e.rim0, i)
-    to_array(cv, e.gain_v, i)
     to_array(weight * sine, e.weight_along, i)
     to_array(weight * (1.0 - 2.0 * sin_half * sin_half), e.load, i)
     to_array(soil.tan_phi, e.tan_phi, i)
     to_array(soil.cohesion, e.cohesion, i)
     to_array(soil.shear_modulus, e.shear_modulus, i)
-    to_array(command, e.command, i)
-    to_array(by_speed, e.by_speed, i)
-    to_array(v1, e.try_v, i)
-    to_array(u1, e.try_u, i)
     if wheel.on:
         to_array(ground.bulldozing, e.bulldozing, i)
         to_array(ground.blades, e.blades, i)
@@ -276,7 +292,7 @@ def _load_frame(e, i):
 
 
 @inlined
-def _reaction_at(v, u, sub, i, wheel):
+def reaction_at(v, u, sub, i, wheel):
     """`Reaction` at the axle of eight wheels at travel speeds v and rim speeds u [m/s]."""
     e, rim = sub.equations, wheel.rim_ratio * u
     motion = motion_from_speeds(rim, v, REST_SPEED)
@@ -311,10 +327,10 @@ def _residual(v, u, f, e, i, cu, world):
 @inlined
 def _begin(e, n, i):
     """Newton's state of the eight wheels from column i on, at the start of a substep."""
-    zero, huge = fill(0.0), fill(_HUGE)
+    zero, huge = fill(0.0), fill(HUGE)
     to_array(from_array(e.speed0, i), n.v, i)
     to_array(from_array(e.rim0, i), n.u, i)
-    _store_reaction(Reaction(zero, zero, zero, zero, zero, zero, zero, zero, zero, zero), n, i)
+    store_reaction(Reaction(zero, zero, zero, zero, zero, zero, zero, zero, zero, zero), n, i)
     to_array(zero, n.converged, i)
     to_array(zero, n.f1, i)
     to_array(zero, n.f2, i)
@@ -332,13 +348,13 @@ def _accept(sub, i, cu, world):
     e, n = sub.equations, sub.newton
     zero, one = fill(0.0), fill(1.0)
     v1, u1 = from_array(e.try_v, i), from_array(e.try_u, i)
-    trial = _reaction_at(v1, u1, sub, i, world.wheel)
+    trial = reaction_at(v1, u1, sub, i, world.wheel)
     g1, g2, slope = _residual(v1, u1, trial, e, i, cu, world)
     reached = larger(abs(g1), abs(g2))
     share, tries, norm = from_array(n.share, i), from_array(n.tries, i), from_array(n.norm, i)
-    last = below(_TRIES - 1.5, tries)
+    last = below(TRIES - 1.5, tries)
     better = below(reached, norm * chosen(last, one, 1.0 - 0.1 * share))
-    first_before = chosen(below(norm, 0.5 * _HUGE), norm, 0.1 * reached)  # nothing is foretold by the first residual
+    first_before = chosen(below(norm, 0.5 * HUGE), norm, 0.1 * reached)  # nothing is foretold by the first residual
     to_array(chosen(better, first_before, from_array(n.before, i)), n.before, i)
     to_array(chosen(better, reached, norm), n.norm, i)
     to_array(chosen(better, v1, from_array(n.v, i)), n.v, i)
@@ -346,7 +362,7 @@ def _accept(sub, i, cu, world):
     to_array(chosen(better, g1, from_array(n.f1, i)), n.f1, i)
     to_array(chosen(better, g2, from_array(n.f2, i)), n.f2, i)
     to_array(chosen(better, slope, from_array(n.motor_slope, i)), n.motor_slope, i)
-    _store_reaction(_chosen_reaction(better, trial, load_reaction(n, i)), n, i)
+    store_reaction(chosen_reaction(better, trial, load_reaction(n, i)), n, i)
     to_array(chosen(better, one, 0.4 * share), n.share, i)
     to_array(chosen(better, zero, tries + 1.0), n.tries, i)
     return better, last * (1.0 - better)
@@ -382,11 +398,11 @@ def _iterate(sub, i, world, h):
     to_array(u + share * du, e.try_u, i)
     to_array(chosen(seen, v + dv, v), n.v, i)
     to_array(chosen(seen, u + du, u), n.u, i)
-    _store_reaction(_chosen_reaction(seen, ahead, f), n, i)
+    store_reaction(chosen_reaction(seen, ahead, f), n, i)
     change = larger(abs(v - from_array(e.speed0, i)), abs(u - from_array(e.rim0, i)))
-    settled = failed * below(norm, _NEARLY) * below(norm, TOLERANCE + _OF_CHANGE * change)
+    settled = failed * below(norm, NEARLY) * below(norm, TOLERANCE + OF_CHANGE * change)
     to_array(larger(settled, there), n.converged, i)
-    return larger(larger(failed, there), below(_PASSES - 0.5, passes))
+    return larger(larger(failed, there), below(PASSES - 0.5, passes))
 
 
 @inlined

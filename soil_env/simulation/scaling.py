@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soil_env._io.loading import ParameterError
-from soil_env.simulation.task import LINES, ObservedNumber
+from soil_env.simulation.task import AXLES, LINES, ObservedNumber
 
-#: (centre, scale) in the unit of the entry, also of `ahead_NAME` and `beside_NAME`; (0, 1) of all others.
+#: (centre, scale) in the unit of the entry, also of a line's or an axle's; (0, 1) of all others.
 CENTRE_AND_SCALE = {
     "slip": (0.2, 0.3),
     "sinkage": (0.25, 0.15),
@@ -46,7 +46,8 @@ CENTRE_AND_SCALE = {
     "grade": (0.0, 0.15),
     "margin": (0.0, 0.1),
 }
-_PREFIXES = tuple(f"{line}_" for line in LINES)
+_OF_LINES = tuple(f"{line}_" for line in LINES)
+_PREFIXES = (*_OF_LINES, *(f"{axle}_" for axle in AXLES))
 _ALWAYS = "log10_sinkage_coefficient"
 
 
@@ -70,7 +71,7 @@ class Scaling:
         self._mark, self._kept = np.arange(len(names)), np.ones(len(names), dtype=np.float32)
         self._wide: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
         self._lines = []  # the entries of each line that are not 0 in sight
-        for line in _PREFIXES:
+        for line in _OF_LINES:
             if line + _ALWAYS in names:
                 columns = [k for k, n in enumerate(names) if n.startswith(line) and self.centre[k] != 0.0]
                 self._mark[columns], self._kept[columns] = names.index(line + _ALWAYS), 0.0

@@ -106,6 +106,7 @@ _AHEAD = {  # of the soil of a line ahead
     "true_soil": (*_TRUE, ObservedNumber("margin", "of weight", -2.0, 2.0)),
 }
 LINES = ("ahead", "beside")
+AXLES = ("front", "middle", "rear")  # of a rover, which has its own entries for each (`rover.task`)
 
 
 def _seen(classes: int, lines: int) -> list[ObservedNumber]:
@@ -205,6 +206,16 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
 
 
 @inlined
+def write_estimate(out, mean, sd, converged, task):
+    """Fill `out` [11] with what is identified of a soil: mean and sd [5] of (phi, ln K, ln S, c, ln gain)."""
+    out[0], out[1], out[2] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
+    out[3], out[4], out[5] = sd[0], sd[1], sd[2]
+    out[6] = 1.0 if converged else 0.0
+    out[7], out[8] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
+    out[9], out[10] = sd[3] / 1000.0, sd[4]
+
+
+@inlined
 def write_observation(out, state, counts, k, reading, courses, ids, memory, sight, task):
     """Fill the observation `out` [D] of wheel k, cut to the bounds of the layout."""
     out[0] = reading.slip
@@ -223,15 +234,10 @@ def write_observation(out, state, counts, k, reading, courses, ids, memory, sigh
     out[13] = state.rim_command[k]
     soils = out[_SENSORS:]
     if task.variant == 1:
-        mean, sd = ids.estimate[k], ids.sd[k]
-        soils[0], soils[1], soils[2] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
-        soils[3], soils[4], soils[5] = sd[0], sd[1], sd[2]
-        soils[6] = 1.0 if ids.status[k] == _CONVERGED else 0.0
-        soils[7], soils[8] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
-        soils[9], soils[10] = sd[3] / 1000.0, sd[4]
+        write_estimate(soils, ids.estimate[k], ids.sd[k], ids.status[k] == _CONVERGED, task)
     elif task.variant == 2:
         soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], task.border)
-        _write_soil(soils, soil)
+        write_soil(soils, soil)
     if task.camera.classes > 0:
         i = task.seen
         i += write_view(out[i:], state, counts, k, courses, sight, task.camera)
@@ -241,7 +247,7 @@ def write_observation(out, state, counts, k, reading, courses, ids, memory, sigh
 
 
 @inlined
-def _write_soil(out, soil):
+def write_soil(out, soil):
     """Fill `out` [7] with a true soil."""
     out[0] = math.atan(soil.tan_phi)
     out[1], out[2] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
@@ -254,7 +260,7 @@ def write_truth(out, state, counts, k, courses, memory, task):
     """Fill `out` with the entries of `truth`, from where the wheel truly is; `task` is that of `true_soil`."""
     x, edges = state.x[k], courses.edges
     soil, _, patch = ground_at(courses, k, x, counts.patch[k], task.border)
-    _write_soil(out, soil)
+    write_soil(out, soil)
     if task.camera.classes > 0:
         sight = Sight(patch, x - edges[k, patch], edges[k, patch + 1] - x)
         _write_ahead(out[7:], k, courses, memory, sight, task)
@@ -280,7 +286,7 @@ def _write_ahead(out, k, courses, memory, sight, task):
             o[9], o[10] = sd[3] / 1000.0, sd[4]
             o[11] = memory.capacity[k, label] - math.tan(seen_grade(courses, k, ahead, line))
         elif there and task.variant == 2:
-            _write_soil(o, row_soil(lines.soils[k, ahead, line]))
+            write_soil(o, row_soil(lines.soils[k, ahead, line]))
             o[7] = lines.capacities[k, ahead, line] - math.tan(seen_grade(courses, k, ahead, line))
 
 

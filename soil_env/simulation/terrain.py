@@ -175,8 +175,8 @@ def digging_ratio_of(slid, way, gain, recovery):
 
 
 @inlined
-def leave_rut(courses, k, cell, depth, dug):
+def leave_rut(courses, k, cell, depth, dug, compaction):
     """Mark a cell as driven over: its rut, `depth` [m], and soil compacted by rolling or loosened by digging."""
-    factor = courses.rut_factors[k, cell] * COMPACTION * dug**-LOOSENING
+    factor = courses.rut_factors[k, cell] * compaction * dug**-LOOSENING
     courses.rut_factors[k, cell] = min(max(factor, RUT_FACTOR_BOUNDS[0]), RUT_FACTOR_BOUNDS[1])
     courses.rut[k, cell] = max(courses.rut[k, cell], depth)

@@ -23,6 +23,7 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp, larger, power, smaller, where_less
+from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import between
 from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.parameters import Scenario
@@ -108,6 +109,7 @@ class WorldNumbers(NamedTuple):
     rim_step: float  # [of top rim speed] by which an action of 1 changes it in a control period; 0: it is the action
     lines: int  # between which the wheel may choose
     sight: float  # [m] before a patch from which its lines are seen
+    axles: int  # of the rover; 1: a wheel by itself
 
 
 def interaction_of(scenario: Scenario, model: WheelSoilModel | None = None) -> Interaction:
@@ -120,7 +122,7 @@ def interaction_of(scenario: Scenario, model: WheelSoilModel | None = None) -> I
     return interaction(rim, effects, law, scenario.gravity, density * scenario.gravity)
 
 
-def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> WorldNumbers:
+def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None, axles: int = 1) -> WorldNumbers:
     """Pack what `dynamics.advance` needs; `model` brings the effects that are on in this world."""
     w, c = scenario.wheel, scenario.control
     return WorldNumbers(
@@ -138,7 +140,26 @@ def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> Wo
         c.rim_acceleration * c.period / (w.radius * w.no_load_speed) if c.action == "rim_acceleration" else 0.0,
         scenario.course.lines,
         scenario.camera.range,
+        axles,
     )
+
+
+@inlined
+def course_of(k, axles):
+    """Row of the course that wheel k is on. Each block of eight wheels is of eight rovers, axle by axle."""
+    return k if axles == 1 else k // (COUNT * axles) * COUNT + k % COUNT
+
+
+@inlined
+def axle_of(k, axles):
+    """Axle of wheel k, from the front on."""
+    return 0 if axles == 1 else k // COUNT % axles
+
+
+@inlined
+def wheel_of(j, axle, axles):
+    """The wheel of rover j on an axle: the reverse of `course_of` and `axle_of`."""
+    return (j // COUNT * axles + axle) * COUNT + j % COUNT
 
 
 @inlined
@@ -216,16 +237,23 @@ def finish(state, counts, k, x_start, streams, world):
 @part
 def settle(state, counts, k, mass, courses, streams, world):
     """Put wheel k at rest at the start of its course, sunk in under its own load."""
+    settle_at(state, counts, k, 0.0, mass, courses, world)
+    state.next_halt[k] = between(streams, k, world.halt_low, world.halt_high)
+
+
+@part
+def settle_at(state, counts, k, x, mass, courses, world):
+    """Put wheel k at rest at x [m] of its course, sunk in under its own load."""
     wheel = world.wheel
-    soil, grade, patch = ground_at(courses, k, 0.0, 0, world.border)
+    soil, grade, patch = ground_at(courses, course_of(k, world.axles), x, 0, world.border)
     load = mass * wheel.gravity * math.cos(grade)
     rim, here = Rim(wheel.radius, wheel.width, wheel.grouser_height), Conditions(0.0, 1.0, math.sin(grade))
     rest = steady_with(0.0, load, soil, rim, here, wheel.unit_weight, wheel.effects, 0.0)
     zero_column(state, k)
     zero_column(counts, k)
+    state.x[k] = state.best_x[k] = state.lowest_x[k] = state.mark_x[k] = state.cell_x[k] = x
     state.sinkage[k] = state.bearing_sinkage[k] = max(rest.sinkage, SHALLOWEST * wheel.radius)
     state.rut_depth[k] = state.sinkage[k]
     state.mass[k], state.load[k], state.grade[k] = mass, load, grade
     state.available_torque[k] = world.stall_torque
-    state.next_halt[k] = between(streams, k, world.halt_low, world.halt_high)
-    counts.converged[k], counts.patch[k], counts.cell[k] = 1, patch, cell_at(courses, 0.0)
+    counts.converged[k], counts.patch[k], counts.cell[k] = 1, patch, cell_at(courses, x)

@@ -293,7 +293,8 @@ def true_soils(worlds, numbers, out):
         write_truth(out[k], worlds.state, worlds.counts, k, worlds.courses, worlds.memory, numbers.task)
 
 
-def _processors() -> int:
+def processors() -> int:
+    """Processors that this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -314,7 +315,7 @@ class Simulation:
         warnings: bool = False,
     ) -> None:
         self.scenario: Scenario = scenario
-        self._threads = threads or _processors()
+        self._threads = threads or processors()
         self._run = FastCall(step_chunks)
         self._commands, self._what = np.zeros(wheels), np.full(wheels, IDLE)
         self._counter = np.ones(2, dtype=np.int64)

@@ -329,13 +329,13 @@ def test_presets_are_drawn_by_weight():
 
 def test_rolling_compacts_digging_loosens_within_bounds(scenario):
     courses = terrain.new_courses(1, scenario)
-    terrain.leave_rut(courses, 0, 0, 0.02, 1.0)
-    terrain.leave_rut(courses, 0, 1, 0.06, 3.0)
+    terrain.leave_rut(courses, 0, 0, 0.02, 1.0, terrain.COMPACTION)
+    terrain.leave_rut(courses, 0, 1, 0.06, 3.0, terrain.COMPACTION)
     assert courses.rut_factors[0, 0] > 1.0 > courses.rut_factors[0, 1]
     assert courses.rut[0, 0] == pytest.approx(0.02) and courses.rut[0, 1] == pytest.approx(0.06)
     for _ in range(50):
-        terrain.leave_rut(courses, 0, 0, 0.02, 1.0)
-        terrain.leave_rut(courses, 0, 1, 0.06, 3.0)
+        terrain.leave_rut(courses, 0, 0, 0.02, 1.0, terrain.COMPACTION)
+        terrain.leave_rut(courses, 0, 1, 0.06, 3.0, terrain.COMPACTION)
     low, high = terrain.RUT_FACTOR_BOUNDS
     assert courses.rut_factors[0, 0] == pytest.approx(high) and courses.rut_factors[0, 1] == pytest.approx(low)
 

@@ -1,0 +1,358 @@
+"""What all environments of a course have in common: one course, or many side by side. Orchestration only."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from soil_env._io.loading import ParameterError, UnknownKeyword
+from soil_env.parameters import Scenario
+from soil_env.simulation.scaling import Scaling
+from soil_env.simulation.task import Cause, ObservedNumber
+
+_RUNNING = Cause.RUNNING.value
+
+
+def check_count(name: str, count: object) -> None:
+    """ParameterError unless `count` is a whole number of at least one."""
+    if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
+        raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
+
+
+def scenario_changes(
+    changes: dict[str, Any], action: str | None, repeat: int | None, own: tuple[str, ...], kind: type[Scenario]
+) -> dict[str, Any]:
+    """Keyword arguments of an environment as changes of a scenario of this `kind`; `own`: those that are none.
+
+    Raises UnknownKeyword for a name that is neither.
+    """
+    fields = tuple(f.name for f in dataclasses.fields(kind))
+    for key in changes:
+        if key not in fields:
+            raise UnknownKeyword(key, (*own, *fields))
+    given = {name: value for name, value in (("action", action), ("repeat", repeat)) if value is not None}
+    if not given:
+        return changes
+    control = changes.get("control", {})
+    if not isinstance(control, dict):
+        raise ParameterError(f"{next(iter(given))}: expected only where `control` is not given as an object")
+    return {**changes, "control": {**control, **given}}
+
+
+def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Actions of this shape, cut to [-1, 1]; ValueError if they are anything else."""
+    what = "action" if len(shape) == 1 else "actions"
+    try:
+        a = np.asarray(actions, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{what} = {actions!r:.80}: expected numbers in [-1, 1], shape {shape}") from None
+    if a.shape != shape:
+        raise ValueError(f"{what}: expected shape {shape}, got {a.shape}")
+    if not np.isfinite(a).all():
+        raise ValueError(f"{what} = {a.tolist()!r:.80}: expected finite numbers in [-1, 1]")
+    return a.clip(-1.0, 1.0)
+
+
+class View(Protocol):
+    """What draws a course."""
+
+    def clear(self) -> None:
+        """Forget the history."""
+
+    def record(self, simulation: Any, k: int) -> None:
+        """Add the present state to the history."""
+
+    def draw(self, simulation: Any, k: int) -> NDArray[np.uint8] | None:
+        """A frame, or none where it went to a window."""
+
+    def close(self) -> None:
+        """Close the window."""
+
+
+class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
+    """Base of the environments of one course; a subclass says what is simulated, told and drawn.
+
+    It sets `simulation` (with `seed`, `restart`, `worlds`) on construction.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
+    simulation: Any
+
+    def __init__(
+        self,
+        scenario: Any,
+        entries: Sequence[ObservedNumber],
+        variant: str,
+        actions: gymnasium.spaces.Box,
+        render_mode: str | None,
+        scaled: bool,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ParameterError(
+                f"render_mode = {render_mode!r}: expected one of {self.metadata['render_modes']} or None"
+            )
+        self.scenario = scenario
+        self.observation_variant = variant
+        self.observation_names: tuple[str, ...] = tuple(e.name for e in entries)
+        self.scaling: Scaling = Scaling(entries, scaled)
+        self.observation_space: gymnasium.spaces.Box = self.scaling.space
+        self.action_space: gymnasium.spaces.Box = actions
+        self._shape: tuple[int, ...] = actions.shape
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / scenario.control.duration))}
+        self._renderer: View | None = None
+        self._seeded = False
+        self._over = True
+        self._spec: EnvSpec | None = None
+
+    @abstractmethod
+    def _act(self, action: NDArray[np.float64]) -> None:
+        """One step with an action that is checked."""
+
+    @abstractmethod
+    def _info(self) -> dict[str, Any]:
+        """Info of now."""
+
+    @abstractmethod
+    def _new_view(self, mode: str) -> View:
+        """What draws, in this mode."""
+
+    def _begun(self) -> None:
+        """After a reset."""
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gymnasium.make` was given, with the length of an episode, which wrappers ask for."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None and spec.max_episode_steps is None:
+            spec = copy.deepcopy(spec)
+            spec.max_episode_steps = self.scenario.steps
+        self._spec = spec
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """New course, at rest at its start. `options` must be empty. Returns (observation, info)."""
+        super().reset(seed=seed)
+        if options:
+            raise ValueError(f"reset options {sorted(options)}: expected none; scenarios are set when the env is made")
+        if seed is not None or not self._seeded:
+            self.simulation.seed(0, self.np_random)
+            self._seeded = True
+        self.simulation.restart(0)
+        self._over = False
+        self._begun()
+        if self.render_mode is not None:
+            self._view().clear()
+            self._view().record(self.simulation, 0)
+            if self.render_mode == "human":
+                self.render()
+        return self.scaling(self.simulation.worlds.observation[0]), self._info()
+
+    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Drive as long as an action lasts. Returns (observation, reward, terminated, truncated, info)."""
+        if self._over:
+            raise gymnasium.error.ResetNeeded("step() before reset(), or after the end of the episode")
+        self._act(actions_of(action, self._shape))
+        worlds = self.simulation.worlds
+        cause = Cause(worlds.cause[0])
+        self._over = cause != Cause.RUNNING
+        if self.render_mode is not None:
+            self._view().record(self.simulation, 0)
+            if self.render_mode == "human":
+                self.render()
+        seen = self.scaling(worlds.observation[0])
+        return seen, float(worlds.reward[0]), self._over, False, self._info()
+
+    def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
+        """Observations [..., D] of this env in the units of the tables."""
+        return self.scaling.physical(observation)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""
+        if self.render_mode is None:
+            gymnasium.logger.warn(
+                "render() without a render_mode; make the env with render_mode='rgb_array' or 'human'."
+            )
+            return None
+        return self._view().draw(self.simulation, 0)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the window: a copy opens its own."""
+        return {**self.__dict__, "_renderer": None}
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _view(self) -> View:
+        if self._renderer is None:
+            assert self.render_mode is not None
+            self._renderer = self._new_view(self.render_mode)
+        return self._renderer
+
+
+class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
+    """Base of the environments of many courses; a subclass says what is simulated and told.
+
+    It sets `scenario` and `simulation` (with `seed`, `restart_where`, `worlds`) on construction.
+    """
+
+    simulation: Any
+    scenario: Any
+    _tells: bool  # whether there is any info
+
+    def __init__(
+        self,
+        num_envs: int,
+        autoreset_mode: str | AutoresetMode,
+        max_episode_steps: int | None,
+        threads: int | None,
+        render_mode: str | None,
+    ) -> None:
+        check_count("num_envs", num_envs)
+        for name, count in (("max_episode_steps", max_episode_steps), ("threads", threads)):
+            if count is not None:
+                check_count(name, count)
+        if render_mode is not None:
+            raise ParameterError("render_mode: the vector env does not render; use a single environment")
+        try:
+            mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            known = ", ".join(repr(m.value) for m in AutoresetMode)
+            raise ParameterError(f"autoreset_mode = {autoreset_mode!r}: expected one of {known}") from None
+        self.num_envs: int = int(num_envs)
+        self.metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": mode}
+        self.autoreset_mode = mode
+        self._most_steps = max_episode_steps
+        self._rngs: list[np.random.Generator | None] | None = None
+        self._done = np.ones(self.num_envs, dtype=np.bool_)
+
+    def _set_spaces(self, entries: Sequence[ObservedNumber], actions: gymnasium.spaces.Box, scaled: bool) -> None:
+        """Spaces of these entries and actions; `scenario` is there already."""
+        self.observation_names: tuple[str, ...] = tuple(e.name for e in entries)
+        self.scaling: Scaling = Scaling(entries, scaled)
+        self.single_observation_space: gymnasium.spaces.Box = self.scaling.space
+        self.single_action_space: gymnasium.spaces.Box = actions
+        self.observation_space: gymnasium.Space[Any] = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space: gymnasium.Space[Any] = batch_space(self.single_action_space, self.num_envs)
+        self._shape: tuple[int, ...] = (self.num_envs, *actions.shape)
+        held = self.scenario.control.held
+        # [control periods] after which an episode is truncated
+        self._longest = np.inf if self._most_steps is None else self._most_steps * held
+
+    @abstractmethod
+    def _act(self, actions: NDArray[np.float64], what: NDArray[np.int8]) -> None:
+        """One step with actions that are checked, or a restart, as `what` says."""
+
+    @abstractmethod
+    def _steps(self) -> NDArray[np.int64]:
+        """Control periods since the reset [N]."""
+
+    @abstractmethod
+    def _infos(self) -> dict[str, Any]:
+        """Info of now."""
+
+    @abstractmethod
+    def _final_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
+        """Info of the courses that have `ended` [N], before they are reset."""
+
+    def _renew(self, which: NDArray[np.bool_]) -> None:
+        """After the reset of the courses `which` [N]."""
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Reset all courses, or those of `options["reset_mask"]` [N] bool. Returns (observations, info)."""
+        mask, seeds = self._mask(options), self._seeds(seed)
+        if self._rngs is None:
+            self._rngs = [None] * self.num_envs
+        for k in np.flatnonzero(mask).tolist():
+            if seeds[k] is not None or self._rngs[k] is None:
+                rng, _ = gymnasium.utils.seeding.np_random(seeds[k])
+                self.simulation.seed(k, rng)
+                self._rngs[k] = rng
+        self.simulation.restart_where(mask)
+        self._done[mask] = False
+        self._renew(mask)
+        return self.scaling(self.simulation.worlds.observation), self._infos()
+
+    def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
+        """[N] which courses are reset."""
+        if options is not None and not isinstance(options, dict):
+            raise ValueError(f"reset options = {options!r:.80}: expected a dictionary")
+        options = dict(options or {})
+        given = options.pop("reset_mask", None)
+        if options:
+            raise ValueError(f"reset options {sorted(map(str, options))}: expected only 'reset_mask'")
+        if given is None:
+            return np.ones(self.num_envs, dtype=np.bool_)
+        mask = np.asarray(given)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+            raise ValueError(f"reset_mask: expected shape ({self.num_envs},) of bool, got {mask.shape} of {mask.dtype}")
+        return mask
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """A seed a course; counted up from a single one."""
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, (int, np.integer)):
+            return [int(seed) + k for k in range(self.num_envs)]
+        if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
+            raise ValueError(f"seed = {seed!r:.80}: expected a whole number, {self.num_envs} of them, or None")
+        if len(seed) != self.num_envs:
+            raise ValueError(f"seed: expected {self.num_envs} seeds, got {len(seed)}")
+        return [None if s is None else int(s) for s in seed]
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """One action for each course. Returns (observations, rewards, terminations, truncations, info)."""
+        if self._rngs is None:
+            raise gymnasium.error.ResetNeeded("step() before reset()")
+        commands = actions_of(actions, self._shape)
+        worlds = self.simulation.worlds
+        if self.autoreset_mode == AutoresetMode.DISABLED and self._done.any():
+            raise gymnasium.error.ResetNeeded("a course has ended: reset(options={'reset_mask': ...}) it first")
+        self._act(commands, self._done.view(np.int8))  # True restarts
+        terminated = worlds.cause != _RUNNING
+        truncated = ~terminated & (self._steps() >= self._longest)
+        np.logical_or(terminated, truncated, out=self._done)
+        reward = worlds.reward.copy()
+        finals: dict[str, Any] = {}
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and self._done.any():
+            finals = self._finals()
+            self.simulation.restart_where(self._done)
+            self._renew(self._done)
+            self._done[:] = False
+        return self.scaling(worlds.observation), reward, terminated, truncated, self._infos() | finals
+
+    def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
+        """Observations [..., D] of this env in the units of the tables."""
+        return self.scaling.physical(observation)
+
+    def _finals(self) -> dict[str, Any]:
+        """Last observations and infos of the courses that have ended, before they are reset."""
+        worlds, ended = self.simulation.worlds, self._done.copy()
+        final = np.full(self.num_envs, None, dtype=object)
+        for k in np.flatnonzero(ended):
+            final[k] = self.scaling(worlds.observation[k])
+        out: dict[str, Any] = {"final_obs": final, "_final_obs": ended}
+        if self._tells:
+            out |= {"final_info": self._final_infos(ended), "_final_info": ended.copy()}
+        return out

@@ -1,0 +1,1 @@
+"""A rover in time: its body on two or three axles of the wheels that `simulation` steps."""

@@ -1,0 +1,212 @@
+"""One control period of eight rovers in lanes: stages, soil and ruts of `simulation.dynamics`, axle by axle.
+
+A block of eight rovers has its wheels side by side, eight a axle from the front on (`wheel.wheel_of`), so that each
+operation acts on the same axle of eight rovers. They share no number: a rover alone gives what it gives among others.
+All wheels of a rover run over the same course, each leaving its rut to those behind it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import below, larger, smaller, where_less
+from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
+from soil_env._numba.rows import Rows, scratch_rows
+from soil_env.simulation.dynamics import (
+    FINEST,
+    MOST_STEPS,
+    REFINED_BEYOND,
+    STEP,
+    leave_ruts,
+    move,
+    stage_of,
+)
+from soil_env.simulation.newton import (
+    GAMMA,
+    Period,
+    Substep,
+    gather_ground,
+    new_equations,
+    new_footing,
+    new_newton,
+    new_nodes,
+)
+from soil_env.simulation.rover.body import angle_of, rise_of_body, sine_of
+from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds
+from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
+from soil_env.simulation.wheel import commanded, finish, wheel_of
+from soil_env.slip import slip_ratio
+from soil_env.terramechanics.reaction import REST_SPEED
+from soil_env.vehicle import MOST_AXLES
+
+_period, _changes = scratch_rows(Period, MOST_AXLES * COUNT), scratch(MOST_AXLES * COUNT)
+
+
+class Rovers(NamedTuple):
+    """State of many rovers, of their wheels (`wheel.wheel_of`) and of what axles have beside."""
+
+    body: Rows  # BodyState
+    body_counts: Rows  # BodyCounts
+    wheels: Rows  # WheelState
+    counts: Rows  # WheelCounts
+    axles: Rows  # AxleState
+
+
+@inlined
+def _climb(wheels, axles, ruts, k, before, grade):
+    """Height of the ground and depth of the rut under eight wheels that have moved from `before` [m] on."""
+    rise = (from_array(wheels.x, k) - before) * sine_of(grade)
+    to_array(from_array(axles.height, k) + rise, axles.height, k)
+    for i in range(k, k + COUNT):
+        axles.floor[i] = floor_at(ruts, i, wheels.x[i])
+
+
+@inlined
+def take_pitch(rovers, j, s):
+    """Pitch of the bodies of the eight rovers of which j is one, from where their wheels stand."""
+    block = j // COUNT * COUNT
+    to_array(angle_of(rise_of_body(rovers.wheels, rovers.axles, block * s.axles, s)), rovers.body.pitch, block)
+
+
+@part
+def _drive(rovers, block, period, courses, ruts, world, s, left, longest, anyhow):
+    """Steps of at most `longest` seconds for `left` seconds, of those of eight rovers that are alive in `period`.
+
+    A rover for which Newton's method fails stays as it was before that stage, with the rest of its time in
+    `period.left`; with `anyhow` = 1 it goes on.
+    """
+    body, wheels, axles, counts = rovers.body, rovers.wheels, rovers.axles, rovers.counts
+    sub, trial = Substep(new_footing(), new_equations(), new_nodes(), new_newton()), new_newton()
+    first = block * s.axles
+    while left > 1e-9 * longest:
+        h = min(longest, left)
+        for number in range(2):
+            stage = stage_of(number, h)
+            for a in range(s.axles):
+                gather_ground(
+                    wheels, counts, first, a * COUNT, period, sub.footing, courses, ruts, world, stage.duration
+                )
+            set_up(wheels, body, block, first, period, sub, world, s, GAMMA * h, stage.lead, stage.duration)
+            solve_speeds(sub, trial, period, world, s, GAMMA * h)
+            for a in range(s.axles):
+                i = a * COUNT
+                before = from_array(wheels.x, first + i)
+                move(wheels, first, i, period, sub, world, stage, anyhow)
+                _climb(wheels, axles, ruts, first + i, before, from_array(sub.footing.grade, i))
+            take_pitch(rovers, block, s)
+            for i in range(s.axles * COUNT):
+                if period.alive[i] > 0.0:
+                    gain, recovery = sub.footing.dig_gain[i], sub.footing.dig_recovery[i]
+                    cell = counts.cell[first + i]
+                    leave_ruts(wheels, counts, first + i, ruts, gain, recovery, COMPACTION_OF_RUT)
+                    pass_on(ruts, first + i, s.axles - 1 - i // COUNT, cell, counts.cell[first + i])
+        left -= h
+
+
+@part
+def _drive_alone(rovers, block, lane, period, courses, ruts, world, s):
+    """The rest of the control period of one rover of a block, by steps halved while Newton's method fails."""
+    longest, end = world.period / (world.substeps * period.steps[lane]), s.axles * COUNT
+    for i in range(end):
+        period.alive[i] = 0.0
+    left, h = period.left[lane], longest
+    while left > 1e-9 * longest:
+        h = min(h, left)
+        finest = h <= longest / FINEST
+        for i in range(lane, end, COUNT):
+            period.alive[i], period.left[i] = 1.0, h
+        _drive(rovers, block, period, courses, ruts, world, s, h, h, 1.0 if finest else 0.0)
+        failed = period.alive[lane] == 0.0
+        left -= h - (period.left[lane] if failed else 0.0)
+        h = 0.5 * h if failed else longest
+    for i in range(lane, end, COUNT):
+        period.left[i] = 0.0
+
+
+@inlined
+def _choose_steps(rovers, block, period, world, s):
+    """Steps that eight rovers take in this control period where others take one (`newton.change_ahead`)."""
+    wheels, body, first = rovers.wheels, rovers.body, block * s.axles
+    changes, top = _changes(), world.wheel.radius * world.no_load_speed
+    dv = foresee(
+        wheels, first, period, world, s, world.period / world.substeps, from_array(body.mass, block), 0.0, changes
+    )  # fmt: skip
+    change = abs(dv)
+    for a in range(s.axles):
+        i, k = a * COUNT, first + a * COUNT
+        du = abs(from_array(changes, i))
+        follow = abs(from_array(period.command, i) * top - world.wheel.radius * from_array(wheels.wheel_speed, k))
+        change = larger(change, where_less(0.5, from_array(period.by_speed, i), smaller(du, follow), du))
+    steps, driven = fill(1.0), below(from_array(body.halt_left, block), 1e-9)
+    for limit in REFINED_BEYOND:
+        steps = steps * (1.0 + driven * below(limit * top, change))
+    for a in range(s.axles):
+        to_array(steps, period.steps, a * COUNT)
+
+
+@part
+def advance(rovers, block, what, commands, courses, ruts, streams, world, s):
+    """One control period of those of the rovers `block` ... `block` + 7 with what[j] = STEP.
+
+    `commands` [wheels] in [-1, 1]: actions, see `wheel.commanded`. During a halt the drive ignores them and holds the
+    wheels. `rovers`, `courses`, `ruts` and `streams` are renewed in place.
+    """
+    body, wheels, period = rovers.body, rovers.wheels, _period()
+    first, end = block * s.axles, s.axles * COUNT
+    for i in range(end):
+        k, j = first + i, block + i % COUNT
+        going = j < what.size and what[j] == STEP
+        period.left[i], period.clean[i] = (world.period, 1.0) if going else (0.0, 1.0)
+        period.start[i] = period.command[i] = period.by_speed[i] = 0.0
+        period.speed_before[i] = period.rim_before[i] = 0.0
+        if going:
+            halted = body.halt_left[j] > 0.0
+            period.start[i] = wheels.x[k]
+            period.command[i] = commanded(wheels, k, commands[k], halted, world)
+            period.by_speed[i] = 1.0 if halted or world.speed_command else 0.0
+            wheels.motor_work[k] = wheels.soil_work[k] = wheels.numerical_work[k] = 0.0
+    _choose_steps(rovers, block, period, world, s)
+    steps = 1
+    while steps <= MOST_STEPS:
+        going = 0.0
+        for i in range(end):
+            period.alive[i] = 1.0 if period.left[i] > 0.0 and period.steps[i] == steps else 0.0
+            going += period.alive[i]
+        if going > 0.0:
+            longest = world.period / (world.substeps * steps)
+            _drive(rovers, block, period, courses, ruts, world, s, world.period, longest, 0.0)
+            for i in range(end):  # those that are there; what is left of the others is a failed step
+                if period.alive[i] > 0.0:
+                    period.left[i] = 0.0
+        steps *= 2
+    for lane in range(min(COUNT, what.size - block)):
+        if what[block + lane] == STEP:
+            if period.left[lane] > 0.0:
+                _drive_alone(rovers, block, lane, period, courses, ruts, world, s)
+            rovers.body_counts.converged[block + lane] = 1 if period.clean[lane] > 0.0 else 0
+            _as_a_whole(rovers, block + lane, period, lane, streams, world, s)
+
+
+@inlined
+def _as_a_whole(rovers, j, period, lane, streams, world, s):
+    """The end of a control period of rover j, in a lane of its block."""
+    body, wheels = rovers.body, rovers.wheels
+    fastest = slip = deepest = pull = work = 0.0
+    for a in range(s.axles):
+        k = wheel_of(j, a, s.axles)
+        rim = wheels.wheel_speed[k]
+        wheels.slip[k] = slip_ratio(rim * world.wheel.radius, wheels.speed[k], REST_SPEED)
+        wheels.travel[k] = wheels.x[k] - period.start[a * COUNT + lane]
+        fastest = rim if abs(rim) > abs(fastest) else fastest
+        slip += wheels.slip[k]
+        deepest = max(deepest, wheels.sinkage[k] + rovers.axles.floor[k])
+        pull += wheels.drawbar_pull[k]
+        work += max(wheels.motor_work[k], 0.0)
+    rear = wheel_of(j, s.axles - 1, s.axles)
+    start = body.x[j]
+    body.x[j], body.speed[j], body.wheel_speed[j] = wheels.x[rear], wheels.speed[rear], fastest
+    body.best_x[j] = max(body.best_x[j], body.x[j])
+    body.sinkage[j], body.drawbar_pull[j], body.motor_work[j] = deepest, pull, work
+    finish(body, rovers.body_counts, j, start, streams, world)
+    body.slip[j] = slip / s.axles

@@ -1,0 +1,235 @@
+"""Newton's method for the speeds of a stage of a step of eight rovers in lanes: one of travel, one of rotation an axle.
+
+    V = V* + h/M sum (DP - m g sin(grade)),   u = u* + h r/J (T_motor - T) for each axle
+
+The equation of each axle has its own u and V only, so a step of Newton's method is the elimination of all u, at a cost
+that is linear in the axles. Stages and reaction are those of `simulation.newton`.
+"""
+
+from __future__ import annotations
+
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import below, chosen, larger, root
+from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
+from soil_env.simulation.newton import (
+    HUGE,
+    NEARLY,
+    OF_CHANGE,
+    PASSES,
+    SHORT,
+    TOLERANCE,
+    TRIES,
+    behind,
+    chosen_reaction,
+    load_reaction,
+    reaction_at,
+    stand,
+    store_reaction,
+)
+from soil_env.simulation.rover.body import bear, sine_of
+from soil_env.simulation.wheel import motor
+from soil_env.terramechanics.reaction import REST_SPEED, Reaction
+
+_LEAST_PIVOT = 1e-12
+
+
+@inlined
+def _apart(x):
+    """`x` away from 0, where it is divided by."""
+    return chosen(below(_LEAST_PIVOT, abs(x)), x, _LEAST_PIVOT)
+
+
+@inlined
+def _eliminate(pull_by_u, torque_by_v, net_by_u, f2, cu):
+    """What the equation of an axle's rotation adds to that of travel: (slope, residual), of V and times h/M."""
+    pivot = _apart(1.0 + cu * net_by_u)
+    return pull_by_u * cu * torque_by_v / pivot, pull_by_u * f2 / pivot
+
+
+@inlined
+def _turned(dv, torque_by_v, net_by_u, f2, cu):
+    """Change of the rim speed of an axle with a change `dv` of travel."""
+    return -(f2 + cu * torque_by_v * dv) / _apart(1.0 + cu * net_by_u)
+
+
+@inlined
+def _foreseen_rim(wheels, k, period, i, back_u, cu, world):
+    """(residual [m/s], d(T - T_motor)/du) of the wheels in columns k on, by the reaction of the last stage."""
+    command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
+    torque, slope, _ = motor(command, by_speed, from_array(wheels.wheel_speed, k), world)
+    net = from_array(wheels.torque_by_rim, k) - slope / world.wheel.radius
+    return back_u - cu * (torque - from_array(wheels.torque, k)), net
+
+
+@inlined
+def foresee(wheels, first, period, world, s, h, mass, lead, changes):
+    """Change of V [m/s] of eight rovers in h seconds by the reaction of the last stage to first order, and those of the
+    rim speeds into `changes`, eight an axle; the stage begins at speeds as `newton.behind` says."""
+    cv, cu = h / mass, h * world.wheel.radius / world.inertia
+    back_v, _ = behind(wheels, first, 0, period, world, lead)
+    f1, slope = back_v, fill(1.0)
+    for a in range(s.axles):
+        i, k = a * COUNT, first + a * COUNT
+        _, back_u = behind(wheels, k, i, period, world, lead)
+        f2, net = _foreseen_rim(wheels, k, period, i, back_u, cu, world)
+        along = world.wheel.gravity * from_array(wheels.mass, k) * sine_of(from_array(wheels.grade, k))
+        by_slope, by_residual = _eliminate(
+            from_array(wheels.pull_by_rim, k), from_array(wheels.torque_by_speed, k), net, f2, cu
+        )  # fmt: skip
+        slope = slope - cv * (from_array(wheels.pull_by_speed, k) - by_slope)
+        f1 = f1 - cv * (from_array(wheels.drawbar_pull, k) - along - by_residual)
+    dv = -1.0 * f1 / _apart(slope)
+    for a in range(s.axles):
+        i, k = a * COUNT, first + a * COUNT
+        _, back_u = behind(wheels, k, i, period, world, lead)
+        f2, net = _foreseen_rim(wheels, k, period, i, back_u, cu, world)
+        to_array(_turned(dv, from_array(wheels.torque_by_speed, k), net, f2, cu), changes, i)
+    return dv
+
+
+@inlined
+def set_up(wheels, body, block, first, period, sub, world, s, h, lead, duration):
+    """The equations of a stage of eight rovers, and where Newton's method starts."""
+    e, mass = sub.equations, from_array(body.mass, block)
+    for a in range(s.axles):
+        stand(wheels, first, a * COUNT, sub, world, duration)
+    pitch = sine_of(from_array(body.pitch, block))
+    bear(wheels, first, world.wheel.gravity * mass * root(1.0 - pitch * pitch), s, e.load)
+    dv = foresee(wheels, first, period, world, s, h, mass, lead, e.try_u)
+    short = fill(1.0)
+    for a in range(s.axles):
+        i, k = a * COUNT, first + a * COUNT
+        rim = world.wheel.radius * from_array(wheels.wheel_speed, k)
+        change = larger(abs(dv), abs(from_array(e.try_u, i)))
+        short = short * below(change, SHORT * (abs(rim) + REST_SPEED))
+    for a in range(s.axles):
+        i, k = a * COUNT, first + a * COUNT
+        speed, rim = from_array(wheels.speed, k), world.wheel.radius * from_array(wheels.wheel_speed, k)
+        back_v, back_u = behind(wheels, k, i, period, world, lead)
+        to_array(speed - back_v, e.speed0, i)
+        to_array(rim - back_u, e.rim0, i)
+        to_array(h / mass, e.gain_v, i)
+        to_array(from_array(period.command, i), e.command, i)
+        to_array(from_array(period.by_speed, i), e.by_speed, i)
+        to_array(speed + short * dv, e.try_v, i)
+        to_array(rim + short * from_array(e.try_u, i), e.try_u, i)
+
+
+# --- the iteration ----------------------------------------------------------------------------------------------------
+
+
+@inlined
+def _evaluate(sub, trial, cu, world, s):
+    """The reaction to the speeds to try, into `trial`; the largest residual [m/s]."""
+    e, along, largest = sub.equations, fill(0.0), fill(0.0)
+    v = from_array(e.try_v, 0)
+    for a in range(s.axles):
+        i = a * COUNT
+        u = from_array(e.try_u, i)
+        f = reaction_at(v, u, sub, i, world.wheel)
+        torque, slope, _ = motor(
+            from_array(e.command, i), from_array(e.by_speed, i), u / world.wheel.radius, world
+        )  # fmt: skip
+        residual = u - from_array(e.rim0, i) - cu * (torque - f.torque)
+        along = along + (f.drawbar_pull - from_array(e.weight_along, i))
+        largest = larger(largest, abs(residual))
+        store_reaction(f, trial, i)
+        to_array(u, trial.u, i)
+        to_array(residual, trial.f2, i)
+        to_array(slope, trial.motor_slope, i)
+    residual = v - from_array(e.speed0, 0) - from_array(e.gain_v, 0) * along
+    to_array(residual, trial.f1, 0)
+    return larger(largest, abs(residual))
+
+
+@inlined
+def _keep_better(sub, trial, better, s):
+    """Take over what was tried in lanes where it is better."""
+    n = sub.newton
+    to_array(chosen(better, from_array(sub.equations.try_v, 0), from_array(n.v, 0)), n.v, 0)
+    to_array(chosen(better, from_array(trial.f1, 0), from_array(n.f1, 0)), n.f1, 0)
+    for a in range(s.axles):
+        i = a * COUNT
+        to_array(chosen(better, from_array(trial.u, i), from_array(n.u, i)), n.u, i)
+        to_array(chosen(better, from_array(trial.f2, i), from_array(n.f2, i)), n.f2, i)
+        to_array(chosen(better, from_array(trial.motor_slope, i), from_array(n.motor_slope, i)), n.motor_slope, i)
+        store_reaction(chosen_reaction(better, load_reaction(trial, i), load_reaction(n, i)), n, i)
+
+
+@inlined
+def _try_next(sub, share, cu, world, s):
+    """The speeds to try next: a share of the step of Newton's method from the best so far."""
+    e, n, r = sub.equations, sub.newton, world.wheel.radius
+    cv = from_array(e.gain_v, 0)
+    f1, slope = from_array(n.f1, 0), fill(1.0)
+    for a in range(s.axles):
+        i = a * COUNT
+        f = load_reaction(n, i)
+        net = f.torque_u - from_array(n.motor_slope, i) / r
+        by_slope, by_residual = _eliminate(f.dp_u, f.torque_v, net, from_array(n.f2, i), cu)
+        slope = slope - cv * (f.dp_v - by_slope)
+        f1 = f1 + cv * by_residual
+    dv = -1.0 * f1 / _apart(slope)
+    to_array(from_array(n.v, 0) + share * dv, e.try_v, 0)
+    for a in range(s.axles):
+        i = a * COUNT
+        f = load_reaction(n, i)
+        net = f.torque_u - from_array(n.motor_slope, i) / r
+        du = _turned(dv, f.torque_v, net, from_array(n.f2, i), cu)
+        to_array(from_array(n.u, i) + share * du, e.try_u, i)
+
+
+@inlined
+def _begin(sub, s):
+    """State of the iteration at its start."""
+    n, zero = sub.newton, fill(0.0)
+    for a in range(s.axles):
+        i = a * COUNT
+        to_array(from_array(sub.equations.speed0, i), n.v, i)
+        to_array(from_array(sub.equations.rim0, i), n.u, i)
+        store_reaction(Reaction(zero, zero, zero, zero, zero, zero, zero, zero, zero, zero), n, i)
+        to_array(zero, n.f2, i)
+        to_array(zero, n.motor_slope, i)
+    to_array(zero, n.f1, 0)
+
+
+@inlined
+def _largest_change(sub, s):
+    """Of all speeds of eight rovers since the start of the stage [m/s]."""
+    e, n = sub.equations, sub.newton
+    change = abs(from_array(n.v, 0) - from_array(e.speed0, 0))
+    for a in range(s.axles):
+        change = larger(change, abs(from_array(n.u, a * COUNT) - from_array(e.rim0, a * COUNT)))
+    return change
+
+
+@part
+def solve_speeds(sub, trial, period, world, s, h):
+    """The speeds and reactions at the end of a stage of eight rovers, into `sub.newton`, with `converged` for each.
+
+    As in `simulation.newton`, a step that does not reduce the largest residual is shortened. Rovers that have ended
+    stay as they are while others go on.
+    """
+    n, cu = sub.newton, h * world.wheel.radius / world.inertia
+    _begin(sub, s)
+    going, converged = from_array(period.alive, 0), fill(0.0)
+    norm, share, tries = fill(HUGE), fill(1.0), fill(0.0)
+    for _ in range(PASSES):
+        reached = _evaluate(sub, trial, cu, world, s)
+        last = below(TRIES - 1.5, tries)
+        better = going * below(reached, norm * chosen(last, fill(1.0), 1.0 - 0.1 * share))
+        _keep_better(sub, trial, better, s)
+        norm = chosen(better, reached, norm)
+        failed = going * last * (1.0 - better)
+        there = going * better * below(norm, TOLERANCE)
+        settled = failed * below(norm, NEARLY) * below(norm, TOLERANCE + OF_CHANGE * _largest_change(sub, s))
+        converged = larger(converged, larger(there, settled))
+        going = going * (1.0 - larger(there, failed))
+        if bits(going) == 0:
+            break
+        share = chosen(better, fill(1.0), 0.4 * share)
+        tries = chosen(better, fill(0.0), tries + 1.0)
+        _try_next(sub, share, cu, world, s)
+    for a in range(s.axles):
+        to_array(from_array(n.v, 0), n.v, a * COUNT)
+        to_array(converged, n.converged, a * COUNT)

@@ -1,0 +1,105 @@
+"""What a rover's agent observes: readings of the body and of each axle, and what is known of the soil under each.
+
+Reward, causes of an end, halts and odometry are those of `simulation.task` for the rover as a whole, whose state has
+the same names (`body.BodyState`). A wheel that is stuck is no end as long as the rover gets on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._numba.compiling import inlined
+from soil_env.identification import Status
+from soil_env.simulation.task import (
+    AXLES,
+    ObservedNumber,
+    TaskNumbers,
+    layout,
+    task_numbers,
+    write_estimate,
+    write_soil,
+)
+from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.wheel import wheel_of
+from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.vehicle import RoverScenario
+
+_CONVERGED = Status.CONVERGED.value
+_OF_BODY = ("speed", "pitch", "acceleration", "odometry", "halted")
+_OF_AXLE = (
+    "slip", "sinkage", "drawbar_pull", "load", "torque", "rim_speed", "motor_torque", "last_action", "rim_command",
+)  # fmt: skip
+
+
+def axle_names(axles: int) -> tuple[str, ...]:
+    """Names of the axles of a rover, from the front on."""
+    return AXLES if axles == 3 else (AXLES[0], AXLES[2])
+
+
+def rover_layout(variant: str, axles: int) -> tuple[ObservedNumber, ...]:
+    """The observation of a variant, number by number; the first entries are those of `blind` in every variant."""
+    wheel = {e.name: e for e in layout(variant)}
+    known = [e for e in layout(variant) if e.name not in {b.name for b in layout("blind")}]
+    entries = [wheel[name] for name in _OF_BODY]
+    for of_axle in ([wheel[name] for name in _OF_AXLE], known):
+        entries += [replace(e, name=f"{axle}_{e.name}") for axle in axle_names(axles) for e in of_axle]
+    return tuple(entries)
+
+
+def rover_task_numbers(scenario: RoverScenario, variant: str, model: WheelSoilModel | None = None) -> TaskNumbers:
+    """`task_numbers` with the bounds of a rover's observation."""
+    entries = rover_layout(variant, scenario.axles)
+    low, high = (np.array([getattr(e, side) for e in entries], dtype=np.float32) for side in ("low", "high"))
+    return task_numbers(scenario, variant, model)._replace(low=low, high=high)
+
+
+class BodyReading(NamedTuple):
+    """Readings of a rover's body."""
+
+    speed: float  # [m/s]
+    pitch: float  # [rad], front up positive
+    acceleration: float  # [m/s2] of an accelerometer along the course: that of travel, and of gravity
+
+
+@inlined
+def write_body(out, body, j, reading, task):
+    """Fill the first entries of `out` with the readings of rover j as a whole."""
+    out[0] = reading.speed / task.top_speed
+    out[1] = reading.pitch
+    out[2] = reading.acceleration / task.gravity
+    out[3] = body.odometer[j] / task.length
+    out[4] = 1.0 if body.halt_left[j] > 0.0 else 0.0
+
+
+@inlined
+def write_axle(out, wheels, k, axle, reading, task):
+    """Fill the entries of an axle with the readings of its wheel k."""
+    o = out[5 + 9 * axle :]
+    twist = task.weight * task.radius
+    o[0], o[1] = reading.slip, reading.sinkage / task.radius
+    o[2], o[3] = reading.drawbar_pull / task.weight, reading.load / task.weight
+    o[4], o[5] = reading.torque / twist, reading.rim_speed / task.top_speed
+    o[6], o[7], o[8] = reading.motor_torque / twist, wheels.last_action[k], wheels.rim_command[k]
+
+
+@inlined
+def write_soils(out, j, axles, wheels, counts, courses, known, task):
+    """Fill what the variant knows of the soil under each axle of rover j, and cut all to the bounds of the layout.
+
+    `known`: estimate [wheels, 5], sd [wheels, 5] and status [wheels] of the soil under each wheel.
+    """
+    first = 5 + 9 * axles
+    for axle in range(axles):
+        k = wheel_of(j, axle, axles)
+        if task.variant == 1:
+            write_estimate(
+                out[first + 11 * axle :], known.estimate[k], known.sd[k], known.status[k] == _CONVERGED, task
+            )
+        elif task.variant == 2:
+            soil, _, _ = ground_at(courses, j, wheels.x[k], counts.patch[k], task.border)
+            write_soil(out[first + 7 * axle :], soil)
+    for i in range(out.size):
+        out[i] = min(max(out[i], task.low[i]), task.high[i])
