@@ -176,7 +176,11 @@ def digging_ratio_of(slid, way, gain, recovery):
 
 @inlined
 def leave_rut(courses, k, cell, depth, dug, compaction):
-    """Mark a cell as driven over: its rut, `depth` [m], and soil compacted by rolling or loosened by digging."""
+    """Mark a cell as driven over: its rut, `depth` [m], and soil compacted by rolling or loosened by digging.
+
+    `compaction`: the factor on S of a wheel that rolls without digging.
+    """
     factor = courses.rut_factors[k, cell] * compaction * dug**-LOOSENING
-    courses.rut_factors[k, cell] = min(max(factor, RUT_FACTOR_BOUNDS[0]), RUT_FACTOR_BOUNDS[1])
+    highest = max(RUT_FACTOR_BOUNDS[1], compaction)
+    courses.rut_factors[k, cell] = min(max(factor, RUT_FACTOR_BOUNDS[0]), highest)
     courses.rut[k, cell] = max(courses.rut[k, cell], depth)

@@ -1,0 +1,218 @@
+"""A rover's body and its coupled wheels: equilibrium, steady state, energy, step size, ruts left to wheels behind."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from soil_env.simulation.rover.body import LEAST_LOAD
+from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, new_ruts, pass_on
+from soil_env.simulation.rover.worlds import RoverSimulation
+from soil_env.simulation.terrain import CELL, CELLS_BEHIND, LOOSENING
+from soil_env.simulation.wheel import axle_of, course_of, wheel_of
+from soil_env.simulation.worlds import IDLE, STEP
+from soil_env.terramechanics.steady import steady_state
+from soil_env.vehicle import load_rover, rover_names
+from tests.simulation.rover.rovers import begun, driven, now, uniform
+
+
+def left_over(simulation, a):
+    """(sum of loads, moment about the centre of mass, moment about the bogie's pivot) that nothing balances, over the
+    weight and over weight times base."""
+    v, w = simulation.scenario.vehicle, a.wheel
+    weight = a.body["mass"] * simulation.scenario.gravity
+    arm = v.centre - np.array(v.axles)
+    off = [w["load"].sum() / weight - math.cos(a.body["pitch"])]
+    off.append((w["load"] * arm + w["drawbar_pull"] * v.centre_height + w["torque"]).sum() / (weight * v.base))
+    if v.bogie != "none":
+        on = slice(v.first_on_bogie, v.first_on_bogie + 2)
+        about = w["load"] * (arm - (v.centre - v.pivot)) + w["drawbar_pull"] * v.pivot_height + w["torque"]
+        off.append(about[on].sum() / (weight * v.base))
+    return np.array(off)
+
+
+ON_FRONT = {"bogie": "front", "axles": [0.0, 1.074, 2.258], "centre": 1.258, "pivot": 0.623}
+
+
+@pytest.fixture(
+    scope="module",
+    params=[("lunar_micro_rover", {}), ("mars_rover", {}), ("mars_rover", {"vehicle": ON_FRONT})],
+    ids=["two axles", "bogie behind", "bogie in front"],
+)
+def climbing(request):
+    """A rover that has driven up a slope of 8 degrees until nothing changes."""
+    name, changes = request.param
+    simulation = begun(uniform(name, grade_deg=8.0, **changes))
+    return simulation, driven(simulation, 0.5, 300)
+
+
+def test_loads_are_in_equilibrium(climbing):
+    simulation, a = climbing
+    assert a.body["x"] > 2.0 and np.all(np.abs(left_over(simulation, a)) < 2e-4)
+
+
+def test_pulls_carry_the_weight_along_the_slope(climbing):
+    simulation, a = climbing
+    along = a.body["mass"] * simulation.scenario.gravity * math.sin(math.radians(8.0))
+    assert a.wheel["drawbar_pull"].sum() == pytest.approx(along, rel=1e-3)
+    assert np.all(a.wheel["grade"] == math.radians(8.0))
+
+
+def test_each_wheel_is_in_the_steady_state_of_its_slip_and_load(climbing):
+    """The solver of steady states, which knows nothing of time, as the judge; behind a wheel on what it has left."""
+    simulation, a = climbing
+    scenario, w = simulation.scenario, a.wheel
+    soil = scenario.library["dry_sand"].state(scenario.wheel.width)
+    for i, k in enumerate(simulation.wheels[0]):
+        cell = int(w["x"][i] / CELL) + CELLS_BEHIND
+        left = soil.sinkage_coefficient * float(simulation.worlds.ruts.rut_factors[k, cell])
+        here = soil._replace(sinkage_coefficient=left)
+        steady = steady_state(w["slip"][i], w["load"][i], here, scenario.wheel.radius, scenario.wheel.width)
+        assert w["sinkage"][i] == pytest.approx(steady.sinkage, rel=0.04 if i else 2e-3)
+        assert w["drawbar_pull"][i] == pytest.approx(steady.drawbar_pull, rel=0.02 if i else 1e-3)
+        assert w["torque"][i] == pytest.approx(steady.torque, rel=0.02 if i else 1e-3)
+    assert a.wheel["floor"][0] == 0.0
+    assert a.wheel["floor"][1] == pytest.approx(w["sinkage"][0], rel=0.02)
+
+
+def test_climbing_takes_load_from_the_front(climbing):
+    simulation, a = climbing
+    level = np.array(simulation.scenario.vehicle.shares) * a.wheel["load"].sum()
+    assert a.wheel["load"][0] < level[0] and a.wheel["load"][-1] > level[-1]
+
+
+def test_the_body_pitches_with_the_slope_and_with_the_ruts(climbing):
+    simulation, a = climbing
+    depth = a.wheel["sinkage"] + a.wheel["floor"]
+    v = simulation.scenario.vehicle
+    if v.bogie == "none":
+        expected = math.sin(math.radians(8.0)) + (depth[1] - depth[0]) / v.base
+        assert math.sin(a.body["pitch"]) == pytest.approx(expected, abs=1e-6)
+    assert math.radians(8.0) < a.body["pitch"] < math.radians(12.0)
+
+
+@pytest.mark.parametrize("name", rover_names())
+def test_at_rest_each_axle_bears_its_share(name):
+    scenario = uniform(name)
+    a = driven(begun(scenario), 0.0, 30)
+    assert a.wheel["load"] / a.wheel["load"].sum() == pytest.approx(np.array(scenario.vehicle.shares), abs=5e-3)
+    assert abs(a.body["speed"]) < 1e-3
+
+
+def test_no_axle_lifts_off():
+    scenario = uniform("lunar_micro_rover", grade_deg=8.0, vehicle={"centre_height": 1.5})
+    loads = driven(begun(scenario), 0.3, 50).wheel["load"]
+    assert np.all(loads >= 0.99 * LEAST_LOAD / 2 * loads.sum()) and loads[0] < 0.03 * loads.sum()
+
+
+def test_energy_is_accounted_for():
+    """Work of the motors less that on soil, of height, of speed, and of the integrator, over every period."""
+    simulation = begun(load_rover("mars_rover", {"control": {"action": "wheel_speed"}}), seed=3)
+    world, w0 = simulation.numbers.world, now(simulation)
+    rng = np.random.default_rng(0)
+    for t in range(150):
+        if t % 10 == 0:
+            command = rng.uniform(0.1, 0.6, 3)
+        w1 = driven(simulation, command, 1)
+        a, b = w1.wheel, w0.wheel
+        kinetic = 0.5 * (a["mass"] * (a["speed"] ** 2 - b["speed"] ** 2)).sum()
+        kinetic += 0.5 * world.inertia * (a["wheel_speed"] ** 2 - b["wheel_speed"] ** 2).sum()
+        rise = (a["mass"] * simulation.scenario.gravity * (a["height"] - b["height"])).sum()
+        missing = (a["motor_work"] - a["soil_work"] - a["numerical_work"]).sum() - kinetic - rise
+        assert abs(missing) < 1e-3 * max(np.abs(a["motor_work"]).sum(), 1.0)
+        assert np.ptp(a["speed"]) == 0.0
+        w0 = w1
+
+
+def course(seed, refine, rover):
+    """x, speed, sinkages and loads over 30 s of a random course without halts, its steps divided by `refine`."""
+    simulation = begun(load_rover(rover, {"control": {"action": "wheel_speed"}}), seed)
+    simulation.worlds.rovers.body.next_halt = 1e9
+    world = simulation.numbers.world
+    simulation.numbers = simulation.numbers._replace(world=world._replace(substeps=world.substeps * refine))
+    rows = []
+    for t in range(300):
+        a = driven(simulation, 0.4 + 0.1 * math.sin(0.05 * t), 1)
+        rows.append([a.body["x"], a.body["speed"], *a.wheel["sinkage"], *a.wheel["load"]])
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("rover", ["lunar_micro_rover", "mars_rover"])
+def test_halving_the_step_changes_little(rover):
+    changes = []
+    for seed in range(3):
+        rows = [course(seed, refine, rover) for refine in (1, 2, 4)]
+        scale = np.abs(rows[-1]).max(axis=0)
+        changes.append([np.sqrt(np.mean((a - b) ** 2, axis=0)) / scale for a, b in zip(rows, rows[1:], strict=False)])
+    first, second = np.mean(changes, axis=0)
+    assert np.all(first < 0.01)
+    moving = slice(None, 2 + load_rover(rover).axles)  # loads follow a step behind
+    assert np.all(second[moving] < 0.8 * first[moving])
+
+
+# --- ruts -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_wheel_that_rolls_leaves_a_stiffer_floor_on_which_the_next_sinks_less():
+    """Without digging; z goes with (W/S)^(2/(2n + 1)) (Bekker 1969), here n = 1."""
+    soil = {"friction_angle_deg": 33.0, "cohesion": 500.0, "shear_modulus": 0.01, "sinkage_exponent": 1.0}
+    own = {"even": soil | {"sinkage_coefficient": 1e6}}
+    vehicle = {"centre_height": -0.1}  # on the ground: pulls do not shift the loads
+    scenario = uniform("lunar_micro_rover", "even", own_soils=own, vehicle=vehicle)
+    a = driven(begun(scenario), 0.3, 200)
+    per_load = a.wheel["sinkage"] / a.wheel["load"] ** (2.0 / 3.0)
+    assert per_load[1] / per_load[0] == pytest.approx(COMPACTION_OF_RUT ** (-2.0 / 3.0), rel=0.02)
+    assert 2.0 ** (1 / 4) < 1.0 + per_load[1] / per_load[0] < 2.0 ** (1 / 2)  # two passes, Abebe et al. (1989)
+    assert a.wheel["floor"][1] == pytest.approx(a.wheel["sinkage"][0], rel=1e-3)
+
+
+def test_a_wheel_that_digs_loosens_the_ground_for_those_behind():
+    a, b = (driven(begun(uniform("mars_rover", grade_deg=grade)), 0.5, 250) for grade in (0.0, 12.0))
+    assert b.wheel["slip"][0] > a.wheel["slip"][0] + 0.1
+    assert b.wheel["sinkage"][1] > 1.3 * a.wheel["sinkage"][1]
+
+
+def test_what_is_left_is_passed_on_to_all_wheels_behind():
+    ruts = new_ruts(24, 6)
+    ruts.rut[0, 2:4], ruts.rut_factors[0, 2:4] = (0.02, 0.03), (2.0, 1.5)
+    pass_on(ruts, 0, 2, 2, 4)
+    ruts.rut[8, 2], ruts.rut_factors[8, 2] = 0.01, 3.0
+    pass_on(ruts, 8, 1, 2, 3)
+    assert ruts.floor[8, 1:5] == pytest.approx([0.0, 0.02, 0.03, 0.0])
+    assert ruts.floor[16, 1:5] == pytest.approx([0.0, 0.03, 0.03, 0.0])
+    assert ruts.rut_factors[16, 1:5] == pytest.approx([1.0, 3.0, 1.5, 1.0])
+    assert not ruts.floor[0].any() and LOOSENING > 0.0
+
+
+# --- rows -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("axles", [1, 2, 3])
+def test_every_wheel_has_a_row_of_its_own(axles):
+    rows = {wheel_of(j, a, axles): (j, a) for j in range(20) for a in range(axles)}
+    assert len(rows) == 20 * axles
+    assert all((course_of(k, axles), axle_of(k, axles)) == at for k, at in rows.items())
+
+
+def test_rovers_side_by_side_share_nothing():
+    scenario = load_rover("mars_rover")
+    alone, among = RoverSimulation(1, scenario, "blind", 1), RoverSimulation(11, scenario, "blind", 1)
+    for j in range(11):
+        among.seed(j, np.random.default_rng(j))
+    among.restart_where(np.ones(11, dtype=bool))
+    alone.seed(0, np.random.default_rng(9))
+    alone.restart(0)
+    commands = np.random.default_rng(5).uniform(-0.2, 1.0, (60, 11, 3))
+    for c in commands:
+        among.step_all(c, np.where(among.worlds.cause == 0, STEP, IDLE))
+        if alone.worlds.cause[0] == 0:
+            alone.step(0, c[9])
+        assert now(alone).body == now(among, 9).body
+    assert np.array_equal(alone.worlds.observation[0], among.worlds.observation[9])
+
+
+def test_a_changed_mass_changes_the_wheels_share():
+    scenario = load_rover("field_rover", {"vehicle": {"mass": 80.0}})
+    assert scenario.wheel.body_mass == 20.0
+    assert replace(scenario.vehicle, centre=0.128).shares == pytest.approx((0.75, 0.25))
