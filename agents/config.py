@@ -56,6 +56,7 @@ class TrainConfig(Checked):
     """A training run: what `train.py` takes from YAML and from its command line."""
 
     scenario: str = _text(DEFAULT_SCENARIO, "name of a scenario in configs/scenarios, or a YAML file")
+    rover: str = _text("", "name of a rover in configs/rovers, or a YAML file: in place of a scenario's wheel")
     changes: dict = field(default_factory=dict)  # merged over the scenario
     model: dict = field(default_factory=dict, metadata={"doc": "model.yaml with the effects that are on in this world"})
     observation: Literal["blind", "identified", "true_soil"] = _text(

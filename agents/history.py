@@ -14,12 +14,17 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from soil_env.simulation.task import LINES
+from soil_env.simulation.task import AXLES, LINES
 
 #: Entries of the observation that are kept. The pitch and what was commanded follow from them or from the observation.
 READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_speed")
 
 SHARE = 0.1  # of a step in the averages on the ground of a terrain class
+
+
+def _all_of(name: str) -> set[str]:
+    """A reading of a wheel, or of each axle of a rover."""
+    return {name, *(f"{axle}_{name}" for axle in AXLES)}
 
 
 class History:
@@ -33,7 +38,11 @@ class History:
     def __init__(self, names: Sequence[str], steps: int):
         names = list(names)
         self.steps, self.entries = steps, len(names)
-        self.columns = [names.index(name) for name in READINGS]
+        found = [[k for k, own in enumerate(names) if own in _all_of(name)] for name in READINGS]
+        for name, own in zip(READINGS, found, strict=True):
+            if not own:
+                raise ValueError(f"{name!r} is not in the layout")
+        self.columns = [k for own in found for k in own]
         self.halted = names.index("halted")
         self.classes = [k for k, name in enumerate(names) if name.startswith("here_class_")]
         self.lines = [

@@ -26,16 +26,19 @@ from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, load, to_dict
 from soil_env.env import action_space
 from soil_env.parameters import CourseSpec, Scenario
+from soil_env.rover_env import rover_action_space
+from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import layout
 from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.vehicle import RoverScenario, Vehicle
 
 from . import checkpoint, recurrent, zips
 from .asymmetric import AsymmetricPolicy
 from .config import NAMES, PPOConfig, TrainConfig, load_config
 from .history import History, HistoryVecEnv
 from .learner import Learner, Tanh
-from .sb3 import CRITICS, SoilWheelVecEnv, privileged, scaling_of
+from .sb3 import CRITICS, CourseVecEnv, SoilRoverVecEnv, SoilWheelVecEnv, privileged, scaling_of
 from .worlds import SeveralWorlds
 
 __all__ = [
@@ -108,16 +111,22 @@ def normalised(
     """The vector environment of `config.num_envs` wheels with running normalisation of observations and rewards."""
     worlds = list(world) if isinstance(world, Sequence) else [world]
     shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
-    parts = [
-        SoilWheelVecEnv(share, scenario, observation, threads=config.threads, model=one, critic=config.critic)
-        for share, one in zip(shares, worlds, strict=True)
-    ]
+    parts = [_courses(share, scenario, observation, config, one) for share, one in zip(shares, worlds, strict=True)]
     wheels = parts[0] if len(parts) == 1 else SeveralWorlds(parts)
     if config.history:
         wheels = HistoryVecEnv(wheels, History(parts[0].observation_names, config.history))
     env = VecNormalize(wheels, gamma=config.gamma)
     env.seed(seed)
     return env
+
+
+def _courses(count: int, scenario: Scenario, observation: str, config: PPOConfig, world) -> CourseVecEnv:
+    """The vector environment of `count` wheels or rovers."""
+    if isinstance(scenario, RoverScenario):
+        if config.critic:
+            raise ParameterError(f"ppo.critic = {config.critic!r}: expected none for a rover")
+        return SoilRoverVecEnv(count, scenario, observation, threads=config.threads, model=world)
+    return SoilWheelVecEnv(count, scenario, observation, threads=config.threads, model=world, critic=config.critic)
 
 
 def schedule(config: PPOConfig):
@@ -173,6 +182,19 @@ def _course(meta: dict) -> CourseSpec:
     return load(CourseSpec, meta.get("scenario", {}).get("course", {}), "scenario: course")
 
 
+def _axles(meta: dict) -> int:
+    """Axles of the rover that a model was trained on; 0: a wheel."""
+    vehicle = meta.get("scenario", {}).get("vehicle")
+    return 0 if vehicle is None else len(load(Vehicle, vehicle, "scenario: vehicle").axles)
+
+
+def _scaling(meta: dict, critic: str = "") -> Scaling:
+    """Of the environment that a model was trained in, with what its value network sees where `critic` says so."""
+    if axles := _axles(meta):
+        return Scaling(rover_layout(meta["observation"], axles))
+    return scaling_of(meta["observation"], _course(meta), critic)
+
+
 @dataclass
 class Agent:
     """A trained agent that takes observations in their units."""
@@ -189,7 +211,7 @@ class Agent:
     @cached_property
     def scaling(self) -> Scaling:
         """From observations in their units to those of the environment that it was trained in."""
-        return scaling_of(self.variant, _course(self.meta))
+        return _scaling(self.meta)
 
     @property
     def name(self) -> str:
@@ -253,7 +275,7 @@ def read_meta(path: Path) -> dict:
     except ValueError as error:
         raise ParameterError(f"{path}: trained on another observation layout: {error}") from None
     size = len(meta["observation_names"]) + (history.size if history else 0)
-    size += len(privileged(meta["critic"], _course(meta)))
+    size += 0 if _axles(meta) else len(privileged(meta["critic"], _course(meta)))
     for key in ("mean", "var"):
         if len(meta[key]) != size or not all(isinstance(x, (int, float)) for x in meta[key]):
             raise ParameterError(f"{path}: {_META}: {key}: expected {size} numbers")
@@ -281,7 +303,8 @@ _META_TYPES = {
 def check_layout(meta: dict, where, course: CourseSpec | None = None) -> None:
     """ParameterError if a model was trained on another observation than this version's on `course` (or its own)."""
     variant = meta["observation"]
-    expected = [e.name for e in layout(variant, _course(meta) if course is None else course)]
+    entries = _scaling(meta).entries if course is None else layout(variant, course)
+    expected = [e.name for e in entries]
     found = list(meta["observation_names"])
     if found != expected:
         differing = sorted(set(found) ^ set(expected)) or ["their order"]
@@ -303,9 +326,9 @@ def load_agent(path: str | Path) -> Agent:
 
 def agent_spaces(meta: dict) -> tuple:
     """Observation and action space of the network of a saved agent."""
-    box = scaling_of(meta["observation"], _course(meta), meta["critic"]).space
-    history = _history(meta)
-    return (box if history is None else history.space(box)), action_space()
+    box, history, axles = _scaling(meta, meta["critic"]).space, _history(meta), _axles(meta)
+    actions = rover_action_space(axles) if axles else action_space()
+    return (box if history is None else history.space(box)), actions
 
 
 def resume(

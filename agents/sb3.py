@@ -1,4 +1,4 @@
-"""The native vector environment as a Stable-Baselines3 `VecEnv`."""
+"""The native vector environments as Stable-Baselines3 `VecEnv`s."""
 
 from __future__ import annotations
 
@@ -21,13 +21,18 @@ from soil_env._io.loading import unknown_value
 from soil_env.course_env import actions_of, check_count
 from soil_env.env import action_space, build_scenario
 from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec
+from soil_env.rover_env import build_rover, rover_action_space
+from soil_env.simulation.rover.task import rover_layout
+from soil_env.simulation.rover.worlds import RoverSimulation
 from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import Cause, ObservedNumber, layout, truth
 from soil_env.simulation.worlds import STEP, Simulation
 from soil_env.terramechanics.model import load_model
+from soil_env.vehicle import DEFAULT_ROVER
 
 #: Keywords that are no part of a scenario.
 _OWN = ("num_envs", "scenario", "observation", "action", "repeat", "threads", "model", "critic", "scaled")
+_OWN_OF_ROVER = ("num_envs", "rover", "observation", "action", "repeat", "threads", "model", "scaled")
 CRITICS = ("", "true_soil")  # values of the keyword `critic`
 _RUNNING = Cause.RUNNING.value
 
@@ -44,43 +49,28 @@ def scaling_of(observation: str, course: CourseSpec, critic: str = "", scaled: b
     return Scaling((*layout(observation, course), *privileged(critic, course)), scaled)
 
 
-class SoilWheelVecEnv(VecEnv):
-    """`num_envs` wheels for SB3: a finished wheel is reset within the same step, as SB3 expects.
+class CourseVecEnv(VecEnv):
+    """Base: many courses for SB3, a finished one reset within the same step, as SB3 expects.
 
-    Infos of finished wheels carry `terminal_observation`, `TimeLimit.truncated` (False: the time limit of the scenario
-    ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all other wheels share one empty dict, which
-    must not be written to. Keyword arguments as in `SoilWheelEnv`, and `critic="true_soil"`: the entries that
-    `true_soil` observes of the soil come after the observation, for the value network of `agents.asymmetric`.
+    Infos of finished courses carry `terminal_observation`, `TimeLimit.truncated` (False: the time limit of the scenario
+    ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all others share one empty dict, which must
+    not be written to. A subclass makes `simulation` in `_begin`.
     """
 
-    def __init__(
-        self,
-        num_envs: int,
-        scenario=DEFAULT_SCENARIO,
-        observation="identified",
-        action=None,
-        repeat=None,
-        threads=None,
-        model=None,
-        critic="",
-        scaled=True,
-        **changes,
-    ):
+    critic, privileged = "", 0  # what only the value network sees, and its entries
+
+    def __init__(self, num_envs, threads, scenario, observation, scaling, actions, model):
         check_count("num_envs", num_envs)
         if threads is not None:
             check_count("threads", threads)
         num_envs = int(num_envs)
         self.render_mode = None
-        self.scenario = build_scenario(scenario, action, repeat, changes, _OWN)
-        course = self.scenario.course
-        self.critic, self.privileged = critic, len(privileged(critic, course))
-        self.scaling = scaling_of(observation, course, critic, scaled)
-        super().__init__(num_envs, self.scaling.space, action_space())
+        self.scenario, self.scaling = scenario, scaling
+        super().__init__(num_envs, scaling.space, actions)
         self.observation_variant = observation
-        self.observation_names = tuple(e.name for e in layout(observation, course))
+        self.observation_names = tuple(e.name for e in scaling.entries)
         self.model = load_model(model)
-        self.simulation = Simulation(num_envs, self.scenario, observation, threads=threads, model=self.model)
-        self._commands = np.zeros(num_envs)
+        self._commands = np.zeros((num_envs, *actions.shape))
         self._drive = np.full(num_envs, STEP)
         self._all = np.ones(num_envs, dtype=np.bool_)
         self._returns = np.zeros(num_envs)
@@ -90,7 +80,7 @@ class SoilWheelVecEnv(VecEnv):
         self._unseeded = True
 
     def reset(self) -> np.ndarray:
-        """New courses for all wheels; follows the seeds set by `seed`, else fresh entropy."""
+        """New courses; follows the seeds set by `seed`, else fresh entropy."""
         if self._unseeded:
             seeds = self._seeds if self._seeds[0] is not None else [None] * self.num_envs
             for k in range(self.num_envs):
@@ -103,18 +93,18 @@ class SoilWheelVecEnv(VecEnv):
         return self._seen()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed wheel k with seed + k, from the next reset on."""
+        """Seed course k with seed + k, from the next reset on."""
         self._unseeded = True
         return super().seed(seed)
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions [num_envs, 1]; NaN raises ValueError."""
-        self._commands[:] = actions_of(actions, (self.num_envs, 1))[:, 0]
+        """Take the actions [num_envs, ...]; NaN raises ValueError."""
+        self._commands[:] = actions_of(actions, self._commands.shape)
 
     def step_wait(self):
         """One action; (observations, rewards, dones, infos)."""
         worlds, start = self.simulation.worlds, time.perf_counter()
-        self.simulation.step_all(self._commands, self._drive)
+        self._step(self._commands)
         self._returns += worlds.reward
         self._lengths += 1
         rewards, done = worlds.reward.astype(np.float32), worlds.cause != _RUNNING
@@ -135,27 +125,87 @@ class SoilWheelVecEnv(VecEnv):
         return self._seen(), rewards, done, infos
 
     def _seen(self) -> np.ndarray:
-        """Observations, with what the value network sees beside them."""
-        observation = self.simulation.worlds.observation
-        if self.critic:
-            observation = np.concatenate([observation, self.simulation.true_soils()], axis=1)
-        return self.scaling(observation)
+        """Observations."""
+        return self.scaling(self.simulation.worlds.observation)
 
     def close(self) -> None:
         """Nothing to release."""
 
     def get_attr(self, attr_name: str, indices=None) -> list[Any]:
-        """The attribute, once a wheel (they share it)."""
+        """The attribute, once a course (they share it)."""
         return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices=None) -> None:
-        """Set an attribute for all wheels."""
+        """Set an attribute for all courses."""
         setattr(self, attr_name, value)
 
     def env_method(self, method_name: str, *args, indices=None, **kwargs) -> list[Any]:
-        """Call a method of this object, once; the result is repeated for each wheel."""
+        """Call a method of this object, once; the result is repeated for each course."""
         return [getattr(self, method_name)(*args, **kwargs)] * len(list(self._get_indices(indices)))
 
     def env_is_wrapped(self, wrapper_class, indices=None) -> list[bool]:
-        """Single wheels are never wrapped."""
+        """Single courses are never wrapped."""
         return [False] * len(list(self._get_indices(indices)))
+
+
+class SoilWheelVecEnv(CourseVecEnv):
+    """`num_envs` wheels.
+
+    Keyword arguments as in `SoilWheelEnv`, and `critic="true_soil"`: the entries that `true_soil` observes of the soil
+    come after the observation, for the value network of `agents.asymmetric`.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        scenario=DEFAULT_SCENARIO,
+        observation="identified",
+        action=None,
+        repeat=None,
+        threads=None,
+        model=None,
+        critic="",
+        scaled=True,
+        **changes,
+    ):
+        scenario = build_scenario(scenario, action, repeat, changes, _OWN)
+        scaling = scaling_of(observation, scenario.course, critic, scaled)
+        super().__init__(num_envs, threads, scenario, observation, scaling, action_space(), model)
+        self.critic, self.privileged = critic, len(privileged(critic, scenario.course))
+        self.observation_names = tuple(e.name for e in layout(observation, scenario.course))
+        self.simulation = Simulation(self.num_envs, scenario, observation, threads=threads, model=self.model)
+
+    def _step(self, commands: np.ndarray) -> None:
+        self.simulation.step_all(commands[:, 0], self._drive)
+
+    def _seen(self) -> np.ndarray:
+        """Observations, with what the value network sees beside them."""
+        if not self.critic:
+            return super()._seen()
+        seen = self.simulation.worlds.observation
+        return self.scaling(np.concatenate([seen, self.simulation.true_soils()], axis=1))
+
+
+class SoilRoverVecEnv(CourseVecEnv):
+    """`num_envs` rovers; keyword arguments as in `SoilRoverEnv`."""
+
+    def __init__(
+        self,
+        num_envs: int,
+        rover=DEFAULT_ROVER,
+        observation="identified",
+        action=None,
+        repeat=None,
+        threads=None,
+        model=None,
+        scaled=True,
+        **changes,
+    ):
+        scenario = build_rover(rover, action, repeat, changes, _OWN_OF_ROVER)
+        scaling = Scaling(rover_layout(observation, scenario.axles), scaled)
+        actions = rover_action_space(scenario.axles)
+        super().__init__(num_envs, threads, scenario, observation, scaling, actions, model)
+        self.simulation = RoverSimulation(self.num_envs, scenario, observation, threads, self.model)
+
+    def _step(self, commands: np.ndarray) -> None:
+        self.simulation.step_all(commands, self._drive)

@@ -22,7 +22,6 @@ from pathlib import Path
 
 from soil_env._io.commands import command, command_line, label, leave
 from soil_env._io.loading import ParameterError, merge, read_yaml
-from soil_env.parameters import load_scenario
 
 from .cli import config_file, manual_parser, overrides
 from .config import PPOConfig, TrainConfig, load_config
@@ -106,7 +105,7 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
         config = load_config(mapping, options.config or "defaults")
         if changes:
             config = load_config(merge(mapping, changes), "command line")
-        scenario = load_scenario(config.scenario, config.changes)
+        scenario = training.scenario_of(config)
         folder = training.make_run_folder(config, scenario)
     try:
         training.console.print(f"Run folder: {folder}")

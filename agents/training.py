@@ -15,6 +15,7 @@ from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.vehicle import load_rover
 
 from . import evaluate, plots, ppo, recurrent
 from .config import TrainConfig, load_config
@@ -73,6 +74,13 @@ class _Watch(BaseCallback):
             self.next_save = self.num_timesteps + self.every
 
 
+def scenario_of(config: TrainConfig) -> Scenario:
+    """The task of a config: that of its rover, if it names one, or of its scenario."""
+    if config.rover:
+        return load_rover(config.rover, config.changes)
+    return load_scenario(config.scenario, config.changes)
+
+
 def check(config: TrainConfig) -> None:
     """ParameterError with one line where a training could not begin: no sb3-contrib."""
     if config.algorithm == "recurrent_ppo":
@@ -109,7 +117,8 @@ def open_run(folder: Path) -> tuple[TrainConfig, Scenario]:
         near = sorted(p.parent.name for p in folder.parent.glob("*/config.yaml")) if folder.parent.is_dir() else []
         raise ParameterError(f"{folder}: no such run folder" + (f" (found: {', '.join(near)})" if near else ""))
     config = load_config(read_yaml(folder / "config.yaml"), str(folder / "config.yaml"))
-    return config, load_scenario(folder / "scenario.yaml")
+    load_task = load_rover if config.rover else load_scenario
+    return config, load_task(folder / "scenario.yaml")
 
 
 def train(folder: Path, config: TrainConfig, scenario: Scenario, bar: Callable = Bar) -> ppo.Agent:

@@ -45,6 +45,7 @@ from soil_env.vehicle import RoverScenario
 _RESTARTS = 100  # attempts at a course in the middle of a run, where there is nobody to change the scenario
 _TRIAL_COURSES = 8
 _MOST_BLOCKS = 8  # of eight rovers, that a thread takes at a time
+_DEEPEST_ALONE = 0.5  # of the limit of sinkage, of a wheel by itself on the ground of a course
 _LOAD_DRIFT = 0.05  # 1-sigma of the change of the load on a wheel from one point of the identifier to the next
 _RUNNING = Cause.RUNNING.value
 
@@ -114,11 +115,18 @@ def rover_numbers(scenario: RoverScenario, variant: str, model: WheelSoilModel |
     """Pack what the compiled step needs; `model` brings the effects that are on in this world."""
     return RoverNumbers(
         world_numbers(scenario, model, scenario.axles),
-        course_numbers(_with_front(scenario), model).drawn,
+        _drawn(scenario, model),
         _identifier_numbers(scenario),
         rover_task_numbers(scenario, variant, model),
         suspension_of(scenario),
     )
+
+
+def _drawn(scenario: RoverScenario, model: WheelSoilModel | None) -> CourseDistribution:
+    """What courses are drawn from: ground on which a wheel with the mean load sinks by half the limit at most, since
+    the deepest wheel of a rover bears more and runs in a rut."""
+    drawn = course_numbers(_with_front(scenario), model).drawn
+    return drawn._replace(bogged_sinkage=_DEEPEST_ALONE * drawn.bogged_sinkage)
 
 
 def _identifier_numbers(scenario: RoverScenario) -> IdentifierNumbers:

@@ -1,0 +1,168 @@
+"""Controllers of a rover: a rim speed for each wheel, or a torque, from the observation of the whole rover.
+
+| name | what each wheel is told | observation |
+|------|-------------------------|-------------|
+| equal_speed | one constant rim speed, as most rovers drive | blind |
+| soft_start | one rim speed that rises from rest | blind |
+| velocity_sync | that ramp, times the speed of each axle as the body turns (Toupet et al. 2020) | blind |
+| slip_limiter | that ramp, but of each wheel not above a slip of its own | blind |
+| torque_by_load | shares of the torque that the rover's speed needs, by the load on each wheel | blind |
+| best_slip_identified | that ramp, of each wheel not above the slip of best pull on its soil as identified | identified |
+| best_slip_true | the same on the true soil: a reference, not a bound | true_soil |
+
+All but `velocity_sync` and `torque_by_load` are the controllers of a wheel (`agents.controllers`), one for each wheel.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError, unknown_value
+from soil_env.simulation.rover.task import axle_names, rover_layout
+from soil_env.simulation.task import layout
+from soil_env.vehicle import RoverScenario
+
+from ..controllers import make_controller
+
+_SLOWEST = 0.02  # [of top rim speed] of the body, where its turning is looked at
+_RATE_SHARE = 0.3  # of the newest reading in the mean of the pitch rate
+_TIME = 0.5  # [s] in which torque_by_load makes up for a lack of speed
+
+
+class RoverController:
+    """Base: a controller of a wheel for each wheel; `own` is that controller, `drives` changes of the control."""
+
+    name = "rover_controller"
+    of_wheel = "soft_start"
+    drives: dict[str, Any] = {}
+
+    def __init__(self, scenario: RoverScenario, **settings: float):
+        self.own = make_controller(self.of_wheel, scenario, **settings)
+        self.scenario, self.variant, self.settings = scenario, self.own.variant, self.own.settings
+        self.axles = scenario.axles
+        self.column = {e.name: i for i, e in enumerate(rover_layout(self.variant, self.axles))}
+        self._columns = np.array(
+            [[self.column.get(e.name, self.column.get(f"{axle}_{e.name}")) for e in layout(self.variant)]
+             for axle in axle_names(self.axles)]
+        )  # fmt: skip
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """Actions [n, axles] float32 (or [axles] for one observation) and the state for the next call."""
+        batch = np.atleast_2d(np.asarray(observation, dtype=np.float64))
+        wheels = batch[:, self._columns].reshape(len(batch) * self.axles, -1)
+        fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
+        state = {**self.own.begin(wheels, state, np.repeat(fresh, self.axles)), "begun": fresh}
+        action = self.command(batch, wheels, state).reshape(len(batch), self.axles)
+        return (action[0] if np.ndim(observation) == 1 else action), state
+
+    def command(self, batch: np.ndarray, wheels: np.ndarray, state: dict) -> np.ndarray:
+        """Actions of all wheels [n x axles], for observations of rovers and of wheels; advances `state`."""
+        return self.own.command(wheels, self.rim_speeds(batch, wheels, state), state)
+
+    def rim_speeds(self, batch: np.ndarray, wheels: np.ndarray, state: dict) -> np.ndarray:
+        """Rim speeds to follow [m/s] [n x axles]."""
+        return self.own.rim_speed(wheels, state)
+
+
+class EqualSpeed(RoverController):
+    """One constant rim speed."""
+
+    name, of_wheel = "equal_speed", "constant_speed"
+
+
+class SoftStart(RoverController):
+    """One rim speed that rises from rest and after halts."""
+
+    name, of_wheel = "soft_start", "soft_start"
+
+
+class SlipLimiter(RoverController):
+    """The ramp, limited for each wheel by its own slip."""
+
+    name, of_wheel = "slip_limiter", "slip_limiter"
+
+
+class BestSlipIdentified(RoverController):
+    """The ramp, limited for each wheel to the best slip on the soil under it as identified."""
+
+    name, of_wheel = "best_slip_identified", "best_slip_identified"
+
+
+class BestSlipTrue(RoverController):
+    """The same on the true soil."""
+
+    name, of_wheel = "best_slip_true", "best_slip_true"
+
+
+class VelocitySync(RoverController):
+    """The ramp, with each wheel as fast as its axle goes in the motion of the rigid body.
+
+    What the traction control of Curiosity does (Toupet et al. 2020, J. Field Robotics 37:699-728), reduced to a rover
+    whose two sides are alike and whose bogie is not measured: at a speed V and a pitch rate q an axle at x ahead of the
+    centre goes sqrt(V^2 + (q x)^2), and the fastest keeps the commanded speed. On even slopes all go alike.
+    """
+
+    name = "velocity_sync"
+
+    def __init__(self, scenario: RoverScenario, **settings: float):
+        super().__init__(scenario, **settings)
+        v = scenario.vehicle
+        self.arms = v.centre - np.array(v.axles)
+
+    def rim_speeds(self, batch, wheels, state):
+        """The ramp, less for the slower axles."""
+        pitch, fresh = batch[:, self.column["pitch"]], state["begun"]
+        before = np.where(fresh, pitch, state.get("pitch", pitch))
+        rate = np.where(fresh, 0.0, state.get("rate", 0.0 * pitch))
+        rate = rate + _RATE_SHARE * ((pitch - before) / self.own.period - rate)
+        state["pitch"], state["rate"] = pitch, rate
+        speed = np.maximum(np.abs(batch[:, self.column["speed"]]), _SLOWEST) * self.own.top_speed
+        going = np.hypot(speed[:, None], rate[:, None] * self.arms)
+        share = going / going.max(axis=1, keepdims=True)
+        return self.own.rim_speed(wheels, state) * share.reshape(-1)
+
+
+class TorqueByLoad(RoverController):
+    """Torques in proportion to the measured loads, all together what the speed of the ramp needs.
+
+    Equal ratios of traction to load (Lamon & Siegwart 2005, ICRA; Iagnemma & Dubowsky 2004, Int. J. Robotics Research
+    23:1029-1040). The sum follows a speed of the body with proportional and integral gain over what grade and motion
+    resistance take.
+    """
+
+    name = "torque_by_load"
+    drives = {"action": "torque", "repeat": 1}
+
+    def command(self, batch, wheels, state):
+        """Torques over the stall torque."""
+        own, axles = self.own, self.axles
+        target = own.rim_speed(wheels, state).reshape(-1, axles)[:, 0]
+        speed = batch[:, self.column["speed"]] * own.top_speed
+        halted = batch[:, self.column["halted"]] > 0.5
+        mass_arm = self.scenario.wheel.body_mass * axles * own.radius
+        slope = np.sin(batch[:, self.column["pitch"]]) + own.rolling
+        kept = np.where(state["begun"] | halted, 0.0, state.get("lack", 0.0 * speed))
+        lack = np.clip(kept + (target - speed) * own.period, -1.0, 1.0)
+        state["lack"] = lack
+        total = mass_arm * (self.scenario.gravity * slope + (target - speed + lack / _TIME) / _TIME)
+        total = np.clip(total, -axles * own.stall, axles * own.stall)
+        load = np.maximum(wheels[:, own.column["load"]].reshape(-1, axles), 0.01)
+        share = load / load.sum(axis=1, keepdims=True)
+        return np.clip(total[:, None] * share / own.stall, -1.0, 1.0).astype(np.float32)
+
+
+ROVER_CONTROLLERS: dict[str, type[RoverController]] = {
+    c.name: c
+    for c in (EqualSpeed, SoftStart, VelocitySync, SlipLimiter, TorqueByLoad, BestSlipIdentified, BestSlipTrue)
+}
+
+
+def make_rover_controller(name: str, scenario: RoverScenario, **settings: float) -> RoverController:
+    """A controller by name with the settings of its wheels' controller; ParameterError for an unknown one."""
+    if name not in ROVER_CONTROLLERS:
+        raise unknown_value(name, ROVER_CONTROLLERS, "controller")
+    if not isinstance(scenario, RoverScenario):
+        raise ParameterError(f"controller {name}: expected the scenario of a rover")
+    return ROVER_CONTROLLERS[name](scenario, **settings)
