@@ -29,7 +29,7 @@ from soil_env.parameters import CourseSpec, Scenario
 from soil_env.rover_env import rover_action_space
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.scaling import Scaling
-from soil_env.simulation.task import layout
+from soil_env.simulation.task import ObservedNumber, layout
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario, Vehicle
 
@@ -300,10 +300,17 @@ _META_TYPES = {
 }
 
 
-def check_layout(meta: dict, where, course: CourseSpec | None = None) -> None:
-    """ParameterError if a model was trained on another observation than this version's on `course` (or its own)."""
+def entries_of(scenario: Scenario, variant: str) -> tuple[ObservedNumber, ...]:
+    """The observation of a variant, of a wheel or of a rover."""
+    if isinstance(scenario, RoverScenario):
+        return rover_layout(variant, scenario.axles)
+    return layout(variant, scenario.course)
+
+
+def check_layout(meta: dict, where, scenario: Scenario | None = None) -> None:
+    """ParameterError if a model was trained on another observation than this version's of `scenario` (or its own)."""
     variant = meta["observation"]
-    entries = _scaling(meta).entries if course is None else layout(variant, course)
+    entries = _scaling(meta).entries if scenario is None else entries_of(scenario, variant)
     expected = [e.name for e in entries]
     found = list(meta["observation_names"])
     if found != expected:

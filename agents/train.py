@@ -109,12 +109,12 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
         folder = training.make_run_folder(config, scenario)
     try:
         training.console.print(f"Run folder: {folder}")
-        if training.finished(folder):
+        if training.finished(folder, config):
             training.console.print("Already finished. Delete its comparison.json to compare again.")
             return 0
         agent = training.train(folder, config, scenario)
         training.compare(folder, config, scenario, {agent.name: agent})
-        training.show(f"Written to {folder}: {', '.join(training.COMPARISON)}")
+        training.show(f"Written to {folder}: {', '.join(training.written(config))}")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"go on with: {command(*_STARTED_AS)} --resume {folder}") from None
     return 0

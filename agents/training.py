@@ -15,7 +15,7 @@ from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import load_rover
+from soil_env.vehicle import RoverScenario, load_rover
 
 from . import evaluate, plots, ppo, recurrent
 from .config import TrainConfig, load_config
@@ -24,8 +24,9 @@ from .controllers.oracle import Oracle
 from .evaluate import HELD_OUT_SET, limit
 from .evaluate.models import load_model
 from .evaluate.tables import Column, metric_table, percent, points
-from .evaluate.tuning import tuned_settings
+from .evaluate.tuning import shown_on, tuned_settings
 from .progress import Bar, console, show
+from .rover import comparing
 from .timing import Times, Timing
 from .worlds import hidden_worlds
 
@@ -179,9 +180,14 @@ def trained(config: TrainConfig, scenario: Scenario, bar: Callable = Bar) -> Pat
     return run / "model.zip"
 
 
-def finished(folder: Path) -> bool:
+def finished(folder: Path, config: TrainConfig) -> bool:
     """Whether a run folder holds everything that `train` and `compare` write."""
-    return all((Path(folder) / name).is_file() for name in ("model.zip", *COMPARISON))
+    return all((Path(folder) / name).is_file() for name in ("model.zip", *written(config)))
+
+
+def written(config: TrainConfig) -> tuple[str, ...]:
+    """What `compare` writes into a run folder: of a rover no course in detail."""
+    return tuple(name for name in COMPARISON if name != "course.png" or not config.rover)
 
 
 def tuned_controllers(
@@ -200,6 +206,8 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[
     """Every controller and agent on the same held-out courses; writes comparison.* and course.png, prints the table
     and where the wall time of the run went."""
     world, times, folder = config.world, Times(folder), Path(folder)
+    if isinstance(scenario, RoverScenario):
+        return _compare_rovers(folder, config, scenario, agents, times)
     with times.part("tuning"):
         controllers, settings = tuned_controllers(scenario, config.tuning_courses, world, folder / _TUNING)
     contestants = {**controllers, **agents}
@@ -228,6 +236,28 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[
     (folder / _TUNING).unlink(missing_ok=True)
     print_table(result)
     show(str(times))
+    return result
+
+
+def _compare_rovers(folder: Path, config: TrainConfig, scenario: RoverScenario, agents: dict, times: Times) -> dict:
+    """`compare` of rovers."""
+    world = config.world
+    with times.part("tuning"):
+        settings = comparing.tuned_settings(scenario, config.tuning_courses, world, folder / _TUNING)
+    with times.part("comparison"):
+        drivers = comparing.controllers(scenario, settings) | agents
+        with Bar("Comparing", config.courses * len(drivers), "courses") as bar:
+            runs = comparing.driven(drivers, scenario, HELD_OUT_SET, config.courses, shown_on(bar), world)
+        result = comparing.comparison(scenario, HELD_OUT_SET, runs, config.tuning_courses, settings)
+    if world is not None:
+        result["model"] = world.content()
+    comparing.save(result, folder)
+    with times.part("figures"):
+        plots.comparison_figure(result, folder / "comparison.png")
+    times.save()
+    (folder / _TUNING).unlink(missing_ok=True)
+    show(metric_table(result["controllers"], comparing.COLUMNS, comparing.caption(result)))
+    show(*(verdict(result, name) for name in result["controllers"] if name in ppo.NAMES.values()), str(times))
     return result
 
 

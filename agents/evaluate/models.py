@@ -56,7 +56,7 @@ def load_model(path: Path, scenario: Scenario):
     meta = None
     if ppo._META in names:
         meta = ppo.read_meta(path)
-        ppo.check_layout(meta, path, scenario.course)
+        ppo.check_layout(meta, path, scenario)
         _check_action(path, meta.get("scenario", {}).get("control", {}), scenario)
     model = _load(path, data, meta)
     if meta is not None:

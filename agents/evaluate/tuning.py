@@ -12,8 +12,9 @@ import contextlib
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 from ..controllers import CONTROLLERS, checked_settings, make_controller
 from ..progress import Bar
 from ..studies import ResultLog
-from .driving import TUNING_SET, run_courses
+from .driving import TUNING_SET, Runs, run_courses
 
 SPACES, TUNED = "tuning.yaml", "tuned"  # in configs/
 _TIE = 1e-4  # weight of the return beside the share of courses finished
@@ -143,16 +144,18 @@ def tuned_settings(
     with contextlib.ExitStack() as stack:
         if progress is None:
             bar = stack.enter_context(Bar("Tuning", courses * trials_in_all(missing, courses), "courses"))
-            progress = _on(bar)
-        trials = _Trials(scenario, courses, model, stack.enter_context(_log(log)) if log else None)
+            progress = shown_on(bar)
+        trials = Trials(
+            scenario, courses, partial(run_courses, model=model), make_controller,
+            stack.enter_context(trials_log(log)) if log else None,
+        )  # fmt: skip
         for name in missing:
-            tried[name] = list(trials.of(name, spaces, progress))
-            best = max(tried[name], key=lambda trial: (trial["finished"], trial["return"]))
-            chosen[name] = {key: best[key] for key in spaces.controllers[name]}
+            chosen[name], tried[name] = trials.best(name, spaces.controllers[name], spaces, progress)
     return {name: chosen[name] for name in names}, tried
 
 
-def _on(bar: Bar) -> Progress:
+def shown_on(bar: Bar) -> Progress:
+    """Progress that a bar shows."""
     return lambda count, name: bar.update(advance=count, note=name)
 
 
@@ -166,7 +169,7 @@ def kept_settings(path: Path, scenario: Scenario, courses: int, *options, anew: 
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def _log(path: Path) -> ResultLog:
+def trials_log(path: Path) -> ResultLog:
     """{(controller, trial): its settings and scores} in a file."""
 
     def parse(content: dict) -> tuple[tuple[str, int], dict]:
@@ -176,18 +179,26 @@ def _log(path: Path) -> ResultLog:
 
 
 @dataclass
-class _Trials:
-    """Trials of settings on the tuning courses of one scenario."""
+class Trials:
+    """Trials of settings on the tuning courses of one scenario; `drive` and `make` are of wheels, or of rovers."""
 
     scenario: Scenario
     courses: int
-    model: WheelSoilModel | None
+    drive: Callable[..., Runs]
+    make: Callable[..., Any]
     log: ResultLog | None
 
-    def of(self, name: str, spaces: Spaces, progress: Progress) -> Iterator[dict]:
+    def best(
+        self, name: str, space: dict[str, Range], spaces: Spaces, progress: Progress
+    ) -> tuple[dict[str, float], list[dict]]:
+        """(the settings that finish most courses, all trials) of a controller."""
+        tried = list(self.of(name, space, spaces, progress))
+        first = max(tried, key=lambda trial: (trial["finished"], trial["return"]))
+        return {key: first[key] for key in space}, tried
+
+    def of(self, name: str, space: dict[str, Range], spaces: Spaces, progress: Progress) -> Iterator[dict]:
         """{**settings, "finished": share, "return": mean} of each trial of a controller, in their order."""
         optuna = _optuna()
-        space = spaces.controllers[name]
         study = optuna.create_study(direction="maximize")
         study.enqueue_trial(self._defaults(name, space))
         for number in range(spaces.trials_of(self.courses)):
@@ -203,15 +214,15 @@ class _Trials:
             yield result
 
     def _defaults(self, name: str, space: dict[str, Range]) -> dict[str, float]:
-        given = make_controller(name, self.scenario).settings
+        given = self.make(name, self.scenario).settings
         return {key: float(np.clip(given[key], *range_.bounds(self.scenario))) for key, range_ in space.items()}
 
     def _result(self, name: str, number: int, settings: dict[str, float]) -> dict:
         """From the log, or driven and written there."""
         known = self.log.results.get((name, number)) if self.log else None
         if known is None:
-            controller = make_controller(name, self.scenario, **settings)
-            runs = run_courses(controller, self.scenario, TUNING_SET, self.courses, model=self.model)
+            controller = self.make(name, self.scenario, **settings)
+            runs = self.drive(controller, self.scenario, TUNING_SET, self.courses)
             score = {"finished": float(runs.metric("finished").mean()), "return": float(runs.returns.mean())}
             known = {**settings, **score}
             if self.log:

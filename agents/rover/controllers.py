@@ -7,7 +7,7 @@
 | velocity_sync | that ramp, times the speed of each axle as the body turns (Toupet et al. 2020) | blind |
 | slip_limiter | that ramp, but of each wheel not above a slip of its own | blind |
 | torque_by_load | shares of the torque that the rover's speed needs, by the load on each wheel | blind |
-| best_slip_identified | that ramp, of each wheel not above the slip of best pull on its soil as identified | identified |
+| best_slip_identified | that ramp, of each wheel not above the best slip on its soil as identified | identified |
 | best_slip_true | the same on the true soil: a reference, not a bound | true_soil |
 
 All but `velocity_sync` and `torque_by_load` are the controllers of a wheel (`agents.controllers`), one for each wheel.

@@ -23,7 +23,7 @@ ROVER_METRICS = METRICS | {
     "fighting": ("% of weight", "pull of wheels that others pull against: half of sum |DP| - |sum DP|, mean over time"),
     "wheel_force": (
         "% of share",
-        "largest |torque|/radius of a wheel over its mean share of the weight, mean over time",
+        "largest |torque|/radius of a wheel over its share of the weight, mean over time",
     ),
 }
 
