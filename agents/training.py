@@ -245,7 +245,7 @@ def _compare_rovers(folder: Path, config: TrainConfig, scenario: RoverScenario, 
     with times.part("tuning"):
         settings = comparing.tuned_settings(scenario, config.tuning_courses, world, folder / _TUNING)
     with times.part("comparison"):
-        drivers = comparing.controllers(scenario, settings) | agents
+        drivers = {name: [one] for name, one in (comparing.controllers(scenario, settings) | agents).items()}
         with Bar("Comparing", config.courses * len(drivers), "courses") as bar:
             runs = comparing.driven(drivers, scenario, HELD_OUT_SET, config.courses, shown_on(bar), world)
         result = comparing.comparison(scenario, HELD_OUT_SET, runs, config.tuning_courses, settings)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +16,12 @@ from .limit import rows as limit_rows
 from .statistics import wilson
 
 
-def summary(
-    runs: Runs, seed: int = 0, resamples: int = 2000, metrics: Iterable[str] = tuple(METRICS)
-) -> dict[str, dict[str, float]]:
+def summary(runs: Runs, seed: int = 0, resamples: int = 2000) -> dict[str, dict[str, float]]:
     """{metric: {"value", "low", "high"}} of one controller, 95 % intervals."""
     rng = np.random.default_rng(seed)
     n = runs.cause.size
     out = {}
-    for name in metrics:
+    for name in METRICS:
         x = runs.metric(name)
         value = float(x.mean())
         if name in RATES:

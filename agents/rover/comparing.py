@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from soil_env._io.files import write_json
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
-from ..evaluate.comparing import paired_difference, summary
+from ..evaluate import statistics as st
+from ..evaluate.driving import RATES
 from ..evaluate.tables import Column
 from ..evaluate.tuning import Trials, load_spaces, shown_on, trials_log
 from ..progress import Bar
@@ -24,7 +27,7 @@ COLUMNS = (
     Column("time_limit", "out of time [%]", 100.0, 1, bounds=False),
     Column("finished", "finished [%]", 100.0, 1),
     Column("time", "time [s]", digits=0, bounds=False),
-    Column("energy_per_metre", "energy [J/m]", digits=3, bounds=False),
+    Column("energy_per_metre", "energy [J/m]", digits=1, bounds=False),
     Column("slip", "slip", bounds=False),
     Column("sinkage", "sinkage [mm]", digits=0, bounds=False),
     Column("fighting", "fighting [% of weight]", bounds=False),
@@ -59,20 +62,21 @@ def controllers(scenario: RoverScenario, settings: Mapping[str, Mapping[str, flo
 
 
 def driven(
-    drivers: Mapping,
+    drivers: Mapping[str, Sequence],
     scenario: RoverScenario,
     seed: int,
     courses: int,
     progress: Callable[[int, str], None],
     model: WheelSoilModel | None = None,
-) -> dict[str, RoverRuns]:
-    """{name: courses of the set `seed` as each has driven them}."""
+) -> dict[str, list[RoverRuns]]:
+    """{name: the courses of the set `seed` as each member has driven them}, of {name: members}."""
     return {
-        name: run_courses(
-            driver, scenario, seed, courses, progress=partial(_told, progress, name), model=model
-        )
-        for name, driver in drivers.items()
-    }  # fmt: skip
+        name: [
+            run_courses(driver, scenario, seed, courses, progress=partial(_told, progress, name), model=model)
+            for driver in members
+        ]
+        for name, members in drivers.items()
+    }
 
 
 def _told(progress: Callable[[int, str], None], name: str, count: int) -> None:
@@ -80,19 +84,44 @@ def _told(progress: Callable[[int, str], None], name: str, count: int) -> None:
 
 
 def comparison(
-    scenario: RoverScenario, seed: int, runs: Mapping[str, RoverRuns], tuning_courses: int, settings: Mapping
+    scenario: RoverScenario,
+    seed: int,
+    runs: Mapping[str, Sequence[RoverRuns]],
+    tuning_courses: int,
+    settings: Mapping,
 ) -> dict:
-    """The content of comparison.json: as `evaluate.comparing.comparison`, every controller paired with all others."""
+    """The content of comparison.json: as `evaluate.comparing.comparison`, every controller paired with all others.
+
+    `runs`: for each controller one entry a member, which are the training seeds of an agent. Intervals are 95 %, by
+    draws of courses and of members (`evaluate.statistics`).
+    """
+    courses = next(iter(runs.values()))[0].cause.size
+    draws = st.draws(seed, courses)
+    members = {name: draws.members(name, len(own)) for name, own in runs.items()}
+    scores = {name: {m: np.array([r.metric(m) for r in own]) for m in ROVER_METRICS} for name, own in runs.items()}
+
+    def samples(name: str, metric: str) -> np.ndarray:
+        return st.mean_samples(scores[name][metric], members[name], draws.courses)
+
+    def alone(name: str, metric: str) -> dict[str, float]:
+        value, drawn = st.mean(scores[name][metric]), samples(name, metric)
+        if metric in RATES:
+            return st.rate_bounds(value, drawn, courses, len(runs[name]))
+        return st.bounds(value, drawn)
+
+    def paired(a: str, b: str, metric: str) -> dict[str, float]:
+        value = st.mean(scores[a][metric]) - st.mean(scores[b][metric])
+        return st.bounds(value, samples(a, metric) - samples(b, metric))
+
     return {
         "scenario": scenario.name,
-        "courses": int(next(iter(runs.values())).cause.size),
+        "courses": courses,
         "seed": seed,
+        "members": {name: len(own) for name, own in runs.items()},
         "settings": {"tuning_courses": tuning_courses, **{name: dict(own) for name, own in settings.items()}},
         "metrics": {name: {"unit": unit, "meaning": text} for name, (unit, text) in ROVER_METRICS.items()},
-        "controllers": {name: summary(r, metrics=ROVER_METRICS) for name, r in runs.items()},
-        "paired": {
-            a: {b: {m: paired_difference(runs[a], runs[b], m) for m in _PAIRED} for b in runs if b != a} for a in runs
-        },
+        "controllers": {name: {m: alone(name, m) for m in ROVER_METRICS} for name in runs},
+        "paired": {a: {b: {m: paired(a, b, m) for m in _PAIRED} for b in runs if b != a} for a in runs},
     }
 
 

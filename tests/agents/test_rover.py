@@ -1,0 +1,226 @@
+"""Controllers of rovers, drives over held-out courses, their comparison, and the commands that train and compare."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agents import rover_study, train
+from agents.config import TrainConfig
+from agents.evaluate.driving import ControllerError
+from agents.ppo import load_agent
+from agents.rover import comparing
+from agents.rover.controllers import ROVER_CONTROLLERS, VelocitySync, make_rover_controller
+from agents.rover.driving import ROVER_METRICS, RoverRuns, run_courses
+from agents.sb3 import SoilRoverVecEnv
+from soil_env import ParameterError
+from soil_env.parameters import load_scenario
+from soil_env.rover_vector_env import SoilRoverVectorEnv
+from soil_env.simulation.rover.task import rover_layout
+from soil_env.vehicle import load_rover
+
+SHORT = {"course": {"length": 3.0}, "control": {"time_limit": 20.0}}
+
+
+def observed(variant, axles, **changes):
+    """One observation in units, of 0 but for `changes`."""
+    names = [e.name for e in rover_layout(variant, axles)]
+    out = np.zeros(len(names))
+    for name, value in changes.items():
+        out[names.index(name)] = value
+    return out
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_rover("mars_rover", SHORT)
+
+
+@pytest.mark.parametrize("name", ROVER_CONTROLLERS)
+def test_every_controller_drives_every_rover(name):
+    for rover in ("lunar_micro_rover", "mars_rover"):
+        scenario = load_rover(rover, SHORT)
+        runs = run_courses(make_rover_controller(name, scenario), scenario, 7, 4)
+        assert np.all(runs.distance > 0.05) and np.all(runs.energy > 0.0)
+        assert np.all(np.isfinite([runs.metric(m) for m in ROVER_METRICS]))
+
+
+@pytest.mark.parametrize("name", ["equal_speed", "soft_start"])
+def test_equal_speeds_are_equal(name, scenario):
+    controller = make_rover_controller(name, scenario)
+    action, _ = controller.predict(np.tile(observed("blind", 3, front_torque=0.0), (2, 1)))
+    assert action.shape == (2, 3) and np.all(action == action[0, 0]) and action[0, 0] > 0.0
+
+
+def test_a_wheel_that_slips_is_slowed_down_alone(scenario):
+    """The limiter asks less of the rear wheel, whose slip is over its limit, than of the others."""
+    controller = make_rover_controller("slip_limiter", scenario, slip=0.3, acceleration=1.0)
+    even = {f"{axle}_{name}": 0.5 for axle in ("front", "middle", "rear") for name in ("rim_speed", "rim_command")}
+    state, fresh = None, np.array([True])
+    for _ in range(5):
+        slips = {"front_slip": 0.1, "middle_slip": 0.1, "rear_slip": 0.7}
+        action, state = controller.predict(observed("blind", 3, **even, **slips)[None], state, fresh)
+        fresh = np.array([False])
+    assert action[0, 2] < action[0, 0] == action[0, 1]
+
+
+def test_torques_go_by_the_loads(scenario):
+    controller = make_rover_controller("torque_by_load", scenario)
+    loads = {"front_load": 0.5, "middle_load": 1.0, "rear_load": 2.0}
+    action, _ = controller.predict(observed("blind", 3, **loads))
+    assert action / action[0] == pytest.approx(np.array([1.0, 2.0, 4.0]))
+
+
+def test_velocity_is_synchronised_with_the_turning_body(scenario):
+    """While the body pitches, axles far from its centre go faster; the speeds are those of a rigid body."""
+    controller = make_rover_controller("velocity_sync", scenario, acceleration=10.0)
+    assert isinstance(controller, VelocitySync)
+    state, fresh, pitch = None, np.array([True]), 0.0
+    for _ in range(40):
+        seen = observed("blind", 3, speed=0.3, pitch=pitch)[None]
+        _, state = controller.predict(seen, state, fresh)
+        fresh, pitch = np.array([False]), pitch + 0.05
+    seen = observed("blind", 3, speed=0.3, pitch=pitch)[None]
+    wheels = seen[:, controller._columns].reshape(3, -1)
+    rims = controller.rim_speeds(seen, wheels, dict(state))
+    rate, speed = 0.05 / controller.own.period, 0.3 * controller.own.top_speed
+    going = np.hypot(speed, rate * controller.arms)
+    assert rims / rims.max() == pytest.approx(going / going.max(), rel=0.02)
+    assert rims.max() / rims.min() > 1.02
+
+
+def test_best_slip_reads_the_soil_under_each_wheel(scenario):
+    """A soft shear modulus needs more slip: on it the limit of the slip is higher."""
+    controller = make_rover_controller("best_slip_true", scenario)
+    soil = {"friction_angle": 0.55, "log10_sinkage_coefficient": 6.0, "sinkage_exponent": 1.0, "dig_gain": 2.0,
+            "dig_recovery": 0.5, "cohesion": 0.5}  # fmt: skip
+    known = {f"{axle}_{k}": v for axle in ("front", "middle", "rear") for k, v in soil.items()}
+    known |= {"front_log10_shear_modulus": -2.3, "middle_log10_shear_modulus": -2.3, "rear_log10_shear_modulus": -1.5}
+    seen = observed("true_soil", 3, **known, front_load=1.0, middle_load=1.0, rear_load=1.0)[None]
+    _, state = controller.predict(seen, None, np.array([True]))
+    assert state["slip"][2] > state["slip"][0] == state["slip"][1]
+
+
+def test_the_same_courses_for_all_however_they_are_cut(scenario):
+    controller = make_rover_controller("soft_start", scenario)
+    whole = run_courses(controller, scenario, 5, 10)
+    parts = RoverRuns.join([run_courses(controller, scenario, 5, 4), run_courses(controller, scenario, 5, 6, first=4)])
+    for name in ROVER_METRICS:
+        assert np.array_equal(whole.metric(name), parts.metric(name))
+
+
+def test_energy_is_of_both_sides(scenario):
+    """Work of the motors over distance, less slip, is that of the climb and of motion resistance of the whole rover."""
+    easy = load_rover("mars_rover", SHORT | {"course": {"length": 6.0, "grade_deg": [8.0, 8.0], "payload": [0.0, 0.0]}})
+    runs = run_courses(make_rover_controller("soft_start", easy), easy, 5, 4)
+    climb = 899.0 * 3.71 * np.sin(np.radians(8.0))
+    work = runs.metric("energy_per_metre") * (1.0 - runs.slip)
+    assert np.all(work > 1.5 * climb) and np.all(work < 3.0 * climb)
+
+
+class Wrong:
+    variant = "blind"
+
+    def __init__(self, action):
+        self.action = action
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.tile(self.action, (len(observation), 1)), state
+
+
+@pytest.mark.parametrize(
+    ("action", "message"), [([0.1], "shape"), ([0.1, np.nan, 0.1], "expected numbers"), ([0.1] * 4, "shape")]
+)
+def test_a_wrong_action_is_refused(action, message, scenario):
+    with pytest.raises(ControllerError, match=message):
+        run_courses(Wrong(action), scenario, 5, 2)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: make_rover_controller("soft_strt", load_rover()), "unknown value 'soft_strt'; did you mean"),
+        (lambda: make_rover_controller("soft_start", load_scenario("mixed")), "expected the scenario of a rover"),
+        (lambda: make_rover_controller("soft_start", load_rover(), slip=0.3), "unknown key 'slip'"),
+    ],
+)
+def test_wrong_names_get_one_line(make, message):
+    with pytest.raises(ParameterError, match=message):
+        make()
+
+
+def test_sb3_sees_what_the_vector_environment_does():
+    a, b = SoilRoverVecEnv(3, "mars_rover"), SoilRoverVectorEnv(3, "mars_rover")
+    a.seed(4)
+    assert np.array_equal(a.reset(), b.reset(seed=4)[0])
+    actions = np.random.default_rng(0).uniform(0.0, 1.0, (20, 3, 3)).astype(np.float32)
+    for action in actions:
+        seen, reward, _, _ = a.step(action)
+        other = b.step(action)
+        assert np.array_equal(seen, other[0]) and np.array_equal(reward, other[1].astype(np.float32))
+
+
+# --- commands ---------------------------------------------------------------------------------------------------------
+
+SMALL = ["--timesteps", "512", "--courses", "6", "--tuning_courses", "2", "--changes.course.length", "2",
+         "--changes.control.time_limit", "10", "--ppo.num_envs", "8", "--ppo.n_steps", "32", "--ppo.batch_size", "64",
+         "--ppo.n_epochs", "1", "--ppo.layer", "8"]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory):
+    """What `python train.py --config rover.yaml` leaves, small."""
+    out = tmp_path_factory.mktemp("rover")
+    assert train.main(["--config", "rover.yaml", "--name", "small", "--runs", str(out), *SMALL]) == 0
+    return out / "small"
+
+
+def test_train_writes_the_comparison(run_folder):
+    result = json.loads((run_folder / "comparison.json").read_text())
+    assert set(result["controllers"]) == {*ROVER_CONTROLLERS, "ppo_identified"}
+    for metrics in result["controllers"].values():
+        assert set(metrics) == set(ROVER_METRICS)
+        assert all(m["low"] <= m["value"] <= m["high"] for m in metrics.values())
+    assert (run_folder / "comparison.png").stat().st_size > 1000
+    assert train.main(["--resume", str(run_folder)]) == 0
+
+
+def test_the_agent_loads_and_acts(run_folder):
+    agent = load_agent(run_folder)
+    names = [e.name for e in rover_layout("identified", 3)]
+    action, _ = agent.predict(np.zeros((2, len(names))))
+    assert action.shape == (2, 3) and agent.variant == "identified"
+    with pytest.raises(ParameterError, match="expected 65 numbers"):
+        agent.predict(np.zeros((2, 25)))
+
+
+def test_an_agent_of_a_rover_does_not_drive_a_wheel(run_folder):
+    from agents.evaluate.models import load_model
+
+    with pytest.raises(ParameterError, match="another observation layout"):
+        load_model(run_folder / "model.zip", load_scenario("mixed"))
+
+
+def test_a_critic_is_refused(tmp_path, capsys):
+    command = ["--config", "rover.yaml", "--runs", str(tmp_path), "--ppo.critic", "true_soil", *SMALL]
+    assert train.main(command) == 2
+    assert "expected none for a rover" in capsys.readouterr().err
+
+
+def test_study_counts_seeds_as_members(scenario):
+    controller = make_rover_controller("soft_start", scenario)
+    once = run_courses(controller, scenario, 5, 8)
+    other = replace(once, cause=np.roll(once.cause, 3))
+    result = comparing.comparison(scenario, 5, {"ppo_blind": [once, other], "soft_start": [once]}, 0, {})
+    assert result["members"] == {"ppo_blind": 2, "soft_start": 1}
+    assert result["paired"]["ppo_blind"]["soft_start"]["finished"]["value"] == pytest.approx(0.0)
+    assert "| ppo_blind (2 seeds) |" in rover_study.page(result)
+
+
+def test_study_has_a_training_for_each_agent_and_seed(tmp_path):
+    trainings = rover_study.configs("field_rover", tmp_path, 2, 1000)
+    assert {name: [c.seed for c in own] for name, own in trainings.items()} == dict.fromkeys(
+        ("ppo_blind", "ppo_identified", "ppo_true"), [0, 1]
+    )
+    assert all(isinstance(c, TrainConfig) and c.rover == "field_rover" for own in trainings.values() for c in own)
