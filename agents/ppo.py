@@ -310,6 +310,9 @@ def entries_of(scenario: Scenario, variant: str) -> tuple[ObservedNumber, ...]:
 def check_layout(meta: dict, where, scenario: Scenario | None = None) -> None:
     """ParameterError if a model was trained on another observation than this version's of `scenario` (or its own)."""
     variant = meta["observation"]
+    if scenario is not None and bool(_axles(meta)) != isinstance(scenario, RoverScenario):
+        kinds = ("wheel", "rover") if _axles(meta) == 0 else ("rover", "wheel")
+        raise ParameterError(f"{where}: an agent of a {kinds[0]}, for scenario {scenario.name!r} of a {kinds[1]}")
     entries = _scaling(meta).entries if scenario is None else entries_of(scenario, variant)
     expected = [e.name for e in entries]
     found = list(meta["observation_names"])

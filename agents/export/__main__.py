@@ -119,6 +119,8 @@ def _asked(options) -> tuple[Path, Scenario, WheelSoilModel | None]:
     if options.scenario is not None:
         raise ParameterError(f"--scenario {options.scenario}: {path} has its own")
     meta = ppo.read_meta(path)
+    if "vehicle" in meta["scenario"]:
+        raise ParameterError(f"{path}: an agent of a rover; expected one of a wheel, others are not exported")
     world = WheelSoilModel.from_content(meta["model"], str(path)) if "model" in meta else None
     return path, load(Scenario, meta["scenario"], f"{path}: scenario"), world
 

@@ -198,7 +198,7 @@ def test_the_agent_loads_and_acts(run_folder):
 def test_an_agent_of_a_rover_does_not_drive_a_wheel(run_folder):
     from agents.evaluate.models import load_model
 
-    with pytest.raises(ParameterError, match="another observation layout"):
+    with pytest.raises(ParameterError, match="an agent of a rover, for scenario 'mixed' of a wheel"):
         load_model(run_folder / "model.zip", load_scenario("mixed"))
 
 
