@@ -3,6 +3,7 @@
 from functools import partial
 
 from soil_env.parameters import scenario_names, soils
+from soil_env.vehicle import rover_names
 from tests.oracle_runs import (
     LOOSE,
     ROOT,
@@ -14,6 +15,7 @@ from tests.oracle_runs import (
     discrepancy,
     drive,
     drive_many,
+    drive_rover,
     identify,
     newton,
     predict,
@@ -94,6 +96,11 @@ CASES["vector/disabled_blind"] = partial(
 )
 CASES["vector/effects"] = partial(drive_many, 10, model=_LUGS, max_episode_steps=70, threads=1)
 CASES["vector/one_wheel"] = partial(drive_many, 1, scenario="loose_slopes", course={"length": 3.0})
+
+for _name in rover_names():
+    CASES[f"rover/{_name}"] = partial(drive_rover, rover=_name)
+CASES["rover/torque_true_soil"] = partial(drive_rover, rover="mars_rover", action="torque", observation="true_soil")
+CASES["rover/effects"] = partial(drive_rover, rover="field_rover", model=_LUGS, action="wheel_speed")
 
 CASES["prediction/soils"] = lambda: predict({k: world({}, **soil_content(s)) for k, s in soils().items()})
 CASES["prediction/effects"] = lambda: predict({k: world(e, **SOIL) for k, e in (EFFECTS | PAIRS).items()})

@@ -87,6 +87,25 @@ def drive_many(count: int, steps: int = 200, **options) -> dict:
     return {"ends": ", ".join(ends)} | {name: np.array(values) for name, values in out.items()}
 
 
+def drive_rover(steps: int = 200, seed: int = 3, **options) -> dict:
+    """What a rover sees and does, every `EVERY` steps; each axle has its own command."""
+    env = gymnasium.make("SoilRover-v0", disable_env_checker=True, **options)
+    env.reset(seed=seed)
+    axles, ends = env.action_space.shape[0], []
+    out: dict[str, list] = {"period": [], "observation": []}
+    for k in range(steps):
+        observation, _, over, _, info = env.step(np.array([action(k + 3 * axle, 0.45) for axle in range(axles)]))
+        if k % EVERY == EVERY - 1 or over:
+            out["period"].append(float(k))
+            out["observation"].append(observation)
+            for name, value in info["state"].items():
+                out.setdefault(f"state.{name}", []).append(value)
+        if over:
+            ends.append(f"{k} {info['cause']}")
+            env.reset()
+    return {"ends": ", ".join(ends)} | {name: np.array(values) for name, values in out.items()}
+
+
 def predict(models: dict, count: int = 20) -> dict:
     """Steady sinkage, drawbar pull and torque at conditions of every kind."""
     rng = np.random.default_rng(11)

@@ -112,7 +112,7 @@ def test_the_same_courses_for_all_however_they_are_cut(scenario):
 
 def test_energy_is_of_both_sides(scenario):
     """Work of the motors over distance, less slip, is that of the climb and of motion resistance of the whole rover."""
-    easy = load_rover("mars_rover", SHORT | {"course": {"length": 6.0, "grade_deg": [8.0, 8.0], "payload": [0.0, 0.0]}})
+    easy = load_rover("mars_rover", SHORT | {"course": {"length": 6.0, "grade_deg": [8.0, 8.0], "margin": [0.1, 0.1]}})
     runs = run_courses(make_rover_controller("soft_start", easy), easy, 5, 4)
     climb = 899.0 * 3.71 * np.sin(np.radians(8.0))
     work = runs.metric("energy_per_metre") * (1.0 - runs.slip)
