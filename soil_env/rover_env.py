@@ -60,10 +60,10 @@ class SoilRoverEnv(CourseEnv):
     |-----------|-----------|---------------------|
     | "torque" | 1 | motor torque as a share of the stall torque, within the motor's torque-speed line |
     | "wheel_speed" | 1 | wheel speed as a share of the no-load speed, followed by the drive's own speed loop |
-    | "rim_acceleration" | 5 | rate of a commanded rim speed over the rover's, followed by the drive's own loop (default) |
+    | "rim_acceleration" | 5 | rate of a commanded rim speed over the greatest, followed by the drive's loop (default) |
 
-    The rate is `control={"rim_acceleration": ...}`: 0.1 m/s2 for "lunar_micro_rover" and "mars_rover", 0.3 m/s2 for
-    "field_rover". All else of the action is as for SoilWheel-v0.
+    The greatest rate is `control={"rim_acceleration": ...}`: 0.1 m/s2 of "lunar_micro_rover" and "mars_rover", 0.3 m/s2
+    of "field_rover". All else of the action is as for SoilWheel-v0.
 
     Values outside are clipped; a wrong shape, NaN or infinity raises `ValueError`.
 
@@ -153,8 +153,8 @@ class SoilRoverEnv(CourseEnv):
     the weight at rest on level ground, with a random payload that the axles share as they do the weight.
 
     ## Episode end
-    Terminated when the course is finished, the rover is immobilised, or time is up; `info["cause"]` says which. x is the
-    rear axle's place along the course:
+    Terminated when the course is finished, the rover is immobilised, or time is up; `info["cause"]` says which. x is
+    the rear axle's place along the course:
 
     | cause | condition (`limits={...}`) |
     |-------|-----------|
@@ -174,8 +174,8 @@ class SoilRoverEnv(CourseEnv):
     | cause | name of the `task.Cause`, "RUNNING" before the end |
     | immobilised | bool |
     | reward_terms | dict of the terms above; their sum is the reward |
-    | state | dict of the true x, speed, pitch of the body, mean slip, depth of the deepest wheel, drawbar pull and motor |
-    |       | work in the last control period of the wheels of one side, in SI units |
+    | state | dict of the true x, speed, pitch of the body, mean slip, depth of the deepest wheel, and of the wheels |
+    |       | of one side the drawbar pull and the motor work in the last control period, in SI units |
     | front, middle, rear | dict for each axle: `state`, of one wheel, as for SoilWheel-v0: x, wheel speed, slip, |
     |                     | sinkage, load, drawbar pull, torques, grade; `estimate` of the soil under it |
 

@@ -140,6 +140,7 @@ class RoverRenderer(CourseView):
 
     def _paint(self, canvas: Canvas, simulation: RoverSimulation, k: int) -> None:
         numbers, base = simulation.numbers, self.scenario.vehicle.base
+        x = simulation.worlds.rovers.wheels.x[simulation.wheels[k]]
         width = _width_of(simulation)
         profile = self._ground(simulation, k, width, numbers.task.length + base + width, False)
         bounds = friction_range(self.scenario, simulation)
@@ -147,9 +148,7 @@ class RoverRenderer(CourseView):
         _draw_scene(canvas, simulation, k, profile, bounds, self._angles, [dark for dark, _ in colours])
         _draw_readings(canvas, simulation, k)
         _draw_table(canvas, simulation, k, self._axles, bounds)
-        draw_course(
-            canvas, profile, numbers.task.length, simulation.worlds.rovers.wheels.x[simulation.wheels[k]], bounds
-        )
+        draw_course(canvas, profile, numbers.task.length, x, bounds)
         draw_axle_charts(canvas, np.array(self._history).reshape(-1, 1 + 5 * len(colours)).T, colours)
 
 
@@ -239,7 +238,7 @@ def _draw_readings(c: Canvas, simulation: RoverSimulation, j: int) -> None:
 
 
 def _draw_table(c: Canvas, simulation: RoverSimulation, j: int, names, bounds) -> None:
-    """State of each axle, with the depth of the rut that it runs in, and the true soil under it, below the side view."""
+    """State of each axle, with the rut that it runs in and the true soil under it, below the side view."""
     worlds, border = simulation.worlds, simulation.numbers.world.border
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
     places = (28, 106, 162, 216, 270, 324, 392, 402, 500)  # right ends but of the first and the last two
