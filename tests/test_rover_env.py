@@ -200,7 +200,9 @@ def test_the_deepest_wheel_is_bogged():
 # --- model ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("effects", [{"grousers": {"shear_share": 0.5, "blades": 2.0}}, {"multipass": {"hardening": 0.5}}])
+@pytest.mark.parametrize(
+    "effects", [{"grousers": {"shear_share": 0.5, "blades": 2.0}}, {"multipass": {"hardening": 0.5}}]
+)
 def test_a_hidden_effect_acts(effects):
     """The same course and actions: grousers change all wheels from the first step, multipass those behind first."""
     wheel = load_rover().wheel

@@ -1,4 +1,4 @@
-"""The rover's vector environment: bit for bit the scalar one, in every autoreset mode and with any number of threads."""
+"""The rover's vector environment: bit for bit the scalar one, in every autoreset mode, with any number of threads."""
 
 import gymnasium
 import numpy as np
