@@ -13,6 +13,7 @@ from soil_env.rendering.rover_view import RoverRenderer, posture_of, rover_stres
 from soil_env.rendering.side_view import Renderer
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.worlds import RoverSimulation
+from soil_env.simulation.terrain import cell_at
 from soil_env.simulation.worlds import Simulation
 from soil_env.vehicle import load_rover, rover_names
 from tests.rendering.test_side_view import dummy_display, integral, near  # noqa: F401
@@ -134,12 +135,18 @@ def test_a_wheel_behind_is_drawn_on_the_floor_of_the_rut():
     depth = simulation.numbers.world.wheel.radius - math.dist(p.hubs[1], ground)
     assert depth == pytest.approx(rovers.wheels.sinkage[rows[1]] + floor[rows[1]], rel=1e-9)
     with_rut = scene(view.draw(simulation, 0))
+    cells = [cell_at(simulation.worlds.courses, rovers.wheels.x[rows[1]]) + ahead for ahead in (5, -5)]
+    left = [float(simulation.worlds.ruts.rut[rows[0], cells[0]])]
+    left.append(float(simulation.worlds.ruts.floor[rows[1], cells[1]] + simulation.worlds.ruts.rut[rows[1], cells[1]]))
+    assert left[1] > left[0] + 0.003
     simulation.worlds.ruts.floor[:] = 0.0
     simulation.worlds.ruts.rut[:] = 0.0
     without = scene(view.draw(simulation, 0))
-    column = int(0.5 * (places[0, 0] + places[1, 0]))  # between the wheels: the front one's rut
-    sky = [near(picture[:, column], canvas.SKY, 6).sum() for picture in (with_rut, without)]
-    assert sky[0] - sky[1] == pytest.approx(float(floor[rows[1]]) * scale, abs=4.0)
+    r = simulation.numbers.world.wheel.radius
+    for behind, depth in ((-0.5 * (places[0, 0] - places[1, 0]), left[0]), (1.6 * r * scale, left[1])):
+        column = int(places[1, 0] - behind)  # between the wheels the front one's rut, behind them that of both
+        sky = [near(picture[:, column], canvas.SKY, 6).sum() for picture in (with_rut, without)]
+        assert sky[0] - sky[1] == pytest.approx(depth * scale, abs=4.0)
     ahead = int(places[0, 0] + 1.7 * simulation.numbers.world.wheel.radius * scale)
     assert np.array_equal(with_rut[80:, ahead:], without[80:, ahead:])
 
