@@ -249,6 +249,12 @@ def test_bad_arguments_are_named_in_one_line(make, arguments, message):
     assert message in said and "\n" not in said and len(said) < 400
 
 
+@pytest.mark.parametrize("make", [SoilRoverEnv, SoilRoverVectorEnv])
+def test_an_unknown_keyword_is_the_error_of_python_too(make):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
+        make(frameskip=1)
+
+
 def test_the_wheel_takes_no_rover():
     for arguments in ({"scenario": load_rover()}, {"scenario": "lunar_micro_rover"}, {"vehicle": {"mass": 10.0}}):
         with pytest.raises(soil_env.ParameterError, match="vehicle|lunar_micro_rover") as raised:

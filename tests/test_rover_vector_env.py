@@ -1,5 +1,8 @@
 """The rover's vector environment: bit for bit the scalar one, in every autoreset mode, with any number of threads."""
 
+import copy
+import pickle
+
 import gymnasium
 import numpy as np
 import pytest
@@ -171,6 +174,18 @@ def test_seeds_single_and_listed_and_for_some():
     after, _ = env.reset(seed=[9] * 4, options={"reset_mask": np.array([False, True, False, False])})
     np.testing.assert_array_equal(after[1], SoilRoverEnv().reset(seed=9)[0])
     np.testing.assert_array_equal(after[[0, 2, 3]], before[[0, 2, 3]])
+
+
+@pytest.mark.parametrize("make", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["deepcopy", "pickle"])
+def test_a_copy_goes_on_as_the_original(make):
+    env = SoilRoverVectorEnv(9, threads=2, info="full", **QUICK)
+    env.reset(seed=3)
+    env.step(np.full((9, 2), 0.45))
+    other = make(env)
+    for a in actions(20, 2, 9):
+        (x, *_, told), (y, *_, told_by_copy) = env.step(a), other.step(a)
+        np.testing.assert_array_equal(x, y)
+        np.testing.assert_array_equal(told["rear"]["state"]["load"], told_by_copy["rear"]["state"]["load"])
 
 
 def test_max_episode_steps_truncates():
