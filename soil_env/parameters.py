@@ -422,7 +422,8 @@ def load_scenario_as(
     if isinstance(which, kind):
         mapping, where = to_dict(which), f"{singular} {which.name!r}"
     elif not isinstance(which, (str, Path)):
-        raise ParameterError(f"{singular} = {which!r}: expected a name, the path of a YAML file, or a {kind.__name__}")
+        expected = f"expected a name, the path of a YAML file, or a {kind.__name__}"
+        raise ParameterError(f"{singular} = {which!r:.60}: {expected}")
     else:
         path = Path(which)
         if path.suffix not in (".yaml", ".yml"):

@@ -10,7 +10,7 @@ import time
 import gymnasium
 import numpy as np
 
-import soil_env  # noqa: F401  (registers SoilWheel-v0)
+import soil_env  # noqa: F401  (registers the environments)
 from soil_env._io.commands import command_line, command_parser, leave
 from soil_env._numba.cache import place
 from soil_env.online import OnlineIdentifier, Readings, slips
@@ -21,7 +21,7 @@ from soil_env.terramechanics.traversability import best_points
 
 
 def warm_up() -> None:
-    """Run once what is compiled: environments, identifier, tables, logs, controllers, side view, the source paper."""
+    """Run once what is compiled: environments, identifier, tables, logs, controllers, views, the source paper."""
     model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}})
     for world in (None, model):
         env = gymnasium.make("SoilWheel-v0", model=world, render_mode="rgb_array")
@@ -33,6 +33,7 @@ def warm_up() -> None:
         envs.reset(seed=0)
         envs.step(np.full((64, 1), 0.4, dtype=np.float32))
         envs.close()
+    _warm_up_the_rover()
     identifier = OnlineIdentifier(wheels()["planetary_rover"])
     identifier.update(Readings(2.0, 0.25, 0.02, 10.0, 147.0, 5.0))
     identifier.traversability()
@@ -43,6 +44,14 @@ def warm_up() -> None:
     out = np.zeros((2, 1))
     best_points(np.zeros(1, np.int64), np.ones((1, 7)), np.array([100.0]), 0.15, 0.15, 10.0, out[0], out[1])
     _warm_up_the_paper()
+
+
+def _warm_up_the_rover() -> None:
+    env = gymnasium.make("SoilRover-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    env.step(np.array([0.4, 0.4], dtype=np.float32))
+    env.render()
+    env.close()
 
 
 def _warm_up_the_paper() -> None:

@@ -51,7 +51,8 @@ def check_vector(env, steps=30):
     rng = np.random.default_rng(0)
     kept = first.copy()
     for _ in range(steps):
-        observation, reward, terminated, truncated, info = env.step(rng.uniform(-1, 1, (n, 1)).astype(np.float32))
+        actions = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
+        observation, reward, terminated, truncated, info = env.step(actions)
         assert env.observation_space.contains(observation) and observation.dtype == single.dtype
         assert reward.shape == terminated.shape == truncated.shape == (n,)
         assert reward.dtype == np.float64 and terminated.dtype == truncated.dtype == np.bool_

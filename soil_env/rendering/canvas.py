@@ -21,6 +21,7 @@ DESIGN = (960, 540)  # [px] the size in which the layout is written
 WHITE, PAPER, INK, GREY, GRID = (255, 255, 255), (250, 250, 248), (34, 34, 40), (112, 112, 120), (226, 226, 230)
 BLUE, LIGHT_BLUE, ORANGE, LIGHT_ORANGE = (0, 114, 178), (190, 220, 240), (213, 94, 0), (246, 196, 150)
 GREEN, AMBER, SURFACE = (0, 130, 96), (176, 112, 0), (74, 54, 38)
+PURPLE, LIGHT_PURPLE, LIGHT_AMBER, LIGHT_GREEN = (150, 50, 130), (230, 200, 225), (244, 220, 160), (178, 224, 208)
 SKY, RIM, WHEEL, SPOKE = (232, 240, 246), (60, 64, 72), (238, 239, 242), (150, 154, 162)
 _RAMP = np.array([(247, 230, 186), (218, 182, 126), (171, 128, 82), (116, 82, 56)], dtype=float)
 GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, shade

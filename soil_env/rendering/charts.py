@@ -1,12 +1,13 @@
-"""Strip charts over time: slip and sinkage, and the soil, estimated and true."""
+"""Strip charts over time: slip and sinkage, and the soil, estimated and true; of a rover, axle by axle."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from soil_env.rendering.canvas import BLUE, GREEN, GREY, GRID, INK, LIGHT_BLUE, ORANGE, WHITE, Canvas
+from soil_env.rendering.canvas import BLUE, GREEN, GREY, GRID, INK, LIGHT_BLUE, ORANGE, WHITE, Canvas, Colour
 
 SPAN = 30.0  # [s] shown by the charts
 CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
@@ -34,13 +35,48 @@ def draw_charts(c: Canvas, history: np.ndarray) -> None:
     for place, words, colour in ((right - 146, "estimate ± sd", BLUE), (right - 44, "true", ORANGE)):
         c.lines([(place, y), (place + 16, y)], colour, 2)
         c.text(place + 20, y, words, 15, colour)
+    _draw_times(c, end)
+
+
+def draw_axle_charts(c: Canvas, history: np.ndarray, colours: Sequence[tuple[Colour, Colour]]) -> None:
+    """Slip, sinkage, load and friction angle, estimated and true, of each axle in its (dark, pale) colours.
+
+    `history` [1 + 5 axles, samples]: time, then those five of each axle in turn.
+    """
+    end = max(SPAN, history[0].max(initial=0.0))
+    history = history[:, history[0] >= end - SPAN - 1e-9]
+    time, axles = history[0], history[1:].reshape(len(colours), 5, -1).transpose(1, 0, 2)  # [what, axle, sample]
+    dark, pale = zip(*colours, strict=True)
+    slip, sinkage, load = axles[:3]
+    low = -1.0 if slip.min(initial=0.0) < -0.25 else -0.25
+    high = max(0.5, 0.5 * math.ceil(2.0 * sinkage.max(initial=0.0)))
+    most = max(1.5, 0.5 * math.ceil(2.0 * load.max(initial=0.0)))
+    charts = (
+        ("slip [-]", slip, (low, 1.0)), ("sinkage / radius [-]", sinkage, (0.0, high)),
+        ("load / mean load at rest on the level [-]", load, (0.0, most)),
+    )  # fmt: skip
+    for box, (name, values, limits) in zip(CHARTS, charts, strict=False):
+        _draw_chart(c, box, end, time, limits, False, list(zip(values, dark, strict=True)))
+        c.text(box[0], box[1] - 11, name, 16)
+    box, (estimate, true) = CHARTS[3], np.degrees(axles[3:])
+    limits = _limits(np.concatenate([estimate.ravel(), true.ravel()]), False)
+    lines = [*zip(true, pale, [6.0] * len(pale), strict=True), *zip(estimate, dark, strict=True)]
+    _draw_chart(c, box, end, time, limits, False, lines)
+    c.text(box[0], box[1] - 11, "friction angle φ [deg]: estimate, true (broad)", 16)
+    _draw_times(c, end)
+
+
+def _draw_times(c: Canvas, end: float) -> None:
+    """The axis of time below the last chart."""
+    x, y, width, height = CHARTS[3]
     for t in ticks(end - SPAN, end, 5.0):
-        c.text(x + CHARTS[3][2] * (t - end + SPAN) / SPAN, CHARTS[3][1] + h + 10, f"{t:g}", 14, GREY, 0.5)
-    c.text(x + 0.5 * CHARTS[3][2], CHARTS[3][1] + h + 24, "time [s]", 15, GREY, 0.5)
+        c.text(x + width * (t - end + SPAN) / SPAN, y + height + 10, f"{t:g}", 14, GREY, 0.5)
+    c.text(x + 0.5 * width, y + height + 24, "time [s]", 15, GREY, 0.5)
 
 
 def _draw_chart(c: Canvas, box, end, time, limits, log, lines, band=None) -> None:
-    """A strip chart of `SPAN` seconds up to `end` [s]: (values, colour) of each line, (lower, upper) of a band."""
+    """A strip chart of `SPAN` seconds up to `end` [s]: (values, colour) of each line, with a width if it is another
+    than 1.8, and (lower, upper) of a band."""
     left, top, width, height = box
     of = np.log if log else np.asarray
     low, high = of(limits)
@@ -59,8 +95,8 @@ def _draw_chart(c: Canvas, box, end, time, limits, log, lines, band=None) -> Non
     c.lines([(left, top), (left, top + height), (left + width, top + height)], GREY, 1)
     if band is not None and time.size > 1:
         c.polygon([*at(time, band[0]), *at(time, band[1])[::-1]], LIGHT_BLUE)
-    for values, colour in lines:
-        c.lines(at(time, values), colour, 1.8)
+    for values, colour, *thickness in lines:
+        c.lines(at(time, values), colour, *(thickness or [1.8]))
 
 
 def _in_shown_units(values: np.ndarray, i: int) -> np.ndarray:

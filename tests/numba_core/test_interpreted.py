@@ -10,9 +10,11 @@ import pytest
 
 from soil_env.identification import Reading, newton_raphson
 from soil_env.parameters import Soil, load_scenario, soils
+from soil_env.simulation.rover.worlds import RoverSimulation
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, steady_state
 from soil_env.terramechanics.residual import ResidualTerm
+from soil_env.vehicle import load_rover
 
 EFFECTS = {
     "slip_sinkage": {"gain": 2.0, "length": 0.003}, "rear_contact": {"ratio": 0.2}, "bulldozing": {"rankine": 0.5},
@@ -40,6 +42,25 @@ def drive(name):
     }  # fmt: skip
 
 
+def drive_rover(name):
+    """Arrays by name: what is simulated, observed and identified in a few control periods of a rover."""
+    simulation = RoverSimulation(1, load_rover(name, {"control": {"repeat": 1}}), "identified", threads=1)
+    simulation.seed(0, np.random.default_rng(0))
+    simulation.restart(0)
+    rows, rovers = [], simulation.worlds.rovers
+    for command in (0.9, 1.0, -0.4, 0.8):
+        simulation.step(0, command * np.linspace(1.0, 0.7, simulation.scenario.axles))
+        wheels = [v for k in simulation.wheels[0] for v in (rovers.wheels[int(k)] | rovers.axles[int(k)]).values()]
+        rows.append([*rovers.body[0].values(), *wheels])
+    worlds, rows_of = simulation.worlds, simulation.wheels[0]
+    left = {f"ruts.{field}": getattr(worlds.ruts, field)[rows_of] for field in worlds.ruts._fields}
+    return {
+        "state": np.array(rows), "observation": worlds.observation, "terms": worlds.terms,
+        "estimate": worlds.known.estimate[rows_of], "sd": worlds.known.sd[rows_of],
+        "soils": worlds.courses.soils, **left,
+    }  # fmt: skip
+
+
 def identify():
     """Three points of a steady wheel, and the soil that is identified from them."""
     reading, slip = Reading(690.0, 0.47, 0.6274, 0.1524), (0.08, 0.22, 0.45)
@@ -54,7 +75,8 @@ def identify():
     return {"points": points, "covariance": np.array(found)}
 
 
-RUNS = {**{name: (drive, name) for name in MODELS}, "identification": (identify,)}
+ROVERS = {name: (drive_rover, name) for name in ("lunar_micro_rover", "mars_rover")}
+RUNS = {**{name: (drive, name) for name in MODELS}, **ROVERS, "identification": (identify,)}
 
 
 @pytest.fixture(scope="module")

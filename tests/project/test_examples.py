@@ -13,6 +13,12 @@ FOLDER = Path(__file__).resolve().parents[2] / "examples"
 pytestmark = pytest.mark.documents
 RUNS = {  # script -> (arguments, picture, what it has to print, module it needs)
     "drive": ("--frame 40 --out wheel.png", "wheel.png", r"best_slip_identified: RUNNING at 0\.\d+ m", "gymnasium"),
+    "drive_rover": (
+        "--rover mars_rover --frame 30 --out rover.png",
+        "rover.png",
+        r"mars_rover: RUNNING at 0\.\d+ m.*\n  front: slip .*\n  middle: .*\n  rear: .* friction angle \d",
+        "pygame",
+    ),
     "identify_soil": ("", "identified.png", r"friction_angle_deg +31\.4\d", "scipy"),
     "record_bag": ("--steps 200", "", r"200 sets of readings.*\n.*drive: \d\.\de-0[5-9]", "rosbags"),
     "live_identifier": ("--steps 120", "", r"\d+ sets of readings; Soil\(", "gymnasium"),

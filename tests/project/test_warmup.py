@@ -52,6 +52,11 @@ env = gymnasium.make("SoilWheel-v0", render_mode="rgb_array")
 env.reset(seed=1)
 env.step(np.array([0.3], dtype=np.float32))
 env.render()
+for rover in ("lunar_micro_rover", "mars_rover"):
+    env = gymnasium.make("SoilRover-v0", rover=rover, render_mode="rgb_array")
+    env.reset(seed=1)
+    env.step(np.full(env.action_space.shape, 0.3, dtype=np.float32))
+    env.render()
 from soil_env.paper import compare
 compare.table_3()
 print("late:", late)

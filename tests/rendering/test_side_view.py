@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from soil_env.parameters import load_scenario
-from soil_env.rendering import charts
+from soil_env.rendering import canvas, charts
 from soil_env.rendering import side_view as rendering
-from soil_env.rendering.side_view import Renderer, contact_stresses
+from soil_env.rendering.side_view import Renderer, stresses_under
 from soil_env.simulation.terrain import cell_at
 from soil_env.simulation.worlds import Simulation
 
@@ -66,7 +66,7 @@ def ring(picture, simulation):
     a = np.linspace(0.0, 2.0 * math.pi, 180, endpoint=False)
     radius = 0.97 * SCALE
     rows, columns = np.rint(y + radius * np.sin(a)).astype(int), np.rint(x + radius * np.cos(a)).astype(int)
-    return near(scene(picture)[rows, columns], rendering.RIM, 40).mean()
+    return near(scene(picture)[rows, columns], canvas.RIM, 40).mean()
 
 
 @pytest.mark.parametrize("size", [(960, 540), (801, 500)])
@@ -115,7 +115,7 @@ def test_rut_lowers_the_ground_behind_the_wheel():
     rut[:] = 0.0
     without = scene(renderer.draw(simulation, 0))
     column = int(hub(simulation)[0] - 1.5 * SCALE)
-    sky = [near(p[:, column], rendering.SKY, 6).sum() for p in (with_rut, without)]
+    sky = [near(p[:, column], canvas.SKY, 6).sum() for p in (with_rut, without)]
     expected = float(depth) / simulation.numbers.world.wheel.radius * SCALE
     assert expected > 8.0
     assert sky[0] - sky[1] == pytest.approx(expected, abs=0.25 * expected + 3.0)
@@ -126,12 +126,12 @@ def test_rut_lowers_the_ground_behind_the_wheel():
 def test_stress_is_drawn_below_the_wheel_and_grows_with_the_load():
     simulation, renderer = start()
     drive(simulation, renderer, 15)
-    blue = np.argwhere(near(scene(renderer.draw(simulation, 0)), rendering.LIGHT_BLUE, 10))
+    blue = np.argwhere(near(scene(renderer.draw(simulation, 0)), canvas.LIGHT_BLUE, 10))
     assert len(blue) > 80
     x, y = hub(simulation)
     assert (np.hypot(blue[:, 1] - x, blue[:, 0] - y) > 0.9 * SCALE).mean() > 0.95
     simulation.worlds.state["mass"][0] *= 0.5
-    fewer = near(scene(renderer.draw(simulation, 0)), rendering.LIGHT_BLUE, 10).sum()
+    fewer = near(scene(renderer.draw(simulation, 0)), canvas.LIGHT_BLUE, 10).sum()
     assert fewer < 0.75 * len(blue)
 
 
@@ -140,7 +140,7 @@ def test_stresses_sum_to_the_forces_of_the_simulation(command):
     simulation, renderer = start()
     drive(simulation, renderer, 12, command)
     w, world = simulation.wheel(0), simulation.numbers.world.wheel
-    angle, normal, shear = contact_stresses(simulation, 0)
+    angle, normal, shear = stresses_under(simulation, 0)
     r, area = world.radius, world.radius * world.width
     side = math.copysign(1.0, w["speed"])
     load = area * integral(normal * np.cos(angle) + side * shear * np.sin(angle), angle)
@@ -155,13 +155,13 @@ def test_stresses_sum_to_the_forces_of_the_simulation(command):
 def test_shear_arrow_points_where_the_soil_pushes_the_wheel(monkeypatch):
     simulation, renderer = start()
     drive(simulation, renderer, 15)
-    stresses = contact_stresses(simulation, 0)
+    stresses = stresses_under(simulation, 0)
     assert stresses.shear.max() > 2000.0  # Pa, driving
     heads = []
     for sign in (1.0, -1.0):
         pushed = stresses._replace(shear=sign * stresses.shear)
-        monkeypatch.setattr(rendering, "contact_stresses", lambda *_, s=pushed: s)
-        heads.append(np.argwhere(near(scene(renderer.draw(simulation, 0))[60:], rendering.ORANGE, 20))[:, 1].mean())
+        monkeypatch.setattr(rendering, "stresses_under", lambda *_, s=pushed: s)
+        heads.append(np.argwhere(near(scene(renderer.draw(simulation, 0))[60:], canvas.ORANGE, 20))[:, 1].mean())
     assert heads[0] > heads[1] + 1.0
 
 
@@ -187,8 +187,8 @@ def test_estimate_and_truth_are_drawn_apart():
     picture = renderer.draw(simulation, 0)
     for x, y, w, h in charts.CHARTS[1:]:
         chart = picture[y : y + h, x + 2 : x + w]
-        assert near(chart, rendering.BLUE, 30).sum() > 60
-        assert near(chart, rendering.ORANGE, 40).sum() > 60
+        assert near(chart, canvas.BLUE, 30).sum() > 60
+        assert near(chart, canvas.ORANGE, 40).sum() > 60
 
 
 def test_extreme_states_are_drawn():

@@ -23,7 +23,14 @@ from soil_env.identification.online import (
     new_identifiers,
     observe,
 )
-from soil_env.simulation.courses import CourseDistribution, CourseNumbers, course_numbers, draw_ahead, start_course
+from soil_env.simulation.courses import (
+    CourseDistribution,
+    CourseNumbers,
+    course_numbers,
+    draw_ahead,
+    extend_course,
+    start_course,
+)
 from soil_env.simulation.rover.body import (
     AxleState,
     BodyCounts,
@@ -38,7 +45,7 @@ from soil_env.simulation.sensors import roll_odometer, sense, start_odometry
 from soil_env.simulation.task import REWARD_TERMS, Cause, TaskNumbers, judge, knowledge, reward_terms
 from soil_env.simulation.terrain import Courses, new_courses
 from soil_env.simulation.wheel import WheelCounts, WheelState, WorldNumbers, settle_at, wheel_of, world_numbers
-from soil_env.simulation.worlds import IDLE, RESTART, STEP, TRY, processors
+from soil_env.simulation.worlds import COMPLETE, IDLE, RESTART, STEP, TRY, processors
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
@@ -302,6 +309,9 @@ def step_rovers(worlds, numbers, commands, what, counter):
                     restart(worlds, numbers, j)
                 elif what[j] == TRY:
                     worlds.reward[j] = start_course(j, worlds.courses, worlds.streams, _course(numbers))
+                elif what[j] == COMPLETE:
+                    mass = worlds.rovers.body.mass[j] / numbers.suspension.axles
+                    extend_course(j, worlds.courses, mass, np.inf, _course(numbers))
             if steps > 0:
                 _step_block(worlds, numbers, commands, b * COUNT)
         block = take(counter, portion)
@@ -355,6 +365,10 @@ class RoverSimulation:
     def restart(self, j: int) -> None:
         """New course and fresh start for rover j."""
         self._do(j, RESTART)
+
+    def complete(self, j: int) -> None:
+        """Draw what is left of the course of rover j; it goes on as it would have."""
+        self._do(j, COMPLETE)
 
     def step(self, j: int, commands: np.ndarray) -> None:
         """One step of rover j with `commands` [axles]: the control periods of an action."""

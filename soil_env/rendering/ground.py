@@ -1,0 +1,150 @@
+"""The ground of a course in pictures: its profile, what is seen of it near by, and the strip of the whole course."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._numba.compiling import root
+from soil_env.parameters import Scenario
+from soil_env.rendering.canvas import GRAINS, GREY, INK, RIM, WHITE, Box, Canvas, soil_colour
+from soil_env.rendering.charts import nice, ticks
+from soil_env.simulation.terrain import CELL, CELLS_BEHIND, ground_at
+
+#: Box of the strip of the whole course: left, top, width, height
+COURSE = (32, 448, 512, 66)
+
+
+class Profile(NamedTuple):
+    """Elevation and friction angle along a course, on a grid."""
+
+    x: np.ndarray  # [points] distance along the course [m]
+    across: np.ndarray  # [points] horizontal place [m]
+    height: np.ndarray  # [points] [m]
+    friction: np.ndarray  # [points] phi [deg]
+
+    def at(self, x):
+        """(horizontal place, height) [m] at x [m] along the course."""
+        return np.interp(x, self.x, self.across), np.interp(x, self.x, self.height)
+
+
+@root(allocates=True)
+def _along(courses, k, x, border):
+    """(grade [rad], phi [deg]) of course k at each x [m]."""
+    grade, friction, patch = np.empty(x.size), np.empty(x.size), 0
+    for i in range(x.size):
+        soil, grade[i], patch = ground_at(courses, k, x[i], patch, border)
+        friction[i] = math.degrees(math.atan(soil.tan_phi))
+    return grade, friction
+
+
+def profile_of(courses, k: int, border: float, before: float, beyond: float, level: bool) -> Profile:
+    """Course k from `before` [m] ahead of its start up to `beyond` [m].
+
+    `level`: whether distance along the course is taken as horizontal, else as along the slope.
+    """
+    x = np.arange(-before, beyond, 0.5 * CELL)
+    grade, friction = _along(courses, k, x, border)
+
+    def from_start(slope):
+        total = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(x))])
+        return total - np.interp(0.0, x, total)
+
+    if level:
+        return Profile(x, x, from_start(np.array([math.tan(g) for g in grade])), friction)
+    return Profile(x, from_start(np.cos(grade)), from_start(np.sin(grade)), friction)
+
+
+class Scene(NamedTuple):
+    """A box of the picture that shows a part of the world."""
+
+    box: Box
+    scale: float  # [units per m]
+    place: np.ndarray  # where in the picture `centre` is
+    centre: np.ndarray  # horizontal place and height [m]
+
+    def at(self, x, y):
+        """Place in the picture of points of the world [m]."""
+        return np.stack(
+            [
+                self.place[0] + self.scale * (x - self.centre[0]),
+                self.place[1] - self.scale * (y - self.centre[1]),
+            ],
+            axis=-1,
+        )
+
+
+def depth_of_ruts(x: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Depth [m] at each x [m] along a course of what is left in its cells."""
+    return np.interp(x, (np.arange(cells.size) - CELLS_BEHIND + 0.5) * CELL, cells, left=0.0)
+
+
+def draw_ground(c: Canvas, scene: Scene, x, profile: Profile, lowered, hubs, r: float, bounds) -> None:
+    """The soil up to its surface at x [m] along the course, `lowered` [m] by ruts and pressed down by wheels of radius
+    r [m] at `hubs`, with specks; dashed where the surface was before."""
+    across, before = profile.at(x)
+    now = before - lowered
+    for hub in hubs:
+        under = np.abs(across - hub[0]) < r
+        now[under] = np.minimum(now[under], hub[1] - np.sqrt(r * r - (across[under] - hub[0]) ** 2))
+    middle = 0.5 * (across[1:] + across[:-1])
+    friction = np.interp(0.5 * (x[1:] + x[:-1]), profile.x, profile.friction)
+    colours = c.soil(scene.at(across, now), scene.box[1] + scene.box[3], friction, bounds)
+    step = (across[-1] - across[0]) / 40.0
+    cells = np.arange(4 * math.floor(across[0] / step), 4 * math.ceil(across[-1] / step))
+    place, depth, shade = GRAINS[cells % len(GRAINS)].T
+    gx = (cells // 4 + place) * step
+    spots = scene.at(gx, np.interp(gx, across, now) - (0.3 + 12.0 * depth) * step)
+    tints = colours[np.searchsorted(middle, gx).clip(0, middle.size - 1)] * np.where(shade < 0.5, 0.82, 1.1)[:, None]
+    for spot, size, tint in zip(spots, 1.0 + 1.2 * shade, tints.clip(0, 255).astype(int).tolist(), strict=True):
+        c.circle(spot, size, tint)
+    untouched = scene.at(across, before)[before - now > 0.03 * r]
+    for i in range(0, len(untouched) - 2, 4):
+        c.lines(untouched[i : i + 3], GREY, 1.2)
+
+
+def draw_flag(c: Canvas, scene: Scene, foot) -> None:
+    """A chequered flag at the end of the course."""
+    top = np.array([foot[0], max(foot[1] - 156, scene.box[1] + 40)])  # above the wheel, in view on a slope
+    c.lines([foot + (0, 12), top], INK, 2.5)
+    for i in range(12):
+        c.box((*(top + (1 + 10 * (i % 4), 10 * (i // 4))), 10, 10), (INK, WHITE)[(i + i // 4) % 2])
+
+
+def draw_scale_bar(c: Canvas, scene: Scene, width: float) -> None:
+    """A bar of a round length, about a quarter of the scene's width [m], in its upper right corner."""
+    bar, right, y = nice(0.25 * width), scene.box[0] + scene.box[2] - 14, scene.box[1] + 22
+    left = right - bar * scene.scale
+    for ends in ([(left, y), (right, y)], [(left, y - 4), (left, y + 4)], [(right, y - 4), (right, y + 4)]):
+        c.lines(ends, INK, 2)
+    c.text(0.5 * (left + right), y - 12, f"{bar:g} m", 15, align=0.5)
+
+
+def draw_course(c: Canvas, profile: Profile, length: float, places, bounds) -> None:
+    """A whole course of `length` [m] from the side (heights stretched to fit), the wheels on it at `places` [m] along
+    it, and the key to the colours."""
+    left, top, width, height = COURSE
+    x = np.linspace(0.0, length, 257)
+    h = np.interp(x, profile.x, profile.height)
+    stretch = min(0.6 * height / max(np.ptp(h), 1e-6), 3.0 * width / length)
+    y = top + 0.62 * height - stretch * (h - 0.5 * (h.max() + h.min()))
+    friction = np.interp(0.5 * (x[1:] + x[:-1]), profile.x, profile.friction)
+    c.soil(np.stack([left + width * x / length, y], axis=1), top + height, friction, bounds)
+    for place in places:
+        wheel = min(max(float(place), 0.0), length)
+        c.circle((left + width * wheel / length, float(np.interp(wheel, x, y)) - 5), 5, RIM)
+    for tick in ticks(0.0, length, nice(length / 5.0)):
+        c.text(left + width * tick / length, top + height + 10, f"{tick:g} m", 14, GREY, 0.5)
+    c.text(14, 434, "course", 15, GREY)
+    c.text(424, 434, f"φ  {bounds[0]:.0f}°", 14, GREY, 1.0)
+    c.text(536, 434, f"{bounds[1]:.0f}°", 14, GREY)
+    for i, colour in enumerate(soil_colour(np.linspace(*bounds, 50), bounds)):
+        c.box((430 + 2 * i, 429, 2.5, 10), colour)
+
+
+def friction_range(scenario: Scenario, simulation) -> tuple[float, float]:
+    """Range of phi [deg] that the soil colours span: that of the scenario's presets and two deviations more."""
+    phi, spread = np.degrees(np.arctan(simulation.numbers.drawn.library[:, 0])), 2.0 * scenario.spread.friction + 0.02
+    return float(phi.min() * (1.0 - spread)), float(phi.max() * (1.0 + spread))

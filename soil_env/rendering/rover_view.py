@@ -1,0 +1,260 @@
+"""Side view of a rover: body, suspension, every wheel with the stress under it, ruts, and charts axle by axle.
+
+Laid out as `side_view` is, and nothing physical is computed here either: where the wheels stand, in the ruts of those
+ahead of them, what they bear and how the body is pitched is the state of the simulation. The course is drawn in true
+lengths, distance along it being that along the slope.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.identification import Status
+from soil_env.parameters import Scenario
+from soil_env.rendering.canvas import (
+    AMBER,
+    DESIGN,
+    GREEN,
+    GREY,
+    GRID,
+    INK,
+    LIGHT_AMBER,
+    LIGHT_GREEN,
+    LIGHT_PURPLE,
+    PURPLE,
+    RIM,
+    SKY,
+    WHITE,
+    Canvas,
+    soil_colour,
+)
+from soil_env.rendering.charts import draw_axle_charts
+from soil_env.rendering.ground import (
+    Profile,
+    Scene,
+    depth_of_ruts,
+    draw_course,
+    draw_flag,
+    draw_ground,
+    draw_scale_bar,
+    friction_range,
+)
+from soil_env.rendering.stresses import Stresses, contact_stresses
+from soil_env.rendering.view import CourseView
+from soil_env.rendering.wheels import draw_cause, draw_stress_key, draw_stresses, draw_wheel, hub_of
+from soil_env.simulation.rover.task import axle_names
+from soil_env.simulation.rover.worlds import RoverSimulation
+from soil_env.simulation.task import Cause
+from soil_env.simulation.terrain import ground_at
+from soil_env.terramechanics.reaction import REST_SPEED
+from soil_env.vehicle import RoverScenario, Vehicle
+
+#: Box of the side view: left, top, width, height
+SCENE = (14, 52, 548, 302)
+_AT = (0.5, 0.66)  # place of the ground below the middle of the rover, from left and top
+_WIDTH = 1.55  # width of the side view over the length of the rover from rim to rim, and at least, of radii:
+_LEAST_WIDTH = 9.5
+_BODY, _BEAM, _BOGIE = (206, 198, 184), (86, 90, 100), (120, 124, 134)
+_COLOURS = {"front": (PURPLE, LIGHT_PURPLE), "middle": (AMBER, LIGHT_AMBER), "rear": (GREEN, LIGHT_GREEN)}
+
+
+class Posture(NamedTuple):
+    """Where the parts of a rover are; places (horizontal, height) [m] in the world."""
+
+    hubs: np.ndarray  # [axles, 2]
+    grades: np.ndarray  # [axles] [rad] of the ground under each wheel
+    pitch: float  # [rad] of the body, front up positive
+    pivot: np.ndarray  # of the bogie; the middle of the axles without
+    origin: np.ndarray  # of the body: the front axle's place on it
+
+    def on_body(self, behind: float, above: float) -> np.ndarray:
+        """Place [m] of a point of the body so far behind the front axle and above the axles."""
+        cos, sin = math.cos(self.pitch), math.sin(self.pitch)
+        return self.origin + np.array([-behind * cos - above * sin, -behind * sin + above * cos])
+
+
+def posture_of(simulation: RoverSimulation, j: int, profile: Profile) -> Posture:
+    """`Posture` of rover j on the ground of its course."""
+    rovers, v = simulation.worlds.rovers, simulation.scenario.vehicle
+    k, r, pitch = simulation.wheels[j], simulation.numbers.world.wheel.radius, float(rovers.body.pitch[j])
+    grades, depth = rovers.wheels.grade[k], rovers.wheels.sinkage[k] + rovers.axles.floor[k]
+    ground = np.transpose(profile.at(rovers.wheels.x[k]))
+    hubs = np.array([hub_of(*each) for each in zip(ground, grades, r - depth, strict=True)])
+    first = v.first_on_bogie
+    front, rear, above = (0, 1, 0.0) if first < 0 else (first, first + 1, v.pivot_height)
+    behind = v.centre if first < 0 else v.pivot
+    share, along = (behind - v.axles[front]) / (v.axles[rear] - v.axles[front]), hubs[front] - hubs[rear]
+    upward = np.array([-along[1], along[0]]) / math.hypot(*along)
+    pivot = hubs[front] - share * along + above * upward
+    at_front = Posture(hubs, grades, pitch, pivot, np.zeros(2))
+    return at_front._replace(origin=pivot - at_front.on_body(behind, above))
+
+
+def rover_stresses(simulation: RoverSimulation, j: int, axle: int) -> Stresses:
+    """`Stresses` under the wheel of rover j on an axle as it moves now, under the load that the suspension gives it."""
+    worlds, world, k = simulation.worlds, simulation.numbers.world, simulation.wheels[j, axle]
+    w = worlds.rovers.wheels[k]
+    soil, _, _ = ground_at(worlds.courses, j, w["x"], worlds.rovers.counts.patch[k], world.border)
+    r = world.wheel.radius
+    return contact_stresses(soil, w["load"], w["speed"], w["wheel_speed"] * r, w["sinkage"], r, world.wheel.width)
+
+
+def _width_of(simulation: RoverSimulation) -> float:
+    """Width of the side view [m]."""
+    r = simulation.numbers.world.wheel.radius
+    return max(_WIDTH * (simulation.scenario.vehicle.base + 2.0 * r), _LEAST_WIDTH * r)
+
+
+class RoverRenderer(CourseView):
+    """Side view of rover j of a `RoverSimulation`."""
+
+    def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
+        super().__init__(scenario, mode, size)
+        self.scenario: RoverScenario
+        self._axles = axle_names(self.scenario.axles)
+        self._angles = np.zeros(self.scenario.axles)  # [rad] that the wheels have turned
+
+    def clear(self) -> None:
+        """Forget the history: a new episode."""
+        super().clear()
+        self._angles = np.zeros(self.scenario.axles)
+
+    def record(self, simulation: RoverSimulation, k: int) -> None:
+        """Add the present state of rover k to the history; at its reset the history starts anew."""
+        worlds, world, rows = simulation.worlds, simulation.numbers.world, simulation.wheels[k]
+        steps = int(worlds.rovers.body_counts.steps[k])
+        if steps == 0:
+            self.clear()
+        self._angles = self._angles + worlds.rovers.wheels.wheel_speed[rows] * self._step
+        if steps % (self._every * self.scenario.control.held) == 0:
+            now = [steps * world.period]
+            for row in rows.tolist():
+                w = worlds.rovers.wheels[row]
+                soil, _, _ = ground_at(worlds.courses, k, w["x"], worlds.rovers.counts.patch[row], world.border)
+                now += [w["slip"], w["sinkage"] / world.wheel.radius, w["load"] / simulation.numbers.task.weight]
+                now += [worlds.known.estimate[row, 0], math.atan(soil.tan_phi)]
+            self._history.append(tuple(now))
+
+    def _paint(self, canvas: Canvas, simulation: RoverSimulation, k: int) -> None:
+        numbers, base = simulation.numbers, self.scenario.vehicle.base
+        x = simulation.worlds.rovers.wheels.x[simulation.wheels[k]]
+        width = _width_of(simulation)
+        profile = self._ground(simulation, k, width, numbers.task.length + base + width, False)
+        bounds = friction_range(self.scenario, simulation)
+        colours = [_COLOURS[name] for name in self._axles]
+        _draw_scene(canvas, simulation, k, profile, bounds, self._angles, [dark for dark, _ in colours])
+        _draw_readings(canvas, simulation, k)
+        _draw_table(canvas, simulation, k, self._axles, bounds)
+        draw_course(canvas, profile, numbers.task.length, x, bounds)
+        draw_axle_charts(canvas, np.array(self._history).reshape(-1, 1 + 5 * len(colours)).T, colours)
+
+
+def _draw_scene(c: Canvas, simulation, j: int, profile: Profile, bounds, angles, colours) -> None:
+    """Terrain, ruts, end of the course, rover and stresses in a camera that moves with the rover."""
+    world, vehicle, rows = simulation.numbers.world.wheel, simulation.scenario.vehicle, simulation.wheels[j]
+    wheels, r = simulation.worlds.rovers.wheels, world.radius
+    p = posture_of(simulation, j, profile)
+    width = _width_of(simulation)
+    middle = 0.5 * (wheels.x[rows[0]] + wheels.x[rows[-1]])
+    place = np.add(SCENE[:2], np.multiply(_AT, SCENE[2:]))
+    scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
+    c.clip(SCENE)
+    c.box(SCENE, SKY)
+    x = middle + (np.linspace(0.0, 1.0, 261) - _AT[0]) * 1.2 * width  # along the slope
+    ruts = simulation.worlds.ruts
+    rut = depth_of_ruts(x, (ruts.floor[rows] + ruts.rut[rows]).max(axis=0)) / np.gradient(profile.at(x)[0], x)
+    draw_ground(c, scene, x, profile, rut, p.hubs, r, bounds)
+    draw_flag(c, scene, scene.at(*profile.at(simulation.numbers.task.length)))
+    size = r * scene.scale
+    _draw_body(c, scene, vehicle, p, r)
+    typical = simulation.numbers.task.weight / (0.5 * r * world.width)  # [Pa]
+    stresses = [rover_stresses(simulation, j, axle) for axle in range(len(rows))]
+    for hub, angle, colour in zip(p.hubs, angles, colours, strict=True):
+        draw_wheel(c, scene.at(*hub), size, float(angle), colour)
+    for axle, k in enumerate(rows.tolist()):
+        side = -1.0 if wheels.speed[k] < -REST_SPEED else 1.0
+        hub = scene.at(*p.hubs[axle])
+        draw_stresses(c, hub, size, float(p.grades[axle]), side, stresses[axle], 0.45 * size / typical)
+    _draw_suspension(c, scene, vehicle, p, r)
+    draw_stress_key(c, SCENE, stresses)
+    c.clip(None)
+    c.box(SCENE, None, GRID)
+    draw_scale_bar(c, scene, width)
+
+
+def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
+    """The body, with a mast at its front, and its centre of mass."""
+    middle, half = vehicle.centre_height, 0.55 * r
+    front, rear = 0.02 * vehicle.base, 0.98 * vehicle.base
+
+    def outline(*points):
+        return [scene.at(*p.on_body(behind, above)) for behind, above in points]
+
+    mast, top = front + 0.6 * r, middle + half
+    c.lines(outline((mast, top), (mast, top + 1.1 * r)), _BEAM, 4.0)
+    head = [(mast + dx * r, top + dy * r) for dx, dy in ((-0.4, 0.8), (0.3, 0.8), (0.3, 1.2), (-0.4, 1.2))]
+    c.polygon(outline(*head), _BEAM)
+    box = (front, middle - half), (front + 0.3 * r, top), (rear, top), (rear, middle - half)
+    c.polygon(outline(*box), _BODY)
+    c.lines(outline(*box, box[0]), _BEAM, 1.8)
+
+
+def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
+    """Rocker and bogie, or the beam between two axles, and the centre of mass, in front of all else."""
+    hubs, width = [scene.at(*hub) for hub in p.hubs], max(0.12 * r * scene.scale, 3.0)
+    if vehicle.bogie == "none":
+        c.lines(hubs, _BEAM, width)
+    else:
+        first, alone = vehicle.first_on_bogie, 2 if vehicle.bogie == "front" else 0
+        pivot = scene.at(*p.pivot)
+        knee = scene.at(*p.on_body(vehicle.axles[alone], vehicle.pivot_height))
+        c.lines([hubs[first], pivot, hubs[first + 1]], _BOGIE, width)
+        c.lines([pivot, knee, hubs[alone]], _BEAM, width)
+        c.circle(pivot, 0.8 * width, RIM)
+    centre = scene.at(*p.on_body(vehicle.centre, vehicle.centre_height))
+    c.circle(centre, 6.0, WHITE)
+    for start in (0.0, math.pi):  # the quartered circle of a centre of mass
+        turn = np.linspace(start, start + 0.5 * math.pi, 8) - p.pitch
+        c.polygon([centre, *(centre + 6.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1))], INK)
+    c.circle(centre, 6.0, INK, 1.2)
+
+
+def _draw_readings(c: Canvas, simulation: RoverSimulation, j: int) -> None:
+    """Numbers of the rover as a whole above the side view, and the state of the episode."""
+    rovers, worlds = simulation.worlds.rovers, simulation.worlds
+    body = rovers.body[j]
+    cells = (
+        ("distance of the rear axle", f"{body['x']:.2f} of {simulation.numbers.task.length:g} m"),
+        ("speed", f"{round(body['speed'], 3) + 0.0:.3f} m/s"),
+        ("pitch of the body", f"{math.degrees(body['pitch']):+.1f}°"),
+    )
+    for x, (name, value) in zip((14, 190, 280), cells, strict=True):
+        c.text(x, 14, name, 15, GREY)
+        c.text(x, 32, value, 20)
+    draw_cause(c, Cause(int(worlds.cause[j])), body["halt_left"] > 0.0)
+
+
+def _draw_table(c: Canvas, simulation: RoverSimulation, j: int, names, bounds) -> None:
+    """State of each axle, with the rut that it runs in and the true soil under it, below the side view."""
+    worlds, border = simulation.worlds, simulation.numbers.world.border
+    heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
+    places = (28, 106, 162, 216, 270, 324, 392, 402, 500)  # right ends but of the first and the last two
+    for i, (x, words) in enumerate(zip(places, heads, strict=True)):
+        c.text(x, 364, words, 14, GREY, 1.0 if 0 < i < 7 else 0.0)
+    for axle, (name, k) in enumerate(zip(names, simulation.wheels[j].tolist(), strict=True)):
+        w, y = worlds.rovers.wheels[k], 380 + 16 * axle
+        soil, _, _ = ground_at(worlds.courses, j, w["x"], worlds.rovers.counts.patch[k], border)
+        phi = math.degrees(math.atan(soil.tan_phi))
+        values = (
+            name, f"{w['slip']:.2f}", f"{1e3 * w['sinkage']:.1f} mm", f"{1e3 * worlds.rovers.axles.floor[k]:.1f} mm",
+            f"{w['load']:.1f} N", f"{w['drawbar_pull']:.1f} N", f"{w['motor_torque']:.2f} N m",
+            f"φ {phi:.0f}°  K {1e3 * soil.shear_modulus:.0f} mm",
+            Status(int(worlds.known.status[k])).name.lower().replace("_", " "),
+        )  # fmt: skip
+        c.circle((20, y), 5, _COLOURS[name][0])
+        for i, (x, words) in enumerate(zip(places, values, strict=True)):
+            c.text(x + 12 * (i == 7), y, words, 14, INK, 1.0 if 0 < i < 7 else 0.0)
+        c.box((402, y - 5, 8, 10), soil_colour([phi], bounds)[0], GREY)

@@ -1,0 +1,204 @@
+"""What a rover's agent observes and is told: documented layout, readings, soils, ends, infos."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from soil_env.identification import Status
+from soil_env.rover_env import SoilRoverEnv
+from soil_env.simulation.rover.task import axle_names, rover_layout
+from soil_env.simulation.scaling import CENTRE_AND_SCALE
+from soil_env.simulation.task import VARIANTS
+from soil_env.vehicle import rover_names
+
+ROW = re.compile(r"^\s*\| (\d+) \| (\w+) \| (.+?) \| (\S+) \| (\S+) \|$", re.MULTILINE)
+FIRST = re.compile(r"front, middle and rear ones' begin with (\d+), (\d+)\s+and (\d+), and (\d+) is the last")
+FIRST_TRUE = re.compile(r"with three they begin with (\d+), (\d+) and (\d+), and (\d+) is the last")
+
+
+def documented(variant, axles):
+    """Rows (name, unit, min, max) that the docstring of the environment has for a variant and so many axles."""
+    doc, tables = SoilRoverEnv.__doc__, []
+    for match in ROW.finditer(doc):
+        if not tables or int(match[1]) != tables[-1][-1][0] + 1:
+            tables.append([])
+        tables[-1].append((int(match[1]), match[2], match[3], float(match[4]), float(match[5])))
+    blind, identified, true_soil = tables
+    body, readings = blind[:5], blind[5:]
+    assert (blind[0][0], identified[0][0], true_soil[0][0]) == (0, 23, 23)  # with two axles
+    soil = {"blind": [], "identified": identified, "true_soil": true_soil}[variant]
+    rows = [row[1:] for row in body]
+    for table in (readings, soil):
+        for axle in axle_names(axles):
+            rows += [(name.replace("front", axle, 1), *rest) for _, name, *rest in table]
+    return rows
+
+
+@pytest.mark.parametrize("axles", [2, 3])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_layout_is_the_documented_one(variant, axles):
+    rows, entries = documented(variant, axles), rover_layout(variant, axles)
+    assert [(e.name, e.low, e.high) for e in entries] == [(name, low, high) for name, _, low, high in rows]
+    for e, (_, unit, _, _) in zip(entries, rows, strict=True):
+        said = e.unit.split(",")[0]
+        assert unit == e.unit or unit.startswith((said + ",", said + ":", "1 while")), (e, unit)
+    env = SoilRoverEnv("mars_rover" if axles == 3 else "field_rover", observation=variant, scaled=False)
+    assert env.observation_names == tuple(e.name for e in entries)
+    np.testing.assert_array_equal(env.observation_space.low, np.float32([e.low for e in entries]))
+    np.testing.assert_array_equal(env.observation_space.high, np.float32([e.high for e in entries]))
+
+
+def test_places_of_the_axles_are_the_documented_ones():
+    doc = SoilRoverEnv.__doc__
+    names = {(v, n): [e.name for e in rover_layout(v, n)] for v in VARIANTS for n in (2, 3)}
+    for variant, pattern in (("identified", FIRST), ("true_soil", FIRST_TRUE)):
+        of = names[variant, 3]
+        starts = [of.index(f"{axle}_friction_angle") for axle in axle_names(3)]
+        assert [int(n) for n in pattern.search(doc).groups()] == [*starts, len(of) - 1]
+    two, three = names["blind", 2], names["blind", 3]
+    assert "the rear one follow as 14 to 22, `rear_slip` to `rear_rim_command`" in doc
+    assert (two.index("rear_slip"), two.index("rear_rim_command"), len(two)) == (14, 22, 23)
+    assert "those of the rear one are 23 to 31" in doc and "23 entries with two axles and 32 with three" in doc
+    assert (three.index("rear_slip"), three.index("rear_rim_command"), len(three)) == (23, 31, 32)
+    assert "with two axles the rear one's are 34 to 44" in doc
+    assert (names["identified", 2].index("rear_friction_angle"), len(names["identified", 2])) == (34, 45)
+    assert "With two axles the rear one's are 30 to 36" in doc
+    assert (names["true_soil", 2].index("rear_friction_angle"), len(names["true_soil", 2])) == (30, 37)
+
+
+# --- on the way -------------------------------------------------------------------------------------------------------
+
+
+def drive(rover, variant, seed, steps=60, command=0.5, **changes):
+    """(env, [(observation by name in its units, info, true soils)]) of a drive."""
+    env, rows = SoilRoverEnv(rover, variant, scaled=False, **changes), []
+    observation, info = env.reset(seed=seed)
+    for k in range(steps):
+        rows.append((dict(zip(env.observation_names, observation.tolist(), strict=True)), info, env.true_soils()))
+        observation, _, over, _, info = env.step(np.full(env.scenario.axles, command * (1.0 - 0.3 * (k // 7 % 2))))
+        if over:
+            break
+    return env, rows
+
+
+@pytest.mark.parametrize("rover", rover_names())
+def test_readings_are_the_state_with_noise(rover):
+    env, rows = drive(rover, "identified", 2)
+    s, noise, worst = env.scenario, env.scenario.noise, {}
+    top, weight, r = s.wheel.radius * s.wheel.no_load_speed, s.weight, s.wheel.radius
+    for seen, info, _ in rows:
+        off = {"speed": (seen["speed"] - info["state"]["speed"] / top) * top / noise.speed}
+        off["pitch"] = (seen["pitch"] - info["state"]["pitch"]) / noise.pitch
+        assert abs(seen["odometry"] * s.course.length - info["state"]["x"]) < 0.1 * abs(info["state"]["x"]) + 0.05
+        for axle in axle_names(s.axles):
+            state = info[axle]["state"]
+            for name, unit, sd in (
+                ("slip", 1.0, noise.slip), ("sinkage", r, noise.sinkage / r), ("load", weight, noise.load),
+                ("drawbar_pull", weight, noise.drawbar_pull), ("torque", weight * r, noise.torque),
+                ("motor_torque", weight * r, noise.motor_torque),
+            ):  # fmt: skip
+                if name != "slip" or abs(state[name]) < 0.9:  # a reading of slip is cut to 1
+                    off[f"{axle}_{name}"] = (seen[f"{axle}_{name}"] - state[name] / unit) / sd
+        for name, value in off.items():
+            worst.setdefault(name, []).append(value)
+    for name, values in worst.items():
+        assert max(map(abs, values)) < 6.0 and 0.5 < np.std(values) < 1.6, name
+    sinks = [np.array(worst[f"{axle}_sinkage"]) for axle in axle_names(s.axles)]
+    assert abs(np.corrcoef(sinks[0], sinks[-1])[0, 1]) < 0.6  # every wheel has sensors of its own
+
+
+@pytest.mark.parametrize("rover", rover_names())
+def test_true_soil_is_that_under_each_axle(rover):
+    """Observed as `true_soils` has it, which is the course's: the front axle comes to a patch first."""
+    course = {"patch_length": [0.7, 0.9], "border": 0.3}
+    env, rows = drive(rover, "true_soil", 1, 100, 0.9, action="wheel_speed", course=course)
+    names, met = axle_names(env.scenario.axles), {}
+    for k, (seen, _, soils) in enumerate(rows):
+        for axle, soil in zip(names, soils, strict=True):
+            assert seen[f"{axle}_friction_angle"] == pytest.approx(math.atan(soil.tan_phi), rel=1e-6)
+            assert seen[f"{axle}_log10_shear_modulus"] == pytest.approx(math.log10(soil.shear_modulus), rel=1e-6)
+            assert seen[f"{axle}_log10_sinkage_coefficient"] == pytest.approx(
+                math.log10(soil.sinkage_coefficient), rel=1e-6
+            )
+            assert seen[f"{axle}_cohesion"] == pytest.approx(soil.cohesion / 1e3, rel=1e-6)
+            assert seen[f"{axle}_sinkage_exponent"] == pytest.approx(soil.sinkage_exponent, rel=1e-6)
+            assert seen[f"{axle}_dig_gain"] == pytest.approx(soil.dig_gain, rel=1e-6)
+            if soil != rows[0][2][-1]:
+                met.setdefault(axle, k)
+    courses = env.simulation.worlds.courses
+    assert rows[0][2][-1] == pytest.approx(tuple(courses.soils[0, 0]))
+    order = [met.get(axle, len(rows)) for axle in names]
+    assert order == sorted(order) and order[0] < order[-1]
+
+
+@pytest.mark.parametrize("rover", ["lunar_micro_rover", "mars_rover"])
+def test_estimates_of_info_and_observation_are_the_same(rover):
+    env, rows = drive(rover, "identified", 3)
+    current = 0
+    for seen, info, _ in rows:
+        for axle in axle_names(env.scenario.axles):
+            e, of = info[axle]["estimate"], {k: v for k, v in seen.items() if k.startswith(f"{axle}_")}
+            assert math.radians(e["friction_angle_deg"]) == pytest.approx(of[f"{axle}_friction_angle"], rel=1e-5)
+            assert math.log10(e["shear_modulus"]) == pytest.approx(of[f"{axle}_log10_shear_modulus"], rel=1e-5)
+            known = math.log10(e["sinkage_coefficient"])
+            assert known == pytest.approx(of[f"{axle}_log10_sinkage_coefficient"], rel=1e-5)
+            assert e["cohesion"] / 1e3 == pytest.approx(of[f"{axle}_cohesion"], rel=1e-5, abs=1e-6)
+            assert e["shear_modulus_relative_sd"] == pytest.approx(of[f"{axle}_shear_modulus_sd"], rel=1e-5)
+            assert (e["status"] == Status.CONVERGED.name) == (of[f"{axle}_estimate_valid"] == 1.0)
+            current += of[f"{axle}_estimate_valid"] == 1.0
+    assert current > 10
+
+
+def test_halts_hold_all_axles_and_ignore_the_action():
+    changes = {"action": "torque", "scaled": False, "course": {"grade_deg": [-1.0, 0.0]}}
+    runs = []
+    for in_halt in (0.5, -1.0):
+        env = SoilRoverEnv("field_rover", "blind", **changes)
+        observation, _ = env.reset(seed=1)
+        rows = [observation]
+        for _ in range(70):
+            rows.append(env.step(np.full(2, in_halt if rows[-1][4] else 0.5))[0])
+        runs.append(np.array(rows))
+    np.testing.assert_array_equal(*runs)
+    halted, speed = runs[0][:, 4] == 1.0, runs[0][:, 0]
+    last = np.flatnonzero(halted[:-1] & ~halted[1:])
+    assert halted.sum() >= 8 and len(last) >= 1 and np.all(np.abs(speed[last]) < 0.05)
+    actions = runs[0][:, [env.observation_names.index(f"{a}_last_action") for a in ("front", "rear")]]
+    assert np.all(actions[1:][halted[:-1]] == 0.0) and np.all(actions[1:][~halted[:-1]] == 0.5)
+
+
+def test_energy_and_progress_are_of_the_rover_as_a_whole():
+    env, rows = drive("mars_rover", "blind", 4, 40, action="wheel_speed", repeat=1)
+    s, length, before = env.scenario, env.scenario.course.length, 0.0
+    mass = env.simulation.worlds.rovers.body.mass[0]
+    payload = mass - 0.5 * s.vehicle.mass
+    assert 0.0 <= payload <= 3.0 * s.course.payload[1]
+    for _, info, _ in rows[1:]:
+        terms, state = info["reward_terms"], info["state"]
+        assert terms["progress"] == pytest.approx(10.0 * (state["x"] - before) / length, abs=1e-9)
+        assert terms["energy"] == pytest.approx(-state["motor_work"] / (mass * s.gravity * length))
+        before = state["x"]
+    assert before > 0.3
+
+
+def test_the_information_term_is_the_mean_over_the_axles():
+    """It sums up to the fall of entropy, discounted, and is the same whether an action lasts one period or five."""
+    env = SoilRoverEnv(
+        "mars_rover", action="wheel_speed", reward={"information": 1.0, "information_discount": 1.0}, repeat=5
+    )
+    env.reset(seed=0)
+    paid = sum(env.step([0.4, 0.5, 0.6])[4]["reward_terms"]["information"] for _ in range(25))
+    w = env.simulation.worlds
+    precision = env.simulation.numbers.identifier.precision
+    sd = w.known.sd[env.simulation.wheels[0]][:, : precision.size]
+    known = -np.log(np.clip(sd * np.sqrt(precision), 1e-6, 1.0)).sum(axis=1)
+    assert paid == pytest.approx(known.mean(), abs=1e-9) and paid > 0.5
+
+
+def test_scales_are_those_of_the_wheel():
+    scaling = SoilRoverEnv("mars_rover").scaling
+    for entry, centre, scale in zip(scaling.entries, scaling.centre, scaling.scale, strict=True):
+        name = re.sub("^(front|middle|rear)_", "", entry.name)
+        assert (centre, scale) == pytest.approx(CENTRE_AND_SCALE.get(name, (0.0, 1.0)))

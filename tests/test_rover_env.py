@@ -1,0 +1,271 @@
+"""The rover's environment as others use it: checkers, registration, determinism, actions, ends, copies, bad input."""
+
+import copy
+import math
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import soil_env
+from soil_env.env import SoilWheelEnv
+from soil_env.parameters import load_scenario
+from soil_env.rover_env import SoilRoverEnv
+from soil_env.rover_vector_env import SoilRoverVectorEnv
+from soil_env.simulation.task import VARIANTS, Cause
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.vehicle import load_rover, rover_names
+
+ACTIONS = ("torque", "wheel_speed", "rim_acceleration")
+
+
+def held(env, seed, steps, command=None):
+    """(observations, rewards, infos) of steps under random, held actions, or always the same one; until the end."""
+    rng, axles = np.random.default_rng(0), env.action_space.shape[0]
+    observation, info = env.reset(seed=seed)
+    rows, rewards, infos = [observation], [], [info]
+    for k in range(steps):
+        if k % 5 == 0:
+            action = rng.uniform(0.1, 0.7, axles) if command is None else np.broadcast_to(command, axles)
+        observation, reward, over, truncated, info = env.step(action)
+        assert not truncated
+        rows.append(observation)
+        rewards.append(reward)
+        infos.append(info)
+        if over:
+            break
+    return np.array(rows), np.array(rewards), infos
+
+
+# --- checkers ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rover", rover_names())
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_checkers(rover, variant):
+    sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
+    env = gymnasium.make("SoilRover-v0", rover=rover, observation=variant, render_mode="rgb_array").unwrapped
+    check_env(env, skip_render_check=variant != "identified")
+    sb3.check_env(SoilRoverEnv(rover, variant), warn=True)
+
+
+def test_registration():
+    env = gymnasium.make("soil_env:SoilRover-v0", rover="mars_rover", course={"length": 30.0}, vehicle={"mass": 600.0})
+    assert type(env.unwrapped) is SoilRoverEnv and env.action_space.shape == (3,)
+    assert env.unwrapped.scenario.course.length == 30.0 and env.unwrapped.scenario.wheel.body_mass == 100.0
+    assert env.spec.max_episode_steps == 480  # 240 s in steps of 0.5 s
+    assert load_rover("mars_rover").course.length == 25.0  # a changed env does not change the next
+    many = gymnasium.make_vec("SoilRover-v0", num_envs=3, vectorization_mode="vector_entry_point")
+    assert isinstance(many.unwrapped, SoilRoverVectorEnv) and many.action_space.shape == (3, 2)
+
+
+# --- determinism, copies ----------------------------------------------------------------------------------------------
+
+
+def test_a_seed_is_a_course_and_its_noise():
+    env = SoilRoverEnv(action="wheel_speed")
+    first = held(env, 3, 60)
+    held(env, 4, 20)
+    again, other = held(env, 3, 60), held(SoilRoverEnv(action="wheel_speed"), 8, 60)
+    np.testing.assert_array_equal(first[0], again[0])
+    np.testing.assert_array_equal(first[1], again[1])
+    assert first[2] == again[2] and not np.array_equal(first[0], other[0])
+    runs = []
+    for _ in range(2):  # resets without a seed go on from the first
+        env = SoilRoverEnv()
+        runs.append([env.reset(seed=5)[0], env.reset()[0], env.reset()[0]])
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert len({tuple(row) for row in runs[0]}) == 3
+
+
+@pytest.mark.parametrize("make", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["deepcopy", "pickle"])
+def test_a_copy_goes_on_as_the_original(make):
+    env = SoilRoverEnv("mars_rover", render_mode="rgb_array", course={"length": 2.0})
+    held(env, 3, 5)
+    env.render()
+    other, untouched = make(env), make(env)
+    for _ in range(30):
+        a, b = env.step([0.5, 0.4, 0.3]), other.step([0.5, 0.4, 0.3])
+        np.testing.assert_array_equal(a[0], b[0])
+        if a[2]:
+            break
+    np.testing.assert_array_equal(env.reset()[0], other.reset()[0])
+    assert untouched.render().dtype == np.uint8
+    for e in (env, other, untouched):
+        e.close()
+
+
+def test_returned_arrays_are_not_overwritten():
+    env = SoilRoverEnv()
+    first, info = env.reset(seed=0)
+    kept, kept_info = first.copy(), repr(info)
+    second = env.step([0.5, 0.5])[0]
+    kept_second = second.copy()
+    env.step([0.9, 0.1])
+    np.testing.assert_array_equal(first, kept)
+    np.testing.assert_array_equal(second, kept_second)
+    assert repr(info) == kept_info
+
+
+# --- actions ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", [
+    0.5, [], [0.1], [[0.1, 0.1]], [0.1, 0.2, 0.3], [math.nan, 0.0], [0.0, math.inf], ["x", "y"],
+])  # fmt: skip
+def test_bad_actions_are_named_and_change_nothing(bad):
+    env, untouched = SoilRoverEnv(), SoilRoverEnv()
+    for e in (env, untouched):
+        e.reset(seed=0)
+    with pytest.raises(ValueError, match="action.*expected") as raised:
+        env.step(bad)
+    assert "\n" not in str(raised.value)
+    np.testing.assert_array_equal(env.step([0.4, 0.4])[0], untouched.step([0.4, 0.4])[0])
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_each_axle_has_its_own_action(action):
+    """What is commanded of an axle turns its wheels, and values outside are cut."""
+    env = SoilRoverEnv("mars_rover", action=action, scaled=False, course={"halt_interval": [1e5, 1e5]})
+    env.reset(seed=0)
+    for _ in range(12):
+        observation, _, _, _, info = env.step([0.1, 7.0, 0.4])
+    seen = dict(zip(env.observation_names, observation, strict=True))
+    assert [seen[f"{a}_last_action"] for a in ("front", "middle", "rear")] == pytest.approx([0.1, 1.0, 0.4])
+    of = [info[a]["state"] for a in ("front", "middle", "rear")]
+    wheel = env.scenario.wheel
+    if action == "torque":
+        line = wheel.stall_torque * np.array([1.0 - s["wheel_speed"] / wheel.no_load_speed for s in of])
+        expected = np.minimum(wheel.stall_torque * np.array([0.1, 1.0, 0.4]), line)
+        assert [s["motor_torque"] for s in of] == pytest.approx(expected)
+    else:
+        told = [seen[f"{a}_rim_command"] for a in ("front", "middle", "rear")]
+        if action == "rim_acceleration":  # 12 steps of 0.5 s at 0.1 m/s2, of 0.425 m/s
+            assert told == pytest.approx([0.6 * 0.1 / 0.425, 1.0, 0.6 * 0.4 / 0.425], rel=1e-5)
+        else:
+            assert told == pytest.approx([0.1, 1.0, 0.4])
+        assert of[0]["wheel_speed"] < of[2]["wheel_speed"] < of[1]["wheel_speed"]
+
+
+def test_order_is_enforced():
+    env = SoilRoverEnv(control={"time_limit": 1.0})
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step([0.1, 0.1])
+    assert held(env, 0, 10)[2][-1]["cause"] == "TIME_LIMIT"
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step([0.1, 0.1])
+    with pytest.raises(ValueError, match="options.*'x'"):
+        env.reset(options={"x": 1})
+
+
+# --- ends -------------------------------------------------------------------------------------------------------------
+
+
+def test_the_rear_axle_starts_at_0_and_ends_the_course():
+    env = SoilRoverEnv("mars_rover", action="wheel_speed", course={"length": 2.0, "grade_deg": [-4.0, 0.0]})
+    _, _, infos = held(env, 1, 300, 0.5)
+    assert infos[0]["state"]["x"] == 0.0 and infos[-1]["cause"] == "FINISHED"
+    assert infos[-2]["state"]["x"] < 2.0 <= infos[-1]["state"]["x"] == infos[-1]["rear"]["state"]["x"]
+    for info in (infos[0], infos[-1]):
+        ahead = [info[a]["state"]["x"] - info["rear"]["state"]["x"] for a in ("front", "middle")]
+        assert ahead == pytest.approx([2.258, 2.258 - 1.184], abs=1e-9)
+
+
+def test_a_stuck_wheel_is_no_end_and_a_stuck_rover_is():
+    """One axle locked is dragged downhill by the others; all of them locked are stalled."""
+    downhill = {"grade_deg": [-16.0, -15.0], "halt_time": 0.0}
+    env = SoilRoverEnv("mars_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=downhill)
+    _, _, infos = held(env, 0, 160, (0.5, 0.5, 0.0))
+    assert infos[-1]["cause"] == "RUNNING" and infos[-1]["state"]["x"] > 2.0
+    assert infos[-1]["rear"]["state"]["slip"] < -0.9 < infos[-1]["front"]["state"]["slip"]
+    _, rewards, infos = held(env, 0, 160, 0.0)
+    assert infos[-1]["cause"] == "STALLED" and infos[-1]["immobilised"] is True
+    assert infos[-1]["reward_terms"]["immobilisation"] == -10.0 and len(rewards) == 100
+
+
+def test_the_deepest_wheel_is_bogged():
+    """Its depth is that below the undisturbed ground, in a rut or not, whatever the others do."""
+    downhill = {"grade_deg": [-12.0, -11.0], "halt_time": 0.0}
+    env = SoilRoverEnv("field_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=downhill)
+    _, _, infos = held(env, 0, 160, (0.0, 0.5))  # the rear wheels spin behind locked ones
+    depth, limit = [i["state"]["sinkage"] for i in infos], 0.8 * env.scenario.wheel.radius
+    assert infos[-1]["cause"] == "BOGGED" and max(depth[:-1]) <= limit < depth[-1]
+    assert infos[-1]["front"]["state"]["sinkage"] < 0.5 * limit
+    rovers, rows = env.simulation.worlds.rovers, env.simulation.wheels[0]
+    assert depth[-1] == max(rovers.wheels.sinkage[rows] + rovers.axles.floor[rows])
+
+
+# --- model ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "effects", [{"grousers": {"shear_share": 0.5, "blades": 2.0}}, {"multipass": {"hardening": 0.5}}]
+)
+def test_a_hidden_effect_acts(effects):
+    """The same course and actions: grousers change all wheels from the first step, multipass those behind first."""
+    wheel = load_rover().wheel
+    model = WheelSoilModel(ModelWheel(wheel.radius, wheel.width, 0.01), None, effects)
+    runs = []
+    for world in (None, model):
+        env = SoilRoverEnv(action="torque", model=world, course={"grade_deg": [0.0, 0.0]}, soils={"dry_sand": 1})
+        env.reset(seed=2)
+        runs.append([env.step([0.3, 0.3])[4] for _ in range(20)])
+    plain, changed = (run[0]["front"]["state"]["drawbar_pull"] for run in runs)
+    rear, hardened = (run[0]["rear"]["state"]["sinkage"] for run in runs)
+    if "grousers" in effects:
+        assert changed != plain
+    else:
+        assert changed == pytest.approx(plain, rel=0.05) and hardened < rear
+    assert runs[0][-1]["state"]["x"] != runs[1][-1]["state"]["x"]
+
+
+# --- bad arguments ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"rove": "x"}, "unexpected keyword argument 'rove'; did you mean 'rover'?"),
+    ({"scenario": "mixed"}, "unexpected keyword argument 'scenario'"),
+    ({"rover": "mixed"}, "rover: unknown value 'mixed'"),
+    ({"rover": load_scenario("mixed")}, "expected a name, the path of a YAML file, or a RoverScenario"),
+    ({"observation": "identifed"}, "observation: unknown value 'identifed'; did you mean 'identified'?"),
+    ({"action": "torqe"}, "control.action = 'torqe': expected one of"),
+    ({"render_mode": "x"}, "render_mode = 'x': expected one of ['rgb_array', 'human']"),
+    ({"info": "nothing"}, "info = 'nothing': expected one of 'full', 'numeric', 'short', 'none'"),
+    ({"wheel": {"body_mass": 3.0}}, "keyword: wheel.body_mass: expected vehicle.mass"),
+    ({"vehicle": {"mass": -1.0}}, "keyword: vehicle.mass = -1.0: expected a number in"),
+    ({"vehicle": {"bogie": "front"}}, "vehicle.bogie = 'front': expected 'none' with two axles"),
+    ({"course": {"classes": 3}}, "course.classes = 3: expected 0 for a rover"),
+    ({"wheel": {"stall_torque": 0.001}}, "no passable course found for this rover on these soils"),
+])  # fmt: skip
+@pytest.mark.parametrize("make", [SoilRoverEnv, SoilRoverVectorEnv])
+def test_bad_arguments_are_named_in_one_line(make, arguments, message):
+    with pytest.raises(soil_env.ParameterError) as raised:
+        make(**arguments)
+    said = str(raised.value)
+    if arguments == {"render_mode": "x"} and make is SoilRoverVectorEnv:
+        message = "render_mode: the vector env does not render"
+    assert message in said and "\n" not in said and len(said) < 400
+
+
+@pytest.mark.parametrize("make", [SoilRoverEnv, SoilRoverVectorEnv])
+def test_an_unknown_keyword_is_the_error_of_python_too(make):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
+        make(frameskip=1)
+
+
+def test_the_wheel_takes_no_rover():
+    for arguments in ({"scenario": load_rover()}, {"scenario": "lunar_micro_rover"}, {"vehicle": {"mass": 10.0}}):
+        with pytest.raises(soil_env.ParameterError, match="vehicle|lunar_micro_rover") as raised:
+            SoilWheelEnv(**arguments)
+        assert "\n" not in str(raised.value)
+
+
+def test_causes_of_an_end_are_told():
+    """Every info names one of `Cause`, and only the last one is not RUNNING."""
+    _, rewards, infos = held(SoilRoverEnv(course={"length": 1.0}), 0, 400, 0.6)
+    causes = [i["cause"] for i in infos]
+    assert set(causes) <= set(Cause.__members__) and causes[:-1] == ["RUNNING"] * (len(causes) - 1) != causes
+    for reward, info in zip(rewards, infos[1:], strict=True):
+        assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-12)

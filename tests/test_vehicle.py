@@ -1,0 +1,88 @@
+"""Rovers as data: shares of the weight, presets, and what is refused."""
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+
+from soil_env.parameters import ParameterError, load_scenario, to_dict
+from soil_env.vehicle import Vehicle, load_rover, rover_names
+
+BOGIE = {"mass": 100.0, "axles": (0.0, 1.0, 2.2), "centre": 1.1, "centre_height": 0.3}
+
+
+def statics(v: Vehicle) -> np.ndarray:
+    """Shares from the equilibrium at rest: forces, moments about the front axle, and of the bogie about its pivot."""
+    rows, right = [np.ones(len(v.axles)), np.array(v.axles)], [1.0, v.centre]
+    if v.bogie != "none":
+        on = np.zeros(3)
+        pair = slice(0, 2) if v.bogie == "front" else slice(1, 3)
+        on[pair] = np.array(v.axles)[pair] - v.pivot
+        rows.append(on)
+        right.append(0.0)
+    return np.linalg.solve(np.array(rows), np.array(right))
+
+
+@pytest.mark.parametrize("vehicle", [
+    Vehicle(8.0, (0.0, 0.5), 0.2, 0.1),
+    Vehicle(**BOGIE, bogie="rear", pivot=1.7, pivot_height=0.2),
+    Vehicle(**BOGIE, bogie="front", pivot=0.4, pivot_height=0.2),
+    *(load_rover(name).vehicle for name in rover_names()),
+])  # fmt: skip
+def test_shares_are_those_of_statics(vehicle):
+    np.testing.assert_allclose(vehicle.shares, statics(vehicle), rtol=1e-12)
+    assert math.isclose(sum(vehicle.shares), 1.0) and vehicle.base == vehicle.axles[-1]
+
+
+@pytest.mark.parametrize("name", rover_names())
+def test_a_preset_is_sized_for_its_weight(name, tmp_path):
+    """Wheels bear equal masses on average, the motors turn them under their weight, and the file gives its sources."""
+    rover = load_rover(name)
+    assert rover.wheel.body_mass * 2 * rover.axles == pytest.approx(rover.vehicle.mass)
+    assert rover.wheel.stall_torque > 0.8 * rover.weight * rover.wheel.radius and rover.vehicle.source
+    path = tmp_path / "mine.yaml"  # all of it, to a file and back
+    path.write_text(yaml.safe_dump(to_dict(rover)))
+    assert load_rover(path) == rover
+    assert load_rover(path, {"vehicle": {"mass": 12.0}}).wheel.body_mass == pytest.approx(6.0 / rover.axles)
+
+
+def test_the_mass_on_a_wheel_follows_the_vehicle():
+    assert load_rover("lunar_micro_rover", {"vehicle": {"mass": 14.0}}).wheel.body_mass == 3.5
+    assert load_rover("lunar_micro_rover", {"wheel": "planetary_rover"}).wheel.body_mass == 2.5
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"vehicle": {"mass": -1.0}}, "vehicle.mass = -1.0: expected a number in [0.2, 1e+06] kg"),
+    ({"vehicle": {"mass": math.nan}}, "vehicle.mass = nan: expected a number"),
+    ({"vehicle": {"axle": [0, 1]}}, "vehicle: unknown key 'axle'; did you mean 'axles'?"),
+    ({"vehicle": {"axles": [0.0]}}, "vehicle.axles = (0.0,): expected 2 or 3 axles"),
+    ({"vehicle": {"axles": [0.0, 0.3, 0.2]}}, "expected places from 0 on, each behind the last"),
+    ({"vehicle": {"bogie": "rear"}}, "vehicle.bogie = 'rear': expected 'none' with two axles"),
+    ({"vehicle": {"axles": [0.0, 0.1, 0.3]}}, "vehicle.bogie = 'none': expected 'front' or 'rear' with three axles"),
+    ({"vehicle": {"axles": [0.0, 0.1, 0.3], "bogie": "rear", "pivot": 0.05}}, "between the axles of the bogie"),
+    ({"vehicle": {"centre": 0.4}}, "each bears at least 2 % of the weight; they bear -0.212, 1.21"),
+    ({"vehicle": 5}, "vehicle: expected a mapping"),
+    ({"wheel": {"body_mass": 3.0}}, "wheel.body_mass: expected vehicle.mass, of which the wheels have equal shares"),
+    ({"course": {"classes": 3}}, "course.classes = 3: expected 0 for a rover"),
+    ({"cours": {}}, "unknown key 'cours'; did you mean 'course'?"),
+])  # fmt: skip
+def test_what_is_wrong_is_named_in_one_line(changes, message):
+    with pytest.raises(ParameterError) as raised:
+        load_rover("lunar_micro_rover", changes)
+    assert message in str(raised.value) and "\n" not in str(raised.value) and len(str(raised.value)) < 300
+
+
+def test_scenarios_of_a_wheel_are_no_rovers(tmp_path):
+    path = tmp_path / "wheel.yaml"
+    path.write_text(yaml.safe_dump(to_dict(load_scenario("mixed"))))
+    for which, message in (
+        (load_scenario("mixed"), "expected a name, the path of a YAML file, or a RoverScenario"),
+        ("mixed", "rover: unknown value 'mixed' (expected one of field_rover, lunar_micro_rover, mars_rover)"),
+        (path, "wheel.yaml: missing vehicle"),
+    ):
+        with pytest.raises(ParameterError) as raised:
+            load_rover(which)
+        assert message in str(raised.value) and len(str(raised.value)) < 300
+    with pytest.raises(ParameterError, match="unknown key 'vehicle'"):
+        load_scenario(load_rover())
