@@ -14,7 +14,8 @@ of that above the axles, x_p and h_p those of the bogie's pivot, and pitch p of 
     sum W = M g cos p,      sum (W x + DP h + T) = 0,
     sum over the bogie (W (x - x_p) + DP h_p + T) = 0.
 
-DP and T are those at the end of the step before, so that each load follows a step behind.
+Loads follow from the DP and T of the same stage, which in turn follow from the loads: each stage is solved with the
+loads of the last forces, and again where they have changed by more than `LOAD_TOLERANCE`.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import Rows, rows
 from soil_env.vehicle import RoverScenario
 
+LOAD_TOLERANCE = 0.02  # of the mean load of an axle
 LEAST_LOAD = 0.02  # of the mean load of an axle: none is taken to lift off
 
 #: Rovers as wholes. The names that `WheelState` has too mean the same, so that its laws of halts, of progress, of
@@ -104,26 +106,26 @@ def _between(together, moment, arm, other_arm, least):
 
 
 @inlined
-def _moment(wheels, k, height):
+def _moment(forces, k, height):
     """Moment [N m], front up, of pull and torque of the wheels in columns k on about a point so high above the axle."""
-    return from_array(wheels.torque, k) + height * from_array(wheels.drawbar_pull, k)
+    return from_array(forces.torque, k) + height * from_array(forces.drawbar_pull, k)
 
 
 @inlined
-def bear(wheels, first, weight, s, loads):
-    """Loads [N] of the axles of eight rovers into `loads`, eight a axle; `weight` [N] is normal to the body."""
+def bear(forces, first, weight, s, loads):
+    """Loads [N] of the axles of eight rovers into `loads`, eight a axle, in equilibrium with the torques and drawbar
+    pulls of `forces`, whose columns begin at `first`; `weight` [N] is normal to the body."""
     least, moment = (LEAST_LOAD / s.axles) * weight, fill(0.0)
     for a in range(s.axles):
-        moment = moment + _moment(wheels, first + a * COUNT, s.height)
+        moment = moment + _moment(forces, first + a * COUNT, s.height)
     if s.bogie < 0:
         front, rear = _between(weight, moment, s.arms[0], s.arms[1], least)
         to_array(front, loads, 0)
         to_array(rear, loads, COUNT)
         return
     b = s.bogie
-    about = _moment(wheels, first + b * COUNT, s.pivot_height) + _moment(
-        wheels, first + (b + 1) * COUNT, s.pivot_height
-    )
+    k = first + b * COUNT
+    about = _moment(forces, k, s.pivot_height) + _moment(forces, k + COUNT, s.pivot_height)
     single = 2 if b == 0 else 0
     alone, pair = _between(weight, moment - about, s.arms[single], s.pivot_arm, least)
     pair = larger(pair, 2.0 * least)

@@ -33,7 +33,7 @@ from soil_env.simulation.newton import (
     new_nodes,
 )
 from soil_env.simulation.rover.body import angle_of, rise_of_body, sine_of
-from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds
+from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds, weight_of
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
 from soil_env.simulation.wheel import commanded, finish, wheel_of
 from soil_env.slip import slip_ratio
@@ -88,7 +88,7 @@ def _drive(rovers, block, period, courses, ruts, world, s, left, longest, anyhow
                     wheels, counts, first, a * COUNT, period, sub.footing, courses, ruts, world, stage.duration
                 )
             set_up(wheels, body, block, first, period, sub, world, s, GAMMA * h, stage.lead, stage.duration)
-            solve_speeds(sub, trial, period, world, s, GAMMA * h)
+            solve_speeds(sub, trial, period, weight_of(body, block, world), world, s, GAMMA * h)
             for a in range(s.axles):
                 i = a * COUNT
                 before = from_array(wheels.x, first + i)

@@ -26,11 +26,12 @@ from soil_env.simulation.newton import (
     stand,
     store_reaction,
 )
-from soil_env.simulation.rover.body import bear, sine_of
+from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear, sine_of
 from soil_env.simulation.wheel import motor
 from soil_env.terramechanics.reaction import REST_SPEED, Reaction
 
 _LEAST_PIVOT = 1e-12
+_TURNS = 4  # of a stage at most: the last one's loads stand
 
 
 @inlined
@@ -88,13 +89,19 @@ def foresee(wheels, first, period, world, s, h, mass, lead, changes):
 
 
 @inlined
+def weight_of(body, block, world):
+    """Weight [N] of one side of eight rovers, normal to their bodies."""
+    sine = sine_of(from_array(body.pitch, block))
+    return world.wheel.gravity * from_array(body.mass, block) * root(1.0 - sine * sine)
+
+
+@inlined
 def set_up(wheels, body, block, first, period, sub, world, s, h, lead, duration):
     """The equations of a stage of eight rovers, and where Newton's method starts."""
     e, mass = sub.equations, from_array(body.mass, block)
     for a in range(s.axles):
         stand(wheels, first, a * COUNT, sub, world, duration)
-    pitch = sine_of(from_array(body.pitch, block))
-    bear(wheels, first, world.wheel.gravity * mass * root(1.0 - pitch * pitch), s, e.load)
+    bear(wheels, first, weight_of(body, block, world), s, e.load)
     dv = foresee(wheels, first, period, world, s, h, mass, lead, e.try_u)
     short = fill(1.0)
     for a in range(s.axles):
@@ -204,15 +211,14 @@ def _largest_change(sub, s):
 
 
 @part
-def solve_speeds(sub, trial, period, world, s, h):
-    """The speeds and reactions at the end of a stage of eight rovers, into `sub.newton`, with `converged` for each.
+def _iterate(sub, trial, alive, world, s, h):
+    """Newton's method for those of eight rovers that are `alive`, at the loads as they are; who has converged.
 
     As in `simulation.newton`, a step that does not reduce the largest residual is shortened. Rovers that have ended
     stay as they are while others go on.
     """
-    n, cu = sub.newton, h * world.wheel.radius / world.inertia
-    _begin(sub, s)
-    going, converged = from_array(period.alive, 0), fill(0.0)
+    cu = h * world.wheel.radius / world.inertia
+    going, converged = alive, fill(0.0)
     norm, share, tries = fill(HUGE), fill(1.0), fill(0.0)
     for _ in range(PASSES):
         reached = _evaluate(sub, trial, cu, world, s)
@@ -230,6 +236,43 @@ def solve_speeds(sub, trial, period, world, s, h):
         share = chosen(better, fill(1.0), 0.4 * share)
         tries = chosen(better, fill(0.0), tries + 1.0)
         _try_next(sub, share, cu, world, s)
+    return converged
+
+
+@inlined
+def _bear_anew(sub, trial, weight, alive, s):
+    """Loads by the forces that were found, and the speeds to begin with again, where a load has changed: 1 there."""
+    e, n = sub.equations, sub.newton
+    bear(n, 0, weight, s, trial.load)
+    changed = fill(0.0)
+    for a in range(s.axles):
+        change = abs(from_array(trial.load, a * COUNT) - from_array(e.load, a * COUNT))
+        changed = larger(changed, below((LOAD_TOLERANCE / s.axles) * weight, change))
+    changed = changed * alive
+    for a in range(s.axles):
+        i = a * COUNT
+        to_array(chosen(changed, from_array(trial.load, i), from_array(e.load, i)), e.load, i)
+        to_array(from_array(n.u, i), e.try_u, i)
+    to_array(from_array(n.v, 0), e.try_v, 0)
+    return changed
+
+
+@part
+def solve_speeds(sub, trial, period, weight, world, s, h):
+    """The speeds and reactions at the end of a stage of eight rovers, into `sub.newton`, with `converged` for each.
+
+    `weight` [N] is that normal to the body, of one side.
+    """
+    n, going = sub.newton, from_array(period.alive, 0)
+    _begin(sub, s)
+    converged = fill(0.0)
+    for turn in range(_TURNS):
+        found = _iterate(sub, trial, going, world, s, h)
+        converged = chosen(going, found, converged)
+        if turn < _TURNS - 1:
+            going = _bear_anew(sub, trial, weight, found, s)
+            if bits(going) == 0:
+                break
     for a in range(s.axles):
         to_array(from_array(n.v, 0), n.v, a * COUNT)
         to_array(converged, n.converged, a * COUNT)

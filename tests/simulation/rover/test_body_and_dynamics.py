@@ -148,7 +148,20 @@ def test_halving_the_step_changes_little(rover):
     first, second = np.mean(changes, axis=0)
     assert np.all(first < 0.01)
     moving = slice(None, 2 + load_rover(rover).axles)  # loads follow a step behind
-    assert np.all(second[moving] < 0.8 * first[moving])
+    assert np.all((second[moving] < 0.8 * first[moving]) | (second[moving] < 3e-4))  # or what the iteration leaves
+
+
+def test_braking_to_a_halt_shifts_the_loads_as_shorter_steps_have_it():
+    """Loads by the forces of the stage before left 11 N of 530 N on the rear wheels for two periods."""
+    lowest = []
+    for substep in (0.1, 0.0125):
+        control = {"action": "wheel_speed", "substep": substep}
+        simulation = begun(load_rover("mars_rover", {"control": control, "course": {"margin": [0.05, 0.12]}}), seed=3)
+        states = [driven(simulation, 0.5, 1) for _ in range(300)]
+        assert sum(a.body["halt_left"] > 0.0 for a in states) > 5
+        loads = [a.wheel["load"] for a in states]
+        lowest.append(np.min(loads, axis=0))
+    assert lowest[0] == pytest.approx(lowest[1], rel=0.2)
 
 
 # --- ruts -------------------------------------------------------------------------------------------------------------
