@@ -15,7 +15,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from soil_env._io.commands import command_line, leave
-from soil_env._io.files import make_folder, replace_file
+from soil_env._io.document import renewed
+from soil_env._io.files import make_folder, replace_file, write_json
 from soil_env.vehicle import DEFAULT_ROVER, RoverScenario
 
 from .cli import manual_parser
@@ -47,6 +48,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--seeds", type=int, default=3, help="training seeds of each agent; 3")
     p.add_argument("--timesteps", type=float, default=1e6, help="of each training; 1e6")
     p.add_argument("--courses", type=int, default=1000, help="held-out courses; 1000")
+    p.add_argument(
+        "--page", metavar="MD", help="page whose part `comparison` is renewed; JSON beside it"
+    )
     p.add_argument("--tuning_courses", type=int, default=200, help="of each trial; 200")
     return p
 
@@ -79,7 +83,7 @@ def run(rover: str, out: Path, seeds: int, timesteps: int, courses: int, tuning_
         runs = comparing.driven(drivers, scenario, HELD_OUT_SET, courses, shown_on(bar))
     result = comparing.comparison(scenario, HELD_OUT_SET, runs, tuning_courses, settings)
     comparing.save(result, out)
-    replace_file(out / "comparison.md", page(result))
+    replace_file(out / "comparison.md", page(result) + "\n")
     return result
 
 
@@ -106,7 +110,7 @@ def page(result: Mapping) -> str:
                 f"- {a} less {b}, on the same courses: finished {finished} points, energy {energy} J/m, wheel force "
                 f"{force} points, fighting {cell(d['fighting'], digits=3, sign=True)} points"
             )
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 _ASKED = (
@@ -128,9 +132,15 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     out = Path(options.out)
     make_folder(out)
+    if options.page:
+        renewed(Path(options.page).read_text(encoding="utf-8"), {"comparison": ""}, options.page)
     result = run(
         options.rover, out, options.seeds, int(options.timesteps), options.courses, options.tuning_courses
     )  # fmt: skip
+    if options.page:
+        part = {"comparison": page(result)}
+        replace_file(Path(options.page), renewed(Path(options.page).read_text(encoding="utf-8"), part, options.page))
+        write_json(Path(options.page).with_suffix(".json"), result)
     show(metric_table(result["controllers"], comparing.COLUMNS, comparing.caption(result)))
     show(f"Written to {out}: comparison.json, comparison.csv, comparison.md")
     return 0
