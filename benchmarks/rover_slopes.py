@@ -1,9 +1,9 @@
 """Slip over the slope of published rovers, beside the same rovers simulated.
 
 A rover is set up as its authors have it and driven by `RoverSimulation` up uniform slopes at the published speed of
-its wheels until its slip no longer changes. What its soil is, is known in part: so many soils are drawn from the ranges
-of rover_slopes.yaml (Latin hypercube), and the curves of all of them are the result, not one that was tuned. Apart from
-that, three parameters of the soil are fitted to one campaign and the fit is judged on another.
+its wheels until its slip no longer changes. Its soil is known in part: soils are drawn from the ranges of rover_slopes.yaml (Latin
+hypercube), and the curves of all of them are the result, not one that was tuned. Apart from that, three parameters of
+the soil are fitted to one campaign and the fit is judged on another.
 
     python -m benchmarks.rover_slopes                                 writes docs/rover_measured.md, .json and .svg
     python -m benchmarks.rover_slopes --page                          the page and its figure anew from the .json
@@ -27,7 +27,7 @@ from benchmarks import rover_slopes_page
 from benchmarks.common import ROOT, check_page, machine, study_parser
 from soil_env._io.commands import command_line, leave
 from soil_env._io.files import make_folder, write_json
-from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml, unknown_value
+from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, read_yaml, unknown_value
 from soil_env.parameters import Soil
 from soil_env.simulation.rover.dynamics import take_pitch
 from soil_env.simulation.rover.worlds import RoverSimulation
@@ -103,6 +103,7 @@ class Published(Checked):
     slopes: tuple[float, ...] = quantity("deg", 0.0, 60.0)
     variants: tuple[dict[str, Any], ...] = ({},)
     usual: int = 0
+    alternatives: dict[str, dict[str, Any]] = field(default_factory=dict)
     campaigns: dict[str, tuple[tuple[float, ...], ...]] = field(default_factory=dict)
     law: Law | None = None
     fitted: tuple[str, ...] = ()
@@ -153,12 +154,13 @@ class Rig:
 
     def __init__(self, of: Published, variant: int | None = None, count: int = 1) -> None:
         changes = dict(of.variants[of.usual if variant is None else variant])
-        share = changes.pop("shear_share", 0.0)
+        share, more = changes.pop("shear_share", 0.0), changes.pop("effects", {})
         self.slip_radius: float = changes.pop("slip_radius", of.slip_radius)
         self.scenario: RoverScenario = load_rover(ROOT / "benchmarks" / "rovers" / of.rover, changes, "variants")
         wheel = self.scenario.wheel
         effects = {"grousers": {"shear_share": share, "slip_at_rim": 1.0}} if of.grouser_height > 0.0 else {}
-        self.model = WheelSoilModel(ModelWheel(wheel.radius, wheel.width, of.grouser_height), effects=effects)
+        size = ModelWheel(wheel.radius, wheel.width, of.grouser_height)
+        self.model = WheelSoilModel(size, effects=merge(effects, more))
         self.speed: float = of.speed
         self.command: float = of.speed / self.slip_radius / wheel.no_load_speed
         self.simulation = RoverSimulation(count, self.scenario, "blind", 1, self.model)
@@ -256,6 +258,7 @@ def wheels_alone(of: Published, soil: Soil, slopes: Sequence[float], loads: np.n
 # --- the study --------------------------------------------------------------------------------------------------------
 
 FREE = ("friction_angle_deg", "shear_modulus", "dig_gain")  # of a fit; the others stay where `HELD` has them
+_ORDER = [f.name for f in fields(Ranges)]
 HELD = (0.5, 0.0, 0.5, 0.5, 0.5, 0.5)  # in the unit cube of `Ranges`: no cohesion, the middle of all others
 
 
@@ -298,33 +301,49 @@ def band(of: Published, count: int, seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def fit(of: Published, name: str, starts: int) -> Soil:
-    """The soil that is nearest to a set of points, in `FREE` within the ranges."""
-    slopes, slips = of.sets()[name]
-    rig, order = Rig(of, None, slopes.size), [f.name for f in fields(of.soil)]
-    free = [order.index(parameter) for parameter in FREE]
+def _place(x: Sequence[float]) -> np.ndarray:
+    """The place in the unit cube of `Ranges` with `x` [3] for `FREE`."""
+    place = np.array(HELD)
+    place[[_ORDER.index(name) for name in FREE]] = x
+    return place
 
-    def soil_at(x: np.ndarray) -> Soil:
-        place = np.array(HELD)
-        place[free] = x
-        return of.soil.soil(place)
+
+def fit(of: Published, name: str, draws: int, refined: int = 3) -> Soil:
+    """The soil nearest to a set of points, in `FREE` within the ranges: the best of `draws`, of which the first
+    `refined` are improved by least squares (slip leaps to 1 where a soil fails, so one start is not enough)."""
+    slopes, slips = of.sets()[name]
+    drawn = qmc.LatinHypercube(len(FREE), rng=np.random.default_rng(1)).random(draws)
+    found = curves(of, None, [of.soil.soil(_place(x)) for x in drawn], slopes).slip
+    costs = np.sum((found - slips) ** 2, axis=1)
+    best, order = (float(costs.min()), drawn[costs.argmin()]), np.argsort(costs)[:refined]
+    rig = Rig(of, None, slopes.size)
 
     def errors(x: np.ndarray) -> np.ndarray:
-        return rig.drive([soil_at(x)] * slopes.size, slopes).slip - slips
+        return rig.drive([of.soil.soil(_place(x))] * slopes.size, slopes).slip - slips
 
-    tries = [
-        least_squares(errors, start, bounds=(0.0, 1.0), diff_step=0.02, max_nfev=40)
-        for start in qmc.LatinHypercube(len(free), rng=np.random.default_rng(1)).random(starts)
-    ]
-    return soil_at(min(tries, key=lambda found: found.cost).x)
+    for start in drawn[order]:
+        improved = least_squares(errors, start, bounds=(0.0, 1.0), diff_step=0.02, max_nfev=30)
+        best = min(best, (2.0 * improved.cost, improved.x), key=lambda pair: pair[0])
+    return of.soil.soil(_place(best[1]))
+
+
+def alternatives(of: Published, draws: int) -> dict[str, Any]:
+    """The best of `draws` soils for the first set with each alternative of the rover's contact, judged on all sets."""
+    found = {}
+    for label, changes in ({"as it is": {}} | of.alternatives).items() if of.alternatives else ():
+        other = replace(of, variants=(merge(of.variants[of.usual], changes),), usual=0)
+        soil = fit(other, of.fitted[0], draws, refined=0)
+        errors = {n: rms(curves(other, None, [soil], s).slip[0] - slip) for n, (s, slip) in of.sets().items()}
+        found[label] = {"soil": of.soil.named(soil), "rms": errors}
+    return found
 
 
 def judge(of: Published, soil: Soil) -> dict[str, Any]:
     """A soil against all sets of points, and what the rover does on it over the slope."""
     measured = {}
     for name, (slopes, slips) in of.sets().items():
-        slip = curves(of, None, [soil], slopes).slip[0]
-        measured[name] = {"slip": slip, "rms": rms(slip - slips)}
+        d = curves(of, None, [soil], slopes)
+        measured[name] = {"slip": d.slip[0], "rms": rms(d.slip[0] - slips), "rms_early": rms(d.early[0] - slips)}
     driven = Driven(*(a[0] for a in curves(of, None, [soil], of.slopes)))
     variants = [curves(of, v, [soil], of.slopes).slip[0] for v in range(len(of.variants))]
     speeds = of.law.speeds if of.law is not None else (0.5 * of.speed, of.speed)
@@ -336,7 +355,7 @@ def judge(of: Published, soil: Soil) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def study(of: Published, soils: int, starts: int, seed: int) -> dict[str, Any]:
+def study(of: Published, soils: int, draws: int, seed: int) -> dict[str, Any]:
     """All results of one rover."""
     points = of.sets()
     return {
@@ -348,7 +367,8 @@ def study(of: Published, soils: int, starts: int, seed: int) -> dict[str, Any]:
         },
         "bevameter": stiffness(of),
         "band": band(of, soils, seed),
-        "fits": {name: judge(of, fit(of, name, starts)) for name in of.fitted},
+        "fits": {name: judge(of, fit(of, name, draws)) for name in of.fitted},
+        "alternatives": alternatives(of, draws),
     }  # fmt: skip
 
 
@@ -374,10 +394,10 @@ def main(arguments: list[str] | None = None) -> int:
     make_folder(folder)
     file = folder / "rover_measured.json"
     if not options.page:
-        soils, starts = (6, 1) if options.smoke else (96, 12)
+        soils, draws = (6, 2) if options.smoke else (96, 192)
         results = {
-            "made": {"machine": machine(), "soils": soils, "starts": starts, "seed": 0},
-            "rovers": {name: study(of, soils, starts, 0) for name, of in published().items()},
+            "made": {"machine": machine(), "soils": soils, "draws": draws, "seed": 0},
+            "rovers": {name: study(of, soils, draws, 0) for name, of in published().items()},
         }
         write_json(file, results, None)
     rover_slopes_page.write(json.loads(file.read_text(encoding="utf-8")), folder)

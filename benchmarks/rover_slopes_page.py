@@ -33,9 +33,9 @@ def write(results: dict[str, Any], folder: Path) -> None:
     for name, found in results["rovers"].items():
         parts[name] = "\n\n".join((_over_slope(found).markdown(), _of_band(found).markdown()))
         fits = [_of_fits(found).markdown(), *(_drive_table(found, one).markdown() for one in found["fits"])]
-        parts[f"{name} fit"] = "\n\n".join([_fitted(found), *fits])
+        parts[f"{name} fit"] = "\n\n".join([_fitted(found), *fits, *_alternatives(found)])
     parts["made"] = (
-        f"{made['soils']} soils a rover, fits from {made['starts']} starts, seed {made['seed']}; "
+        f"{made['soils']} soils a rover, fits from {made['draws']} drawn soils, seed {made['seed']}; "
         f"{machine_text(made['machine'], 'numpy', 'numba')}."
     )
     renew_page(PAGE, parts, folder / PAGE.name)
@@ -111,9 +111,22 @@ def _of_fits(found: dict) -> Table:
             errors = ", ".join(f"{100 * (a - b):+.0f}" for a, b in zip(of["slip"], points["slip"], strict=True))
             what = "fitted" if other == name else "not seen" if not _overlap(name, other) else "partly fitted"
             between = found["between"].get(f"{name} for {other}")
-            rows.append((name, other, what, _percent(of["rms"]), "" if between is None else _percent(between), errors))
-    head = ("fitted to", "judged on", "", "rms of slip", "rms of their own points between", "ours less theirs, by slope")
+            rows.append((name, other, what, _percent(of["rms"]), _percent(of["rms_early"]), "" if between is None else _percent(between), errors))
+    head = (
+        "fitted to", "judged on", "", "rms of slip", "the same, of the first 10 s", "one campaign for the other",
+        "ours less theirs, by slope",
+    )  # fmt: skip
     return Table(head, rows)
+
+
+def _alternatives(found: dict) -> list[str]:
+    """Other contact laws, each with the best of its own soils."""
+    if not found["alternatives"]:
+        return []
+    first, sets = next(iter(found["fits"])), _main_sets(found)
+    rows = [(label, *(_percent(one["rms"][name]) for name in sets)) for label, one in found["alternatives"].items()]
+    head = ("contact", *(f"rms of slip, {name}" for name in sets))
+    return [Table(head, rows, f"The best of the drawn soils for {first}, not refined.").markdown()]
 
 
 def _overlap(name: str, other: str) -> bool:
