@@ -40,7 +40,8 @@ DATA = ROOT / "benchmarks" / "rover_slopes.yaml"
 DEPTH = 0.01  # [m] at which the stiffness of soils is compared
 STEADY = 1e-3  # change of slip over `_BETWEEN` seconds below which a rover drives steadily
 _BETWEEN = 10.0  # [s]
-LONGEST = 240.0  # [s] of a drive
+LONGEST = 360.0  # [s] of a drive
+START = 0.05  # [m/s2] of the rims as they come to speed: wheels that spin up at once may dig themselves in
 
 
 # --- what was published -----------------------------------------------------------------------------------------------
@@ -191,15 +192,17 @@ class Rig:
             raise ParameterError(f"expected {count} soils and slopes, got {len(soils)} and {len(slopes_deg)}")
         self._place(soils, np.radians(slopes_deg))
         rovers, s = simulation.worlds.rovers, simulation.numbers.suspension
-        commands = np.full((count, s.axles), self.command)
         going, before, early = np.ones(count, dtype=bool), np.full(count, np.inf), None
         settled = s.base + 4.0 * self.scenario.relaxation * self.scenario.wheel.radius
-        for _ in range(round(longest / _BETWEEN)):
+        period, chunk = self.scenario.control.period, round(_BETWEEN / self.scenario.control.period)
+        for first in range(0, round(longest / period), chunk):
             what = np.where(going, STEP, IDLE)
-            for _ in range(round(_BETWEEN / self.scenario.control.period)):
-                simulation.step_all(commands, what)
+            for step in range(first, first + chunk):
+                share = min((step + 1) * period * START / self.speed, 1.0)
+                simulation.step_all(np.full((count, s.axles), share * self.command), what)
             slip = self._slips().mean(axis=1)
-            early = 1.0 - rovers.body.x / (self.speed * _BETWEEN) if early is None else early
+            if early is None:
+                early = 1.0 - rovers.body.x / (self.speed * (_BETWEEN - 0.5 * self.speed / START))
             going &= (np.abs(slip - before) > STEADY) | (rovers.body.x < settled)
             going &= rovers.body.x < self.scenario.course.length - 5.0
             before = slip

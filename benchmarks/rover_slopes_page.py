@@ -60,7 +60,8 @@ def _main_sets(found: dict) -> list[str]:
 def _over_slope(found: dict) -> Table:
     """Slip at the measured slopes, theirs and ours."""
     rows, slopes, b = [], found["slopes"], found["band"]
-    for name in _main_sets(found):
+    sets = _main_sets(found)
+    for name in sets[:1] if "m/s" in sets[0] else sets:  # of a law, at one speed
         points = found["points"][name]
         for slope, slip in zip(points["slope"], points["slip"], strict=True):
             ours = [float(np.interp(slope, slopes, b[key])) for key in ("low", "median", "high")]

@@ -15,7 +15,7 @@ PLACE = (0.5, 0.0, 0.5, 0.5, 0.5, 0.5)
 @pytest.mark.parametrize("name", ["mgru3", "ex1"])
 def test_slip_and_the_rear_wheels_load_rise_with_the_slope(name):
     of, slopes = ROVERS[name], [0.0, 4.0, 8.0, 12.0]
-    soil = Soil(36.0, 200.0, 0.01, 1.0, sinkage_coefficient=1e7, dig_gain=1.0)
+    soil = Soil(36.0, 200.0, 0.004, 1.0, sinkage_coefficient=1e7, dig_gain=1.0)
     d = study.Driven(*(a[0] for a in study.curves(of, None, [soil], slopes)))
     assert d.steady.all()
     assert abs(d.slip[0]) < 0.1
@@ -77,7 +77,7 @@ def test_mistakes_in_the_data_are_named_in_one_line(change, expected):
 
 def test_wrong_options_end_with_one_line(tmp_path, capsys):
     with pytest.raises(SystemExit) as error:
-        study.main(["--smok"])
+        study.main(["--fast"])
     assert error.value.code == 2
     assert study.main(["--page", "--out", str(tmp_path)]) == 2
     assert all(len(text.splitlines()) <= 1 for text in capsys.readouterr())
