@@ -1,9 +1,9 @@
 """Slip over the slope of published rovers, beside the same rovers simulated.
 
 A rover is set up as its authors have it and driven by `RoverSimulation` up uniform slopes at the published speed of
-its wheels until its slip no longer changes. Its soil is known in part: soils are drawn from the ranges of rover_slopes.yaml (Latin
-hypercube), and the curves of all of them are the result, not one that was tuned. Apart from that, three parameters of
-the soil are fitted to one campaign and the fit is judged on another.
+its wheels until its slip no longer changes. Its soil is known in part: soils are drawn from the ranges of
+rover_slopes.yaml (Latin hypercube), and the curves of all of them are the result, not one that was tuned. Apart from
+that, three parameters of the soil are fitted to one campaign and the fit is judged on another.
 
     python -m benchmarks.rover_slopes                                 writes docs/rover_measured.md, .json and .svg
     python -m benchmarks.rover_slopes --page                          the page and its figure anew from the .json
@@ -13,252 +13,34 @@ the soil are fitted to one campaign and the fit is judged on another.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from benchmarks import rover_slopes_page
-from benchmarks.common import ROOT, check_page, machine, study_parser
+from benchmarks.common import check_page, machine, study_parser
+from benchmarks.rover_rigs import (
+    DEPTH,
+    PULL_SLIPS,
+    Driven,
+    Published,
+    Ranges,
+    Rig,
+    curves,
+    published,
+    pulls_asked,
+    pulls_of,
+    wheels_alone,
+)
 from soil_env._io.commands import command_line, leave
 from soil_env._io.files import make_folder, write_json
-from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, read_yaml, unknown_value
+from soil_env._io.loading import merge
 from soil_env.parameters import Soil
-from soil_env.simulation.rover.dynamics import take_pitch
-from soil_env.simulation.rover.worlds import RoverSimulation
-from soil_env.simulation.wheel import settle_at
-from soil_env.simulation.worlds import IDLE, STEP
-from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
-from soil_env.vehicle import RoverScenario, load_rover
-
-DATA = ROOT / "benchmarks" / "rover_slopes.yaml"
-DEPTH = 0.01  # [m] at which the stiffness of soils is compared
-STEADY = 1e-3  # change of slip over `_BETWEEN` seconds below which a rover drives steadily
-_BETWEEN = 10.0  # [s]
-LONGEST = 360.0  # [s] of a drive
-START = 0.05  # [m/s2] of the rims as they come to speed: wheels that spin up at once may dig themselves in
-
-
-# --- what was published -----------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Ranges(Checked):
-    """What is known of a soil: (low, high) of each parameter. Moduli, pressure and gain are drawn log-uniformly."""
-
-    friction_angle_deg: tuple[float, float] = quantity("deg", 0.0, 60.0)
-    cohesion: tuple[float, float] = quantity("Pa", 0.0, 1e5)
-    sinkage_exponent: tuple[float, float] = quantity("", 0.1, 2.0)
-    shear_modulus: tuple[float, float] = quantity("m", 1e-4, 0.3)
-    pressure: tuple[float, float] = quantity("Pa", 1.0, 1e7, doc="of the pressure-sinkage relation at `DEPTH`")
-    dig_gain: tuple[float, float] = quantity("", 0.01, 20.0)
-
-    def soil(self, place: Sequence[float]) -> Soil:
-        """The soil at a place in the unit cube [6], in the order of the fields."""
-        pairs = [getattr(self, f.name) for f in fields(self)]
-        even = [low + u * (high - low) for u, (low, high) in zip(place[:3], pairs[:3], strict=True)]
-        K, p, gain = (low * (high / low) ** u for u, (low, high) in zip(place[3:], pairs[3:], strict=True))
-        phi, c, n = map(float, even)
-        return Soil(phi, c, float(K), n, sinkage_coefficient=float(p / DEPTH**n), dig_gain=float(gain))
-
-    def named(self, soil: Soil) -> dict[str, float]:
-        """The parameters of a soil under the names of the fields."""
-        found = {f.name: getattr(soil, f.name) for f in fields(self) if f.name != "pressure"}
-        assert soil.sinkage_coefficient is not None
-        return found | {"pressure": soil.sinkage_coefficient * DEPTH**soil.sinkage_exponent}
-
-
-@dataclass(frozen=True)
-class Law(Checked):
-    """Slip of EX1: flat[0] + flat[1] v + (slope[0] + slope[1] v) a^2 of wheel speed v [m/s] and slope a [deg]."""
-
-    flat: tuple[float, float]
-    slope: tuple[float, float]
-    speeds: tuple[float, ...] = quantity("m/s", 0.0, 10.0)
-    steepest: float = quantity("deg", 0.0, 60.0)
-
-    def uncut(self, speed: float, slope_deg: np.ndarray) -> np.ndarray:
-        """Slip as printed."""
-        on_slope = (self.slope[0] + self.slope[1] * speed) * np.asarray(slope_deg) ** 2
-        return self.flat[0] + self.flat[1] * speed + on_slope
-
-    def slip(self, speed: float, slope_deg: np.ndarray) -> np.ndarray:
-        """Slip, at most 1."""
-        return np.minimum(self.uncut(speed, slope_deg), 1.0)
-
-
-@dataclass(frozen=True)
-class Published(Checked):
-    """A rover, its soil as far as it is known, and the slip that was measured."""
-
-    rover: str
-    speed: float = quantity("m/s", 1e-3, 10.0, doc="of the wheels at `slip_radius`")
-    slip_radius: float = quantity("m", 0.01, 3.0, doc="that slip and speed are meant at")
-    grouser_height: float = quantity("m", 0.0, 1.0)
-    soil: Ranges
-    slopes: tuple[float, ...] = quantity("deg", 0.0, 60.0)
-    variants: tuple[dict[str, Any], ...] = ({},)
-    usual: int = 0
-    alternatives: dict[str, dict[str, Any]] = field(default_factory=dict)
-    campaigns: dict[str, tuple[tuple[float, ...], ...]] = field(default_factory=dict)
-    law: Law | None = None
-    fitted: tuple[str, ...] = ()
-    bevameter: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in self.fitted:
-            if name not in self.sets():
-                raise unknown_value(name, self.sets(), "Published.fitted")
-
-    def sets(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """(slope [deg], slip [-]) by name: campaigns, or the law at its speeds, at the first of them in two parts too."""
-        found = {name: tuple(np.array(points).T) for name, points in self.campaigns.items()}
-        if self.law is not None:
-            slopes = np.array([s for s in self.slopes if s <= self.law.steepest])
-            for v in self.law.speeds:
-                found[f"{v:g} m/s"] = slopes, self.law.slip(v, slopes)
-            low, v = slopes <= 0.6 * self.law.steepest, self.law.speeds[0]
-            for name, part in (("lower slopes", low), ("upper slopes", ~low)):
-                found[f"{v:g} m/s, {name}"] = slopes[part], self.law.slip(v, slopes[part])
-        return found
-
-
-def published(path: Path = DATA) -> dict[str, Published]:
-    """The rovers of rover_slopes.yaml by name."""
-    return {name: load(Published, entry, f"{path.name}: {name}") for name, entry in read_yaml(path).items()}
-
-
-# --- a rover on slopes ------------------------------------------------------------------------------------------------
-
-
-class Driven(NamedTuple):
-    """Drives to steady state, one row each."""
-
-    slip: np.ndarray  # [N] of the rover by the published radius; 1 where it does not get on
-    axle_slip: np.ndarray  # [N, axles]
-    load: np.ndarray  # [N, axles] on a wheel [N]
-    sinkage: np.ndarray  # [N, axles] of a wheel below the rut that it runs in [m]
-    rut: np.ndarray  # [N, axles] depth of that rut [m]
-    travel: np.ndarray  # [N] [m]
-    early: np.ndarray  # [N] slip over the first `_BETWEEN` seconds, while ruts and sinkage are still coming about
-    steady: np.ndarray  # [N] whether slip had settled, with all wheels in the ruts of those ahead
-
-
-class Rig:
-    """One variant of a published rover on so many slopes at once."""
-
-    def __init__(self, of: Published, variant: int | None = None, count: int = 1) -> None:
-        changes = dict(of.variants[of.usual if variant is None else variant])
-        share, more = changes.pop("shear_share", 0.0), changes.pop("effects", {})
-        self.slip_radius: float = changes.pop("slip_radius", of.slip_radius)
-        self.scenario: RoverScenario = load_rover(ROOT / "benchmarks" / "rovers" / of.rover, changes, "variants")
-        wheel = self.scenario.wheel
-        effects = {"grousers": {"shear_share": share, "slip_at_rim": 1.0}} if of.grouser_height > 0.0 else {}
-        size = ModelWheel(wheel.radius, wheel.width, of.grouser_height)
-        self.model = WheelSoilModel(size, effects=merge(effects, more))
-        self.speed: float = of.speed
-        self.command: float = of.speed / self.slip_radius / wheel.no_load_speed
-        self.simulation = RoverSimulation(count, self.scenario, "blind", 1, self.model)
-        for j in range(count):
-            self.simulation.seed(j, np.random.default_rng(j))
-
-    def _place(self, soils: Sequence[Soil], slopes: np.ndarray) -> None:
-        """Put each rover at rest on its own uniform soil and slope [rad]."""
-        simulation = self.simulation
-        simulation.restart_where(np.ones(simulation.rovers, dtype=bool))
-        w, s, world = simulation.worlds, simulation.numbers.suspension, simulation.numbers.world
-        courses, rovers, width = w.courses, w.rovers, self.scenario.wheel.width
-        courses.edges[:, :2], courses.edges[:, 2:], courses.patches[:], courses.ready[:] = (0.0, 1e4), np.inf, 1, np.inf
-        courses.soils[:] = np.array([soil.state(width) for soil in soils])[:, None]
-        courses.grades[:] = slopes[:, None]
-        rovers.body.next_halt[:] = np.inf
-        for j, rows in enumerate(simulation.wheels.tolist()):
-            for place, share, k in zip(s.places, s.shares, rows, strict=True):
-                ahead = s.base - place
-                settle_at(rovers.wheels, rovers.counts, k, ahead, rovers.body.mass[j] * share, courses, world)
-                rovers.axles.height[k] = ahead * math.sin(slopes[j])
-            take_pitch(rovers, j, s)
-
-    def drive(self, soils: Sequence[Soil], slopes_deg: Sequence[float], longest: float = LONGEST) -> Driven:
-        """Each rover on its own soil up its own slope until it drives steadily, or for so many seconds."""
-        simulation, count = self.simulation, self.simulation.rovers
-        if not len(soils) == len(slopes_deg) == count:
-            raise ParameterError(f"expected {count} soils and slopes, got {len(soils)} and {len(slopes_deg)}")
-        self._place(soils, np.radians(slopes_deg))
-        rovers, s = simulation.worlds.rovers, simulation.numbers.suspension
-        going, before, early = np.ones(count, dtype=bool), np.full(count, np.inf), None
-        settled = s.base + 4.0 * self.scenario.relaxation * self.scenario.wheel.radius
-        period, chunk = self.scenario.control.period, round(_BETWEEN / self.scenario.control.period)
-        for first in range(0, round(longest / period), chunk):
-            what = np.where(going, STEP, IDLE)
-            for step in range(first, first + chunk):
-                share = min((step + 1) * period * START / self.speed, 1.0)
-                simulation.step_all(np.full((count, s.axles), share * self.command), what)
-            slip = self._slips().mean(axis=1)
-            if early is None:
-                early = 1.0 - rovers.body.x / (self.speed * (_BETWEEN - 0.5 * self.speed / START))
-            going &= (np.abs(slip - before) > STEADY) | (rovers.body.x < settled)
-            going &= rovers.body.x < self.scenario.course.length - 5.0
-            before = slip
-        assert early is not None
-        return self._driven(settled, ~going, np.minimum(early, 1.0))
-
-    def _slips(self) -> np.ndarray:
-        """Slip of each axle [N, axles] by the published radius, at most 1."""
-        wheels, rows = self.simulation.worlds.rovers.wheels, self.simulation.wheels
-        rim = np.maximum(wheels.wheel_speed[rows] * self.slip_radius, 1e-9)
-        return np.minimum(1.0 - wheels.speed[rows] / rim, 1.0)
-
-    def _driven(self, settled: float, stopped: np.ndarray, early: np.ndarray) -> Driven:
-        rovers, rows, slips = self.simulation.worlds.rovers, self.simulation.wheels, self._slips()
-        wheels, travel = rovers.wheels, rovers.body.x.copy()
-        return Driven(
-            slips.mean(axis=1), slips, wheels.load[rows], wheels.sinkage[rows], rovers.axles.floor[rows], travel,
-            early, stopped & (travel >= settled),
-        )  # fmt: skip
-
-
-def curves(of: Published, variant: int | None, soils: Sequence[Soil], slopes: Sequence[float]) -> Driven:
-    """`Driven` of each soil on each slope: arrays [soils, slopes, ...]."""
-    rig = Rig(of, variant, len(soils) * len(slopes))
-    driven = rig.drive([soil for soil in soils for _ in slopes], np.tile(slopes, len(soils)))
-    return Driven(*(a.reshape(len(soils), len(slopes), *a.shape[1:]) for a in driven))
-
-
-# --- wheels by themselves ---------------------------------------------------------------------------------------------
-
-_RIM_SLIPS = np.concatenate([np.linspace(-0.3, 0.6, 91)[:-1], np.linspace(0.6, 0.999, 80)])
-
-
-def wheels_alone(of: Published, soil: Soil, slopes: Sequence[float], loads: np.ndarray | None = None) -> np.ndarray:
-    """Slip [slopes] at which wheels on fresh soil in steady state pull what the slope asks; 1 where none does.
-
-    One wheel with the mean load, or wheels with the `loads` [slopes, axles] of the rover, which all have one slip.
-    """
-    rig = Rig(of)
-    model, wheel = WheelSoilModel(rig.model.wheel, soil, rig.model.effects), rig.scenario.wheel
-    weight = wheel.body_mass * rig.scenario.gravity
-    slip = 1.0 - (1.0 - _RIM_SLIPS) * wheel.radius / rig.slip_radius
-    found = []
-    for i, slope in enumerate(np.radians(slopes)):
-        of_axle = [weight * math.cos(slope)] if loads is None else loads[i]
-        pulls = [model.predict({"slip": _RIM_SLIPS, "load": load}).drawbar_pull for load in of_axle]
-        spare = np.mean(pulls, axis=0) - weight * math.sin(slope)
-        k = int(np.argmax(spare > 0.0))
-        if spare[k] <= 0.0:
-            found.append(1.0)
-        else:
-            found.append(float(np.interp(0.0, spare[k - 1 : k + 1], slip[k - 1 : k + 1])) if k else float(slip[0]))
-    return np.array(found)
-
-
-# --- the study --------------------------------------------------------------------------------------------------------
 
 FREE = ("friction_angle_deg", "shear_modulus", "dig_gain")  # of a fit; the others stay where `HELD` has them
 _ORDER = [f.name for f in fields(Ranges)]
@@ -311,7 +93,7 @@ def _place(x: Sequence[float]) -> np.ndarray:
     return place
 
 
-def fit(of: Published, name: str, draws: int, refined: int = 3) -> Soil:
+def fit(of: Published, name: str, draws: int, refined: int) -> Soil:
     """The soil nearest to a set of points, in `FREE` within the ranges: the best of `draws`, of which the first
     `refined` are improved by least squares (slip leaps to 1 where a soil fails, so one start is not enough)."""
     slopes, slips = of.sets()[name]
@@ -353,24 +135,30 @@ def judge(of: Published, soil: Soil) -> dict[str, Any]:
     by_speed = [curves(replace(of, speed=v), None, [soil], of.slopes).slip[0] for v in speeds]
     return {
         "soil": of.soil.named(soil), "measured": measured, "half": half(of.slopes, driven.slip),
-        "driven": driven._asdict(), "variants": variants, "by_speed": dict(zip(map(str, speeds), by_speed, strict=True)),
-        "one_wheel": wheels_alone(of, soil, of.slopes), "two_wheels": wheels_alone(of, soil, of.slopes, driven.load),
+        "driven": driven._asdict(), "variants": variants,
+        "by_speed": dict(zip(map(str, speeds), by_speed, strict=True)),
+        "pull": pulls_of(of, soil), "one_wheel": wheels_alone(of, soil, of.slopes),
+        "two_wheels": wheels_alone(of, soil, of.slopes, driven.load),
     }  # fmt: skip
 
 
-def study(of: Published, soils: int, draws: int, seed: int) -> dict[str, Any]:
+def study(of: Published, soils: int, draws: int, refined: int, seed: int) -> dict[str, Any]:
     """All results of one rover."""
     points = of.sets()
     return {
         "slopes": of.slopes,
-        "points": {name: {"slope": a, "slip": s, "half": half(a, s)} for name, (a, s) in points.items()},
+        "points": {
+            name: {"slope": a, "slip": s, "half": half(a, s), "pull": pulls_asked(a, s)}
+            for name, (a, s) in points.items()
+        },
+        "pull_slips": PULL_SLIPS,
         "between": {
             f"{one} for {other}": rms(np.interp(points[other][0], *points[one]) - points[other][1])
             for one in of.campaigns for other in of.campaigns if one != other
         },
         "bevameter": stiffness(of),
         "band": band(of, soils, seed),
-        "fits": {name: judge(of, fit(of, name, draws)) for name in of.fitted},
+        "fits": {name: judge(of, fit(of, name, draws, refined)) for name in of.fitted},
         "alternatives": alternatives(of, draws),
     }  # fmt: skip
 
@@ -397,10 +185,10 @@ def main(arguments: list[str] | None = None) -> int:
     make_folder(folder)
     file = folder / "rover_measured.json"
     if not options.page:
-        soils, draws = (6, 2) if options.smoke else (96, 192)
+        soils, draws, refined = (6, 2, 0) if options.smoke else (96, 192, 3)
         results = {
             "made": {"machine": machine(), "soils": soils, "draws": draws, "seed": 0},
-            "rovers": {name: study(of, soils, draws, 0) for name, of in published().items()},
+            "rovers": {name: study(of, soils, draws, refined, 0) for name, of in published().items()},
         }
         write_json(file, results, None)
     rover_slopes_page.write(json.loads(file.read_text(encoding="utf-8")), folder)

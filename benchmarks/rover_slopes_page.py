@@ -18,9 +18,9 @@ from soil_env._io.files import save_figure
 PAGE = ROOT / "docs" / "rover_measured.md"
 PARTS = ("mgru3", "mgru3 fit", "ex1", "ex1 fit", "made")
 _UNITS = {
-    "friction_angle_deg": ("phi", "deg", 1.0, 1), "cohesion": ("c", "Pa", 1.0, 0), "sinkage_exponent": ("n", "", 1.0, 2),
-    "shear_modulus": ("K", "mm", 1e3, 1), "pressure": ("pressure at 10 mm", "kPa", 1e-3, 0),
-    "dig_gain": ("gain of digging", "", 1.0, 2),
+    "friction_angle_deg": ("phi", "deg", 1.0, 1), "cohesion": ("c", "Pa", 1.0, 0),
+    "sinkage_exponent": ("n", "", 1.0, 2), "shear_modulus": ("K", "mm", 1e3, 1),
+    "pressure": ("pressure at 10 mm", "kPa", 1e-3, 0), "dig_gain": ("gain of digging", "", 1.0, 2),
 }  # fmt: skip
 _COLOURS = ("#d55e00", "#0072b2", "#009e73")
 _MARKS = ("o", "s", "^")
@@ -33,7 +33,7 @@ def write(results: dict[str, Any], folder: Path) -> None:
     for name, found in results["rovers"].items():
         parts[name] = "\n\n".join((_over_slope(found).markdown(), _of_band(found).markdown()))
         fits = [_of_fits(found).markdown(), *(_drive_table(found, one).markdown() for one in found["fits"])]
-        parts[f"{name} fit"] = "\n\n".join([_fitted(found), *fits, *_alternatives(found)])
+        parts[f"{name} fit"] = "\n\n".join([_fitted(found), *fits, *_alternatives(found), _pulls(found)])
     parts["made"] = (
         f"{made['soils']} soils a rover, fits from {made['draws']} drawn soils, seed {made['seed']}; "
         f"{machine_text(made['machine'], 'numpy', 'numba')}."
@@ -112,10 +112,11 @@ def _of_fits(found: dict) -> Table:
             errors = ", ".join(f"{100 * (a - b):+.0f}" for a, b in zip(of["slip"], points["slip"], strict=True))
             what = "fitted" if other == name else "not seen" if not _overlap(name, other) else "partly fitted"
             between = found["between"].get(f"{name} for {other}")
-            rows.append((name, other, what, _percent(of["rms"]), _percent(of["rms_early"]), "" if between is None else _percent(between), errors))
+            own = "" if between is None else _percent(between)
+            rows.append((name, other, what, _percent(of["rms"]), _percent(of["rms_early"]), own, errors))
     head = (
-        "fitted to", "judged on", "", "rms of slip", "the same, of the first 10 s", "one campaign for the other",
-        "ours less theirs, by slope",
+        "fitted to", "judged on", "", "rms of slip", "the same, over the first 2 m of the rims",
+        "one campaign itself for the other", "ours less theirs, by slope",
     )  # fmt: skip
     return Table(head, rows)
 
@@ -128,6 +129,18 @@ def _alternatives(found: dict) -> list[str]:
     rows = [(label, *(_percent(one["rms"][name]) for name in sets)) for label, one in found["alternatives"].items()]
     head = ("contact", *(f"rms of slip, {name}" for name in sets))
     return [Table(head, rows, f"The best of the drawn soils for {first}, not refined.").markdown()]
+
+
+def _pulls(found: dict) -> str:
+    """Pull over load at a few slips: what the points ask for, and what one wheel gives on the fitted soils."""
+    columns = {f"theirs, {name}": found["points"][name]["pull"] for name in _main_sets(found)}
+    columns |= {f"ours, fitted to {name}": fit["pull"] for name, fit in found["fits"].items()}
+    rows = [
+        (_percent(slip, 0), *("" if values[i] is None else f"{values[i]:.2f}" for values in columns.values()))
+        for i, slip in enumerate(found["pull_slips"])
+    ]
+    caption = "Theirs: tan of the slope at which a slip was measured, between the points; ours: one wheel, fresh soil."
+    return Table(("slip [%]", *columns), rows, caption).markdown()
 
 
 def _overlap(name: str, other: str) -> bool:
@@ -144,13 +157,13 @@ def _drive_table(found: dict, name: str) -> Table:
         sunk = [1e3 * (a + b) for a, b in zip(d["sinkage"][i], d["rut"][i], strict=True)]
         rows.append(
             (
-                f"{slope:g}", *(_percent(s) for s in d["axle_slip"][i]), _percent(d["slip"][i]), _percent(d["early"][i]),
-                _percent(fit["one_wheel"][i]), _percent(fit["two_wheels"][i]), f"{front:.0f}, {rear:.0f}",
-                f"{sunk[0]:.1f}, {sunk[1]:.1f}", "yes" if d["steady"][i] else "no",
+                f"{slope:g}", *(_percent(s) for s in d["axle_slip"][i]), _percent(d["slip"][i]),
+                _percent(d["early"][i]), _percent(fit["one_wheel"][i]), _percent(fit["two_wheels"][i]),
+                f"{front:.0f}, {rear:.0f}", f"{sunk[0]:.1f}, {sunk[1]:.1f}", "yes" if d["steady"][i] else "no",
             )
         )  # fmt: skip
     head = (
-        "slope [deg]", "slip, front [%]", "rear [%]", "mean [%]", "over the first 10 s [%]", "one wheel [%]",
+        "slope [deg]", "slip, front [%]", "rear [%]", "mean [%]", "over the first 2 m of the rims [%]", "one wheel [%]",
         "two wheels, fresh soil [%]", "load, front, rear [N]", "below the surface, front, rear [mm]", "steady",
     )  # fmt: skip
     return Table(head, rows, f"On the soil fitted to {name}.")

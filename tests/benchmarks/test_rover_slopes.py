@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from benchmarks import rover_rigs as rigs
 from benchmarks import rover_slopes as study
 from benchmarks.rover_slopes_page import PARTS
-from soil_env._io.loading import ParameterError, load
+from soil_env._io.loading import ParameterError, load, read_yaml
 from soil_env.parameters import Soil
 
-ROVERS = study.published()
+ROVERS = rigs.published()
 PLACE = (0.5, 0.0, 0.5, 0.5, 0.5, 0.5)
 
 
@@ -16,12 +17,12 @@ PLACE = (0.5, 0.0, 0.5, 0.5, 0.5, 0.5)
 def test_slip_and_the_rear_wheels_load_rise_with_the_slope(name):
     of, slopes = ROVERS[name], [0.0, 4.0, 8.0, 12.0]
     soil = Soil(36.0, 200.0, 0.004, 1.0, sinkage_coefficient=1e7, dig_gain=1.0)
-    d = study.Driven(*(a[0] for a in study.curves(of, None, [soil], slopes)))
+    d = rigs.Driven(*(a[0] for a in rigs.curves(of, None, [soil], slopes)))
     assert d.steady.all()
     assert abs(d.slip[0]) < 0.1
     assert np.all(np.diff(d.slip) > 0.005)
     assert np.all(np.diff(d.load[:, 0]) < 0.0) and np.all(np.diff(d.load[:, 1]) > 0.0)
-    vehicle = study.Rig(of).scenario.vehicle
+    vehicle = rigs.Rig(of).scenario.vehicle
     normal = 0.5 * vehicle.mass * 9.81 * np.cos(np.radians(slopes))
     assert np.allclose(d.load.sum(axis=1), normal, rtol=2e-3)  # the body pitches a little as its wheels sink
     assert np.ptp(d.axle_slip, axis=1).max() < 0.02  # both axles turn at one speed
@@ -29,8 +30,8 @@ def test_slip_and_the_rear_wheels_load_rise_with_the_slope(name):
 
 def test_too_steep_a_slope_is_slip_of_one_and_not_steady():
     of = ROVERS["mgru3"]
-    rig = study.Rig(of)
-    d = rig.drive([of.soil.soil(PLACE)], [40.0], 30.0)
+    rig = rigs.Rig(of)
+    d = rig.drive([of.soil.soil(PLACE)], [40.0], 6.0)
     assert d.slip[0] > 0.95
     assert not d.steady[0]
 
@@ -39,8 +40,8 @@ def test_on_fresh_soil_the_rover_slips_as_wheels_with_its_loads():
     """Before the rear wheels come to the ruts nothing couples the axles but their loads."""
     of, slopes = ROVERS["mgru3"], [3.0, 8.0]
     soil = of.soil.soil(PLACE)
-    d = study.Rig(of, None, 2).drive([soil] * 2, slopes, 10.0)
-    alone = study.wheels_alone(of, soil, slopes, d.load)
+    d = rigs.Rig(of, None, 2).drive([soil] * 2, slopes, rigs.BETWEEN)
+    alone = rigs.wheels_alone(of, soil, slopes, d.load)
     assert np.allclose(d.early, alone, atol=0.02)
 
 
@@ -59,6 +60,12 @@ def test_soils_are_drawn_within_their_ranges():
         assert all(value == pytest.approx(getattr(ranges, name)[side]) for name, value in named.items())
 
 
+def test_pull_that_points_ask_for_is_the_tangent_of_the_slope():
+    found = rigs.pulls_asked(np.array([0.0, 45.0]), np.array([0.1, 0.6]))
+    assert found[1] == pytest.approx(0.0) and found[4] == pytest.approx(1.0)
+    assert found[0] is None and found[-1] is None
+
+
 def test_half_is_where_slip_first_passes_a_half():
     assert study.half([0.0, 10.0, 20.0], [0.1, 0.4, 0.6]) == pytest.approx(15.0)
     assert study.half([0.0, 10.0], [0.1, 0.4]) is None
@@ -69,9 +76,9 @@ def test_half_is_where_slip_first_passes_a_half():
     [({"sped": 0.2}, "sped"), ({"fitted": ["2023"]}, "2023"), ({"speed": -1.0}, "speed = -1")],
 )
 def test_mistakes_in_the_data_are_named_in_one_line(change, expected):
-    entry = study.read_yaml(study.DATA)["mgru3"] | change
+    entry = read_yaml(rigs.DATA)["mgru3"] | change
     with pytest.raises(ParameterError, match=expected) as error:
-        load(study.Published, entry, "rover_slopes.yaml: mgru3")
+        load(rigs.Published, entry, "rover_slopes.yaml: mgru3")
     assert "\n" not in str(error.value)
 
 
@@ -79,8 +86,9 @@ def test_wrong_options_end_with_one_line(tmp_path, capsys):
     with pytest.raises(SystemExit) as error:
         study.main(["--fast"])
     assert error.value.code == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
     assert study.main(["--page", "--out", str(tmp_path)]) == 2
-    assert all(len(text.splitlines()) <= 1 for text in capsys.readouterr())
+    assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 @pytest.mark.slow
