@@ -243,7 +243,16 @@ def wheels_alone(of: Published, soil: Soil, slopes: Sequence[float], loads: np.n
     return np.array(found)
 
 
-PULL_SLIPS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.75, 0.85, 0.9)
+def half(slopes: Sequence[float], slips: Sequence[float]) -> float | None:
+    """Slope [deg] at which slip first passes 0.5; None where it does not."""
+    above = np.flatnonzero(np.asarray(slips) >= 0.5)
+    if not above.size:
+        return None
+    k = int(above[0])
+    return float(np.interp(0.5, slips[k - 1 : k + 1], slopes[k - 1 : k + 1])) if k else float(slopes[0])
+
+
+PULL_SLIPS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.75, 0.85, 0.88)
 
 
 def pulls_of(of: Published, soil: Soil) -> np.ndarray:

@@ -32,6 +32,7 @@ from benchmarks.rover_rigs import (
     Ranges,
     Rig,
     curves,
+    half,
     published,
     pulls_asked,
     pulls_of,
@@ -50,15 +51,6 @@ HELD = (0.5, 0.0, 0.5, 0.5, 0.5, 0.5)  # in the unit cube of `Ranges`: no cohesi
 def rms(values: np.ndarray) -> float:
     """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def half(slopes: Sequence[float], slips: Sequence[float]) -> float | None:
-    """Slope [deg] at which slip first passes 0.5; None where it does not."""
-    above = np.flatnonzero(np.asarray(slips) >= 0.5)
-    if not above.size:
-        return None
-    k = int(above[0])
-    return float(np.interp(0.5, slips[k - 1 : k + 1], slopes[k - 1 : k + 1])) if k else float(slopes[0])
 
 
 def band(of: Published, count: int, seed: int) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.common import ROOT, machine_text, renew_page
+from benchmarks.rover_rigs import half
 from soil_env._io.document import Table
 from soil_env._io.files import save_figure
 
@@ -99,7 +100,14 @@ def _fitted(found: dict) -> str:
             f"{label} = {fit['soil'][key] * scale:.{digits}f} {unit}".strip()
             for key, (label, unit, scale, digits) in _UNITS.items()
         ]
-        lines.append(f"- fitted to {name}: {', '.join(values)}")
+        speeds, steady = fit["by_speed"], np.array(fit["driven"]["steady"], dtype=bool)
+        apart = np.ptp(np.array(list(speeds.values()))[:, steady], axis=0).max()
+        halves = ", ".join(_degrees(half(found["slopes"], slip)) for slip in fit["variants"])
+        lines.append(
+            f"- fitted to {name}: {', '.join(values)}. It slips 50 % at {_degrees(fit['half'])} deg, on the variants of "
+            f"the rover at {halves} deg; with wheels at {' to '.join((min(speeds), max(speeds)))} m/s slip where it "
+            f"drives steadily is the same to {_percent(apart)} points."
+        )
     return "\n".join(lines)
 
 

@@ -67,8 +67,8 @@ def test_pull_that_points_ask_for_is_the_tangent_of_the_slope():
 
 
 def test_half_is_where_slip_first_passes_a_half():
-    assert study.half([0.0, 10.0, 20.0], [0.1, 0.4, 0.6]) == pytest.approx(15.0)
-    assert study.half([0.0, 10.0], [0.1, 0.4]) is None
+    assert rigs.half([0.0, 10.0, 20.0], [0.1, 0.4, 0.6]) == pytest.approx(15.0)
+    assert rigs.half([0.0, 10.0], [0.1, 0.4]) is None
 
 
 @pytest.mark.parametrize(
