@@ -104,8 +104,8 @@ def _fitted(found: dict) -> str:
         apart = np.ptp(np.array(list(speeds.values()))[:, steady], axis=0).max()
         halves = ", ".join(_degrees(half(found["slopes"], slip)) for slip in fit["variants"])
         lines.append(
-            f"- fitted to {name}: {', '.join(values)}. It slips 50 % at {_degrees(fit['half'])} deg, on the variants of "
-            f"the rover at {halves} deg; with wheels at {' to '.join((min(speeds), max(speeds)))} m/s slip where it "
+            f"- fitted to {name}: {', '.join(values)}. It slips 50 % at {_degrees(fit['half'])} deg, on the variants "
+            f"of the rover at {halves} deg; with wheels at {' to '.join((min(speeds), max(speeds)))} m/s slip where it "
             f"drives steadily is the same to {_percent(apart)} points."
         )
     return "\n".join(lines)
