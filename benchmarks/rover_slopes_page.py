@@ -182,7 +182,7 @@ def _drive_table(found: dict, name: str) -> Table:
 
 def figure(rovers: dict[str, dict], path: Path) -> None:
     """Slip over the slope, loads and sinkages of each rover."""
-    plt.rcParams["svg.hashsalt"] = "rover_slopes"
+    plt.rcParams |= {"svg.hashsalt": "rover_slopes", "svg.fonttype": "none"}
     fig, axes = plt.subplots(2, len(rovers), figsize=(11, 7.5), height_ratios=(2, 1), squeeze=False)
     for (top, bottom), (name, found) in zip(axes.T, rovers.items(), strict=True):
         _slips(top, name, found)
