@@ -92,6 +92,7 @@ class Published(Checked):
     campaigns: dict[str, tuple[tuple[float, ...], ...]] = field(default_factory=dict)
     law: Law | None = None
     fitted: tuple[str, ...] = ()
+    draws: int = quantity("", 1, 1e6, default=192, doc="soils from which a fit starts")
     bevameter: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -36,8 +36,7 @@ def write(results: dict[str, Any], folder: Path) -> None:
         fits = [_of_fits(found).markdown(), *(_drive_table(found, one).markdown() for one in found["fits"])]
         parts[f"{name} fit"] = "\n\n".join([_fitted(found), *fits, *_alternatives(found), _pulls(found)])
     parts["made"] = (
-        f"{made['soils']} soils a rover, fits from {made['draws']} drawn soils, seed {made['seed']}; "
-        f"{machine_text(made['machine'], 'numpy', 'numba')}."
+        f"{made['soils']} soils a rover, seed {made['seed']}; {machine_text(made['machine'], 'numpy', 'numba')}."
     )
     renew_page(PAGE, parts, folder / PAGE.name)
 
@@ -101,12 +100,12 @@ def _fitted(found: dict) -> str:
             for key, (label, unit, scale, digits) in _UNITS.items()
         ]
         speeds, steady = fit["by_speed"], np.array(fit["driven"]["steady"], dtype=bool)
-        apart = np.ptp(np.array(list(speeds.values()))[:, steady], axis=0).max()
+        apart = np.ptp(np.array(list(speeds.values()))[:, steady], axis=0)
         halves = ", ".join(_degrees(half(found["slopes"], slip)) for slip in fit["variants"])
         lines.append(
             f"- fitted to {name}: {', '.join(values)}. It slips 50 % at {_degrees(fit['half'])} deg, on the variants "
             f"of the rover at {halves} deg; with wheels at {' to '.join((min(speeds), max(speeds)))} m/s slip where it "
-            f"drives steadily is the same to {_percent(apart)} points."
+            f"drives steadily is the same to {_percent(np.median(apart))} points (median; at most {_percent(apart.max())})."
         )
     return "\n".join(lines)
 
