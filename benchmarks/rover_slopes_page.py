@@ -105,7 +105,8 @@ def _fitted(found: dict) -> str:
         lines.append(
             f"- fitted to {name}: {', '.join(values)}. It slips 50 % at {_degrees(fit['half'])} deg, on the variants "
             f"of the rover at {halves} deg; with wheels at {' to '.join((min(speeds), max(speeds)))} m/s slip where it "
-            f"drives steadily is the same to {_percent(np.median(apart))} points (median; at most {_percent(apart.max())})."
+            f"drives steadily is the same to {_percent(np.median(apart))} points (median; at most "
+            f"{_percent(apart.max())})."
         )
     return "\n".join(lines)
 
