@@ -48,9 +48,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--seeds", type=int, default=3, help="training seeds of each agent; 3")
     p.add_argument("--timesteps", type=float, default=1e6, help="of each training; 1e6")
     p.add_argument("--courses", type=int, default=1000, help="held-out courses; 1000")
-    p.add_argument(
-        "--page", metavar="MD", help="page whose part `comparison` is renewed; JSON beside it"
-    )
+    p.add_argument("--page", metavar="MD", help="page whose part `comparison` is renewed; JSON beside it")
     p.add_argument("--tuning_courses", type=int, default=200, help="of each trial; 200")
     return p
 

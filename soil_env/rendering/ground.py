@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from soil_env._numba.compiling import root
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import GRAINS, GREY, INK, RIM, WHITE, Box, Canvas, soil_colour
 from soil_env.rendering.charts import nice, ticks
-from soil_env.simulation.terrain import CELL, CELLS_BEHIND, ground_at
+from soil_env.simulation.terrain import CELL, CELLS_BEHIND, Courses, ground_at
 
 #: Box of the strip of the whole course: left, top, width, height
 COURSE = (32, 448, 512, 66)
@@ -25,7 +26,7 @@ class Profile(NamedTuple):
     height: np.ndarray  # [points] [m]
     friction: np.ndarray  # [points] phi [deg]
 
-    def at(self, x):
+    def at(self, x: Any) -> tuple[Any, Any]:
         """(horizontal place, height) [m] at x [m] along the course."""
         return np.interp(x, self.x, self.across), np.interp(x, self.x, self.height)
 
@@ -40,7 +41,7 @@ def _along(courses, k, x, border):
     return grade, friction
 
 
-def profile_of(courses, k: int, border: float, before: float, beyond: float, level: bool) -> Profile:
+def profile_of(courses: Courses, k: int, border: float, before: float, beyond: float, level: bool) -> Profile:
     """Course k from `before` [m] ahead of its start up to `beyond` [m].
 
     `level`: whether distance along the course is taken as horizontal, else as along the slope.
@@ -65,7 +66,7 @@ class Scene(NamedTuple):
     place: np.ndarray  # where in the picture `centre` is
     centre: np.ndarray  # horizontal place and height [m]
 
-    def at(self, x, y):
+    def at(self, x: Any, y: Any) -> np.ndarray:
         """Place in the picture of points of the world [m]."""
         return np.stack(
             [
@@ -81,7 +82,16 @@ def depth_of_ruts(x: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return np.interp(x, (np.arange(cells.size) - CELLS_BEHIND + 0.5) * CELL, cells, left=0.0)
 
 
-def draw_ground(c: Canvas, scene: Scene, x, profile: Profile, lowered, hubs, r: float, bounds) -> None:
+def draw_ground(
+    c: Canvas,
+    scene: Scene,
+    x: np.ndarray,
+    profile: Profile,
+    lowered: np.ndarray,
+    hubs: Any,
+    r: float,
+    bounds: tuple[float, float],
+) -> None:
     """The soil up to its surface at x [m] along the course, `lowered` [m] by ruts and pressed down by wheels of radius
     r [m] at `hubs`, with specks; dashed where the surface was before."""
     across, before = profile.at(x)
@@ -105,7 +115,7 @@ def draw_ground(c: Canvas, scene: Scene, x, profile: Profile, lowered, hubs, r: 
         c.lines(untouched[i : i + 3], GREY, 1.2)
 
 
-def draw_flag(c: Canvas, scene: Scene, foot) -> None:
+def draw_flag(c: Canvas, scene: Scene, foot: np.ndarray) -> None:
     """A chequered flag at the end of the course."""
     top = np.array([foot[0], max(foot[1] - 156, scene.box[1] + 40)])  # above the wheel, in view on a slope
     c.lines([foot + (0, 12), top], INK, 2.5)
@@ -122,7 +132,9 @@ def draw_scale_bar(c: Canvas, scene: Scene, width: float) -> None:
     c.text(0.5 * (left + right), y - 12, f"{bar:g} m", 15, align=0.5)
 
 
-def draw_course(c: Canvas, profile: Profile, length: float, places, bounds) -> None:
+def draw_course(
+    c: Canvas, profile: Profile, length: float, places: Iterable[float], bounds: tuple[float, float]
+) -> None:
     """A whole course of `length` [m] from the side (heights stretched to fit), the wheels on it at `places` [m] along
     it, and the key to the colours."""
     left, top, width, height = COURSE
@@ -144,7 +156,7 @@ def draw_course(c: Canvas, profile: Profile, length: float, places, bounds) -> N
         c.box((430 + 2 * i, 429, 2.5, 10), colour)
 
 
-def friction_range(scenario: Scenario, simulation) -> tuple[float, float]:
+def friction_range(scenario: Scenario, simulation: Any) -> tuple[float, float]:
     """Range of phi [deg] that the soil colours span: that of the scenario's presets and two deviations more."""
     phi, spread = np.degrees(np.arctan(simulation.numbers.drawn.library[:, 0])), 2.0 * scenario.spread.friction + 0.02
     return float(phi.min() * (1.0 - spread)), float(phi.max() * (1.0 + spread))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -26,12 +27,12 @@ from soil_env.rendering.stresses import ARC_POINTS, Stresses
 from soil_env.simulation.task import Cause
 
 
-def hub_of(ground, grade: float, height: float) -> np.ndarray:
+def hub_of(ground: Any, grade: float, height: float) -> np.ndarray:
     """Place [m] of a hub `height` [m] above the undisturbed ground, normal to it, at `ground` (place, height) [m]."""
     return np.asarray(ground) + height * np.array([-math.sin(grade), math.cos(grade)])
 
 
-def draw_wheel(c: Canvas, centre, size: float, angle: float, hub: Colour = RIM) -> None:
+def draw_wheel(c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Colour = RIM) -> None:
     """Rim, hub and six spokes, turned clockwise (forward: the course runs to the right) by `angle` [rad]."""
     c.circle(centre, size, WHEEL)
     for a in angle + np.arange(6) * math.pi / 3.0:
@@ -41,7 +42,9 @@ def draw_wheel(c: Canvas, centre, size: float, angle: float, hub: Colour = RIM) 
     c.circle(centre, 0.14 * size if hub == RIM else 0.22 * size, hub)
 
 
-def draw_stresses(c: Canvas, hub, size: float, grade: float, side: float, stresses: Stresses, scale: float) -> None:
+def draw_stresses(
+    c: Canvas, hub: np.ndarray, size: float, grade: float, side: float, stresses: Stresses, scale: float
+) -> None:
     """Normal stress as arrows from the soil onto the rim, shear stress as a band inside it.
 
     `side`: 1 where the wheel travels forward, -1 backward; `scale` [units per Pa].
