@@ -43,7 +43,7 @@ BELIEF = SHARED + SHARED * SHARED
 STRETCHES = 4  # that a wheel remembers
 #: 1-sigma of the errors that all wheels have alike, of (phi [rad], ln K, ln S, c [Pa], ln g): set on courses of seed
 #: 7001, so that 68 % intervals hold as much, docs/rover_identification.md.
-ERROR_OF_MODEL = np.array([math.radians(0.4), 0.015, 0.0, 90.0, 0.0])
+ERROR_OF_MODEL = np.array([math.radians(0.2), 0.015, 0.0, 35.0, 0.0])
 COHESION = 3
 _WHICH = np.array([0, 1, COHESION])  # of the unknowns are shared
 _LAG = 3  # points before a border was found that an estimate was made by, so that it has none from behind it
@@ -231,16 +231,14 @@ def _soil_at(pools, first, x):
 def _find(pools, o, k, soil, numbers, belief):
     """What wheel o knows of the soil that lies from soil[0] to soil[1] [m], by its newest stretch there."""
     low, high = soil[0] - numbers.border, soil[1] + numbers.border
-    if (
-        pools.crossing[o] == 0.0
-        and pools.points[o] >= (_LAG if o < k else 1)
-        and pools.start[o] >= low
-        and pools.place[o] <= high
-    ):
-        _copy(pools.last[o, _LAG - 1 if o < k else 0], belief)
-        return True
+    latest = high - 2.0 * numbers.border  # begin of a stretch that is not of the next soil
+    if pools.crossing[o] == 0.0 and pools.points[o] >= (_LAG if o < k else 1) and low <= pools.start[o] < latest:
+        if pools.place[o] <= high:
+            _copy(pools.last[o, _LAG - 1 if o < k else 0], belief)
+            return True
     for s in range(pools.left[o] - 1, -1, -1):
-        if pools.belief[o, s, SHARED] > 0.0 and pools.begins[o, s] >= low and pools.ends[o, s] <= high:
+        known = pools.belief[o, s, SHARED] > 0.0
+        if known and low <= pools.begins[o, s] < latest and pools.ends[o, s] <= high:
             _copy(pools.belief[o, s], belief)
             return True
     return False

@@ -67,14 +67,6 @@ _LOAD_DRIFT = 0.05  # 1-sigma of the change of the load on a wheel from one poin
 _RUNNING = Cause.RUNNING.value
 
 
-class Known(NamedTuple):
-    """What all wheels of a rover have identified of the soil under each."""
-
-    estimate: np.ndarray  # [wheels, 5] as in `Identifiers`
-    sd: np.ndarray  # [wheels, 5]
-    status: np.ndarray  # [wheels]
-
-
 class RoverWorlds(NamedTuple):
     """Everything the compiled step reads and writes: one row a rover, or one a wheel (`wheel.wheel_of`)."""
 
@@ -84,8 +76,7 @@ class RoverWorlds(NamedTuple):
     streams: np.ndarray  # [rovers] uint64
     wheel_streams: np.ndarray  # [wheels] uint64
     ids: Identifiers  # one a wheel
-    pools: Pools  # what they tell each other
-    known: Known
+    known: Pools  # what all wheels of a rover have identified of the soil under each
     observation: np.ndarray  # [rovers, D] float32
     terms: np.ndarray  # [rovers, 4] reward terms
     reward: np.ndarray  # [rovers]
@@ -96,16 +87,15 @@ class RoverWorlds(NamedTuple):
 def new_rover_worlds(rovers: int, scenario: RoverScenario, task: TaskNumbers) -> RoverWorlds:
     """Worlds for so many rovers, to be restarted."""
     wheels = -(-rovers // COUNT) * COUNT * scenario.axles
-    ids, pools, courses = new_identifiers(wheels), new_pools(wheels), new_courses(rovers, _with_front(scenario))
+    courses = new_courses(rovers, _with_front(scenario))
     return RoverWorlds(
         Rovers(BodyState(rovers), BodyCounts(rovers), WheelState(wheels), WheelCounts(wheels), AxleState(wheels)),
         courses,
         new_ruts(wheels, courses.rut.shape[1]),
         np.zeros(rovers, dtype=np.uint64),
         np.zeros(wheels, dtype=np.uint64),
-        ids,
-        pools,
-        Known(pools.estimate, pools.sd, pools.status),
+        new_identifiers(wheels),
+        new_pools(wheels),
         np.zeros((rovers, task.low.size), dtype=np.float32),
         np.zeros((rovers, len(REWARD_TERMS))),
         np.zeros(rovers),
@@ -194,7 +184,7 @@ def restart(worlds, numbers, j):
         rovers.axles.floor[k] = 0.0
         clear_ruts(worlds.ruts, k)
         forget(worlds.ids, k, numbers.identifier)
-        forget_stretches(worlds.pools, worlds.ids, k)
+        forget_stretches(worlds.known, worlds.ids, k)
     body.next_halt[j] = between(worlds.streams, j, numbers.world.halt_low, numbers.world.halt_high)
     take_pitch(rovers, j, s)
     rovers.body_counts.converged[j] = 1
@@ -273,10 +263,10 @@ def after_period(worlds, numbers, j, first, last):
         k = wheel_of(j, a, s.axles)
         of_wheel = _sense_wheel(worlds, numbers, k, reading)
         outcome = observe(worlds.ids, k, of_wheel, numbers.identifier)
-        note(worlds.pools, worlds.ids, k, body.odometer[j] - s.places[a], outcome, a > 0, numbers.pool)
+        note(worlds.known, worlds.ids, k, body.odometer[j] - s.places[a], outcome, a > 0, numbers.pool)
         changed = changed or outcome != HELD
         write_axle(worlds.observation[j], rovers.wheels, k, a, of_wheel, task)
-    share(worlds.pools, worlds.ids, wheel_of(j, 0, s.axles), s.axles, changed, numbers.pool, numbers.identifier)
+    share(worlds.known, worlds.ids, wheel_of(j, 0, s.axles), s.axles, changed, numbers.pool, numbers.identifier)
     cause = judge(body, rovers.body_counts, j, task)
     worlds.cause[j] = cause
     after = _knowledge(worlds, numbers, j) if paid and last else 0.0
