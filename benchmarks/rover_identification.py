@@ -116,7 +116,9 @@ def record(scenario: RoverScenario, courses: int, seed: int) -> tuple[dict[str, 
         })  # fmt: skip
         going &= w.cause == Cause.RUNNING.value
     ends = [Cause(c).name.lower() for c in w.cause]
-    return {name: np.array([row[name] for row in log]) for name in log[0]}, {e: ends.count(e) for e in sorted(set(ends))}
+    return {name: np.array([row[name] for row in log]) for name in log[0]}, {
+        e: ends.count(e) for e in sorted(set(ends))
+    }
 
 
 # --- measure ----------------------------------------------------------------------------------------------------------
@@ -258,7 +260,10 @@ def error_table(result: dict) -> Table:
 def bound_table(result: dict) -> Table:
     """Cramer-Rao bounds."""
     rows = [
-        (f"{case['rover']}, {case['belief']}", *(f"{v[0]:.2f} / {v[1]:.3f} / {v[2]:.2f}" for v in case["bounds"].values()))
+        (
+            f"{case['rover']}, {case['belief']}",
+            *(f"{v[0]:.2f} / {v[1]:.3f} / {v[2]:.2f}" for v in case["bounds"].values()),
+        )
         for case in result["cases"]
         if case["bounds"]
     ]

@@ -14,6 +14,9 @@ further ahead tells those behind
   Engineering Practice 2:849-863, with the prior as the only common information). No filter is given what is pooled, so
   nothing is counted twice.
 
+Where the two differ by more than they allow, chi-squared over its three degrees of freedom widens both (Birge 1932,
+Physical Review 40:207-227). On a border the ground is a blend of two soils, and so is what another wheel knows of it.
+
 The sinkage coefficient and the gain of digging are not pooled: a wheel behind another runs on a floor that this has
 changed. They follow by their own correlation with what is pooled. What no wheel's errors tell of, since all have it
 alike (the exponent held wrong, the law of sinkage, the curvature of the models), is in `ERROR_OF_MODEL`.
@@ -175,6 +178,9 @@ def note(pools, ids, k, x, outcome, in_rut, numbers):
     `in_rut`: whether it runs behind other wheels.
     """
     p, pools.place[k] = ids.banks.point, x
+    if ids.status[k] == _NO_DATA:  # as at the start, and where the filter has just begun anew
+        pools.start[k], pools.crossing[k], pools.points[k] = _AT_START if pools.left[k] == 0 else x, 0.0, 0.0
+        return
     border = p.border[k] + x - p.place[k]
     if p.crossing[k] > 0.0:
         if pools.crossing[k] == 0.0:
