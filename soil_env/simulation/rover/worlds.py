@@ -15,6 +15,7 @@ from soil_env._numba.random_streams import between, normal_pair, seed_stream, wo
 from soil_env._numba.rows import zero_column
 from soil_env._numba.threads import threads
 from soil_env.identification.online import (
+    HELD,
     IdentifierNumbers,
     Identifiers,
     SensorReading,
@@ -22,6 +23,15 @@ from soil_env.identification.online import (
     identifier_numbers,
     new_identifiers,
     observe,
+)
+from soil_env.identification.pooling import (
+    PoolNumbers,
+    Pools,
+    forget_stretches,
+    new_pools,
+    note,
+    pool_numbers,
+    share,
 )
 from soil_env.simulation.courses import (
     CourseDistribution,
@@ -57,14 +67,6 @@ _LOAD_DRIFT = 0.05  # 1-sigma of the change of the load on a wheel from one poin
 _RUNNING = Cause.RUNNING.value
 
 
-class Known(NamedTuple):
-    """What is identified of the soil under each wheel."""
-
-    estimate: np.ndarray  # [wheels, 5] as in `Identifiers`
-    sd: np.ndarray  # [wheels, 5]
-    status: np.ndarray  # [wheels]
-
-
 class RoverWorlds(NamedTuple):
     """Everything the compiled step reads and writes: one row a rover, or one a wheel (`wheel.wheel_of`)."""
 
@@ -74,7 +76,7 @@ class RoverWorlds(NamedTuple):
     streams: np.ndarray  # [rovers] uint64
     wheel_streams: np.ndarray  # [wheels] uint64
     ids: Identifiers  # one a wheel
-    known: Known
+    known: Pools  # what all wheels of a rover have identified of the soil under each
     observation: np.ndarray  # [rovers, D] float32
     terms: np.ndarray  # [rovers, 4] reward terms
     reward: np.ndarray  # [rovers]
@@ -85,15 +87,15 @@ class RoverWorlds(NamedTuple):
 def new_rover_worlds(rovers: int, scenario: RoverScenario, task: TaskNumbers) -> RoverWorlds:
     """Worlds for so many rovers, to be restarted."""
     wheels = -(-rovers // COUNT) * COUNT * scenario.axles
-    ids, courses = new_identifiers(wheels), new_courses(rovers, _with_front(scenario))
+    courses = new_courses(rovers, _with_front(scenario))
     return RoverWorlds(
         Rovers(BodyState(rovers), BodyCounts(rovers), WheelState(wheels), WheelCounts(wheels), AxleState(wheels)),
         courses,
         new_ruts(wheels, courses.rut.shape[1]),
         np.zeros(rovers, dtype=np.uint64),
         np.zeros(wheels, dtype=np.uint64),
-        ids,
-        Known(ids.estimate, ids.sd, ids.status),
+        new_identifiers(wheels),
+        new_pools(wheels),
         np.zeros((rovers, task.low.size), dtype=np.float32),
         np.zeros((rovers, len(REWARD_TERMS))),
         np.zeros(rovers),
@@ -114,6 +116,7 @@ class RoverNumbers(NamedTuple):
     world: WorldNumbers
     drawn: CourseDistribution
     identifier: IdentifierNumbers
+    pool: PoolNumbers
     task: TaskNumbers
     suspension: Suspension
 
@@ -124,6 +127,7 @@ def rover_numbers(scenario: RoverScenario, variant: str, model: WheelSoilModel |
         world_numbers(scenario, model, scenario.axles),
         _drawn(scenario, model),
         _identifier_numbers(scenario),
+        pool_numbers(scenario),
         rover_task_numbers(scenario, variant, model),
         suspension_of(scenario),
     )
@@ -138,10 +142,13 @@ def _drawn(scenario: RoverScenario, model: WheelSoilModel | None) -> CourseDistr
 
 def _identifier_numbers(scenario: RoverScenario) -> IdentifierNumbers:
     """Of an identifier a wheel: the body's accelerometer says nothing of one wheel, nor does the body's pitch of the
-    grade under it, and the load on a wheel changes with the pull."""
+    grade under it, and the load on a wheel changes with the pull. Nor does the torque of a motor whose speed loop turns
+    the wheel faster or slower: that at the end of a period is not the mean over it."""
     numbers = identifier_numbers(scenario)
     noise = numbers.filter.noise.copy()
     noise[9] = 1e6 * scenario.gravity
+    if scenario.control.action != "torque":
+        noise[8] = 1e6 * scenario.weight * scenario.wheel.radius
     return numbers._replace(filter=numbers.filter._replace(noise=noise, grade_change=0.0, load_drift=_LOAD_DRIFT))
 
 
@@ -177,6 +184,7 @@ def restart(worlds, numbers, j):
         rovers.axles.floor[k] = 0.0
         clear_ruts(worlds.ruts, k)
         forget(worlds.ids, k, numbers.identifier)
+        forget_stretches(worlds.known, worlds.ids, k)
     body.next_halt[j] = between(worlds.streams, j, numbers.world.halt_low, numbers.world.halt_high)
     take_pitch(rovers, j, s)
     rovers.body_counts.converged[j] = 1
@@ -250,11 +258,15 @@ def after_period(worlds, numbers, j, first, last):
     draw_ahead(j, worlds.courses, body.x[j] + s.base, body.mass[j] / s.axles, _course(numbers))
     reading = _sense_body(worlds, numbers, j)
     roll_odometer(body, j, reading.speed, task.sensors)
+    changed = False
     for a in range(s.axles):
         k = wheel_of(j, a, s.axles)
         of_wheel = _sense_wheel(worlds, numbers, k, reading)
-        observe(worlds.ids, k, of_wheel, numbers.identifier)
+        outcome = observe(worlds.ids, k, of_wheel, numbers.identifier)
+        note(worlds.known, worlds.ids, k, body.odometer[j] - s.places[a], outcome, a > 0, numbers.pool)
+        changed = changed or outcome != HELD
         write_axle(worlds.observation[j], rovers.wheels, k, a, of_wheel, task)
+    share(worlds.known, worlds.ids, wheel_of(j, 0, s.axles), s.axles, changed, numbers.pool, numbers.identifier)
     cause = judge(body, rovers.body_counts, j, task)
     worlds.cause[j] = cause
     after = _knowledge(worlds, numbers, j) if paid and last else 0.0

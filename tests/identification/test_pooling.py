@@ -1,0 +1,158 @@
+"""What wheels of a rover tell each other: against the same rule written with numpy."""
+
+import numpy as np
+import pytest
+
+from soil_env._numba.lanes import COUNT
+from soil_env.identification.online import forget, identifier_numbers, new_identifiers
+from soil_env.identification.pooling import (
+    ERROR_OF_MODEL,
+    forget_stretches,
+    new_pools,
+    note,
+    pool,
+    pool_numbers,
+    share,
+)
+from soil_env.identification.solver import Status
+from soil_env.parameters import load_scenario
+
+SCENARIO = load_scenario("mixed")
+NUMBERS, IDENTIFIER = pool_numbers(SCENARIO), identifier_numbers(SCENARIO)
+SHARED = [0, 1, 3]
+PRIOR_MEAN, PRIOR = NUMBERS.prior[:3], NUMBERS.prior[3:].reshape(3, 3)
+SD = np.array([0.03, 0.2, 0.2, 150.0, 0.3])
+RHO = np.array([
+    [1.0, 0.4, 0.1, -0.7, 0.0], [0.4, 1.0, 0.2, -0.1, 0.1], [0.1, 0.2, 1.0, 0.0, 0.3], [-0.7, -0.1, 0.0, 1.0, 0.0],
+    [0.0, 0.1, 0.3, 0.0, 1.0],
+])  # fmt: skip
+MEAN = np.array([0.5, -4.5, 13.5, 700.0, 0.1])
+
+
+class Wheels:
+    """So many axles of one rover, each with a posterior on the stretch from the start on."""
+
+    def __init__(self, means, covariances) -> None:
+        rows = COUNT * len(means)
+        self.axles = len(means)
+        self.ids, self.pools = new_identifiers(rows), new_pools(rows)
+        for a, (mean, covariance) in enumerate(zip(means, covariances, strict=True)):
+            k = COUNT * a
+            forget(self.ids, k, IDENTIFIER)
+            forget_stretches(self.pools, self.ids, k)
+            self.ids.estimate[k], self.ids.covariance[k] = mean, covariance
+            self.ids.sd[k], self.ids.status[k] = np.sqrt(np.diag(covariance)), Status.CONVERGED.value
+            self.pools.points[k] = 10.0
+            self.pools.last[k] = belief(mean, covariance)
+            self.pools.place[k] = 5.0 - 0.5 * a
+
+    def pooled(self, axle=0):
+        """(estimate, variances less those of the model)."""
+        k = COUNT * axle
+        pool(self.pools, self.ids, k, 0, self.axles, NUMBERS)
+        return self.pools.estimate[k].copy(), self.pools.sd[k] ** 2 - ERROR_OF_MODEL**2
+
+
+def belief(mean, covariance):
+    return np.concatenate([mean[SHARED], covariance[np.ix_(SHARED, SHARED)].ravel()])
+
+
+def covariance(scale=1.0, sd=SD):
+    return scale**2 * RHO * np.outer(sd, sd)
+
+
+def by_numpy(mean, P, others):
+    """Sum of the precisions, the prior's counted once."""
+    J, h = np.linalg.inv(P), np.linalg.solve(P, mean)
+    where = np.ix_(SHARED, SHARED)
+    for other, Q in others:
+        of_other, of_prior = np.linalg.inv(Q[where]), np.linalg.inv(PRIOR)
+        J[where] += of_other - of_prior
+        h[SHARED] += of_other @ other[SHARED] - of_prior @ PRIOR_MEAN
+    return np.linalg.solve(J, h), np.diag(np.linalg.inv(J))
+
+
+def test_precisions_add_up_and_the_prior_counts_once():
+    other = MEAN + 0.3 * SD * np.array([1.0, -1.0, 1.0, 0.5, 1.0])
+    wheels = Wheels([MEAN, other], [covariance(), covariance(1.3)])
+    mean, variance = wheels.pooled()
+    expected = by_numpy(MEAN, covariance(), [(other, covariance(1.3))])
+    assert mean == pytest.approx(expected[0], rel=1e-9) and variance == pytest.approx(expected[1], rel=1e-9)
+    assert np.all(variance[SHARED] < 0.8 * np.diag(covariance())[SHARED])
+
+
+def test_who_knows_no_more_than_the_prior_adds_nothing():
+    nothing = covariance(1.0, SD)
+    nothing[np.ix_(SHARED, SHARED)] = PRIOR
+    ignorant = MEAN.copy()
+    ignorant[SHARED] = PRIOR_MEAN
+    mean, variance = Wheels([MEAN, ignorant], [covariance(), nothing]).pooled()
+    assert mean == pytest.approx(MEAN, rel=1e-9) and variance == pytest.approx(np.diag(covariance()), rel=1e-9)
+
+
+def test_the_order_of_those_who_tell_does_not_matter():
+    others = [(MEAN + 0.2 * SD, covariance(1.2)), (MEAN - 0.3 * SD, covariance(0.9))]
+    found = [Wheels([MEAN, a[0], b[0]], [covariance(), a[1], b[1]]).pooled() for a, b in (others, others[::-1])]
+    for one, two in zip(*found, strict=True):
+        assert one == pytest.approx(two, rel=1e-9)
+    expected = by_numpy(MEAN, covariance(), others)
+    assert found[0][0] == pytest.approx(expected[0], rel=1e-9)
+
+
+def test_those_who_differ_by_more_than_they_allow_are_less_sure():
+    agree = Wheels([MEAN, MEAN], [covariance(), covariance()]).pooled()[1]
+    apart = MEAN + SD * np.array([0.0, 8.0, 0.0, 0.0, 0.0])
+    wheels = Wheels([MEAN, apart], [covariance(), covariance()])
+    mean, variance = wheels.pooled()
+    both = 2.0 * covariance()[np.ix_(SHARED, SHARED)]
+    away = (apart - MEAN)[SHARED]
+    ratio = away @ np.linalg.solve(both, away) / 3.0
+    assert ratio > 5.0 and variance[1] > 0.9 * ratio * agree[1]
+    assert MEAN[1] < mean[1] < apart[1]
+
+
+def test_what_another_knows_of_another_soil_is_not_taken():
+    wheels = Wheels([MEAN, MEAN + SD], [covariance(), covariance()])
+    p = wheels.pools
+    p.left[0], p.begins[0, 0], p.ends[0, 0], p.start[0] = 1, p.start[0], 4.8, 4.8  # the front wheel is on the next one
+    mean, variance = wheels.pooled()
+    assert np.array_equal(mean, MEAN) and variance == pytest.approx(np.diag(covariance()), rel=1e-9)
+
+
+def crossed(k=COUNT, border=4.2, share=0.5):
+    """The front wheel has left a border behind and knows both soils; wheel k is on it with the share of the new one."""
+    wheels = Wheels([MEAN + SD, MEAN], [covariance(0.01), covariance(100.0)])
+    p = wheels.pools
+    p.left[0], p.begins[0, 0], p.ends[0, 0], p.start[0] = 1, p.start[0], border, border
+    p.belief[0, 0] = belief(MEAN - SD, covariance(0.01))
+    p.crossing[k], p.left[k], p.begins[k, 0], p.ends[k, 0] = 1.0, 1, p.start[k], border
+    p.place[k] = border + NUMBERS.border * (share - 0.5)
+    return wheels
+
+
+@pytest.mark.parametrize(("share", "of_sd"), [(0.0, -1.0), (0.5, 0.0), (1.0, 1.0)])
+def test_on_a_border_the_ground_is_a_blend_of_what_is_known_of_both_soils(share, of_sd):
+    mean, variance = crossed(share=share).pooled(1)
+    assert mean[SHARED] == pytest.approx(
+        (MEAN + of_sd * SD)[SHARED], abs=0.05 * SD.max(initial=0.0) / SD.max(), rel=1e-2
+    )
+    assert np.all(np.sqrt(variance[SHARED]) < 0.05 * SD[SHARED])
+
+
+def test_a_wheel_behind_begins_with_the_new_soil_where_the_front_one_has_found_it():
+    wheels = Wheels([MEAN, MEAN], [covariance(), covariance()])
+    p, point = wheels.pools, wheels.ids.banks.point
+    p.left[0], p.ends[0, 0], p.start[0] = 1, 4.2, 4.2
+    for ahead, told in ((0.51, False), (0.49, True)):
+        note(p, wheels.ids, COUNT, 4.2 - ahead * NUMBERS.border, 0, True, NUMBERS)
+        share(p, wheels.ids, 0, 2, True, NUMBERS, IDENTIFIER)
+        assert (point.crossing[COUNT] == 1.0) == told
+    assert point.border[COUNT] - point.place[COUNT] == pytest.approx(0.49 * NUMBERS.border)
+    assert point.crossing[0] == 0.0
+
+
+def test_the_window_is_not_pooled():
+    window = pool_numbers(load_scenario("mixed", {"belief": {"method": "window"}}))
+    wheels = Wheels([MEAN, MEAN], [covariance(), covariance()])
+    pool(wheels.pools, wheels.ids, 0, 0, 2, window)
+    assert wheels.pools.sd[0] ** 2 - ERROR_OF_MODEL**2 == pytest.approx(np.diag(covariance()), rel=1e-9)
