@@ -57,6 +57,7 @@ _PLACE_SD = 0.1  # of the length of a border: 1-sigma of the place that another 
 _CONVERGED, _MISFIT = Status.CONVERGED.value, Status.MISFIT.value
 _NOT_EXCITED, _NO_DATA = Status.NOT_EXCITED.value, Status.NO_DATA.value
 _LEARNT = 0.6  # of the prior standard deviation, at most, of friction angle and K that are known
+_LEAST_ANGLE = 0.01  # [rad], as `linearised.friction` has it
 _LEAST = 1e-3  # information over that of the own posterior, below which it is left out
 _old, _new, _ground = scratch(BELIEF), scratch(BELIEF), scratch(BELIEF)
 _gain, _prior = scratch(BELIEF), scratch(BELIEF)
@@ -369,7 +370,7 @@ def pool(pools, ids, k, first, axles, numbers):
             for i in range(BELIEF):
                 gain[i] = (gain[i] - prior[i]) / apart
             _absorb(mean, P, gain)
-    mean[COHESION] = max(mean[COHESION], 0.0)
+    mean[0], mean[COHESION] = max(mean[0], _LEAST_ANGLE), max(mean[COHESION], 0.0)
     learnt = 0.0
     for i in range(UNKNOWNS):
         pools.sd[k, i] = math.sqrt(max(P[(UNKNOWNS + 1) * i], 1e-18) + numbers.error[i] * numbers.error[i])

@@ -151,6 +151,13 @@ def test_a_wheel_behind_begins_with_the_new_soil_where_the_front_one_has_found_i
     assert point.crossing[0] == 0.0
 
 
+def test_no_angle_and_no_cohesion_is_below_zero():
+    flat, steep = MEAN * np.array([0.1, 1.0, 1.0, 0.05, 1.0]), np.array([0.0, 0.0, 0.0, -900.0, 0.0])
+    wheels = Wheels([flat, flat - 8.0 * SD + steep], [covariance(), covariance()])
+    mean, _ = wheels.pooled()
+    assert mean[0] == 0.01 and mean[3] == 0.0
+
+
 def test_the_window_is_not_pooled():
     window = pool_numbers(load_scenario("mixed", {"belief": {"method": "window"}}))
     wheels = Wheels([MEAN, MEAN], [covariance(), covariance()])
