@@ -6,14 +6,16 @@
 
 Each rover drives courses that nothing was set on, at a slip that swings slowly, each axle at a phase of its own: 20 %
 +- 18 % with a period of 4 s, at 30 % of the highest speed at least. `as configured` has the belief of the rover's file,
-`told the soils` names the soils that may come and the length of a border (`Belief.soils`, `Belief.border`). Errors are
-those of the soil under the wheel, over driven steps; 95 % intervals are bootstrapped over courses.
+which names the soils that may come and the length of a border (`Belief.soils`, `Belief.border`); `plain prior` is that
+of a wheel on "mixed". Errors are those of the soil under the wheel, over driven steps; 95 % intervals are bootstrapped
+over courses.
 """
 
 from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -29,6 +31,7 @@ from soil_env._io.files import make_folder, plain, write_json
 from soil_env._numba.compiling import root
 from soil_env.identification.linearised import LN_DEPTH, MASS, SINKAGE, SLIP
 from soil_env.identification.mixture_prior import moments, prior_of_belief
+from soil_env.parameters import Belief
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.rover.worlds import RoverSimulation
 from soil_env.simulation.task import Cause
@@ -38,7 +41,7 @@ from soil_env.vehicle import RoverScenario, load_rover
 
 _PAGE = ROOT / "docs" / "rover_identification.md"
 ROVERS = ("field_rover", "mars_rover")
-BELIEFS = ("as configured", "told the soils")
+BELIEFS = ("plain prior", "as configured")
 #: Slip that is asked for, by how much it swings, period [s], least rim speed [of the highest] at no slip.
 MEAN_SLIP, SWING, PERIOD, LEAST_SPEED = 0.2, 0.18, 4.0, 0.3
 #: Distances of the front axle behind a border [wheelbases].
@@ -54,9 +57,7 @@ def scenario_of(rover: str, belief: str) -> RoverScenario:
     control = {"control": {"action": "wheel_speed", "repeat": 1}}
     if belief == "as configured":
         return load_rover(rover, control)
-    scenario = load_rover(rover)
-    told = {"soils": dict(scenario.soils), "border": scenario.course.border}
-    return load_rover(rover, control | {"belief": told})
+    return replace(load_rover(rover, control), belief=Belief())
 
 
 # --- drive ------------------------------------------------------------------------------------------------------------

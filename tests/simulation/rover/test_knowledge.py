@@ -14,7 +14,7 @@ FRICTION_AND_COHESION = [0, 3]
 @pytest.fixture(scope="module")
 def told():
     """Six courses of a rover on three axles that is told which soils may come."""
-    scenario = scenario_of("mars_rover", "told the soils")
+    scenario = scenario_of("mars_rover", "as configured")
     return scenario, record(scenario, 6, 20)[0]
 
 
@@ -40,7 +40,7 @@ def test_pooled_is_surer_than_alone(told):
 
 
 def test_one_rover_and_many_know_the_same():
-    scenario = scenario_of("mars_rover", "as configured")
+    scenario = scenario_of("mars_rover", "plain prior")
 
     def known(rovers, j):
         simulation = RoverSimulation(rovers, scenario, "identified", 2)
