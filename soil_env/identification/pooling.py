@@ -58,6 +58,9 @@ _CONVERGED, _MISFIT = Status.CONVERGED.value, Status.MISFIT.value
 _NOT_EXCITED, _NO_DATA = Status.NOT_EXCITED.value, Status.NO_DATA.value
 _LEARNT = 0.6  # of the prior standard deviation, at most, of friction angle and K that are known
 _LEAST_ANGLE = 0.01  # [rad], as `linearised.friction` has it
+_STEEPEST = 1.5  # [rad]
+_NEARLY = 0.999  # what no more is known of than of the prior leaves nothing
+_LEAST_SHARE = 0.02  # of the prior's information that is taken out, if any
 _LEAST = 1e-3  # information over that of the own posterior, below which it is left out
 _old, _new, _ground = scratch(BELIEF), scratch(BELIEF), scratch(BELIEF)
 _gain, _prior = scratch(BELIEF), scratch(BELIEF)
@@ -288,11 +291,29 @@ def _read(mean, P, first, column1, column2, value, precision):
 
 
 @inlined
-def _absorb(mean, P, g):
-    """Take information g [12] into mean [5] and P [25]; g is L D L', each column of L a reading of variance 1/D.
+def _is_positive(g, prior, share):
+    """Whether information g [12] less a share of the prior's is positive definite."""
+    a, b, c = g[3] - share * prior[3], g[4] - share * prior[4], g[5] - share * prior[5]
+    d, e, f = g[7] - share * prior[7], g[8] - share * prior[8], g[11] - share * prior[11]
+    minor = a * d - b * b
+    return a > 0.0 and minor > 0.0 and f * minor - a * e * e + 2.0 * b * c * e - c * c * d > 0.0
 
-    What would be negative of D, where a mixture was narrower in the prior, is left out.
-    """
+
+@inlined
+def _less_the_prior(g, prior):
+    """Take the prior's information out of g [12]; half, a quarter ... of it, where a posterior is wider than the prior
+    in some direction, as those of mixtures and of nonlinear models may be."""
+    share = 1.0
+    while share > _LEAST_SHARE and not _is_positive(g, prior, _NEARLY * share):
+        share *= 0.5
+    share = share if share > _LEAST_SHARE else 0.0
+    for i in range(BELIEF):
+        g[i] -= share * prior[i]
+
+
+@inlined
+def _absorb(mean, P, g):
+    """Take information g [12] into mean [5] and P [25]; g is L D L', each column of L a reading of variance 1/D."""
     d, e, f = g[7], g[8], g[11]
     y1, y2 = g[1], g[2]
     if g[3] > 0.0:
@@ -367,10 +388,11 @@ def pool(pools, ids, k, first, axles, numbers):
                     P[i] *= apart
             else:
                 apart = 1.0
+            _less_the_prior(gain, prior)
             for i in range(BELIEF):
-                gain[i] = (gain[i] - prior[i]) / apart
+                gain[i] /= apart
             _absorb(mean, P, gain)
-    mean[0], mean[COHESION] = max(mean[0], _LEAST_ANGLE), max(mean[COHESION], 0.0)
+    mean[0], mean[COHESION] = min(max(mean[0], _LEAST_ANGLE), _STEEPEST), max(mean[COHESION], 0.0)
     learnt = 0.0
     for i in range(UNKNOWNS):
         pools.sd[k, i] = math.sqrt(max(P[(UNKNOWNS + 1) * i], 1e-18) + numbers.error[i] * numbers.error[i])

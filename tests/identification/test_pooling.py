@@ -163,3 +163,16 @@ def test_the_window_is_not_pooled():
     wheels = Wheels([MEAN, MEAN], [covariance(), covariance()])
     pool(wheels.pools, wheels.ids, 0, 0, 2, window)
     assert wheels.pools.sd[0] ** 2 - ERROR_OF_MODEL**2 == pytest.approx(np.diag(covariance()), rel=1e-9)
+
+
+def test_a_posterior_wider_than_the_prior_does_not_throw_the_other():
+    """As met at small loads, where readings tell the cohesion and not the friction angle: with all of the prior taken
+    out, the angle of one of two wheels that nearly agree went to 100 deg."""
+    wide = SD.copy()
+    wide[0], wide[3] = 1.6 * np.sqrt(PRIOR[0, 0]), 100.0
+    near = MEAN + np.array([0.05, 0.0, 0.0, -60.0, 0.0])
+    wheels = Wheels([MEAN, near], [covariance(sd=wide), covariance(0.95, sd=wide)])
+    for axle in range(2):
+        mean, variances = wheels.pooled(axle)
+        assert np.all(np.abs(mean - 0.5 * (MEAN + near))[SHARED] < 0.5 * wide[SHARED])
+        assert np.all(variances[SHARED] < wide[SHARED] ** 2)
