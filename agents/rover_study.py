@@ -14,7 +14,7 @@ import argparse
 from collections.abc import Mapping
 from pathlib import Path
 
-from soil_env._io.commands import command_line, leave
+from soil_env._io.commands import command_line, folder, leave, whole_number
 from soil_env._io.document import renewed
 from soil_env._io.files import make_folder, replace_file, write_json
 from soil_env.vehicle import DEFAULT_ROVER, RoverScenario
@@ -44,12 +44,12 @@ def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = manual_parser(f"python -m {NAME}", __doc__, _FILES, usage=f"python -m {NAME} --out OUT [options]")
     p.add_argument("--rover", default=DEFAULT_ROVER, help=f"name of a rover, or a YAML file; {DEFAULT_ROVER}")
-    p.add_argument("--out", required=True, help="folder of the study")
-    p.add_argument("--seeds", type=int, default=3, help="training seeds of each agent; 3")
-    p.add_argument("--timesteps", type=float, default=1e6, help="of each training; 1e6")
-    p.add_argument("--courses", type=int, default=1000, help="held-out courses; 1000")
+    p.add_argument("--out", required=True, type=folder, help="folder of the study")
+    p.add_argument("--seeds", type=whole_number(1), default=3, help="training seeds of each agent; 3")
+    p.add_argument("--timesteps", type=whole_number(1), default=1_000_000, help="of each training; 1e6")
+    p.add_argument("--courses", type=whole_number(1), default=1000, help="held-out courses; 1000")
     p.add_argument("--page", metavar="MD", help="page whose part `comparison` is renewed; JSON beside it")
-    p.add_argument("--tuning_courses", type=int, default=200, help="of each trial; 200")
+    p.add_argument("--tuning_courses", type=whole_number(1), default=200, help="of each trial; 200")
     return p
 
 
@@ -128,12 +128,12 @@ _ASKED = (
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     options = parser().parse_args(arguments)
-    out = Path(options.out)
+    out = options.out
     make_folder(out)
     if options.page:
         renewed(Path(options.page).read_text(encoding="utf-8"), {"comparison": ""}, options.page)
     result = run(
-        options.rover, out, options.seeds, int(options.timesteps), options.courses, options.tuning_courses
+        options.rover, out, options.seeds, options.timesteps, options.courses, options.tuning_courses
     )  # fmt: skip
     if options.page:
         part = {"comparison": page(result)}

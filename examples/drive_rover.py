@@ -21,13 +21,17 @@ def main() -> None:
     """Drive, print, save."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--rover", default=DEFAULT_ROVER, help=f"{', '.join(rover_names())}, or the path of a YAML file")
-    p.add_argument("--speed", type=float, default=0.5, help="of the wheels, as a share of their no-load speed")
+    p.add_argument("--speed", type=float, default=0.7, help="of the wheels, as a share of their no-load speed")
     p.add_argument("--seed", type=int, default=0, help="seed of the course")
     p.add_argument("--frame", type=int, help="control period of which to save a picture; the last one if left out")
     p.add_argument("--out", type=Path, help=".png for a picture, .mp4 for a video")
     options = p.parse_args()
     if options.out is not None and options.out.suffix not in (".png", ".mp4"):
         p.error(f"--out {options.out}: expected a .png or an .mp4 file")
+    if not -1.0 <= options.speed <= 1.0:
+        p.error(f"--speed {options.speed}: expected a share of the no-load speed in [-1, 1]")
+    if options.frame is not None and options.frame < 1:
+        p.error(f"--frame {options.frame}: expected a control period, from 1 on")
     video = options.out is not None and options.out.suffix == ".mp4"
     env = gymnasium.make(
         "soil_env:SoilRover-v0",

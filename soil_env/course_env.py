@@ -148,7 +148,8 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         """New course, at rest at its start. `options` must be empty. Returns (observation, info)."""
         super().reset(seed=seed)
         if options:
-            raise ValueError(f"reset options {sorted(options)}: expected none; scenarios are set when the env is made")
+            given = sorted(map(str, options)) if isinstance(options, dict) else options
+            raise ValueError(f"reset options {given!r:.80}: expected none; scenarios are set when the env is made")
         if seed is not None or not self._seeded:
             self.simulation.seed(0, self.np_random)
             self._seeded = True

@@ -426,6 +426,8 @@ def load_scenario_as(
         raise ParameterError(f"{singular} = {which!r:.60}: {expected}")
     else:
         path = Path(which)
+        if str(which) == "":
+            raise ParameterError(f"{singular} = '': expected a name or the path of a YAML file")
         if path.suffix not in (".yaml", ".yml"):
             path = config_dir() / folder / f"{which}.yaml"
             if not path.is_file():

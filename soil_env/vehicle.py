@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -21,7 +22,7 @@ class Vehicle(Checked):
     suspension: then each wheel bears what the equilibrium of bogie and body leaves to it.
     """
 
-    mass: float = quantity("kg", 0.2, 1e6, doc="of the whole rover, without payload")
+    mass: float = quantity("kg", 0.6, 4e5, doc="of the whole rover, without payload")
     axles: tuple[float, ...] = quantity("m", 0.0, 100.0, doc="behind the front axle, which is the first, at 0")
     centre: float = quantity("m", 0.0, 100.0, doc="centre of mass, behind the front axle")
     centre_height: float = quantity("m", -10.0, 100.0, doc="centre of mass, above the axles")
@@ -87,6 +88,13 @@ class RoverScenario(Scenario):
         super().__post_init__()
         if self.course.classes:
             raise ParameterError(f"RoverScenario.course.classes = {self.course.classes}: expected 0 for a rover")
+        places, least = self.vehicle.axles, 2.0 * self.wheel.radius
+        nearest = min(b - a for a, b in zip(places, places[1:], strict=False))
+        if nearest < least:
+            raise ParameterError(
+                f"RoverScenario.vehicle.axles = {places!r}: expected wheels of {self.wheel.radius:g} m radius apart, "
+                f"axles at least {least:g} m behind each other"
+            )
         share = mass_of_wheel(self.vehicle)
         if abs(self.wheel.body_mass - share) > 1e-6 * share:
             raise ParameterError(
@@ -134,7 +142,7 @@ def _with_mass(mapping: dict[str, Any]) -> dict[str, Any]:
     vehicle, wheel = mapping.get("vehicle"), mapping.get("wheel")
     if not isinstance(vehicle, dict) or not isinstance(wheel, dict):
         return mapping
-    mass, axles = vehicle.get("mass"), vehicle.get("axles")
-    if not isinstance(mass, (int, float)) or not isinstance(axles, (list, tuple)) or not axles:
-        return mapping
-    return {**mapping, "wheel": {**wheel, "body_mass": mass / (2 * len(axles))}}
+    share = 0.1  # where the vehicle is refused
+    with contextlib.suppress(TypeError, ValueError, ZeroDivisionError):
+        share = float(vehicle.get("mass", 0.0)) / (2 * len(vehicle.get("axles", ())))
+    return {**mapping, "wheel": {**wheel, "body_mass": share}}
