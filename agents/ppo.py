@@ -211,7 +211,7 @@ class Agent:
     @cached_property
     def scaling(self) -> Scaling:
         """From observations in their units to those of the environment that it was trained in."""
-        return _scaling(self.meta)
+        return _scaling({**self.meta, "observation": self.variant})
 
     @property
     def name(self) -> str:

@@ -177,7 +177,7 @@ def main(arguments: list[str] | None = None) -> int:
     make_folder(folder)
     file = folder / "rover_measured.json"
     if not options.page:
-        soils, refined = (6, 0) if options.smoke else (96, 3)
+        soils, refined = (3, 0) if options.smoke else (96, 3)
         results = {
             "made": {"machine": machine(), "soils": soils, "seed": 0},
             "rovers": {
