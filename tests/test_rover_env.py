@@ -42,7 +42,7 @@ def held(env, seed, steps, command=None):
 # --- checkers ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("rover", "variant"), zip(rover_names(), VARIANTS, strict=True))
+@pytest.mark.parametrize(("rover", "variant"), list(zip(rover_names(), VARIANTS, strict=True)))
 def test_checkers(rover, variant):
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
     env = gymnasium.make("SoilRover-v0", rover=rover, observation=variant, render_mode="rgb_array").unwrapped
