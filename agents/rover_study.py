@@ -117,6 +117,7 @@ _ASKED = (
     ("slip_limiter", "soft_start"),
     ("torque_by_load", "soft_start"),
     ("best_slip_identified", "soft_start"),
+    ("best_slip_identified", "equal_speed"),
     ("best_slip_true", "best_slip_identified"),
     ("ppo_identified", "best_slip_identified"),
     ("ppo_identified", "ppo_blind"),

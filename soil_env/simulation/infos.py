@@ -21,9 +21,9 @@ from soil_env.terramechanics.traversability import best_working_point
 #: Values of the keyword `info`: nested, or flat and numbers only; of those all, or what costs next to nothing; nothing.
 INFOS = ("full", "numeric", "short", "none")
 IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
-_STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # by its number
+STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # by its number
 _TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
-_STATUS = {status.value: status.name for status in Status}
+STATUS = {status.value: status.name for status in Status}
 _STATE = ("x", "speed", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
 _ROWS = [WheelState.NAMES.index(name) for name in _STATE]
 _WARNING = ("best_slip", "drawbar_margin", "torque_required", "torque_available", "passable")
@@ -125,7 +125,7 @@ class Infos:
             "sinkage_coefficient_relative_sd": sd[2],
             "cohesion_sd": sd[3],
             "dig_gain_relative_sd": sd[4],
-            "status": _STATUS[worlds.ids.status.item(k)],
+            "status": STATUS[worlds.ids.status.item(k)],
         }
 
     def _foreseen(self, worlds: Worlds, rows: np.ndarray) -> np.ndarray:
@@ -155,7 +155,7 @@ class Infos:
         if self.kind == "none":
             return {}
         terms = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
-        info = {"cause": worlds.cause.copy(), "immobilised": _STUCK[worlds.cause]}
+        info = {"cause": worlds.cause.copy(), "immobilised": STUCK[worlds.cause]}
         if self.kind == "short":
             return info | {"x": worlds.state["x"].copy()} | dict(zip(_TERMS, terms.values(), strict=True))
         full = info | {"reward_terms": terms} | self._groups(worlds, np.ones(worlds.cause.size, dtype=np.bool_))
@@ -167,27 +167,13 @@ class Infos:
         info = self.many(worlds)
         info["reward_terms"] = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
         info |= {"x": worlds.state["x"].copy()} | self._groups(worlds, ended)
-        return _masked(info, ended)
+        return masked(info, ended)
 
     def _groups(self, worlds: Worlds, which: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
         """estimate, traversability and state, arrays [wheels]; traversability only of `which`."""
         for k in np.flatnonzero(which & self._stale):
             self._warning(worlds, int(k))
-        ids = worlds.ids
-        x, sd = ids.estimate.T, ids.sd.T
-        estimate = {
-            "friction_angle_deg": np.degrees(x[0]),
-            "shear_modulus": np.exp(x[1]),
-            "sinkage_coefficient": np.exp(x[2]),
-            "cohesion": x[3].copy(),
-            "dig_gain": self.scenario.belief.dig_gain * np.exp(x[4]),
-            "friction_angle_sd_deg": np.degrees(sd[0]),
-            "shear_modulus_relative_sd": sd[1].copy(),
-            "sinkage_coefficient_relative_sd": sd[2].copy(),
-            "cohesion_sd": sd[3].copy(),
-            "dig_gain_relative_sd": sd[4].copy(),
-            "status": ids.status.copy(),
-        }
+        estimate = estimates(worlds.ids, self.scenario)
         warning = dict(zip(_WARNING, self._warnings.T.copy(), strict=True))
         warning["passable"] = warning["passable"] > 0.0
         foreseen, rows = np.zeros((which.size, len(HORIZONS))), np.flatnonzero(which)
@@ -200,10 +186,28 @@ class Infos:
         }
 
 
-def _masked(info: dict[str, Any], which: np.ndarray) -> dict[str, Any]:
+def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
+    """What is identified of the soil under each wheel, arrays [wheels], of `estimate`, `sd` and `status` of `known`."""
+    x, sd = known.estimate.T, known.sd.T
+    return {
+        "friction_angle_deg": np.degrees(x[0]),
+        "shear_modulus": np.exp(x[1]),
+        "sinkage_coefficient": np.exp(x[2]),
+        "cohesion": x[3].copy(),
+        "dig_gain": scenario.belief.dig_gain * np.exp(x[4]),
+        "friction_angle_sd_deg": np.degrees(sd[0]),
+        "shear_modulus_relative_sd": sd[1].copy(),
+        "sinkage_coefficient_relative_sd": sd[2].copy(),
+        "cohesion_sd": sd[3].copy(),
+        "dig_gain_relative_sd": sd[4].copy(),
+        "status": known.status.copy(),
+    }
+
+
+def masked(info: dict[str, Any], which: np.ndarray) -> dict[str, Any]:
     """Arrays with 0 where `which` is not, and beside each key `_key` with `which`, as vector environments have it."""
     out: dict[str, Any] = {}
     for key, value in info.items():
-        out[key] = _masked(value, which) if isinstance(value, dict) else np.where(which, value, value.dtype.type(0))
+        out[key] = masked(value, which) if isinstance(value, dict) else np.where(which, value, value.dtype.type(0))
         out[f"_{key}"] = which.copy()
     return out

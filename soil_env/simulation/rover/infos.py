@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 
 from soil_env.identification import Status
-from soil_env.simulation.infos import IMMOBILISED, checked
+from soil_env.simulation.infos import IMMOBILISED, STATUS, STUCK, checked, estimates, masked
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.rover.worlds import RoverSimulation
 from soil_env.simulation.task import REWARD_TERMS, Cause
 
-_STATUS = {status.value: status.name for status in Status}
-_STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # by its number
 _OF_BODY = ("x", "speed", "pitch", "slip", "sinkage", "drawbar_pull", "motor_work")
 _OF_WHEEL = ("x", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
 
@@ -42,10 +40,11 @@ class RoverInfos:
             "reward_terms": dict(zip(REWARD_TERMS, terms, strict=True)),
             "state": {name: w.rovers.body[name].item(j) for name in _OF_BODY},
         }
+        identified = estimates(w.known, self._simulation.scenario)
         for axle, k in zip(self._axles, self._simulation.wheels[j].tolist(), strict=True):
             state = {name: w.rovers.wheels[name].item(k) for name in _OF_WHEEL}
-            known = {name: values.item(k) for name, values in self._estimates().items()}
-            full[axle] = {"state": state, "estimate": known | {"status": _STATUS[int(known["status"])]}}
+            known = {name: values.item(k) for name, values in identified.items()}
+            full[axle] = {"state": state, "estimate": known | {"status": STATUS[int(known["status"])]}}
         return full if self.kind == "full" else _numeric(full)
 
     def many(self) -> dict[str, Any]:
@@ -54,40 +53,22 @@ class RoverInfos:
             return {}
         w = self._simulation.worlds
         terms = {name: w.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
-        info: dict[str, Any] = {"cause": w.cause.copy(), "immobilised": _STUCK[w.cause]}
+        info: dict[str, Any] = {"cause": w.cause.copy(), "immobilised": STUCK[w.cause]}
         if self.kind == "short":
             return info | {"x": w.rovers.body["x"].copy()} | {f"reward_{n}": v for n, v in terms.items()}
         info["reward_terms"] = terms
         info["state"] = {name: w.rovers.body[name].copy() for name in _OF_BODY}
-        estimates = self._estimates()
+        known = estimates(w.known, self._simulation.scenario)
         for axle, rows in zip(self._axles, self._simulation.wheels.T, strict=True):
             info[axle] = {
                 "state": {name: w.rovers.wheels[name][rows] for name in _OF_WHEEL},
-                "estimate": {name: values[rows] for name, values in estimates.items()},
+                "estimate": {name: values[rows] for name, values in known.items()},
             }
         return info if self.kind == "full" else _flat(info)
 
     def final(self, ended: np.ndarray) -> dict[str, Any]:
         """Info of the rovers that have `ended` [rovers], 0 for all others, and beside each key `_key` with them."""
-        return _masked(self.many(), ended)
-
-    def _estimates(self) -> dict[str, np.ndarray]:
-        """What is identified of the soil under each wheel [wheels]."""
-        known, gain = self._simulation.worlds.known, self._simulation.scenario.belief.dig_gain
-        x, sd = known.estimate.T, known.sd.T
-        return {
-            "friction_angle_deg": np.degrees(x[0]),
-            "shear_modulus": np.exp(x[1]),
-            "sinkage_coefficient": np.exp(x[2]),
-            "cohesion": x[3].copy(),
-            "dig_gain": gain * np.exp(x[4]),
-            "friction_angle_sd_deg": np.degrees(sd[0]),
-            "shear_modulus_relative_sd": sd[1].copy(),
-            "sinkage_coefficient_relative_sd": sd[2].copy(),
-            "cohesion_sd": sd[3].copy(),
-            "dig_gain_relative_sd": sd[4].copy(),
-            "status": known.status.copy(),
-        }
+        return masked(self.many(), ended)
 
 
 def _flat(info: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -110,11 +91,3 @@ def _numeric(full: Mapping[str, Any]) -> dict[str, np.number]:
         if name.endswith("status"):
             out[name] = Status[out[name]].value
     return {name: np.int64(v) if isinstance(v, (bool, int)) else np.float64(v) for name, v in out.items()}
-
-
-def _masked(info: dict[str, Any], which: np.ndarray) -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    for key, value in info.items():
-        out[key] = _masked(value, which) if isinstance(value, dict) else np.where(which, value, value.dtype.type(0))
-        out[f"_{key}"] = which.copy()
-    return out
