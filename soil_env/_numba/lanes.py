@@ -161,6 +161,35 @@ def to_array(typingctx, x, a, i):
     return types.void(lanes, a, types.intp), emit
 
 
+@intrinsic
+def _fetch(typingctx, a, i):
+    def emit(context, builder, sig, args):
+        data = make_array(sig.args[0])(context, builder, args[0]).data
+        pointer = builder.bitcast(builder.gep(data, [args[1]]), ir.IntType(8).as_pointer())
+        whole = ir.IntType(32)
+        function_type = ir.FunctionType(ir.VoidType(), [pointer.type, whole, whole, whole])
+        try:
+            function = builder.module.get_global("llvm.prefetch.p0")
+        except KeyError:
+            function = ir.Function(builder.module, function_type, "llvm.prefetch.p0")
+        builder.call(function, [pointer, whole(0), whole(3), whole(1)])  # to read, into the nearest cache, data
+        return context.get_dummy_value()
+
+    return types.void(a, types.intp), emit
+
+
+#: fetch(a, i): bring a[i] ... a[i + 7] of a float64 array into the cache, while other work goes on.
+fetch = _fetch if COMPILED else lambda a, i: None
+
+
+def on_stack(builder, of, size):
+    """Code for memory of the function that is compiled; unlike `cgutils.alloca_once` it does not fill it with zeros."""
+    with builder.goto_entry_block():
+        data = builder.alloca(ir.ArrayType(of, size))
+    data.align = 64
+    return data
+
+
 def scratch(size):
     """A compiled function without arguments that returns a float64 array [size] on the stack of its caller.
 
@@ -173,10 +202,7 @@ def scratch(size):
         array_type = types.Array(types.float64, 1, "C")
 
         def emit(context, builder, sig, args):
-            from numba.core import cgutils
-
-            data = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), size))
-            data.align = 64
+            data = on_stack(builder, ir.DoubleType(), size)
             array = make_array(array_type)(context, builder)
             count, item = ir.Constant(ir.IntType(64), size), ir.Constant(ir.IntType(64), 8)
             pointer = builder.bitcast(data, ir.DoubleType().as_pointer())

@@ -58,16 +58,29 @@ def normal_pair(streams, k):
 
 
 @inlined
-def eight_normals(streams, k):
-    """Eight independent standard normal numbers of stream k: four `normal_pair` at once."""
-    first, second = uniform(streams, k), uniform(streams, k)
-    third, fourth = uniform(streams, k), uniform(streams, k)
-    fifth, sixth = uniform(streams, k), uniform(streams, k)
-    seventh, eighth = uniform(streams, k), uniform(streams, k)
-    u = made_of(first, third, fifth, seventh, first, third, fifth, seventh)
-    v = made_of(second, fourth, sixth, eighth, second, fourth, sixth, eighth)
+def _normals(u, v):
+    """Standard normal numbers in lanes, two of each lane, from uniform ones, as `normal_pair`."""
     radius = root(-2.0 * log(1.0 - u))
     sin_half, cos_half = half_sin_cos(math.pi * (2.0 * v - 1.0))  # half a turn back, so both functions change sign
-    x = radius * (2.0 * sin_half * sin_half - 1.0)
-    y = radius * (-2.0 * sin_half * cos_half)
-    return lane(x, 0), lane(y, 0), lane(x, 1), lane(y, 1), lane(x, 2), lane(y, 2), lane(x, 3), lane(y, 3)
+    return radius * (2.0 * sin_half * sin_half - 1.0), radius * (-2.0 * sin_half * cos_half)
+
+
+@inlined
+def four_normals(streams, k):
+    """Four independent standard normal numbers of stream k: two `normal_pair` at once."""
+    a, b, c, d = uniform(streams, k), uniform(streams, k), uniform(streams, k), uniform(streams, k)
+    x, y = _normals(made_of(a, c, a, c, a, c, a, c), made_of(b, d, b, d, b, d, b, d))
+    return lane(x, 0), lane(y, 0), lane(x, 1), lane(y, 1)
+
+
+@inlined
+def ten_normals(streams, k):
+    """Ten independent standard normal numbers of stream k: five `normal_pair` at once."""
+    a, b, c, d = uniform(streams, k), uniform(streams, k), uniform(streams, k), uniform(streams, k)
+    e, f, g, h = uniform(streams, k), uniform(streams, k), uniform(streams, k), uniform(streams, k)
+    i, j = uniform(streams, k), uniform(streams, k)
+    x, y = _normals(made_of(a, c, e, g, i, a, c, e), made_of(b, d, f, h, j, b, d, f))
+    return (
+        lane(x, 0), lane(y, 0), lane(x, 1), lane(y, 1), lane(x, 2), lane(y, 2), lane(x, 3), lane(y, 3), lane(x, 4),
+        lane(y, 4),
+    )  # fmt: skip

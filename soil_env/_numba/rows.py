@@ -33,7 +33,7 @@ from numba.np.arrayobj import make_array, populate_array
 
 from soil_env._numba import interpreted
 from soil_env._numba.compiling import COMPILED
-from soil_env._numba.lanes import COUNT
+from soil_env._numba.lanes import COUNT, on_stack
 
 
 class Rows:
@@ -161,9 +161,7 @@ def scratch_rows(cls: type[Rows], columns: int):
         typ = _RowsType(cls)
 
         def emit(context, builder, sig, args):
-            size = len(cls.NAMES) * columns
-            data = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(64), size))
-            data.align = 64
+            data = on_stack(builder, ir.IntType(64), len(cls.NAMES) * columns)
             rows = cgutils.create_struct_proxy(typ)(context, builder)
             rows.pointer = builder.bitcast(data, cgutils.voidptr_t)
             rows.columns = ir.Constant(ir.IntType(64), columns)

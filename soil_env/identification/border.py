@@ -278,15 +278,13 @@ def by_both_soils(row, mean, b, out):
 
 
 @inlined
-def _of_ground(i, source, mean, b):
-    """Soil state i of the ground of a quantity that is given by both soils and the place, to first order."""
-    new, old, place = (
-        from_array(source, i * COUNT),
-        from_array(source, (OLD + i) * COUNT),
-        from_array(source, PLACE * COUNT),
-    )
+def _of_ground(i, source, at, mean, b):
+    """Soil state i of the ground, of a quantity that is given by both soils and the place from source[at] on, to first
+    order."""
+    new, old = from_array(source, at + i * COUNT), from_array(source, at + (OLD + i) * COUNT)
+    place = from_array(source, at + PLACE * COUNT)
     if i == STRENGTH:
-        K, old_K = from_array(source, LN_K * COUNT), from_array(source, (OLD + LN_K) * COUNT)
+        K, old_K = from_array(source, at + LN_K * COUNT), from_array(source, at + (OLD + LN_K) * COUNT)
         return (
             b.strength * new
             + b.strength_K * K
@@ -308,11 +306,10 @@ def covariance_of_ground(covariance, mean, b, out):
         if SINKAGE <= q <= SLIP:
             continue
         for p in range(PLACE + 1):
-            to_array(from_array(covariance, element(p, q)), source, p * COUNT)
+            if not SINKAGE <= p <= SLIP:
+                to_array(from_array(covariance, element(p, q)), source, p * COUNT)
         for i in range(SINKAGE):
-            to_array(_of_ground(i, source, mean, b), half, (i * CROSSING + q) * COUNT)
+            to_array(_of_ground(i, source, 0, mean, b), half, (i * CROSSING + q) * COUNT)
     for i in range(SINKAGE):
-        for q in range(PLACE + 1):
-            to_array(from_array(half, (i * CROSSING + q) * COUNT), source, q * COUNT)
         for j in range(i + 1):
-            to_array(_of_ground(j, source, mean, b), out, element(i, j))
+            to_array(_of_ground(j, half, i * CROSSING * COUNT, mean, b), out, element(i, j))

@@ -22,7 +22,7 @@ from soil_env._numba.elementary import smaller
 from soil_env._numba.lanes import COUNT, fill, from_array, smallest, to_array, total
 from soil_env.identification.border import cross_here, cross_where_the_grade_changes, end, note_grade
 from soil_env.identification.digging import onto_fresh_ground
-from soil_env.identification.filter_bank import CROSSING, element, prior_of_soil, restart
+from soil_env.identification.filter_bank import CROSSING, element, fetch_bank, prior_of_soil, restart
 from soil_env.identification.filter_update import Point, renew
 from soil_env.identification.linearised import MASS, SINKAGE, SLIP, STATES
 from soil_env.slip import motion_from_slip
@@ -91,6 +91,8 @@ def take(banks, k, reading, numbers):
     if not abs(known) < 1e12:
         return False
     before, time = p.last_rim[k], p.time[k]
+    if p.crossing[k] > 0.0 or p.readings[k] >= _READINGS - 1.0:  # likely to be needed
+        fetch_bank(banks, k)
     _advance_clocks(p, k, reading, numbers)
     if numbers.grade_change > 0.0:
         note_grade(banks, k, reading.pitch, numbers)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.lanes import COUNT, from_array, to_array
+from soil_env._numba.lanes import COUNT, fetch, from_array, to_array
 from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.identification.linearised import (
     COHESION,
@@ -115,6 +115,14 @@ def new_banks(wheels: int) -> FilterBanks:
 def element(i, j):
     """Place of element (i, j) of a packed symmetric matrix."""
     return (i * (i + 1) // 2 + j) * COUNT if i >= j else (j * (j + 1) // 2 + i) * COUNT
+
+
+@inlined
+def fetch_bank(banks, k):
+    """Bring the covariance of bank k into the cache: with many wheels it is elsewhere."""
+    size = COVARIANCES if banks.point.crossing[k] > 0.0 else element(STATES, 0)
+    for i in range(0, size, COUNT):
+        fetch(banks.covariance[k], i)
 
 
 @inlined

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import asin_root, exp, root
-from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array, total
+from soil_env._numba.lanes import COUNT, from_array, scratch, to_array, total
 from soil_env.identification.border import blend, covariance_of_ground
-from soil_env.identification.filter_bank import COVARIANCES, MEANS, PUBLISHED, reference_of
-from soil_env.identification.filter_update import times
+from soil_env.identification.filter_bank import COVARIANCES, MEANS, PUBLISHED, element, reference_of
 from soil_env.identification.linearised import (
     COHESION,
     EXPONENT,
     GAIN,
     LN_DEPTH,
     LN_K,
-    SINKAGE,
     STRENGTH,
     Q,
     friction,
 )
 
-_at, _ground, _slopes, _gain = scratch(MEANS), scratch(MEANS), scratch(MEANS), scratch(MEANS)
+_ground, _published = scratch(MEANS), scratch(PUBLISHED * COUNT)
 _of_ground = scratch(COVARIANCES)
 
 
@@ -41,12 +40,33 @@ def publish(banks, k, numbers, estimate, sd, covariance):
         _publish(banks, k, banks.mean[k], banks.covariance[k], numbers, estimate, sd, covariance)
 
 
+class _Slopes(NamedTuple):
+    """Derivatives of the friction angle by the states; a value a lane."""
+
+    by_strength: object
+    by_ln_K: object
+    by_cohesion: object
+
+
+@inlined
+def _with_state(P, i, state, angle, depth):
+    """Covariance of published number i with a state."""
+    if i == STRENGTH:
+        return (
+            angle.by_strength * from_array(P, element(STRENGTH, state))
+            + angle.by_ln_K * from_array(P, element(LN_K, state))
+            + angle.by_cohesion * from_array(P, element(COHESION, state))
+        )
+    v = from_array(P, element(GAIN if i == GAIN - 1 else i, state))
+    return v + depth * from_array(P, element(EXPONENT, state)) if i == Q else v
+
+
 @part
 def _publish(banks, k, x, P, numbers, estimate, sd, covariance):
     """`publish` from the soil states x and their covariance P, eight filters each."""
     w = exp(from_array(banks.log_weight[k], 0))
     depth = from_array(banks.ln_bearing[k], 0) - LN_DEPTH
-    rows_, n = _at(), from_array(x, EXPONENT * COUNT)
+    rows_, n = _published(), from_array(x, EXPONENT * COUNT)
     for i in range(PUBLISHED):
         j = GAIN if i == GAIN - 1 else i
         to_array(from_array(x, j * COUNT), rows_, i * COUNT)
@@ -61,29 +81,19 @@ def _publish(banks, k, x, P, numbers, estimate, sd, covariance):
     to_array(from_array(x, Q * COUNT) + (n - numbers.exponent) * depth, rows_, Q * COUNT)
     for i in range(PUBLISHED):
         estimate[i] = total(w * from_array(rows_, i * COUNT))
-    rate, slopes, product = 1.0 / (1.0 + tan.tangent * tan.tangent), _slopes(), _gain()
+    rate = 1.0 / (1.0 + tan.tangent * tan.tangent)
+    of_angle = _Slopes(rate * tan.by_strength, rate * tan.by_ln_K, rate * tan.by_cohesion)
     for i in range(PUBLISHED):
-        for j in range(SINKAGE):
-            to_array(fill(0.0), slopes, j * COUNT)
-        to_array(fill(1.0), slopes, (GAIN if i == GAIN - 1 else i) * COUNT)
-        if i == STRENGTH:
-            to_array(rate * tan.by_strength, slopes, STRENGTH * COUNT)
-            to_array(rate * tan.by_ln_K, slopes, LN_K * COUNT)
-            to_array(rate * tan.by_cohesion, slopes, COHESION * COUNT)
-        elif i == Q:
-            to_array(depth, slopes, EXPONENT * COUNT)
-        times(P, slopes, product, SINKAGE)
         away = from_array(rows_, i * COUNT) - estimate[i]
         for j in range(i + 1):
-            b = GAIN if j == GAIN - 1 else j
-            v = from_array(product, b * COUNT)
             if j == STRENGTH:
-                v = rate * (
-                    tan.by_strength * v + tan.by_ln_K * from_array(product, LN_K * COUNT)
-                    + tan.by_cohesion * from_array(product, COHESION * COUNT)
-                )  # fmt: skip
-            elif j == Q:
-                v = v + depth * from_array(product, EXPONENT * COUNT)
+                v = of_angle.by_strength * _with_state(P, i, STRENGTH, of_angle, depth)
+                v = v + of_angle.by_ln_K * _with_state(P, i, LN_K, of_angle, depth)
+                v = v + of_angle.by_cohesion * _with_state(P, i, COHESION, of_angle, depth)
+            else:
+                v = _with_state(P, i, GAIN if j == GAIN - 1 else j, of_angle, depth)
+                if j == Q:
+                    v = v + depth * _with_state(P, i, EXPONENT, of_angle, depth)
             covariance[i, j] = covariance[j, i] = total(w * (v + away * (from_array(rows_, j * COUNT) - estimate[j])))
         sd[i] = math.sqrt(max(covariance[i, i], 1e-18))
     estimate[COHESION] = max(estimate[COHESION], 0.0)

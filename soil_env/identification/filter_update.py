@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import exp, larger, log, root, smaller, tanh
+from soil_env._numba.elementary import exp, fma, larger, root, smaller, tanh
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
 from soil_env._numba.rows import scratch_rows
 from soil_env.identification.border import blend, by_both_soils
@@ -21,6 +21,7 @@ from soil_env.identification.filter_bank import (
     element,
     reference_of,
 )
+from soil_env.identification.kalman import column, dot, less, lose, lose_three, take_in, times, times_both
 from soil_env.identification.linearised import (
     COLUMNS,
     GAIN,
@@ -40,7 +41,7 @@ _LEAST_MOVE, _MOVE, _JOLT, _CHANGE = 6.3e-3, 0.1, 0.9, 0.5
 _DRIFT = 2e-3  # [m] of the place of a border between two points: that of the ground which a step was made with
 _LOWEST = np.array([0.005, math.log(2e-4), math.log(1e3), -1000.0, 0.3, -3.0, 1e-4, 0.05, -0.95])
 _HIGHEST = np.array([5.0, math.log(0.3), math.log(1e13), 2e5, 2.5, 3.0, 6.0, 1e6, 0.98])
-_at, _ground, _slopes, _gain = scratch(MEANS), scratch(MEANS), scratch(MEANS), scratch(MEANS)
+_vector = scratch(MEANS)
 _linear, _expanded = scratch_rows(Linearised, COLUMNS), scratch_rows(Linearised, (CROSSING + 1) * COUNT)
 
 
@@ -88,23 +89,6 @@ def _clip(x, size):
 
 
 @inlined
-def times(covariance, slopes, out, size):
-    """Covariance times slopes, both of `size` states, into `out`; slopes . covariance . slopes."""
-    square = fill(0.0)
-    for i in range(size):
-        v, place = fill(0.0), element(i, 0)
-        for j in range(i):
-            v = v + from_array(covariance, place + j * COUNT) * from_array(slopes, j * COUNT)
-        place += i * COUNT
-        for j in range(i, size):
-            v = v + from_array(covariance, place) * from_array(slopes, j * COUNT)
-            place += (j + 1) * COUNT
-        to_array(v, out, i * COUNT)
-        square = square + v * from_array(slopes, i * COUNT)
-    return square
-
-
-@inlined
 def _normal_share(x):
     """(P, p): distribution and density of the standard normal; P to 2e-4 (Page 1977, Applied Statistics 26:75-76)."""
     share = 0.5 + 0.5 * tanh(0.7988 * (x + 0.04417 * x * x * x))
@@ -112,9 +96,12 @@ def _normal_share(x):
 
 
 @inlined
-def _drive(mean, covariance, ground, gain_slopes, out, size, last_bearing, point, numbers):
-    """The sinkage of a bank from the last point to this one (`effects.excavation_rate`), and a slip not yet updated."""
-    slopes, product, r = _slopes(), _gain(), numbers.radius
+def _drive(mean, covariance, ground, gain_slopes, of_gain, out, size, last_bearing, point, numbers):
+    """The sinkage of a bank from the last point to this one (`effects.excavation_rate`), and a slip not yet updated.
+
+    `gain_slopes`: derivative of ln g of the ground by the states; `of_gain`: covariance of ln g with them.
+    """
+    slopes, of_bearing, of_sinkage, r = _vector(), _vector(), _vector(), numbers.radius
     a = max(point.path, 1e-12)
     left = math.exp(-a)
     come = 1.0 - left
@@ -124,23 +111,26 @@ def _drive(mean, covariance, ground, gain_slopes, out, size, last_bearing, point
     z, bearing = from_array(mean, SINKAGE * COUNT), now + _LAG * change
     dug = (point.sliding * come / a) * gain * bearing
     for i in range(size):
-        by_bearing = now * from_array(out.ln_bearing, i * COUNT)
-        to_array(by_bearing - 1.0 if i == SINKAGE else by_bearing, slopes, i * COUNT)
+        to_array(now * from_array(out.ln_bearing, i * COUNT), slopes, i * COUNT)
     to_array(fill(0.0), slopes, SLIP * COUNT)
+    times(covariance, slopes, of_bearing, size)
+    column(covariance, SINKAGE, of_sinkage, size)
     # comes up to the bearing sinkage: a share of the mean of what it lacks, where it lacks any
-    variance = times(covariance, slopes, product, size)
+    variance = dot(slopes, of_bearing, size) + from_array(of_sinkage, SINKAGE * COUNT)
+    variance = variance - 2.0 * from_array(of_bearing, SINKAGE * COUNT)
     spread, lag = root(variance + 1e-7 * r * r), bearing - z
     likely, density = _normal_share(lag / spread)
     lacking = lag * likely + spread * density
     scatter = (lag * lag + spread * spread) * likely + lag * (spread * density) - lacking * lacking
     yields = left * (1.0 - math.exp(-_YIELD_RATE * max(point.time, 0.0)))
-    rise = (come * bearing + dug) / bearing
+    rise, stay = (come * bearing + dug) / bearing + yields * likely, left - yields * likely
+    variance = fill(0.0)
     for i in range(size):
-        v = from_array(slopes, i * COUNT) * (yields * likely) + dug * from_array(gain_slopes, i * COUNT)
-        to_array(v + rise * (now * from_array(out.ln_bearing, i * COUNT)), slopes, i * COUNT)
-    to_array(from_array(slopes, SINKAGE * COUNT) + left, slopes, SINKAGE * COUNT)
-    to_array(fill(0.0), slopes, SLIP * COUNT)
-    variance = times(covariance, slopes, product, size)
+        i *= COUNT
+        v = fma(rise, from_array(of_bearing, i), fma(stay, from_array(of_sinkage, i), dug * from_array(of_gain, i)))
+        to_array(v, of_bearing, i)
+        variance = fma(fma(rise, from_array(slopes, i), dug * from_array(gain_slopes, i)), v, variance)
+    variance = fma(stay, from_array(of_bearing, SINKAGE * COUNT), variance)
     after = come * bearing + dug + left * z + yields * lacking
     move, jolt, changed = _MOVE * (after - z), _JOLT * point.shock * z, (_CHANGE * come) * change
     own = (
@@ -152,7 +142,7 @@ def _drive(mean, covariance, ground, gain_slopes, out, size, last_bearing, point
     )
     to_array(after, mean, SINKAGE * COUNT)
     for i in range(size):
-        to_array(from_array(product, i * COUNT), covariance, element(SINKAGE, i))
+        to_array(from_array(of_bearing, i * COUNT), covariance, element(SINKAGE, i))
         to_array(fill(0.0), covariance, element(SLIP, i))
     to_array(variance + own, covariance, element(SINKAGE, SINKAGE))
     drift = numbers.load_drift * from_array(mean, MASS * COUNT)
@@ -162,106 +152,119 @@ def _drive(mean, covariance, ground, gain_slopes, out, size, last_bearing, point
 
 
 @inlined
-def _correct(mean, covariance, product, misfit, expected, size):
-    """Kalman update by a value whose covariance with the states is `product`: (chi-squared, ln of its variance)."""
-    step, scale, place = misfit / expected, 1.0 / expected, 0
+def _away(slopes, mean, at, size):
+    """The change of a prediction from `at`, where it was linearised, to the mean."""
+    v = fill(0.0)
     for i in range(size):
-        v = from_array(product, i * COUNT)
-        to_array(from_array(mean, i * COUNT) + v * step, mean, i * COUNT)
-        v = v * scale
-        for j in range(i + 1):
-            to_array(from_array(covariance, place) - v * from_array(product, j * COUNT), covariance, place)
-            place += COUNT
-    return misfit * step, log(expected)
+        away = from_array(mean, i * COUNT) - from_array(at, i * COUNT)
+        v = fma(from_array(slopes, i * COUNT), away, v)
+    return v
 
 
 @inlined
-def _absorb(mean, covariance, at, slopes, predicted, measured, variance, size):
-    """The update of both: of `size` states."""
-    product = _gain()
-    misfit = measured - predicted
-    for i in range(size):
-        misfit = misfit - from_array(slopes, i * COUNT) * (from_array(mean, i * COUNT) - from_array(at, i * COUNT))
-    expected = times(covariance, slopes, product, size) + variance
-    return _correct(mean, covariance, product, misfit, expected, size)
-
-
-@part
-def absorb(mean, covariance, at, slopes, predicted, measured, variance):
-    """`absorb_on_border` with the states of one soil only; apart, so that the loops have constant bounds."""
-    return _absorb(mean, covariance, at, slopes, predicted, measured, variance, STATES)
-
-
-@part
-def absorb_on_border(mean, covariance, at, slopes, predicted, measured, variance):
-    """Kalman update by one value, linearised at `at`: (chi-squared, ln of its expected variance)."""
-    return _absorb(mean, covariance, at, slopes, predicted, measured, variance, CROSSING)
+def _take_state(mean, vector, at, state, slope, misfit, variance, size):
+    """`take_in` of a channel that depends on one state only; `vector`: its column of the covariance."""
+    misfit = misfit - slope * (from_array(mean, state * COUNT) - from_array(at, state * COUNT))
+    return take_in(mean, vector, slope, from_array(vector, state * COUNT), misfit, variance, size)
 
 
 @inlined
-def _absorb_any(mean, covariance, at, slopes, predicted, measured, variance, size):
-    if size > STATES:
-        return absorb_on_border(mean, covariance, at, slopes, predicted, measured, variance)
-    return absorb(mean, covariance, at, slopes, predicted, measured, variance)
+def _torque_of(point, model):
+    """The two readings of the torque as one: (mean, variance, chi-squared of their difference); `model`: variance that
+    each has by the model."""
+    sensor, motor = model[0], model[1]
+    both, apart = sensor + motor, point.torque - point.motor_torque
+    return (point.torque * motor + point.motor_torque * sensor) / both, sensor * motor / both, apart * apart / both
 
 
 @inlined
-def _absorb_state(mean, covariance, at, state, slope, predicted, measured, variance, size):
-    """As `_absorb`, of a value that depends on one state only."""
-    product = _gain()
-    for i in range(size):
-        to_array(slope * from_array(covariance, element(i, state)), product, i * COUNT)
-    misfit = measured - predicted - slope * (from_array(mean, state * COUNT) - from_array(at, state * COUNT))
-    expected = slope * from_array(product, state * COUNT) + variance
-    return _correct(mean, covariance, product, misfit, expected, size)
-
-
-@inlined
-def _measure(mean, covariance, at, out, size, point, numbers):
-    """All channels of a point: (chi-squared, sum of the logarithms of their expected variances)."""
-    slopes, sd, n = _slopes(), numbers.noise, point.readings
+def measure(mean, covariance, at, out, size, point, numbers):
+    """All channels of a point: (chi-squared, sum of the logarithms of their expected variances but for a constant)."""
+    sd, n, one = numbers.noise, point.readings, fill(1.0)
     model = numbers.model_error * abs(point.load)
     force, mass, slip = numbers.gravity * point.cos_pitch, from_array(at, MASS * COUNT), from_array(at, SLIP * COUNT)
-    v = fill(sd[3] * sd[3] / n)
-    x2, logs = _absorb_state(mean, covariance, at, MASS, fill(force), force * mass, fill(point.load), v, size)
-    z, v = from_array(at, SINKAGE * COUNT), fill(sd[1] * sd[1] / n)
-    a, b = _absorb_state(mean, covariance, at, SINKAGE, fill(1.0), z, fill(point.sinkage), v, size)
+    of_mass, of_sinkage, of_slip = _vector(), _vector(), _vector()
+    of_pull, of_torque, last = _vector(), _vector(), _vector()
+    column(covariance, MASS, of_mass, size)
+    column(covariance, MASS, last, size)  # what is left of it for the accelerometer
+    column(covariance, SINKAGE, of_sinkage, size)
+    column(covariance, SLIP, of_slip, size)
+    times_both(covariance, out.pull, out.torque, of_pull, of_torque, size)
+
+    misfit = fill(point.load) - force * mass
+    x2, logs, scale = _take_state(mean, of_mass, at, MASS, fill(force), misfit, fill(sd[3] * sd[3] / n), size)
+    less(of_pull, of_mass, scale * from_array(of_pull, MASS * COUNT), size)
+    less(of_torque, of_mass, scale * from_array(of_torque, MASS * COUNT), size)
+    less(of_sinkage, of_mass, from_array(of_mass, SINKAGE * COUNT), size)
+    less(of_slip, of_mass, from_array(of_mass, SLIP * COUNT), size)
+    less(last, of_mass, from_array(of_mass, MASS * COUNT), size)
+
+    misfit = point.sinkage - from_array(at, SINKAGE * COUNT)
+    a, b, scale = _take_state(mean, of_sinkage, at, SINKAGE, one, misfit, fill(sd[1] * sd[1] / n), size)
     x2, logs = x2 + a, logs + b
+    less(of_pull, of_sinkage, scale * from_array(of_pull, SINKAGE * COUNT), size)
+    less(of_torque, of_sinkage, scale * from_array(of_torque, SINKAGE * COUNT), size)
+    less(of_slip, of_sinkage, from_array(of_sinkage, SLIP * COUNT), size)
+    less(last, of_sinkage, from_array(of_sinkage, MASS * COUNT), size)
+
     travel = motion_from_slip(slip)[1]
     braking = larger(travel, 1.0)  # V/(r w) where it brakes, whose slope by the slip is its square
-    slope, v = (-point.rim_speed) * braking * braking, fill((sd[5] * sd[5] + sd[6] * sd[6]) / n)
-    speed = point.rim_speed * travel
-    a, b = _absorb_state(mean, covariance, at, SLIP, slope, speed, fill(point.speed), v, size)
+    slope, misfit = (-point.rim_speed) * braking * braking, point.speed - point.rim_speed * travel
+    variance = fill((sd[5] * sd[5] + sd[6] * sd[6]) / n)
+    a, b, scale = _take_state(mean, of_slip, at, SLIP, slope, misfit, variance, size)
     x2, logs = x2 + a, logs + b
-    pull, torque = from_array(out.pull, size * COUNT), from_array(out.torque, size * COUNT)
+    less(of_pull, of_slip, scale * from_array(of_pull, SLIP * COUNT), size)
+    less(of_torque, of_slip, scale * from_array(of_torque, SLIP * COUNT), size)
+    less(last, of_slip, from_array(of_slip, MASS * COUNT), size)
+
     twist = (model * numbers.radius) * (model * numbers.radius)
-    v = fill(sd[2] * sd[2] / n + model * model)
-    a, b = _absorb_any(mean, covariance, at, out.pull, pull, fill(point.drawbar_pull), v, size)
+    torque, variance, disagreement = _torque_of(point, (sd[4] * sd[4] / n + twist, point.motor_variance + twist))
+    misfit = torque - from_array(out.torque, size * COUNT) - _away(out.torque, mean, at, size)
+    own = dot(out.torque, of_torque, size)
+    a, b, _ = take_in(mean, of_torque, one, own, misfit, fill(variance), size)
+    x2, logs = x2 + a + disagreement, logs + b
+    less(of_pull, of_torque, dot(out.pull, of_torque, size), size)
+    less(last, of_torque, from_array(of_torque, MASS * COUNT), size)
+    lose_three(covariance, of_mass, of_sinkage, of_slip, size)
+
+    # drawbar pull, and the acceleration that it gives the mass
+    pull, own = from_array(out.pull, size * COUNT), dot(out.pull, of_pull, size)
+    variance, with_mass = fill(sd[2] * sd[2] / n + model * model), from_array(of_pull, MASS * COUNT)
+    misfit = point.drawbar_pull - pull - _away(out.pull, mean, at, size)
+    a, b, scale = take_in(mean, of_pull, one, own, misfit, variance, size)
     x2, logs = x2 + a, logs + b
-    v = fill(sd[4] * sd[4] / n + twist)
-    a, b = _absorb_any(mean, covariance, at, out.torque, torque, fill(point.torque), v, size)
-    x2, logs = x2 + a, logs + b
-    v = fill(point.motor_variance + twist)
-    a, b = _absorb_any(mean, covariance, at, out.torque, torque, fill(point.motor_torque), v, size)
-    x2, logs = x2 + a, logs + b
+    less(last, of_pull, scale * with_mass, size)
+    share, kept = pull / mass, variance * scale
     for i in range(size):
-        to_array(from_array(out.pull, i * COUNT) / mass, slopes, i * COUNT)
-    to_array(from_array(slopes, MASS * COUNT) - pull / (mass * mass), slopes, MASS * COUNT)
-    v = (model / mass) * (model / mass) + sd[9] * sd[9] / n
-    a, b = _absorb_any(mean, covariance, at, slopes, pull / mass, fill(point.acceleration), v, size)
+        v = kept * from_array(of_pull, i * COUNT) - share * from_array(last, i * COUNT)
+        to_array(v / mass, last, i * COUNT)
+    away = _away(out.pull, mean, at, size) - share * (from_array(mean, MASS * COUNT) - mass)
+    own = (dot(out.pull, last, size) - share * from_array(last, MASS * COUNT)) / mass
+    variance = (model / mass) * (model / mass) + sd[9] * sd[9] / n
+    a, b, _ = take_in(mean, last, one, own, point.acceleration - (pull + away) / mass, variance, size)
+    lose_three(covariance, of_torque, of_pull, last, size)
     return x2 + a, logs + b
 
 
 @inlined
 def _measure_grade(mean, covariance, at, b, grade, grades, point, numbers):
     """The pitch of a point on a border: as `_measure`."""
-    slopes, rise = _slopes(), from_array(at, RISE * COUNT)
+    vector, of_place = _vector(), _vector()
+    rise = from_array(at, RISE * COUNT)
+    by_place = b.by_place * rise
+    column(covariance, RISE, vector, CROSSING)
+    column(covariance, PLACE, of_place, CROSSING)
     for i in range(CROSSING):
-        to_array(fill(0.0), slopes, i * COUNT)
-    to_array(b.share, slopes, RISE * COUNT)
-    to_array(b.by_place * rise, slopes, PLACE * COUNT)
+        v = b.share * from_array(vector, i * COUNT) + by_place * from_array(of_place, i * COUNT)
+        to_array(v, vector, i * COUNT)
+    own = b.share * from_array(vector, RISE * COUNT) + by_place * from_array(vector, PLACE * COUNT)
+    away = b.share * (from_array(mean, RISE * COUNT) - rise)
+    away = away + by_place * (from_array(mean, PLACE * COUNT) - from_array(at, PLACE * COUNT))
     variance = numbers.noise[7] * numbers.noise[7] * (1.0 / point.readings + 1.0 / max(min(grades, 60.0), 1.0))
-    return absorb_on_border(mean, covariance, at, slopes, b.share * rise, fill(point.pitch - grade), fill(variance))
+    misfit = (point.pitch - grade) - b.share * rise - away
+    x2, logs, _ = take_in(mean, vector, fill(1.0), own, misfit, fill(variance), CROSSING)
+    lose(covariance, vector, CROSSING)
+    return x2, logs
 
 
 @inlined
@@ -291,11 +294,21 @@ def _finish(banks, k, at, out, size):
         p.border[k] = total(w * from_array(mean, PLACE * COUNT))
 
 
+@inlined
+def _covariance_with_gain(covariance, b, out):
+    """Covariance with ln g of the ground on a border, into `out`."""
+    for i in range(CROSSING):
+        new, old = from_array(covariance, element(i, GAIN)), from_array(covariance, element(i, OLD + GAIN))
+        of_place = from_array(covariance, element(i, PLACE))
+        to_array(fma(b.gain, new, fma(b.old_gain, old, b.gain_place * of_place)), out, i * COUNT)
+
+
 @part
 def _renew_on_border(banks, k, point, numbers):
     """`renew` where the ground is a blend of two soils."""
     mean, covariance, p = banks.mean[k], banks.covariance[k], banks.point
-    at, out, all_, ground, gains = _at(), _linear(), _expanded(), _ground(), _slopes()
+    at, out, all_, ground = _vector(), _linear(), _expanded(), _vector()
+    gains, of_gain = _vector(), _vector()
     reference = reference_of(banks, k)
     to_array(fill(point.slip), mean, SLIP * COUNT)
     _copy(mean, at, MEANS)
@@ -309,11 +322,12 @@ def _renew_on_border(banks, k, point, numbers):
     to_array(b.gain, gains, GAIN * COUNT)
     to_array(b.old_gain, gains, (OLD + GAIN) * COUNT)
     to_array(b.gain_place, gains, PLACE * COUNT)
-    _drive(mean, covariance, ground, gains, all_, CROSSING, p.bearing[k], point, numbers)
+    _covariance_with_gain(covariance, b, of_gain)
+    _drive(mean, covariance, ground, gains, of_gain, all_, CROSSING, p.bearing[k], point, numbers)
     variance = from_array(covariance, element(PLACE, PLACE))
     to_array(variance + _DRIFT * _DRIFT, covariance, element(PLACE, PLACE))
     old = exp(from_array(banks.log_weight[k], 0))
-    x2, logs = _measure(mean, covariance, at, all_, CROSSING, point, numbers)
+    x2, logs = measure(mean, covariance, at, all_, CROSSING, point, numbers)
     if numbers.grade_change > 0.0 and p.grade_used[k] == 0.0:
         c, d = _measure_grade(mean, covariance, at, b, p.grade[k], p.grades[k], point, numbers)
         x2, logs = x2 + c, logs + d
@@ -326,15 +340,16 @@ def _renew_on_border(banks, k, point, numbers):
 def _renew_on_one_soil(banks, k, point, numbers):
     """`renew` away from borders."""
     mean, covariance = banks.mean[k], banks.covariance[k]
-    at, out, gains = _at(), _linear(), _slopes()
+    at, out, gains, of_gain = _vector(), _linear(), _vector(), _vector()
     to_array(fill(point.slip), mean, SLIP * COUNT)
     _copy(mean, at, STATES * COUNT)
     linearise(at, point.cos_pitch, reference_of(banks, k), numbers, out)
     for i in range(STATES):
         to_array(fill(1.0 if i == GAIN else 0.0), gains, i * COUNT)
-    _drive(mean, covariance, at, gains, out, STATES, banks.point.bearing[k], point, numbers)
+    column(covariance, GAIN, of_gain, STATES)
+    _drive(mean, covariance, at, gains, of_gain, out, STATES, banks.point.bearing[k], point, numbers)
     old = exp(from_array(banks.log_weight[k], 0))
-    x2, logs = _measure(mean, covariance, at, out, STATES, point, numbers)
+    x2, logs = measure(mean, covariance, at, out, STATES, point, numbers)
     misfit = _weigh(banks.log_weight[k], old, x2, logs)
     _finish(banks, k, at, out, STATES)
     return misfit

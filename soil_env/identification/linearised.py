@@ -19,16 +19,15 @@ import math
 from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined
-from soil_env._numba.elementary import exp, larger, log
+from soil_env._numba.elementary import exp, half_sin_cos, larger, log
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import Rows, rows, scratch_rows
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.arc_integrals import (
     NODE_COLUMNS,
     Nodes,
-    integrals_at_nodes,
-    shear_integrals,
     shear_modulus_rates,
+    smooth_integrals,
     store_nodes,
 )
 from soil_env.terramechanics.contact import (
@@ -43,7 +42,7 @@ from soil_env.terramechanics.contact import (
 STATES = 9
 STRENGTH, LN_K, Q, COHESION, EXPONENT, GAIN, SINKAGE, MASS, SLIP = range(STATES)
 LN_DEPTH = math.log(0.03)  # sinkage [m] at which the sinkage coefficients of different exponents are compared
-_BY_SINKAGE, _BY_EXPONENT = 0.01, 0.01  # steps of the differences: relative, and of n
+_LEAST_RISE = 1e-3  # of sin(entry angle): beyond, the wheel is buried
 
 #: Predictions, then their derivatives; eight columns a state.
 Linearised: type[Rows] = rows("Linearised", "pull", "torque", "ln_bearing")
@@ -102,10 +101,17 @@ def _store(out, state, pull, torque, ln_bearing):
 
 
 @inlined
-def _by(out, state, partial, of_s, s, n):
-    """Store the derivative by a state from the `Forces` that it changes at a given s, which the load then moves."""
+def _by(out, state, partial, of_s, s, n, of_depth):
+    """Store the derivative by a state from the `Forces` that it changes at a given s, which the load then moves;
+    `of_depth`: of ln(bearing sinkage) at a given s."""
     ds = -partial.load / of_s.load
-    _store(out, state, partial.drawbar_pull + ds * of_s.drawbar_pull, partial.torque + ds * of_s.torque, ds / (s * n))
+    pull, torque = partial.drawbar_pull + ds * of_s.drawbar_pull, partial.torque + ds * of_s.torque
+    _store(out, state, pull, torque, ds / (s * n) + of_depth)
+
+
+@inlined
+def _scaled(f, share):
+    return Forces(share * f.load, share * f.drawbar_pull, share * f.torque)
 
 
 @inlined
@@ -124,38 +130,30 @@ def linearise(x, cos_pitch, reference, numbers, out):
     tan_phi, force = phi.tangent, numbers.gravity * cos_pitch
     load = force * from_array(x, MASS * COUNT)
     rim, travel = motion_from_slip(slip)
-    # by sinkage and exponent: differences
-    h, k = _BY_SINKAGE * z, fill(_BY_EXPONENT)
-    frame = store_nodes(smooth_arc(z + h, r), n, nodes, 0)
-    sz, pull_z, torque_z = _loaded(
-        integrals_at_nodes(frame, nodes, 0, rim, travel, K, r, JANOSI), load, tan_phi, c, r, b
-    )  # fmt: skip
-    frame = store_nodes(smooth_arc(z, r), n + k, nodes, 0)
-    sn, pull_n, torque_n = _loaded(
-        integrals_at_nodes(frame, nodes, 0, rim, travel, K, r, JANOSI), load, tan_phi, c, r, b
-    )  # fmt: skip
-    # the value, and by all else: analytically
-    frame = store_nodes(smooth_arc(z, r), n, nodes, 0)
-    q, by_rim, by_travel = shear_integrals(frame, nodes, 0, rim, travel, K, r, JANOSI)
+    arc = smooth_arc(z, r)
+    frame = store_nodes(arc, n, nodes, 0)
+    q, by_rim, by_travel, by_angle, by_n = smooth_integrals(frame, nodes, rim, travel, K, n, r, JANOSI)
     s, pull, torque = _loaded(q, load, tan_phi, c, r, b)
     none = 0.0 * c
     of_s = forces(q, none + 1.0, tan_phi, none, r, b, 1.0)
     st, by_K = s * tan_phi, shear_modulus_rates(by_rim, by_travel, rim, travel, K)
     braking = larger(travel, 1.0)
     rate = -1.0 * braking * braking  # d travel/d slip: -1 driving, -travel^2 braking
-    _by(out, STRENGTH, shear_forces(q, s * phi.by_strength, none, r, b, 1.0), of_s, s, n)
+    _by(out, STRENGTH, shear_forces(q, s * phi.by_strength, none, r, b, 1.0), of_s, s, n, none)
     through_phi = shear_forces(q, s * phi.by_ln_K, none, r, b, 1.0)
     directly = shear_forces(by_K, st * K, c * K, r, b, 1.0)
-    _by(out, LN_K, _sum(directly, through_phi), of_s, s, n)
-    _by(out, COHESION, shear_forces(q, s * phi.by_cohesion, none + 1.0, r, b, 1.0), of_s, s, n)
-    _by(out, SLIP, shear_forces(by_travel, rate * st, rate * c, r, b, 1.0), of_s, s, n)
+    _by(out, LN_K, _sum(directly, through_phi), of_s, s, n, none)
+    _by(out, COHESION, shear_forces(q, s * phi.by_cohesion, none + 1.0, r, b, 1.0), of_s, s, n, none)
+    _by(out, SLIP, shear_forces(by_travel, rate * st, rate * c, r, b, 1.0), of_s, s, n, none)
     by_load = force / of_s.load
     _store(out, MASS, by_load * of_s.drawbar_pull, by_load * of_s.torque, by_load / (s * n))
     ln_S = from_array(x, Q * COUNT) - (n - numbers.exponent) * LN_DEPTH
     ln_ratio = log(s) - ln_S
     _store(out, Q, none, none, -1.0 / n)
     _store(out, GAIN, none, none, none)
-    _store(out, SINKAGE, (pull_z - pull) / h, (torque_z - torque) / h, 1.0 / z + (log(sz) - log(s)) / (h * n))
-    by_n = (log(sn) - log(s)) / k + LN_DEPTH - ln_ratio / n
-    _store(out, EXPONENT, (pull_n - pull) / k, (torque_n - torque) / k, by_n / n)
+    sin_half, cos_half = half_sin_cos(arc.theta1)
+    rise = 1.0 / larger((2.0 * r) * sin_half * cos_half, _LEAST_RISE * r)  # d theta1/dz of z = r (1 - cos theta1)
+    by_z = _scaled(forces(by_angle, s, tan_phi, c, r, b, 1.0), rise)
+    _by(out, SINKAGE, by_z, of_s, s, n, 1.0 / z)
+    _by(out, EXPONENT, forces(by_n, s, tan_phi, none, r, b, 1.0), of_s, s, n, (LN_DEPTH - ln_ratio / n) / n)
     _store(out, STATES, pull, torque, log(z) + ln_ratio / n)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined
-from soil_env._numba.random_streams import eight_normals, normal_pair
+from soil_env._numba.random_streams import normal_pair, ten_normals
 from soil_env.identification.online import SensorReading
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.effects import NO_EFFECTS, measured_slip, slip_sinkage_ratio
@@ -67,8 +67,7 @@ def roll_odometer(state, k, speed, sensors):
 def sense(state, k, streams, sensors):
     """Noisy `SensorReading` of wheel k."""
     sd, slip, depth = sensors.noise, state.slip[k], state.sinkage[k]
-    a, b, c, d, e, f, g, h = eight_normals(streams, k)
-    i, j = normal_pair(streams, k)
+    a, b, c, d, e, f, g, h, i, j = ten_normals(streams, k)
     fx = sensors.errors
     sinkage = depth + fx.sinkage_offset_offset
     if fx.slip_sinkage_apparent > 0.0:

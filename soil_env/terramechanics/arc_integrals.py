@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import fma, half_sin_cos, power, where_less
+from soil_env._numba.elementary import fma, half_sin_cos, larger, log, power, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, over_eight, summed, to_array, turns
 from soil_env._numba.rows import Rows, rows, scratch_rows
 from soil_env.terramechanics.contact import (
@@ -139,9 +139,8 @@ def _integrals(frame, e):
 
 
 @inlined
-def shear_integrals(frame, nodes, at, rim, travel, K, r, law):
-    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of the nodes of `store_nodes` at one motion."""
-    shear = _shear_at_nodes()
+def _shear(frame, nodes, at, rim, travel, K, r, law, shear):
+    """Mobilised share at the nodes of `store_nodes` and its derivatives, x by `rim` and y by `travel`, into `shear`."""
     for k in range(turns(frame.theta1)):
         i = k * COUNT
         a, z, a2, z2 = _levers(frame, nodes, at + i, k, r)
@@ -153,9 +152,92 @@ def shear_integrals(frame, nodes, at, rim, travel, K, r, law):
         to_array(g2 * a2, shear.x_rear, i)
         to_array(g * z, shear.y_front, i)
         to_array(g2 * z2, shear.y_rear, i)
+
+
+@inlined
+def _shear_sums(frame, nodes, at, shear):
     e = _sums(frame, nodes, at, shear.e_front, shear.e_rear)
     by_rim = _sums(frame, nodes, at, shear.x_front, shear.x_rear)
     return _integrals(frame, e), by_rim, _sums(frame, nodes, at, shear.y_front, shear.y_rear)
+
+
+@inlined
+def shear_integrals(frame, nodes, at, rim, travel, K, r, law):
+    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of the nodes of `store_nodes` at one motion."""
+    shear = _shear_at_nodes()
+    _shear(frame, nodes, at, rim, travel, K, r, law, shear)
+    return _shear_sums(frame, nodes, at, shear)
+
+
+@inlined
+def smooth_integrals(frame, nodes, rim, travel, K, n, r, law):
+    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`, derivative of ArcIntegrals by the entry angle [1/rad],
+    by the sinkage exponent) of an arc of `smooth_arc`, from the first column of nodes on."""
+    shear = _shear_at_nodes()
+    _shear(frame, nodes, 0, rim, travel, K, r, law, shear)
+    q, by_rim, by_travel = _shear_sums(frame, nodes, 0, shear)
+    sin_half1, cos_half1 = half_sin_cos(fill(frame.theta1))
+    sin1, cos1 = 2.0 * sin_half1 * cos_half1, fma(-2.0 * sin_half1, sin_half1, 1.0)
+    by_angle = _by_entry_angle(frame, nodes, q, sin1, cos1, rim, travel, n, shear)
+    return q, by_rim, by_travel, by_angle, _by_exponent(frame, nodes, cos1, r, shear)
+
+
+@inlined
+def _by_entry_angle(frame, nodes, q, sin1, cos1, rim, travel, n, shear):
+    """All angles of `smooth_arc` are in proportion to the entry angle, those of the nodes too."""
+    o, pattern, front = fill(0.0), frame.theta1, frame.front
+    p_cos, p_sin, pe_cos, pe_sin, pe, e_cos, e_sin, plain = o, o, o, o, o, o, o, o
+    for k in range(turns(pattern)):
+        i, behind = k * COUNT, 0.5 * _depth(pattern, k)
+        ahead = 1.0 - behind  # angles of the two nodes over the entry angle
+        stress, w = from_array(nodes.stress, i), _weight(pattern, k)
+        c, s = from_array(nodes.cos_front, i), from_array(nodes.sin_front, i)
+        c2, s2 = from_array(nodes.cos_rear, i), from_array(nodes.sin_rear, i)
+        e, e2 = from_array(shear.e_front, i), from_array(shear.e_rear, i)
+        change = stress * n * (sin1 - ahead * s) / (c - cos1)
+        d = from_array(shear.x_front, i) * fma(travel, (ahead * c - cos1) / behind, rim)
+        d2 = from_array(shear.x_rear, i) * fma(travel, (behind * c2 - cos1) / ahead, rim)
+        d, d2 = d / frame.theta1, d2 / frame.theta1
+        ec = fma(d, c, d2 * c2) - fma(ahead * e, s, behind * e2 * s2)
+        es = fma(d, s, d2 * s2) + fma(ahead * e, c, behind * e2 * c2)
+        p_cos = fma(change, c + c2, p_cos) - stress * fma(ahead, s, behind * s2)
+        p_sin = fma(change, s + s2, p_sin) + stress * fma(ahead, c, behind * c2)
+        pe_cos = fma(change, fma(e, c, e2 * c2), fma(stress, ec, pe_cos))
+        pe_sin = fma(change, fma(e, s, e2 * s2), fma(stress, es, pe_sin))
+        pe = fma(change, e + e2, fma(stress, d + d2, pe))
+        e_cos, e_sin, plain = fma(w, ec, e_cos), fma(w, es, e_sin), fma(w, d + d2, plain)
+    share = 1.0 / frame.theta1  # of the length of a zone
+    return ArcIntegrals(
+        summed(front * p_cos, pattern) + share * q.p_cos,
+        summed(front * p_sin, pattern) + share * q.p_sin,
+        summed(front * pe_cos, pattern) + share * q.pe_cos,
+        summed(front * pe_sin, pattern) + share * q.pe_sin,
+        summed(front * pe, pattern) + share * q.pe,
+        summed(front * e_cos, pattern) + share * q.e_cos,
+        summed(front * e_sin, pattern) + share * q.e_sin,
+        summed(front * plain, pattern) + share * q.e,
+    )
+
+
+@inlined
+def _by_exponent(frame, nodes, cos1, r, shear):
+    """The stress at each node changes by sigma ln(depth)."""
+    o, pattern, front = fill(0.0), frame.theta1, frame.front
+    p_cos, p_sin, pe_cos, pe_sin, pe = o, o, o, o, o
+    for k in range(turns(pattern)):
+        i = k * COUNT
+        c, s = from_array(nodes.cos_front, i), from_array(nodes.sin_front, i)
+        c2, s2 = from_array(nodes.cos_rear, i), from_array(nodes.sin_rear, i)
+        e, e2 = from_array(shear.e_front, i), from_array(shear.e_rear, i)
+        change = from_array(nodes.stress, i) * log(larger(r * (c - cos1), 1e-300))
+        p_cos, p_sin = fma(change, c + c2, p_cos), fma(change, s + s2, p_sin)
+        pe_cos, pe_sin = fma(change, fma(e, c, e2 * c2), pe_cos), fma(change, fma(e, s, e2 * s2), pe_sin)
+        pe = fma(change, e + e2, pe)
+    none = 0.0 * front
+    return ArcIntegrals(
+        summed(front * p_cos, pattern), summed(front * p_sin, pattern), summed(front * pe_cos, pattern),
+        summed(front * pe_sin, pattern), summed(front * pe, pattern), none, none, none,
+    )  # fmt: skip
 
 
 @inlined

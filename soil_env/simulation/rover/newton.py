@@ -96,12 +96,26 @@ def weight_of(body, block, world):
 
 
 @inlined
+def _bear_ahead(wheels, first, sub, short, dv, weight, s):
+    """Loads by the forces of the last stage and, where that is a `short` way, how they change to first order with `dv`
+    and the changes of the rim speeds that are in `try_u`."""
+    e, n = sub.equations, sub.newton
+    for a in range(s.axles):
+        i, k = a * COUNT, first + a * COUNT
+        du = from_array(e.try_u, i)
+        pull = from_array(wheels.pull_by_speed, k) * dv + from_array(wheels.pull_by_rim, k) * du
+        torque = from_array(wheels.torque_by_speed, k) * dv + from_array(wheels.torque_by_rim, k) * du
+        to_array(from_array(wheels.drawbar_pull, k) + short * pull, n.drawbar_pull, i)
+        to_array(from_array(wheels.torque, k) + short * torque, n.torque, i)
+    bear(n, 0, weight, s, e.load)
+
+
+@inlined
 def set_up(wheels, body, block, first, period, sub, world, s, h, lead, duration):
     """The equations of a stage of eight rovers, and where Newton's method starts."""
     e, mass = sub.equations, from_array(body.mass, block)
     for a in range(s.axles):
         stand(wheels, first, a * COUNT, sub, world, duration)
-    bear(wheels, first, weight_of(body, block, world), s, e.load)
     dv = foresee(wheels, first, period, world, s, h, mass, lead, e.try_u)
     short = fill(1.0)
     for a in range(s.axles):
@@ -109,6 +123,7 @@ def set_up(wheels, body, block, first, period, sub, world, s, h, lead, duration)
         rim = world.wheel.radius * from_array(wheels.wheel_speed, k)
         change = larger(abs(dv), abs(from_array(e.try_u, i)))
         short = short * below(change, SHORT * (abs(rim) + REST_SPEED))
+    _bear_ahead(wheels, first, sub, short, dv, weight_of(body, block, world), s)
     for a in range(s.axles):
         i, k = a * COUNT, first + a * COUNT
         speed, rim = from_array(wheels.speed, k), world.wheel.radius * from_array(wheels.wheel_speed, k)

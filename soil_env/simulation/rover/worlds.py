@@ -11,7 +11,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, inlined, part, root, take
 from soil_env._numba.lanes import COUNT
-from soil_env._numba.random_streams import between, normal_pair, seed_stream, word
+from soil_env._numba.random_streams import between, four_normals, seed_stream, word
 from soil_env._numba.rows import zero_column
 from soil_env._numba.threads import threads
 from soil_env.identification.online import (
@@ -210,8 +210,7 @@ def _clear(worlds, j):
 def _sense_body(worlds, numbers, j):
     """Readings of the body of rover j: speed, pitch, acceleration."""
     sd, body = numbers.task.sensors.noise, worlds.rovers.body
-    a, b = normal_pair(worlds.streams, j)
-    c, _ = normal_pair(worlds.streams, j)
+    a, b, c, _ = four_normals(worlds.streams, j)
     return BodyReading(
         body.speed[j] + sd[5] * a, body.pitch[j] + sd[7] * b, body.drawbar_pull[j] / body.mass[j] + sd[9] * c
     )
