@@ -32,8 +32,8 @@ from soil_env._numba.compiling import root
 from soil_env.identification.linearised import LN_DEPTH, MASS, SINKAGE, SLIP
 from soil_env.identification.mixture_prior import moments, prior_of_belief
 from soil_env.parameters import Belief
+from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.rover.task import axle_names
-from soil_env.simulation.rover.worlds import RoverSimulation
 from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
 from soil_env.simulation.worlds import IDLE, STEP

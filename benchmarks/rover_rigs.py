@@ -14,7 +14,7 @@ from benchmarks.common import ROOT
 from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, read_yaml, unknown_value
 from soil_env.parameters import Soil
 from soil_env.simulation.rover.dynamics import take_pitch
-from soil_env.simulation.rover.worlds import RoverSimulation
+from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.wheel import settle_at
 from soil_env.simulation.worlds import IDLE, STEP
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel

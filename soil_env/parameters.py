@@ -329,21 +329,21 @@ class Scenario(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.soils:
-            raise ParameterError("Scenario.soils: expected at least one soil name with its weight")
+            raise ParameterError("soils: expected at least one soil name with its weight")
         library = self.library
         for name, weight in self.soils.items():
             if name not in library:
-                raise unknown_key(name, library, "Scenario.soils")
+                raise unknown_key(name, library, "soils")
             if not (math.isfinite(weight) and weight >= 0.0):
-                raise ParameterError(f"Scenario.soils.{name} = {weight!r}: expected a weight >= 0")
+                raise ParameterError(f"soils.{name} = {weight!r}: expected a weight >= 0")
             library[name].lumped(self.wheel.width)
         for name, weight in self.belief.soils.items():
             if name not in library:
-                raise unknown_key(name, library, "Scenario.belief.soils")
+                raise unknown_key(name, library, "belief.soils")
             if not (math.isfinite(weight) and weight > 0.0):
-                raise ParameterError(f"Scenario.belief.soils.{name} = {weight!r}: expected a weight > 0")
+                raise ParameterError(f"belief.soils.{name} = {weight!r}: expected a weight > 0")
         if sum(self.soils.values()) <= 0.0:
-            raise ParameterError("Scenario.soils: expected at least one weight > 0")
+            raise ParameterError("soils: expected at least one weight > 0")
 
     @property
     def library(self) -> dict[str, Soil]:
@@ -434,6 +434,10 @@ def load_scenario_as(
                 if Path(which).is_dir():
                     raise ParameterError(f"{singular} = {str(which)!r}: is a folder; expected a name or a YAML file")
                 names = sorted(p.stem for p in (config_dir() / folder).glob("*.yaml"))
+                for other in ("scenarios", "rovers"):
+                    if other != folder and (config_dir() / other / f"{which}.yaml").is_file():
+                        known = f"{which!r} is one of configs/{other}; expected one of {', '.join(names)}"
+                        raise ParameterError(f"{singular}: {known}")
                 raise unknown_value(which, names, singular)
         mapping, where = read_yaml(path), path.name
         mapping.setdefault("name", path.stem)

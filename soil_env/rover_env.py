@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from soil_env.course_env import CourseEnv, View, scenario_changes
 from soil_env.parameters import SoilState
 from soil_env.simulation.rover.infos import RoverInfos
+from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.rover.task import rover_layout
-from soil_env.simulation.rover.worlds import RoverSimulation
 from soil_env.simulation.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 from soil_env.vehicle import DEFAULT_ROVER, RoverScenario, load_rover

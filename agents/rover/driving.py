@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soil_env.simulation.rover.worlds import RoverSimulation
+from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.task import Cause
 from soil_env.simulation.worlds import IDLE, STEP
 from soil_env.terramechanics.model import WheelSoilModel

@@ -57,7 +57,7 @@ def check(instance) -> None:
                     f"in [{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
                 )
         if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
-            raise ParameterError(f"{type(instance).__name__}.{f.name} = {value!r}: expected low <= high")
+            raise ParameterError(f"{type(instance).__name__}.{f.name} = {value!r}: expected the smaller number first")
 
 
 def _bound(x: float) -> str:

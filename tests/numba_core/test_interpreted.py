@@ -10,7 +10,7 @@ import pytest
 
 from soil_env.identification import Reading, newton_raphson
 from soil_env.parameters import Soil, load_scenario, soils
-from soil_env.simulation.rover.worlds import RoverSimulation
+from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, steady_state
 from soil_env.terramechanics.residual import ResidualTerm

@@ -12,7 +12,7 @@ from soil_env.rendering import rover_view as rendering
 from soil_env.rendering.rover_view import RoverRenderer, posture_of, rover_stresses
 from soil_env.rendering.side_view import Renderer
 from soil_env.rover_env import SoilRoverEnv
-from soil_env.simulation.rover.worlds import RoverSimulation
+from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.terrain import cell_at
 from soil_env.simulation.worlds import Simulation
 from soil_env.vehicle import load_rover, rover_names

@@ -9,8 +9,8 @@ import numpy as np
 
 from soil_env.identification import Status
 from soil_env.simulation.infos import IMMOBILISED, STATUS, STUCK, checked, estimates, masked
+from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.rover.task import axle_names
-from soil_env.simulation.rover.worlds import RoverSimulation
 from soil_env.simulation.task import REWARD_TERMS, Cause
 
 _OF_BODY = ("x", "speed", "pitch", "slip", "sinkage", "drawbar_pull", "motor_work")

@@ -8,7 +8,7 @@ import pytest
 
 from soil_env.simulation.rover.body import LEAST_LOAD
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, new_ruts, pass_on
-from soil_env.simulation.rover.worlds import RoverSimulation
+from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.terrain import CELL, CELLS_BEHIND
 from soil_env.simulation.wheel import axle_of, course_of, wheel_of
 from soil_env.simulation.worlds import IDLE, STEP
