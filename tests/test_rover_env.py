@@ -226,7 +226,7 @@ def test_a_hidden_effect_acts(effects):
 @pytest.mark.parametrize(("arguments", "message"), [
     ({"rove": "x"}, "unexpected keyword argument 'rove'; did you mean 'rover'?"),
     ({"scenario": "mixed"}, "unexpected keyword argument 'scenario'"),
-    ({"rover": "mixed"}, "rover: unknown value 'mixed'"),
+    ({"rover": "mixed"}, "rover: 'mixed' is one of configs/scenarios"),
     ({"rover": load_scenario("mixed")}, "expected a name, the path of a YAML file, or a RoverScenario"),
     ({"observation": "identifed"}, "observation: unknown value 'identifed'; did you mean 'identified'?"),
     ({"action": "torqe"}, "control.action = 'torqe': expected one of"),
