@@ -140,6 +140,9 @@ def against_others(seconds: float, rounds: int, wheels: int, threads: int, notes
         "threads": threads,
         "vector": comparison(ours(wheels, threads), cartpole, seconds, rounds),
         "vector_window": comparison(ours(wheels, threads, belief={"method": "window"}), None, seconds, rounds),
+        "vector_none": comparison(
+            ours(wheels, threads, observation="blind", belief={"method": "none"}), None, seconds, rounds
+        ),
         "vector_default": comparison(ours(wheels, threads, DEFAULT_SCENARIO), None, seconds, rounds),
         "single": comparison(ours_single(), cheetah, seconds, rounds),
     }

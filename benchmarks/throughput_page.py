@@ -22,6 +22,7 @@ def targets(result: dict) -> str:
             "EnvPool CartPole-v1, so too",
         ),
         "vector_window": ("the same with the window in place of the filter", ""),
+        "vector_none": ("the same with `belief.method` none, `blind`", ""),
         "vector_default": (f"the same on `{DEFAULT_SCENARIO}`, with the filter", ""),
         "single": ("`SoilWheelEnv`", "Gymnasium HalfCheetah-v5"),
     }

@@ -225,6 +225,8 @@ class OnlineIdentifier:
         self._rim_sd, self._speed_sd = noise.wheel_speed * wheel.radius, noise.speed
         twist = self._weight * wheel.radius
         self._motor_sd, self._accelerometer_sd = noise.motor_torque * twist, noise.acceleration
+        if scenario.belief.method == "none":
+            raise ParameterError("belief.method = 'none': expected 'filter' or 'window'")
         self._ready, self._observe = FastCall(_ready), FastCall(observe_rows)
         self._start, self._best = FastCall(_start), FastCall(best_working_point)
         self._numbers = identifier_numbers(scenario)

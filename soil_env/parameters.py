@@ -213,7 +213,8 @@ class Belief(Checked):
     exponent have a normal prior, K, S and the gain of digging a log-normal one (`..._sd` are relative there); the
     recovery of digging has one value. The filter estimates all six; the window estimates phi, K and S, holds the
     others and widens its standard deviations by those of cohesion and gain. The defaults are the mean and the scatter
-    of the soils that scenario "mixed" draws; S is compared at the exponent of the belief, at a sinkage of 3 cm.
+    of the soils that scenario "mixed" draws; S is compared at the exponent of the belief, at a sinkage of 3 cm. With
+    `method` "none" nothing is identified and nothing of the observation may ask for it: a step costs less than half.
     """
 
     friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=30.0)
@@ -231,7 +232,7 @@ class Belief(Checked):
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5)
     model_error: float = quantity("of load", 0.0, 1.0, default=0.01, doc="1-sigma misfit of the model itself")
     memory: float = quantity("m", 0.01, 1e3, default=1.5, doc="distance after which the window forgets a point")
-    method: Literal["filter", "window"] = "filter"
+    method: Literal["filter", "window", "none"] = "filter"
     friction_cohesion: float = quantity("", -0.99, 0.99, default=-0.6, doc="correlation, of the filter")
     friction_stiffness: float = quantity("", -0.99, 0.99, default=0.5, doc="correlation, of the filter")
     stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4, doc="correlation, of the filter")
@@ -342,6 +343,8 @@ class Scenario(Checked):
                 raise unknown_key(name, library, "belief.soils")
             if not (math.isfinite(weight) and weight > 0.0):
                 raise ParameterError(f"belief.soils.{name} = {weight!r}: expected a weight > 0")
+        if self.belief.method == "none" and self.reward.information > 0.0:
+            raise ParameterError("reward.information: expected 0 where belief.method = 'none' identifies nothing")
         if sum(self.soils.values()) <= 0.0:
             raise ParameterError("soils: expected at least one weight > 0")
 

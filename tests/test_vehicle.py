@@ -78,7 +78,7 @@ def test_scenarios_of_a_wheel_are_no_rovers(tmp_path):
     path.write_text(yaml.safe_dump(to_dict(load_scenario("mixed"))))
     for which, message in (
         (load_scenario("mixed"), "expected a name, the path of a YAML file, or a RoverScenario"),
-        ("mixed", "rover: 'mixed' is one of configs/scenarios; expected one of field_rover, lunar_micro_rover, mars_rover"),
+        ("mixed", "rover: 'mixed' is one of configs/scenarios; expected one of field_rover, lunar_micro_rover"),
         (path, "wheel.yaml: missing vehicle"),
     ):
         with pytest.raises(ParameterError) as raised:

@@ -145,6 +145,7 @@ class IdentifierNumbers(NamedTuple):
     memory: float  # [m]
     period: float  # [s]
     by_filter: bool
+    off: bool  # nothing is identified
     filter: FilterNumbers
 
 
@@ -173,6 +174,7 @@ def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
         b.memory,
         scenario.control.period,
         b.method == "filter",
+        b.method == "none",
         filter_numbers(scenario),
     )
 
@@ -213,6 +215,8 @@ def forget(ids, k, numbers):
 @inlined
 def observe(ids, k, reading, numbers):
     """Take one set of readings: `HELD`, `MOVED` or `RENEWED`."""
+    if numbers.off:
+        return HELD
     if numbers.by_filter:
         return _observe_by_filter(ids, k, reading, numbers)
     return _observe_by_window(ids, k, reading, numbers)

@@ -173,6 +173,8 @@ class TaskNumbers(NamedTuple):
 
 def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None = None) -> TaskNumbers:
     """Pack what the functions below need; `model` brings the effects that are on in this world."""
+    if variant == "identified" and scenario.belief.method == "none":
+        raise ParameterError("belief.method = 'none': expected 'filter' or 'window' for observation 'identified'")
     entries = layout(variant, scenario.course)
     lim, w = scenario.limits, scenario.wheel
     weight = scenario.weight

@@ -12,7 +12,8 @@ from soil_env.identification import LOWER, UPPER, Points, Status, predict
 from soil_env.identification import online as identifier
 from soil_env.identification.online import SensorReading
 from soil_env.identification.point import weigh
-from soil_env.parameters import load_scenario, soils
+from soil_env.online import OnlineIdentifier
+from soil_env.parameters import Belief, ParameterError, load_scenario, soils, wheels
 from soil_env.simulation.dynamics import STEP, advance
 from soil_env.simulation.sensors import sense
 from soil_env.simulation.worlds import Simulation
@@ -458,3 +459,32 @@ def test_reported_errors_are_calibrated(doubt):
     assert np.all(coverage >= low) and np.all(coverage <= high), coverage
     if doubt:
         assert np.all(np.abs(errors.mean(axis=0)) < 0.8) and np.all(errors.std(axis=0) > 0.5)
+
+
+# --- off --------------------------------------------------------------------------------------------------------------
+
+
+def test_without_identification_a_wheel_drives_as_with_it():
+    """To the bit; the estimate stays at the prior."""
+    runs = {}
+    for method in ("filter", "none"):
+        runs[method] = simulation = Simulation(1, load_scenario("mixed", {"belief": {"method": method}}), "blind", 1)
+        simulation.seed(0, np.random.default_rng(3))
+        simulation.restart(0)
+        for action in np.repeat([0.3, 0.6, 0.2], 10):
+            simulation.step(0, action)
+    a, b = (runs[method].worlds for method in ("filter", "none"))
+    np.testing.assert_array_equal(a.observation, b.observation)
+    np.testing.assert_array_equal(a.state["x"], b.state["x"])
+    assert a.ids.status[0] != Status.NO_DATA.value == b.ids.status[0]
+    np.testing.assert_array_equal(b.ids.estimate[0], runs["none"].numbers.identifier.prior)
+
+
+def test_what_asks_for_an_estimate_is_refused_without_identification():
+    off = {"belief": {"method": "none"}}
+    with pytest.raises(ParameterError, match="expected 'filter' or 'window' for observation 'identified'"):
+        Simulation(1, load_scenario("mixed", off), "identified", 1)
+    with pytest.raises(ParameterError, match=r"reward\.information: expected 0 where belief\.method = 'none'"):
+        load_scenario("mixed", off | {"reward": {"information": 1.0}})
+    with pytest.raises(ParameterError, match="belief.method = 'none': expected 'filter' or 'window'"):
+        OnlineIdentifier(wheels()["planetary_rover"], Belief(method="none"))
