@@ -7,7 +7,8 @@
 Each rover drives courses that nothing was set on, at a slip that swings slowly, each axle at a phase of its own: 20 %
 +- 18 % with a period of 4 s, at 30 % of the highest speed at least. `as configured` has the belief of the rover's file,
 which names the soils that may come and the length of a border (`Belief.soils`, `Belief.border`); `plain prior` is that
-of a wheel on "mixed". Errors are those of the soil under the wheel, over driven steps; 95 % intervals are bootstrapped
+of a wheel on "mixed". `at constant speed` has the belief of the file and turns all wheels at half of the highest
+speed. Errors are those of the soil under the wheel, over driven steps; 95 % intervals are bootstrapped
 over courses.
 """
 
@@ -40,8 +41,9 @@ from soil_env.simulation.worlds import IDLE, STEP
 from soil_env.vehicle import RoverScenario, load_rover
 
 _PAGE = ROOT / "docs" / "rover_identification.md"
-ROVERS = ("field_rover", "mars_rover")
-BELIEFS = ("plain prior", "as configured")
+ROVERS = ("field_rover", "mars_rover", "lunar_micro_rover")
+CASES = ("plain prior", "as configured", "at constant speed")
+CONSTANT_SPEED = 0.5  # of the highest rim speed
 #: Slip that is asked for, by how much it swings, period [s], least rim speed [of the highest] at no slip.
 MEAN_SLIP, SWING, PERIOD, LEAST_SPEED = 0.2, 0.18, 4.0, 0.3
 #: Distances of the front axle behind a border [wheelbases].
@@ -52,10 +54,10 @@ _UNIT = np.array([math.degrees(1.0), 1.0, 1e-3])
 _OF_WHEEL = ("slip", "sinkage", "load", "grade", "wheel_speed")
 
 
-def scenario_of(rover: str, belief: str) -> RoverScenario:
-    """A rover's scenario with one of `BELIEFS`, driven by rim speeds."""
+def scenario_of(rover: str, case: str) -> RoverScenario:
+    """A rover's scenario with the belief of one of `CASES`, driven by rim speeds."""
     control = {"control": {"action": "wheel_speed", "repeat": 1}}
-    if belief == "as configured":
+    if case != "plain prior":
         return load_rover(rover, control)
     return replace(load_rover(rover, control), belief=Belief())
 
@@ -95,13 +97,24 @@ class SwingingSlip:
         return rim
 
 
-def record(scenario: RoverScenario, courses: int, seed: int) -> tuple[dict[str, np.ndarray], dict]:
+class ConstantSpeed:
+    """Rim speeds [rovers, axles], of the highest, all alike."""
+
+    def __init__(self, scenario: RoverScenario) -> None:
+        self.axles: int = scenario.axles
+
+    def __call__(self, speed: np.ndarray) -> np.ndarray:
+        """Whatever the measured speeds [rovers]."""
+        return np.full((len(speed), self.axles), CONSTANT_SPEED)
+
+
+def record(scenario: RoverScenario, courses: int, seed: int, drive) -> tuple[dict[str, np.ndarray], dict]:
     """Drive the courses: arrays [T, courses, axles, ...] of truth and estimates, and how the courses ended."""
     simulation = RoverSimulation(courses, scenario, "blind", 2)
     for j in range(courses):
         simulation.seed(j, np.random.default_rng([seed, j]))
     simulation.restart_where(np.ones(courses, dtype=bool))
-    w, rows, drive = simulation.worlds, simulation.wheels, SwingingSlip(scenario)
+    w, rows = simulation.worlds, simulation.wheels
     going, log = np.ones(courses, dtype=bool), []
     while going.any():
         commands = drive(w.observation[:, 0].astype(float))
@@ -224,16 +237,17 @@ def bounds(log: dict, scenario: RoverScenario, place: float, courses: int) -> di
 
 
 def study(courses: int, seed: int, bound_courses: int) -> dict:
-    """All rovers with all beliefs."""
+    """All rovers in all cases."""
     result: dict = {"courses": courses, "seed": seed, "bound_courses": bound_courses, "cases": []}
     for rover in ROVERS:
-        for belief in BELIEFS:
-            scenario = scenario_of(rover, belief)
-            log, ends = record(scenario, courses, seed)
-            case = {"rover": rover, "belief": belief, "ends": ends, "rows": errors(log, scenario, seed)}
+        for name in CASES:
+            scenario = scenario_of(rover, name)
+            drive = (ConstantSpeed if name == "at constant speed" else SwingingSlip)(scenario)
+            log, ends = record(scenario, courses, seed, drive)
+            case = {"rover": rover, "case": name, "ends": ends, "rows": errors(log, scenario, seed)}
             case["bounds"] = bounds(log, scenario, PLACES[-1], bound_courses)
             result["cases"].append(case)
-            print(f"{rover}, {belief}: {ends}", file=sys.stderr)
+            print(f"{rover}, {name}: {ends}", file=sys.stderr)
     return plain(result)
 
 
@@ -250,7 +264,7 @@ def error_table(result: dict) -> Table:
         for row in case["rows"]:
             inside = (" / ".join(f"{100.0 * v:.0f}" for v in row[f"{kind}_inside"]) for kind in ("alone", "pooled"))
             prior = " / ".join(f"{v:.{d}f}" for v, d in zip(row["prior"]["value"], (2, 2, 2), strict=True))
-            named = f"{case['rover']}, {case['belief']}", row["place"], row["axle"]
+            named = f"{case['rover']}, {case['case']}", row["place"], row["axle"]
             rows.append((*named, _cell(row["alone"]), _cell(row["pooled"]), prior, *inside))
     return Table(
         ("rover", "front axle behind a border [wheelbases]", "axle", "alone", "pooled", "prior",
@@ -262,7 +276,7 @@ def bound_table(result: dict) -> Table:
     """Cramer-Rao bounds."""
     rows = [
         (
-            f"{case['rover']}, {case['belief']}",
+            f"{case['rover']}, {case['case']}",
             *(f"{v[0]:.2f} / {v[1]:.3f} / {v[2]:.2f}" for v in case["bounds"].values()),
         )
         for case in result["cases"]
