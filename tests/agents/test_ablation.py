@@ -12,7 +12,6 @@ import types
 import numpy as np
 import pytest
 import yaml
-from matplotlib.figure import Figure
 
 from agents.ablation import results, study
 from agents.ablation.__main__ import main
@@ -62,12 +61,6 @@ def done(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ablation")
     assert main(["--config", str(config(folder)), "--out", str(folder / "out")]) == 0
     return folder / "out"
-
-
-@pytest.fixture()
-def undrawn(monkeypatch):
-    """Figures are composed but not rendered, which takes longer than to go on with a small study."""
-    monkeypatch.setattr(Figure, "savefig", lambda figure, stream, **options: stream.write(b"not rendered"))
 
 
 def read(folder):
@@ -132,7 +125,7 @@ def test_the_page_holds_what_the_result_says(done, tmp_path):
 # --- going on ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("unrendered")
 def test_what_is_lost_is_made_again_and_gives_the_same(done, tmp_path):
     again = tmp_path / "out"
     shutil.copytree(done, again)
@@ -147,7 +140,7 @@ def test_what_is_lost_is_made_again_and_gives_the_same(done, tmp_path):
     assert (again / "comparison.json").read_bytes() == (done / "comparison.json").read_bytes()
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("unrendered")
 def test_a_study_grows_by_seeds_and_by_nothing_else(done, tmp_path, capsys):
     again = tmp_path / "out"
     shutil.copytree(done, again)
