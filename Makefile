@@ -31,7 +31,7 @@ TEST_READY := $(VENV)/.installed-test
 DOCS_READY := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
-.PHONY: help train test checks lint types format kernels bytecode docs dist bench clients clean
+.PHONY: help train test checks lint types format kernels docs dist bench clients clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
@@ -45,7 +45,7 @@ test: $(BASE_READY)  ## lint, build the site, compile the kernels, run the tests
 	$(PY) -m pytest -q -n $(JOBS) --dist worksteal $(ARGS)
 
 checks: $(TEST_READY)
-	$(MAKE) lint docs bytecode
+	$(MAKE) lint docs
 
 lint: $(TEST_READY)  ## ruff, import contracts, types, workflow files
 	$(BIN)/ruff check .
@@ -64,10 +64,6 @@ types: $(TEST_READY)  ## whether every public name of soil_env has a complete ty
 
 kernels: $(BASE_READY)  ## compile what most tests use, once for all test processes
 	$(PY) -m soil_env.warmup
-
-# Every test process would write it at the same time. What is wrong with a test file is told when the tests run.
-bytecode: $(TEST_READY)
-	@$(PY) -m pytest --collect-only -qq > /dev/null || true
 
 docs: $(DOCS_READY)  ## build the documentation into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
