@@ -25,12 +25,13 @@ TORCH := $(shell sed -n 's/^\(torch==[^ ]*\).*/\1/p' constraints.txt)
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 TORCH_READY := $(VENV)/.installed-torch
+BASE_READY := $(VENV)/.installed
 TRAIN_READY := $(VENV)/.installed-train
 TEST_READY := $(VENV)/.installed-test
 DOCS_READY := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
-.PHONY: help train test lint types format kernels docs dist bench clients clean
+.PHONY: help train test checks lint types format kernels docs dist bench clients clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
@@ -38,10 +39,13 @@ help:  ## list the targets
 train: $(TRAIN_READY)  ## install what training needs, then run train.py $(ARGS)
 	$(PY) train.py $(ARGS)
 
-# Compiling the kernels takes one core for a while, lint and site the other.
-test: $(TEST_READY)  ## lint, build the site, compile the kernels, run the tests
-	$(MAKE) -j 2 kernels lint docs
+# Compiling the kernels takes one core for a while; the rest of the installation, lint and site the other.
+test: $(BASE_READY)  ## lint, build the site, compile the kernels, run the tests
+	$(MAKE) -j 2 kernels checks
 	$(PY) -m pytest -q -n $(JOBS) --dist worksteal $(ARGS)
+
+checks: $(TEST_READY)
+	$(MAKE) lint docs
 
 lint: $(TEST_READY)  ## ruff, import contracts, types, workflow files
 	$(BIN)/ruff check .
@@ -58,7 +62,7 @@ format: $(TEST_READY)  ## let ruff format the code and repair what it can
 types: $(TEST_READY)  ## whether every public name of soil_env has a complete type; needs npx
 	PATH="$(CURDIR)/$(BIN):$$PATH" PYTHONPATH="$(CURDIR)" npx --yes pyright@1.1.414 --ignoreexternal --verifytypes soil_env
 
-kernels: $(TEST_READY)  ## compile what most tests use, once for all test processes
+kernels: $(BASE_READY)  ## compile what most tests use, once for all test processes
 	$(PY) -m soil_env.warmup
 
 docs: $(DOCS_READY)  ## build the documentation into site/; a warning is an error
@@ -92,13 +96,18 @@ $(TORCH_READY): constraints.txt | $(PY)
 	  || echo "No CPU build of torch from $(TORCH_INDEX); going on with pip's usual indexes."
 	@touch $@
 
+# What soil_env itself needs: enough to compile the kernels while the rest is installed.
+$(BASE_READY): pyproject.toml constraints.txt | $(PY)
+	$(PIP) install -q --no-compile -c constraints.txt -e .
+	@touch $@
+
 $(TRAIN_READY): pyproject.toml constraints.txt $(TORCH_READY)
 	$(PIP) install -q --no-compile -c constraints.txt -e '.[train]'
 	@touch $@
 
-$(TEST_READY): pyproject.toml constraints.txt $(TORCH_READY)
+$(TEST_READY): pyproject.toml constraints.txt $(BASE_READY) $(TORCH_READY)
 	$(PIP) install -q --no-compile -c constraints.txt -e '.[train,recurrent,export,logs,test,docs]'
-	@touch $@ $(TRAIN_READY) $(DOCS_READY)
+	@touch $(BASE_READY) $(TRAIN_READY) $(DOCS_READY) $@
 
 # The site is made from the sources, none of which is imported: no torch.
 $(DOCS_READY): pyproject.toml constraints.txt | $(PY)

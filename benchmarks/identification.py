@@ -324,12 +324,13 @@ def study(seed: int, smoke: bool, courses: int = 200, names=PARTS) -> dict:
     seeds = np.random.SeedSequence(seed).spawn(3)
     rngs, result, once = [np.random.default_rng(s) for s in seeds], {}, _replay_once()
     courses, every = 2 if smoke else courses, identification_bound.ESTIMATORS | identification_bound.OTHERS
+    rounds = 1 if smoke else 7
     parts = {
         "convergence": lambda: convergence(rngs[0], 50 if smoke else 10_000),
         "efficiency": lambda: efficiency(rngs[1], 20 if smoke else 1000),
         "identifiability": identifiability,
         "speed": lambda: speed(rngs[2], 3 if smoke else 50),
-        "online": lambda: identification_online.run(courses, seed, _say, replay=once),
+        "online": lambda: identification_online.run(courses, seed, _say, replay=once, rounds=rounds),
         "bound": lambda: identification_bound.study(load_scenario("mixed", TORQUE), courses, seed, every, once),
         "manoeuvre": lambda: identification_bound.manoeuvre(load_scenario("mixed", TORQUE), 2 if smoke else 60, seed),
     }

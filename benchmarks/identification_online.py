@@ -259,9 +259,11 @@ def measure(logs: list[dict], replays: list[tuple], scenario: Scenario, seed: in
 
 
 def run(
-    courses: int = 200, seed: int = 0, progress=None, contenders=CONTENDERS, draws: int = 1000, replay=replay
-) -> dict:
-    """Record, replay, measure: one JSON-serialisable dict. `progress`, where given, is called with lines of text."""
+    courses: int = 200, seed: int = 0, progress=None, contenders=CONTENDERS, draws: int = 1000, replay=replay,
+    rounds: int = 7,
+) -> dict:  # fmt: skip
+    """Record, replay, measure, and time in `rounds`: one JSON-serialisable dict. `progress`, where given, is called
+    with lines of text."""
     say = progress or (lambda line: None)
     scenario = load_scenario("mixed", TORQUE)
     logs, driven = record(scenario, courses, seed)
@@ -281,7 +283,7 @@ def run(
         entry["time"] = {"mean_us": 1e6 * float(seconds.mean()), "median_us": 1e6 * float(np.median(seconds))}
         result["contenders"][name] = entry
         say(f"{name}: rms {entry['rms']['phi_deg']['value']:.2f} deg, {entry['time']['mean_us']:.1f} us a reading")
-    result["time"] = compare_times(scenario, logs, contenders)
+    result["time"] = compare_times(scenario, logs, contenders, rounds)
     return plain(result)
 
 
@@ -305,8 +307,8 @@ def _timed_compiled(name: str, scenario: Scenario, readings: np.ndarray):
     return spent / T, spent / max(int(np.sum(done.outcome == RENEWED)), 1)
 
 
-def compare_times(scenario: Scenario, logs: list[dict], contenders=CONTENDERS, repeats: int = 7) -> dict:
-    """Time a reading and time a solve, all contenders in turn on the same log; the best of `repeats` rounds.
+def compare_times(scenario: Scenario, logs: list[dict], contenders, rounds: int) -> dict:
+    """Time a reading and time a solve, all contenders in turn on the same log; the best of `rounds`.
 
     `us_per_reading`: all time over all readings. `us_per_solve`: of the readings that solved; for those that run
     compiled (`COMPILED`), all time over the solves, so that collecting is charged to them. `ours_from_python` is the
@@ -314,7 +316,7 @@ def compare_times(scenario: Scenario, logs: list[dict], contenders=CONTENDERS, r
     """
     readings = max((log["readings"] for log in logs), key=len)
     rows: dict[str, list] = {name: [] for name in (*contenders, "ours_from_python")}
-    for _ in range(repeats):
+    for _ in range(rounds):
         for name in rows:
             if name in COMPILED:
                 rows[name].append(_timed_compiled(name, scenario, readings))
@@ -366,7 +368,7 @@ def main(arguments: list[str] | None = None) -> int:
         tune_ukf(2 if options.smoke else 6, options.seed, print)
         return 0
     make_folder(options.out)
-    result = run(2, options.seed, draws=50) if options.smoke else run(options.courses, options.seed, print)
+    result = run(2, options.seed, draws=50, rounds=1) if options.smoke else run(options.courses, options.seed, print)
     write_json(options.out / "online.json", result)
     figure(result, options.out / "online.png")
     return 0

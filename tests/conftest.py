@@ -33,6 +33,14 @@ def importable(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", PYTHONPATH)
 
 
+@pytest.fixture()
+def unrendered(monkeypatch):
+    """Figures are composed but not rendered, which takes longer than what many a small study computes."""
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(Figure, "savefig", lambda figure, stream, **options: stream.write(b"not rendered"))
+
+
 @pytest.fixture(scope="session")
 def cluster():
     """A Ray cluster of two nodes of one CPU each, on this machine."""

@@ -109,7 +109,7 @@ class Points(NamedTuple):
 
 def measured_points() -> Points:
     """The three measured points of Table 3."""
-    return Points(*np.array([(p.slip, p.sinkage, p.drawbar_pull) for p in _P.measured]).T)
+    return Points(*np.array([(p.slip, p.sinkage, p.drawbar_pull) for p in _P.measured]).T.copy())
 
 
 @root(allocates=True)

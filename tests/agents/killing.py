@@ -1,8 +1,8 @@
 """Work killed with SIGKILL over and over and begun again, until it ends: `python -m tests.agents.killing NAME FOLDER`.
 
-Each process is a fork of this one, which has imported everything and started no thread: a fork of a process with
-threads (of autograd, of TensorBoard's writer) may crash. It is killed where it puts a file in its place (`os.replace`,
-as `soil_env._io.files.replace_file` does), before or after that.
+Each process is a fork of this one, which has imported all that the work imports and started no thread: a fork of a
+process with threads (of autograd, of TensorBoard's writer) may crash. It is killed where it puts a file in its place
+(`os.replace`, as `soil_env._io.files.replace_file` does), before or after that.
 """
 
 import faulthandler
@@ -82,6 +82,19 @@ def kill_at_a_file(number: int, when: str) -> None:
     os.replace, studies.append_line = replaced, appended
 
 
+def load_sim2real() -> None:
+    """Import what the study imports, so that the forks need not."""
+    import optuna  # noqa: F401
+    import torch
+
+    import agents.sim2real.report
+    import agents.training  # noqa: F401
+    import tests.agents.test_sim2real  # noqa: F401
+
+    torch.set_num_threads(1)
+    torch.optim.Adam([torch.zeros(1)])  # imports a good deal when it is first used
+
+
 def sim2real(folder: Path) -> None:
     """A tiny study of `agents.sim2real`, with checkpoints in the trainings."""
     from agents.ppo import TrainConfig
@@ -93,6 +106,12 @@ def sim2real(folder: Path) -> None:
     study.begin(asked, folder)
     study.run(asked, folder, lambda text: None)
     report.write(asked, report.result(asked, folder), folder)
+
+
+def load_blind() -> None:
+    """Import what the benchmark imports."""
+    import benchmarks.blind.__main__
+    import benchmarks.blind.entrants.bic  # noqa: F401
 
 
 def blind_cases(folder: Path) -> None:
@@ -109,14 +128,9 @@ def main(name: str, folder: Path) -> None:
 
     Both are done in folder/work, whose name some results have in them.
     """
-    import torch
-
-    import agents.sim2real.study  # noqa: F401  # loaded before the forks
-    import benchmarks.blind.__main__  # noqa: F401
-
     faulthandler.enable()
-    torch.set_num_threads(1)
-    work = {"sim2real": sim2real, "blind": blind_cases}[name]
+    load, work = {"sim2real": (load_sim2real, sim2real), "blind": (load_blind, blind_cases)}[name]
+    load()
     if (status := status_of(lambda: work(folder / "work"))) != 0:
         raise RuntimeError(f"undisturbed work ended with status {status}")
     (folder / "work").rename(folder / "calm")

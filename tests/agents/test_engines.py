@@ -1,11 +1,8 @@
 """Every engine gives the same evaluation, and a worker that is killed loses nothing."""
 
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
 from functools import partial
 from pathlib import Path
 
@@ -15,6 +12,7 @@ from agents import ppo, studies
 from agents.evaluate.__main__ import main
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario
+from tests.agents import work
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT = "--changes.control.time_limit=6 --changes.course.length=2 --courses=8 --block=2 --resamples=50 --seed=3".split()
@@ -54,23 +52,6 @@ def test_processes_give_what_one_process_gives(controllers, local, tmp_path, imp
     same(tmp_path / "out", local)
 
 
-def double(x):
-    """Work that dies once if told so: (number, file that says it has)."""
-    number, mark = x
-    if mark and not os.path.exists(mark):
-        Path(mark).write_text("killed")
-        os.kill(os.getpid(), signal.SIGKILL)
-    return 2 * number
-
-
-def refuse(x):
-    raise ParameterError(f"no {x[0]}")
-
-
-def always_die(x):
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
 @pytest.fixture(params=["processes", "ray"])
 def engine(request):
     """A function that does work elsewhere."""
@@ -80,33 +61,19 @@ def engine(request):
 
 def test_a_killed_worker_loses_nothing(tmp_path, engine):
     tasks = [(k, str(tmp_path / "mark") if k == 3 else "") for k in range(8)]
-    done = list(engine(double, tasks))
+    done = list(engine(work.double, tasks))
     assert sorted(done) == [(task, 2 * task[0]) for task in tasks]
     assert (tmp_path / "mark").exists()
 
 
 def test_processes_that_always_die_are_given_up(importable):
     with pytest.raises(ParameterError, match="died 4 times"):
-        list(studies.processes(always_die, [(0, "")], workers=1))
-
-
-def waiting(name):
-    """Work "long" that writes a file when it is interrupted, as a training its checkpoint, and "short" beside it."""
-    if name == "short":
-        while not Path("begun").exists():
-            time.sleep(0.01)
-        return
-    try:
-        Path("begun").touch()
-        time.sleep(60.0)
-    except KeyboardInterrupt:
-        Path("interrupted").touch()
-        raise
+        list(studies.processes(work.always_die, [(0, "")], workers=1))
 
 
 def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    done = studies.processes(waiting, ["long", "short"], workers=2)
+    done = studies.processes(work.waiting, ["long", "short"], workers=2)
     assert next(done) == ("short", None)
     done.close()
     assert (tmp_path / "interrupted").exists()
@@ -114,7 +81,7 @@ def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, m
 
 def test_bad_input_found_by_a_worker_comes_back(engine):
     with pytest.raises(ParameterError, match="^no 5$"):
-        list(engine(refuse, [(5, "")]))
+        list(engine(work.refuse, [(5, "")]))
 
 
 def test_ray_that_is_absent_is_said_in_one_line(capsys, monkeypatch, tmp_path):
@@ -128,18 +95,8 @@ def test_ray_that_is_absent_is_said_in_one_line(capsys, monkeypatch, tmp_path):
 # --- Ray --------------------------------------------------------------------------------------------------------------
 
 
-def where(x):
-    """The node that a task ran on."""
-    import time
-
-    import ray
-
-    time.sleep(0.3)
-    return ray.get_runtime_context().get_node_id()
-
-
 def test_ray_uses_both_nodes(connected):
-    nodes = {node for _, node in studies.on_ray(where, range(8))}
+    nodes = {node for _, node in studies.on_ray(work.where, range(8))}
     assert len(nodes) == 2
 
 

@@ -1,7 +1,6 @@
 """`python -m agents.evaluate` interrupted, killed, out of disk: it goes on where it was, with the same results."""
 
 import json
-import os
 import resource
 import shutil
 import subprocess
@@ -80,19 +79,18 @@ def test_a_damaged_log_is_refused_in_one_line(capsys, tmp_path, done, damage):
     assert error.count("\n") == 1 and "courses.jsonl: line 3 is damaged" in error and "delete the line" in error
 
 
-def test_kill_9_and_resume_give_the_same_table(tmp_path):
+def test_kill_9_and_resume_give_the_same_table(tmp_path, monkeypatch):
     """A controller that kills the process in the middle of a block."""
     out, calm, mark = tmp_path / "out", tmp_path / "calm", tmp_path / "killed"
-    command = [sys.executable, "-m", "agents.evaluate", *SHORT, "--changes.control.action=torque"]
-    command.append("--controllers=half=tests.agents.drivers:Half,tests.agents.drivers:Killer")
-    env = {**os.environ, "SOIL_ENV_TEST_KILL": str(mark), "MPLBACKEND": "Agg"}
-    root = Path(__file__).resolve().parents[2]
-    killed = subprocess.run([*command, f"--out={out}"], cwd=root, env=env, capture_output=True, timeout=300)
+    asked = [*SHORT, "--changes.control.action=torque"]
+    asked.append("--controllers=half=tests.agents.drivers:Half,tests.agents.drivers:Killer")
+    monkeypatch.setenv("SOIL_ENV_TEST_KILL", str(mark))
+    command = [sys.executable, "-m", "agents.evaluate", *asked, f"--out={out}"]
+    killed = subprocess.run(command, cwd=Path(__file__).resolve().parents[2], capture_output=True, timeout=300)
     assert killed.returncode == -9 and mark.exists()
     assert len((out / "courses.jsonl").read_text().splitlines()) == 1
-    for more in (("--resume", str(out)), (*command[3:], f"--out={calm}")):
-        again = subprocess.run([*command[:3], *more], cwd=root, env=env, capture_output=True, text=True, timeout=300)
-        assert again.returncode == 0, again.stderr
+    assert main(["--resume", str(out)]) == 0
+    assert main([*asked, f"--out={calm}"]) == 0
     same(out, calm)
 
 

@@ -124,6 +124,7 @@ def tiny(worlds, **changes):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unrendered")
 def test_study_finds_the_planted_effect_reports_and_resumes(tmp_path):
     asked = tiny([WORLDS / "bulldozing.yaml"])
     study.begin(asked, tmp_path)

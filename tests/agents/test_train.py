@@ -15,7 +15,7 @@ import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import train
-from agents import cli, ppo, training
+from agents import cli, plots, ppo, training
 from agents.controllers import CONTROLLERS
 from agents.evaluate import METRICS
 from agents.ppo import PPOConfig, TrainConfig, load_agent, load_config, read_meta
@@ -43,6 +43,13 @@ def run(capsys, *arguments):
         code = exit.code
     out, err = capsys.readouterr()
     return code, out, err
+
+
+@pytest.fixture()
+def undrawn(monkeypatch):
+    """The two figures of a run are empty files: drawing them takes longer than the rest of a tiny run."""
+    monkeypatch.setattr(plots, "comparison_figure", lambda result, path: path.touch())
+    monkeypatch.setattr(plots, "course_figure", lambda *given: given[4].touch())
 
 
 def refused(capsys, *arguments):
@@ -154,6 +161,7 @@ def test_other_observations_are_trained_under_their_names(capsys, tmp_path, vari
     assert set(json.loads((folder / "comparison.json").read_text())["controllers"]) == {*CONTROLLERS, name}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_command_line_goes_over_the_file(capsys, tmp_path):
     file = tmp_path / "my.yaml"
     file.write_text("courses: 9\nseed: 4\nppo: {gamma: 0.9, layer: 6}\nchanges: {course: {length: 3}}\n")
@@ -169,6 +177,7 @@ def test_command_line_goes_over_the_file(capsys, tmp_path):
     assert scenario.control.time_limit == 5.0
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_same_seed_gives_the_same_comparison(capsys, tmp_path):
     for name in "ab":
         assert run(capsys, *TINY, "--runs", tmp_path, "--name", name)[0] == 0
@@ -302,6 +311,7 @@ def test_resume_of_what_is_no_run_is_refused(capsys, tmp_path):
 # --- resume -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_resume_of_a_finished_run_does_nothing_takes_no_options_and_without_its_result_compares_again(
     capsys, tmp_path, monkeypatch
 ):
@@ -320,6 +330,7 @@ def test_resume_of_a_finished_run_does_nothing_takes_no_options_and_without_its_
     assert (folder / "model.zip").read_bytes() == model
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_failure_while_comparing_does_not_lose_the_model(capsys, tmp_path, monkeypatch):
     def fail(*args, **kwargs):
         raise OSError(28, "No space left on device", "comparison.json")
@@ -333,6 +344,7 @@ def test_a_failure_while_comparing_does_not_lose_the_model(capsys, tmp_path, mon
     assert code == 0, err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_interrupt_saves_a_checkpoint_and_resume_completes(capsys, tmp_path, monkeypatch):
     """Ctrl-C in the middle of the third of four rollouts."""
     from agents.sb3 import SoilWheelVecEnv
@@ -371,6 +383,7 @@ def test_interrupt_saves_a_checkpoint_and_resume_completes(capsys, tmp_path, mon
     assert steps == sorted(set(steps)) and steps[-1] > reached
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_interrupt_before_any_training_can_be_resumed(capsys, tmp_path, monkeypatch):
     def interrupt(*args, **kwargs):
         raise KeyboardInterrupt
@@ -384,6 +397,7 @@ def test_interrupt_before_any_training_can_be_resumed(capsys, tmp_path, monkeypa
     assert load_agent(tmp_path / "n").timesteps == 256
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_checkpoints_come_as_often_as_asked(capsys, tmp_path, monkeypatch):
     saved = []
     original = ppo.save
@@ -410,6 +424,7 @@ def shorten(folder, extra=2 * ROLLOUT):
     return reached
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_kill_after_a_checkpoint(capsys, tmp_path):
     """kill -9 in a run that writes checkpoints all the time: it can always be resumed."""
     folder = tmp_path / "n"
@@ -433,8 +448,10 @@ def test_kill_after_a_checkpoint(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("more", [[], ["--ppo.history=3", "--ppo.critic=true_soil", "--hidden_worlds=2"]])
-def test_a_run_that_was_killed_ends_as_one_that_was_not(capsys, tmp_path, monkeypatch, more):
+def test_a_run_that_was_killed_ends_as_one_that_was_not(capsys, tmp_path, monkeypatch, request, more):
     """Killed after a checkpoint, in the middle of the next rollout: the same weights, the same table."""
+    if not more:
+        request.getfixturevalue("undrawn")
     arguments = [*TINY, *more, "--timesteps=640", f"--checkpoint_every={2 * ROLLOUT}", "--runs", tmp_path]
     assert run(capsys, *arguments, "--name", "calm")[0] == 0
 

@@ -216,7 +216,10 @@ def test_agents_to_judge_it_on_are_refused_in_one_line(given, words, tmp_path, c
 def test_the_command_writes_weights_figures_and_page(tmp_path, monkeypatch):
     pytest.importorskip("torch")
     from agents.warning import __main__ as command
+    from agents.warning import drives as driven
 
+    short = {"course": {"length": 3.0}, "control": {"action": "torque", "time_limit": 30.0}}
+    monkeypatch.setattr(driven, "load_scenario", lambda name, changes: load_scenario(name, short))
     few = {name: FAMILIES[name] for name in (*DRIVERS[:2], next(name for name in FAMILIES if name not in DRIVERS))}
     for module in (study, command):
         monkeypatch.setattr(module, "FAMILIES", few)

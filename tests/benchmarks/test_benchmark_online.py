@@ -22,7 +22,7 @@ def logs():
 
 
 def test_smoke_run_reports_every_number_and_draws(tmp_path):
-    result = online.run(2, draws=50)
+    result = online.run(2, draws=50, rounds=1)
     json.dumps(result, allow_nan=False)
     assert set(result["contenders"]) == set(online.CONTENDERS) and set(result["prior_rms"]) == set(online.PARAMETERS)
     for name, entry in result["contenders"].items():

@@ -38,6 +38,7 @@ def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
     assert "calibrating the base model" in shown.err and shown.err.count("searching") == 1
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_files_of_an_earlier_run_are_replaced_and_others_kept(tmp_path):
     write_files(tmp_path, TABLE)
     (tmp_path / "out").mkdir()
@@ -120,6 +121,7 @@ def test_what_cannot_end_well_is_refused_before_the_work(tmp_path, capsys, monke
     assert names(tmp_path / "held") == ["model.yaml"]
 
 
+@pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize(
     "step, error, status",
     [("replace_files", OSError(28, "No space left on device"), 2), ("page", KeyboardInterrupt(), 130)],

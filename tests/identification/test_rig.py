@@ -125,7 +125,7 @@ def test_free_climbing_tells_the_soil(tmp_path):
             def left(b, slip=slip, load=load):
                 return steady(slip, load * math.cos(b))[1] - load * math.sin(b)
 
-            b = brentq(left, -0.5, 0.8)
+            b = brentq(left, -0.5, 0.8, xtol=1e-8)
             z, _, torque = steady(slip, load * math.cos(b))
             rows.append((slip, load, math.degrees(b), z, 0.0, torque))
     names = "slip,load,grade_deg,sinkage,drawbar_pull,torque"

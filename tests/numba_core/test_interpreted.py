@@ -25,13 +25,19 @@ LAW = (ResidualTerm("drawbar_pull", -0.1, {"slip": 1}), ResidualTerm("torque", 0
 MODELS = {"no effects": None, "effects": WheelSoilModel(ModelWheel(0.15, 0.15, 0.012), None, EFFECTS, LAW)}
 
 
+#: Rim speeds of the control periods: with effects the last makes steps so short that the wheel is taken alone.
+COMMANDS = {
+    "no effects": (0.3, 0.8, 1.0, -0.4, 1.0), "effects": (0.3, 0.5, 0.8, 1.0, -0.4, 0.0, 0.6, 0.2, 0.7, 0.3),
+}  # fmt: skip
+
+
 def drive(name):
     """Arrays by name: what is simulated, observed and identified in a few control periods on the way."""
     simulation = Simulation(1, load_scenario("mixed"), "identified", threads=1, model=MODELS[name])
     simulation.seed(0, np.random.default_rng(0))
     simulation.restart(0)
     rows = []
-    for command in (0.3, 0.5, 0.8, 1.0, -0.4, 0.0, 0.6, 0.2, 0.7, 0.3):
+    for command in COMMANDS[name]:
         simulation.step(0, command)
         rows.append(list(simulation.wheel(0).values()))
     worlds = simulation.worlds
@@ -79,17 +85,24 @@ ROVERS = {name: (drive_rover, name) for name in ("lunar_micro_rover", "mars_rove
 RUNS = {**{name: (drive, name) for name in MODELS}, **ROVERS, "identification": (identify,)}
 
 
+#: What scratch memory holds before it is written, in the interpreted runs.
+UNSET = ("0.0", "nan", "1e300")
+
+
 @pytest.fixture(scope="module")
 def interpreted(tmp_path_factory):
-    """{run: arrays} of a process that compiles nothing."""
+    """{what scratch memory held: {run: arrays}} of a process that compiles nothing."""
     folder = tmp_path_factory.mktemp("interpreted")
     code = (
         "import sys, numpy as np\n"
+        "from soil_env._numba import interpreted\n"
         "from soil_env._numba.compiling import COMPILED\n"
-        "from tests.numba_core.test_interpreted import RUNS\n"
+        "from tests.numba_core.test_interpreted import RUNS, UNSET\n"
         "assert not COMPILED\n"
-        "for name, (run, *given) in RUNS.items():\n"
-        "    np.savez(f'{sys.argv[1]}/{name}.npz', **run(*given))\n"
+        "for unset in UNSET:\n"
+        "    interpreted.UNSET = float(unset)\n"
+        "    for name, (run, *given) in RUNS.items():\n"
+        "        np.savez(f'{sys.argv[1]}/{unset} {name}.npz', **run(*given))\n"
     )
     root = Path(__file__).resolve().parents[2]
     env = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(root)}
@@ -98,15 +111,21 @@ def interpreted(tmp_path_factory):
         capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
-    return {name: dict(np.load(folder / f"{name}.npz")) for name in RUNS}
+    return {unset: {name: dict(np.load(folder / f"{unset} {name}.npz")) for name in RUNS} for unset in UNSET}
 
 
 @pytest.mark.parametrize("name", RUNS)
 def test_python_gives_what_the_compiled_code_gives(interpreted, name):
     run, *given = RUNS[name]
     compiled = run(*given)
-    assert compiled.keys() == interpreted[name].keys()
+    assert compiled.keys() == interpreted["0.0"][name].keys()
     for key, value in compiled.items():
         tolerance = 1e-6 if value.dtype == np.float32 else 1e-9
         scale = 1e-12 * np.abs(value[np.isfinite(value)]).max()
-        np.testing.assert_allclose(interpreted[name][key], value, rtol=tolerance, atol=scale, err_msg=key)
+        np.testing.assert_allclose(interpreted["0.0"][name][key], value, rtol=tolerance, atol=scale, err_msg=key)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_what_scratch_memory_holds_before_changes_no_bit(interpreted, name):
+    found = [{key: array.tobytes() for key, array in interpreted[unset][name].items()} for unset in UNSET]
+    assert len(found[0]) > 1 and found[0] == found[1] == found[2]

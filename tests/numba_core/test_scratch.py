@@ -1,13 +1,10 @@
-"""Scratch memory on the stack: written before it is read, and never returned by the function that it belongs to."""
+"""Scratch memory on the stack is never returned by the function that it belongs to.
+
+That it is written before it is read: `test_interpreted.py`.
+"""
 
 import ast
-import os
-import subprocess
-import sys
 from pathlib import Path
-
-import numpy as np
-import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted(p for p in (ROOT / "soil_env").rglob("*.py") if "_numba" not in p.parts)
@@ -66,25 +63,3 @@ def test_no_function_returns_its_scratch_memory():
     bad = "def f():\n    return Substep(new_footing(), 1)\ndef g():\n    a = new_footing()\n    return a, 2\n"
     fine = "def h():\n    a = new_footing()\n    return total(a)\n"
     assert list(returned(bad + fine, {"new_footing"})) == ["f", "g"]
-
-
-@pytest.mark.slow
-def test_what_scratch_memory_holds_before_changes_no_bit(tmp_path):
-    """The interpreted kernels with scratch of NaN and of 1e300: driving with and without effects, identifying."""
-    code = (
-        "import sys, numpy as np\n"
-        "from soil_env._numba import interpreted\n"
-        "interpreted.UNSET = float(sys.argv[1])\n"
-        "from tests.numba_core.test_interpreted import RUNS\n"
-        "runs = {name: run(*given) for name, (run, *given) in RUNS.items()}\n"
-        "np.savez(sys.argv[2], **{f'{n}/{k}': v for n, arrays in runs.items() for k, v in arrays.items()})\n"
-    )
-    env, found = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}, {}
-    for unset in ("0.0", "nan", "1e300"):
-        file = tmp_path / f"{unset}.npz"
-        done = subprocess.run(
-            [sys.executable, "-c", code, unset, str(file)], env=env, cwd=ROOT, capture_output=True, text=True
-        )
-        assert done.returncode == 0, done.stderr[-2000:]
-        found[unset] = {name: array.tobytes() for name, array in np.load(file).items()}
-    assert len(found["nan"]) > 10 and found["nan"] == found["0.0"] == found["1e300"]

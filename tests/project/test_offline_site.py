@@ -1,4 +1,7 @@
-"""The site opened from the disk: no network, no server, formulas and search all the same, and no torch to build it."""
+"""The site opened from the disk: no network, no server, formulas and search all the same, and no torch to build it.
+
+That a build needs no torch is checked by every build: `on_env` in mkdocs_hooks.py.
+"""
 
 import json
 import os
@@ -11,26 +14,31 @@ import pytest
 
 pytest.importorskip("material", reason="mkdocs-material is in the extra docs")
 
-from mkdocs_hooks import on_page_content  # noqa: E402
+from mkdocs.exceptions import PluginError  # noqa: E402
+
+import mkdocs_hooks  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
-WITHOUT = """
-import sys
-for name in ("torch", "stable_baselines3", "gymnasium", "numba", "numpy"):
-    sys.modules[name] = None  # cannot be imported
-from mkdocs.__main__ import cli
-cli()
-"""
-
 pytestmark = [pytest.mark.documents, pytest.mark.slow]
+
+
+def sources():
+    """Files that the site may be made from."""
+    folders = (ROOT / name for name in ("docs", "soil_env", "agents", "benchmarks", "examples", "configs"))
+    inside = (path for folder in folders for path in folder.rglob("*") if "__pycache__" not in path.parts)
+    return [path for path in (*ROOT.glob("*.*"), *inside) if path.is_file()]
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
+    """The site of `make docs` where it is newer than all sources, as in `make test`; else one that is built here."""
+    built = ROOT / "site" / "search" / "search_index.js"  # written last
+    if built.is_file() and built.stat().st_mtime > max(path.stat().st_mtime for path in sources()):
+        return ROOT / "site"
     folder = tmp_path_factory.mktemp("site")
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, "build", "--strict", "-q", "-d", str(folder)], cwd=ROOT, text=True,
-        capture_output=True, env={**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT)},
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(folder)], cwd=ROOT, text=True,
+        capture_output=True, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
     return folder
@@ -61,9 +69,19 @@ def test_formulas_are_drawn_without_a_script(site):
 
 
 def test_a_formula_with_a_number_and_one_that_is_escaped():
-    shown = on_page_content('<div class="arithmatex">\\[a &lt; \\frac{b}{c} \\tag{7}\\]</div>')
+    shown = mkdocs_hooks.on_page_content('<div class="arithmatex">\\[a &lt; \\frac{b}{c} \\tag{7}\\]</div>')
     assert shown.startswith('<div class="formula"><math') and "<mfrac>" in shown and shown.endswith("(7)</span></div>")
-    assert on_page_content("<p>\\(no formula\\)</p>") == "<p>\\(no formula\\)</p>"
+    assert mkdocs_hooks.on_page_content("<p>\\(no formula\\)</p>") == "<p>\\(no formula\\)</p>"
+
+
+@pytest.mark.parametrize("name", ["torch", "soil_env"])
+def test_a_build_that_imports_what_it_must_not_need_fails(monkeypatch, name):
+    for other in mkdocs_hooks.UNNEEDED:
+        monkeypatch.delitem(sys.modules, other, raising=False)
+    mkdocs_hooks.on_env(None)
+    monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(PluginError, match=f"imported {name}: "):
+        mkdocs_hooks.on_env(None)
 
 
 def test_the_search_index_is_a_script(site):

@@ -1,0 +1,49 @@
+"""Work for the engines of `agents.studies`: in a module that imports little, as every worker imports it."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from soil_env._io.loading import ParameterError
+
+
+def double(x):
+    """Work that dies once if told so: (number, file that says it has)."""
+    number, mark = x
+    if mark and not os.path.exists(mark):
+        Path(mark).write_text("killed")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 2 * number
+
+
+def refuse(x):
+    raise ParameterError(f"no {x[0]}")
+
+
+def always_die(x):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def waiting(name):
+    """Work "long" that writes a file when it is interrupted, as a training its checkpoint, and "short" beside it."""
+    if name == "short":
+        while not Path("begun").exists():
+            time.sleep(0.01)
+        return
+    try:
+        Path("begun").touch()
+        time.sleep(60.0)
+    except KeyboardInterrupt:
+        Path("interrupted").touch()
+        raise
+
+
+def where(x):
+    """The node that a task ran on."""
+    import time
+
+    import ray
+
+    time.sleep(0.3)
+    return ray.get_runtime_context().get_node_id()
