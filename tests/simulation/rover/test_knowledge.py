@@ -16,7 +16,7 @@ FRICTION_AND_COHESION = [0, 3]
 def told():
     """Six courses of a rover on three axles that is told which soils may come."""
     scenario = scenario_of("mars_rover", "as configured")
-    return scenario, record(scenario, 6, 20)[0]
+    return scenario, record(scenario, 6, 20, SwingingSlip(scenario))[0]
 
 
 def test_the_rear_wheel_knows_the_soil_as_it_leaves_the_border(told):
