@@ -240,7 +240,7 @@ def observe_rows(
         replay.status[t] = ids.status[k]
 
 
-@part
+@inlined
 def _observe_by_filter(ids, k, reading, numbers):
     p, crossed = ids.banks.point, ids.banks.point.crossing[k]
     done = take(ids.banks, k, reading, numbers.filter)

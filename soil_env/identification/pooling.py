@@ -36,7 +36,7 @@ from soil_env.identification.border import begin
 from soil_env.identification.filter_bank import element
 from soil_env.identification.linearised import Q
 from soil_env.identification.mixture_prior import moments, prior_of_belief
-from soil_env.identification.online import RENEWED, IdentifierNumbers, identifier_numbers
+from soil_env.identification.online import HELD, RENEWED, IdentifierNumbers, identifier_numbers
 from soil_env.identification.solver import Status
 from soil_env.parameters import Scenario
 
@@ -403,15 +403,17 @@ def pool(pools, ids, k, first, axles, numbers):
 
 
 @inlined
-def share(pools, ids, first, axles, changed, numbers, identifier):
+def share(pools, ids, first, axles, outcome, numbers, identifier):
     """After a set of readings of each wheel of a rover, and `note` of each: let them tell each other what they know.
 
-    `first`: row of the front wheel; `changed`: whether any filter was renewed.
+    `first`: row of the front wheel; `outcome`: the furthest of `observe` of its wheels. Where no filter was renewed,
+    only wheels on a border are on other ground than before.
     """
-    if not changed:
+    if outcome == HELD:
         return
     if numbers.by_filter:
         for a in range(1, axles):
             _tell(pools, ids, first + a * COUNT, first, numbers, identifier)
     for a in range(axles):
-        pool(pools, ids, first + a * COUNT, first, axles, numbers)
+        if outcome == RENEWED or pools.crossing[first + a * COUNT] > 0.0:
+            pool(pools, ids, first + a * COUNT, first, axles, numbers)

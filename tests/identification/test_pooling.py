@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.online import forget, identifier_numbers, new_identifiers
+from soil_env.identification.online import RENEWED, forget, identifier_numbers, new_identifiers
 from soil_env.identification.pooling import (
     ERROR_OF_MODEL,
     forget_stretches,
@@ -145,7 +145,7 @@ def test_a_wheel_behind_begins_with_the_new_soil_where_the_front_one_has_found_i
     p.left[0], p.ends[0, 0], p.start[0] = 1, 4.2, 4.2
     for ahead, told in ((0.51, False), (0.49, True)):
         note(p, wheels.ids, COUNT, 4.2 - ahead * NUMBERS.border, 0, True, NUMBERS)
-        share(p, wheels.ids, 0, 2, True, NUMBERS, IDENTIFIER)
+        share(p, wheels.ids, 0, 2, RENEWED, NUMBERS, IDENTIFIER)
         assert (point.crossing[COUNT] == 1.0) == told
     assert point.border[COUNT] - point.place[COUNT] == pytest.approx(0.49 * NUMBERS.border)
     assert point.crossing[0] == 0.0

@@ -242,7 +242,7 @@ def _knowledge(worlds, numbers, j):
     return known / axles
 
 
-@part
+@inlined
 def after_period(worlds, numbers, j, first, last):
     """After a control period of rover j: draw the course ahead, sense, identify, judge, reward, observe.
 
@@ -254,15 +254,15 @@ def after_period(worlds, numbers, j, first, last):
     draw_ahead(j, worlds.courses, body.x[j] + s.base, body.mass[j] / s.axles, _course(numbers))
     reading = _sense_body(worlds, numbers, j)
     roll_odometer(body, j, reading.speed, task.sensors)
-    changed = False
+    furthest = HELD
     for a in range(s.axles):
         k = wheel_of(j, a, s.axles)
         of_wheel = _sense_wheel(worlds, numbers, k, reading)
         outcome = observe(worlds.ids, k, of_wheel, numbers.identifier)
         note(worlds.known, worlds.ids, k, body.odometer[j] - s.places[a], outcome, a > 0, numbers.pool)
-        changed = changed or outcome != HELD
+        furthest = max(furthest, outcome)
         write_axle(worlds.observation[j], rovers.wheels, k, a, of_wheel, task)
-    share(worlds.known, worlds.ids, wheel_of(j, 0, s.axles), s.axles, changed, numbers.pool, numbers.identifier)
+    share(worlds.known, worlds.ids, wheel_of(j, 0, s.axles), s.axles, furthest, numbers.pool, numbers.identifier)
     cause = judge(body, rovers.body_counts, j, task)
     worlds.cause[j] = cause
     after = _knowledge(worlds, numbers, j) if paid and last else 0.0
