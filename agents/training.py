@@ -80,8 +80,15 @@ def scenario_of(config: TrainConfig) -> Scenario:
     if config.rover:
         if config.scenario != DEFAULT_SCENARIO:
             raise ParameterError(f"scenario = {config.scenario!r}: expected none beside rover = {config.rover!r}")
-        return load_rover(config.rover, config.changes)
-    return load_scenario(config.scenario, config.changes)
+        scenario = load_rover(config.rover, config.changes)
+    else:
+        scenario = load_scenario(config.scenario, config.changes)
+    if scenario.belief.method == "none":
+        raise ParameterError(
+            "belief.method = 'none': expected 'filter' or 'window', since best_slip_identified, which the agent is compared "
+            "with, is told the identified soil"
+        )
+    return scenario
 
 
 def check(config: TrainConfig) -> None:

@@ -82,7 +82,7 @@ def measure(count: int, seconds: float, rounds: int) -> dict[str, dict[str, floa
 
 def table(result: dict) -> str:
     """The part of the page."""
-    rows = ["| env | 1000 steps/s | 1000 wheels/s |", "|---|---|---|"]
+    rows = ["| env | 1000 steps/s | 1000 wheels (of one side)/s |", "|---|---|---|"]
     for name, (label, wheels) in _CASES.items():
         rate = result["rates"][name]
         of_wheels = range_text(rate, 0, 1e-3 * wheels)

@@ -214,7 +214,7 @@ class Belief(Checked):
     recovery of digging has one value. The filter estimates all six; the window estimates phi, K and S, holds the
     others and widens its standard deviations by those of cohesion and gain. The defaults are the mean and the scatter
     of the soils that scenario "mixed" draws; S is compared at the exponent of the belief, at a sinkage of 3 cm. With
-    `method` "none" nothing is identified and nothing of the observation may ask for it: a step costs less than half.
+    `method` "none" nothing is identified and nothing of the observation may ask for it: a step costs about half.
     """
 
     friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=30.0)

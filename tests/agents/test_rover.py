@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents import rover_study, train
+from agents import rover_study, train, training
 from agents.config import TrainConfig
 from agents.evaluate.driving import ControllerError
 from agents.ppo import load_agent
@@ -224,3 +224,11 @@ def test_study_has_a_training_for_each_agent_and_seed(tmp_path):
         ("ppo_blind", "ppo_identified", "ppo_true"), [0, 1]
     )
     assert all(isinstance(c, TrainConfig) and c.rover == "field_rover" for own in trainings.values() for c in own)
+
+
+@pytest.mark.parametrize("which", [{"rover": "mars_rover"}, {}])
+def test_a_training_without_identification_is_refused_before_it_begins(which):
+    """A controller that the agent is compared with is told the identified soil."""
+    config = TrainConfig(observation="blind", changes={"belief": {"method": "none"}}, **which)
+    with pytest.raises(ParameterError, match="best_slip_identified"):
+        training.scenario_of(config)
