@@ -226,13 +226,24 @@ def measure(mean, covariance, at, out, size, point, numbers):
     less(of_pull, of_torque, dot(out.pull, of_torque, size), size)
     less(last, of_torque, from_array(of_torque, MASS * COUNT), size)
     lose_three(covariance, of_mass, of_sinkage, of_slip, size)
+    a, b = _measure_pull(mean, at, out, size, point, numbers, of_pull, last)
+    lose_three(covariance, of_torque, of_pull, last, size)
+    return x2 + a, logs + b
 
-    # drawbar pull, and the acceleration that it gives the mass
+
+@inlined
+def _measure_pull(mean, at, out, size, point, numbers, of_pull, last):
+    """Drawbar pull and the acceleration that it gives the mass: as `measure`.
+
+    `of_pull`, `last`: covariance with the pull and with the mass, less what other channels have taken; the vectors that
+    the covariance loses by both.
+    """
+    sd, n, mass, one = numbers.noise, point.readings, from_array(at, MASS * COUNT), fill(1.0)
+    model = numbers.model_error * abs(point.load)
     pull, own = from_array(out.pull, size * COUNT), dot(out.pull, of_pull, size)
     variance, with_mass = fill(sd[2] * sd[2] / n + model * model), from_array(of_pull, MASS * COUNT)
     misfit = point.drawbar_pull - pull - _away(out.pull, mean, at, size)
-    a, b, scale = take_in(mean, of_pull, one, own, misfit, variance, size)
-    x2, logs = x2 + a, logs + b
+    x2, logs, scale = take_in(mean, of_pull, one, own, misfit, variance, size)
     less(last, of_pull, scale * with_mass, size)
     share, kept = pull / mass, variance * scale
     for i in range(size):
@@ -242,13 +253,12 @@ def measure(mean, covariance, at, out, size, point, numbers):
     own = (dot(out.pull, last, size) - share * from_array(last, MASS * COUNT)) / mass
     variance = (model / mass) * (model / mass) + sd[9] * sd[9] / n
     a, b, _ = take_in(mean, last, one, own, point.acceleration - (pull + away) / mass, variance, size)
-    lose_three(covariance, of_torque, of_pull, last, size)
     return x2 + a, logs + b
 
 
 @inlined
 def _measure_grade(mean, covariance, at, b, grade, grades, point, numbers):
-    """The pitch of a point on a border: as `_measure`."""
+    """The pitch of a point on a border: as `measure`."""
     vector, of_place = _vector(), _vector()
     rise = from_array(at, RISE * COUNT)
     by_place = b.by_place * rise

@@ -15,7 +15,8 @@ of that above the axles, x_p and h_p those of the bogie's pivot, and pitch p of 
     sum over the bogie (W (x - x_p) + DP h_p + T) = 0.
 
 Loads follow from the DP and T of the same stage, which in turn follow from the loads: each stage is solved with the
-loads of the last forces, and again where they have changed by more than `LOAD_TOLERANCE`.
+loads of the forces that the last reaction foresees, and again with those of the forces found, where that changes a load
+by more than `LOAD_TOLERANCE`.
 """
 
 from __future__ import annotations
