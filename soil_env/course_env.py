@@ -34,12 +34,14 @@ def scenario_changes(
 ) -> dict[str, Any]:
     """Keyword arguments of an environment as changes of a scenario of this `kind`; `own`: those that are none.
 
-    Raises UnknownKeyword for a name that is neither.
+    Raises UnknownKeyword for a name that is neither, ParameterError for a `repeat` that is no whole number.
     """
     fields = tuple(f.name for f in dataclasses.fields(kind))
     for key in changes:
         if key not in fields:
             raise UnknownKeyword(key, (*own, *fields))
+    if repeat is not None:
+        check_count("repeat", repeat)
     given = {name: value for name, value in (("action", action), ("repeat", repeat)) if value is not None}
     if not given:
         return changes
@@ -58,8 +60,10 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
         raise ValueError(f"{what} = {actions!r:.80}: expected numbers in [-1, 1], shape {shape}") from None
     if a.shape != shape:
         raise ValueError(f"{what}: expected shape {shape}, got {a.shape}")
-    if not np.isfinite(a).all():
-        raise ValueError(f"{what} = {a.tolist()!r:.80}: expected finite numbers in [-1, 1]")
+    finite = np.isfinite(a)
+    if not finite.all():
+        row = () if len(shape) == 1 else np.argwhere(~finite)[0, :1].tolist()  # the first that is wrong
+        raise ValueError(f"{what}{row or ''} = {a[*row].tolist()!r:.80}: expected finite numbers in [-1, 1]")
     return a.clip(-1.0, 1.0)
 
 

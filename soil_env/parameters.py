@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -395,7 +395,12 @@ DEFAULT_SCENARIO = "two_lines"
 
 def scenario_names() -> list[str]:
     """Names of the shipped scenarios."""
-    return sorted(p.stem for p in (config_dir() / "scenarios").glob("*.yaml"))
+    return shipped("scenarios")
+
+
+def shipped(folder: str) -> list[str]:
+    """Names of the YAML files in a `folder` of configs/."""
+    return sorted(p.stem for p in (config_dir() / folder).glob("*.yaml"))
 
 
 def load_scenario(
@@ -424,6 +429,7 @@ def load_scenario_as(
     singular = folder.removesuffix("s")
     if isinstance(which, kind):
         mapping, where = to_dict(which), f"{singular} {which.name!r}"
+        _check_kind(mapping, {}, folder, where)
     elif not isinstance(which, (str, Path)):
         expected = f"expected a name, the path of a YAML file, or a {kind.__name__}"
         raise ParameterError(f"{singular} = {which!r:.60}: {expected}")
@@ -436,16 +442,31 @@ def load_scenario_as(
             if not path.is_file():
                 if Path(which).is_dir():
                     raise ParameterError(f"{singular} = {str(which)!r}: is a folder; expected a name or a YAML file")
-                names = sorted(p.stem for p in (config_dir() / folder).glob("*.yaml"))
                 for other in ("scenarios", "rovers"):
                     if other != folder and (config_dir() / other / f"{which}.yaml").is_file():
-                        known = f"{which!r} is one of configs/{other}; expected one of {', '.join(names)}"
-                        raise ParameterError(f"{singular}: {known}")
-                raise unknown_value(which, names, singular)
+                        raise ParameterError(f"{singular}: {which!r} is one of configs/{other}; {_expected(folder)}")
+                raise unknown_value(which, shipped(folder), singular)
         mapping, where = read_yaml(path), path.name
+        _check_kind(mapping, changes or {}, folder, f"{singular}: {str(which)!r}")
         mapping.setdefault("name", path.stem)
     merged = partial(_merged, kind, complete, mapping)
     return merged(changes or {}, place if changes and _is_valid(merged) else where)
+
+
+def _expected(folder: str) -> str:
+    return f"expected one of {', '.join(shipped(folder))}, or the path of a {folder.removesuffix('s')}'s YAML file"
+
+
+def _check_kind(mapping: dict[str, Any], changes: dict[str, Any], folder: str, where: str) -> None:
+    """ParameterError for the mapping of a rover where the scenario of a wheel is asked for, and the other way round.
+
+    A rover has `vehicle`. A mapping without it, of keys that are all known, is the scenario of a wheel.
+    """
+    known = {f.name for f in fields(Scenario)}
+    if folder == "scenarios" and "vehicle" in mapping:
+        raise ParameterError(f"{where} is a rover, having `vehicle`; {_expected(folder)}")
+    if folder == "rovers" and mapping and known.issuperset({**mapping, **changes}):
+        raise ParameterError(f"{where} is the scenario of a wheel, having no `vehicle`; {_expected(folder)}")
 
 
 def _is_valid(merged: Callable[[dict[str, Any], str], Any]) -> bool:

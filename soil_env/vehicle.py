@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from soil_env._io.loading import Checked, ParameterError, quantity
-from soil_env.parameters import Scenario, config_dir, load_scenario_as
+from soil_env.parameters import Scenario, load_scenario_as, shipped
 
 MOST_AXLES = 3
 
@@ -32,12 +32,14 @@ class Vehicle(Checked):
     source: str = ""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        count = len(self.axles)
+        count, place = len(self.axles), f"Vehicle.axles = {self.axles!r}"
         if not 2 <= count <= MOST_AXLES:
-            raise ParameterError(f"Vehicle.axles = {self.axles!r}: expected 2 or 3 axles")
+            raise ParameterError(f"{place}: expected 2 or 3 axles")
         if self.axles[0] != 0.0 or any(b <= a for a, b in zip(self.axles, self.axles[1:], strict=False)):
-            raise ParameterError(f"Vehicle.axles = {self.axles!r}: expected places from 0 on, each behind the last")
+            raise ParameterError(
+                f"{place}: expected metres behind the front axle, front to rear: 0 first, each larger than the last"
+            )
+        super().__post_init__()
         if (self.bogie == "none") != (count == 2):
             known = "'none' with two axles" if count == 2 else "'front' or 'rear' with three axles"
             raise ParameterError(f"Vehicle.bogie = {self.bogie!r}: expected {known}")
@@ -119,7 +121,7 @@ DEFAULT_ROVER = "lunar_micro_rover"
 
 def rover_names() -> list[str]:
     """Names of the shipped rovers."""
-    return sorted(p.stem for p in (config_dir() / "rovers").glob("*.yaml"))
+    return shipped("rovers")
 
 
 def load_rover(

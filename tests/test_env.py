@@ -216,6 +216,8 @@ def test_a_changed_env_does_not_change_the_next():
     ({"observation": "identifed"}, "observation: unknown value 'identifed'; did you mean 'identified'?"),
     ({"render_mode": "x"}, "render_mode = 'x': expected one of ['rgb_array', 'human']"),
     ({"action": "torqe"}, "'torqe'"),
+    ({"repeat": "3"}, "repeat = '3': expected a whole number >= 1"),
+    ({"scenario": ""}, "scenario = '': expected a name or the path of a YAML file"),
     ({"scenario": "nowhere.yaml"}, "nowhere.yaml: cannot be read"),
 ])  # fmt: skip
 def test_bad_arguments_are_named(arguments, message):

@@ -229,6 +229,8 @@ def test_a_hidden_effect_acts(effects):
     ({"rover": "mixed"}, "rover: 'mixed' is one of configs/scenarios"),
     ({"rover": load_scenario("mixed")}, "expected a name, the path of a YAML file, or a RoverScenario"),
     ({"observation": "identifed"}, "observation: unknown value 'identifed'; did you mean 'identified'?"),
+    ({"repeat": "3"}, "repeat = '3': expected a whole number >= 1"),
+    ({"rover": ""}, "rover = '': expected a name or the path of a YAML file"),
     ({"action": "torqe"}, "control.action = 'torqe': expected one of"),
     ({"render_mode": "x"}, "render_mode = 'x': expected one of ['rgb_array', 'human']"),
     ({"info": "nothing"}, "info = 'nothing': expected one of 'full', 'numeric', 'short', 'none'"),

@@ -201,7 +201,7 @@ def test_max_episode_steps_truncates():
 @pytest.mark.parametrize(("bad", "words"), [
     (np.zeros((2, 1)), r"shape \(2, 2\), got \(2, 1\)"),
     (np.zeros(2), r"shape \(2, 2\), got \(2,\)"),
-    (np.array([[0.0, 0.0], [np.nan, 0.0]]), "finite"),
+    (np.array([[0.0, 0.0], [np.nan, 0.0]]), r"actions\[1\] = \[nan, 0.0\]: expected finite"),
 ])  # fmt: skip
 def test_bad_actions_are_named_and_change_nothing(bad, words):
     env, untouched = SoilRoverVectorEnv(2), SoilRoverVectorEnv(2)

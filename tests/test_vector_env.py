@@ -335,7 +335,7 @@ def test_bad_arguments_are_named(arguments, words):
 @pytest.mark.parametrize(("bad", "words"), [
     (np.zeros((3, 1)), r"shape \(2, 1\), got \(3, 1\)"),
     ("x", r"actions = 'x': expected numbers in \[-1, 1\], shape \(2, 1\)"),
-    (np.array([[0.0], [np.nan]]), "finite"),
+    (np.array([[0.0], [np.nan]]), r"actions\[1\] = \[nan\]: expected finite"),
 ])  # fmt: skip
 def test_bad_actions_are_named_and_change_nothing(bad, words):
     env, untouched = SoilWheelVectorEnv(2), SoilWheelVectorEnv(2)

@@ -57,7 +57,8 @@ def test_the_mass_on_a_wheel_follows_the_vehicle():
     ({"vehicle": {"mass": math.nan}}, "vehicle.mass = nan: expected a number"),
     ({"vehicle": {"axle": [0, 1]}}, "vehicle: unknown key 'axle'; did you mean 'axles'?"),
     ({"vehicle": {"axles": [0.0]}}, "vehicle.axles = (0.0,): expected 2 or 3 axles"),
-    ({"vehicle": {"axles": [0.0, 0.3, 0.2]}}, "expected places from 0 on, each behind the last"),
+    ({"vehicle": {"axles": [0.0, 0.3, 0.2]}}, "vehicle.axles = (0.0, 0.3, 0.2): expected metres behind the front axle"),
+    ({"vehicle": {"axles": [0.33, 0]}}, "vehicle.axles = (0.33, 0.0): expected metres behind the front axle"),
     ({"vehicle": {"bogie": "rear"}}, "vehicle.bogie = 'rear': expected 'none' with two axles"),
     ({"vehicle": {"axles": [0.0, 0.1, 0.3]}}, "vehicle.bogie = 'none': expected 'front' or 'rear' with three axles"),
     ({"vehicle": {"axles": [0.0, 0.1, 0.3], "bogie": "rear", "pivot": 0.05}}, "between the axles of the bogie"),
@@ -79,10 +80,25 @@ def test_scenarios_of_a_wheel_are_no_rovers(tmp_path):
     for which, message in (
         (load_scenario("mixed"), "expected a name, the path of a YAML file, or a RoverScenario"),
         ("mixed", "rover: 'mixed' is one of configs/scenarios; expected one of field_rover, lunar_micro_rover"),
-        (path, "wheel.yaml: missing vehicle"),
+        (path, f"rover: {str(path)!r} is the scenario of a wheel, having no `vehicle`; expected one of field_rover, "),
     ):
         with pytest.raises(ParameterError) as raised:
             load_rover(which)
-        assert message in str(raised.value) and len(str(raised.value)) < 300
-    with pytest.raises(ParameterError, match="unknown key 'vehicle'"):
-        load_scenario(load_rover())
+        assert message in str(raised.value) and "\n" not in str(raised.value)
+    assert load_rover(path, {"vehicle": to_dict(load_rover().vehicle)}).axles == 2  # it has one then
+    path.write_text("vehcle: {}\n" + path.read_text())
+    with pytest.raises(ParameterError, match="unknown key 'vehcle'; did you mean 'vehicle'?"):
+        load_rover(path)
+
+
+def test_rovers_are_no_scenarios_of_a_wheel(tmp_path):
+    path = tmp_path / "rover.yaml"
+    path.write_text(yaml.safe_dump(to_dict(load_rover())))
+    for which, message in (
+        (load_rover(), "scenario 'lunar_micro_rover' is a rover, having `vehicle`; expected one of field_vehicle, "),
+        (path, f"scenario: {str(path)!r} is a rover, having `vehicle`; expected one of field_vehicle, "),
+        ("mars_rover", "scenario: 'mars_rover' is one of configs/rovers; expected one of field_vehicle, "),
+    ):
+        with pytest.raises(ParameterError) as raised:
+            load_scenario(which)
+        assert message in str(raised.value) and "\n" not in str(raised.value)
