@@ -36,6 +36,7 @@ def main() -> None:
     env = gymnasium.make(
         "soil_env:SoilRover-v0",
         rover=options.rover,
+        observation="blind",  # nothing is read but `info`
         action="wheel_speed",
         render_mode="rgb_array" if options.out else None,
     )
@@ -52,13 +53,14 @@ def main() -> None:
         matplotlib.image.imsave(options.out, env.render())
     env.close()
     print(f"{options.rover}: {info['cause']} at {info['state']['x']:.2f} m after {steps} periods")
+    identified = env.unwrapped.scenario.belief.method != "none"
     for axle in ("front", "middle", "rear"):
         if axle in info:
             state, soil = info[axle]["state"], info[axle]["estimate"]
+            angle = f"{soil['friction_angle_deg']:.1f} +- {soil['friction_angle_sd_deg']:.1f} deg, {soil['status']}"
             print(
                 f"  {axle}: slip {state['slip']:.2f}, sinkage {1e3 * state['sinkage']:.1f} mm, "
-                f"load {state['load']:.1f} N; friction angle {soil['friction_angle_deg']:.1f} "
-                f"+- {soil['friction_angle_sd_deg']:.1f} deg, {soil['status']}"
+                f"load {state['load']:.1f} N; friction angle {angle if identified else 'not identified'}"
             )
 
 

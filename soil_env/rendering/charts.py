@@ -13,8 +13,9 @@ SPAN = 30.0  # [s] shown by the charts
 CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
 
 
-def draw_charts(c: Canvas, history: np.ndarray) -> None:
-    """Slip and sinkage, then phi, K and S, estimated and true, from the history [12, samples]."""
+def draw_charts(c: Canvas, history: np.ndarray, identified: bool = True) -> None:
+    """Slip and sinkage, then phi, K and S, estimated where the soil is `identified` and true, from the history
+    [12, samples]."""
     end = max(SPAN, history[0].max(initial=0.0))
     history = history[:, history[0] >= end - SPAN - 1e-9]
     time, slip, sinkage = history[:3]
@@ -27,19 +28,28 @@ def draw_charts(c: Canvas, history: np.ndarray) -> None:
     for i, name in enumerate(names):
         estimate, sd, true = history[3 + i], history[6 + i], history[9 + i]
         low, high, estimate, true = (_in_shown_units(v, i) for v in (estimate - sd, estimate + sd, estimate, true))
-        limits = _limits(np.concatenate([low, high, true]), i > 0)
-        _draw_chart(c, CHARTS[i + 1], end, time, limits, i > 0, [(true, ORANGE), (estimate, BLUE)], (low, high))
+        lines, band = [(true, ORANGE)], None
+        if identified:
+            lines, band = [*lines, (estimate, BLUE)], (low, high)
+        limits = _limits(np.concatenate([true, *(band or ())]), i > 0)
+        _draw_chart(c, CHARTS[i + 1], end, time, limits, i > 0, lines, band)
         c.text(x, CHARTS[i + 1][1] - 11, name, 16)
     right, y = x + CHARTS[1][2], CHARTS[1][1] - 11
-    c.box((right - 146, y - 5, 16, 10), LIGHT_BLUE)
-    for place, words, colour in ((right - 146, "estimate ± sd", BLUE), (right - 44, "true", ORANGE)):
+    legend = [(right - 44, "true", ORANGE)]
+    if identified:
+        c.box((right - 146, y - 5, 16, 10), LIGHT_BLUE)
+        legend.append((right - 146, "estimate ± sd", BLUE))
+    for place, words, colour in legend:
         c.lines([(place, y), (place + 16, y)], colour, 2)
         c.text(place + 20, y, words, 15, colour)
     _draw_times(c, end)
 
 
-def draw_axle_charts(c: Canvas, history: np.ndarray, colours: Sequence[tuple[Colour, Colour]]) -> None:
-    """Slip, sinkage, load and friction angle, estimated and true, of each axle in its (dark, pale) colours.
+def draw_axle_charts(
+    c: Canvas, history: np.ndarray, colours: Sequence[tuple[Colour, Colour]], identified: bool = True
+) -> None:
+    """Slip, sinkage, load and friction angle, estimated where it is `identified` and true, of each axle in its (dark,
+    pale) colours.
 
     `history` [1 + 5 axles, samples]: time, then those five of each axle in turn.
     """
@@ -59,10 +69,12 @@ def draw_axle_charts(c: Canvas, history: np.ndarray, colours: Sequence[tuple[Col
         _draw_chart(c, box, end, time, limits, False, list(zip(values, dark, strict=True)))
         c.text(box[0], box[1] - 11, name, 16)
     box, (estimate, true) = CHARTS[3], np.degrees(axles[3:])
-    limits = _limits(np.concatenate([estimate.ravel(), true.ravel()]), False)
-    lines = [*zip(true, pale, [6.0] * len(pale), strict=True), *zip(estimate, dark, strict=True)]
-    _draw_chart(c, box, end, time, limits, False, lines)
-    c.text(box[0], box[1] - 11, "friction angle φ [deg]: estimate, true (broad)", 16)
+    lines, shown, words = [*zip(true, pale, [6.0] * len(pale), strict=True)], true, "true"
+    if identified:
+        lines += zip(estimate, dark, strict=True)
+        shown, words = np.stack([estimate, true]), "estimate, true (broad)"
+    _draw_chart(c, box, end, time, _limits(shown.ravel(), False), False, lines)
+    c.text(box[0], box[1] - 11, f"friction angle φ [deg]: {words}", 16)
     _draw_times(c, end)
 
 

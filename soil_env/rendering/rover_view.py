@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.identification import Status
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import (
     AMBER,
@@ -147,9 +146,10 @@ class RoverRenderer(CourseView):
         colours = [_COLOURS[name] for name in self._axles]
         _draw_scene(canvas, simulation, k, profile, bounds, self._angles, [dark for dark, _ in colours])
         _draw_readings(canvas, simulation, k)
-        _draw_table(canvas, simulation, k, self._axles, bounds)
+        status = [self._status(simulation.worlds.known.status[row]) for row in simulation.wheels[k].tolist()]
+        _draw_table(canvas, simulation, k, self._axles, bounds, status)
         draw_course(canvas, profile, numbers.task.length, x, bounds)
-        draw_axle_charts(canvas, np.array(self._history).reshape(-1, 1 + 5 * len(colours)).T, colours)
+        draw_axle_charts(canvas, np.array(self._history).reshape(-1, 1 + 5 * len(colours)).T, colours, self._identified)
 
 
 def _draw_scene(c: Canvas, simulation, j: int, profile: Profile, bounds, angles, colours) -> None:
@@ -237,8 +237,9 @@ def _draw_readings(c: Canvas, simulation: RoverSimulation, j: int) -> None:
     draw_cause(c, Cause(int(worlds.cause[j])), body["halt_left"] > 0.0)
 
 
-def _draw_table(c: Canvas, simulation: RoverSimulation, j: int, names, bounds) -> None:
-    """State of each axle, with the rut that it runs in and the true soil under it, below the side view."""
+def _draw_table(c: Canvas, simulation: RoverSimulation, j: int, names, bounds, status: list[str]) -> None:
+    """State of each axle, with the rut that it runs in, the true soil under it and the `status` of its estimate, below
+    the side view."""
     worlds, border = simulation.worlds, simulation.numbers.world.border
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
     places = (28, 106, 162, 216, 270, 324, 392, 402, 500)  # right ends but of the first and the last two
@@ -252,7 +253,7 @@ def _draw_table(c: Canvas, simulation: RoverSimulation, j: int, names, bounds) -
             name, f"{w['slip']:.2f}", f"{1e3 * w['sinkage']:.1f} mm", f"{1e3 * worlds.rovers.axles.floor[k]:.1f} mm",
             f"{w['load']:.1f} N", f"{w['drawbar_pull']:.1f} N", f"{w['motor_torque']:.2f} N m",
             f"φ {phi:.0f}°  K {1e3 * soil.shear_modulus:.0f} mm",
-            Status(int(worlds.known.status[k])).name.lower().replace("_", " "),
+            status[axle],
         )  # fmt: skip
         c.circle((20, y), 5, _COLOURS[name][0])
         for i, (x, words) in enumerate(zip(places, values, strict=True)):

@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from soil_env.identification import Status
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import DESIGN, GREY, GRID, SKY, Canvas, soil_colour
 from soil_env.rendering.charts import draw_charts
@@ -78,9 +77,9 @@ class Renderer(CourseView):
         profile = self._ground(simulation, k, margin, length + margin, True)
         bounds = friction_range(self.scenario, simulation)
         _draw_scene(canvas, simulation, k, profile, bounds, self._angle)
-        _draw_readings(canvas, simulation, k, bounds)
+        _draw_readings(canvas, simulation, k, bounds, self._status(simulation.worlds.ids.status[k]))
         draw_course(canvas, profile, length, [simulation.worlds.state.x[k]], bounds)
-        draw_charts(canvas, np.array(self._history).reshape(-1, 12).T)
+        draw_charts(canvas, np.array(self._history).reshape(-1, 12).T, self._identified)
 
 
 def _draw_scene(c: Canvas, simulation, k: int, profile: Profile, bounds, angle: float) -> None:
@@ -108,8 +107,9 @@ def _draw_scene(c: Canvas, simulation, k: int, profile: Profile, bounds, angle: 
     draw_scale_bar(c, scene, _VIEW * r)
 
 
-def _draw_readings(c: Canvas, simulation, k: int, bounds) -> None:
-    """Numbers above the side view, the state of the episode, and the true soil under the wheel below it."""
+def _draw_readings(c: Canvas, simulation, k: int, bounds, status: str) -> None:
+    """Numbers and the `status` of the estimate above the side view, the state of the episode, and the true soil under
+    the wheel below it."""
     w, worlds, numbers = simulation.wheel(k), simulation.worlds, simulation.numbers
     cells = (
         ("distance", f"{w['x']:.2f} of {numbers.task.length:g} m"),
@@ -119,7 +119,7 @@ def _draw_readings(c: Canvas, simulation, k: int, bounds) -> None:
         ("drawbar pull", f"{w['drawbar_pull']:.0f} N"),
         ("motor torque", f"{w['motor_torque']:.1f} of {w['available_torque']:.1f} N m"),
         ("grade", f"{math.degrees(w['grade']):+.1f}°"),
-        ("estimate", Status(int(worlds.ids.status[k])).name.lower().replace("_", " ")),
+        ("estimate", status),
     )
     for i, (name, value) in enumerate(cells):
         x, y = (14, 140, 296, 396)[i % 4], 14 + 40 * (i // 4)

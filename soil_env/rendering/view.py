@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from soil_env.identification import Status
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import DESIGN, Canvas
 from soil_env.rendering.charts import SPAN
@@ -32,6 +33,7 @@ class CourseView(ABC):
         self._canvas = self._window = self._clock = None
         self._course_key = self._profile = None
         self._step = scenario.control.duration  # [s] from record to record
+        self._identified = scenario.belief.method != "none"  # else there is no estimate to show
         self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
         self._history: deque[tuple] = deque(maxlen=_POINTS + 2)
 
@@ -42,6 +44,10 @@ class CourseView(ABC):
     @abstractmethod
     def record(self, simulation: Any, k: int) -> None:
         """Add the present state of number k to the history; at its reset the history starts anew."""
+
+    def _status(self, status: int) -> str:
+        """The word for a status of the identifier."""
+        return Status(int(status)).name.lower().replace("_", " ") if self._identified else "none"
 
     @abstractmethod
     def _paint(self, canvas: Canvas, simulation: Any, k: int) -> None:

@@ -79,6 +79,13 @@ def test_an_example_without_its_extra_says_what_to_install(name, module, extra, 
     assert said.startswith(f"{name}.py: needs ") and said.endswith(f": pip install 'soil_env[{extra}]'\n")
 
 
+def test_a_rover_that_identifies_nothing_is_driven(tmp_path, monkeypatch, capsys):
+    (tmp_path / "mine.yaml").write_text((FOLDER.parent / "configs/rovers/field_rover.yaml").read_text().replace(
+        "\nbelief: {", "\nbelief: {method: none, "))  # fmt: skip
+    run("drive_rover", "--rover mine.yaml --frame 3 --out rover.png", tmp_path, monkeypatch)
+    assert re.search(r"RUNNING.*\n  front: .*; friction angle not identified\n  rear:", capsys.readouterr().out)
+
+
 def test_every_example_is_run():
     assert {p.stem for p in FOLDER.glob("*.py")} == set(RUNS)
 

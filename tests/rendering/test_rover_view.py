@@ -19,10 +19,10 @@ from soil_env.vehicle import load_rover, rover_names
 from tests.rendering.test_side_view import dummy_display, integral, near  # noqa: F401
 
 
-def started(rover, seed=1, mode="rgb_array", changes=None, **options):
+def started(rover, seed=1, mode="rgb_array", changes=None, variant="identified", **options):
     """(simulation, view) after a reset."""
     scenario = load_rover(rover, {"control": {"action": "wheel_speed"}, **(changes or {})})
-    simulation = RoverSimulation(1, scenario, "identified", 1)
+    simulation = RoverSimulation(1, scenario, variant, 1)
     simulation.seed(0, np.random.default_rng(seed))
     simulation.restart(0)
     view = RoverRenderer(scenario, mode, **options)
@@ -194,6 +194,18 @@ def test_every_axle_has_its_lines_in_the_charts():
     x, y, w, h = below  # friction angles that are pooled lie on each other
     drawn = [near(picture[y : y + h, x + 2 : x + w], dark, 30).sum() for dark, _ in rendering._COLOURS.values()]
     assert max(drawn) > 40
+
+
+@pytest.mark.parametrize("method", ["filter", "none"])
+def test_where_nothing_is_identified_no_estimate_is_drawn(method):
+    """Another prior then leaves the picture as it is."""
+    pictures = []
+    for prior, weight in ((30.0, 1.0), (40.0, 100.0)):  # the first of method none, the second of the filter
+        belief = {"method": method, "friction_angle_deg": prior, "soils": {"lunar_nominal": weight}}
+        simulation, view = started("lunar_micro_rover", changes={"belief": belief}, variant="blind")
+        drive(simulation, view, 20)
+        pictures.append(view.draw(simulation, 0))
+    assert np.array_equal(*pictures) == (method == "none")
 
 
 @pytest.mark.parametrize("size", [(960, 540), (801, 500)])

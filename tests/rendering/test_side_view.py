@@ -18,10 +18,10 @@ from soil_env.simulation.worlds import Simulation
 SCALE = rendering.SCENE[2] / rendering._VIEW  # units of the design per wheel radius
 
 
-def start(seed=1, changes=None, mode="rgb_array", **options):
+def start(seed=1, changes=None, mode="rgb_array", variant="identified", **options):
     """(simulation, renderer) after a reset."""
     scenario = load_scenario("mixed", changes or {})
-    simulation = Simulation(1, scenario, "identified")
+    simulation = Simulation(1, scenario, variant)
     simulation.seed(0, np.random.default_rng(seed))
     simulation.restart(0)
     renderer = Renderer(scenario, mode, **options)
@@ -189,6 +189,18 @@ def test_estimate_and_truth_are_drawn_apart():
         chart = picture[y : y + h, x + 2 : x + w]
         assert near(chart, canvas.BLUE, 30).sum() > 60
         assert near(chart, canvas.ORANGE, 40).sum() > 60
+
+
+@pytest.mark.parametrize("method", ["filter", "none"])
+def test_where_nothing_is_identified_no_estimate_is_drawn(method):
+    """Another prior then leaves the picture as it is, although the state of the identifier holds that prior."""
+    pictures = []
+    for prior in (30.0, 40.0):
+        belief = {"method": method, "friction_angle_deg": prior, "shear_modulus": 4e-4 * prior}
+        simulation, renderer = start(changes={"belief": belief}, variant="blind")
+        drive(simulation, renderer, 20)
+        pictures.append(renderer.draw(simulation, 0))
+    assert np.array_equal(*pictures) == (method == "none")
 
 
 def test_extreme_states_are_drawn():
