@@ -55,8 +55,10 @@ class PPOConfig(Checked):
 class TrainConfig(Checked):
     """A training run: what `train.py` takes from YAML and from its command line."""
 
-    scenario: str = _text(DEFAULT_SCENARIO, "name of a scenario in configs/scenarios, or a YAML file")
-    rover: str = _text("", "name of a rover in configs/rovers, or a YAML file: in place of a scenario's wheel")
+    scenario: str = _text(
+        "", f"name of a scenario in configs/scenarios, or a YAML file; empty: {DEFAULT_SCENARIO}, or none for a rover"
+    )
+    rover: str = _text("", "name of a rover in configs/rovers, or a YAML file: in place of a scenario")
     changes: dict = field(default_factory=dict)  # merged over the scenario
     model: dict = field(default_factory=dict, metadata={"doc": "model.yaml with the effects that are on in this world"})
     observation: Literal["blind", "identified", "true_soil"] = _text(
@@ -77,17 +79,33 @@ class TrainConfig(Checked):
     checkpoint_every: int = quantity("", 1, 10**12, default=500_000, doc="environment steps between checkpoints")
     courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
     tuning_courses: int = quantity("", 1, 10**6, default=200, doc="courses to tune the classical controllers on")
-    oracle_courses: int = quantity("", 0, 10**6, default=50, doc="of the comparison, that the oracle drives too")
+    oracle_courses: int | None = quantity(
+        "", 0, 10**6, default=None, doc="of the comparison, that the oracle drives too; empty: 50, or none for a rover"
+    )
     ppo: PPOConfig = PPOConfig()
 
     def __post_init__(self):
         super().__post_init__()
+        self._resolve()
         if self.algorithm == "recurrent_ppo" and self.ppo.critic:
             raise ParameterError(
                 f"ppo.critic = {self.ppo.critic!r}: expected only with algorithm ppo, not recurrent_ppo"
             )
         if self.hidden_worlds >= self.ppo.num_envs:
             raise ParameterError(f"hidden_worlds = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
+
+    def _resolve(self) -> None:
+        """Set what was left out and depends on whether a rover is trained; ParameterError for what only a wheel has."""
+        for name, of_a_wheel, of_a_rover, reason in (
+            ("scenario", DEFAULT_SCENARIO, "", "the rover's file has its own"),
+            ("oracle_courses", 50, 0, "the oracle drives a wheel"),
+        ):
+            value = getattr(self, name)
+            if value in ("", None):
+                object.__setattr__(self, name, of_a_rover if self.rover else of_a_wheel)
+            elif self.rover and value:
+                beside = f"expected none beside rover = {self.rover!r}: {reason}"
+                raise ParameterError(f"TrainConfig.{name} = {value!r}: {beside}")
 
     @property
     def world(self) -> WheelSoilModel | None:

@@ -27,7 +27,7 @@ import soil_env
 from soil_env._io.commands import command_line, leave
 from soil_env._io.files import make_folder
 from soil_env._io.loading import ParameterError, merge, read_yaml
-from soil_env.parameters import Scenario, load_scenario
+from soil_env.parameters import Scenario
 
 from . import studies
 from .cli import config_file, manual_parser, overrides
@@ -142,12 +142,14 @@ def main(arguments: list[str] | None = None) -> int:
         raise ParameterError(f"--{given[0]}: is set for every seed; expected --seeds, --first and --out")
     mapping = {} if options.config is None else read_yaml(config_file(options.config))
     config = load_config(merge(mapping, changes), options.config or "command line")
-    scenario = load_scenario(config.scenario, config.changes)
+    scenario = training.scenario_of(config)
     training.check(config)
     train(options.out, config, scenario, range(options.first, options.first + options.seeds), engine)
     trained = f"{NAMES[config.observation]}={options.out}/seed_*"
-    again = f"python -m {__package__}.evaluate --controllers 'soft_start,{trained}' --out {options.out}/evaluation"
-    show(f"Compare them: {again}")
+    compare = f"{__package__}.evaluate --controllers 'soft_start,{trained}' --out {options.out}/evaluation"
+    if config.rover:  # agents.evaluate drives wheels
+        compare = f"{__package__}.train --resume {folder_of(options.out, options.first)}"
+    show(f"Compare {'one' if config.rover else 'them'}: python -m {compare}")
     return 0
 
 

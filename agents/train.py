@@ -49,7 +49,7 @@ def _keys() -> str:
         lines.append(f"\n  {title}")
         for f in dataclasses.fields(cls):
             if f.name not in ("ppo", "changes"):
-                default = "" if f.default in ("", dataclasses.MISSING) else str(f.default)
+                default = "" if f.default in ("", None, dataclasses.MISSING) else str(f.default)
                 lines.append(f"    --{prefix + f.name:22s} {default:12s} {_about(f)}".rstrip())
     lines.append(f"\n  The scenario\n    --changes.KEY{'':24s} any key, e.g. --changes.course.margin '[0.05, 0.1]'")
     return "\n".join(lines)

@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
-from soil_env.parameters import DEFAULT_SCENARIO, Scenario, load_scenario
+from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario, load_rover
 
@@ -78,8 +78,6 @@ class _Watch(BaseCallback):
 def scenario_of(config: TrainConfig) -> Scenario:
     """The task of a config: that of its rover, if it names one, or of its scenario."""
     if config.rover:
-        if config.scenario != DEFAULT_SCENARIO:
-            raise ParameterError(f"scenario = {config.scenario!r}: expected none beside rover = {config.rover!r}")
         scenario = load_rover(config.rover, config.changes)
     else:
         scenario = load_scenario(config.scenario, config.changes)

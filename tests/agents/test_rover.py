@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
 from agents import rover_study, train, training
 from agents.config import TrainConfig
@@ -184,6 +185,24 @@ def test_train_writes_the_comparison(run_folder):
         assert all(m["low"] <= m["value"] <= m["high"] for m in metrics.values())
     assert (run_folder / "comparison.png").stat().st_size > 1000
     assert train.main(["--resume", str(run_folder)]) == 0
+
+
+def test_the_config_records_the_rover_and_nothing_that_was_not_run(run_folder):
+    recorded = yaml.safe_load((run_folder / "config.yaml").read_text())
+    assert (recorded["rover"], recorded["scenario"], recorded["oracle_courses"]) == ("mars_rover", "", 0)
+    config, scenario = training.open_run(run_folder)
+    assert scenario == training.scenario_of(config) and scenario.name == "mars_rover"
+
+
+@pytest.mark.parametrize(
+    "given", [["--oracle_courses", "5"], ["--oracle_courses", "50"], ["--scenario", "two_lines"]]
+)
+def test_what_only_a_wheel_has_is_refused(given, tmp_path, capsys):
+    """Also where it is what a wheel has by default."""
+    assert train.main(["--config", "rover.yaml", "--runs", str(tmp_path), *given, *SMALL]) == 2
+    said = capsys.readouterr().err
+    assert f"{given[0][2:]} = " in said and "expected none beside rover = 'mars_rover'" in said and said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_agent_loads_and_acts(run_folder):

@@ -51,6 +51,12 @@ def test_a_seed_gives_the_agent_of_train_py(local, tmp_path):
         assert np.array_equal(x, y)
 
 
+def test_seeds_of_a_rover_are_rovers(tmp_path, capsys):
+    assert seeds.main(["--seeds=1", f"--out={tmp_path}", "--rover=lunar_micro_rover", "--ppo.history=0", *TINY]) == 0
+    assert load_agent(tmp_path / "seed_0").model.action_space.shape == (2,)
+    assert f"train --resume {tmp_path / 'seed_0'}" in capsys.readouterr().out.replace("\n", "")
+
+
 def test_the_same_command_trains_what_is_missing(local, tmp_path, monkeypatch, capsys):
     trained = []
 
