@@ -11,6 +11,7 @@ Examples:
 from __future__ import annotations
 
 import argparse
+import importlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -21,17 +22,15 @@ from soil_env.vehicle import DEFAULT_ROVER, RoverScenario
 
 from .cli import manual_parser
 from .config import NAMES, TrainConfig
+from .evaluate import HELD_OUT_SET
+from .evaluate.models import load_model
 from .evaluate.tables import cell, metric_table
 from .evaluate.tuning import shown_on
 from .extras import needing
 from .progress import Bar, show
+from .rover import comparing
 
 NAME = f"{__package__}.rover_study"
-with needing("train", NAME):
-    from . import training
-    from .evaluate import HELD_OUT_SET
-    from .evaluate.models import load_model
-    from .rover import comparing
 
 _FILES = """
 OUT holds a run folder for each agent, settings.jsonl (trials of the tuning, until it is done), and
@@ -68,6 +67,8 @@ def configs(rover: str, out: Path, seeds: int, timesteps: int) -> dict[str, list
 
 def run(rover: str, out: Path, seeds: int, timesteps: int, courses: int, tuning_courses: int) -> dict:
     """The study; its result, which is written to `out` too."""
+    from . import training  # needs the extra `train`, which --help does not
+
     trainings = configs(rover, out, seeds, timesteps)
     scenario = training.scenario_of(trainings[NAMES["blind"]][0])
     assert isinstance(scenario, RoverScenario)
@@ -129,6 +130,8 @@ _ASKED = (
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     options = parser().parse_args(arguments)
+    with needing("train", NAME):
+        importlib.import_module(".training", __package__)
     out = options.out
     make_folder(out)
     if options.page:

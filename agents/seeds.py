@@ -36,9 +36,6 @@ from .extras import needing
 from .progress import Bar, console, show
 
 NAME = f"{__package__}.seeds"
-with needing("train", NAME):
-    from . import training
-
 _SET_HERE = ("seed", "name", "runs")
 
 
@@ -65,6 +62,8 @@ class Training:
         """{path in the run folder: content} of the model and the TensorBoard log."""
         if self.version != code_version():
             raise ParameterError(f"a worker has soil_env {code_version()}, this machine {self.version}")
+        from . import training  # needs the extra `train`, which --help does not
+
         quiet, console.quiet = console.quiet, True
         try:
             with tempfile.TemporaryDirectory() as folder:
@@ -77,6 +76,8 @@ class Training:
 
 def keep(out: Path, config: TrainConfig, scenario: Scenario, seed: int, files: dict[str, bytes]) -> None:
     """Write the run folder of a seed; it appears only when it is complete."""
+    from . import training
+
     folder = folder_of(out, seed)
     config = dataclasses.replace(config, seed=seed, name=folder.name, runs=str(out))
     partial = folder.with_name(f".{folder.name}.partial")
@@ -90,6 +91,8 @@ def keep(out: Path, config: TrainConfig, scenario: Scenario, seed: int, files: d
 
 def missing(out: Path, config: TrainConfig, scenario: Scenario, seeds: range) -> list[int]:
     """Seeds that are not trained in `out` yet; ParameterError if one was trained with another config."""
+    from . import training
+
     left = []
     for seed in seeds:
         folder = folder_of(out, seed)
@@ -133,6 +136,8 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options, rest = parser().parse_known_args(arguments)
+    with needing("train", NAME):
+        from . import training
     if options.seeds < 1 or options.first < 0:
         raise ParameterError("--seeds, --first: expected at least one seed, and none below 0")
     engine = studies.choose(options.engine, options.workers, options.address)

@@ -33,7 +33,7 @@ def main() -> None:
     try:
         drive(options)
     except (ParameterError, ValueError, OSError) as error:
-        p.error(str(error))
+        p.exit(2, f"{p.prog}: error: {error}\n")
 
 
 def drive(options) -> None:

@@ -45,7 +45,7 @@ def main() -> None:
         )
         observation, info = env.reset(seed=1)
     except ParameterError as error:
-        p.error(str(error))
+        p.exit(2, f"{p.prog}: error: {error}\n")
     scenario = env.unwrapped.scenario
     with open("beach.yaml", "w", encoding="utf-8") as stream:
         yaml.safe_dump(to_dict(scenario), stream, sort_keys=False)

@@ -161,7 +161,7 @@ def main() -> None:
         log_map = read_map(place)
         found = replay(read_recording(options.out, log_map), log_map)
     except ParameterError as error:
-        p.error(str(error))
+        p.exit(2, f"{p.prog}: error: {error}\n")
     worst = 0.0
     for name, values in found.values.items():
         if name in online[0]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents import seeds, studies
+from agents import seeds, studies, training
 from agents.ppo import TrainConfig, load_agent
 from soil_env.parameters import load_scenario
 
@@ -37,16 +37,16 @@ def test_each_seed_is_a_run_folder_of_its_own_agent(local):
     assert [f.name for f in folders] == ["seed_0", "seed_1", "seed_2"]
     for k, folder in enumerate(folders):
         assert {f.name for f in folder.iterdir()} >= {"config.yaml", "scenario.yaml", "model.zip", "tensorboard"}
-        config, scenario = seeds.training.open_run(folder)
+        config, scenario = training.open_run(folder)
         assert (config.seed, config.name, config.runs) == (k, folder.name, str(local))
         assert scenario.control.time_limit == 5.0
     assert not np.array_equal(weights(folders[0])[0], weights(folders[1])[0])
 
 
 def test_a_seed_gives_the_agent_of_train_py(local, tmp_path):
-    config, scenario = seeds.training.open_run(local / "seed_1")
+    config, scenario = training.open_run(local / "seed_1")
     (tmp_path / "run").mkdir()
-    seeds.training.train(tmp_path / "run", config, scenario)
+    training.train(tmp_path / "run", config, scenario)
     for x, y in zip(weights(tmp_path / "run"), weights(local / "seed_1"), strict=True):
         assert np.array_equal(x, y)
 

@@ -12,8 +12,13 @@ COMMANDS = {
     "soil-env-ablation": ("agents.ablation.__main__", []),
     "soil-env-sim2real": ("agents.sim2real.__main__", ["--world", "w.yaml", "--out", "o"]),
     "agents.seeds": ("agents.seeds", ["--out", "o"]),
+    "agents.rover_study": ("agents.rover_study", ["--out", "o"]),
 }
-HELP = ("agents.train", "agents.ablation.__main__", "agents.sim2real.__main__")
+HELP = (
+    "agents.train", "agents.ablation.__main__", "agents.sim2real.__main__", "agents.seeds", "agents.rover_study",
+    "agents.evaluate.__main__", "agents.export.__main__", "agents.warning.__main__", "agents.tune", "agents.oracle",
+    "agents.dataset", "agents.publish",
+)  # fmt: skip
 BARE = """
 import contextlib, importlib, io, json, sys
 class Absent:
@@ -42,7 +47,7 @@ print(json.dumps(said))
 @pytest.fixture(scope="module")
 def said():
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    asked = json.dumps(COMMANDS | {module: (module, ["--help"]) for module in HELP})
+    asked = json.dumps(COMMANDS | {f"{module} --help": (module, ["--help"]) for module in HELP})
     ended = subprocess.run(
         [sys.executable, "-c", BARE, asked], capture_output=True, text=True, env=environment, timeout=300
     )
@@ -57,7 +62,7 @@ def test_command_says_what_to_install(said, name):
 
 @pytest.mark.parametrize("module", HELP)
 def test_help_needs_nothing_of_it(said, module):
-    status, out, err = said[module]
+    status, out, err = said[f"{module} --help"]
     assert status == 0 and out.startswith("usage: ") and not err
 
 

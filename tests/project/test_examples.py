@@ -79,6 +79,14 @@ def test_an_example_without_its_extra_says_what_to_install(name, module, extra, 
     assert said.startswith(f"{name}.py: needs ") and said.endswith(f": pip install 'soil_env[{extra}]'\n")
 
 
+@pytest.mark.parametrize("name, arguments", [("drive", "--scenario nowhere.yaml"), ("own_soil", "--phi 95")])
+def test_bad_input_is_said_in_one_line(name, arguments, tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit) as end:
+        run(name, arguments, tmp_path, monkeypatch)
+    said = capsys.readouterr().err
+    assert end.value.code == 2 and said.startswith(f"{name}.py: error: ") and said.count("\n") == 1
+
+
 def test_a_rover_that_identifies_nothing_is_driven(tmp_path, monkeypatch, capsys):
     (tmp_path / "mine.yaml").write_text((FOLDER.parent / "configs/rovers/field_rover.yaml").read_text().replace(
         "\nbelief: {", "\nbelief: {method: none, "))  # fmt: skip
