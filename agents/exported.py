@@ -15,7 +15,7 @@ POLICY, FORMAT = "policy.onnx", "soil_env policy 1"  # file in the folder of an 
 
 
 class ExportedAgent:
-    """The agent of an ONNX file, with the `predict` of Stable-Baselines3 on raw observations."""
+    """The agent of an ONNX file, with the `predict` of Stable-Baselines3 on observations in their units."""
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
@@ -53,7 +53,8 @@ class ExportedAgent:
             )
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, 1] for raw observations [n, D], or [1] for [D], and the hidden states for the next call."""
+        """Actions [n, 1] for observations [n, D] in the units of `content["inputs"]`, or [1] for [D], and the hidden
+        states for the next call."""
         batch = np.atleast_2d(np.asarray(observation, dtype=np.float32))
         feeds = {"observation": batch}
         if self._states:

@@ -33,7 +33,7 @@ from soil_env.simulation.task import ObservedNumber, layout
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario, Vehicle
 
-from . import checkpoint, recurrent, zips
+from . import checkpoint, given, recurrent, zips
 from .asymmetric import AsymmetricPolicy
 from .config import NAMES, PPOConfig, TrainConfig, load_config
 from .history import History, HistoryVecEnv
@@ -197,7 +197,11 @@ def _scaling(meta: dict, critic: str = "") -> Scaling:
 
 @dataclass
 class Agent:
-    """A trained agent that takes observations in their units."""
+    """A trained agent. It takes observations in their units, whatever it was trained on.
+
+    The units are those of the tables of `SoilWheel-v0` and `SoilRover-v0`: an environment made with `scaled=False`
+    observes them, `env.unwrapped.physical(observation)` gives them back where it was not.
+    """
 
     model: PPO
     mean: np.ndarray
@@ -213,28 +217,41 @@ class Agent:
         """From observations in their units to those of the environment that it was trained in."""
         return _scaling({**self.meta, "observation": self.variant})
 
+    @cached_property
+    def _layout(self) -> given.Layout:
+        return given.Layout(self.scaling.entries, self.variant)
+
     @property
     def name(self) -> str:
         """Its name in tables."""
         return NAMES[self.variant]
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions for observations [n, D] or [D] in their units; as SB3's predict. ParameterError for another D."""
-        expected, shape = len(self.meta["observation_names"]), np.shape(observation)
-        if not shape or shape[-1] != expected:
-            raise ParameterError(
-                f"observation of shape {shape}: expected {expected} numbers, those of observation {self.variant!r}"
-            )
-        observation = self.scaling(np.asarray(observation, dtype=np.float32))
-        if self.history is None:
-            return self.model.predict(self._normalised(observation), state, episode_start, deterministic)
-        batch = np.atleast_2d(observation)
-        fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
-        empty = np.zeros((len(batch), self.history.kept), dtype=np.float32)
-        kept, memory = (empty, None) if state is None else state
-        seen, kept = self.history.observe(batch, kept, fresh)
-        action, memory = self.model.predict(self._normalised(seen), memory, episode_start, deterministic)
-        return (action[0] if np.ndim(observation) == 1 else action), (kept, memory)
+        """Actions for observations [n, D] or [D] in their units, and the memory for the next call; as SB3's predict.
+
+        `state`: what the last call for these n courses returned, None at first. `episode_start` [n] bool: which courses
+        begin, where nothing is remembered.
+
+        Raises ParameterError for another D, for NaN, for an entry out of the bounds of the layout, which no environment
+        exceeds, and for a `state` or `episode_start` of another size. Scaled observations are refused so as soon as one
+        of their entries is out of those bounds. Those of which all lie within cannot be told from values in units, and
+        give a wrong action.
+        """
+        seen = self._layout.observed(observation)
+        batch = np.atleast_2d(seen)
+        count, fresh = len(batch), given.starts(episode_start, len(batch), state is None)
+        batch, kept, memory = self.scaling(batch), None, state
+        if self.history is not None:
+            if state is not None and not (isinstance(state, (tuple, list)) and len(state) == 2):
+                raise ParameterError(f"state = {state!r:.60}: expected the pair that the last predict returned")
+            kept, memory = (None, None) if state is None else state
+            shape = count, self.history.kept
+            kept = np.zeros(shape, dtype=np.float32) if kept is None else given.memory([kept], [shape])[0]
+            batch, kept = self.history.observe(batch, kept, fresh)
+        if memory is not None and (of_lstm := getattr(self.model.policy, "lstm_hidden_state_shape", None)):
+            memory = tuple(given.memory(memory, [(of_lstm[0], count, of_lstm[2])] * 2))
+        action, memory = self.model.predict(self._normalised(batch), memory, fresh, deterministic)
+        return (action[0] if seen.ndim == 1 else action), (memory if kept is None else (kept, memory))
 
     def _normalised(self, observation):
         """As the network reads it; zeros for what its value network alone does."""
@@ -326,6 +343,8 @@ def check_layout(meta: dict, where, scenario: Scenario | None = None) -> None:
 
 def load_agent(path: str | Path) -> Agent:
     """Load an agent saved by `save`, from its zip or its run folder; ParameterError if it cannot be used."""
+    if not isinstance(path, (str, Path)):
+        raise ParameterError(f"path = {path!r:.60}: expected that of a run folder or of its model.zip")
     path = Path(path)
     if path.is_dir():
         path = path / "model.zip"

@@ -3,6 +3,7 @@
 import os
 import struct
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents import ppo
+from agents.evaluate.models import load_model
 from agents.ppo import NAMES, PPOConfig, build, load_agent, load_config, resume, save
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
@@ -43,8 +45,8 @@ def saved(model, tmp_path):
     return tmp_path / "model.zip"
 
 
-def raw_observations(scenario, variant, n=20):
-    env = SoilWheelVecEnv(n, scenario, variant)
+def raw_observations(scenario, variant, n=20, scaled=False):
+    env = SoilWheelVecEnv(n, scenario, variant, scaled=scaled)
     env.seed(77)
     env.reset()
     for _ in range(8):
@@ -343,3 +345,71 @@ def test_an_observation_of_another_layout_is_refused(tmp_path):
         with pytest.raises(ParameterError, match=r"expected 14 numbers, those of observation 'blind'"):
             agent.predict(np.zeros(shape))
     assert agent.predict(np.zeros((3, 14)))[0].shape == (3, 1)
+
+
+# --- what predict is given ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def agents(scenario, tmp_path_factory):
+    """{name: agent} that read "blind": without a memory, with a history, with an LSTM and a history."""
+    folder, made = tmp_path_factory.mktemp("agents"), {}
+    for name, steps, algorithm in (("none", 0, "ppo"), ("history", 3, "ppo"), ("lstm", 2, "recurrent_ppo")):
+        if algorithm == "recurrent_ppo":
+            pytest.importorskip("sb3_contrib")
+        config = replace(TINY, history=steps)
+        save(build(scenario, "blind", config, 0, algorithm=algorithm), folder / "model.zip")
+        made[name] = load_model(folder / "model.zip", scenario)
+    return made
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_values_in_their_units_and_given_back_are_taken(scenario, variant, tmp_path):
+    """Over whole courses, those that end badly among them; of scaled ones of the same courses most are refused."""
+    save(build(scenario, variant, TINY, 0), tmp_path / "model.zip")
+    agent = load_agent(tmp_path / "model.zip")
+    plain, scaled = (SoilWheelVecEnv(20, scenario, variant, scaled=s) for s in (False, True))
+    for env in (plain, scaled):
+        env.seed(5)
+    seen, other = plain.reset(), scaled.reset()
+    told = 0
+    for k in range(60):
+        np.testing.assert_allclose(agent.predict(scaled.scaling.physical(other))[0], agent.predict(seen)[0], atol=1e-4)
+        try:
+            agent.predict(other)
+        except ParameterError as error:
+            assert "values in their units, as scaled=False observes them" in str(error) and "\n" not in str(error)
+            told += 1
+        action = np.full((20, 1), (1.0, -1.0, 0.3)[k % 3], np.float32)
+        seen, other = (env.step(action)[0] for env in (plain, scaled))
+    assert told > 40  # of 20 observations at least one is out of the bounds, not always one
+
+
+@pytest.mark.parametrize("which", ["none", "history", "lstm"])
+def test_what_predict_cannot_take_is_named(agents, which):
+    agent = agents[which]
+    rows = np.zeros((3, 14))
+    rows[:, 3] = 1.0
+    rows[1, 3] = np.nan
+    refused(lambda: agent.predict(rows), "observation[1]: load = nan: expected -10 to 10 (of weight)")
+    refused(lambda: agent.predict(rows[1]), "observation: load = nan")
+    rows[1, 3], rows[2, 10] = 1.0, 1.5
+    refused(lambda: agent.predict(rows), "observation[2]: halted = 1.5: expected 0 to 1")
+    refused(lambda: agent.predict("xyz"), "observation = 'xyz': expected numbers")
+    refused(lambda: agent.predict(np.zeros((2, 3, 14))), "shape (2, 3, 14): expected 14 numbers")
+    rows[2, 10] = 0.0
+    refused(lambda: agent.predict(rows, None, [True]), "episode_start: 1 values: expected 3")
+    _, state = agent.predict(rows, None, np.ones(3, dtype=bool))
+    assert agent.predict(rows, state, [False] * 3)[0].shape == (3, 1)
+    if which != "none":
+        refused(lambda: agent.predict(rows[:2], state), "state: arrays of shape", "expected what the last predict")
+        refused(lambda: agent.predict(rows, 3.0), "state = 3.0: expected")
+        kept, memory = state
+        refused(lambda: agent.predict(rows, (np.full_like(kept, np.nan), memory)), "state: a number that is not finite")
+    if which == "lstm":
+        refused(lambda: agent.predict(rows, (kept, (memory[0],))), "arrays of shape [(1, 3, 8)]: expected")
+
+
+@pytest.mark.parametrize("path", [None, 3, b"runs/x"])
+def test_a_path_that_is_none_is_named(path):
+    refused(lambda: load_agent(path), f"path = {path!r}: expected that of a run folder or of its model.zip")

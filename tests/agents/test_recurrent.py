@@ -26,7 +26,7 @@ def test_a_saved_agent_drives_with_its_memory_and_goes_on(tmp_path, scenario):
     path = tmp_path / "model.zip"
     ppo.save(model, path)
     agent = load_model(path, scenario)
-    x = np.linspace(-0.1, 0.1, 3 * len(layout("blind"))).reshape(3, -1)
+    x = np.linspace(0.0, 0.2, 3 * len(layout("blind"))).reshape(3, -1)
     first, state = agent.predict(x, episode_start=np.ones(3, dtype=bool))
     second, _ = agent.predict(x, state, np.zeros(3, dtype=bool))
     afresh, _ = agent.predict(x, state, np.ones(3, dtype=bool))
