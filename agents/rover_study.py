@@ -24,7 +24,7 @@ from .cli import manual_parser
 from .config import NAMES, TrainConfig
 from .evaluate import HELD_OUT_SET
 from .evaluate.models import load_model
-from .evaluate.tables import cell, metric_table
+from .evaluate.tables import cell
 from .evaluate.tuning import shown_on
 from .extras import needing
 from .progress import Bar, show
@@ -143,8 +143,7 @@ def main(arguments: list[str] | None = None) -> int:
         part = {"comparison": page(result)}
         replace_file(Path(options.page), renewed(Path(options.page).read_text(encoding="utf-8"), part, options.page))
         write_json(Path(options.page).with_suffix(".json"), result)
-    show(metric_table(result["controllers"], comparing.COLUMNS, comparing.caption(result)))
-    show(f"Written to {out}: comparison.json, comparison.csv, comparison.md")
+    show(*comparing.table(result), f"Written to {out}: comparison.json, comparison.csv, comparison.md")
     return 0
 
 

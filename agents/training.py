@@ -21,9 +21,9 @@ from . import evaluate, plots, ppo, recurrent
 from .config import TrainConfig, load_config
 from .controllers import CONTROLLERS, make_controller
 from .controllers.oracle import Oracle
-from .evaluate import HELD_OUT_SET, limit
+from .evaluate import HELD_OUT_SET, METRICS, limit
 from .evaluate.models import load_model
-from .evaluate.tables import Column, metric_table, percent, points
+from .evaluate.tables import Column, legend, metric_table, percent, points
 from .evaluate.tuning import shown_on, tuned_settings
 from .progress import Bar, console, show
 from .rover import comparing
@@ -263,7 +263,7 @@ def _compare_rovers(folder: Path, config: TrainConfig, scenario: RoverScenario, 
         plots.comparison_figure(result, folder / "comparison.png")
     times.save()
     (folder / _TUNING).unlink(missing_ok=True)
-    show(metric_table(result["controllers"], comparing.COLUMNS, comparing.caption(result)))
+    show(*comparing.table(result))
     show(*(verdict(result, name) for name in result["controllers"] if name in ppo.NAMES.values()), str(times))
     return result
 
@@ -292,7 +292,8 @@ _COLUMNS = (
 def print_table(result: dict) -> None:
     """The comparison as a table, and how PPO compares in courses finished; all intervals are in comparison.json."""
     title = f"{result['courses']} held-out courses of scenario {result['scenario']!r}, the same for all; 95 % intervals"
-    show(metric_table(result["controllers"] | limit.rows(result), _COLUMNS, title), *limit.lines(result))
+    table = metric_table(result["controllers"] | limit.rows(result), _COLUMNS, title)
+    show(table, legend(_COLUMNS, METRICS), *limit.lines(result))
     show(*(verdict(result, name) for name in result["controllers"] if name in ppo.NAMES.values()))
 
 

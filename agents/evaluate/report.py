@@ -10,7 +10,7 @@ from soil_env._io.files import replace_file, write_json
 from ..progress import show
 from . import figures, limit, results
 from .records import METRICS, RATES, Records
-from .tables import Column, cell, labels, metric_table
+from .tables import Column, cell, labels, legend, metric_table
 
 #: Columns of the printed table
 _COLUMNS = (
@@ -46,7 +46,8 @@ def print_table(result: dict) -> None:
     """The main metrics of all controllers."""
     names = labels(result["controllers"])
     entries = {names[n]: e["metrics"] for n, e in result["controllers"].items()} | limit.rows(result)
-    show(metric_table(entries, _COLUMNS, _title(result)), *settings(result), *limit.lines(result), REFERENCE)
+    table = metric_table(entries, _COLUMNS, _title(result))
+    show(table, legend(_COLUMNS, METRICS), *settings(result), *limit.lines(result), REFERENCE)
 
 
 def settings(result: dict) -> list[str]:

@@ -49,6 +49,15 @@ def metric_table(entries: Mapping[str, Mapping], columns: Iterable[Column], capt
     return Table(["controller", *(c.heading for c in columns)], rows, caption)
 
 
+def legend(columns: Iterable[Column], metrics: Mapping[str, tuple[str, str]]) -> str:
+    """One line that says what the columns are, of {metric: (unit, meaning)}."""
+    entries = []
+    for c in columns:
+        unit, meaning = metrics[c.metric]
+        entries.append(f"{c.heading}: {f'{unit}, ' if unit.startswith('share') else ''}{meaning}")
+    return f"Columns: {'; '.join(entries)}"
+
+
 def labels(controllers: Mapping[str, Mapping]) -> dict[str, str]:
     """{controller: its name with the number of training seeds, where there are several}."""
     return {n: f"{n} ({e['members']} seeds)" if e["members"] > 1 else n for n, e in controllers.items()}

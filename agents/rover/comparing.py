@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
 from ..evaluate import statistics as st
 from ..evaluate.driving import RATES
-from ..evaluate.tables import Column
+from ..evaluate.tables import Column, legend, metric_table
 from ..evaluate.tuning import Trials, load_spaces, shown_on, trials_log
 from ..progress import Bar
 from ..studies import save_csv
@@ -125,9 +126,10 @@ def comparison(
     }
 
 
-def caption(result: Mapping) -> str:
-    """Over a table."""
-    return f"{result['courses']} held-out courses of rover {result['scenario']!r}, the same for all; 95 % intervals"
+def table(result: Mapping) -> tuple[Table, str]:
+    """The main metrics of all controllers, and a line that says what they are."""
+    title = f"{result['courses']} held-out courses of rover {result['scenario']!r}, the same for all; 95 % intervals"
+    return metric_table(result["controllers"], COLUMNS, title), legend(COLUMNS, ROVER_METRICS)
 
 
 def save(result: Mapping, folder: Path) -> None:

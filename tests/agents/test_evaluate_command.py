@@ -10,7 +10,7 @@ import yaml
 from scipy.stats import binomtest
 
 from agents.controllers import make_controller
-from agents.evaluate import HELD_OUT_SET, run_courses, study, summary
+from agents.evaluate import HELD_OUT_SET, report, run_courses, study, summary
 from agents.evaluate.__main__ import _asked, main, parser
 from agents.evaluate.records import METRICS, RATES
 from agents.evaluate.tuning import tuned_settings
@@ -34,6 +34,13 @@ def test_the_folder_holds_what_is_promised(done):
                 assert m["low"] <= m["value"] <= m["high"], (name, metric)
         assert "stratified" in entry["iqm"]["return"] or entry["members"] == 1
         assert entry["profile"]["distance"]["share"] == sorted(entry["profile"]["distance"]["share"], reverse=True)
+
+
+def test_the_columns_are_explained_where_they_are_printed(done, capsys):
+    report.print_table(result_of(done))
+    said = " ".join(capsys.readouterr().out.split())
+    assert "foreseen [%]: share of immobilised courses, the probability of immobilisation gave warning then;" in said
+    assert "tractive eff.: drawbar work over motor work" in said and "slip: median slip" in said
 
 
 def test_values_are_means_over_the_courses_that_are_listed(done):

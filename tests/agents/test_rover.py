@@ -227,6 +227,11 @@ def test_a_critic_is_refused(tmp_path, capsys):
     assert "expected none for a rover" in capsys.readouterr().err
 
 
+def test_the_columns_are_explained_beside_the_table(run_folder):
+    _, said = comparing.table(json.loads((run_folder / "comparison.json").read_text()))
+    assert "wheel force [%]: largest |torque|/radius of a wheel over its share of the weight" in said
+
+
 def test_study_counts_seeds_as_members(scenario):
     controller = make_rover_controller("soft_start", scenario)
     once = run_courses(controller, scenario, 5, 8)
