@@ -178,11 +178,11 @@ def main(arguments: list[str] | None = None) -> int:
     file = folder / "rover_measured.json"
     if not options.page:
         soils, refined = (3, 0) if options.smoke else (96, 3)
+        rovers = published()
+        draws = {name: 2 if options.smoke else of.draws for name, of in rovers.items()}
         results = {
-            "made": {"machine": machine(), "soils": soils, "seed": 0},
-            "rovers": {
-                name: study(of, soils, 2 if options.smoke else of.draws, refined, 0) for name, of in published().items()
-            },
+            "made": {"machine": machine(), "soils": soils, "draws": draws, "seed": 0},
+            "rovers": {name: study(of, soils, draws[name], refined, 0) for name, of in rovers.items()},
         }
         write_json(file, results, None)
     rover_slopes_page.write(json.loads(file.read_text(encoding="utf-8")), folder)

@@ -35,8 +35,10 @@ def write(results: dict[str, Any], folder: Path) -> None:
         parts[name] = "\n\n".join((_over_slope(found).markdown(), _of_band(found).markdown()))
         fits = [_of_fits(found).markdown(), *(_drive_table(found, one).markdown() for one in found["fits"])]
         parts[f"{name} fit"] = "\n\n".join([_fitted(found), *fits, *_alternatives(found), _pulls(found)])
+    starts = " and ".join(f"{count} ({name.upper()})" for name, count in made["draws"].items())
     parts["made"] = (
-        f"{made['soils']} soils a rover, seed {made['seed']}; {machine_text(made['machine'], 'numpy', 'numba')}."
+        f"Bands of {made['soils']} drawn soils a rover, seed {made['seed']}; fits from {starts} others, seed 1; "
+        f"{machine_text(made['machine'], 'numpy', 'numba')}."
     )
     renew_page(PAGE, parts, folder / PAGE.name)
 

@@ -97,6 +97,7 @@ def test_smoke_run_writes_page_figure_and_result(tmp_path):
     assert study.main(["--smoke", "--out", str(tmp_path)]) == 0
     page = (tmp_path / "rover_measured.md").read_text(encoding="utf-8")
     assert all(f"<!-- {part} -->\n|" in page or f"<!-- {part} -->\n-" in page or part == "made" for part in PARTS)
+    assert "Bands of 3 drawn soils a rover" in page and "fits from 2 (MGRU3) and 2 (EX1) others" in page
     files = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert set(files) == {"rover_measured.md", "rover_measured.json", "rover_slopes.svg"}
     assert study.main(["--page", "--out", str(tmp_path)]) == 0
