@@ -465,7 +465,7 @@ def _check_kind(mapping: dict[str, Any], changes: dict[str, Any], folder: str, w
     known = {f.name for f in fields(Scenario)}
     if folder == "scenarios" and "vehicle" in mapping:
         raise ParameterError(f"{where} is a rover, having `vehicle`; {_expected(folder)}")
-    if folder == "rovers" and mapping and known.issuperset({**mapping, **changes}):
+    if folder == "rovers" and mapping and known.issuperset((*mapping, *changes)):
         raise ParameterError(f"{where} is the scenario of a wheel, having no `vehicle`; {_expected(folder)}")
 
 

@@ -347,7 +347,7 @@ def test_an_observation_of_another_layout_is_refused(tmp_path):
     assert agent.predict(np.zeros((3, 14)))[0].shape == (3, 1)
 
 
-# --- what predict is given ----------------------------------------------------------------------------------------------
+# --- what predict is given --------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
