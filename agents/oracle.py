@@ -17,11 +17,11 @@ from __future__ import annotations
 
 import argparse
 
-from soil_env._io.commands import command, leave, whole_number
+from soil_env._io.commands import command, command_line, leave, whole_number
 
 from .cli import manual_parser
 from .controllers import CONTROLLERS
-from .evaluate.__main__ import main as evaluate
+from .evaluate.__main__ import MEMORY, compare
 
 _NAME = f"{__package__}.oracle"
 
@@ -35,18 +35,19 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
+@command_line(_NAME, memory=MEMORY)
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
     options, rest = parser().parse_known_args(arguments)
     if any(r.partition("=")[0] == "--resume" for r in rest):
-        return evaluate(rest)
+        return compare(rest, _NAME)
     given = {
         "controllers": options.controllers or ",".join(CONTROLLERS),
         "courses": options.courses,
         "oracle-courses": options.courses,
         "tuning-courses": options.tuning_courses,
     }
-    return evaluate([*(f"--{key}={value}" for key, value in given.items()), *rest])
+    return compare([*(f"--{key}={value}" for key, value in given.items()), *rest], _NAME)
 
 
 if __name__ == "__main__":

@@ -52,9 +52,9 @@ _TUNING_COURSES = 200  # as train.py
 _TUNING = "tuning.jsonl"  # trials of a tuning that is not finished
 
 
-def parser() -> argparse.ArgumentParser:
+def parser(name: str = _NAME) -> argparse.ArgumentParser:
     """Options of the command."""
-    p = manual_parser(command(_NAME), __doc__, _EPILOG)
+    p = manual_parser(command(name), __doc__, _EPILOG)
     p.add_argument("--controllers", metavar="CONTROLLERS", help="what is compared, with commas (see above)")
     p.add_argument("--out", metavar="OUT", type=Path, help="folder of the results, made where it does not exist")
     p.add_argument("--resume", metavar="OUT", type=Path, help="go on with an evaluation; only the engine may be given")
@@ -82,12 +82,20 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-@command_line(_NAME, memory="fewer --courses or a smaller --block")
+MEMORY = "fewer --courses or a smaller --block"  # what would need less
+
+
+@command_line(_NAME, memory=MEMORY)
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
-    options, rest = parser().parse_known_args(arguments)
+    return compare(arguments, _NAME)
+
+
+def compare(arguments: list[str] | None, name: str) -> int:
+    """Compare as the `arguments` say, on behalf of the command `name`."""
+    options, rest = parser(name).parse_known_args(arguments)
     folder = options.resume or options.out
-    with go_on_with(_NAME, folder):
+    with go_on_with(name, folder):
         engine = studies.choose(options.engine, options.workers, options.address)
         asked = _study(options, rest, folder)
         threads = None if engine is studies.in_process else 1

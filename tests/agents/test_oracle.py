@@ -140,6 +140,14 @@ def test_the_command_writes_the_limit_into_the_evaluation_and_goes_on_after_an_i
     assert (broken / "evaluation.json").read_bytes() == (whole / "evaluation.json").read_bytes()
 
 
+@pytest.mark.parametrize("wrong", [["--bogus"], ["--out=o", "--bogus", "3"], ["--out=o", "--scenario=nowhere"]])
+def test_what_is_wrong_is_told_under_the_name_of_the_command(wrong, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert command.main(wrong) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("agents.oracle: ") and said.count("\n") == 1
+
+
 def test_more_oracle_courses_than_courses_and_its_name_for_another_are_refused(tmp_path, capsys):
     from agents.evaluate.__main__ import main
 
