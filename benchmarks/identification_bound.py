@@ -3,6 +3,7 @@
     python -m benchmarks.identification_bound                the table of docs/identification.md; a few minutes
     python -m benchmarks.identification_bound --courses 20   in seconds
     python -m benchmarks.identification_bound --courses 60 --swing 0.6   a rim speed that swings twice as much
+    python -m benchmarks.identification_bound --seed 1 --slip_noise 0    what noise in slip and speeds costs estimators
 
 The bound (Tichavsky, Muravchik & Nehorai 1998, IEEE Trans. Signal Processing 46:1386-1396) is that of the sensors
 named: the covariance of a Kalman filter linearised at the truth, with the prior of the belief, that is told where the
@@ -34,6 +35,7 @@ from soil_env.identification.mixture_prior import plain
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause
 from soil_env.simulation.terrain import ground_at
+from soil_env.slip import travel_speeds
 
 
 class Fitted(NamedTuple):
@@ -112,6 +114,14 @@ def record(scenario: Scenario, courses: int, seed: int, swing: float = SWING) ->
         log["edges"] = edges[np.isfinite(edges) & (edges < log["x"].max() + 1.0)]
         logs.append(log)
     return logs
+
+
+def with_slip_noise(log: dict, radius: float, share: float) -> np.ndarray:
+    """The readings of a log [T, 10], with `share` of their noise in slip, speed and rim speed."""
+    readings, rim = log["readings"].copy(), log["wheel_speed"] * radius
+    for column, true in ((0, log["slip"]), (5, travel_speeds(rim, log["slip"])), (6, rim)):
+        readings[:, column] = true + share * (readings[:, column] - true)
+    return readings
 
 
 @root
@@ -245,12 +255,14 @@ def study(
     estimators: dict[str, str] = ESTIMATORS,
     replay=replay,
     swing: float = SWING,
+    slip_noise: float = 1.0,
 ) -> dict:
     """{"rms": {row: {place: [3]}}, "inside_68": {row: [3]}, ...} of bounds and estimators over all driven steps.
 
     "ratio": {estimator: RMS error over the bound of all sensors, with its 95 % interval over courses}; "loss": rows of
     (from [m], to [m], share of the steps, RMS of the bound, RMS of the first estimator, share of its squared error
-    above the bound).
+    above the bound). `slip_noise`: of slip and speeds in the readings of the estimators, over that of the scenario,
+    which estimators and bounds go on to believe.
     """
     logs = record(scenario, courses, seed, swing)
     driven = [log["halt_left"] == 0.0 for log in logs]
@@ -260,7 +272,7 @@ def study(
         sds = [bound(log, scenario, fitted)[d] for log, d in zip(logs, driven, strict=True)]
         squares[f"bound, {name}"] = np.concatenate(sds) ** 2
     for label, name in estimators.items():
-        replays = [replay(name, scenario, log["readings"]) for log in logs]
+        replays = [replay(name, scenario, with_slip_noise(log, scenario.wheel.radius, slip_noise)) for log in logs]
         error = np.concatenate([(e - log["truth"])[d] for (e, *_), log, d in zip(replays, logs, driven, strict=True)])
         sd = np.concatenate([s[d] for (_, s, *_), d in zip(replays, driven, strict=True)])
         squares[label], inside[label] = error**2, (np.abs(error) < sd).mean(axis=0).tolist()
@@ -364,13 +376,18 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument(
         "--swing", metavar="SHARE", type=float, default=SWING, help=f"of the rim speed, up and down (default {SWING:g})"
     )
+    p.add_argument("--slip_noise", metavar="SHARE", type=float, default=1.0,
+                   help="of the noise of slip and speeds that estimators read (default 1)")  # fmt: skip
     options = p.parse_args(arguments)
+    if not 0.0 <= options.slip_noise <= 1.0:
+        raise ParameterError(f"--slip_noise {options.slip_noise:g}: expected a share in [0, 1]")
     if not 0.0 <= options.swing < 1.0:
         raise ParameterError(f"--swing {options.swing:g}: expected a share in [0, 1)")
     make_folder(options.out)
     result = study(
-        load_scenario("mixed", TORQUE), 3 if options.smoke else options.courses, options.seed, swing=options.swing
-    )
+        load_scenario("mixed", TORQUE), 3 if options.smoke else options.courses, options.seed, swing=options.swing,
+        slip_noise=options.slip_noise,
+    )  # fmt: skip
     write_json(options.out / "bound.json", result)
     drive = result["drive"]
     print(

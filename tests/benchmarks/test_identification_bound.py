@@ -65,3 +65,16 @@ def test_a_further_sensor_never_hurts(log):
                                       "without motor torque and acceleration"))  # fmt: skip
     assert np.all(best <= all_ * (1.0 + 1e-9)) and np.all(all_ <= few * (1.0 + 1e-9))
     assert np.mean(best) < 0.98 * np.mean(all_)
+
+
+def test_readings_without_noise_in_slip_and_speeds_differ_in_these_alone(log):
+    scenario = load_scenario("mixed", TORQUE)
+    r, sd = scenario.wheel.radius, scenario.noise
+    quiet, half = bound.with_slip_noise(log, r, 0.0), bound.with_slip_noise(log, r, 0.5)
+    assert np.array_equal(bound.with_slip_noise(log, r, 1.0)[:, 1:5], log["readings"][:, 1:5])
+    assert np.array_equal(np.delete(quiet, [0, 5, 6], axis=1), np.delete(log["readings"], [0, 5, 6], axis=1))
+    assert np.allclose(half, 0.5 * (quiet + log["readings"]))
+    driving = (log["slip"] > 0.05) & (quiet[:, 6] > 0.05)
+    assert np.allclose(1.0 - quiet[driving, 5] / quiet[driving, 6], quiet[driving, 0])
+    noise = (log["readings"] - quiet)[driving][:, [0, 5, 6]].std(axis=0)
+    assert noise == pytest.approx([sd.slip, sd.speed, sd.wheel_speed * r], rel=0.25)
