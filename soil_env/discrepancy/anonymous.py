@@ -25,7 +25,13 @@ FREE_SIZES = (0.03, 0.15, 0.5)
 #: Sizes of a pattern, relative to the stress or to the root mean square of the channel.
 PATTERN_SIZES = (0.05, 0.15, 0.4)
 SCATTERS = (1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)  # of the values over the noise
-_STRESSES = ("normal stress", "shear stress", "place of the normal stress", "spread of the normal stress")
+_STRESSES = (
+    "normal stress",
+    "shear stress",
+    "place of the normal stress",
+    "spread of the normal stress",
+    "place of the shear stress",
+)
 _ELAPSED = 0.5  # correlation length of the time, of the campaign
 _FUNCTIONS = 12  # of a pattern at most
 _LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it

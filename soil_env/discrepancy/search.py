@@ -20,12 +20,13 @@ from soil_env.discrepancy.calibrate import Choice, Problem
 from soil_env.discrepancy.evidence import Detectable, Evidence, detectable, promised, settle
 from soil_env.terramechanics.catalogue import CATALOGUE
 
-#: Prior probability that no, one and two listed effects are missing, each set of a size as probable as another. A table
-#: is examined because something is suspected, but most suspicions are noise, an ordinary form error or a wrong soil.
-COUNT_PRIOR = (0.6, 0.35, 0.05)
-#: Prior probability of an anonymous contribution beside them: the catalogue holds what the literature has found to
-#: matter, nine of ten mechanisms.
-FREE_PRIOR = 0.1
+#: Prior odds that a listed effect is missing, each independent of the others: of 13 effects none is missing with 58 %,
+#: one with 30 %, two with 7 %, and something unlisted with 5 %. A table is examined because something is suspected, but
+#: most suspicions are noise, an ordinary form error or a wrong soil.
+ODDS = 0.04
+#: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to matter, nine of ten
+#: mechanisms.
+UNLISTED_ODDS = ODDS * len(CATALOGUE) / 9.0
 #: Log evidences are divided by this. The form errors have assumed shapes and lengths, which no soil keeps to, so that
 #: evidence is less certain than it says (generalised Bayes: Grunwald & van Ommen 2017, Bayesian Anal. 12:1069-1103).
 #: Chosen on cases of the development seed 100901 of `benchmarks.blind`; no command compares temperatures.
@@ -202,8 +203,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
         for choice in forms(problem, name):
             sets.add((choice,), base)
     _pairs(problem, names, sets, say)
-    log_prior = _log_prior(sets, len(names))
-    order = sorted(sets.found, key=lambda s: -(sets.log(s) / TEMPERATURE + log_prior[s]))
+    order = sorted(sets.found, key=lambda s: -(sets.log(s) / TEMPERATURE + log_prior(s)))
     entries = [(s, False, sets.best(s), sets.log(s)) for s in order]
     say("with something that no catalogue lists")
     free: dict[tuple[str, ...], Evidence] = {(): anonymous(problem, base)}
@@ -214,24 +214,20 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
             say("with something that no catalogue lists and " + " and ".join(CATALOGUE[n].title for n in s))
             free[s] = anonymous(problem, sets.best(s))
     entries += [(s, True, e, sets.log(s) + e.log - sets.best(s).log) for s, e in free.items()]
-    total = [
-        log / TEMPERATURE + log_prior[s] + math.log(FREE_PRIOR if free else 1.0 - FREE_PRIOR)
-        for s, free, _, log in entries
-    ]
+    total = [log / TEMPERATURE + log_prior(s, free) for s, free, _, log in entries]
     share = np.exp(np.array(total) - logsumexp(total))
     found = [
         Hypothesis(s, free, float(p), log - base.log, e) for (s, free, e, log), p in zip(entries, share, strict=True)
     ]
-    threshold = TEMPERATURE * math.log(COUNT_PRIOR[0] * max(len(names), 1) / COUNT_PRIOR[1])
+    threshold = -TEMPERATURE * math.log(ODDS)
     usual = free[()] if rough else base
     seen = {n: detectable(problem, usual, forms(problem, n), threshold) for n in names}
     return Finding(tuple(sorted(found, key=lambda h: -h.probability)), untestable, seen)
 
 
-def _log_prior(sets: _Sets, count: int) -> dict[tuple[str, ...], float]:
-    """Log prior of each set; of two effects there are count (count - 1)/2."""
-    of = (1, max(count, 1), max(count * (count - 1) // 2, 1))
-    return {s: math.log(COUNT_PRIOR[len(s)] / of[len(s)]) for s in sets.found}
+def log_prior(names: tuple[str, ...], free: bool = False) -> float:
+    """Log prior odds of a set of effects, with an anonymous contribution or without, against the base model."""
+    return len(names) * math.log(ODDS) + free * math.log(UNLISTED_ODDS)
 
 
 def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Callable[[str], None]) -> None:

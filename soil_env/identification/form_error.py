@@ -6,8 +6,8 @@ What is measured is taken to be
 
 where the columns B_k span a Gaussian process over the conditions and s_k is the unknown size of a kind of form error
 (Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464; Brynjarsdottir & O'Hagan 2014, Inverse Problems 30:114007). The
-error of the base law acts in the stresses: relative errors of the normal and of the shear stress, and of where along
-the arc the normal stress acts and how concentrated it is (`stress_changes`): independent processes of the same size,
+error of the base law acts in the stresses: relative errors of the normal and of the shear stress, of where along the
+arc both act, and of how concentrated the normal stress is (`stress_changes`): independent processes of the same size,
 which reach sinkage, drawbar pull and torque together through the steady state.
 
 A process is written in its leading eigenfunctions at the rows of the table (Karhunen-Loeve), so that its covariance
@@ -40,6 +40,9 @@ _SHORTER = 3.0  # times over which a contribution of one condition may change fa
 #: By an error of size 1: shift of the stress peak [of the entry angle] and change of the sinkage exponent that move and
 #: spread a parabola of stress as much; and the depth, over the sinkage, at which such a change leaves the pressure.
 _MOVED, _SPREAD, _MEAN_DEPTH = 0.25, 0.32, 0.75
+#: Change of ln K that moves the resultant of the shear stress as much, and the relative change of the strength per ln K
+#: that keeps the mean of the shear stress: at a slip of 0.3, an entry angle of 0.7 and K of a tenth of the radius.
+_TURNED, _STRONGER = 2.6, 0.45
 _UNSEEN = 1e-10  # share of the largest variance, or of the noise, below which a direction does not count
 
 #: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is exact, else log-normal
@@ -149,9 +152,9 @@ def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple
     The normal stress can be larger all along the arc; so can the shear stress. Where the error of the normal stress
     changes along the arc, its resultant moves, and it is more or less concentrated: both by as much as an error that is
     correlated over half of the arc moves and spreads a parabola of stress, written as a shift of the peak and as a
-    change of the sinkage exponent at the same mean pressure.
+    change of the sinkage exponent at the same mean pressure. The resultant of the shear stress moves as well, written
+    as a change of the shear deformation modulus at about the same mean shear stress.
     """
-    tangent = (1.0 + h) * math.tan(math.radians(soil["friction_angle_deg"]))
     more = _SPREAD * h
     depth = _MEAN_DEPTH * max(sinkage, 1e-6)
     flatter = {
@@ -160,12 +163,23 @@ def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple
     }
     return (
         StressChange({"sinkage_coefficient": (1.0 + h) * soil["sinkage_coefficient"]}, {}),
-        StressChange(
-            {"cohesion": (1.0 + h) * soil["cohesion"], "friction_angle_deg": math.degrees(math.atan(tangent))}, {}
-        ),
+        StressChange(_stronger(soil, h), {}),
         StressChange({}, {"stress_peak_shift_offset": _MOVED * h}),
         StressChange(flatter, {}),
+        StressChange(
+            {
+                "shear_modulus": soil["shear_modulus"] * math.exp(_TURNED * h),
+                **_stronger(soil, _STRONGER * _TURNED * h),
+            },
+            {},
+        ),
     )
+
+
+def _stronger(soil: Mapping[str, float], share: float) -> dict[str, float]:
+    """Cohesion and friction angle of a soil whose shear strength is larger by a share."""
+    tangent = (1.0 + share) * math.tan(math.radians(soil["friction_angle_deg"]))
+    return {"cohesion": (1.0 + share) * soil["cohesion"], "friction_angle_deg": math.degrees(math.atan(tangent))}
 
 
 def compressed(columns: np.ndarray) -> Compression:

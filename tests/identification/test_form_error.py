@@ -71,8 +71,11 @@ def test_a_mixture_has_the_moments_of_its_parts():
 
 
 def test_stress_changes_scale_the_stresses():
-    soil = {"friction_angle_deg": 30.0, "cohesion": 1000.0, "sinkage_coefficient": 1e6, "sinkage_exponent": 1.0}
-    normal, shear, moved, spread = form_error.stress_changes(soil, 0.1, 0.02)
+    soil = {
+        "friction_angle_deg": 30.0, "cohesion": 1000.0, "shear_modulus": 0.01, "sinkage_coefficient": 1e6,
+        "sinkage_exponent": 1.0,
+    }  # fmt: skip
+    normal, shear, moved, spread, later = form_error.stress_changes(soil, 0.1, 0.02)
     assert normal == ({"sinkage_coefficient": pytest.approx(1.1e6)}, {})
     assert shear.soil["cohesion"] == pytest.approx(1100.0)
     assert np.tan(np.radians(shear.soil["friction_angle_deg"])) == pytest.approx(1.1 * np.tan(np.radians(30.0)))
@@ -80,6 +83,7 @@ def test_stress_changes_scale_the_stresses():
     depth = form_error._MEAN_DEPTH * 0.02  # where the pressure stays
     pressure = spread.soil["sinkage_coefficient"] * depth ** spread.soil["sinkage_exponent"]
     assert pressure == pytest.approx(1e6 * depth) and spread.soil["sinkage_exponent"] > 1.0
+    assert later.soil["shear_modulus"] > 0.01 and later.soil["cohesion"] > 1000.0 and not later.effects
 
 
 def test_resultant_and_spread_move_as_errors_along_the_arc_move_them():
@@ -104,6 +108,27 @@ def test_resultant_and_spread_move_as_errors_along_the_arc_move_them():
     by_exponent = (moments(stress(0.5, 1.0 + step))[1] - moments(stress(0.5, 1.0))[1]) / step
     assert form_error._MOVED == pytest.approx(place / by_peak, rel=0.05)
     assert form_error._SPREAD == pytest.approx(-spread / by_exponent, rel=0.05)
+
+
+def test_the_resultant_of_the_shear_stress_moves_as_errors_along_the_arc_move_it():
+    """Errors correlated over half of the arc, multiplying Janosi's shear stress under a normal stress of n = 1."""
+    x = np.linspace(0.0, 1.0, 401)  # theta over the entry angle
+    entry, slip, K = 0.7, 0.3, 0.1  # [rad], -, [of the radius]
+    sigma = np.cos(entry * np.where(x > 0.5, x, 1.0 - x)) - np.cos(entry)
+    j = entry * (1.0 - x) - (1.0 - slip) * (np.sin(entry) - np.sin(entry * x))
+
+    def shear(ln_more_K):
+        return sigma * (1.0 - np.exp(-j / (K * np.exp(ln_more_K))))
+
+    def place(ln_more_K):
+        return x @ shear(ln_more_K) / shear(ln_more_K).sum()
+
+    weight = shear(0.0) / shear(0.0).sum() * (x - place(0.0))
+    by_error = np.sqrt(weight @ np.exp(-0.5 * ((x[:, None] - x) / 0.5) ** 2) @ weight)
+    by_K = (place(0.01) - place(-0.01)) / 0.02
+    assert form_error._TURNED == pytest.approx(by_error / abs(by_K), rel=0.05)
+    lost = -np.log(shear(0.01).sum() / shear(-0.01).sum()) / 0.02
+    assert form_error._STRONGER == pytest.approx(lost, rel=0.05)
 
 
 def test_the_prior_of_the_size():

@@ -13,7 +13,7 @@ from soil_env.discrepancy.experiment import NextTest
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.report.numbers import figure, figures, fixed
 from soil_env.discrepancy.result import LEFT, WORSE, Report
-from soil_env.discrepancy.search import COUNT_PRIOR, FREE_PRIOR, NAMED, TOLD
+from soil_env.discrepancy.search import NAMED, ODDS, TOLD, UNLISTED_ODDS
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import DEEPEST
 from soil_env.terramechanics.validity import in_words
@@ -254,10 +254,10 @@ def _shrinks(report: Report) -> str:
 
 def rule(report: Report) -> str:
     """What the probabilities rest on."""
-    none, one, two = (_percent(p) for p in COUNT_PRIOR)
+    listed, other = (f"1 to {1.0 / odds:.0f}" for odds in (ODDS, UNLISTED_ODDS))
     return (
-        f"Before the table, nothing is missing with {none}, one effect with {one}, two with {two}, and something "
-        f"unlisted with {_percent(FREE_PRIOR)} beside them. The laws of the base model and of each effect count as "
+        f"Before the table, the odds that an effect is missing are {listed} for each that is listed, and {other} for "
+        "something unlisted, independent of each other. The laws of the base model and of each effect count as "
         "approximate, by an amount that the table decides. What has 50 % or more is stated."
     )
 
