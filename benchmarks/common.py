@@ -55,12 +55,13 @@ def machine_text(machine: dict, *packages: str, also: str = "") -> str:
 
 
 def study_parser(name: str, description: str, files: str, out: Path | None = ROOT / "docs") -> argparse.ArgumentParser:
-    """Parser with --smoke, and --out for the folder of `files`, which is required where `out` is None."""
+    """Parser with --smoke, and --out for the folder of `files`, which are not written where `out` is None and none is
+    given."""
     p = command_parser(name, description)
     p.add_argument("--smoke", action="store_true", help="every part in seconds, numbers without meaning")
     p.add_argument(
-        "--out", metavar="OUT", type=folder, default=out, required=out is None,
-        help=f"folder of {files}" + (f" (default: {out})" if out else ""),
+        "--out", metavar="OUT", type=folder, default=out,
+        help=f"folder of {files} (default: {out or 'none, only printed'})",
     )  # fmt: skip
     return p
 

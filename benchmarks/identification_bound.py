@@ -369,7 +369,7 @@ def table(result: dict) -> Table:
 
 @command_line("benchmarks.identification_bound")
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table and write bound.json; returns the exit status."""
+    """Print the table, and write bound.json where a folder is given; returns the exit status."""
     p = study_parser("python -m benchmarks.identification_bound", __doc__, "bound.json", None)
     p.add_argument("--courses", metavar="N", type=whole_number(1), default=200, help="courses (default 200)")
     p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the courses (default 0)")
@@ -383,18 +383,21 @@ def main(arguments: list[str] | None = None) -> int:
         raise ParameterError(f"--slip_noise {options.slip_noise:g}: expected a share in [0, 1]")
     if not 0.0 <= options.swing < 1.0:
         raise ParameterError(f"--swing {options.swing:g}: expected a share in [0, 1)")
-    make_folder(options.out)
+    if options.out:
+        make_folder(options.out)
     result = study(
         load_scenario("mixed", TORQUE), 3 if options.smoke else options.courses, options.seed, swing=options.swing,
         slip_noise=options.slip_noise,
     )  # fmt: skip
-    write_json(options.out / "bound.json", result)
     drive = result["drive"]
     print(
         f"Rim speed +-{drive['swing']:.0%}: {drive['energy_per_metre']:.1f} J/m, "
         f"immobilised on {drive['immobilised']} of {result['courses']} courses\n"
     )
     print(table(result).markdown(), loss_table(result).markdown(), sep="\n\n")
+    if options.out:
+        write_json(options.out / "bound.json", result)
+        print(f"\nwritten: {options.out / 'bound.json'}")
     return 0
 
 

@@ -42,6 +42,7 @@ def scenario_changes(
             raise UnknownKeyword(key, (*own, *fields))
     if repeat is not None:
         check_count("repeat", repeat)
+        repeat = int(repeat)
     given = {name: value for name, value in (("action", action), ("repeat", repeat)) if value is not None}
     if not given:
         return changes

@@ -249,7 +249,7 @@ soil:
   friction_angle_deg: {{value: 29, sd: 3}}
   density: 1330   # kg/m3, set_soil_params.m
   # cohesion and shear_modulus left out: fitted. The repository's 1 kPa and 10 or 21 mm are tuned to these same runs.
-# noise left out: from the repeats, three of each rim speed.
+# noise left out: from the repeats, three of each rim speed, where they are at one slip.
 """
 
 

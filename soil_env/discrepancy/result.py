@@ -73,7 +73,7 @@ class Report:
         """named, partly, ambiguous, unlisted, none or undetermined.
 
         That of the probabilities, but named effects that leave a held-out error of more than `LEFT` times the noise, or
-        a larger one than the base model, are `partly` what is missing.
+        one a tenth larger than the base model's, are `partly` what is missing.
         """
         said = self.finding.verdict
         return "partly" if said == "named" and any(map(self.remains, self.gap)) else said

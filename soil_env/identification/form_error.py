@@ -46,7 +46,7 @@ _TURNED, _STRONGER = 2.6, 0.45
 _UNSEEN = 1e-10  # share of the largest variance, or of the noise, below which a direction does not count
 
 #: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is exact, else log-normal
-#: about 5 %, 2 to 20 % within two standard deviations. Fits of Bekker's and Janosi's laws to plates and shear rings
+#: about 5 %, 1 to 25 % within two standard deviations. Fits of Bekker's and Janosi's laws to plates and shear rings
 #: scatter by so much (Wong 2010, Terramechanics and Off-Road Vehicle Engineering, ch. 4).
 SIZES = np.array([0.001, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.3])
 
