@@ -317,6 +317,10 @@ def test_info_is_as_documented():
     assert "FINISHED" in causes and causes & {"ENTRAPPED", "STALLED", "BOGGED"}
 
 
+def test_whole_numbers_of_numpy_are_whole_numbers():
+    assert gymnasium.make("SoilWheel-v0", repeat=np.int64(3)).unwrapped.scenario.control.held == 3
+
+
 @pytest.mark.parametrize(("changes", "expected"), [
     ({}, (True, False, "FINISHED", 0.0)),
     ({"control": {"time_limit": 1.0}}, (True, False, "TIME_LIMIT", -10.0)),
