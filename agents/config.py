@@ -25,10 +25,10 @@ class PPOConfig(Checked):
     docs/training.md says how the layout was chosen.
     """
 
-    num_envs: int = quantity("", 1, 65536, default=128, doc="wheels stepped together")
+    num_envs: int = quantity("", 1, 65536, default=256, doc="wheels stepped together")
     n_steps: int = quantity("", 8, 65536, default=64, doc="steps of each wheel per update")
-    batch_size: int = quantity("", 8, 1_000_000, default=2048, doc="transitions per gradient step")
-    n_epochs: int = quantity("", 1, 100, default=6, doc="passes over a rollout")
+    batch_size: int = quantity("", 8, 1_000_000, default=4096, doc="transitions per gradient step")
+    n_epochs: int = quantity("", 1, 100, default=4, doc="passes over a rollout")
     learning_rate: float = quantity("", 1e-7, 1.0, default=1e-3, doc="step of Adam at the start")
     gamma: float = quantity("", 0.5, 1.0, default=0.999, doc="discount an action")
     gae_lambda: float = quantity("", 0.0, 1.0, default=0.95, doc="bias against variance of the advantages")
@@ -36,8 +36,8 @@ class PPOConfig(Checked):
     ent_coef: float = quantity("", 0.0, 1.0, default=0.0, doc="weight of the entropy")
     layer: int = quantity("", 1, 4096, default=64, doc="units in each of two hidden layers")
     activation: Literal["relu", "tanh"] = _text("relu", "what follows a hidden layer: relu or tanh")
-    log_std_init: float = quantity("", -5.0, 2.0, default=-1.0, doc="log of the initial standard deviation")
-    initial_action: float = quantity("", -1.0, 1.0, default=0.1, doc="mean action of the untrained policy")
+    log_std_init: float = quantity("", -5.0, 2.0, default=-0.5, doc="log of the initial standard deviation")
+    initial_action: float = quantity("", -1.0, 1.0, default=0.3, doc="mean action of the untrained policy")
     history: int = quantity("", 0, 1000, default=7, doc="past steps whose readings the network sees (agents.history)")
     critic: Literal["", "true_soil"] = _text("", "what only the value network sees: nothing or true_soil")
     threads: int = quantity("", 1, 256, default=2, doc="threads of environment and update; the result is the same")
@@ -75,7 +75,7 @@ class TrainConfig(Checked):
     name: str = _text("", "of the run folder; empty: observation, scenario and time")
     runs: str = _text("runs", "folder of the run folders")
     seed: int = quantity("", 0, 2**31 - 1, default=0, doc="of the training")
-    timesteps: int = quantity("", 1, 10**12, default=3_000_000, doc="environment steps of the training")
+    timesteps: int = quantity("", 1, 10**12, default=4_000_000, doc="environment steps of the training")
     checkpoint_every: int = quantity("", 1, 10**12, default=500_000, doc="environment steps between checkpoints")
     courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
     tuning_courses: int = quantity("", 1, 10**6, default=200, doc="courses to tune the classical controllers on")

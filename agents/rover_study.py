@@ -18,10 +18,11 @@ from pathlib import Path
 from soil_env._io.commands import command_line, folder, leave, whole_number
 from soil_env._io.document import renewed
 from soil_env._io.files import make_folder, replace_file, write_json
+from soil_env._io.loading import config_dir, read_yaml
 from soil_env.vehicle import DEFAULT_ROVER, RoverScenario
 
 from .cli import manual_parser
-from .config import NAMES, TrainConfig
+from .config import NAMES, TrainConfig, load_config
 from .evaluate import HELD_OUT_SET
 from .evaluate.models import load_model
 from .evaluate.tables import cell
@@ -53,16 +54,19 @@ def parser() -> argparse.ArgumentParser:
 
 
 def configs(rover: str, out: Path, seeds: int, timesteps: int) -> dict[str, list[TrainConfig]]:
-    """{agent: the training of each seed}."""
+    """{agent: the training of each seed}, with the hyperparameters of configs/rover.yaml."""
+    path = config_dir() / "rover.yaml"
+    ppo = load_config(read_yaml(path), str(path)).ppo
     return {
         name: [
             TrainConfig(
-                rover=rover, observation=variant, seed=seed, timesteps=timesteps, runs=str(out), name=f"{name}_{seed}"
+                rover=rover, observation=variant, seed=seed, timesteps=timesteps, runs=str(out), name=f"{name}_{seed}",
+                ppo=ppo,
             )
             for seed in range(seeds)
         ]
         for variant, name in NAMES.items()
-    }
+    }  # fmt: skip
 
 
 def run(rover: str, out: Path, seeds: int, timesteps: int, courses: int, tuning_courses: int) -> dict:

@@ -59,7 +59,7 @@ class AgentSpec(Checked):
     observation: Literal["blind", "identified", "true_soil"]
     algorithm: Literal["ppo", "recurrent_ppo"] = "ppo"
     hidden_worlds: int = quantity("mixed into the training", 0, 1000, default=0)
-    timesteps: int = quantity("environment steps", 1, 10**12, default=3_000_000)
+    timesteps: int = quantity("environment steps", 1, 10**12, default=4_000_000)
     ppo: PPOConfig = PPOConfig()
 
 

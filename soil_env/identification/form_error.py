@@ -23,7 +23,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import LinAlgError, lapack
 
 #: Correlation lengths of form errors: of ln(1 + slip/0.05), as shear displacements go; of the logarithm of load, speed,
 #: pass, the wheel's radius and width, and its lug height (1 mm added); of the grade [deg].
@@ -228,7 +228,7 @@ def marginals(
         factor = _factor(d[:, None] * gram[np.ix_(kept, kept)] * d)
         cross = d[:, None] * gram[kept, outer.size :]
         right = np.column_stack([d * along[kept] - start[kept], np.eye(d.size, p), cross])
-        half = solve_triangular(factor, right, lower=True, check_finite=False)
+        half = _solved(factor, right)
         of_data, of_unknowns, rest = half[:, 0], half[:, 1 : 1 + p], half[:, 1 + p :]
         base = -0.5 * (square - of_data @ of_data) - np.sum(np.log(np.diag(factor)))
         centre, narrow = u + of_unknowns.T @ of_data, of_unknowns.T @ of_unknowns
@@ -239,7 +239,7 @@ def marginals(
             seen = np.flatnonzero(d > 0.0)
             d = d[seen]
             factor = _factor(d[:, None] * normal[np.ix_(seen, seen)] * d)
-            half = solve_triangular(factor, d[:, None] * pulls[seen], lower=True, check_finite=False)
+            half = _solved(factor, d[:, None] * pulls[seen])
             moved, more = half[:, 0], half[:, 1:]
             log[s] = base + 0.5 * (moved @ moved) - np.sum(np.log(np.diag(factor)))
             mean[s], covariance[s] = centre - more.T @ moved, narrow + more.T @ more
@@ -247,9 +247,17 @@ def marginals(
 
 
 def _factor(normal: np.ndarray) -> np.ndarray:
-    """Lower Cholesky factor of I + `normal` [R, R], which is overwritten."""
+    """Lower Cholesky factor of I + `normal` [R, R], which is overwritten; its upper triangle is left as it is."""
     normal[np.diag_indices_from(normal)] += 1.0
-    return cholesky(normal, lower=True, overwrite_a=True, check_finite=False)
+    factor, failed = lapack.dpotrf(normal.T, lower=1, clean=0, overwrite_a=1)  # .T: symmetric, and in Fortran's order
+    if failed:
+        raise LinAlgError(f"covariance of the form errors: not positive definite at row {failed} of {len(normal)}")
+    return factor
+
+
+def _solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """factor^-1 right, of the lower triangle of `factor` [R, R]; LAPACK at once, for systems this small."""
+    return lapack.dtrtrs(factor, right, lower=1)[0] if len(right) else right
 
 
 def mixed(share: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

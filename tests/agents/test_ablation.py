@@ -227,7 +227,7 @@ def test_the_shipped_configs_can_be_read():
         assert (
             found
             == {
-                "ablation.yaml": ["blind_memory", "identified_memory", "true_soil_memory"],
+                "ablation.yaml": ["blind_memory", "identified_memory", "true_soil"],
                 "ablation_smoke.yaml": ["ppo_blind", "ppo_identified", "ppo_true"],
             }[name]
         )

@@ -230,7 +230,7 @@ def test_overrides_are_read_as_yaml():
         (["--seed", "-1"], ["seed", "-1", "[0, 2147483647]"]),
         (["--ppo.critic", "true"], ["critic = True", "true_soil"]),
         (["--algorithm", "recurrent_ppo", "--ppo.critic", "true_soil"], ["ppo.critic", "recurrent_ppo"]),
-        (["--hidden_worlds", "128"], ["hidden_worlds = 128", "num_envs"]),
+        (["--hidden_worlds", "256"], ["hidden_worlds = 256", "num_envs"]),
         (["--scenario", "5"], ["unknown value '5'", "mixed"]),
         (["--observation", "seen"], ["observation", "seen", "identified"]),
         (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
