@@ -225,7 +225,7 @@ def test_overrides_are_read_as_yaml():
         (["--timestep", "5"], ["timestep", "did you mean 'timesteps'"]),
         (["--config", "smoke.yaml", "--out", "x"], ["train.py: command line: unknown key 'out'"]),
         (["--ppo.gamma.x", "0.9"], ["ppo", "gamma"]),
-        (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "8192"]),
+        (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "16384"]),
         (["--changes.course.lenght", "5"], ["lenght", "did you mean 'length'"]),
         (["--seed", "-1"], ["seed", "-1", "[0, 2147483647]"]),
         (["--ppo.critic", "true"], ["critic = True", "true_soil"]),
