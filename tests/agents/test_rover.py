@@ -16,6 +16,7 @@ from agents.rover.controllers import ROVER_CONTROLLERS, VelocitySync, make_rover
 from agents.rover.driving import ROVER_METRICS, RoverRuns, run_courses
 from agents.sb3 import SoilRoverVecEnv
 from soil_env import ParameterError
+from soil_env._io.loading import config_dir, read_yaml
 from soil_env.parameters import load_scenario
 from soil_env.rover_vector_env import SoilRoverVectorEnv
 from soil_env.simulation.rover.task import rover_layout
@@ -246,7 +247,10 @@ def test_study_has_a_training_for_each_agent_and_seed(tmp_path):
     assert {name: [c.seed for c in own] for name, own in trainings.items()} == dict.fromkeys(
         ("ppo_blind", "ppo_identified", "ppo_true"), [0, 1]
     )
-    assert all(isinstance(c, TrainConfig) and c.rover == "field_rover" for own in trainings.values() for c in own)
+    configs = [c for own in trainings.values() for c in own]
+    assert all(isinstance(c, TrainConfig) and c.rover == "field_rover" for c in configs)
+    hyperparameters = read_yaml(config_dir() / "rover.yaml")["ppo"]
+    assert all({key: getattr(c.ppo, key) for key in hyperparameters} == hyperparameters for c in configs)
 
 
 @pytest.mark.parametrize("which", [{"rover": "mars_rover"}, {}])
