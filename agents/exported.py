@@ -11,6 +11,8 @@ from soil_env._io.loading import ParameterError, load
 from soil_env.parameters import CourseSpec
 from soil_env.simulation.task import VARIANTS, layout
 
+from . import given
+
 POLICY, FORMAT = "policy.onnx", "soil_env policy 1"  # file in the folder of an export; what its description begins with
 
 
@@ -45,25 +47,35 @@ class ExportedAgent:
         """ParameterError if the file reads another observation than this version's of the same name."""
         course = load(CourseSpec, self.content["scenario"]["course"], f"{self.path}: scenario.course")
         entries = [(e["name"], e["low"], e["high"]) for e in self.content["inputs"]]
-        known = [(e.name, e.low, e.high) for e in layout(self.variant, course)] if self.variant in VARIANTS else []
+        own = layout(self.variant, course) if self.variant in VARIANTS else ()
+        known = [(e.name, e.low, e.high) for e in own]
         if entries != known:
             raise ParameterError(
                 f"{self.path}: reads another observation layout: {len(entries)} numbers, here {self.variant!r} has "
                 f"{len(known)}; expected the names, order and bounds of this version"
             )
+        self._layout = given.Layout(own, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1] for observations [n, D] in the units of `content["inputs"]`, or [1] for [D], and the hidden
-        states for the next call."""
-        batch = np.atleast_2d(np.asarray(observation, dtype=np.float32))
+        states for the next call. ParameterError for another D, an entry out of its bounds, NaN, and hidden states or an
+        `episode_start` of another number of courses."""
+        batch = np.atleast_2d(self._layout.observed(observation))
         feeds = {"observation": batch}
         if self._states:
-            fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, bool)
-            feeds["new_course"] = fresh
-            feeds |= self.zeros(len(batch)) if state is None else state
+            feeds["new_course"] = given.starts(episode_start, len(batch), state is None)
+            feeds |= self.zeros(len(batch)) if state is None else self._remembered(state, len(batch))
         action, *kept = self.session.run(self._outputs, feeds)
         memory = dict(zip((name.removeprefix("next_") for name in self._outputs[1:]), kept, strict=True))
         return (action[0] if np.ndim(observation) == 1 else action), (memory or None)
+
+    def _remembered(self, state, count: int) -> dict[str, np.ndarray]:
+        """Hidden states that the last call returned; ParameterError where they are something else."""
+        expected = self.zeros(count)
+        if not isinstance(state, dict) or set(state) != set(expected):
+            raise ParameterError(f"state = {state!r:.60}: expected what the last predict returned: {sorted(expected)}")
+        given.memory([state[name] for name in expected], [zeros.shape for zeros in expected.values()])
+        return state
 
     def zeros(self, count: int) -> dict[str, np.ndarray]:
         """Hidden states before the first step of `count` wheels."""

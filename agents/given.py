@@ -44,8 +44,11 @@ class Layout:
 
 
 def starts(episode_start, count: int, default: bool) -> np.ndarray:
-    """Which of `count` courses begin [count] bool; ParameterError for another number of them."""
-    fresh = np.full(count, default) if episode_start is None else np.asarray(episode_start, dtype=bool).reshape(-1)
+    """Which of `count` courses begin [count] bool; ParameterError for another number of them, and for text."""
+    given = np.full(count, default) if episode_start is None else np.asarray(episode_start)
+    if given.dtype.kind not in "biuf":
+        raise ParameterError(f"episode_start = {episode_start!r:.60}: expected True or False for each observation")
+    fresh = given.astype(bool).reshape(-1)
     if len(fresh) != count:
         raise ParameterError(f"episode_start: {len(fresh)} values: expected {count}, one for each observation")
     return fresh

@@ -49,6 +49,8 @@ def main() -> None:
     while not over and (video or options.frame is None or steps < options.frame):
         _, _, terminated, truncated, info = env.step(action)
         over, steps = terminated or truncated, steps + 1
+    if options.frame is not None and steps < options.frame:
+        print(f"--frame {options.frame}: the course ended before, after {steps} periods; the picture is of its end")
     if options.out is not None and not video:
         matplotlib.image.imsave(options.out, env.render())
     env.close()

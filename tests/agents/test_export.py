@@ -183,6 +183,29 @@ def test_models_of_plain_sb3_with_their_vecnormalize(tmp_path, capsys, algorithm
     assert memory is None and len(np.unique(found)) > 5
 
 
+def test_what_an_exported_agent_cannot_take_is_named(tmp_path, scenario):
+    run = saved(tmp_path / "run", scenario, observation="blind", history=2)
+    assert main([str(run), f"--out={tmp_path}/out", "--courses=2", "--steps=20"]) == 0
+    agent = ExportedAgent(tmp_path / "out" / "policy.onnx")
+    rows = np.tile(SoilWheelEnv(scenario, observation="blind", scaled=False).reset(seed=0)[0], (3, 1))
+    _, state = agent.predict(rows)
+    again, _ = agent.predict(rows, state, [False] * 3)
+    np.testing.assert_array_equal(again[0], again[2])
+    broken = rows.copy()
+    broken[1, 0] = np.nan
+    for call, said in (
+        (lambda: agent.predict(broken), "observation[1]: slip = nan"),
+        (lambda: agent.predict(rows[:, 1:]), "expected 14 numbers"),
+        (lambda: agent.predict(rows[:2], state), "expected what the last predict"),
+        (lambda: agent.predict(rows, 3.0), "state = 3.0: expected"),
+        (lambda: agent.predict(rows, state, [True]), "episode_start: 1 values: expected 3"),
+        (lambda: agent.predict(rows, state, "yes"), "episode_start = 'yes'"),
+    ):
+        with pytest.raises(ParameterError) as error:
+            call()
+        assert said in str(error.value)
+
+
 def test_an_action_that_differs_is_not_exported(tmp_path, scenario, capsys, monkeypatch):
     run = saved(tmp_path / "run", scenario)
     plain = ppo.Agent._normalised
