@@ -1,5 +1,5 @@
-"""Does the identifier help? PPO agents that are blind, that read the identified soil and that know the true soil, and a
-recurrent one that is blind, against the classical controllers, on several scenarios and with several training seeds.
+"""Does the identifier help? PPO agents that are blind or read the identified soil, without and with a memory, and one
+that knows the true soil, against the classical controllers, on several scenarios and with several training seeds.
 
 Examples:
   python -m agents.ablation --out runs/ablation --workers 2
