@@ -25,6 +25,9 @@ SINGLE = 1.2e-7  # the same for float32, whose last digit may be rounded the oth
 SEARCHED = {"identification": 1e-7, "discrepancy": 2e-5}
 #: Rivals that lose, which the search follows less far: the same for how well each of them explains a table.
 RIVAL, RIVALS = 3e-4, "ranking."
+#: Where the search of a rival ends elsewhere when the linear algebra rounds another way: OPENBLAS_CORETYPE=Haswell in
+#: place of SkylakeX changes its score by 1.8e-3 and bounds of the soil, which is a mixture of all, by 2e-4.
+ELSEWHERE = {"discrepancy/bulldozing": 3e-3}
 #: Worlds with added forces: Newton's method has their derivatives in closed form, not by differences, since the laws
 #: are written once, and so ends within its tolerance elsewhere.
 ADDED = 1e-6
@@ -35,6 +38,8 @@ UNIT = ("probability", "p_value", "share", "chance", "score", "residual")
 
 def tolerance(case: str, name: str, values: np.ndarray) -> float:
     """Largest difference from the recorded `values` of a quantity, over their scale."""
+    if case in ELSEWHERE:
+        return ELSEWHERE[case]
     if name.startswith(RIVALS):
         return RIVAL
     if case in ADDED_FORCES:
