@@ -46,7 +46,8 @@ def begin(folder: Path, seed: int, of: CaseSet) -> None:
                 raise ValueError(
                     f"{folder}: holds cases of {key} {begun.get(key)}, not {value}: expected another --out"
                 )
-    _write(path, about)
+    else:  # several entrants may be asked at the same time
+        _write(path, about)
 
 
 def draw(seed: int, folder: Path, name: str) -> None:
