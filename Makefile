@@ -31,7 +31,7 @@ TEST_READY := $(VENV)/.installed-test
 DOCS_READY := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
-.PHONY: help train test checks lint types format kernels docs dist bench clients clean
+.PHONY: help train test checks lint types format environment kernels docs dist bench clients clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
@@ -61,6 +61,8 @@ format: $(TEST_READY)  ## let ruff format the code and repair what it can
 # Pyright is a program of Node; it does not follow an editable install, hence PYTHONPATH.
 types: $(TEST_READY)  ## whether every public name of soil_env has a complete type; needs npx
 	PATH="$(CURDIR)/$(BIN):$$PATH" PYTHONPATH="$(CURDIR)" npx --yes pyright@1.1.414 --ignoreexternal --verifytypes soil_env
+
+environment: $(TEST_READY)  ## only .venv with the pinned versions, for tests one by one
 
 kernels: $(BASE_READY)  ## compile what most tests use, once for all test processes
 	$(PY) -m soil_env.warmup

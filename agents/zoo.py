@@ -19,7 +19,7 @@ class Shifted(VecEnvWrapper):
         self.shift = shift
 
     def reset(self) -> np.ndarray:
-        """As without it."""
+        """Reset the wrapped environment; its observations."""
         return self.venv.reset()
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -27,7 +27,7 @@ class Shifted(VecEnvWrapper):
         self.venv.step_async(np.clip(np.asarray(actions) + self.shift, -1.0, 1.0))
 
     def step_wait(self):
-        """As without it."""
+        """Observations, rewards, ends and infos of the wrapped environment."""
         return self.venv.step_wait()
 
 

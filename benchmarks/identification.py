@@ -320,7 +320,7 @@ def _replay_once():
 
 
 def study(seed: int, smoke: bool, courses: int = 200, names=PARTS) -> dict:
-    """The named parts, as plain values."""
+    """Run the named parts; their results as plain values, by name."""
     seeds = np.random.SeedSequence(seed).spawn(3)
     rngs, result, once = [np.random.default_rng(s) for s in seeds], {}, _replay_once()
     courses, every = 2 if smoke else courses, identification_bound.ESTIMATORS | identification_bound.OTHERS

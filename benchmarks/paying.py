@@ -1,4 +1,4 @@
-"""Knowledge of the identifier along a drive, and what a plain bonus for every gain of it would pay.
+"""Knowledge of the identifier along a drive, and the return of a plain bonus for every gain of it.
 
 Knowledge is that of the reward term `information` (`task.knowledge`, nat). A bonus for every gain of it could be earned
 again and again where an identifier can be made to start anew: `Rocking` hardly leaves its place and tries.

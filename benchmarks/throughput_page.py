@@ -110,7 +110,7 @@ def startup(result: dict) -> str:
 
 
 def estimators(result: dict) -> str:
-    """Both estimators, in turns."""
+    """Table of the speed of filter and window, timed alternately."""
     rows = [
         [name, range_text(e["filter"], 3), range_text(e["window"], 3), range_text(e["ratio"])]
         for name, e in result["parts"]["estimators"].items()

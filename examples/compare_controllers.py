@@ -9,6 +9,7 @@ your own, with resume, many processes and a report.
 """
 
 import argparse
+import sys
 
 import matplotlib
 
@@ -30,6 +31,9 @@ def main() -> None:
     p.add_argument("--out", default="compared.png", help="the picture")
     p.add_argument("--tuning-courses", type=int, default=30, help="to tune each controller on (default: 30)")
     options = p.parse_args()
+    for name in ("courses", "tuning_courses"):
+        if getattr(options, name) < 1:
+            p.error(f"--{name.replace('_', '-')} {getattr(options, name)}: expected at least 1")
 
     scenario = load_scenario(options.scenario)
     settings, _ = tuned_settings(scenario, options.tuning_courses)
@@ -52,5 +56,6 @@ def main() -> None:
 if __name__ == "__main__":
     try:
         main()
-    except ParameterError as error:
-        raise SystemExit(f"compare_controllers.py: error: {error}") from None
+    except (ParameterError, OSError) as error:
+        print(f"compare_controllers.py: error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None

@@ -9,6 +9,7 @@ Examples:
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import gymnasium
@@ -30,10 +31,9 @@ def main() -> None:
     options = p.parse_args()
     if options.out is not None and options.out.suffix not in (".png", ".mp4"):
         p.error(f"--out {options.out}: expected a .png or an .mp4 file")
-    try:
-        drive(options)
-    except (ParameterError, ValueError, OSError) as error:
-        p.exit(2, f"{p.prog}: error: {error}\n")
+    if options.frame is not None and options.frame < 1:
+        p.error(f"--frame {options.frame}: expected a control period, from 1 on")
+    drive(options)
 
 
 def drive(options) -> None:
@@ -73,5 +73,6 @@ def drive(options) -> None:
 if __name__ == "__main__":
     try:
         main()
-    except (ParameterError, gymnasium.error.Error) as error:
-        raise SystemExit(f"drive.py: error: {error}") from None
+    except (ParameterError, ValueError, OSError, gymnasium.error.Error) as error:
+        print(f"drive.py: error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None

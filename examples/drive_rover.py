@@ -7,6 +7,7 @@ Examples:
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 import gymnasium
@@ -70,4 +71,5 @@ if __name__ == "__main__":
     try:
         main()
     except (ParameterError, ValueError, OSError, gymnasium.error.Error) as error:
-        raise SystemExit(f"drive_rover.py: error: {error}") from None
+        print(f"drive_rover.py: error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None

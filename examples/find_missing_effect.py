@@ -8,6 +8,7 @@ corrected model, beside the picture. `python -m soil_env.discrepancy` does the s
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 import matplotlib
@@ -15,6 +16,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+from soil_env import ParameterError
 from soil_env.discrepancy import run
 
 DATA = Path(__file__).parent / "data"
@@ -51,4 +53,8 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except (ParameterError, OSError) as error:
+        print(f"find_missing_effect.py: error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None

@@ -7,6 +7,7 @@ Prints every soil parameter with its 95 % interval; the picture shows measured p
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 import matplotlib
@@ -48,5 +49,6 @@ def main() -> None:
 if __name__ == "__main__":
     try:
         main()
-    except ParameterError as error:
-        raise SystemExit(f"identify_soil.py: error: {error}") from None
+    except (ParameterError, OSError) as error:
+        print(f"identify_soil.py: error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None

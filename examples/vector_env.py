@@ -8,6 +8,7 @@ later, hardly any wheel finishes.
 """
 
 import argparse
+import sys
 import time
 from collections import Counter
 
@@ -57,5 +58,6 @@ def main() -> None:
 if __name__ == "__main__":
     try:
         main()
-    except (ParameterError, gymnasium.error.Error) as error:
-        raise SystemExit(f"vector_env.py: error: {error}") from None
+    except (ParameterError, gymnasium.error.Error, OSError) as error:
+        print(f"vector_env.py: error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None

@@ -446,7 +446,7 @@ def load_scenario_as(
                     if other != folder and (config_dir() / other / f"{which}.yaml").is_file():
                         raise ParameterError(f"{singular}: {which!r} is one of configs/{other}; {_expected(folder)}")
                 raise unknown_value(which, shipped(folder), singular)
-        mapping, where = read_yaml(path), path.name
+        mapping, where = read_yaml(path), path.name if path.parent == config_dir() / folder else str(path)
         _check_kind(mapping, changes or {}, folder, f"{singular}: {str(which)!r}")
         mapping.setdefault("name", path.stem)
     merged = partial(_merged, kind, complete, mapping)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._io.loading import ParameterError, nearest
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS
 from soil_env.simulation.worlds import Simulation
@@ -47,7 +47,7 @@ def _from_class(spec: str, scenario: Scenario):
     for part in attribute.split("."):
         if not hasattr(thing, part):
             known = [n for n in vars(thing) if not n.startswith("_")] if hasattr(thing, "__dict__") else []
-            raise unknown_key(part, known[:20], f"controllers: {spec}")
+            raise ParameterError(f"controllers: {spec}: {module_name} has no {part!r}{nearest(part, known)}")
         thing = getattr(thing, part)
     if inspect.isclass(thing) or (callable(thing) and not hasattr(thing, "predict")):
         try:

@@ -104,6 +104,6 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         raise TypeError("a branch on a value of the graph: expected np.where")
 
     def astype(self, dtype) -> Traced:
-        """As another type."""
+        """Cast to another type."""
         dtype = np.dtype(dtype)
         return self.graph.node("Cast", self, dtype=dtype, to=_TYPES[dtype.name])

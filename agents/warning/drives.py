@@ -60,7 +60,7 @@ class Drives:
         return self.cause == Cause.FINISHED.value
 
     def since(self, period: np.ndarray) -> np.ndarray:
-        """Seconds of driving until now since these control periods [courses]."""
+        """[periods, courses] time spent driving [s] between the control periods `period` [courses] and each period."""
         clock = np.cumsum(self.driving, axis=0) * self.period
         return clock - np.take_along_axis(clock, period[None], axis=0)
 
@@ -128,7 +128,7 @@ def _last(flags: np.ndarray) -> np.ndarray:
 
 
 def held_minimum(values: np.ndarray, driving: np.ndarray, window: int) -> np.ndarray:
-    """Least of the last `window` values while driving, of each column; it stands still where `driving` is not."""
+    """Rolling minimum of each column over the last `window` values while driving; between, the last minimum."""
     recent, out = np.full((window, values.shape[1]), -np.inf), np.empty(values.shape)
     for t, now in enumerate(driving):
         recent[:, now] = np.roll(recent[:, now], -1, axis=0)

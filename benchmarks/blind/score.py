@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
+from scipy.stats import binomtest
 
 from benchmarks.blind.easy.limits import noncentrality
 from benchmarks.blind.entrants import Answer
@@ -76,20 +77,14 @@ def contradicted(answer: Answer) -> bool:
 # --- shares -----------------------------------------------------------------------------------------------------------
 
 
-def wilson(count: int, of: int, z: float = 1.959963985) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927)."""
-    p, square = count / of, z * z / of
-    half = z * math.sqrt(p * (1.0 - p) / of + square / (4.0 * of))
-    return max(0.0, (p + 0.5 * square - half) / (1.0 + square)), min(1.0, (p + 0.5 * square + half) / (1.0 + square))
-
-
 def share(values: Iterable[bool]) -> dict | None:
-    """{count, of, value, low, high} with the 95 % interval; None of nothing."""
+    """{count, of, value, low, high} with the 95 % interval (Wilson 1927); None of nothing."""
     values = [bool(v) for v in values]
     if not values:
         return None
-    low, high = wilson(sum(values), len(values))
-    return {"count": sum(values), "of": len(values), "value": sum(values) / len(values), "low": low, "high": high}
+    interval = binomtest(sum(values), len(values)).proportion_ci(method="wilson")
+    value = sum(values) / len(values)
+    return {"count": sum(values), "of": len(values), "value": value, "low": interval.low, "high": interval.high}
 
 
 class Record(NamedTuple):

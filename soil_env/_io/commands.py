@@ -41,9 +41,13 @@ class _Parser(argparse.ArgumentParser):
 def command_parser(
     prog: str, description: str, epilog: str = "", status: str = STATUS, **options
 ) -> argparse.ArgumentParser:
-    """Parser that prints description and epilog as they are written, and after them what the exit status means."""
+    """Parser that prints description and epilog as they are written, and after them what the exit status means.
+
+    With the `prog` python -m MODULE it goes by what was typed, which may be the installed command.
+    """
+    module = prog.removeprefix("python -m ")
     return _Parser(
-        prog,
+        prog if module == prog else command(module),
         description=description,
         epilog="\n\n".join(filter(None, (epilog, status))),
         formatter_class=argparse.RawDescriptionHelpFormatter,

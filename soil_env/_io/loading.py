@@ -88,25 +88,24 @@ class Checked:
 
 def unknown_key(key, known, where: str) -> ParameterError:
     """The error for a key that does not exist, with the nearest known name."""
-    return ParameterError(f"{where}: unknown key {key!r}{_nearest(key, known)} (known: {_sorted(known)})")
+    return ParameterError(f"{where}: unknown key {key!r}{nearest(key, known)} (known: {_sorted(known)})")
 
 
 def unknown_value(value, known, where: str) -> ParameterError:
     """The error for a value that is none of the known ones, with the nearest of them."""
-    return ParameterError(
-        f"{where}: unknown value {value!r}{_nearest(value, known)} (expected one of {_sorted(known)})"
-    )
+    return ParameterError(f"{where}: unknown value {value!r}{nearest(value, known)} (expected one of {_sorted(known)})")
 
 
 class UnknownKeyword(ParameterError, TypeError):
     """A keyword argument that does not exist: the `TypeError` that Python raises, and names the nearest known one."""
 
     def __init__(self, key, known=()) -> None:
-        text = f"unexpected keyword argument {key!r}{_nearest(key, known)} (known: {_sorted(known)})"
+        text = f"unexpected keyword argument {key!r}{nearest(key, known)} (known: {_sorted(known)})"
         super().__init__(text if known else key)  # a copy is made of the text
 
 
-def _nearest(name, known) -> str:
+def nearest(name, known) -> str:
+    """'; did you mean ...?' with the known name that is most like `name`; "" where none is."""
     near = difflib.get_close_matches(str(name), [str(k) for k in known], n=1)
     return f"; did you mean {near[0]!r}?" if near else ""
 

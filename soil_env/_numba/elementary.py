@@ -176,7 +176,7 @@ def _asin_root(t):
 
 
 #: Square root.
-root = _of_one(lambda x: x.function("sqrt"), "sqrt")
+sqrt = _of_one(lambda x: x.function("sqrt"), "sqrt")
 #: e^x; of lanes x is cut to [-700, 700].
 exp = _of_one(_exp, "exp")
 #: Natural logarithm; of lanes for normal x > 0 only.
@@ -270,7 +270,7 @@ if not COMPILED:
         half_sin_cos,
         log,
         power,
-        root,
+        sqrt,
         where_less,
     )
 

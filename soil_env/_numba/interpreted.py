@@ -99,7 +99,7 @@ def _of(function):
 fma = _of(lambda a, b, c: a * b + c)
 where_less = _of(lambda a, b, x, y: np.where(np.less(a, b), x, y))
 copysign = _of(np.copysign)
-root = _of(np.sqrt)
+sqrt = _of(np.sqrt)
 exp = _of(lambda x: np.exp(np.clip(x, -700.0, 700.0) if wide(x) else x))
 log = _of(np.log)
 asin_root = _of(lambda x: np.arcsin(np.sqrt(np.clip(x, 0.0, 1.0))))

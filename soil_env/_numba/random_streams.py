@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import half_sin_cos, log, root
+from soil_env._numba.elementary import half_sin_cos, log, sqrt
 from soil_env._numba.lanes import lane, made_of
 
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
@@ -60,7 +60,7 @@ def normal_pair(streams, k):
 @inlined
 def _normals(u, v):
     """Standard normal numbers in lanes, two of each lane, from uniform ones, as `normal_pair`."""
-    radius = root(-2.0 * log(1.0 - u))
+    radius = sqrt(-2.0 * log(1.0 - u))
     sin_half, cos_half = half_sin_cos(math.pi * (2.0 * v - 1.0))  # half a turn back, so both functions change sign
     return radius * (2.0 * sin_half * sin_half - 1.0), radius * (-2.0 * sin_half * cos_half)
 

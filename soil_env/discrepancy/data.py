@@ -165,7 +165,7 @@ def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
 
 
 def folds(data: Data) -> list[list[np.ndarray]]:
-    """Ways to cut the table into groups that are held out one at a time, each group [N] bool.
+    """Cross-validation folds: ways to cut the table into groups that are held out one at a time, each [N] bool.
 
     One way holds out every slip; where other conditions vary too, a second holds out every combination of those.
     """

@@ -16,7 +16,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.calibrate import GRAVITY, Problem
 from soil_env.discrepancy.data import Data
-from soil_env.measurement.doubts import load_doubt
+from soil_env.measurement.doubts import contact_area, load_doubt
 from soil_env.measurement.table import in_radians
 from soil_env.terramechanics.model import Rows
 
@@ -170,7 +170,7 @@ def _beyond_strength(problem: Problem) -> str:
     tangent = math.tan(math.radians(STEEPEST if phi is None else min(phi.value + SURE * phi.sd, STEEPEST)))
     radius, width = data.rows.wheels[:, 0], data.rows.wheels[:, 1]
     depth = np.clip(np.nan_to_num(data.y[:, 0], nan=0.3 * float(radius[0])), 0.02 * radius, radius)
-    bearable = cohesion * width * radius * np.arccos(1.0 - depth / radius) + tangent * data.rows.load
+    bearable = cohesion * contact_area(depth, radius, width) + tangent * data.rows.load
     for j, name, force in ((2, "torque/radius", data.y[:, 2] / radius), (1, "drawbar_pull", data.y[:, 1])):
         share = (force / bearable)[problem.used[:, j] & (data.rows.slip > 0.15)]
         if share.size > 2 and np.median(share) > 1.0:

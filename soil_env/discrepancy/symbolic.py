@@ -87,12 +87,12 @@ class Library:
     price: np.ndarray  # [C] of choosing it
 
     def pick(self, keep: Any) -> Library:
-        """The products `keep`."""
+        """The library with the selected products only."""
         return Library(self.channel[keep], self.powers[keep], self.column[:, keep], self.width[keep], self.price[keep])
 
 
 def symbolic(problem: Problem, fit: Fit, turns: int = 2) -> ResidualFit:
-    """The simplest law for what `fit` leaves, with the soil refitted to it; chosen so many times in turn with that."""
+    """The simplest law for what `fit` leaves; choice of law and refit of the soil alternate `turns` times at most."""
     best = ResidualFit((), fit, np.zeros_like(problem.data.y), 0.0, np.zeros((fit.residual.size, 0)), np.zeros(0))
     at, offset = fit, best.offset
     for _ in range(turns):  # the second choice starts where the first has moved the soil

@@ -96,11 +96,8 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     say("predicting what was held out")
     before = held_out_predictions(problem, plain)
     after = held_out_predictions(problem, final) if final.choices else before
-    alone = {tuple(c.effect for c in final.choices): after} if final.choices else {}
-    for choice in final.choices if len(final.choices) > 1 else ():
-        one = finding.best(choice.effect).evidence.fit
-        one = problem.fit(one.choices, one.parameters(), noise_alone)
-        alone[choice.effect,] = held_out_predictions(problem, one)
+    by_effect = _held_out_by_effect(problem, finding, final, after)
+    shares = judgement.shares(problem, before, by_effect) if by_effect else {}
     if law is not None and law.terms:
         held = symbolic.held_out_predictions(problem, final, lambda text: say(f"predicting what was held out: {text}"))
         if (judgement.closed(problem, judgement.gaps(problem, after, held)) or 0.0) > 0.0:
@@ -118,7 +115,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
         problem=problem,
         noise=noise,
         where=where,
-        effects=_effects(problem, finding, final, intervals, judgement.shares(problem, before, alone) if alone else {}),
+        effects=_effects(problem, finding, final, intervals, shares),
         law=law,
         soil=_soil(problem, intervals),
         ranking=judgement.ranking(finding),
@@ -135,6 +132,18 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
         doubts=doubts,
         settings=settings,
     )
+
+
+def _held_out_by_effect(
+    problem: Problem, finding: Finding, final: Fit, after: np.ndarray
+) -> dict[tuple[str, ...], np.ndarray]:
+    """Held-out predictions [N, 3] of the named effects, together (`after`) and, where there are two, of each alone."""
+    held = {tuple(c.effect for c in final.choices): after} if final.choices else {}
+    for choice in final.choices if len(final.choices) > 1 else ():
+        one = finding.best(choice.effect).evidence.fit
+        one = problem.fit(one.choices, one.parameters(), final.sizes)
+        held[choice.effect,] = held_out_predictions(problem, one)
+    return held
 
 
 # --- the model --------------------------------------------------------------------------------------------------------

@@ -175,7 +175,7 @@ def prior_covariance(i, j, numbers, reference):
 
 @inlined
 def prior_of_soil(banks, k, numbers):
-    """Put the soil of bank k to its prior; its covariance with all else is left as it is."""
+    """Reset the mean and the covariance of the soil of bank k to its prior; covariances with other states stay."""
     mean, covariance, reference = banks.mean[k], banks.covariance[k], reference_of(banks, k)
     for i in range(SINKAGE):
         to_array(prior_mean(i, numbers, reference), mean, i * COUNT)

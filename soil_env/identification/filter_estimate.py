@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import asin_root, exp, root
+from soil_env._numba.elementary import asin_root, exp, sqrt
 from soil_env._numba.lanes import COUNT, from_array, scratch, to_array, total
 from soil_env.identification.border import blend, covariance_of_ground
 from soil_env.identification.filter_bank import COVARIANCES, MEANS, PUBLISHED, element, reference_of
@@ -76,7 +76,7 @@ def _publish(banks, k, x, P, numbers, estimate, sd, covariance):
         from_array(x, COHESION * COUNT),
         reference_of(banks, k),
     )
-    angle = 2.0 * asin_root(0.5 - 0.5 / root(1.0 + tan.tangent * tan.tangent))
+    angle = 2.0 * asin_root(0.5 - 0.5 / sqrt(1.0 + tan.tangent * tan.tangent))
     to_array(angle, rows_, 0)
     to_array(from_array(x, Q * COUNT) + (n - numbers.exponent) * depth, rows_, Q * COUNT)
     for i in range(PUBLISHED):

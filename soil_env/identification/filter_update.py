@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import exp, fma, larger, root, smaller, tanh
+from soil_env._numba.elementary import exp, fma, larger, smaller, sqrt, tanh
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
 from soil_env._numba.rows import scratch_rows
 from soil_env.identification.border import blend, by_both_soils
@@ -118,7 +118,7 @@ def _drive(mean, covariance, ground, gain_slopes, of_gain, out, size, last_beari
     # comes up to the bearing sinkage: a share of the mean of what it lacks, where it lacks any
     variance = dot(slopes, of_bearing, size) + from_array(of_sinkage, SINKAGE * COUNT)
     variance = variance - 2.0 * from_array(of_bearing, SINKAGE * COUNT)
-    spread, lag = root(variance + 1e-7 * r * r), bearing - z
+    spread, lag = sqrt(variance + 1e-7 * r * r), bearing - z
     likely, density = _normal_share(lag / spread)
     lacking = lag * likely + spread * density
     scatter = (lag * lag + spread * spread) * likely + lag * (spread * density) - lacking * lacking

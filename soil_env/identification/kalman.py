@@ -11,7 +11,7 @@ A vector is an array of `size` states, eight filters in the lanes; P is packed a
 from __future__ import annotations
 
 from soil_env._numba.compiling import inlined
-from soil_env._numba.elementary import fma, log, root
+from soil_env._numba.elementary import fma, log, sqrt
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env.identification.filter_bank import element
 
@@ -71,8 +71,8 @@ def take_in(mean, vector, slope, own, misfit, variance, size):
     It is multiplied by `scale`, so that v v' is what the covariance loses.
     """
     expected = slope * slope * own + variance
-    scale = slope / root(expected)
-    step = misfit / root(expected)
+    scale = slope / sqrt(expected)
+    step = misfit / sqrt(expected)
     for i in range(size):
         v = from_array(vector, i * COUNT) * scale
         to_array(fma(v, step, from_array(mean, i * COUNT)), mean, i * COUNT)

@@ -34,6 +34,7 @@ from soil_env.terramechanics.contact import (
     JANOSI,
     Forces,
     forces,
+    janosi_hanamoto,
     mobilised_sinkage_coefficient,
     shear_forces,
     smooth_arc,
@@ -70,8 +71,8 @@ class Friction(NamedTuple):
 def mobilised_share(ln_K, reference):
     """(1 - exp(-J/K), its derivative by ln K)."""
     ratio = reference.displacement * exp(-1.0 * ln_K)
-    left = exp(-1.0 * ratio)
-    return 1.0 - left, -1.0 * ratio * left
+    share, rest = janosi_hanamoto(ratio)
+    return share, -1.0 * ratio * rest
 
 
 @inlined

@@ -357,6 +357,15 @@ def _doubts(
             f"The noise is estimated from {np.min(few):.1f} degrees of freedom: the intervals are wide and may still "
             "be too narrow. Give the noise if it is known."
         )
+    words += _not_modelled(problem)
+    if not converged:
+        words.append("The weights had not settled when the iteration stopped: take the intervals as rough.")
+    return words
+
+
+def _not_modelled(problem: TableProblem) -> list[str]:
+    """Rows left out or taken otherwise than the table has them, and what of the rig the base model lacks."""
+    words = []
     table, used = problem.table, problem.use
     left_out, unseen = int(np.sum(~used)), int(np.sum(np.isnan(table.sinkage[used])))
     if left_out:
@@ -371,8 +380,6 @@ def _doubts(
         words.append("The grousers are not modelled: the rim is taken as smooth at wheel radius.")
     if np.ptp(problem.rows.wheels[:, 1]) > 0.0 and problem.setup.soil.k_c is None:
         words.append("Wheels of several widths share one S: give k_c and k_phi to tell them apart.")
-    if not converged:
-        words.append("The weights had not settled when the iteration stopped: take the intervals as rough.")
     return words
 
 

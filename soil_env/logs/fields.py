@@ -10,7 +10,7 @@ from numbers import Real
 from types import SimpleNamespace
 from typing import Any
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, nearest
 
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[[^\[\]]+\])*)\Z")
 _LISTS_OF_NAMES = ("name", "joint_names", "names")
@@ -68,9 +68,8 @@ def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
             raise ParameterError(f"{where}: the message has no list of names: expected a number in brackets")
         name = step[1:-1]
         if name not in names:
-            near = difflib.get_close_matches(name, list(names), n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise NotHere(f"{where}: no name {name!r}{hint} (names: {', '.join(map(str, names)) or 'none'})")
+            known = ", ".join(map(str, names)) or "none"
+            raise NotHere(f"{where}: no name {name!r}{nearest(name, names)} (names: {known})")
         step = list(names).index(name)
     if step >= len(values):
         raise NotHere(f"{where}: the list has {len(values)} values: expected more than {step}")

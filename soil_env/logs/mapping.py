@@ -216,6 +216,10 @@ class LogMap(Checked):
 def read_map(path: str | Path) -> LogMap:
     """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
     mapping, where = read_yaml(Path(path)), str(path)
+    names = [f.name for f in fields(LogMap)]
+    for key in mapping:
+        if key not in names:
+            raise unknown_key(key, names, where)
     for section in ("wheel", "channels"):
         if section not in mapping:
             raise ParameterError(f"{where}: missing {section}: expected wheel and channels")

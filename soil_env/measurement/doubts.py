@@ -13,6 +13,12 @@ FRICTION = 0.5  # tan(phi) beside a cohesion that is known
 USUAL_SINKAGE = 0.3  # [radii] where none was measured
 
 
+def contact_area(sinkage: np.ndarray, radius: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """Arc of contact up to the lowest point, times the width [m2]; all [N], in metres."""
+    area: np.ndarray = width * radius * np.arccos(1.0 - sinkage / radius)
+    return area
+
+
 def load_doubt(table: Table, setup: Setup) -> str:
     """A doubt in a sentence where the wheel pulls or turns with more than its load lets soil give it; "" as a rule.
 
@@ -21,7 +27,7 @@ def load_doubt(table: Table, setup: Setup) -> str:
     """
     radius, driven = table.radius(setup.wheel), table.rim_slip(setup) > DRIVEN
     depth = np.where(np.isnan(table.sinkage), USUAL_SINKAGE * radius, np.clip(table.sinkage, 0.0, radius))
-    area = table.width(setup.wheel) * radius * np.arccos(1.0 - depth / radius)
+    area = contact_area(depth, radius, table.width(setup.wheel))
     prior = setup.soil.cohesion
     cohesion = 0.0 if prior is None else max(prior.value - 2.0 * prior.sd, 0.0)
     most = np.maximum(MOST_GRIP, cohesion * area / table.load + FRICTION)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import difflib
 import math
 import re
 from collections.abc import Sequence
@@ -20,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, nearest
 from soil_env.measurement.setup import (
     LARGEST_WHEEL,
     REQUIRED,
@@ -237,11 +236,9 @@ def _check_header(path: Path, header: list[str]) -> None:
     for name in header:
         if name in COLUMNS:
             continue
-        near = difflib.get_close_matches(name.lower(), COLUMNS, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
         raise ParameterError(
-            f"{path}: unknown column {name!r}{hint} (known: {', '.join(COLUMNS)}; a column to pass over: "
-            "ignore_columns in the setup)"
+            f"{path}: unknown column {name!r}{nearest(name.lower(), COLUMNS)} (known: {', '.join(COLUMNS)}; a column "
+            "to pass over: ignore_columns in the setup)"
         )
     for name in header:
         if header.count(name) > 1:
@@ -354,7 +351,7 @@ def _canonical(cell: str) -> float | str:
 
 
 def in_radians(cells: list[str]) -> bool:
-    """Whether grades look like radians: none above 40 deg so, and all whole degrees rounded to three digits or more.
+    """Whether grades look like radians: read so, none exceeds 40 deg and all are whole degrees to three digits or more.
 
     One grade alone looks so by chance: in six of a thousand cases with four digits.
     """

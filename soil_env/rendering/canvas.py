@@ -28,7 +28,7 @@ GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, 
 
 
 class Canvas:
-    """Shapes drawn at twice the size and smoothed down, text on top; points [n, 2] in units of the design."""
+    """Drawing surface with twofold supersampling, text on top; points [n, 2] in units of the design."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         import pygame

@@ -5,8 +5,8 @@ L-stable Runge-Kutta method with a safeguarded Newton iteration on analytic deri
 which is slow, by the exact solution of its law with A, B and z_w held over each stage (`wheel`).
 
 A command that is held lets the speeds settle; one that has changed moves them. The linearised step (`change_ahead`)
-foretells by how much, at no further evaluation of the reaction, and a wheel whose speeds are about to change takes 2, 4
-or 8 steps where others take one.
+predicts the change of speed without another evaluation of the reaction, and a wheel whose speeds are about to change
+takes 2, 4 or 8 steps where others take one.
 
 Within one wheel nearly everything depends on what came before, and a processor that steps one wheel after the other
 mostly waits. Here each operation acts on eight wheels. They share no number: a wheel goes through the same operations

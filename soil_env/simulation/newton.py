@@ -48,7 +48,7 @@ GAMMA = 1.0 - math.sqrt(0.5)  # duration of a stage over that of the step
 LEAD = math.sqrt(2.0)  # (1 - GAMMA) / GAMMA - 1: how far the second stage begins beyond the end of the first
 TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
 SHORT = 0.1  # share of the rim speed up to which the first try is the foreseen speed
-_FORETOLD = 0.3  # share of the tolerance that the foretold residual of an unseen last iteration may reach
+_PREDICTED = 0.3  # predicted residual, as a share of the tolerance, up to which the last evaluation is skipped
 PASSES = 60  # evaluations of the reaction in a substep, at most
 TRIES = 8  # of them at most along one step of Newton's method
 # Residual that is let pass where no shorter step makes it smaller: at most this [m/s], and this share of the change of
@@ -389,7 +389,7 @@ def _iterate(sub, i, world, h):
     foretold = norm * smaller(norm / from_array(n.before, i), by_shear)
     ahead = moved(f, dv, du)
     g1, g2, _ = _residual(v + dv, u + du, ahead, e, i, cu, world)
-    seen = below(foretold, _FORETOLD * TOLERANCE) * below(larger(abs(g1), abs(g2)), 0.1 * TOLERANCE)
+    seen = below(foretold, _PREDICTED * TOLERANCE) * below(larger(abs(g1), abs(g2)), 0.1 * TOLERANCE)
     seen = seen * below(0.0, ahead.sinkage_coefficient) * better
     there = larger(seen, better * below(norm, TOLERANCE))
     passes, share = from_array(n.passes, i) + 1.0, from_array(n.share, i)

@@ -301,5 +301,5 @@ _LIST = (
         (Form("offset", ("offset",), "zero of the sinkage sensor"),),
     ),
 )
-#: The effects by name, in the order of DESIGN's list.
+#: The effects by name, in the order of docs/physics/effects.md.
 CATALOGUE = MappingProxyType({effect.name: effect for effect in _LIST})

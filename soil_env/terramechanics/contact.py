@@ -29,7 +29,7 @@ from soil_env._numba.elementary import (
     asin_root,
     copysign,
     exp,
-    root,
+    sqrt,
     where_less,
 )
 
@@ -116,7 +116,7 @@ def smooth_arc(sinkage, r):
 def smoothed_sign(speed, floor):
     """(sign of a speed in (-1, 1), its derivative [s/m]): smooth through rest over about `floor` [m/s]."""
     square = speed * speed + floor * floor
-    length = root(square)
+    length = sqrt(square)
     return speed / length, (floor * floor) / (square * length)
 
 
@@ -127,7 +127,7 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
     `direction` in (-1, 1) is the smoothed sign of V; `floor` [m/s] is the speed below which the wheel counts as
     resting.
     """
-    v = root(rim_speed * rim_speed + floor * floor)
+    v = sqrt(rim_speed * rim_speed + floor * floor)
     return rim_speed / v, travel_speed / v, smoothed_sign(travel_speed, floor)[0]
 
 
@@ -149,11 +149,17 @@ def mirror_angle(theta, theta1, theta2, thetam):
 
 
 @inlined
+def janosi_hanamoto(ratio):
+    """(1 - e^-ratio, e^-ratio): share of the shear strength at a displacement of `ratio` K, Eq. (10), and the rest."""
+    rest = exp(-1.0 * ratio)
+    return 1.0 - rest, rest
+
+
+@inlined
 def mobilised(j, K, law):
     """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq. (10) and `ShearLaw`."""
     distance, rate = abs(j), 1.0 / K
-    decay = exp(-rate * distance)
-    free = 1.0 - decay
+    free, decay = janosi_hanamoto(rate * distance)
     if law.a == 1.0 and law.b == 0.0 and law.c == 0.0:
         return copysign(free, j), rate * decay
     share = law.a + law.b * decay
@@ -211,7 +217,7 @@ def compaction_resistance(sinkage, S, n, b):
 
 @inlined
 def bearing_share(integrals, tan_phi, direction):
-    """Load over S r b [m^n]: what the normal stress and the friction that it brings carry, Eq. (1)."""
+    """Load borne by the normal stress and by the friction in proportion to it, over S r b [m^n]; Eq. (1)."""
     return integrals.p_cos + direction * tan_phi * integrals.pe_sin
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from soil_env._io.loading import ParameterError, unknown_key
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import asin_root, exp, larger, log, power, root, smaller, tanh, where_less
+from soil_env._numba.elementary import asin_root, exp, larger, log, power, smaller, sqrt, tanh, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
 from soil_env.slip import slip_of_radius
@@ -266,13 +266,22 @@ def shear_radius_ratio(r, height, fx):
     return 1.0 + fx.grousers_shear_share * height / r
 
 
+@inlined
+def at_shear_radius(soil, q, shear_modulus):
+    """The soil whose forces at the rim are those of `soil` at q times its radius: strength times q; K as given [m]."""
+    return SoilState(
+        q * soil.tan_phi, q * soil.cohesion, shear_modulus, soil.sinkage_coefficient, soil.sinkage_exponent,
+        soil.dig_gain, soil.dig_recovery,
+    )  # fmt: skip
+
+
 # --- added forces -----------------------------------------------------------------------------------------------------
 
 
 @part
 def passive_coefficient(tan_phi):
     """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2) = (1 + sin phi)/(1 - sin phi)."""
-    secant = root(1.0 + tan_phi * tan_phi)
+    secant = sqrt(1.0 + tan_phi * tan_phi)
     return (secant + tan_phi) / (secant - tan_phi)
 
 
@@ -286,7 +295,7 @@ def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
     if fx.bulldozing_rankine == 0.0 and fx.bulldozing_hegedus == 0.0:
         return alike(0.0, sinkage)
     kp, z = passive_coefficient(soil.tan_phi), larger(sinkage, 0.0)
-    cot = root(kp)  # cot X = tan(X + phi) = tan(45 deg + phi/2)
+    cot = sqrt(kp)  # cot X = tan(X + phi) = tan(45 deg + phi/2)
     rankine = b * (0.5 * unit_weight * z * z * kp + 2.0 * soil.cohesion * z * cot)
     hegedus = 2.0 * cot * (soil.cohesion * z + 0.5 * unit_weight * z * z * (cot + kp * soil.tan_phi))
     return fx.bulldozing_rankine * rankine + fx.bulldozing_hegedus * b * hegedus
@@ -306,13 +315,20 @@ def blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx):
         return alike(0.0, theta1)
     kp = passive_coefficient(soil.tan_phi)
     weight = 0.5 * unit_weight * height * (height + larger(sinkage, 0.0)) * kp
-    return fx.grousers_blades * theta1 * b * (weight + 2.0 * soil.cohesion * height * root(kp))
+    return fx.grousers_blades * theta1 * b * (weight + 2.0 * soil.cohesion * height * sqrt(kp))
+
+
+@inlined
+def blades_at(thrust, slip):
+    """(what acts of the `blade_thrust` [N] at this slip, its derivative): none where the wheel rolls freely."""
+    share = tanh(slip / BLADE_SLIP)
+    return thrust * share, thrust * (1.0 - share * share) / BLADE_SLIP
 
 
 @part
 def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
-    """`blade_thrust` [N] at this slip: none where the wheel rolls freely."""
-    return blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx) * tanh(slip / BLADE_SLIP)
+    """`blade_thrust` [N] at this slip."""
+    return blades_at(blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx), slip)[0]
 
 
 # --- what is measured -------------------------------------------------------------------------------------------------
@@ -334,12 +350,23 @@ def measured_slip(slip, fx):
     return slip_of_radius(slip - fx.slip_bias_offset, 1.0 / (1.0 - fx.slip_bias_radius_error))
 
 
+@inlined
+def drive_friction(torque, wheel_speed, floor, fx):
+    """(friction of the drivetrain [N m], its derivatives by the torque at the axle and by the wheel speed).
+
+    Coulomb and viscous friction and a share of the torque; `floor` [rad/s] is the wheel speed below which the first and
+    the last fade out.
+    """
+    turning, turn = smoothed_sign(wheel_speed, floor)
+    size = fx.drivetrain_friction_constant + fx.drivetrain_friction_share * abs(torque)
+    return (
+        turning * size + fx.drivetrain_friction_viscous * wheel_speed,
+        turning * fx.drivetrain_friction_share * where_less(torque, 0.0, -1.0, 1.0),
+        turn * size + fx.drivetrain_friction_viscous,
+    )
+
+
 @part
 def drive_torque(torque, wheel_speed, floor, fx):
-    """Torque [N m] at the motor for a torque at the axle: Coulomb and viscous friction and a share of the load.
-
-    `floor` [rad/s] is the wheel speed below which Coulomb friction fades out.
-    """
-    turning, _ = smoothed_sign(wheel_speed, floor)
-    friction = turning * (fx.drivetrain_friction_constant + fx.drivetrain_friction_share * abs(torque))
-    return torque + friction + fx.drivetrain_friction_viscous * wheel_speed
+    """Torque [N m] at the motor for a torque at the axle, with `drive_friction`."""
+    return torque + drive_friction(torque, wheel_speed, floor, fx)[0]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined, part, uncompiled
-from soil_env._numba.elementary import larger, root, tanh, where_less
+from soil_env._numba.elementary import larger, sqrt, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
 from soil_env.slip import slip_ratio
@@ -28,11 +28,13 @@ from soil_env.terramechanics.contact import (
     smoothed_sign,
 )
 from soil_env.terramechanics.effects import (
-    BLADE_SLIP,
     NO_EFFECTS,
     Effects,
+    at_shear_radius,
     blade_thrust,
+    blades_at,
     bulldozing_resistance,
+    drive_friction,
     excavated_depth,
     shear_law,
     shear_length_ratio,
@@ -71,7 +73,7 @@ def reaction_from(integrals, motion, speed, rim_speed, load, tan_phi, c, r, b):
     st = s * tan_phi
     rest2 = REST_SPEED * REST_SPEED
     u2 = rim_speed * rim_speed + rest2
-    travel_v = 1.0 / root(u2)
+    travel_v = 1.0 / sqrt(u2)
     rim_u, travel_u = rest2 * travel_v / u2, -travel * rim_speed / u2
     turn = smoothed_sign(speed, REST_SPEED)[1]
 
@@ -169,12 +171,8 @@ def ground_under(sinkage, speed, rim_speed, weight, soil, sin_grade, passes, whe
     arc = arc_of(sinkage, slip, fx, Rim(r, b, h))
     dug = larger(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), 1e-3)
     q = wheel.shear_ratio
-    sheared = SoilState(
-        q * soil.tan_phi, q * soil.cohesion, soil.shear_modulus * shear_length_ratio(fx) / q,
-        soil.sinkage_coefficient, soil.sinkage_exponent, soil.dig_gain, soil.dig_recovery,
-    )  # fmt: skip
     return Ground(
-        sheared,
+        at_shear_radius(soil, q, soil.shear_modulus * shear_length_ratio(fx) / q),
         arc,
         excavated_depth(slip, fx) / dug,
         bulldozing_resistance(sinkage, soil, wheel.unit_weight, b, fx),
@@ -213,22 +211,15 @@ def _signed_slip(speed, rim_speed):
 def _blades(thrust, speed, rim_speed):
     """`Added` thrust [N] of the lugs along the rim."""
     slip = _signed_slip(speed, rim_speed)
-    share = tanh(slip.value / BLADE_SLIP)
-    slope = thrust * (1.0 - share * share) / BLADE_SLIP
-    return Added(thrust * share, slope * slip.by_v, slope * slip.by_u)
+    force, slope = blades_at(thrust, slip.value)
+    return Added(force, slope * slip.by_v, slope * slip.by_u)
 
 
 @inlined
 def _drive_friction(torque, rim_speed, r, fx):
-    """`Added` torque [N m] of the drivetrain, `effects.drive_torque`, for an `Added` torque at the axle."""
-    turning, turn = smoothed_sign(rim_speed / r, REST_SPEED / r)
-    size = fx.drivetrain_friction_constant + fx.drivetrain_friction_share * abs(torque.value)
-    share = turning * fx.drivetrain_friction_share * where_less(torque.value, 0.0, -1.0, 1.0)
-    return Added(
-        turning * size + fx.drivetrain_friction_viscous * (rim_speed / r),
-        share * torque.by_v,
-        share * torque.by_u + (turn * size + fx.drivetrain_friction_viscous) / r,
-    )
+    """`Added` torque [N m] of `drive_friction` for an `Added` torque at the axle."""
+    friction, by_torque, by_wheel_speed = drive_friction(torque.value, rim_speed / r, REST_SPEED / r, fx)
+    return Added(friction, by_torque * torque.by_v, by_torque * torque.by_u + by_wheel_speed / r)
 
 
 @inlined

@@ -26,6 +26,7 @@ from soil_env.terramechanics.contact import (
 from soil_env.terramechanics.effects import (
     NO_EFFECTS,
     arc_ends,
+    at_shear_radius,
     blade_force,
     bulldozing_resistance,
     drive_torque,
@@ -147,10 +148,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     rim, travel = motion_from_slip(slip)
     rim, K = sheared(rim, ground, fx, wheel)
     q = shear_radius_ratio(contact_radius(fx, wheel), wheel.grouser_height, fx)
-    under = SoilState(
-        q * ground.tan_phi, q * ground.cohesion, K, ground.sinkage_coefficient, ground.sinkage_exponent,
-        ground.dig_gain, ground.dig_recovery,
-    )  # fmt: skip
+    under = at_shear_radius(ground, q, K)
     ratio = max(slip_sinkage_ratio(slip, ground.dig_gain, ground.dig_recovery), 1e-3)
     apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
     lift = min(excavated_depth(slip, fx), 0.9 * DEEPEST * wheel.radius)

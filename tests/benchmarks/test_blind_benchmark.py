@@ -19,7 +19,7 @@ from benchmarks.blind.groups import GROUPS, Task
 from benchmarks.blind.laws import BASE_LAWS, LENGTHS, RandomFunction, StressError, covariance
 from benchmarks.blind.limits import Measure, without
 from benchmarks.blind.plan import CHANNELS, draw_bench
-from benchmarks.blind.score import judged, reliability, wilson
+from benchmarks.blind.score import judged, reliability, share
 from benchmarks.blind.sets import SETS, task_of
 from benchmarks.blind.unlisted import UNLISTED
 from benchmarks.blind.world import Contact, Ground, Rows, Wheel, predict
@@ -341,7 +341,7 @@ def test_reliability_by_hand():
     r = reliability([(0.8, k < 30) for k in range(40)] + [(0.95, False)] * 3)
     assert r["largest"] == pytest.approx(0.05) and r["of"] == 43
     assert [b["seen"]["of"] for b in r["bins"]] == [40, 3]
-    assert wilson(10, 10)[0] == pytest.approx(1.0 / (1.0 + 1.959963985**2 / 10.0))
+    assert share([True] * 10)["low"] == pytest.approx(1.0 / (1.0 + 1.959963985**2 / 10.0))
 
 
 # --- entrants and runs ------------------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ def over(which, x, out):
         elif which == 5:
             a = elementary.tanh(a)
         elif which == 6:
-            a, b = elementary.root(abs(a)), elementary.power(abs(a), 0.7)
+            a, b = elementary.sqrt(abs(a)), elementary.power(abs(a), 0.7)
         elif which == 7:
             a, b = elementary.smaller(a, 0.5), elementary.larger(0.5, a)
         elif which == 8:
@@ -96,7 +96,7 @@ def law(x, y):
     """An expression in all operations that floats and lanes have in common."""
     z = elementary.fma(x, y, 1.0) / (2.0 - x) - elementary.exp(-abs(x)) * elementary.tanh(y)
     z = elementary.where_less(z, 0.3, -z, elementary.power(abs(y), 1.5)) + elementary.asin_root(x * x)
-    z = elementary.larger(z, elementary.root(abs(z))) + elementary.copysign(elementary.log(1.0 + abs(x)), y)
+    z = elementary.larger(z, elementary.sqrt(abs(z))) + elementary.copysign(elementary.log(1.0 + abs(x)), y)
     return elementary.smaller(z, 2.0) + elementary.chosen(elementary.below(x, y), z, lanes.alike(0.25, z))
 
 

@@ -38,7 +38,7 @@ class Chosen:
 
     @property
     def name(self) -> str:
-        """Of the effect."""
+        """Name of the effect."""
         return self.effect
 
 

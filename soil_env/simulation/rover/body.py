@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined
-from soil_env._numba.elementary import asin_root, half_sin_cos, larger, root, smaller, where_less
+from soil_env._numba.elementary import asin_root, half_sin_cos, larger, smaller, sqrt, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import Rows, rows
 from soil_env.vehicle import RoverScenario
@@ -163,5 +163,5 @@ def rise_of_body(wheels, axles, first, s):
 @inlined
 def angle_of(sine):
     """Angle [rad] of a sine, in lanes."""
-    half = asin_root(0.5 - 0.5 * root(1.0 - sine * sine))
+    half = asin_root(0.5 - 0.5 * sqrt(1.0 - sine * sine))
     return where_less(sine, 0.0, -2.0 * half, 2.0 * half)

@@ -9,7 +9,7 @@ that is linear in the axles. Stages and reaction are those of `simulation.newton
 from __future__ import annotations
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import below, chosen, larger, root
+from soil_env._numba.elementary import below, chosen, larger, sqrt
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
 from soil_env.simulation.newton import (
     HUGE,
@@ -92,7 +92,7 @@ def foresee(wheels, first, period, world, s, h, mass, lead, changes):
 def weight_of(body, block, world):
     """Weight [N] of one side of eight rovers, normal to their bodies."""
     sine = sine_of(from_array(body.pitch, block))
-    return world.wheel.gravity * from_array(body.mass, block) * root(1.0 - sine * sine)
+    return world.wheel.gravity * from_array(body.mass, block) * sqrt(1.0 - sine * sine)
 
 
 @inlined
