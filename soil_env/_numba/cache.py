@@ -192,7 +192,7 @@ def _announcement() -> str:
     wanted = os.environ.get("NUMBA_CACHE_DIR")
     if _FOLDER is None:
         wish = f"NUMBA_CACHE_DIR={wanted} cannot be written" if wanted else "no folder for the code can be written"
-        return f"compiling, about 20 s, in every process: {wish}; set NUMBA_CACHE_DIR to a folder that can"
+        return f"compiling, about 30 s, in every process: {wish}; set NUMBA_CACHE_DIR to a folder that can"
     if wanted and Path(wanted).resolve() not in _FOLDER.resolve().parents:
-        return f"NUMBA_CACHE_DIR={wanted} cannot be written; compiling, about 20 s, once, {place()} instead"
-    return "compiling what is used for the first time: about 20 s for an environment, less for other parts, each once"
+        return f"NUMBA_CACHE_DIR={wanted} cannot be written; compiling, about 30 s, once, {place()} instead"
+    return "compiling what is used for the first time: about 30 s for an environment, less for other parts, each once"

@@ -185,7 +185,7 @@ def test_the_image_is_made_of_what_the_dockerignore_lets_in():
 def test_first_use_where_nothing_can_be_written(wheel, tmp_path):
     """Neither site-packages nor HOME: code is compiled for the process, which says so, and predicts.
 
-    That of one prediction: the environment's is compiled and kept in the same way, in 20 s. Files in the place of the
+    That of one prediction: the environment's is compiled and kept in the same way, in 30 s. Files in the place of the
     folders that caches would go to stop even root, as whom containers run.
     """
     home, nowhere = tmp_path / "site", tmp_path / "home"
