@@ -217,3 +217,11 @@ def test_a_soil_digs_only_where_it_says_so():
     dug = WheelSoilModel(wheel, Soil(**SOIL_S, dig_gain=1.5)).predict({"slip": slip, "load": 100.0})
     assert dug.sinkage[1] > 1.5 * bare.sinkage[1]
     assert all("dig_gain" in line for line in read_yaml(config_dir() / "soils.yaml").values())
+
+
+def test_a_scenario_of_a_file_is_named_with_its_folder(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("wheel: {radius: -1}\n")
+    with pytest.raises(ParameterError) as error:
+        load_scenario(path)
+    assert str(error.value).startswith(f"{path}: ")

@@ -115,10 +115,11 @@ def load_blind() -> None:
 
 
 def blind_cases(folder: Path) -> None:
-    """Two small cases of `benchmarks.blind`, drawn, answered and scored."""
+    """Three small cases of `benchmarks.blind`, drawn, answered and scored."""
     from benchmarks.blind.__main__ import main as blind
 
-    asked = ["--entrant", "bic", "--seed", "100007", "--limit", "30", "--group", "none-few-10", "--group", "one-few-10"]
+    groups = (word for name in ("none-few-10", "one-few-10", "one-poor-10") for word in ("--group", name))
+    asked = ["--entrant", "bic", "--seed", "100007", "--limit", "30", *groups]
     if blind(["run", *asked, "--out", str(folder)]) != 0:
         raise RuntimeError("benchmarks.blind failed")
 

@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 
+from soil_env._io.loading import ParameterError
 from soil_env.identification.priors import soil_unknowns
 from soil_env.identification.table import identify_table
 from soil_env.logs import read_map, replay, steady_windows
@@ -228,3 +229,10 @@ def test_command_refuses_in_one_line(tmp_path, capsys):
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "twist.y" in said and "/odom" in said
     assert not (tmp_path / "out").exists()
+
+
+def test_a_misspelt_section_of_the_map_is_told_as_such(tmp_path):
+    path = write_map(tmp_path)
+    path.write_text(path.read_text().replace("channels:", "chanels:"))
+    with pytest.raises(ParameterError, match="unknown key 'chanels'; did you mean 'channels'"):
+        read_map(path)

@@ -79,7 +79,11 @@ def test_an_example_without_its_extra_says_what_to_install(name, module, extra, 
     assert said.startswith(f"{name}.py: needs ") and said.endswith(f": pip install 'soil_env[{extra}]'\n")
 
 
-@pytest.mark.parametrize("name, arguments", [("drive", "--scenario nowhere.yaml"), ("own_soil", "--phi 95")])
+@pytest.mark.parametrize(
+    "name, arguments",
+    [("drive", "--scenario nowhere.yaml"), ("drive", "--seed -1"), ("own_soil", "--phi 95"),
+     ("find_missing_effect", "nowhere.csv"), ("identify_soil", "nowhere.csv")],
+)  # fmt: skip
 def test_bad_input_is_said_in_one_line(name, arguments, tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         run(name, arguments, tmp_path, monkeypatch)
