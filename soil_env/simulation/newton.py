@@ -343,17 +343,33 @@ def _begin(e, n, i):
 
 
 @inlined
+def compare(reached, norm, share, tries):
+    """(better, given up, the share of the step to take next, tries along it) of what was tried, 1 or 0 in each lane.
+
+    A residual `reached` is better than the least so far, `norm`, if it is smaller by a tenth of the share of the step
+    that was taken, on the last try by anything. A step that is not better is shortened.
+    """
+    last = below(TRIES - 1.5, tries)
+    better = below(reached, norm * chosen(last, fill(1.0), 1.0 - 0.1 * share))
+    return better, last * (1.0 - better), chosen(better, fill(1.0), 0.4 * share), chosen(better, fill(0.0), tries + 1.0)
+
+
+@inlined
+def near_enough(norm, change):
+    """1 where the residual may be let pass though no shorter step makes it smaller; `change` of speed [m/s]."""
+    return below(norm, NEARLY) * below(norm, TOLERANCE + OF_CHANGE * change)
+
+
+@inlined
 def _accept(sub, i, cu, world):
     """Evaluate the speeds to try and keep them where they are better: (better, failed), 1 or 0 in each lane."""
     e, n = sub.equations, sub.newton
-    zero, one = fill(0.0), fill(1.0)
     v1, u1 = from_array(e.try_v, i), from_array(e.try_u, i)
     trial = reaction_at(v1, u1, sub, i, world.wheel)
     g1, g2, slope = _residual(v1, u1, trial, e, i, cu, world)
     reached = larger(abs(g1), abs(g2))
-    share, tries, norm = from_array(n.share, i), from_array(n.tries, i), from_array(n.norm, i)
-    last = below(TRIES - 1.5, tries)
-    better = below(reached, norm * chosen(last, one, 1.0 - 0.1 * share))
+    norm = from_array(n.norm, i)
+    better, failed, share, tries = compare(reached, norm, from_array(n.share, i), from_array(n.tries, i))
     first_before = chosen(below(norm, 0.5 * HUGE), norm, 0.1 * reached)  # nothing is foretold by the first residual
     to_array(chosen(better, first_before, from_array(n.before, i)), n.before, i)
     to_array(chosen(better, reached, norm), n.norm, i)
@@ -363,9 +379,9 @@ def _accept(sub, i, cu, world):
     to_array(chosen(better, g2, from_array(n.f2, i)), n.f2, i)
     to_array(chosen(better, slope, from_array(n.motor_slope, i)), n.motor_slope, i)
     store_reaction(chosen_reaction(better, trial, load_reaction(n, i)), n, i)
-    to_array(chosen(better, one, 0.4 * share), n.share, i)
-    to_array(chosen(better, zero, tries + 1.0), n.tries, i)
-    return better, last * (1.0 - better)
+    to_array(share, n.share, i)
+    to_array(tries, n.tries, i)
+    return better, failed
 
 
 @inlined
@@ -400,7 +416,7 @@ def _iterate(sub, i, world, h):
     to_array(chosen(seen, u + du, u), n.u, i)
     store_reaction(chosen_reaction(seen, ahead, f), n, i)
     change = larger(abs(v - from_array(e.speed0, i)), abs(u - from_array(e.rim0, i)))
-    settled = failed * below(norm, NEARLY) * below(norm, TOLERANCE + OF_CHANGE * change)
+    settled = failed * near_enough(norm, change)
     to_array(larger(settled, there), n.converged, i)
     return larger(larger(failed, there), below(PASSES - 0.5, passes))
 

@@ -13,15 +13,14 @@ from soil_env._numba.elementary import below, chosen, larger, sqrt
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
 from soil_env.simulation.newton import (
     HUGE,
-    NEARLY,
-    OF_CHANGE,
     PASSES,
     SHORT,
     TOLERANCE,
-    TRIES,
     behind,
     chosen_reaction,
+    compare,
     load_reaction,
+    near_enough,
     reaction_at,
     stand,
     store_reaction,
@@ -237,19 +236,16 @@ def _iterate(sub, trial, alive, world, s, h):
     norm, share, tries = fill(HUGE), fill(1.0), fill(0.0)
     for _ in range(PASSES):
         reached = _evaluate(sub, trial, cu, world, s)
-        last = below(TRIES - 1.5, tries)
-        better = going * below(reached, norm * chosen(last, fill(1.0), 1.0 - 0.1 * share))
+        better, failed, share, tries = compare(reached, norm, share, tries)
+        better, failed = going * better, going * failed
         _keep_better(sub, trial, better, s)
         norm = chosen(better, reached, norm)
-        failed = going * last * (1.0 - better)
         there = going * better * below(norm, TOLERANCE)
-        settled = failed * below(norm, NEARLY) * below(norm, TOLERANCE + OF_CHANGE * _largest_change(sub, s))
+        settled = failed * near_enough(norm, _largest_change(sub, s))
         converged = larger(converged, larger(there, settled))
         going = going * (1.0 - larger(there, failed))
         if bits(going) == 0:
             break
-        share = chosen(better, fill(1.0), 0.4 * share)
-        tries = chosen(better, fill(0.0), tries + 1.0)
         _try_next(sub, share, cu, world, s)
     return converged
 
