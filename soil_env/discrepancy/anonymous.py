@@ -32,23 +32,22 @@ _STRESSES = (
     "spread of the normal stress",
     "place of the shear stress",
 )
-_ELAPSED = 0.5  # correlation length of the time, of the campaign
 _FUNCTIONS = 12  # of a pattern at most
 _LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it
 
 
 def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     """[M, R] of each pattern at the size 1, whitened, about a fit."""
-    at, lengths = problem.data.conditions | problem.data.elapsed, LENGTHS | {"elapsed": _ELAPSED}
+    at = problem.data.conditions | problem.data.elapsed
     moved = problem.stresses(fit.parameters(), fit.choices, fit.output, problem.sinkage_guess(fit))
     channels = {
         n: np.broadcast_to(problem.size * u, fit.output.shape) for n, u in zip(CHANNELS, np.eye(3), strict=True)
     }
     channels = {n: x for j, (n, x) in enumerate(channels.items()) if problem.used[:, j].any()}
-    alone = [n for n in lengths if n in at and np.ptp(at[n]) > 0.0]
+    alone = [n for n in LENGTHS if n in at and np.ptp(at[n]) > 0.0]
     out = {}
     for names in [*((n,) for n in alone), *(("slip", n) for n in alone if n != "slip")]:
-        process = Process.over({n: at[n] for n in names}, most=_FUNCTIONS, lengths={n: lengths[n] for n in names})
+        process = Process.over(at, of=names, most=_FUNCTIONS)
         if process.names != names:
             continue
         stresses = {} if {*names} <= {*INPUTS} else dict(zip(_STRESSES, moved, strict=True))

@@ -23,7 +23,15 @@ import numpy as np
 
 from soil_env.discrepancy.data import CHANNELS, Data
 from soil_env.discrepancy.noise import NoiseEstimate, find_noise
-from soil_env.identification.form_error import INPUTS, LENGTHS, SPANS, Process, compressed, stress_changes, whitened
+from soil_env.identification.form_error import (
+    INPUTS,
+    LAW_LENGTHS,
+    LENGTHS,
+    Process,
+    compressed,
+    stress_changes,
+    whitened,
+)
 from soil_env.identification.priors import USUAL_SINKAGE, Unknown, known_digging, soil_state, soil_unknowns
 from soil_env.identification.rig import predict_table
 from soil_env.identification.weighted import differences, finite, most_probable
@@ -62,7 +70,7 @@ class Sizes(NamedTuple):
     law: float = 0.0  # alpha, relative, of the stresses of the base law
     effect: float = 0.0  # beta, relative to what an effect adds
     free: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of an anonymous contribution, relative to the channel's rms
-    span: int = 0  # of `form_error.SPANS`, that of the base law's error
+    span: int = 0  # of `form_error.LAW_LENGTHS`, that of the base law's error
     scatter: float = 1.0  # of every value by itself about the model, over the noise: more than 1 if soils vary by row
     pattern: str = ""  # an anonymous contribution of one condition in one place (`anonymous.patterns`)
     part: float = 0.0  # its size, relative to what it changes
@@ -70,7 +78,7 @@ class Sizes(NamedTuple):
     @property
     def laws(self) -> tuple[float, ...]:
         """Size of the base law's error over each of the spans."""
-        return tuple(self.law if k == self.span else 0.0 for k in range(len(SPANS)))
+        return tuple(self.law if k == self.span else 0.0 for k in range(len(LAW_LENGTHS)))
 
 
 EXACT = Sizes()
@@ -149,14 +157,11 @@ class Problem:
 
     def _processes(self) -> None:
         """Form errors over the conditions of the table, and the size of each channel."""
-        at = self.data.conditions
-        own = {e.varies for e in CATALOGUE.values()}
-        spans = [{name: span * length for name, length in LENGTHS.items()} for span in SPANS]
-        self.law_processes: list[Process] = [Process.over(at, INPUTS, most=_LAW, lengths=lengths) for lengths in spans]
-        self.effect_processes: dict[str | None, Process] = {
-            v: Process.over(at, (*INPUTS, v), most=_EFFECT) for v in own
-        }
-        at, lengths = at | self.data.elapsed, {k: _LONGER * v for k, v in (LENGTHS | {"elapsed": 0.5}).items()}
+        at = self.data.conditions | self.data.elapsed
+        self.law_processes: list[Process] = [Process.over(at, of=INPUTS, most=_LAW, lengths=x) for x in LAW_LENGTHS]
+        own = {e.conditions for e in CATALOGUE.values()}
+        self.effect_processes = {more: Process.over(at, of=(*INPUTS, *more), most=_EFFECT) for more in own}
+        lengths = {k: _LONGER * v for k, v in LENGTHS.items()}
         self.free_functions: np.ndarray = Process.over(at, additive=True, most=_FREE, lengths=lengths).at_points
         square = np.where(self.used, np.nan_to_num(self.data.y) ** 2, 0.0)
         self.size: np.ndarray = np.sqrt(square.sum(axis=0) / np.maximum(self.used.sum(axis=0), 1))
@@ -376,7 +381,7 @@ class Problem:
 
     def effect_process(self, choice: Choice) -> Process:
         """Form error of an effect: it goes with what the base law knows and with what the effect is about."""
-        return self.effect_processes[CATALOGUE[choice.effect].varies]
+        return self.effect_processes[CATALOGUE[choice.effect].conditions]
 
     def block(self, errors: np.ndarray) -> np.ndarray:
         """[M, R] of form errors [N, 3, R], whitened, of the values in use."""

@@ -19,7 +19,7 @@ from scipy.special import log_ndtr, logsumexp, ndtr
 from scipy.stats import chi2
 
 from soil_env.discrepancy.calibrate import Choice, Fit, Problem, Sizes
-from soil_env.identification.form_error import SIZES, SPANS, marginals, mixed, size_prior
+from soil_env.identification.form_error import LAW_LENGTHS, SIZES, marginals, mixed, size_prior
 from soil_env.identification.priors import Unknown
 from soil_env.identification.weighted import finite
 from soil_env.terramechanics.catalogue import CATALOGUE
@@ -67,8 +67,8 @@ def grid(effects: bool) -> tuple[list[Sizes], np.ndarray]:
     """(sizes of the form errors of the base law and of effects, log prior of each)."""
     effect = list(zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)) if effects else [(0.0, 1.0)]
     law = list(zip(SIZES.tolist(), size_prior(), strict=True))
-    span = range(len(SPANS))
-    points = [(Sizes(a, e, span=k), p * q / len(SPANS)) for (a, p), (e, q), k in product(law, effect, span)]
+    span = range(len(LAW_LENGTHS))
+    points = [(Sizes(a, e, span=k), p * q / len(LAW_LENGTHS)) for (a, p), (e, q), k in product(law, effect, span)]
     return [s for s, _ in points], np.log([p for _, p in points])
 
 

@@ -174,7 +174,7 @@ def predicted(there: Problem, candidate: Evidence) -> tuple[np.ndarray, np.ndarr
     With the form errors as far as the table tells them; beyond its reach they count with their prior variance.
     """
     fit, guess, values = candidate.fit, np.zeros(there.data.rows.slip.size), candidate.fit.parameters()
-    sizes, at = candidate.sizes, there.data.conditions
+    sizes, at = candidate.sizes, there.data.conditions | {"elapsed": np.ones(guess.size)}  # when the campaign has ended
     out = there.predict(values, fit.choices, guess)
     feasible = (guess > 0.0) & (guess < DEEPEST * there.data.wheel.radius) & np.all(np.isfinite(out), axis=1)
     stresses = there.stresses(values, fit.choices, out, guess)

@@ -25,15 +25,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, lapack
 
-#: Correlation lengths of form errors: of ln(1 + slip/0.05), as shear displacements go; of the logarithm of load, speed,
-#: pass, the wheel's radius and width, and its lug height (1 mm added); of the grade [deg].
-LENGTHS = {"slip": 0.8, "load": 0.8, "speed": 1.5, "pass": 1.0, "grade_deg": 10.0, "wheel_radius": 0.7,
-           "wheel_width": 0.7, "grouser_height": 1.5}  # fmt: skip
-SPANS = (1.0, 2.5)  # times these lengths that the error of the base law is tried with, one as probable as another
-_LITTLE_SLIP = 0.05  # below which a law changes with slip rather than with its logarithm
+#: Correlation lengths of form errors: of the slip, with which shear displacements grow in proportion (Hutangkabodee et
+#: al. 2006, Eq. (10)); of the logarithm of load, speed, pass, the wheel's radius and width, and its lug height (1 mm
+#: added); of the grade [deg]; of the time elapsed, over that of the campaign.
+LENGTHS = {"slip": 0.3, "load": 0.8, "speed": 1.5, "pass": 1.0, "grade_deg": 10.0, "wheel_radius": 0.7,
+           "wheel_width": 0.7, "grouser_height": 1.5, "elapsed": 0.5}  # fmt: skip
+#: Of the error of the base law, one as probable as the other.
+LAW_LENGTHS: tuple[Mapping[str, float], ...] = (LENGTHS, LENGTHS | {"slip": 0.6})
 LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width", "grouser_height")
-INPUTS = ("slip", "load", "wheel_radius", "wheel_width", "grouser_height")  # what the base law itself depends on
-OUTSIDE = 0.1  # share of the variance of a law's error that goes with conditions that the law does not know
+#: What the base law depends on, and so its error: what goes with anything else is a missing effect.
+INPUTS = ("slip", "load", "wheel_radius", "wheel_width", "grouser_height")
 _LEFT = 1e-3  # share of the variance that may be left out of a basis
 _NUGGET = 1e-9
 _SHORTER = 3.0  # times over which a contribution of one condition may change faster than one of all
@@ -62,15 +63,12 @@ def size_prior() -> np.ndarray:
 class Process:
     """A Gaussian process of unit variance over the conditions, in its leading functions at the rows of a table.
 
-    Its covariance is exp(-d^2/2), d the distance in correlation lengths: of the conditions `inner` alone for a share
-    1 - `outside` of the variance, of all for the rest. Where it is `additive`, half of the variance goes with all
-    conditions together, over these lengths, and half with each on its own, over a third of them.
+    Its covariance is exp(-d^2/2), d the distance in correlation lengths. Where it is `additive`, half of the variance
+    goes with all conditions together, over these lengths, and half with each on its own, over a third of them.
     """
 
     names: tuple[str, ...]
     lengths: np.ndarray  # [d]
-    inner: np.ndarray  # [d] bool
-    outside: float
     additive: bool
     points: np.ndarray  # [P, d]
     weights: np.ndarray  # [P, R]
@@ -79,19 +77,17 @@ class Process:
     def over(
         cls,
         conditions: Mapping[str, np.ndarray],
-        inner: Sequence[str] | None = None,
-        outside: float = OUTSIDE,
         *,
+        of: Sequence[str] | None = None,
         additive: bool = False,
         most: int = 40,
         lengths: Mapping[str, float] = LENGTHS,
     ) -> Process:
-        """The process over the conditions [N] that vary, with at most `most` functions; `inner` None: all of them."""
-        names = tuple(n for n in lengths if n in conditions and np.ptp(_scale(n, conditions[n])) > 1e-6)
-        empty = cls(
-            names, np.array([lengths[n] for n in names]), np.array([inner is None or n in inner for n in names], bool),
-            outside, additive, _points(conditions, names), np.zeros((0, 0)),
-        )  # fmt: skip
+        """The process over those of the conditions [N] that vary, with at most `most` functions; `of` None: of all."""
+        known = [n for n in lengths if n in conditions and (of is None or n in of)]
+        names = tuple(n for n in known if np.ptp(_scale(n, conditions[n])) > 1e-6)
+        points = _points(conditions, names)
+        empty = cls(names, np.array([lengths[n] for n in names]), additive, points, np.zeros((0, 0)))
         values, vectors = np.linalg.eigh(empty._covariance(empty.points))
         values, vectors = values[::-1], vectors[:, ::-1]
         left = values.sum() - np.cumsum(values)
@@ -101,10 +97,7 @@ class Process:
     def _covariance(self, x: np.ndarray) -> np.ndarray:
         """[N, P] with the points of the table."""
         square = ((x[:, None, :] - self.points[None, :, :]) / self.lengths) ** 2
-        common = np.exp(-0.5 * square[:, :, self.inner].sum(axis=2))
-        if not self.inner.all():
-            rest = np.exp(-0.5 * square[:, :, ~self.inner].sum(axis=2))
-            common *= 1.0 - self.outside + self.outside * rest
+        common = np.exp(-0.5 * square.sum(axis=2))
         if self.additive and self.names:
             common = 0.5 * common + 0.5 * np.exp(-0.5 * _SHORTER**2 * square).mean(axis=2)
         return common
@@ -124,8 +117,6 @@ class Process:
 
 
 def _scale(name: str, value: np.ndarray) -> np.ndarray:
-    if name == "slip":
-        return np.sign(value) * np.log1p(np.abs(value) / _LITTLE_SLIP)
     if name not in LOGARITHMIC:
         return value
     return np.log(value + 1e-3) if name == "grouser_height" else np.log(np.maximum(value, 1e-6))

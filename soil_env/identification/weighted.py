@@ -30,9 +30,8 @@ from scipy.special import logsumexp
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.form_error import (
-    LENGTHS,
+    LAW_LENGTHS,
     SIZES,
-    SPANS,
     Compression,
     Process,
     StressChange,
@@ -60,13 +59,13 @@ CHANNELS_OWN = (0.0, 1.0)  # relative error of each channel by itself over that 
 class LawError(NamedTuple):
     """A form error of the base law."""
 
-    span: int  # of `form_error.SPANS`
+    span: int  # of `form_error.LAW_LENGTHS`
     own: float  # of `CHANNELS_OWN`: whether the channels err beyond what stresses do
     size: float
 
 
 #: That are marginalised.
-LAW_ERRORS = [LawError(*x) for x in product(range(len(SPANS)), CHANNELS_OWN, SIZES.tolist())]
+LAW_ERRORS = [LawError(*x) for x in product(range(len(LAW_LENGTHS)), CHANNELS_OWN, SIZES.tolist())]
 _NO_WEIGHT = 0.0  # [N/m3] of the soil, nor on its weight
 
 
@@ -163,8 +162,7 @@ class TableProblem:
             )
         wheel = dict(zip(("wheel_radius", "wheel_width"), wheels.T, strict=False))
         at = {"slip": self.rows.slip, "load": self.rows.load, **wheel}
-        spans = [{name: span * length for name, length in LENGTHS.items()} for span in SPANS]
-        self.processes: list[Process] = [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in spans]
+        self.processes: list[Process] = [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS]
         self.form_error: Compression | None = None  # of the base law, beside the noise; none as long as it is not known
         self.weigh(np.zeros((count, 3, 2)))
 
@@ -295,13 +293,13 @@ class TableProblem:
         """
         kept, self.form_error = self.form_error, None
         j, e = self.derivatives(u), self._by_noise(self.residual(u))
-        blocks = [block for span in range(len(SPANS)) for block in self.law_errors(u, span)]
+        blocks = [block for span in range(len(LAW_LENGTHS)) for block in self.law_errors(u, span)]
         sizes = np.zeros((len(LAW_ERRORS), len(blocks)))
         for row, of in zip(sizes, LAW_ERRORS, strict=True):
             row[2 * of.span : 2 * of.span + 2] = of.size, of.own * of.size
         log, mean, covariance = marginals(j, blocks, sizes, np.where(np.isfinite(e), e, _FAR), u)
         self.form_error = kept
-        log += np.log(np.tile(size_prior(), len(SPANS) * len(CHANNELS_OWN)))
+        log += np.log(np.tile(size_prior(), len(LAW_LENGTHS) * len(CHANNELS_OWN)))
         return np.exp(log - logsumexp(log)), mean, covariance
 
     def allow_form_error(self, u: np.ndarray, of: LawError) -> None:

@@ -49,6 +49,12 @@ class Effect:
     parameters: tuple[EffectParameter, ...]
     forms: tuple[Form, ...]
     varies: str | None = None  # column that must vary in a table for the effect to show
+    beside: str | None = None  # column, or the time elapsed, that it may depend on though none of its forms does
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Conditions that it depends on, or may, beside slip, load and wheel."""
+        return tuple(name for name in (self.varies, self.beside) if name is not None)
 
     def parameter(self, name: str) -> EffectParameter:
         """The parameter of that name."""
@@ -279,6 +285,7 @@ _LIST = (
                 "Armstrong-Helouvry et al. (1994), Automatica 30:1083-1138",
             ),
         ),
+        beside="speed",  # friction of lubricated bearings falls and rises again with the speed (Stribeck)
     ),  # fmt: skip
     Effect(
         "slip_bias",
@@ -292,6 +299,7 @@ _LIST = (
             Form("offset", ("offset",), "Wong (2010), Terramechanics and Off-Road Vehicle Engineering"),
             Form("rolling_radius", ("radius_error",), "Wong (2010), Terramechanics and Off-Road Vehicle Engineering"),
         ),
+        beside="speed",  # the zero of a speed sensor counts the more, the slower the wheel
     ),
     Effect(
         "sinkage_offset",
@@ -299,6 +307,7 @@ _LIST = (
         (SINKAGE,),
         (P("offset", "m", 0.0, -0.3, 0.3, 0.0, "d"),),
         (Form("offset", ("offset",), "zero of the sinkage sensor"),),
+        beside="elapsed",  # zeros of sensors drift
     ),
 )
 #: The effects by name, in the order of docs/physics/effects.md.

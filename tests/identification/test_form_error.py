@@ -16,7 +16,7 @@ def kernel(names, a=CONDITIONS, b=CONDITIONS):
     """exp(-d^2/2) of the conditions, by its definition."""
     square = 0.0
     for name in names:
-        x, y = (np.log(c[name]) if name != "slip" else np.log1p(c[name] / 0.05) for c in (a, b))
+        x, y = (np.log(c[name]) if name != "slip" else c[name] for c in (a, b))
         square = square + ((x[:, None] - y[None, :]) / form_error.LENGTHS[name]) ** 2
     return np.exp(-0.5 * square)
 
@@ -25,9 +25,11 @@ def test_the_functions_have_the_covariance_of_the_process():
     process = Process.over(CONDITIONS)
     assert set(process.names) == {"slip", "load", "pass"}  # the speed does not vary
     assert process.at_points @ process.at_points.T == pytest.approx(kernel(("slip", "load", "pass")), abs=0.03)
-    partial = Process.over(CONDITIONS, INPUTS, 0.2)
-    common, rest = kernel(("slip", "load")), kernel(("pass",))
-    assert partial.at_points @ partial.at_points.T == pytest.approx(common * (0.8 + 0.2 * rest), abs=0.03)
+    of_a_law = Process.over(CONDITIONS, of=INPUTS)  # what goes with the pass is no error of the law
+    assert of_a_law.at_points @ of_a_law.at_points.T == pytest.approx(kernel(("slip", "load")), abs=0.03)
+    over = Process.over(CONDITIONS, of=INPUTS, lengths=form_error.LAW_LENGTHS[1])
+    slip = (CONDITIONS["slip"][:, None] - CONDITIONS["slip"]) / 0.6
+    assert over.at_points @ over.at_points.T == pytest.approx(kernel(("load",)) * np.exp(-0.5 * slip**2), abs=0.03)
 
 
 def test_beyond_the_table_the_variance_is_open():
