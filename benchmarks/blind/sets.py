@@ -1,4 +1,5 @@
-"""The sets of cases: `laws`, forms that no fit has on laws with errors; `easy`, listed forms on exact laws."""
+"""The sets of cases: `laws`, forms that no fit has on laws with errors; `log_slip`, the same with errors that change
+otherwise with slip; `easy`, listed forms on exact laws."""
 
 from __future__ import annotations
 
@@ -8,12 +9,14 @@ from pathlib import Path
 
 from benchmarks.blind import cases as laws_cases
 from benchmarks.blind import groups as laws_groups
+from benchmarks.blind import log_slip
 from benchmarks.blind.easy import groups as easy_groups
 from benchmarks.blind.groups import Task
 
 HERE = Path(__file__).parent
 _SHARED = ("effect", "world")
 _LAWS = ("cases", "forms", "forms_contact", "forms_run", "groups", "laws", "limits", "plan", "unlisted")
+_ASKED = {"first": 0.85, "included": 0.95, "wrong": 0.05, "both": 0.70, "none": 0.95, "unlisted": 0.90}
 _EASY = ("forms", "forms_contact", "forms_run", "limits", "plan", "unlisted")
 
 
@@ -48,8 +51,11 @@ SETS = {
     for s in (
         CaseSet(
             "laws", laws_groups.GROUPS, laws_cases.draw_case,
-            (*sorted(_files(HERE, _LAWS + _SHARED)), *_files(HERE / "easy", _EASY)), 0.1,
-            {"first": 0.85, "included": 0.95, "wrong": 0.05, "both": 0.70, "none": 0.95, "unlisted": 0.90},
+            (*sorted(_files(HERE, _LAWS + _SHARED)), *_files(HERE / "easy", _EASY)), 0.1, _ASKED,
+        ),
+        CaseSet(
+            "log_slip", log_slip.GROUPS, log_slip.draw_case,
+            (*sorted(_files(HERE, (*_LAWS, *_SHARED, "log_slip"))), *_files(HERE / "easy", _EASY)), 0.1, _ASKED,
         ),
         CaseSet(
             "easy", easy_groups.GROUPS, easy_groups.draw,
@@ -62,7 +68,8 @@ SETS = {
 
 def set_of(name: str) -> CaseSet:
     """The set of a case."""
-    return SETS["easy" if name.startswith("easy-") else "laws"]
+    other = {"easy-": "easy", log_slip.PREFIX: "log_slip"}
+    return SETS[next((of for prefix, of in other.items() if name.startswith(prefix)), "laws")]
 
 
 def task_of(name: str) -> Task:

@@ -18,11 +18,12 @@ from benchmarks.blind.forms import FORMS, MECHANISMS, forms_of
 from benchmarks.blind.groups import GROUPS, Task
 from benchmarks.blind.laws import BASE_LAWS, LENGTHS, RandomFunction, StressError, covariance
 from benchmarks.blind.limits import Measure, without
+from benchmarks.blind.log_slip import LogSlipError
 from benchmarks.blind.plan import CHANNELS, draw_bench
 from benchmarks.blind.score import judged, reliability, share
 from benchmarks.blind.sets import SETS, task_of
 from benchmarks.blind.unlisted import UNLISTED
-from benchmarks.blind.world import Contact, Ground, Rows, Wheel, predict
+from benchmarks.blind.world import Arc, Contact, Ground, Rows, Wheel, predict
 from soil_env.measurement.table import read_setup, read_table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.catalogue import CATALOGUE
@@ -247,6 +248,31 @@ def test_cases_are_read_by_the_workflows_reader_and_hold_no_truth(tmp_path, name
     assert not any(e["form"] in text for e in truth["effects"])
     for e in truth["effects"]:
         assert e["size"] > 0.0 and (truth["kind"] != "one" or not truth["counts"] or e["size"] >= 1.9)
+
+
+def test_errors_that_go_with_the_logarithm_of_slip_are_on_the_same_cases():
+    other = SETS["log_slip"].draw(100030, task_of("log-slip-one-rich-10-002"))
+    known = SETS["laws"].draw(100030, task_of("one-rich-10-002"))
+    assert other.truth == known.truth | {"case": "log-slip-one-rich-10-002"}
+    assert other.setup == known.setup
+    assert {k for k, v in other.columns.items() if v != known.columns[k]} == {"sinkage", "drawbar_pull", "torque"}
+    assert not np.allclose(other.clean, known.clean, rtol=1e-3)
+
+    def factor(error, slip):  # of the normal stress, where along the arc and how far pressed being the same
+        rows = Rows(np.array(slip), *(np.full(3, x) for x in (known.bench.load, 0.05, 1.0, 0.0, 0.0)))
+        contact = Contact(rows, Wheel(0.15, 0.15), known.bench.ground)
+        error(contact)
+        arc = Arc(*(np.full((3, 1), x) for x in (0.5, 0.25, 0.0, 0.2)), sigma=np.full((3, 1), known.bench.pressure))
+        return np.log(contact.normal[0](1.0, arc)).ravel()
+
+    at_small, at_large = [], []
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        drawn = LogSlipError.draw(rng, 1.0, known.bench.pressure, known.bench.load)
+        small, large = factor(drawn, [0.0, 0.05, 0.1]), factor(drawn, [0.5, 0.55, 0.6])
+        at_small.append(np.ptp(small))
+        at_large.append(np.ptp(large))
+    assert np.mean(at_small) > 3.0 * np.mean(at_large)
 
 
 def test_a_case_follows_from_its_seed_and_name_and_has_its_law_error():
