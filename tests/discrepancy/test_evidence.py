@@ -107,10 +107,10 @@ def test_what_is_detectable_is_detected(data, name):
 
 
 def test_noise_that_is_hardly_known_says_less(data):
-    """Stated at half of what it is, and known to four degrees of freedom or for sure."""
+    """Stated at half of what it is, and known to three degrees of freedom or for sure."""
     p = problem(table({"bulldozing": {"rankine": 0.4}}, speeds=SPEEDS), np.random.default_rng(6))
     p, gains = dataclasses.replace(p, noise=0.5 * NOISE), []
-    for p.freedom in (math.inf, 4.0):
+    for p.freedom in (math.inf, 3.0):
         base = evidence.settle(p, ())
         gains.append(evidence.settle(p, (Choice("bulldozing", 0),), base).log - base.log)
     assert 0.0 < gains[1] < 0.8 * gains[0]
