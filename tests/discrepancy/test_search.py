@@ -107,7 +107,7 @@ def test_a_law_error_of_ten_per_cent_is_no_effect(seed):
 
 @pytest.mark.parametrize("effect", [{"multipass": {"hardening": 0.3}}, {"grade": {"share": 1.0}}])
 def test_an_effect_is_named_under_a_law_error(effect):
-    data = table(effect, (0.05, 0.15, 0.3, 0.45, 0.6), (100.0, 200.0), (0.03, 0.2), (1, 2), (-6.0, 6.0))
+    data = table(effect, (0.05, 0.15, 0.3, 0.45, 0.6), (100.0, 200.0), (0.03, 0.2), (1, 2, 4), (-6.0, 6.0))
     finding = search(problem(data, np.random.default_rng(1), law_error(data, 0.1, 5)))
     assert finding.names[:1] == tuple(effect)
     assert finding.stated.evidence.typical("law") > 0.03
