@@ -4,9 +4,6 @@
     python -m tests.oracle --nudge 1e-15      the same with inputs changed in their last digits: what rounding does
     python -m tests.oracle --record           write tests/data/oracle.npz anew; only when results are meant to change
     python -m tests.oracle --record --only trajectory/,effect/     the same for these cases; the others stay as recorded
-    OPENBLAS_CORETYPE=Haswell python -m tests.oracle --record --other --only discrepancy/bulldozing
-                                              write tests/data/oracle_other.npz: what a case gives where linear algebra
-                                              rounds another way, and a search stops a round earlier or later
 
 A case gives named quantities, each an array of numbers or a text. Cases go through the public interface alone.
 """
@@ -22,7 +19,6 @@ import numpy as np
 from tests import oracle_cases, oracle_runs
 
 FILE = Path(__file__).parent / "data" / "oracle.npz"
-OTHER = FILE.with_name("oracle_other.npz")  # of cases that end in one of two places, each held to the same tolerance
 TOLERANCE = 1e-9  # of the largest value that a quantity has over the case
 SINGLE = 1.2e-7  # the same for float32, whose last digit may be rounded the other way
 #: The same for results of optimisers, which stop near the optimum, not at it: ten times what --nudge 1e-15 changes.
@@ -134,17 +130,14 @@ def main() -> None:
     p.add_argument("--record", action="store_true", help="write the file")
     p.add_argument("--nudge", type=float, default=0.0, help="relative change of the inputs")
     p.add_argument("--only", default="", help="cases whose names contain one of these, with commas between")
-    p.add_argument("--other", action="store_true", help="with --record and --only: write oracle_other.npz, these alone")
     options = p.parse_args()
-    if options.other and not (options.record and options.only):
-        p.error("--other goes with --record and --only")
     if options.record and options.nudge:
         p.error("--record does not go with --nudge")
     oracle_runs.NUDGE = options.nudge
     old, results = (recorded() if options.only or not options.record else {}), {}
     for case, run in oracle_cases.CASES.items():
         if not any(part in case for part in options.only.split(",")):
-            if options.record and not options.other:
+            if options.record:
                 results[case] = old[case]
             continue
         start = time.perf_counter()
@@ -155,9 +148,8 @@ def main() -> None:
             text += f"  {far:8.2g} tolerances: {name:35s} {first_difference(case, old[case], got) or ''}"
         print(text, flush=True)
     if options.record:
-        file = OTHER if options.other else FILE
-        save(results, file)
-        print(f"{file}: {file.stat().st_size / 1e3:.0f} kB, {len(results)} cases")
+        save(results, FILE)
+        print(f"{FILE}: {FILE.stat().st_size / 1e3:.0f} kB, {len(results)} cases")
 
 
 if __name__ == "__main__":
