@@ -136,8 +136,9 @@ def in_processes(work: Callable[[str], object], names: Iterable[str], jobs: int,
     except BrokenProcessPool:
         raise ValueError("a process died (memory?): go on with the same command, or with fewer --jobs") from None
     except BaseException:
+        processes = list((pool._processes or {}).values())  # the pool forgets them
         pool.shutdown(wait=False, cancel_futures=True)
-        for process in list((pool._processes or {}).values()):
+        for process in processes:
             process.terminate()
         raise
     pool.shutdown()

@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import math
+import multiprocessing
+import time
 from dataclasses import replace
 from functools import cache
 
@@ -412,6 +414,22 @@ def test_a_run_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
     (tmp_path / "answers" / "grade" / f"{wanted[0].name}.json").write_text("{")
     assert command.main(["score", "--out", str(tmp_path)]) == 2
     assert "delete the file" in capsys.readouterr().err
+
+
+def _soon_or_late(name):
+    time.sleep(0.0 if name == "soon" else 60.0)
+
+
+def test_an_interrupt_ends_the_processes_at_once():
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run.in_processes(_soon_or_late, ["soon", "late", "later"], 2, interrupt)
+    left = multiprocessing.active_children()
+    for process in left:
+        process.join(20.0)
+    assert not [process for process in left if process.is_alive()]
 
 
 def test_an_entrant_that_fails_is_an_error_not_the_end(tmp_path):
