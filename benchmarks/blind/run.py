@@ -139,7 +139,7 @@ def in_processes(work: Callable[[str], object], names: Iterable[str], jobs: int,
         processes = list((pool._processes or {}).values())  # the pool forgets them
         pool.shutdown(wait=False, cancel_futures=True)
         for process in processes:
-            process.terminate()
+            process.kill()  # answers are written whole or not at all
         raise
     pool.shutdown()
 
