@@ -92,8 +92,8 @@ def worst(case: str, want: dict, got: dict) -> tuple[float, str]:
     return out
 
 
-def save(results: dict, file: Path = FILE) -> None:
-    """Write a file: all numbers in two arrays, and an index of them in JSON with the texts."""
+def save(results: dict) -> None:
+    """Write the file: all numbers in two arrays, and an index of them in JSON with the texts."""
     index, parts = {}, {"float32": [], "float64": []}
     for case, quantities in results.items():
         index[case] = {}
@@ -104,12 +104,12 @@ def save(results: dict, file: Path = FILE) -> None:
                 parts[value.dtype.name].append(value.ravel())
                 index[case][name] = [value.dtype.name, *value.shape]
     arrays = {kind: np.concatenate([np.empty(0, kind), *values]) for kind, values in parts.items()}
-    np.savez_compressed(file, index=np.frombuffer(json.dumps(index).encode(), np.uint8), **arrays)
+    np.savez_compressed(FILE, index=np.frombuffer(json.dumps(index).encode(), np.uint8), **arrays)
 
 
-def recorded(file: Path = FILE) -> dict:
-    """{case: {quantity: array or text}} of a file."""
-    with np.load(file) as data:
+def recorded() -> dict:
+    """{case: {quantity: array or text}} of the file."""
+    with np.load(FILE) as data:
         index, numbers = json.loads(data["index"].tobytes()), {k: data[k] for k in ("float32", "float64")}
     at, results = {"float32": 0, "float64": 0}, {}
     for case, quantities in index.items():
@@ -148,7 +148,7 @@ def main() -> None:
             text += f"  {far:8.2g} tolerances: {name:35s} {first_difference(case, old[case], got) or ''}"
         print(text, flush=True)
     if options.record:
-        save(results, FILE)
+        save(results)
         print(f"{FILE}: {FILE.stat().st_size / 1e3:.0f} kB, {len(results)} cases")
 
 

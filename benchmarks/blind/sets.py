@@ -1,5 +1,8 @@
-"""The sets of cases: `laws`, forms that no fit has on laws with errors; `log_slip`, the same with errors that change
-otherwise with slip; `easy`, listed forms on exact laws."""
+"""The sets of cases of the benchmark.
+
+`laws`: forms that no fit has on laws with errors; `log_slip`: the same with errors that change otherwise with slip;
+`easy`: listed forms on exact laws.
+"""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ class Effect:
     parameters: tuple[EffectParameter, ...]
     forms: tuple[Form, ...]
     varies: str | None = None  # column that must vary in a table for the effect to show
-    beside: str | None = None  # column, or the time elapsed, that it may depend on though none of its forms does
+    beside: str | None = None  # column, or the time elapsed, that it may depend on in a way that no form has
 
     @property
     def conditions(self) -> tuple[str, ...]:
