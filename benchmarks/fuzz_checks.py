@@ -21,10 +21,10 @@ import numpy as np
 
 from soil_env._numba.compiling import root
 from soil_env.simulation.dynamics import MOST_STEPS
-from soil_env.simulation.newton import REST_SPEED
 from soil_env.simulation.task import REWARD_TERMS
 from soil_env.simulation.terrain import ground_at
 from soil_env.simulation.wheel import WheelState
+from soil_env.terramechanics.reaction import REST_SPEED
 
 _x, _w = np.polynomial.legendre.leggauss(8)
 _NODES, _WEIGHTS = tuple(0.5 * (_x + 1.0)), tuple(0.5 * _w)

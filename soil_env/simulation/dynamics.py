@@ -24,11 +24,11 @@ from soil_env._numba.elementary import below, chosen, larger, smaller, where_les
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import scratch_rows
 from soil_env.simulation.lines import choosing, plan_halt, take_line
-from soil_env.simulation.newton import (
+from soil_env.simulation.newton import TOLERANCE, solve_speeds
+from soil_env.simulation.stage import (
     GAMMA,
     LEAD,
     MANY,
-    TOLERANCE,
     Period,
     Substep,
     change_ahead,
@@ -40,7 +40,6 @@ from soil_env.simulation.newton import (
     new_nodes,
     set_up,
     soil_in_lanes,
-    solve_speeds,
 )
 from soil_env.simulation.terrain import COMPACTION, cell_after, digging_ratio_of, leave_rut
 from soil_env.simulation.wheel import (
@@ -75,7 +74,7 @@ class Stage(NamedTuple):
     duration: float
     first: float
     last: float
-    lead: float  # as `newton.set_up` takes it
+    lead: float  # as `stage.set_up` takes it
 
 
 @inlined

@@ -22,7 +22,10 @@ from soil_env.simulation.dynamics import (
     move,
     stage_of,
 )
-from soil_env.simulation.newton import (
+from soil_env.simulation.rover.body import angle_of, rise_of_body, sine_of
+from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds, weight_of
+from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
+from soil_env.simulation.stage import (
     GAMMA,
     Period,
     Substep,
@@ -32,9 +35,6 @@ from soil_env.simulation.newton import (
     new_newton,
     new_nodes,
 )
-from soil_env.simulation.rover.body import angle_of, rise_of_body, sine_of
-from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds, weight_of
-from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
 from soil_env.simulation.wheel import commanded, finish, wheel_of
 from soil_env.slip import slip_ratio
 from soil_env.terramechanics.reaction import REST_SPEED

@@ -3,7 +3,7 @@
     V = V* + h/M sum (DP - m g sin(grade)),   u = u* + h r/J (T_motor - T) for each axle
 
 The equation of each axle has its own u and V only, so a step of Newton's method is the elimination of all u, at a cost
-that is linear in the axles. Stages and reaction are those of `simulation.newton`.
+that is linear in the axles. Stages and reaction are those of `simulation.stage`.
 """
 
 from __future__ import annotations
@@ -11,21 +11,17 @@ from __future__ import annotations
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import below, chosen, larger, sqrt
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
-from soil_env.simulation.newton import (
-    HUGE,
-    PASSES,
+from soil_env.simulation.newton import HUGE, PASSES, TOLERANCE, compare, near_enough
+from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear, sine_of
+from soil_env.simulation.stage import (
     SHORT,
-    TOLERANCE,
     behind,
     chosen_reaction,
-    compare,
     load_reaction,
-    near_enough,
     reaction_at,
     stand,
     store_reaction,
 )
-from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear, sine_of
 from soil_env.simulation.wheel import motor
 from soil_env.terramechanics.reaction import REST_SPEED, Reaction
 
