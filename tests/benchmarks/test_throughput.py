@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import throughput, throughput_page
-from soil_env.identification.online import WINDOW
+from soil_env.identification.window import WINDOW
 from soil_env.parameters import load_scenario
 from soil_env.simulation.worlds import Simulation
 

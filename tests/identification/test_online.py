@@ -12,6 +12,7 @@ from soil_env.identification import LOWER, UPPER, Points, Status, predict
 from soil_env.identification import online as identifier
 from soil_env.identification.online import SensorReading
 from soil_env.identification.point import weigh
+from soil_env.identification.window import WINDOW
 from soil_env.online import OnlineIdentifier
 from soil_env.parameters import Belief, ParameterError, load_scenario, soils, wheels
 from soil_env.simulation.dynamics import STEP, advance
@@ -180,7 +181,7 @@ def test_old_ground_is_forgotten():
         places = fed.ids.points.place[: fed.ids.count[0]]
         if places.size:
             assert places.max() - places.min() <= NUMBERS.memory + 1e-9
-    assert fed.ids.count[0] == identifier.WINDOW and np.ptp(places) > 0.5 * NUMBERS.memory
+    assert fed.ids.count[0] == WINDOW and np.ptp(places) > 0.5 * NUMBERS.memory
 
 
 def test_the_window_keeps_the_points_that_inform():
@@ -368,7 +369,7 @@ def test_driving_with_varied_slip_finds_the_soil(seed):
     sim, truth = driven(seed, 100, excited)
     ids = sim.worlds.ids
     for k in range(100, 200):
-        if ids.status[0] == Status.CONVERGED and ids.count[0] == identifier.WINDOW:
+        if ids.status[0] == Status.CONVERGED and ids.count[0] == WINDOW:
             break
         sim.step(0, excited(k))
     assert ids.status[0] == Status.CONVERGED

@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 
 from soil_env._numba.compiling import root
 from soil_env.identification import LOWER, UPPER, Points, Status, predict
-from soil_env.identification import online as identifier
 from soil_env.identification.digging import KEPT, Digging, DiggingPlaces, close_point, note, roll
 from soil_env.identification.normal_equations import (
     GAIN,
@@ -20,14 +19,16 @@ from soil_env.identification.normal_equations import (
     prepare,
     workspace,
 )
+from soil_env.identification.online import identifier_numbers
 from soil_env.identification.point import Reading, weigh
 from soil_env.identification.solver import (
     least_squares,
 )
+from soil_env.identification.window import CONTRADICTION_OF_POINT, WINDOW, contradicts
 from soil_env.parameters import load_scenario
 from soil_env.terramechanics.effects import excavation_rate
 
-NUMBERS = identifier.identifier_numbers(load_scenario("mixed"))
+NUMBERS = identifier_numbers(load_scenario("mixed"))
 READING = NUMBERS.reading
 NOISE = np.square([2.0, 2.0, 0.3])
 
@@ -53,7 +54,7 @@ def window(rng, count=8):
     """(`Points`, true unknowns): a soil from the prior, points at random slips and digging, with noise."""
     truth = NUMBERS.prior + rng.standard_normal(SIZE) / np.sqrt(NUMBERS.precision)
     truth[3] = abs(truth[3])
-    points = Points(identifier.WINDOW)
+    points = Points(WINDOW)
     for p in range(count):
         values = rng.uniform([0.02, 0.01, 0.8, 0.1], [0.7, 0.05, 1.1, 1.2])
         points.slip[p], points.sinkage[p], points.dig_ratio[p], points.dig_response[p] = values
@@ -75,7 +76,7 @@ def solve(x, points, count, prior, precision, reading, covariance, work):
 
 def solved(points, count):
     """(x, status, covariance) from the prior."""
-    x, covariance, work = NUMBERS.prior.copy(), np.zeros((SIZE, SIZE)), workspace(identifier.WINDOW)
+    x, covariance, work = NUMBERS.prior.copy(), np.zeros((SIZE, SIZE)), workspace(WINDOW)
     status = solve(x, points, count, NUMBERS.prior, NUMBERS.precision, READING, covariance, work)
     return x, Status(status), covariance
 
@@ -150,9 +151,9 @@ def test_a_point_contradicts_by_its_error_and_that_of_the_estimate(seed):
             J[:, i] = W @ (predicted(x + h, moved) - predicted(x - h, moved)) / (2.0 * h[i])
         u = W @ (measured(moved) - predicted(x, moved))
         chi_squared = u @ np.linalg.solve(np.eye(3) + J @ covariance @ J.T, u)
-        if abs(chi_squared - identifier.CONTRADICTION_OF_POINT) > 1e-3:
-            found = identifier.contradicts(points, 7, y, gain, READING.exponent, covariance)
-            assert found == (chi_squared > identifier.CONTRADICTION_OF_POINT)
+        if abs(chi_squared - CONTRADICTION_OF_POINT) > 1e-3:
+            found = contradicts(points, 7, y, gain, READING.exponent, covariance)
+            assert found == (chi_squared > CONTRADICTION_OF_POINT)
 
 
 # --- digging ----------------------------------------------------------------------------------------------------------
