@@ -54,7 +54,7 @@ def load_model(path: Path, scenario: Scenario):
     names, data = _contents(path)
     torch.set_num_threads(1)  # so that results do not depend on the number of cores
     meta = None
-    if ppo._META in names:
+    if ppo.META in names:
         meta = ppo.read_meta(path)
         ppo.check_layout(meta, path, scenario)
         _check_action(path, meta.get("scenario", {}).get("control", {}), scenario)

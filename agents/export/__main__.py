@@ -114,7 +114,7 @@ def _asked(options) -> tuple[Path, Scenario, WheelSoilModel | None]:
     if not path.is_file():
         wrong = f"{options.run}: no model.zip in this folder" if options.run.is_dir() else f"{path}: is not there"
         raise ParameterError(f"{wrong}: expected a run folder of train.py, or a .zip of Stable-Baselines3")
-    if zips.read_bytes(path, ppo._META) is None:
+    if zips.read_bytes(path, ppo.META) is None:
         return path, load_scenario(options.scenario or DEFAULT_SCENARIO), None
     if options.scenario is not None:
         raise ParameterError(f"--scenario {options.scenario}: {path} has its own")
