@@ -25,9 +25,9 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-#: Folders and a file whose sources compiled code is made of.
+#: Folders, with the folders in them, and files whose sources and constants compiled code is made of.
 _ROOMS = ("_numba", "terramechanics", "simulation", "identification")
-_SLIP = "slip.py"
+_FILES = ("parameters.py", "slip.py", "vehicle.py")
 _LOCK = "soil_env.lock"
 _POLL = 0.1  # s between two attempts at the lock
 _TAKEN = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
@@ -40,7 +40,8 @@ _TAKEN = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
 def _sources() -> str:
     """Hash of the sources that compiled code may be made of."""
     package = Path(__file__).resolve().parents[1]
-    files = sorted([package / _SLIP, *(f for room in _ROOMS for f in (package / room).glob("*.py"))])
+    rooms = (f for room in _ROOMS for f in (package / room).rglob("*.py"))
+    files = sorted([*(package / name for name in _FILES), *rooms])
     return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
 
 

@@ -22,18 +22,20 @@ def stamp(function):
 
 
 def test_the_cache_is_valid_for_the_sources_that_the_code_is_made_of(tmp_path, monkeypatch):
-    """Of all compiled rooms of the package, and of the file of the function itself."""
+    """Of all compiled rooms of the package, folders in them too, and of the file of the function itself."""
     if not cache.CACHE:
         pytest.skip("no folder for compiled code")
     first = stamp(root(tripled))
     assert stamp(root(tripled)) == first
     package = tmp_path / "soil_env"
     for room in cache._ROOMS:
-        (package / room).mkdir(parents=True)
+        (package / room / "rover").mkdir(parents=True)
         (package / room / "law.py").write_text("x = 1\n")
-    (package / "slip.py").write_text("x = 1\n")
+        (package / room / "rover" / "law.py").write_text("x = 1\n")
+    for name in cache._FILES:
+        (package / name).write_text("x = 1\n")
     monkeypatch.setattr(cache, "__file__", str(package / "_numba" / "cache.py"))
-    stamps, edited = set(), [None, "slip.py", *(f"{room}/law.py" for room in cache._ROOMS)]
+    stamps, edited = set(), [None, *cache._FILES, "simulation/rover/law.py", *(f"{room}/law.py" for room in cache._ROOMS)]
     for source in edited:
         if source is not None:
             (package / source).write_text("x = 2\n")
