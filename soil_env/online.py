@@ -20,6 +20,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, root
 from soil_env._numba.lanes import COUNT
+from soil_env.identification.estimate import LEAST_LOAD, soil_as_identified
 from soil_env.identification.linearised import SINKAGE
 from soil_env.identification.online import (
     HELD,
@@ -318,17 +319,14 @@ class OnlineIdentifier:
     def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
         """Whether the wheel can pass the ground as identified, under `load` [N] (its weight if left out) at `pitch`
         [rad], uphill positive. ValueError for what is no finite number, or a pitch beyond a right angle."""
-        e, belief, wheel = self._estimate, self.scenario.belief, self.scenario.wheel
+        wheel = self.scenario.wheel
         for name, given in (("load", 0.0 if load is None else load), ("pitch", pitch)):
             if not isinstance(given, Real) or not math.isfinite(given):
                 raise ValueError(f"{name} = {given!r}: expected a finite number")
         if abs(pitch) >= 0.5 * math.pi:
             raise ValueError(f"pitch = {pitch!r}: expected radians, less than pi/2")
-        load = float(self._weight * math.cos(pitch) if load is None else max(load, 0.05 * self._weight))
-        soil = SoilState(
-            math.tan(math.radians(e.friction_angle_deg)), e.cohesion, e.shear_modulus,
-            min(e.sinkage_coefficient, 1e13), belief.sinkage_exponent, min(e.dig_gain, 20.0), belief.dig_recovery,
-        )  # fmt: skip
+        load = float(self._weight * math.cos(pitch) if load is None else max(load, LEAST_LOAD * self._weight))
+        soil = soil_as_identified(self._ids.estimate[0], self.scenario.belief)
         best = self._best(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
         margin = max(best.drawbar_pull / load - math.tan(pitch), -1.0)
         return Traversability(best.slip, margin, best.torque, wheel.stall_torque, bool(margin > 0.0))

@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from soil_env.identification.estimate import LEAST_LOAD, soil_as_identified
 from soil_env.identification.immobilisation import ImmobilisationWarning, shipped
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
@@ -140,7 +141,7 @@ class Warnings(Alarm):
         return self._looks_impassable(worlds, alive)
 
     def _looks_impassable(self, worlds, alive):
-        load = np.maximum(worlds.observation[:, _LOAD].astype(float), 0.05) * self.scenario.weight
+        load = np.maximum(worlds.observation[:, _LOAD].astype(float), LEAST_LOAD) * self.scenario.weight
         self._renew(worlds.ids.estimate, load, alive)
         grade = np.tan(worlds.observation[:, _PITCH].astype(float))
         unstable = self.best_slip + SLIP_MARGIN * (1.0 - self.best_slip)
@@ -158,12 +159,7 @@ class Warnings(Alarm):
         moved = (step > _STEP).any(axis=1) | (np.abs(load - known[:, 5]) > 0.1 * known[:, 5])
         rows = np.flatnonzero(alive & moved)
         soils = np.empty((len(load), 7))
-        phi, log_k, log_s, cohesion, log_gain = x[rows, :5].T
-        soils[rows] = np.column_stack([
-            np.tan(phi), cohesion, np.exp(log_k), np.minimum(np.exp(log_s), 1e13),
-            np.full(rows.size, belief.sinkage_exponent), np.minimum(belief.dig_gain * np.exp(log_gain), 20.0),
-            np.full(rows.size, belief.dig_recovery),
-        ])  # fmt: skip
+        soils[rows] = np.column_stack(np.broadcast_arrays(*soil_as_identified(x[rows, :5].T, belief)))
         best_points(rows, soils, load, wheel.radius, wheel.width, wheel.stall_torque, self.best_slip, self.best_pull)
         self.best_pull[rows] /= load[rows]
         known[rows] = np.column_stack([x[rows, :5], load[rows]])

@@ -9,13 +9,13 @@ K of an estimate err together and leave the pull right, and their means over pat
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part
-from soil_env.parameters import Scenario, SoilState
+from soil_env.identification.estimate import LEAST_LOAD, soil_of_estimate
+from soil_env.parameters import Scenario
 from soil_env.terramechanics.traversability import best_working_point
 
 UNKNOWNS = 5  # of an estimate, in the order of `online.IdentifierNumbers.prior`
@@ -82,10 +82,7 @@ def new_memory(wheels: int, classes: int) -> ClassMemory:
 @part
 def predicted_capacity(x, load, numbers):
     """Best steady drawbar pull [of load] of an estimate x [5] at a load [N]; at least -1."""
-    gain = min(numbers.dig_gain * math.exp(x[4]), 20.0)
-    soil = SoilState(
-        math.tan(x[0]), x[3], math.exp(x[1]), min(math.exp(x[2]), 1e13), numbers.exponent, gain, numbers.dig_recovery
-    )
+    soil = soil_of_estimate(x, numbers.dig_gain, numbers.exponent, numbers.dig_recovery)
     best = best_working_point(load, soil, numbers.radius, numbers.width, numbers.torque)
     return max(best.drawbar_pull / load, -1.0)
 
@@ -144,5 +141,5 @@ def judge_class(memory, k, c, patch, load, numbers):
         memory.last[k], memory.before[k] = patch, memory.capacity[k, c]
         memory.judged[k, c] += 1
     others = memory.judged[k, c] - 1
-    found = predicted_capacity(memory.own[k], max(load, 0.05 * numbers.weight), numbers)
+    found = predicted_capacity(memory.own[k], max(load, LEAST_LOAD * numbers.weight), numbers)
     memory.capacity[k, c] = (others * memory.before[k] + found) / (others + 1)

@@ -25,6 +25,7 @@ from soil_env.identification.linearised import (
     mobilised_share,
 )
 from soil_env.identification.mixture_prior import MixturePrior, mixture_prior
+from soil_env.identification.readings import sensor_noise
 from soil_env.parameters import Scenario
 
 PUBLISHED = 5  # (phi, ln K, ln S, c, ln g)
@@ -84,18 +85,16 @@ class FilterNumbers(NamedTuple):
 
 def filter_numbers(scenario: Scenario) -> FilterNumbers:
     """Pack what `take` needs; noise and priors are floored so that all stays finite."""
-    b, n, w = scenario.belief, scenario.noise, scenario.wheel
+    b, w = scenario.belief, scenario.wheel
     weight = scenario.weight
     twist, top = weight * w.radius, w.radius * w.no_load_speed
-    noise = [n.slip, n.sinkage, n.drawbar_pull * weight, n.load * weight, n.torque * twist, n.speed,
-             n.wheel_speed * w.radius, n.pitch, n.motor_torque * twist, n.acceleration]  # fmt: skip
     floor = [1e-3, 1e-4 * w.radius, 1e-3 * weight, 1e-3 * weight, 1e-3 * twist, 1e-3 * top, 1e-4 * top, 1e-4,
              1e-3 * twist, 1e-3 * scenario.gravity]  # fmt: skip
     return FilterNumbers(
         w.radius, w.width, w.inertia, scenario.gravity, b.sinkage_exponent, b.dig_gain, b.dig_recovery,
         scenario.relaxation * w.radius, scenario.control.period, mixture_prior(scenario),
-        np.maximum(noise, floor), max(0.55 * b.model_error, 1e-3), b.border, math.radians(b.grade_change_deg),
-        0.0, b.border * np.arange(CANDIDATES) / (CANDIDATES - 1),
+        np.maximum(sensor_noise(scenario), floor), max(0.55 * b.model_error, 1e-3), b.border,
+        math.radians(b.grade_change_deg), 0.0, b.border * np.arange(CANDIDATES) / (CANDIDATES - 1),
     )  # fmt: skip
 
 

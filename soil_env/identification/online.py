@@ -20,6 +20,7 @@ from soil_env.identification.filter_estimate import publish
 from soil_env.identification.mixture_prior import moments, prior_of_belief
 from soil_env.identification.normal_equations import SIZE
 from soil_env.identification.point import Points, Reading
+from soil_env.identification.readings import SensorReading, sensor_noise
 from soil_env.identification.solver import Status
 from soil_env.identification.window import WINDOW, OpenPoint
 from soil_env.identification.window import take as take_by_window
@@ -31,21 +32,6 @@ HELD, MOVED, RENEWED = 0, 1, 2
 FARTHEST = 60.0  # |ln| of K, of S and of the gain over its prior, beyond which an estimate is that of no soil
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
 _HALF = math.log(0.5)  # ln probability of the soil having stayed the same, below which a border is counted
-
-
-class SensorReading(NamedTuple):
-    """One set of sensor readings."""
-
-    slip: float
-    sinkage: float  # [m]
-    drawbar_pull: float  # [N]
-    load: float  # [N]
-    torque: float  # [N m]
-    speed: float  # [m/s]
-    rim_speed: float  # [m/s]
-    pitch: float  # [rad], uphill positive
-    motor_torque: float  # [N m]
-    acceleration: float  # [m/s2] of an accelerometer along the course: that of travel, and g sin(grade)
 
 
 class Identifiers(NamedTuple):
@@ -103,22 +89,20 @@ class IdentifierNumbers(NamedTuple):
 
 def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
     """Pack what `observe` needs; the noise of a channel is floored at a millionth so that weights stay finite."""
-    b, n, w = scenario.belief, scenario.noise, scenario.wheel
-    weight = scenario.weight
+    b, w, weight, noise = scenario.belief, scenario.wheel, scenario.weight, sensor_noise(scenario)
     prior = [math.radians(b.friction_angle_deg), math.log(b.shear_modulus), math.log(b.sinkage_coefficient)]
     sd = [math.radians(b.friction_sd_deg), b.shear_modulus_sd, b.sinkage_coefficient_sd]
     sd += [max(b.cohesion_sd, KNOWN * weight / (w.radius * w.width)), max(b.dig_gain_sd, KNOWN)]
     if b.method == "filter" and b.soils:  # the first two moments of the library
         mean, covariance = moments(prior_of_belief(scenario))
         prior, sd = [*mean[:3]], [*np.sqrt(np.diag(covariance))[:3], *sd[3:]]
-    forces_sd = np.array([n.drawbar_pull * weight, n.load * weight, n.torque * weight * w.radius])
     return IdentifierNumbers(
         Reading(b.cohesion, b.sinkage_exponent, w.radius, w.width, 0, False),
         np.array([*prior, b.cohesion, 0.0]),
         1.0 / np.square(sd),
-        n.slip,
-        n.sinkage,
-        np.maximum(forces_sd, 1e-6 * weight),
+        noise[0],
+        noise[1],
+        np.maximum(noise[2:5], 1e-6 * weight),
         b.model_error,
         b.dig_gain,
         b.dig_recovery,

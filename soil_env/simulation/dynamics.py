@@ -41,7 +41,7 @@ from soil_env.simulation.stage import (
     set_up,
     soil_in_lanes,
 )
-from soil_env.simulation.terrain import COMPACTION, cell_after, digging_ratio_of, leave_rut
+from soil_env.simulation.terrain import COMPACTION, cell_after, leave_rut
 from soil_env.simulation.wheel import (
     SHALLOWEST,
     bearing_sinkage,
@@ -50,6 +50,7 @@ from soil_env.simulation.wheel import (
     motor,
     relax_sinkage,
 )
+from soil_env.terramechanics.effects import digging_ratio
 from soil_env.terramechanics.steady import DEEPEST
 
 __all__ = ["MANY", "STEP", "TOLERANCE", "advance"]
@@ -201,7 +202,8 @@ def leave_ruts(state, counts, k, ruts, gain, recovery, compaction):
     cell, after = counts.cell[k], cell_after(ruts, counts.cell[k], state.x[k])
     if after == cell:
         return
-    dug = digging_ratio_of(state.slid[k], max(abs(state.x[k] - state.cell_x[k]), 1e-6), gain, recovery)
+    # how much the wheel dug here; its sinkage over z_w does not say, since it lags behind a change of the ground
+    dug = digging_ratio(state.slid[k], max(abs(state.x[k] - state.cell_x[k]), 1e-6), gain, recovery)
     while cell != after:
         leave_rut(ruts, k, cell, state.rut_depth[k], dug, compaction)
         cell += 1 if after > cell else -1

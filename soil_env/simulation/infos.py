@@ -11,8 +11,9 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall
 from soil_env.identification import Status
+from soil_env.identification.estimate import LEAST_LOAD, soil_as_identified
 from soil_env.identification.immobilisation import HORIZONS, ImmobilisationWarning
-from soil_env.parameters import Scenario, SoilState
+from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.wheel import WheelState
 from soil_env.simulation.worlds import Worlds
@@ -137,12 +138,8 @@ class Infos:
         if self._stale[k]:
             self._stale[k] = False
             belief, wheel = self.scenario.belief, self.scenario.wheel
-            load = max(float(self._seen[k, 0]), 0.05) * self.scenario.weight
-            x = worlds.ids.estimate[k].tolist()
-            soil = SoilState(
-                math.tan(math.radians(math.degrees(x[0]))), x[3], math.exp(x[1]), min(math.exp(x[2]), 1e13),
-                belief.sinkage_exponent, min(belief.dig_gain * math.exp(x[4]), 20.0), belief.dig_recovery,
-            )  # fmt: skip
+            load = max(float(self._seen[k, 0]), LEAST_LOAD) * self.scenario.weight
+            soil = soil_as_identified(worlds.ids.estimate[k], belief)
             best = self._best(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
             margin = max(best.drawbar_pull / load - math.tan(float(self._seen[k, 1])), -1.0)
             self._warnings[k] = best.slip, margin, best.torque, wheel.stall_torque, margin > 0.0

@@ -8,7 +8,7 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined
 from soil_env._numba.random_streams import normal_pair, ten_normals
-from soil_env.identification.online import SensorReading
+from soil_env.identification.readings import SensorReading, sensor_noise
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.effects import NO_EFFECTS, measured_slip, slip_sinkage_ratio
 from soil_env.terramechanics.model import WheelSoilModel
@@ -38,14 +38,11 @@ class SensorNumbers(NamedTuple):
 
 def sensor_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> SensorNumbers:
     """Pack what `sense` needs; `model` brings what the sensors of this world read wrongly."""
-    n, r, weight = scenario.noise, scenario.wheel.radius, scenario.weight
     effects = NO_EFFECTS if model is None else model.numbers
-    noise = [
-        n.slip, n.sinkage, n.drawbar_pull * weight, n.load * weight, n.torque * weight * r, n.speed,
-        n.wheel_speed * r, n.pitch, n.motor_torque * weight * r, n.acceleration,
-    ]  # fmt: skip
     errors = SensorErrors(*(getattr(effects, name) for name in SensorErrors._fields))
-    return SensorNumbers(r, np.array(noise), n.odometry_scale, scenario.control.period, errors)
+    return SensorNumbers(
+        scenario.wheel.radius, sensor_noise(scenario), scenario.noise.odometry_scale, scenario.control.period, errors
+    )
 
 
 @inlined

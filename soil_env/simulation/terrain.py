@@ -144,12 +144,18 @@ def cell_at(courses, x):
 
 
 @inlined
+def between_cells(values, k, x):
+    """Value of the rut cells [wheels, cells] of wheel k at x [m], linear between the middles of the cells."""
+    place = min(max(x / CELL + (CELLS_BEHIND - 0.5), 0.0), values.shape[1] - 1.0)
+    cell = min(int(place), values.shape[1] - 2)
+    here = values[k, cell]
+    return here + (place - cell) * (values[k, cell + 1] - here)
+
+
+@inlined
 def rut_factor(courses, k, x):
-    """Factor on S left by earlier passes at x [m], linear between the middles of the cells."""
-    place = min(max(x / CELL + (CELLS_BEHIND - 0.5), 0.0), courses.rut_factors.shape[1] - 1.0)
-    cell = min(int(place), courses.rut_factors.shape[1] - 2)
-    here = courses.rut_factors[k, cell]
-    return here + (place - cell) * (courses.rut_factors[k, cell + 1] - here)
+    """Factor on S left by earlier passes at x [m]."""
+    return between_cells(courses.rut_factors, k, x)
 
 
 @inlined
@@ -162,16 +168,6 @@ def cell_after(courses, cell, x):
     place = x / CELL + (CELLS_BEHIND - 0.5)
     after = math.floor(place) if place >= cell + 1.0 else (math.ceil(place) if place <= cell - 1.0 else float(cell))
     return int(min(max(after, 0.0), courses.rut_factors.shape[1] - 1.0))
-
-
-@inlined
-def digging_ratio_of(slid, way, gain, recovery):
-    """Steady sinkage over that without slip for a wheel whose rim slid `slid` metres on a `way` [m], at least 1.
-
-    `effects.slip_sinkage_ratio` at the mean slip on that way. It says how much a wheel dug here; its sinkage over z_w
-    does not, since sinkage lags behind a change of the ground.
-    """
-    return 1.0 + gain * slid / (way + recovery * slid)
 
 
 @inlined

@@ -100,8 +100,13 @@ def slip_sinkage_ratio(slip, gain, recovery):
 
     Both are the steady states of `excavation_rate`.
     """
-    driven = larger(1.0 - slip + recovery * slip, 1e-6)
-    return 1.0 + gain * abs(slip) / where_less(slip, 0.0, 1.0 - recovery * slip, driven)
+    return digging_ratio(abs(slip), where_less(slip, 0.0, 1.0, 1.0 - slip), gain, recovery)
+
+
+@inlined
+def digging_ratio(slid, way, gain, recovery):
+    """Steady sinkage over that without slip, at least 1, where the rim slides by `slid` on a `way` of the same unit."""
+    return 1.0 + gain * slid / larger(way + recovery * slid, 1e-6)
 
 
 @inlined

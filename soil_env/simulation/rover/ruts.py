@@ -19,7 +19,7 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined
 from soil_env._numba.lanes import COUNT
-from soil_env.simulation.terrain import CELL, CELLS_BEHIND
+from soil_env.simulation.terrain import between_cells
 
 COMPACTION_OF_RUT = 5.0
 
@@ -47,11 +47,8 @@ def clear_ruts(ruts, k):
 
 @inlined
 def floor_at(ruts, k, x):
-    """Depth [m] of the rut of the wheels ahead of wheel k at x [m], linear between the middles of the cells."""
-    place = min(max(x / CELL + (CELLS_BEHIND - 0.5), 0.0), ruts.floor.shape[1] - 1.0)
-    cell = min(int(place), ruts.floor.shape[1] - 2)
-    here = ruts.floor[k, cell]
-    return here + (place - cell) * (ruts.floor[k, cell + 1] - here)
+    """Depth [m] of the rut of the wheels ahead of wheel k at x [m]."""
+    return between_cells(ruts.floor, k, x)
 
 
 @inlined
