@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -56,6 +56,15 @@ class Finding:
     hypotheses: tuple[Hypothesis, ...]
     untestable: dict[str, str]
     detectable: dict[str, Detectable]
+    refuted: tuple[tuple[str, ...], ...] = ()  # sets of effects that predicted held-out rows worse than the base model
+
+    def without(self, names: tuple[str, ...]) -> Finding:
+        """The finding once these effects, together, are refuted: what is left, with probabilities that sum to 1."""
+        left = [h for h in self.hypotheses if not {*names} <= {*h.names}]
+        total = sum(h.probability for h in left)
+        share = [h.probability / total for h in left] if total > 0.0 else [1.0 / len(left)] * len(left)
+        kept = tuple(replace(h, probability=p) for h, p in zip(left, share, strict=True))
+        return replace(self, hypotheses=kept, refuted=(*self.refuted, names))
 
     def share(self, *names: str, without: tuple[str, ...] = ()) -> float:
         """Probability that these effects are missing, and none of `without`."""

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -80,22 +81,16 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     problem, noise = calibrate(data)
     doubts = mistakes.examine(problem)
     finding = search(problem, lambda text: say(f"searching: {text}"))
-    doubts += influence.examine(problem, noise, finding, say)
     base = finding.best().evidence.fit
+    say("predicting what was held out")
+    finding, (plain, final, before, after) = _that_predicts(problem, finding, base)
+    doubts += influence.examine(problem, noise, finding, say)
     say("locating the disagreement")
     where = locate(problem, problem.fit((), base.parameters()), settings.seed)
-    own = finding.stated.evidence
-    # Names and intervals follow from fits with form errors. What predicts best with a law as it is, without the form
-    # error that this table shows, is its fit under noise alone (White 1982, Econometrica 50:1-25).
-    noise_alone = EXACT._replace(scatter=own.sizes.scatter)
-    plain = problem.fit((), base.parameters(), noise_alone)
-    final, law = problem.fit(own.fit.choices, own.fit.parameters(), noise_alone), None
+    own, law = finding.stated.evidence, None
     if finding.verdict in ("partly", "unlisted") and own.sizes.scatter == 1.0:
         say("looking for a law of what is left")
         law = symbolic.symbolic(problem, final)
-    say("predicting what was held out")
-    before = held_out_predictions(problem, plain)
-    after = held_out_predictions(problem, final) if final.choices else before
     by_effect = _held_out_by_effect(problem, finding, final, after)
     shares = judgement.shares(problem, before, by_effect) if by_effect else {}
     if law is not None and law.terms:
@@ -132,6 +127,36 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
         doubts=doubts,
         settings=settings,
     )
+
+
+class _Predicted(NamedTuple):
+    """Fits of the base model and of the named effects, and what they predict where it was held out [N, 3]."""
+
+    plain: Fit
+    final: Fit
+    before: np.ndarray
+    after: np.ndarray
+
+
+def _that_predicts(problem: Problem, finding: Finding, base: Fit) -> tuple[Finding, _Predicted]:
+    """The finding without sets of effects that predict held-out rows worse than the base model does.
+
+    Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in another way, it may
+    be sure of effects that are not there; with them the model is worse on rows that it was not fitted to.
+    """
+    while True:
+        own = finding.stated.evidence
+        # Names and intervals follow from fits with form errors. What predicts best with a law as it is, without the
+        # form error that this table shows, is its fit under noise alone (White 1982, Econometrica 50:1-25).
+        noise_alone = EXACT._replace(scatter=own.sizes.scatter)
+        plain = problem.fit((), base.parameters(), noise_alone)
+        final = problem.fit(own.fit.choices, own.fit.parameters(), noise_alone)
+        before = held_out_predictions(problem, plain)
+        after = held_out_predictions(problem, final) if final.choices else before
+        closed = judgement.closed(problem, judgement.gaps(problem, before, after)) if finding.names else None
+        if closed is None or closed >= 0.0:
+            return finding, _Predicted(plain, final, before, after)
+        finding = finding.without(finding.names)
 
 
 def _held_out_by_effect(

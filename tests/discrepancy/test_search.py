@@ -156,6 +156,20 @@ def stated(*hypotheses):
 SEEN = Detectable(0.1, "x", "form", 0.9)
 
 
+def test_refuted_effects_leave_their_probability_to_the_others():
+    """All sets with the refuted effects go, the ratios of the rest stay."""
+    found = stated((("a", "b"), False, 0.6), (("a",), False, 0.2), (("b",), True, 0.1), ((), False, 0.1))
+    left = found.without(("a", "b"))
+    assert [(h.names, h.probability) for h in left.hypotheses] == [
+        (("a",), pytest.approx(0.5)), (("b",), pytest.approx(0.25)), ((), pytest.approx(0.25))
+    ]  # fmt: skip
+    assert left.refuted == (("a", "b"),) and left.names == ("a",)
+    last = left.without(("a",)).without(("b",))
+    assert [h.names for h in last.hypotheses] == [()] and last.none == pytest.approx(1.0)
+    certain = stated((("a",), False, 1.0), ((), False, 0.0), ((), True, 0.0)).without(("a",))
+    assert [h.probability for h in certain.hypotheses] == [0.5, 0.5]
+
+
 @pytest.mark.parametrize(
     "hypotheses, verdict, names",
     [

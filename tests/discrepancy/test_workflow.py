@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soil_env.discrepancy import judgement, run
+from soil_env.discrepancy import judgement, run, workflow
 from soil_env.discrepancy.calibrate import Choice, Problem
 from soil_env.discrepancy.data import CHANNELS, prepare
+from soil_env.discrepancy.report import content
 from soil_env.discrepancy.workflow import model_of
 from soil_env.identification.table import identify_table
 from soil_env.measurement.table import read_setup, read_table
@@ -24,6 +25,22 @@ def test_the_planted_effect_is_named(planted):
     assert planted.effects[0].alternatives == ()
     assert planted.effects[0].probability > 0.9 and planted.effects[0].share == planted.closed
     assert planted.where[0].channel == "sinkage" and planted.where[0].p_value < 1e-3
+
+
+def test_what_predicts_worse_than_the_base_model_is_not_named(tmp_path, monkeypatch):
+    """As where the law errs in a way that no form error has: evidence for effects that fail on held-out rows."""
+
+    def predicted(problem, fit):
+        bad = any(choice.effect == "slip_sinkage" for choice in fit.choices)
+        return judgement.held_out_predictions(problem, fit) + (20.0 * problem.noise if bad else 0.0)
+
+    monkeypatch.setattr(workflow, "held_out_predictions", predicted)
+    report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
+    assert ("slip_sinkage",) in report.finding.refuted and "slip_sinkage" not in report.finding.tried
+    assert "slip_sinkage" not in report.model.effects and (report.closed is None or report.closed >= 0.0)
+    assert sum(h.probability for h in report.finding.hypotheses) == pytest.approx(1.0)
+    told = content(report)
+    assert ["slip_sinkage"] in told["refuted"] and "It is not slip-sinkage" in told["summary"]
 
 
 def test_the_gap_closes(planted):

@@ -35,7 +35,10 @@ def test_the_cache_is_valid_for_the_sources_that_the_code_is_made_of(tmp_path, m
     for name in cache._FILES:
         (package / name).write_text("x = 1\n")
     monkeypatch.setattr(cache, "__file__", str(package / "_numba" / "cache.py"))
-    stamps, edited = set(), [None, *cache._FILES, "simulation/rover/law.py", *(f"{room}/law.py" for room in cache._ROOMS)]
+    stamps, edited = (
+        set(),
+        [None, *cache._FILES, "simulation/rover/law.py", *(f"{room}/law.py" for room in cache._ROOMS)],
+    )
     for source in edited:
         if source is not None:
             (package / source).write_text("x = 2\n")

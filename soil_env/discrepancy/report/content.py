@@ -63,6 +63,7 @@ def content(report: Report) -> dict[str, Any]:
             {"effects": h.names, "unlisted": h.free, "probability": h.probability, "score": h.score}
             for h in report.finding.hypotheses if h.probability >= LEAST
         ],
+        "refuted": report.finding.refuted,
         "law_error": report.law_error,
         "soil": {
             name: v._asdict() | {"known": report.known(name), "in_model": report.fit.parameters().get(name, v.value)}

@@ -143,6 +143,9 @@ def summary(report: Report) -> str:
         parts.append(
             f"The probability that something is missing that is in no catalogue is {_sure(finding.remainder)}."
         )
+    if finding.refuted:
+        sets = listed((title(" and ".join(names)) for names in finding.refuted), "or")
+        parts.append(f"It is not {sets}, which these values suggest: held-out rows are predicted worse with it.")
     if finding.scatter > SCATTERED:
         parts.append(
             f"The values scatter by {finding.scatter:.1f} times their noise about any smooth law: rows on different "
