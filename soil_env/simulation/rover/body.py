@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined
-from soil_env._numba.elementary import asin_root, half_sin_cos, larger, smaller, sqrt, where_less
+from soil_env._numba.elementary import asin_root, larger, smaller, sqrt, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import Rows, rows
 from soil_env.vehicle import RoverScenario
@@ -89,13 +89,6 @@ def suspension_of(scenario: RoverScenario) -> Suspension:
         len(places), v.base, places, np.array(v.shares), v.centre - places, v.centre_height, v.first_on_bogie,
         v.centre - v.pivot, v.pivot_height,
     )  # fmt: skip
-
-
-@inlined
-def sine_of(angle):
-    """Sine of an angle [rad], in lanes."""
-    sin_half, cos_half = half_sin_cos(angle)
-    return 2.0 * sin_half * cos_half
 
 
 @inlined

@@ -9,10 +9,10 @@ that is linear in the axles. Stages and reaction are those of `simulation.stage`
 from __future__ import annotations
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import below, chosen, larger, sqrt
+from soil_env._numba.elementary import below, chosen, larger, sine_of, sqrt
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
 from soil_env.simulation.newton import HUGE, PASSES, TOLERANCE, compare, near_enough
-from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear, sine_of
+from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear
 from soil_env.simulation.stage import (
     SHORT,
     behind,
