@@ -102,7 +102,7 @@ def _bear_ahead(wheels, first, sub, short, dv, weight, s):
         torque = from_array(wheels.torque_by_speed, k) * dv + from_array(wheels.torque_by_rim, k) * du
         to_array(from_array(wheels.drawbar_pull, k) + short * pull, n.drawbar_pull, i)
         to_array(from_array(wheels.torque, k) + short * torque, n.torque, i)
-    bear(n, 0, weight, s, e.load)
+    bear(n, weight, s, e.load)
 
 
 @inlined
@@ -250,7 +250,7 @@ def _iterate(sub, trial, alive, world, s, h):
 def _bear_anew(sub, trial, weight, alive, s):
     """Loads by the forces that were found, and the speeds to begin with again, where a load has changed: 1 there."""
     e, n = sub.equations, sub.newton
-    bear(n, 0, weight, s, trial.load)
+    bear(n, weight, s, trial.load)
     changed = fill(0.0)
     for a in range(s.axles):
         change = abs(from_array(trial.load, a * COUNT) - from_array(e.load, a * COUNT))
