@@ -176,7 +176,7 @@ def advance(rovers, block, what, commands, courses, ruts, streams, world, s):
         if going > 0.0:
             longest = world.period / (world.substeps * steps)
             _drive(rovers, block, period, courses, ruts, world, s, world.period, longest, 0.0)
-            for i in range(end):  # those that are there; what is left of the others is a failed step
+            for i in range(end):  # who is alive has arrived; what others have `left` is due to a failed step
                 if period.alive[i] > 0.0:
                     period.left[i] = 0.0
         steps *= 2

@@ -26,7 +26,7 @@ from soil_env.simulation.wheel import motor
 from soil_env.terramechanics.reaction import REST_SPEED, Reaction
 
 _LEAST_PIVOT = 1e-12
-_TURNS = 4  # of a stage at most: the last one's loads stand
+_TURNS = 4  # solutions of a stage at most, each with the loads of the one before; the last is kept
 
 
 @inlined
