@@ -94,7 +94,3 @@ class Timing(BaseCallback):
 
     def _on_training_end(self) -> None:
         self.seconds["update"] += self._lap()
-
-    def pause(self) -> None:
-        """Leave the time since the last event out."""
-        self._since = time.perf_counter()

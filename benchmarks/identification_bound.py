@@ -67,6 +67,7 @@ OTHERS = {
 PLACES = {"all": (-1.0, 1e9), "0.1-0.2 m": (0.1, 0.2), "within 1.5 m": (-1.0, 1.5), "beyond 1.5 m": (1.5, 1e9)}
 #: Edges [m] of the bins in which the error above the bound is counted.
 LOSS = (-1.0, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 3.0, 1e9)
+SWINGS = (0.0, 0.3, 0.6)  # of the rim speed, up and down, of `manoeuvre`
 _UNIT = np.array([math.degrees(1.0), 1.0, 1.0])
 _SOIL = 6  # unknowns of a patch: (phi, ln K, q, c, n, ln g)
 _BEFORE, _NOW, _SINKAGE, _MASS, _SIZE = 0, _SOIL, 2 * _SOIL, 2 * _SOIL + 1, 2 * _SOIL + 2
@@ -295,10 +296,10 @@ def study(
     }  # fmt: skip
 
 
-def manoeuvre(scenario: Scenario, courses: int, seed: int, swings=(0.0, 0.3, 0.6)) -> dict:
+def manoeuvre(scenario: Scenario, courses: int, seed: int) -> dict:
     """What swings of the rim speed buy, RMS of bound and filter bank over all driven steps [3], and what they cost."""
     rows = []
-    for swing in swings:
+    for swing in SWINGS:
         found = study(scenario, courses, seed, {"filter bank": "ours"}, swing=swing)
         rms = {label: found["rms"][label]["all"] for label in ("bound, all sensors", "filter bank")}
         rows.append(found["drive"] | {"rms": rms})

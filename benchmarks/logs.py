@@ -29,6 +29,7 @@ from soil_env.parameters import load_scenario
 
 NAME = "benchmarks.logs"
 IMAGE, HERTZ = 1_000_000, 10  # bytes, images a second
+ROUNDS, STEPS = 7, 2000  # of the updates that are timed
 _CHANNELS = {
     "wheel_speed": {"topic": "/joint_states", "field": "velocity[wheel]"},
     "torque": {"topic": "/joint_states", "field": "effort[wheel]"},
@@ -103,20 +104,20 @@ def read(bag: Path, map_file: Path, out) -> None:
     out.put((len(log), time.perf_counter() - start, (peak - before) / 1e6, before / 1e6))
 
 
-def updates(method: str, rounds: int = 7, steps: int = 2000) -> np.ndarray:
-    """Seconds [rounds, steps] of single updates, compiled before; the slips vary so that most points are new."""
+def updates(method: str) -> np.ndarray:
+    """Seconds [ROUNDS, STEPS] of single updates, compiled before; the slips vary so that most points are new."""
     scenario = load_scenario("mixed", {**TORQUE, "belief": {"method": method}})
     identifier, rng = OnlineIdentifier.of_scenario(scenario), np.random.default_rng(0)
-    slip = 0.35 + 0.3 * np.sin(0.1 * np.arange(steps)) + 0.01 * rng.normal(size=steps)
+    slip = 0.35 + 0.3 * np.sin(0.1 * np.arange(STEPS)) + 0.01 * rng.normal(size=STEPS)
     readings = [
         Readings(
             2.0, 0.3 * (1.0 - i), 0.02 + 0.02 * i + 1e-3 * e, 40.0 * i, 147.0, 3.0 + 8.0 * i, i, 0.0, 3.0 + 8.0 * i,
             40.0 * i / 15.0, 0.1 * k,
         )
-        for k, (i, e) in enumerate(zip(slip.tolist(), rng.normal(size=steps).tolist(), strict=True))
+        for k, (i, e) in enumerate(zip(slip.tolist(), rng.normal(size=STEPS).tolist(), strict=True))
     ]  # fmt: skip
-    out = np.empty((rounds, steps))
-    for r in range(-1, rounds):
+    out = np.empty((ROUNDS, STEPS))
+    for r in range(-1, ROUNDS):
         identifier.reset()
         for k, reading in enumerate(readings):
             start = time.perf_counter()

@@ -24,6 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 
 LEVEL = 0.95
+_NORMAL = 1.959963985  # standard normal deviate of a two-sided interval at `LEVEL`
+_CHUNK = 100  # bootstrap draws whose weights are in memory at once
 
 
 @dataclass(frozen=True)
@@ -57,9 +59,9 @@ def interval(value: float, samples: np.ndarray) -> tuple[float, float]:
     return float(min(low, value)), float(max(high, value))
 
 
-def wilson(successes: float, trials: int, z: float = 1.959963985) -> tuple[float, float]:
-    """Wilson (1927) score interval of a proportion, 95 % by default."""
-    p = successes / trials
+def wilson(successes: float, trials: int) -> tuple[float, float]:
+    """Wilson (1927) score interval of a proportion at `LEVEL`."""
+    p, z = successes / trials, _NORMAL
     centre = p + z * z / (2 * trials)
     half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
     scale = 1 + z * z / trials
@@ -118,11 +120,11 @@ def iqm_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) ->
     return np.concatenate(out) / (n - 2 * cut)
 
 
-def _cumulative(scores, members, courses, chunk=100):
+def _cumulative(scores, members, courses):
     """How many of a draw's scores are the lowest k + 1 of all [draws, scores.size], in chunks of draws."""
     m, c = np.unravel_index(np.argsort(scores, axis=None, kind="stable"), scores.shape)
-    for start in range(0, len(courses), chunk):
-        part = slice(start, start + chunk)
+    for start in range(0, len(courses), _CHUNK):
+        part = slice(start, start + _CHUNK)
         yield np.cumsum(members[part][:, m] * courses[part][:, c], axis=1)
 
 

@@ -96,7 +96,7 @@ def begin(study: Study, folder: Path) -> None:
 def run(study: Study, folder: Path, say: Callable[[str], None]) -> None:
     """Do the steps that are missing; `say` is called with a line for each."""
     folder = Path(folder)
-    base = Arm(study, folder / UNCORRECTED, None, say)
+    base = Arm(study, folder / UNCORRECTED, None)
     base.prepare()
     base.drive(base.folder / "runs", None, "on the simulation it was made on")
     for name in study.worlds:
@@ -106,7 +106,7 @@ def run(study: Study, folder: Path, say: Callable[[str], None]) -> None:
         found = correct(study, name, here, say, study.seed)
         say(f"{name}: uncorrected controllers in the hidden world")
         base.drive(here / "runs" / UNCORRECTED, hidden, f"in hidden world {name}")
-        arm = corrected_arm(study, base, here, found, say)
+        arm = corrected_arm(study, base, here, found)
         if arm is not base:
             say(f"{name}: controllers on the corrected model")
             arm.prepare()
@@ -120,9 +120,9 @@ def another_log(here: Path, k: int) -> Path:
     return here / "logs" / str(k)
 
 
-def corrected_arm(study: Study, base: Arm, here: Path, found: WheelSoilModel, say) -> Arm:
+def corrected_arm(study: Study, base: Arm, here: Path, found: WheelSoilModel) -> Arm:
     """The corrected arm of a world: the uncorrected one where nothing was found to be missing."""
-    return Arm(study, here / CORRECTED, found, say) if found.effects else base
+    return Arm(study, here / CORRECTED, found) if found.effects else base
 
 
 # --- from the log to the corrected model ------------------------------------------------------------------------------
@@ -168,7 +168,6 @@ class Arm:
     study: Study
     folder: Path
     model: WheelSoilModel | None
-    say: Callable[[str], None]
 
     def prepare(self) -> None:
         """Tune and train."""

@@ -15,6 +15,7 @@ from .drives import Drives
 
 HIDDEN = (64, 32)
 RATE, DECAY, BATCH = 1e-2, 1e-3, 4096
+LOGISTIC_ROWS = 200_000  # that the logistic regression is fitted on, at most
 
 
 class Rows(NamedTuple):
@@ -69,10 +70,10 @@ def fit(rows: Rows, epochs: int, seed: int = 0, hidden: tuple[int, int] = HIDDEN
     return Network(*(np.ascontiguousarray(a, dtype=np.float64) for a in (mean, scale, *arrays)))
 
 
-def fit_logistic(rows: Rows, most: int = 200_000) -> Callable[[np.ndarray], np.ndarray]:
-    """Logistic regression of being immobilised within the longer horizon, on the first `most` rows: probability [n] of
-    inputs [n, inputs]."""
-    x, y = rows.inputs[:most].astype(np.float64), (rows.ahead[:most] <= HORIZONS[-1]).astype(float)
+def fit_logistic(rows: Rows) -> Callable[[np.ndarray], np.ndarray]:
+    """Logistic regression of being immobilised within the longer horizon, on the first `LOGISTIC_ROWS` rows:
+    probability [n] of inputs [n, inputs]."""
+    x, y = rows.inputs[:LOGISTIC_ROWS].astype(np.float64), (rows.ahead[:LOGISTIC_ROWS] <= HORIZONS[-1]).astype(float)
     mean, scale = x.mean(axis=0), 1.0 / (x.std(axis=0) + 1e-6)
 
     def scaled(inputs):

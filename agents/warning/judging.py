@@ -93,15 +93,15 @@ def joined(parts: Sequence[Alarms]) -> Alarms:
     return Alarms(*(np.concatenate([getattr(p, name) for p in parts]) for name in Alarms.__dataclass_fields__))
 
 
-def threshold_at(scores: Sequence[np.ndarray], drives: Sequence[Drives], false: float = FALSE) -> float:
-    """The lowest threshold, to a thousandth of the range, with at most this share of false alarm."""
+def threshold_at(scores: Sequence[np.ndarray], drives: Sequence[Drives]) -> float:
+    """The lowest threshold, to a thousandth of the range, with at most the share `FALSE` of false alarm."""
     found = np.concatenate([s[d.driving] for s, d in zip(scores, drives, strict=True)])
     found = found[np.isfinite(found)]
     low, high = float(found.min()), float(found.max()) + 1e-6
     for _ in range(10):
         middle = 0.5 * (low + high)
         found = joined([alarms(s, middle, d) for s, d in zip(scores, drives, strict=True)])
-        if _ratio(found.under, found.driven) > false:
+        if _ratio(found.under, found.driven) > FALSE:
             low = middle
         else:
             high = middle
@@ -121,10 +121,10 @@ def _interval(value: float, samples: np.ndarray) -> dict[str, float]:
     return {"value": value, "low": float(low), "high": float(high)}
 
 
-def summary(found: Alarms, seed: int = 0) -> dict[str, dict[str, float]]:
+def summary(found: Alarms) -> dict[str, dict[str, float]]:
     """{figure: value with its 95 % interval}, by bootstrap over courses."""
     n = found.warned.size
-    draws = np.random.default_rng(seed).integers(n, size=(RESAMPLES, n))
+    draws = np.random.default_rng(0).integers(n, size=(RESAMPLES, n))
     stuck = np.isfinite(found.warned)
     any_alarm = np.where(np.isfinite(found.under), found.under > 0.0, np.nan)
 
@@ -149,7 +149,7 @@ def summary(found: Alarms, seed: int = 0) -> dict[str, dict[str, float]]:
     }
 
 
-def auc(scores: Sequence[np.ndarray], drives: Sequence[Drives], seed: int = 0, after: bool = False) -> dict[str, float]:
+def auc(scores: Sequence[np.ndarray], drives: Sequence[Drives], after: bool = False) -> dict[str, float]:
     """Area under the ROC curve with its interval over courses; `after`: with the periods after the stop as well."""
     found = np.concatenate([s[d.driving] for s, d in zip(scores, drives, strict=True)])
     edges = np.unique(np.quantile(found[np.isfinite(found)], np.linspace(0, 1, _BINS + 1)[1:-1]))
@@ -170,13 +170,13 @@ def auc(scores: Sequence[np.ndarray], drives: Sequence[Drives], seed: int = 0, a
         with np.errstate(invalid="ignore", divide="ignore"):
             return float((positive * below).sum() / (positive.sum() * negative.sum()))
 
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     weights = rng.multinomial(len(table), np.full(len(table), 1.0 / len(table)), size=200)
     samples = np.tensordot(weights, table, axes=1)
     return _interval(area(table.sum(axis=0)), np.array([area(s) for s in samples]))
 
 
-def calibration(probability: Sequence[np.ndarray], drives: Sequence[Drives], horizon: float, seed: int = 0) -> dict:
+def calibration(probability: Sequence[np.ndarray], drives: Sequence[Drives], horizon: float) -> dict:
     """Reliability of a probability over all control periods while driving whose outcome is known.
 
     {"bins": [{"mean", "observed", "low", "high", "share"}], "mean", "observed": over all of them, "error": the mean
@@ -195,7 +195,7 @@ def calibration(probability: Sequence[np.ndarray], drives: Sequence[Drives], hor
         brier += ((p - soon)[counted] ** 2).sum()
         events, total = events + soon[counted].sum(), total + counted.sum()
     table = np.array(sums)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     weights = rng.multinomial(len(table), np.full(len(table), 1.0 / len(table)), size=200)
     samples = np.tensordot(weights, table, axes=1)
     number, predicted, observed = table.sum(axis=0)

@@ -26,6 +26,7 @@ SCENARIOS = ("two_lines", "mixed", "sticky", "loose_slopes", "field_vehicle")  #
 FOREIGN = ("unseen",)  # never trained on: other soils
 MODEL = "ppo"  # the driver that is a trained agent: never trained on
 BLOCK = 300  # courses driven side by side
+EARLIER = 2.9  # [s] of driving before a wheel stopped, at which its ground is compared
 
 
 @dataclass(frozen=True)
@@ -226,11 +227,11 @@ def _calibrations(test: list[Drives]) -> dict:
     }  # fmt: skip
 
 
-def other_ground(test: Sequence[Drives], lead: float = 2.9) -> float:
-    """Share of the immobilised wheels under which another patch lay `lead` s of driving before they stopped."""
+def other_ground(test: Sequence[Drives]) -> float:
+    """Share of the immobilised wheels under which another patch lay `EARLIER` s of driving before they stopped."""
     other = []
     for d in test:
-        then = np.argmax((d.ahead <= lead) & d.driving, axis=0)
+        then = np.argmax((d.ahead <= EARLIER) & d.driving, axis=0)
         courses = np.flatnonzero(d.stuck)
         other.append(d.patch[then, np.arange(len(then))][courses] != d.patch[d.stop, np.arange(len(then))][courses])
     return float(np.concatenate(other).mean())

@@ -103,7 +103,7 @@ def root(function: Any = None, *, nogil: bool = False, allocates: bool = False) 
     if function is None:
         return lambda f: root(f, nogil=nogil, allocates=allocates)
     if not COMPILED:
-        return np.errstate(all="ignore")(function)  # as compiled code, which divides by zero without a word
+        return np.errstate(all="ignore")(function)  # as compiled code, which divides by zero without a warning
     pipeline = ALLOCATING if allocates else ROOT
     return keep(njit(_nrt=allocates, nogil=nogil, pipeline_class=pipeline, **_OPTIONS)(function))
 

@@ -307,6 +307,13 @@ def smooth_step(t):
 
 
 @inlined
+def sine_of(angle):
+    """Sine of an angle [rad] in lanes, |angle| <= pi."""
+    sin_half, cos_half = half_sin_cos(angle)
+    return 2.0 * sin_half * cos_half
+
+
+@inlined
 def tanh(x):
     """Hyperbolic tangent, of a float or of lanes."""
     return 1.0 - 2.0 / (exp(2.0 * x) + 1.0)

@@ -88,7 +88,7 @@ def grid(problem: Problem, plain: Evidence, fit: Fit) -> Grid:
 def anonymous(problem: Problem, plain: Evidence) -> Evidence:
     """Evidence of a model with an anonymous contribution beside it; fitted anew where that is scatter.
 
-    Without scatter its parameters had to explain it, and are far from what they are with it.
+    The parameters of a fit without scatter are bent to explain it, and lie far from those of a fit with scatter.
     """
     free = weigh(problem, plain.fit, grid(problem, plain, plain.fit))
     if free.sizes.scatter == 1.0:

@@ -43,7 +43,7 @@ from soil_env.terramechanics.model import Rows
 PRIOR_WIDTH = 1.5
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _LAW, _EFFECT, _FREE = 24, 24, 40  # functions of a process at most: law, form of an effect, anonymous contribution
-_LONGER = 1.6  # over which an anonymous contribution of all conditions changes, relative to a form error
+_LONGER = 1.6  # correlation lengths of an anonymous contribution of all conditions over those of a form error
 GRAVITY = 9.81
 
 
@@ -130,7 +130,7 @@ class Fit:
         return np.concatenate([top, np.eye(x.size)])[:, free], np.concatenate([self.residual / sizes.scatter, -x])
 
 
-#: Parameters about a value that the table sets.
+#: Parameters whose prior is centred on a value of the rig: of the wheel, or of the speeds in the table.
 _CENTRED = ("shear_softening_length", "shear_rate_onset_speed")
 
 
@@ -278,9 +278,9 @@ class Problem:
             sizes: Sizes = EXACT, near: Fit | None = None) -> Fit:  # fmt: skip
         """Most probable parameters of the model with the given effects.
 
-        `start`: parameters by name; effects that it does not name start a little off neutral. With `near`, a fit of
-        the same table, form errors of these `sizes` as they are there are in the covariance; without, there is noise
-        alone, times the scatter.
+        `start`: parameters by name; effects that it does not name start a little off neutral. With `near`, a fit to
+        the same table, the covariance holds its form errors at these `sizes`; without, that of the noise alone, times
+        the scatter.
         """
         unknowns = self.unknowns(choices)
         low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))

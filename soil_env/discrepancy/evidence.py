@@ -60,7 +60,7 @@ class Grid(NamedTuple):
     log_prior: np.ndarray  # [S]
     errors: tuple[np.ndarray, ...]  # K form errors [M, R] at the size 1, whitened
     table: np.ndarray  # [S, K] their sizes
-    first: int  # of them are the same in many rows
+    first: int  # leading columns of `table` whose values many of its rows share
 
 
 def grid(effects: bool) -> tuple[list[Sizes], np.ndarray]:

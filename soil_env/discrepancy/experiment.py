@@ -33,10 +33,10 @@ WITHIN_REACH = 0.01  # least probability of a set of effects that a test is to s
 CANDIDATES = 5
 DEEPEST = 0.6  # [radii] deepest sinkage of a feasible test
 SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
-_STRANGE = 0.3  # [sd] that half a span of the table's conditions must gain
+_GAIN_OUTSIDE = 0.3  # [sd] that a test must gain for each half span by which it lies outside the table
 _HALF_SPAN = {"slip": 0.1, "load": 0.35, "speed": 0.35, "pass": 0.35, "grade_deg": 5.0, "wheel_radius": 0.2,
               "wheel_width": 0.2, "grouser_height": 0.01}  # at least; logarithmic  # fmt: skip
-_NEAR = 0.7  # distance, in half spans, of tests that are much the same
+_SAME_WITHIN = 0.7  # distance, in half spans, below which two tests are much the same
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def separating(problem: Problem, candidates: Sequence[Evidence]) -> tuple[NextTe
     sigma[~np.isfinite(sigma)] = 0.0
     outside = np.maximum(np.abs(grid.scaled) - 1.0, 0.0).sum(axis=1)
     rivals = np.array([1.0 if a == 0 else 0.5 for a, _ in pairs])  # the best against another first
-    odd = _STRANGE * outside + 0.02 * np.abs(grid.scaled).sum(axis=1)
+    odd = _GAIN_OUTSIDE * outside + 0.02 * np.abs(grid.scaled).sum(axis=1)
     score = np.maximum(np.minimum(sigma, ENOUGH) - odd[None, :, None], 1e-3) * rivals[:, None, None]
     score[sigma < LEAST] = 0.0
     out: list[NextTest] = []
@@ -99,7 +99,7 @@ def separating(problem: Problem, candidates: Sequence[Evidence]) -> tuple[NextTe
         pair = (names[pairs[p][0]], names[pairs[p][1]])
         point = {name: float(grid.value[name][g]) for name in grid.told}
         out.append(NextTest(point, CHANNELS[j], pair, float(sigma[p, g, j])))
-        same = np.linalg.norm(grid.scaled - grid.scaled[g], axis=1) < _NEAR
+        same = np.linalg.norm(grid.scaled - grid.scaled[g], axis=1) < _SAME_WITHIN
         score[p] *= 0.5
         score[p, same] = 0.0
         score[p, :, j] *= 0.5

@@ -25,6 +25,7 @@ from soil_env.discrepancy.data import CHANNELS
 SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
 MOST = 4  # disagreements reported
 LEAST_VALUES = 3  # in a box
+_DRAWS = 400  # of the noise, for the distribution of the largest |t|
 _TAIL = 0.95  # quantile of the simulated maxima at which the number of independent looks is read off
 _SHOWS = 2.0  # least |t| of the plain mean residual of a box
 _OPEN = 0.02  # share of a box's variance that the parameters must leave for it to be looked at
@@ -74,7 +75,7 @@ def _half_lines(levels: int) -> list[tuple[int, int]]:
     return [(0, k) for k in range(levels - 1)] + [(k, levels - 1) for k in range(1, levels)]
 
 
-def locate(problem: Problem, fit: Fit, seed: int = 0, draws: int = 400) -> tuple[Disagreement, ...]:
+def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...]:
     """Significant disagreements, the most certain first; none where the model explains the table.
 
     After each, the box is given to the model as a further parameter, so that the next one says something new; in one
@@ -97,7 +98,7 @@ def locate(problem: Problem, fit: Fit, seed: int = 0, draws: int = 400) -> tuple
     v = np.concatenate([v, np.zeros((q.shape[0] - v.shape[0], v.shape[1]))])
     raw = v
     v, left = _project(v, q, total)
-    looks = _looks(v, np.array([j for j, _ in where]), problem.freedom, np.random.default_rng(seed), draws)
+    looks = _looks(v, np.array([j for j, _ in where]), problem.freedom, np.random.default_rng(seed))
     # the next box must also show in the plain residual, with the same sign
     r = np.concatenate([fit.residual, np.zeros(e.size - fit.residual.size)])
     plain = (raw.T @ r) / total
@@ -129,11 +130,11 @@ def _project(v: np.ndarray, q: np.ndarray, total: np.ndarray) -> tuple[np.ndarra
     return v / np.where(left, length, math.inf), left
 
 
-def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Generator, draws: int) -> float:
+def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Generator) -> float:
     """Number of independent looks whose largest |t| is as large as that over the columns of v, each of a channel."""
-    t = np.abs(rng.standard_normal((draws, v.shape[0]), dtype=np.float32) @ v.astype(np.float32))
+    t = np.abs(rng.standard_normal((_DRAWS, v.shape[0]), dtype=np.float32) @ v.astype(np.float32))
     if math.isfinite(freedom):
-        noise = np.sqrt(rng.chisquare(freedom, (draws, 3)) / freedom)
+        noise = np.sqrt(rng.chisquare(freedom, (_DRAWS, 3)) / freedom)
         t /= noise.astype(np.float32)[:, channel]
     alone = _alone(float(np.quantile(t.max(axis=1), _TAIL)), freedom)
     return max(1.0, math.log(_TAIL) / math.log1p(-alone)) if alone < 1.0 else 1.0

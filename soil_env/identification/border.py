@@ -42,8 +42,8 @@ from soil_env.identification.linearised import GAIN, LN_K, MASS, SINKAGE, SLIP, 
 _ODDS = 3.0  # ln odds at which a change of the grade is a border
 _HAZARD = 0.5  # [1/m] of borders, as believed
 _KEPT = 60.0  # readings that the grade of a soil is the mean of, at most
-_KNOWN = 5.0  # readings that the grade behind a border, as estimated on it, counts as
-_FOUND = 1.0 / 6.0  # of the border: how far ahead its middle is, and its 1-sigma, where the forces tell of it
+_KNOWN = 5.0  # readings that the grade of a new soil counts for when its border, on which it was estimated, ends
+_FOUND = 1.0 / 6.0  # lengths of a border: how far ahead forces show its middle, and the 1-sigma of that
 _SAME = 0.1  # probability that the soil stays the same
 _LEAST = 1e-4  # share of either soil on a border
 _packed = scratch((MASS + 1) * (MASS + 2) // 2)
@@ -54,16 +54,16 @@ _source, _first = scratch(MEANS), scratch(SINKAGE * MEANS)
 class Blend(NamedTuple):
     """How the ground under the wheel follows from both soils and the place of the border; a value a lane."""
 
-    share: object  # of the new soil
-    by_place: object  # d share/d place
-    strength: object  # d strength/d strength of the new soil,
-    strength_K: object  # of its ln K,
-    old_strength: object  # of the old one,
-    old_strength_K: object
-    strength_place: object  # and of the place
-    gain: object  # d ln g/d ln g of the new soil,
-    old_gain: object  # of the old one
-    gain_place: object
+    share: object  # of the new soil in the ground
+    by_place: object  # d share / d place of the border
+    strength: object  # d strength of the ground / d strength of the new soil
+    strength_K: object  # d strength of the ground / d ln K of the new soil
+    old_strength: object  # d strength of the ground / d strength of the old soil
+    old_strength_K: object  # d strength of the ground / d ln K of the old soil
+    strength_place: object  # d strength of the ground / d place of the border
+    gain: object  # d ln g of the ground / d ln g of the new soil
+    old_gain: object  # d ln g of the ground / d ln g of the old soil
+    gain_place: object  # d ln g of the ground / d place of the border
 
 
 # --- where a border is ------------------------------------------------------------------------------------------------
@@ -189,7 +189,7 @@ def begin(banks, k, numbers, place, place_variance, rise, rise_variance, both):
             b = j if j >= SINKAGE else OLD + j
             to_array(fill(packed[i * (i + 1) // 2 + j]), covariance, element(a, b))
     prior_of_soil(banks, k, numbers)
-    for i in range(MASS + 1):  # to one filter the new soil is the old one
+    for i in range(MASS + 1):  # in the filter `STAYS` the new soil is the old one
         a = i if i >= SINKAGE else OLD + i
         for j in range(SINKAGE):
             v = packed[i * (i + 1) // 2 + j] if i >= j else packed[j * (j + 1) // 2 + i]

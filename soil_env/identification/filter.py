@@ -28,7 +28,7 @@ from soil_env.identification.linearised import MASS, SINKAGE, SLIP, STATES
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.contact import entry_angle, shear_displacement
 
-# of a point at most: readings, [m], range of slip, relative range of rim speed
+# Limits of a point: readings, [m], range of slip, relative range of rim speed.
 _READINGS, _LENGTH, _SLIP, _RIM = 8, 0.1, 0.05, 0.1
 _ON_BORDER = 0.6  # of the readings and the length where the soil changes
 _SPINNING = 0.85  # |slip| beyond which readings are passed over: a wheel that digs on the spot, or is locked
@@ -96,7 +96,7 @@ def take(banks, k, reading, numbers):
     _advance_clocks(p, k, reading, numbers)
     if numbers.grade_change > 0.0:
         note_grade(banks, k, reading.pitch, numbers)
-    # a wheel that turns backwards, as when a halt throws it back, is none that the model predicts
+    # the model does not predict a wheel that turns backwards, as when a halt throws it back
     useless = reading.rim_speed < _SLOWEST or reading.sinkage < 1e-3 * numbers.radius
     useless = useless or abs(reading.slip) > _SPINNING
     if p.readings[k] > 0.0:

@@ -35,10 +35,10 @@ from soil_env.identification.linearised import (
 from soil_env.slip import motion_from_slip
 
 _YIELD_RATE = 6.0  # [1/s] at which a wheel comes up to its bearing sinkage, in the mean over a point
-_LAG = 0.5  # of the change of the bearing sinkage since the last point: what the wheel has not borne on yet
+_LAG = 0.5  # share of the change in bearing sinkage since the last point that has not acted yet
 # 1-sigma of the law of sinkage: of the radius, of the change, of the sinkage, of the change of the bearing sinkage
 _LEAST_MOVE, _MOVE, _JOLT, _CHANGE = 6.3e-3, 0.1, 0.9, 0.5
-_DRIFT = 2e-3  # [m] of the place of a border between two points: that of the ground which a step was made with
+_DRIFT = 2e-3  # [m] random walk of a border's place per point: a step uses the ground at its middle, not at its end
 _LOWEST = np.array([0.005, math.log(2e-4), math.log(1e3), -1000.0, 0.3, -3.0, 1e-4, 0.05, -0.95])
 _HIGHEST = np.array([5.0, math.log(0.3), math.log(1e13), 2e5, 2.5, 3.0, 6.0, 1e6, 0.98])
 _vector = scratch(MEANS)

@@ -37,7 +37,7 @@ LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width", "grouser_
 INPUTS = ("slip", "load", "wheel_radius", "wheel_width", "grouser_height")
 _LEFT = 1e-3  # share of the variance that may be left out of a basis
 _NUGGET = 1e-9
-_SHORTER = 3.0  # times over which a contribution of one condition may change faster than one of all
+_SHORTER = 3.0  # correlation length of a contribution of all conditions over that of one condition alone
 #: By an error of size 1: shift of the stress peak [of the entry angle] and change of the sinkage exponent that move and
 #: spread a parabola of stress as much; and the depth, over the sinkage, at which such a change leaves the pressure.
 _MOVED, _SPREAD, _MEAN_DEPTH = 0.25, 0.32, 0.75

@@ -55,7 +55,7 @@ def prepare(points, start, count, reading, work):
     """Fill the `Workspace` for the points start .. start + count - 1 of `Points`; `start` a multiple of eight."""
     for i in range(0, count, COUNT):
         real, p = count - i, start + i
-        # in the place of points beyond the last: half-sunk, for nothing but a number
+        # beyond the last point a half-sunk wheel fills the lanes: any finite number will do, without weight
         sinkage = first(real, from_array(points.sinkage, p), fill(0.5 * reading.radius))
         _, travel = motion_from_slip(first(real, from_array(points.slip, p), fill(0.0)))
         arc = smooth_arc(sinkage, reading.radius)

@@ -18,8 +18,8 @@ Where the two differ by more than they allow, chi-squared over its three degrees
 Physical Review 40:207-227). On a border the ground is a blend of two soils, and so is what another wheel knows of it.
 
 The sinkage coefficient and the gain of digging are not pooled: a wheel behind another runs on a floor that this has
-changed. They follow by their own correlation with what is pooled. What no wheel's errors tell of, since all have it
-alike (the exponent held wrong, the law of sinkage, the curvature of the models), is in `ERROR_OF_MODEL`.
+changed. They follow by their own correlation with what is pooled. `ERROR_OF_MODEL` are errors that all wheels have
+alike, so that no comparison shows them: the exponent held wrong, the law of sinkage, the curvature of the models.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from soil_env.identification.solver import Status
 from soil_env.parameters import Scenario
 
 UNKNOWNS = 5  # (phi, ln K, ln S, c, ln g), as `Identifiers.estimate`
-SHARED = 3  # of them are of the soil whatever has passed over it: phi, ln K, c
+SHARED = 3  # unknowns that a passing wheel does not change: phi, ln K, c
 BELIEF = SHARED + SHARED * SHARED
 STRETCHES = 4  # that a wheel remembers
 #: 1-sigma of the errors that all wheels have alike, of (phi [rad], ln K, ln S, c [Pa], ln g): set on courses of seed
@@ -49,17 +49,17 @@ STRETCHES = 4  # that a wheel remembers
 ERROR_OF_MODEL = np.array([math.radians(0.2), 0.015, 0.0, 35.0, 0.0])
 COHESION = 3
 _WHICH = np.array([0, 1, COHESION])  # of the unknowns are shared
-_LAG = 3  # points before a border was found that an estimate was made by, so that it has none from behind it
+_LAG = 3  # estimates are taken this many points before a border was found, so that they hold nothing from behind it
 RUT_DRIFT = 0.1  # 1-sigma of the change of ln S along a rut, from one point of the filter to the next
 _FAR = 1e6
 _AT_START = -1e6  # [m] where the first stretch begins, for all wheels
 _PLACE_SD = 0.1  # of the length of a border: 1-sigma of the place that another wheel has found
 _CONVERGED, _MISFIT = Status.CONVERGED.value, Status.MISFIT.value
 _NOT_EXCITED, _NO_DATA = Status.NOT_EXCITED.value, Status.NO_DATA.value
-_LEARNT = 0.6  # of the prior standard deviation, at most, of friction angle and K that are known
+_LEARNT = 0.6  # sd of phi and ln K over that of the prior, at most, for an estimate to count as converged
 _LEAST_ANGLE = 0.01  # [rad], as `linearised.friction` has it
 _STEEPEST = 1.5  # [rad]
-_NEARLY = 0.999  # what no more is known of than of the prior leaves nothing
+_NEARLY = 0.999  # share of the prior's information that a posterior must exceed: equal ones differ by rounding
 _LEAST_SHARE = 0.02  # of the prior's information that is taken out, if any
 _LEAST = 1e-3  # information over that of the own posterior, below which it is left out
 _old, _new, _ground = scratch(BELIEF), scratch(BELIEF), scratch(BELIEF)
@@ -241,7 +241,7 @@ def _soil_at(pools, first, x):
 def _find(pools, o, k, soil, numbers, belief):
     """What wheel o knows of the soil that lies from soil[0] to soil[1] [m], by its newest stretch there."""
     low, high = soil[0] - numbers.border, soil[1] + numbers.border
-    latest = high - 2.0 * numbers.border  # begin of a stretch that is not of the next soil
+    latest = high - 2.0 * numbers.border  # a stretch that begins later is of the next soil
     if pools.crossing[o] == 0.0 and pools.points[o] >= (_LAG if o < k else 1) and low <= pools.start[o] < latest:
         if pools.place[o] <= high:
             _copy(pools.last[o, _LAG - 1 if o < k else 0], belief)

@@ -24,7 +24,7 @@ from soil_env.identification.weighted import TableProblem
 _ROUNDS = (1500, 1500, 3000)  # samples of ln sigma, each round drawn from what the last has found
 _TAIL = 4.0  # degrees of freedom of the Student t they are drawn from
 _HIGHEST = 30.0  # noise, as a multiple of the first guess
-FEW = 40.0  # degrees of freedom of a channel from which on its noise counts as known but for Student's t
+FEW = 40.0  # degrees of freedom of a noise from which on Student's t is enough to allow for its uncertainty
 
 
 class Scatter:

@@ -193,7 +193,7 @@ def least_squares(
         for _ in range(_MAX_DAMPINGS):
             if _damped_step(x, systems, damping, free, vectors):
                 small = _small(vectors, tolerance)
-                if damping == 0.0 and small:  # so close the cost may no longer tell
+                if damping == 0.0 and small:  # near the solution, rounding hides the decrease of the cost
                     _copy(trial, x)
                     status = Status.CONVERGED.value
                     break

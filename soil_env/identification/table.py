@@ -33,7 +33,7 @@ TIED = 0.98  # correlation above which two parameters are tied
 SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows
 SCARCE = 6.5  # degrees of freedom of an estimated noise below which that is said
 LIGHT, SOFT = 1.0, 1e3  # load [N] and S [N/m^(n+2)] below which kilonewtons are suspected
-_PASSES = 80
+_PASSES = 80  # of an iteration at most
 _FORM_PASSES = 2  # of the form error of the base law and the solution in turn
 
 
@@ -91,7 +91,7 @@ class TableEstimate:
     warnings: tuple[str, ...]
 
 
-def identify_table(table: Table, setup: Setup, *, max_passes: int = _PASSES) -> TableEstimate:
+def identify_table(table: Table, setup: Setup) -> TableEstimate:
     """The most probable soil under the setup's priors, with intervals and what the data cannot tell.
 
     The stress laws may be wrong by a smooth error whose size the table decides (`form_error`): it enters the weights,
@@ -100,20 +100,20 @@ def identify_table(table: Table, setup: Setup, *, max_passes: int = _PASSES) -> 
     measured values are fewer than fitted parameters.
     """
     problem = TableProblem(table, setup)
-    u, converged = _settle(problem, problem.search(), max_passes)
+    u, converged = _settle(problem, problem.search())
     plain = _Plain(u, _fits(problem, u))
     for _ in range(_FORM_PASSES):
         share = problem.by_size(u)[0]
         problem.allow_form_error(u, LAW_ERRORS[int(np.argmax(share))])
-        u, converged = _settle(problem, u, max_passes, False)
+        u, converged = _settle(problem, u, False)
     if not problem.measured[:, 0].any():
         problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
     if not (np.any(problem.estimated) and np.min(problem.freedom) < FEW):
         return _summary(problem, u, converged, plain, None)
-    for _ in range(max_passes):
+    for _ in range(_PASSES):
         scatter = Scatter(problem, u)
         problem.noise[problem.estimated] = scatter.noise()
-        before, (u, converged) = u, _settle(problem, u, max_passes, False)
+        before, (u, converged) = u, _settle(problem, u, False)
         if np.max(np.abs(u - before)) < 1e-3:
             break
     return _summary(problem, u, converged, plain, Scatter(problem, u))
@@ -126,16 +126,16 @@ class _Plain(NamedTuple):
     fits: dict[str, ChannelFit]
 
 
-def _settle(problem: TableProblem, u: np.ndarray, max_passes: int, guess: bool = True) -> tuple[np.ndarray, bool]:
+def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[np.ndarray, bool]:
     """The solution from u with conditions and, with `guess`, noise renewed until they no longer change; whether so."""
     guessed, converged = problem.estimated & guess, False
     share, last = 1.0, math.inf  # of each move; lessened where they go in circles, as when the model does not fit
     problem.weigh(problem.by_conditions(u))
-    for count in range(max_passes):
+    for count in range(_PASSES):
         noise = problem.noise.copy()
         move = problem.minimise(u)[0] - u
         size = float(np.max(np.abs(move)))
-        share, last = max(0.2, 0.6 * share) if count > max_passes // 4 and size > 0.9 * last else share, size
+        share, last = max(0.2, 0.6 * share) if count > _PASSES // 4 and size > 0.9 * last else share, size
         u = u + share * move
         if guess:
             problem.update_noise(u)

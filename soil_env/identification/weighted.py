@@ -64,9 +64,9 @@ class LawError(NamedTuple):
     size: float
 
 
-#: That are marginalised.
+#: Form errors that are marginalised.
 LAW_ERRORS = [LawError(*x) for x in product(range(len(LAW_LENGTHS)), CHANNELS_OWN, SIZES.tolist())]
-_NO_WEIGHT = 0.0  # [N/m3] of the soil, nor on its weight
+_NO_WEIGHT = 0.0  # [N/m3] unit weight of the soil: the base model does not use it
 
 
 # --- least squares in whitened unknowns -------------------------------------------------------------------------------

@@ -41,8 +41,9 @@ WINDOW = COUNT  # points: one block of lanes
 _BUCKET_READINGS = 5  # readings averaged to one point, at most
 _BUCKET_LENGTH = 0.06  # [m] travelled within one point, at most
 _BUCKET_SLIP = 0.05  # slip range within one point, at most
-# chi-squared of three channels beyond which a point belongs to another soil. Low, since the doubts that a point is
-# weighed with are larger than what differs between neighbours; set on courses of seeds 7 and 8, docs/identification.md
+# chi-squared of three channels beyond which a point belongs to another soil. Low, since the errors that a point is
+# weighed with are larger than the differences between neighbouring points; set on courses of seeds 7 and
+# 8, docs/identification.md
 CONTRADICTION_OF_POINT = 3.0
 RATIO_ERROR = 0.07  # relative error of the digging ratio that the law of sinkage itself makes
 _MINIMUM_RIM_SPEED = 0.02  # [m/s] below which readings say nothing of shear

@@ -38,6 +38,8 @@ AS_PRINTED = Equations(_P.wheel.radius, _P.wheel.width, _P.table2.cohesion, _P.t
 WONG_REECE = AS_PRINTED._replace(radius=WONG_REECE_RADIUS, peak=WONG_REECE_PEAK[0], peak_by_slip=WONG_REECE_PEAK[1])
 
 _UNIT = 1e6
+_ITERATIONS = 100  # of Newton-Raphson at most
+_TOLERANCE = 1e-8  # step at convergence: [rad] of phi, relative of K and S
 
 
 class Linear(NamedTuple):
@@ -137,13 +139,11 @@ def _newton_raphson(path, slip, sinkage, pull, e, tolerance):
     return -path.shape[0]
 
 
-def newton_raphson(
-    points: Points, guess: ArrayLike, e: Equations, iterations: int = 100, tolerance: float = 1e-8
-) -> np.ndarray:
+def newton_raphson(points: Points, guess: ArrayLike, e: Equations) -> np.ndarray:
     """Root (phi [deg], K [m], S) by plain Newton-Raphson from `guess`, the paper's Section 4; NaN if it is lost."""
-    path = np.empty((iterations + 1, 3))
+    path = np.empty((_ITERATIONS + 1, 3))
     path[0] = math.radians(guess[0]), guess[1], guess[2]
-    count = _newton_raphson(path, *points, e, tolerance)
+    count = _newton_raphson(path, *points, e, _TOLERANCE)
     return path[count] * (180.0 / math.pi, 1.0, 1.0) if count > 0 else np.full(3, np.nan)
 
 

@@ -38,7 +38,7 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
     """Pack what `draw_course` needs; `model` brings the effects that are on in this world."""
     c, s, w, camera = scenario.course, scenario.spread, scenario.wheel, scenario.camera
     ahead = _PERIODS_AHEAD * w.radius * w.no_load_speed * scenario.control.period
-    if c.classes:  # what is seen is final: the patch after it is drawn
+    if c.classes:  # the patch after one in sight is drawn, so that what is seen is final
         ahead += camera.range + c.patch_length[1] + c.border
     if model is not None and model.soil is not None:
         library, weights = [model.soil.state(w.width)], np.ones(1)

@@ -295,7 +295,7 @@ def advance(state, counts, first, count, what, commands, courses, streams, world
     steps = 1
     while steps <= MOST_STEPS:
         _drive_together(state, counts, first, end, period, courses, world, steps)
-        for i in range(end):  # those that are there; what is left of the others is a failed step
+        for i in range(end):  # who is alive has arrived; what others have `left` is due to a failed step
             if period.alive[i] > 0.0:
                 period.left[i] = 0.0
         steps *= 2

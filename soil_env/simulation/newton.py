@@ -190,7 +190,7 @@ def solve_speeds(sub, period, begin, end, world, h):
                 copy_column(sub.newton, block + i, sub.newton, k)
                 occupants.wheel[i] = -1
                 working -= 1
-            if following < queued or (filling and queued > 0):  # no lane without a wheel, if only another's
+            if following < queued or (filling and queued > 0):  # a lane without a wheel of its own repeats another's
                 k = queue.wheel[min(following, queued - 1)]
                 _copy_wheel(sub, k, block + i)
                 if following < queued:

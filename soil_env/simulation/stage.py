@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined
-from soil_env._numba.elementary import below, chosen, half_sin_cos, larger, smaller, where_less
+from soil_env._numba.elementary import below, chosen, half_sin_cos, larger, sine_of, smaller, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import Rows, rows, scratch_rows
 from soil_env.parameters import SoilState
@@ -171,8 +171,7 @@ def _foreseen(state, k, back_v, back_u, cv, cu, weight_along, command, by_speed,
 def change_ahead(state, k, command, by_speed, world, h):
     """Foreseen change of the speeds [of the top rim speed] of eight wheels in h seconds under their commands."""
     r, mass = world.wheel.radius, from_array(state.mass, k)
-    sin_half, cos_half = half_sin_cos(from_array(state.grade, k))
-    along, still = world.wheel.gravity * mass * (2.0 * sin_half * cos_half), fill(0.0)
+    along, still = world.wheel.gravity * mass * sine_of(from_array(state.grade, k)), fill(0.0)
     dv, du = _foreseen(state, k, still, still, h / mass, h * r / world.inertia, along, command, by_speed, world)
     top = r * world.no_load_speed
     follow = abs(command * top - r * from_array(state.wheel_speed, k))  # the speed loop stops at its command

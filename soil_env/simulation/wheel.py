@@ -51,7 +51,7 @@ WheelState: type[Rows] = rows(
     "sinking",  # dz/dt [m/s] in the last stage
     "rut_depth",  # [m] of the ground under the wheel where it has been before
     "cell_x",  # [m] where the wheel came into the present cell
-    "slid",  # [m] that the rim has slid over the ground since
+    "slid",  # [m] that the rim has slid over the ground in the present cell
     "mass",  # [kg]
     "motor_torque",  # [N m]
     "available_torque",  # [N m] of the motor at this wheel speed, in the direction of the command
@@ -72,8 +72,8 @@ WheelState: type[Rows] = rows(
     "last_action",  # [-1, 1]
     "rim_command",  # [of the top rim speed] that the drive is told to follow; 0 where the action is a torque
     "mark_x",  # [m] `best_x` when it last was a further `no_progress_distance` on
-    "idle_time",  # [s] since then, halts left out
-    "stalled_time",  # [s] of it in which the wheel did not turn
+    "idle_time",  # [s] since `mark_x` was set, halts left out
+    "stalled_time",  # [s] of `idle_time` in which the wheel did not turn
     "odometer",  # [m] distance by odometry
     "odometer_scale",  # [-] its scale on this course
     "next_halt",  # [m] place of the next commanded halt

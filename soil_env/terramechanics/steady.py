@@ -119,9 +119,9 @@ def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
 
 
 @part
-def steady_state(slip, load, soil, r, b, guess=0.0):
+def steady_state(slip, load, soil, r, b):
     """`steady_with` of the base model on level, fresh soil, with the digging of `soil`."""
-    return steady_with(slip, load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, guess)
+    return steady_with(slip, load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, 0.0)
 
 
 class _Balance(NamedTuple):

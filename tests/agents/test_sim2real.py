@@ -165,9 +165,9 @@ def test_study_finds_the_planted_effect_reports_and_resumes(tmp_path):
 def test_nothing_named_is_nothing_corrected(tmp_path):
     """The arm of a world where nothing was found is the uncorrected one."""
     asked = tiny([WORLDS / "bulldozing.yaml"])
-    base = study.Arm(asked, tmp_path, None, lambda text: None)
+    base = study.Arm(asked, tmp_path, None)
     nothing = WheelSoilModel(ModelWheel(0.15, 0.15))
-    assert study.corrected_arm(asked, base, tmp_path, nothing, base.say) is base
+    assert study.corrected_arm(asked, base, tmp_path, nothing) is base
 
 
 def test_named_effects_are_carried_over_in_part_too_and_a_law_is_not(tmp_path, monkeypatch):

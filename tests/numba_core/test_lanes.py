@@ -33,6 +33,8 @@ def over(which, x, out):
             a, b = elementary.smaller(a, 0.5), elementary.larger(0.5, a)
         elif which == 8:
             a, b = elementary.where_less(a, 0.5, 1.0, a), elementary.fma(a, 2.0, -1.0)
+        elif which == 9:
+            a = elementary.sine_of(a)
         lanes.to_array(a, out[0], i)
         lanes.to_array(b, out[1], i)
 
@@ -69,6 +71,14 @@ def test_half_angles():
     s, c = of(2, x)
     np.testing.assert_allclose(s, np.sin(0.5 * x), rtol=2e-15)
     np.testing.assert_allclose(c, np.cos(0.5 * x), atol=3e-16)
+
+
+def test_sine_of_an_angle():
+    x = np.concatenate([RNG.uniform(-math.pi, math.pi, 40_000), 10.0 ** RNG.uniform(-12, 0, 1000)])
+    np.testing.assert_allclose(of(9, x)[0], np.sin(x), rtol=4e-15, atol=4e-16)
+    s, c = of(2, x)
+    np.testing.assert_array_equal(of(9, x)[0], 2.0 * s * c)
+    np.testing.assert_array_equal(of(9, [0.0, -0.0])[0], [0.0, 0.0])
 
 
 def test_asin_of_a_root():

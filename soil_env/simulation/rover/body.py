@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined
-from soil_env._numba.elementary import asin_root, half_sin_cos, larger, smaller, sqrt, where_less
+from soil_env._numba.elementary import asin_root, larger, smaller, sqrt, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import Rows, rows
 from soil_env.vehicle import RoverScenario
@@ -92,13 +92,6 @@ def suspension_of(scenario: RoverScenario) -> Suspension:
 
 
 @inlined
-def sine_of(angle):
-    """Sine of an angle [rad], in lanes."""
-    sin_half, cos_half = half_sin_cos(angle)
-    return 2.0 * sin_half * cos_half
-
-
-@inlined
 def _between(together, moment, arm, other_arm, least):
     """Loads at two arms [m] that bear `together` [N] and balance a moment [N m], each at least `least`."""
     one = (-1.0 * moment - other_arm * together) * (1.0 / (arm - other_arm))
@@ -113,19 +106,19 @@ def _moment(forces, k, height):
 
 
 @inlined
-def bear(forces, first, weight, s, loads):
+def bear(forces, weight, s, loads):
     """Loads [N] of the axles of eight rovers into `loads`, eight a axle, in equilibrium with the torques and drawbar
-    pulls of `forces`, whose columns begin at `first`; `weight` [N] is normal to the body."""
+    pulls of `forces`; `weight` [N] is normal to the body."""
     least, moment = (LEAST_LOAD / s.axles) * weight, fill(0.0)
     for a in range(s.axles):
-        moment = moment + _moment(forces, first + a * COUNT, s.height)
+        moment = moment + _moment(forces, a * COUNT, s.height)
     if s.bogie < 0:
         front, rear = _between(weight, moment, s.arms[0], s.arms[1], least)
         to_array(front, loads, 0)
         to_array(rear, loads, COUNT)
         return
     b = s.bogie
-    k = first + b * COUNT
+    k = b * COUNT
     about = _moment(forces, k, s.pivot_height) + _moment(forces, k + COUNT, s.pivot_height)
     single = 2 if b == 0 else 0
     alone, pair = _between(weight, moment - about, s.arms[single], s.pivot_arm, least)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import below, larger, smaller, where_less
+from soil_env._numba.elementary import below, larger, sine_of, smaller, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
 from soil_env._numba.rows import Rows, scratch_rows
 from soil_env.simulation.dynamics import (
@@ -22,7 +22,7 @@ from soil_env.simulation.dynamics import (
     move,
     stage_of,
 )
-from soil_env.simulation.rover.body import angle_of, rise_of_body, sine_of
+from soil_env.simulation.rover.body import angle_of, rise_of_body
 from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds, weight_of
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
 from soil_env.simulation.stage import (
@@ -176,7 +176,7 @@ def advance(rovers, block, what, commands, courses, ruts, streams, world, s):
         if going > 0.0:
             longest = world.period / (world.substeps * steps)
             _drive(rovers, block, period, courses, ruts, world, s, world.period, longest, 0.0)
-            for i in range(end):  # those that are there; what is left of the others is a failed step
+            for i in range(end):  # who is alive has arrived; what others have `left` is due to a failed step
                 if period.alive[i] > 0.0:
                     period.left[i] = 0.0
         steps *= 2

@@ -9,10 +9,10 @@ that is linear in the axles. Stages and reaction are those of `simulation.stage`
 from __future__ import annotations
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import below, chosen, larger, sqrt
+from soil_env._numba.elementary import below, chosen, larger, sine_of, sqrt
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
 from soil_env.simulation.newton import HUGE, PASSES, TOLERANCE, compare, near_enough
-from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear, sine_of
+from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear
 from soil_env.simulation.stage import (
     SHORT,
     behind,
@@ -26,7 +26,7 @@ from soil_env.simulation.wheel import motor
 from soil_env.terramechanics.reaction import REST_SPEED, Reaction
 
 _LEAST_PIVOT = 1e-12
-_TURNS = 4  # of a stage at most: the last one's loads stand
+_TURNS = 4  # solutions of a stage at most, each with the loads of the one before; the last is kept
 
 
 @inlined
@@ -102,7 +102,7 @@ def _bear_ahead(wheels, first, sub, short, dv, weight, s):
         torque = from_array(wheels.torque_by_speed, k) * dv + from_array(wheels.torque_by_rim, k) * du
         to_array(from_array(wheels.drawbar_pull, k) + short * pull, n.drawbar_pull, i)
         to_array(from_array(wheels.torque, k) + short * torque, n.torque, i)
-    bear(n, 0, weight, s, e.load)
+    bear(n, weight, s, e.load)
 
 
 @inlined
@@ -250,7 +250,7 @@ def _iterate(sub, trial, alive, world, s, h):
 def _bear_anew(sub, trial, weight, alive, s):
     """Loads by the forces that were found, and the speeds to begin with again, where a load has changed: 1 there."""
     e, n = sub.equations, sub.newton
-    bear(n, 0, weight, s, trial.load)
+    bear(n, weight, s, trial.load)
     changed = fill(0.0)
     for a in range(s.axles):
         change = abs(from_array(trial.load, a * COUNT) - from_array(e.load, a * COUNT))
