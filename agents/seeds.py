@@ -141,7 +141,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.seeds < 1 or options.first < 0:
         raise ParameterError("--seeds, --first: expected at least one seed, and none below 0")
     engine = studies.choose(options.engine, options.workers, options.address)
-    changes = overrides(rest)
+    changes = overrides(rest, "--config")
     given = [key for key in _SET_HERE if key in changes]
     if given:
         raise ParameterError(f"--{given[0]}: is set for every seed; expected --seeds, --first and --out")
