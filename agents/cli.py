@@ -37,15 +37,24 @@ def go_on_with(module: str, folder: Path | None) -> Iterator[None]:
 _TEXT = ("scenario", "name", "runs", "observation", "model")  # keys whose value is text, whatever YAML makes of it
 
 
-def overrides(arguments: list[str]) -> dict:
-    """['--ppo.gamma', '0.9'] or ['--ppo.gamma=0.9'] -> {'ppo': {'gamma': 0.9}}; values are read as YAML."""
+def overrides(arguments: list[str], file_option: str = "") -> dict:
+    """['--ppo.gamma', '0.9'] or ['--ppo.gamma=0.9'] -> {'ppo': {'gamma': 0.9}}; values are read as YAML.
+
+    ParameterError for a key given twice and for what is no key; `file_option`, if any, is the option of a YAML file.
+    """
     out: dict = {}
     rest = list(arguments)
+    given: set[str] = set()
     while rest:
         key = rest.pop(0)
         if not key.startswith("--") or key == "--":
-            raise ParameterError(f"{key!r}: expected --key value")
+            is_file = file_option and key.endswith((".yaml", ".yml"))
+            meant = f"; did you mean {file_option} {key}?" if is_file else ""
+            raise ParameterError(f"{key!r}: expected --key value{meant}")
         name, equals, value = key[2:].partition("=")
+        if name.replace("-", "_") in given:
+            raise ParameterError(f"--{name}: given twice: expected one value")
+        given.add(name.replace("-", "_"))
         if not equals:
             if not rest:
                 raise ParameterError(f"{key}: expected a value after it")

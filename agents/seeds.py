@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import soil_env
-from soil_env._io.commands import command_line, leave
+from soil_env._io.commands import command_line, folder, leave
 from soil_env._io.files import make_folder
 from soil_env._io.loading import ParameterError, merge, read_yaml
 from soil_env.parameters import Scenario
@@ -122,7 +122,7 @@ def parser() -> argparse.ArgumentParser:
     p = manual_parser(f"python -m {NAME}", __doc__, "python train.py --help lists the config keys.")
     p.add_argument("--seeds", metavar="N", type=int, default=5, help="how many (default: 5)")
     p.add_argument("--first", metavar="SEED", type=int, default=0, help="the first of them (default: 0)")
-    p.add_argument("--out", metavar="OUT", type=Path, required=True, help="folder of the run folders")
+    p.add_argument("--out", metavar="OUT", type=folder, required=True, help="folder of the run folders")
     p.add_argument("--config", metavar="YAML", help="file of config keys; the command line goes over it")
     studies.add_options(p, "one training after the other in this one")
     return p
@@ -141,7 +141,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.seeds < 1 or options.first < 0:
         raise ParameterError("--seeds, --first: expected at least one seed, and none below 0")
     engine = studies.choose(options.engine, options.workers, options.address)
-    changes = overrides(rest)
+    changes = overrides(rest, "--config")
     given = [key for key in _SET_HERE if key in changes]
     if given:
         raise ParameterError(f"--{given[0]}: is set for every seed; expected --seeds, --first and --out")

@@ -18,10 +18,12 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import importlib
+import re
 from pathlib import Path
 
 from soil_env._io.commands import command, command_line, label, leave
 from soil_env._io.loading import ParameterError, merge, read_yaml
+from soil_env.vehicle import load_rover
 
 from .cli import config_file, manual_parser, overrides
 from .config import PPOConfig, TrainConfig, load_config
@@ -94,7 +96,7 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
     for option in ("config", "resume"):
         if getattr(options, option) == "":
             raise ParameterError(f"--{option}: expected a path, got nothing")
-    changes = overrides(rest)
+    changes = overrides(rest, "--config")
     if options.resume is not None:
         if options.config is not None or changes:
             raise ParameterError("--resume takes no other option: the run folder has its config")
@@ -104,7 +106,7 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
         mapping = {} if options.config is None else read_yaml(config_file(options.config))
         config = load_config(mapping, options.config or "defaults")
         if changes:
-            config = load_config(merge(mapping, changes), "command line")
+            config = _over(mapping, changes, options.config)
         scenario = training.scenario_of(config)
         folder = training.make_run_folder(config, scenario)
     try:
@@ -118,6 +120,19 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"go on with: {command(*_STARTED_AS)} --resume {folder}") from None
     return 0
+
+
+def _over(mapping: dict, changes: dict, file: str | None) -> TrainConfig:
+    """The config of a file's `mapping` and the command line's `changes`; errors name where the key is from."""
+    try:
+        return load_config(merge(mapping, changes), "command line")
+    except ParameterError as error:
+        if changes.get("rover"):
+            load_rover(str(changes["rover"]))  # a misspelt name first
+        key = re.match(r"command line: (\w+)", str(error))
+        if key and key[1] in mapping and key[1] not in changes:
+            raise ParameterError(str(error).replace("command line", str(file), 1)) from None
+        raise
 
 
 if __name__ == "__main__":

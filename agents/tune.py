@@ -12,12 +12,11 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from pathlib import Path
 from typing import get_args, get_type_hints
 
 import yaml
 
-from soil_env._io.commands import command, command_line, leave
+from soil_env._io.commands import command, command_line, folder, leave
 from soil_env._io.document import Table
 from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, quantity, unknown_value
@@ -53,7 +52,7 @@ class Tuning(Checked):
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = manual_parser(command(_NAME), __doc__)
-    p.add_argument("--out", metavar="OUT", type=Path, required=True, help="folder, made where it does not exist")
+    p.add_argument("--out", metavar="OUT", type=folder, required=True, help="folder, made where it does not exist")
     p.add_argument(
         "--scenario",
         metavar="NAME",

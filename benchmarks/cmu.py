@@ -17,7 +17,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from soil_env._io.commands import command_line, command_parser, leave
+from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.document import Table, render
 from soil_env._io.files import make_folder, replace_files
 from soil_env._io.loading import ParameterError
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument(
         "--data", metavar="FOLDER", type=Path, help="folder with all_smooth_data.mat and all_grouser_data.mat"
     )
-    p.add_argument("--out", metavar="OUT", type=Path, default=Path("docs"), help="folder of the page (default: docs)")
+    p.add_argument("--out", metavar="OUT", type=folder, default=Path("docs"), help="folder of the page (default: docs)")
     options = p.parse_args(arguments)
     home = Path(os.environ.get("SOIL_ENV_DATA", Path(__file__).parents[2] / "shared" / "data"))
     make_folder(options.out)

@@ -60,6 +60,8 @@ def drive(options) -> None:
         start = np.array([False])
         observation, reward, terminated, truncated, info = env.step(action[0])
         over, total, steps = terminated or truncated, total + reward, steps + 1
+    if options.frame is not None and steps < options.frame:
+        print(f"--frame {options.frame}: the course ended before, after {steps} periods; the picture is of its end")
     if options.out is not None and not video:
         import matplotlib.image
 

@@ -89,6 +89,8 @@ def main() -> None:
     p.add_argument("--quiet", type=float, default=5.0, help="seconds without a datagram after which it ends")
     p.add_argument("--steps", type=int, default=300, help="readings of the simulated rover")
     options = p.parse_args()
+    if options.udp is not None and not 1 <= options.udp <= 65535:
+        p.error(f"--udp {options.udp}: expected a port, from 1 to 65535")
     if options.stdin:
         count, identifier = identify(sys.stdin)
     else:

@@ -6,6 +6,7 @@ import copy
 import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence
+from numbers import Integral
 from typing import Any, Protocol
 
 import gymnasium
@@ -27,6 +28,13 @@ def check_count(name: str, count: object) -> None:
     """ParameterError unless `count` is a whole number of at least one."""
     if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
         raise ParameterError(f"{name} = {count!r}: expected a whole number >= 1")
+
+
+def _checked_seed(name: str, seed: object) -> int:
+    """`seed` as int; ParameterError unless it is a whole number of at least zero."""
+    if not isinstance(seed, Integral) or isinstance(seed, bool) or seed < 0:
+        raise ParameterError(f"{name} = {seed!r:.80}: expected a whole number >= 0")
+    return int(seed)
 
 
 def scenario_changes(
@@ -317,13 +325,14 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         """A seed a course; counted up from a single one."""
         if seed is None:
             return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)):
-            return [int(seed) + k for k in range(self.num_envs)]
+        if isinstance(seed, Integral):
+            first = _checked_seed("seed", seed)
+            return [first + k for k in range(self.num_envs)]
         if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
-            raise ValueError(f"seed = {seed!r:.80}: expected a whole number, {self.num_envs} of them, or None")
+            raise ParameterError(f"seed = {seed!r:.80}: expected a whole number, {self.num_envs} of them, or None")
         if len(seed) != self.num_envs:
-            raise ValueError(f"seed: expected {self.num_envs} seeds, got {len(seed)}")
-        return [None if s is None else int(s) for s in seed]
+            raise ParameterError(f"seed: expected {self.num_envs} seeds, got {len(seed)}")
+        return [None if s is None else _checked_seed(f"seed[{k}]", s) for k, s in enumerate(seed)]
 
     def step(
         self, actions: ArrayLike

@@ -318,13 +318,17 @@ class OnlineIdentifier:
 
     def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
         """Whether the wheel can pass the ground as identified, under `load` [N] (its weight if left out) at `pitch`
-        [rad], uphill positive. ValueError for what is no finite number, or a pitch beyond a right angle."""
+        [rad], uphill positive. A load below 5 % of the weight counts as 5 % of it, as in the environments.
+
+        Raises ParameterError for a load that is no finite number above zero and a pitch beyond a right angle.
+        """
         wheel = self.scenario.wheel
-        for name, given in (("load", 0.0 if load is None else load), ("pitch", pitch)):
-            if not isinstance(given, Real) or not math.isfinite(given):
-                raise ValueError(f"{name} = {given!r}: expected a finite number")
+        if load is not None and not (_finite(load) and load > 0.0):
+            raise ParameterError(f"load = {load!r}: expected a finite number > 0 [N]")
+        if not _finite(pitch):
+            raise ParameterError(f"pitch = {pitch!r}: expected a finite number")
         if abs(pitch) >= 0.5 * math.pi:
-            raise ValueError(f"pitch = {pitch!r}: expected radians, less than pi/2")
+            raise ParameterError(f"pitch = {pitch!r}: expected radians, less than pi/2")
         load = float(self._weight * math.cos(pitch) if load is None else max(load, LEAST_LOAD * self._weight))
         soil = soil_as_identified(self._ids.estimate[0], self.scenario.belief)
         best = self._best(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
@@ -412,6 +416,11 @@ class OnlineIdentifier:
             math.degrees(sd[0]), sd[1], sd[2], sd[3], sd[4], _STATUS[self._ids.status.item(0)], renewed,
             int(self._ids.borders[0]),
         )  # fmt: skip
+
+
+def _finite(given: object) -> bool:
+    """Whether it is a number, neither infinite nor NaN nor a bool."""
+    return isinstance(given, Real) and not isinstance(given, bool) and math.isfinite(given)
 
 
 def _bearing_sinkage(scenario: Scenario) -> float:

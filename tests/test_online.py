@@ -313,6 +313,19 @@ def test_arguments_of_another_type_are_named(arguments):
         OnlineIdentifier(WHEEL).update(STEADY._asdict())
     with pytest.raises(ValueError, match="load"):
         OnlineIdentifier(WHEEL).traversability(load=math.nan)
+    for load in (-5, 0.0, True):
+        with pytest.raises(ParameterError, match=f"^load = {load}: expected a finite number > 0"):
+            OnlineIdentifier(WHEEL).traversability(load=load)
+    for pitch, expected in ((math.inf, "a finite number"), (2.0, "radians")):
+        with pytest.raises(ParameterError, match=f"^pitch = {pitch}: expected {expected}"):
+            OnlineIdentifier(WHEEL).traversability(pitch=pitch)
+
+
+def test_a_smaller_load_counts_as_a_twentieth_of_the_weight():
+    identifier = OnlineIdentifier(WHEEL)
+    weight = identifier.scenario.weight
+    assert identifier.traversability(load=1e-6) == identifier.traversability(load=0.05 * weight)
+    assert identifier.traversability(load=0.06 * weight) != identifier.traversability(load=0.05 * weight)
 
 
 @pytest.mark.parametrize(

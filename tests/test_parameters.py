@@ -1,6 +1,7 @@
 """Presets, strict loading and its one-line errors."""
 
 import copy
+import dataclasses
 import math
 
 import numpy as np
@@ -11,7 +12,7 @@ from soil_env import parameters
 from soil_env._io.loading import check, config_dir, load, merge, read_yaml, to_dict
 from soil_env.identification.rig import predict_table
 from soil_env.measurement import Setup, SetupWheel
-from soil_env.parameters import Belief, Control, ParameterError, Scenario, Soil, SoilSpread, load_scenario
+from soil_env.parameters import Belief, Control, ParameterError, Scenario, Soil, SoilSpread, load_scenario, wheels
 from soil_env.terramechanics.effects import NO_EFFECTS
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, rows_of
 
@@ -225,3 +226,9 @@ def test_a_scenario_of_a_file_is_named_with_its_folder(tmp_path):
     with pytest.raises(ParameterError) as error:
         load_scenario(path)
     assert str(error.value).startswith(f"{path}: ")
+
+
+@pytest.mark.parametrize("radius", [True, False, math.nan, "0.1"])
+def test_what_is_no_number_is_no_quantity(radius):
+    with pytest.raises(ParameterError, match=rf"^Wheel.radius = {radius!r}: expected a number in "):
+        dataclasses.replace(wheels()["planetary_rover"], radius=radius)

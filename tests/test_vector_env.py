@@ -1,6 +1,7 @@
 """The vector environment: bit for bit the scalar one, in every autoreset mode and with any number of threads."""
 
 import math
+import re
 
 import gymnasium
 import numpy as np
@@ -355,6 +356,12 @@ def test_bad_resets_are_named():
         env.reset(seed=[1, 2])
     for seed in (1.5, "a", [0, 1]):
         with pytest.raises(ValueError, match=r"^seed"):
+            env.reset(seed=seed)
+    for seed, named in (
+        (True, "seed = True"), (-1, "seed = -1"), ([0, 1.5, 2], "seed[1] = 1.5"), (["1", 2, 3], "seed[0] = '1'"),
+        ([0, 1, False], "seed[2] = False"), ([0, -1, 2], "seed[1] = -1"), (np.array([0.0, 1.0, 2.0]), "seed[0] = "),
+    ):  # fmt: skip
+        with pytest.raises(ParameterError, match=rf"^{re.escape(named)}.*: expected a whole number >= 0"):
             env.reset(seed=seed)
     for options in ([1], "mask", {"reset_mask": [0, 1, 2]}, {"reset_mask": [math.nan] * 3}):
         with pytest.raises(ValueError, match=r"^reset"):

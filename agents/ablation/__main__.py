@@ -21,7 +21,7 @@ from contextlib import closing
 from functools import partial
 from pathlib import Path
 
-from soil_env._io.commands import command, command_line, label, leave
+from soil_env._io.commands import command, command_line, folder, label, leave
 from soil_env._io.loading import ParameterError, config_dir
 
 from .. import studies
@@ -36,9 +36,9 @@ _NAME = __package__
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = manual_parser(command(_NAME), __doc__)
-    p.add_argument("--out", metavar="OUT", type=Path, help="folder of the study, made where it does not exist")
-    p.add_argument("--resume", metavar="OUT", type=Path, help="go on with a study; only --workers may be given")
-    p.add_argument("--report", metavar="OUT", type=Path, help="only write the results of what a study has so far")
+    p.add_argument("--out", metavar="OUT", type=folder, help="folder of the study, made where it does not exist")
+    p.add_argument("--resume", metavar="OUT", type=folder, help="go on with a study; only --workers may be given")
+    p.add_argument("--report", metavar="OUT", type=folder, help="only write the results of what a study has so far")
     p.add_argument("--config", metavar="YAML", type=Path, help="what is asked (default: configs/ablation.yaml)")
     p.add_argument("--scenarios", metavar="A,B", help="only these of the config")
     p.add_argument("--seeds", metavar="N", type=int, help="trainings of each agent on each scenario")

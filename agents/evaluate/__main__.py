@@ -30,7 +30,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 
-from soil_env._io.commands import command, command_line, leave
+from soil_env._io.commands import command, command_line, folder, leave
 from soil_env._io.loading import ParameterError, unknown_key
 from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
@@ -56,8 +56,10 @@ def parser(name: str = _NAME) -> argparse.ArgumentParser:
     """Options of the command."""
     p = manual_parser(command(name), __doc__, _EPILOG)
     p.add_argument("--controllers", metavar="CONTROLLERS", help="what is compared, with commas (see above)")
-    p.add_argument("--out", metavar="OUT", type=Path, help="folder of the results, made where it does not exist")
-    p.add_argument("--resume", metavar="OUT", type=Path, help="go on with an evaluation; only the engine may be given")
+    p.add_argument("--out", metavar="OUT", type=folder, help="folder of the results, made where it does not exist")
+    p.add_argument(
+        "--resume", metavar="OUT", type=folder, help="go on with an evaluation; only the engine may be given"
+    )
     p.add_argument("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help="or YAML file (default: %(default)s)")
     p.add_argument("--model", metavar="YAML", default="", help="model.yaml with the effects that are on in this world")
     p.add_argument("--courses", metavar="N", type=int, default=1000, help="courses that each drives (default: 1000)")

@@ -118,7 +118,8 @@ def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | No
         action = np.asarray(answer[0], dtype=float)
     except (TypeError, ValueError):
         raise ParameterError(f"{where} gave {answer[0]!r:.60}: expected actions of shape (3, 1)") from None
-    if action.shape != (3, 1) or not np.isfinite(action).all():
-        raise ParameterError(
-            f"{where} gave actions of shape {action.shape} for three wheels: expected finite numbers of shape (3, 1)"
-        )
+    if action.shape != (3, 1):
+        raise ParameterError(f"{where} gave actions of shape {action.shape} for three wheels: expected (3, 1)")
+    wrong = np.flatnonzero(~np.isfinite(action[:, 0]))
+    if wrong.size:
+        raise ParameterError(f"{where} gave {action[wrong[0], 0]} for wheel {wrong[0]}: expected finite numbers")

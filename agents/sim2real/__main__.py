@@ -16,9 +16,8 @@ from __future__ import annotations
 
 import argparse
 import importlib
-from pathlib import Path
 
-from soil_env._io.commands import command, command_line, label, leave
+from soil_env._io.commands import command, command_line, folder, label, leave
 from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 
 from ..cli import as_options, manual_parser
@@ -41,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
     default = {f: study.Study.__dataclass_fields__[f].default for f in _NUMBERS}
     p = manual_parser(command(_NAME), __doc__, _EPILOG)
     p.add_argument("--world", metavar="YAML", nargs="+", required=True, help="model.yaml of each hidden world")
-    p.add_argument("--out", metavar="OUT", type=Path, required=True, help="folder of the results")
+    p.add_argument("--out", metavar="OUT", type=folder, required=True, help="folder of the results")
     p.add_argument("--scenario", metavar="NAME", default=DEFAULT_SCENARIO,
                    help=f"name or YAML file (default: {DEFAULT_SCENARIO})")  # fmt: skip
     for name, text in _NUMBERS.items():

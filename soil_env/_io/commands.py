@@ -15,6 +15,7 @@ from soil_env._io.loading import ParameterError
 from soil_env._io.signals import INTERRUPTED, TERMINATED, module_asked, terminable
 
 BAD_INPUT = 2  # exit status
+UNREAD = 141  # exit status, 128 + the number of SIGPIPE: the reader of the output was gone
 STATUS = "exit status: 0 done; 2 bad input, said in one line and nothing written; 130 interrupted"
 
 
@@ -117,7 +118,8 @@ def command_line(
 
     Bad input (`ParameterError`), a file that cannot be read or written (`OSError`) and too little memory are
     `BAD_INPUT`; `memory` says what would need less. Ctrl-C and SIGTERM are `INTERRUPTED` and `TERMINATED`; what the
-    `KeyboardInterrupt` says, else `interrupted`, is added to their line.
+    `KeyboardInterrupt` says, else `interrupted`, is added to their line. Where the reader of the output is gone the
+    command ends silently, `UNREAD`.
     """
 
     def decorate(main: Callable[..., int]) -> Callable[..., int]:
@@ -125,7 +127,17 @@ def command_line(
         @wraps(main)
         def run(*args, **kwargs) -> int:
             try:
-                return main(*args, **kwargs)
+                status = main(*args, **kwargs)
+                if sys.stdout is not None:
+                    sys.stdout.flush()
+                return status
+            except BrokenPipeError:  # whoever reads the output has enough, as `head`
+                drop_output()
+                return UNREAD
+            except SystemExit as end:  # as rich ends then
+                if isinstance(end.__context__, BrokenPipeError):
+                    return UNREAD
+                raise
             except KeyboardInterrupt as error:
                 more = str(error) or interrupted
                 print(f"\n{label(module, script)}: interrupted{'; ' if more else ''}{more}", file=sys.stderr)

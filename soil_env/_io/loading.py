@@ -51,7 +51,8 @@ def check(instance) -> None:
         for x in numbers:
             if x is None:
                 continue
-            if not (isinstance(x, (int, float)) and math.isfinite(x) and low <= x <= high):
+            is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
+            if not (is_number and math.isfinite(x) and low <= x <= high):
                 raise ParameterError(
                     f"{type(instance).__name__}.{f.name} = {value!r}: expected a number "
                     f"in [{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()

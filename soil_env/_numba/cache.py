@@ -196,4 +196,4 @@ def _announcement() -> str:
         return f"compiling, about 30 s, in every process: {wish}; set NUMBA_CACHE_DIR to a folder that can"
     if wanted and Path(wanted).resolve() not in _FOLDER.resolve().parents:
         return f"NUMBA_CACHE_DIR={wanted} cannot be written; compiling, about 30 s, once, {place()} instead"
-    return "compiling what is used for the first time: about 30 s for an environment, less for other parts, each once"
+    return "compiling, at the first use only: about 30 s for each kind of environment, less for other parts"

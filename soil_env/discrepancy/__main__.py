@@ -46,7 +46,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from soil_env._io.commands import command_line, leave, table_parser, whole_number
+from soil_env._io.commands import command_line, folder, label, leave, table_parser, whole_number
 from soil_env.discrepancy.report import FILES, show
 from soil_env.discrepancy.report.words import check_first, summary
 from soil_env.discrepancy.workflow import run
@@ -94,7 +94,7 @@ def _stages() -> Callable[[str], None]:
         stage = text.partition(":")[0]
         if stage != said[0]:
             said[0] = stage
-            print(f"{NAME}: {stage}", file=sys.stderr)
+            print(f"{label(NAME)}: {stage}", file=sys.stderr)
 
     return say
 
@@ -108,7 +108,9 @@ _EXAMPLES = """\
 
 def _parser() -> argparse.ArgumentParser:
     p = table_parser(NAME, __doc__, _WRITTEN, _EXAMPLES)
-    p.add_argument("--out", required=True, metavar="DIR", help="folder for the report, made if need be; required")
+    p.add_argument(
+        "--out", type=folder, required=True, metavar="DIR", help="folder for the report, made if need be; required"
+    )
     p.add_argument(
         "--seed", type=whole_number(), default=0, metavar="N",
         help="of everything random (default 0); same seed, same report",

@@ -39,7 +39,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-from soil_env._io.commands import command_line, command_parser, leave
+from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.files import check_outputs, replace_files
 from soil_env._io.loading import ParameterError
 
@@ -273,12 +273,12 @@ def _folder(path: Path) -> Path:
     """The folder with the two .mat files: `path`, or raw-data-processing in it."""
     if not path.is_dir():
         raise ParameterError(f"{path}: {'is a file' if path.exists() else 'not found'}: expected a folder")
-    for folder in (path, path / "raw-data-processing"):
-        missing = [name for name in FILES.values() if not (folder / name).is_file()]
+    for place in (path, path / "raw-data-processing"):
+        missing = [name for name in FILES.values() if not (place / name).is_file()]
         if not missing:
-            return folder
+            return place
         if len(missing) < len(FILES):
-            raise ParameterError(f"{folder}: {missing[0]} not found: expected {' and '.join(FILES.values())}")
+            raise ParameterError(f"{place}: {missing[0]} not found: expected {' and '.join(FILES.values())}")
     raise ParameterError(f"{path}: expected {' and '.join(FILES.values())} there or in raw-data-processing/")
 
 
@@ -304,7 +304,11 @@ def main(arguments: list[str] | None = None) -> int:
         "path", metavar="PATH", type=Path, help="clone of the repository, or the folder of its .mat files"
     )
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, required=True, help="folder for tables and setups, made if need be; required"
+        "--out",
+        metavar="DIR",
+        type=folder,
+        required=True,
+        help="folder for tables and setups, made if need be; required",
     )
     parser.add_argument(
         "--braking", action="store_true",

@@ -47,10 +47,9 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from soil_env._io.commands import command_line, leave, table_parser
+from soil_env._io.commands import command_line, folder, leave, table_parser
 from soil_env._io.document import Table
 from soil_env._io.files import check_outputs, plain, replace_files
-from soil_env._io.loading import ParameterError
 from soil_env.identification.table import SYMBOLS, TableEstimate, identify_table
 from soil_env.measurement.table import read_setup, read_table
 
@@ -70,8 +69,6 @@ LABELS = {
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     options = _parser().parse_args(arguments)
-    if options.out == "":
-        raise ParameterError("--out is empty: expected a folder")
     setup = read_setup(options.setup)
     table = read_table(options.data, setup.wheel, setup.ignore_columns)
     if options.out is not None:
@@ -96,7 +93,7 @@ _EXAMPLES = """    python -m soil_env.identification examples/data/single_wheel.
 def _parser() -> argparse.ArgumentParser:
     p = table_parser(NAME, __doc__, _WRITTEN, _EXAMPLES)
     p.add_argument(
-        "--out", metavar="DIR",
+        "--out", type=folder, metavar="DIR",
         help="write identification.json and identification.png there; made if need be (default: print only)",
     )  # fmt: skip
     return p

@@ -16,6 +16,7 @@ from soil_env.online import Estimate, OnlineIdentifier, Readings, Status
 ESTIMATED = tuple(n for n in Estimate.__dataclass_fields__ if n not in ("status", "renewed", "borders"))
 COLUMNS = (*ESTIMATED, "drawbar_margin", "torque_required")
 _LEARNT = 0.8  # sd over prior sd, below which something was learnt
+_LEAST_LOAD = 1e-9  # [N] of a wheel that is lifted, or whose reading of the load has noise
 _CONTRADICTS = 0.2  # share of the steps with status MISFIT, beyond which it is told
 
 
@@ -105,7 +106,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         ground[k] = 1 + restarts + before + found.borders
         if e.renewed:
             load, pitch = loads[k], pitches[k] if pitches[k] == pitches[k] else 0.0
-            way = identifier.traversability(None if load != load else load, pitch)
+            way = identifier.traversability(None if load != load else max(load, _LEAST_LOAD), pitch)
             ahead = way.drawbar_margin, way.torque_required
         table[k], status[k], renewed[k], last = _numbers(e, *ahead), e.status, e.renewed, t
     values = {name: table[:, i] for i, name in enumerate(COLUMNS)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from decimal import Decimal
@@ -82,7 +83,7 @@ def _csv(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
             at, places = header.index(stamps), [header.index(c) for c in columns]
             block: list[tuple[int, int, list[float]]] = []
             late: str | None = None  # a short row, no matter if it is the last
-            any_row = False
+            any_row, nans = False, Counter[str]()
             for cells in rows:
                 if late is not None:
                     raise ParameterError(late)
@@ -92,6 +93,7 @@ def _csv(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
                     continue
                 time = _cell(cells[at], lambda t: _stamp(t, unit), path, row, stamps, f"a time in {unit} in every row")
                 block.append((row, time, [_cell(cells[p], _value, path, row, header[p]) for p in places]))
+                nans.update(header[p] for p, x in zip(places, block[-1][2], strict=True) if x != x and cells[p].strip())
                 any_row = True
                 if len(block) == _BLOCK:
                     progress(raw.tell(), size)
@@ -102,6 +104,8 @@ def _csv(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
                 raise ParameterError(f"{path}: no whole row below the header{cut}")
             if late is not None:
                 notes.add(f"{path.name} is cut off in its last row: that row is left out")
+            for column, count in nans.items():
+                notes.add(f"column {column}: {count} cell{'s' * (count > 1)} nan: taken as empty")
             if block:
                 yield _block(block, columns)
     except UnicodeDecodeError as error:

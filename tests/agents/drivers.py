@@ -94,6 +94,15 @@ class LateNaN(Late):
     value = np.nan
 
 
+class OneNaN(Half):
+    """The second action is no number from the first step on."""
+
+    def predict(self, obs, state=None, episode_start=None, deterministic=True):
+        action = np.full((len(obs), 1), 0.4)
+        action[1] = np.nan
+        return action, state
+
+
 class Killer(Half):
     """Kills its process, once, in step 40: SOIL_ENV_TEST_KILL names a file that says it has."""
 

@@ -25,6 +25,7 @@ from tests.agents.saved import edit, rewrite
         (["--controllers=tests.agents.drivers:Halve"], ("'Halve'", "did you mean 'Half'?")),
         (["--controllers=tests.agents.drivers:NoPredict"], ("no method predict",)),
         (["--controllers=tests.agents.drivers:WrongShape"], ("tests.agents.drivers:WrongShape", "(3,)", "(3, 1)")),
+        (["--controllers=tests.agents.drivers:OneNaN"], ("predict gave nan for wheel 1: expected finite numbers",)),
         (["--controllers=tests.agents.drivers:NoState"], ("expected (action, state)",)),
         (["--controllers=tests.agents.drivers:OtherVariant"], ("'blnd'", "blind, identified, true_soil")),
         (["--controllers=tests.agents.drivers:Raises"], ("OSError: no such device", "drivers.py line")),

@@ -19,7 +19,7 @@ from agents import cli, plots, ppo, training
 from agents.controllers import CONTROLLERS
 from agents.evaluate import METRICS
 from agents.ppo import PPOConfig, TrainConfig, load_agent, load_config, read_meta
-from soil_env._io.loading import to_dict
+from soil_env._io.loading import ParameterError, to_dict
 from soil_env.parameters import load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -214,9 +214,15 @@ def test_the_verdict_follows_from_the_intervals(agent, words, overlap):
 
 
 def test_overrides_are_read_as_yaml():
-    arguments = ["--a", "1", "--b.c=x=y", "--b.d", "[1, 2]", "--e-f", "1e6", "--g", "-3", "--b.c", "z", "--h", "{"]
+    arguments = ["--a", "1", "--b.c=x=y", "--b.d", "[1, 2]", "--e-f", "1e6", "--g", "-3", "--h", "{"]
     read = cli.overrides(arguments)
-    assert read == {"a": 1, "b": {"c": "z", "d": [1, 2]}, "e_f": "1e6", "g": -3, "h": "{"}
+    assert read == {"a": 1, "b": {"c": "x=y", "d": [1, 2]}, "e_f": "1e6", "g": -3, "h": "{"}
+
+
+@pytest.mark.parametrize("twice", [["--b.c", "1", "--b.c=2"], ["--e-f", "1", "--a", "3", "--e_f", "1"]])
+def test_an_option_given_twice_is_refused(twice):
+    with pytest.raises(ParameterError, match=r"^--(b\.c|e_f): given twice: expected one value$"):
+        cli.overrides(twice)
 
 
 @pytest.mark.parametrize(
@@ -236,7 +242,12 @@ def test_overrides_are_read_as_yaml():
         (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
         (["--courses"], ["courses", "value"]),
         (["5"], ["'5'", "--key value"]),
+        (["smoke.yaml"], ["'smoke.yaml': expected --key value; did you mean --config smoke.yaml?"]),
+        (["--timesteps", "1e6", "--timesteps", "2e6"], ["--timesteps: given twice: expected one value"]),
         (["--name", "a/b"], ["a/b", "name"]),
+        (["--config", "smoke.yaml", "--rover", "mars_rover"], ["train.py: smoke.yaml: oracle_courses = 2: expected"]),
+        (["--config", "smoke.yaml", "--rover", "mars_rovr"], ["'mars_rovr'; did you mean 'mars_rover'?"]),
+        (["--rover", "mars_rover", "--oracle_courses", "5"], ["train.py: command line: oracle_courses = 5: expected"]),
         (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
         (["--config"], ["config"]),
     ],

@@ -4,9 +4,16 @@ import os
 
 import pytest
 
+from agents import seeds, tune
+from agents.ablation import __main__ as ablation
+from agents.evaluate import __main__ as evaluate
 from agents.sim2real import __main__ as sim2real
 from benchmarks import clients, cmu, fuzz, identification, memory, throughput, training
 from benchmarks.blind import __main__ as blind
+from soil_env.discrepancy import __main__ as discrepancy
+from soil_env.discrepancy import cmu as cmu_tables
+from soil_env.identification import __main__ as identification_command
+from soil_env.logs import __main__ as logs
 from soil_env.paper import __main__ as paper
 from tests.agents.test_sim2real import WORLDS
 
@@ -24,6 +31,26 @@ COMMANDS = {
     "throughput": (throughput, "benchmarks.throughput", OUT, "run"),
     "training": (training, "benchmarks.training", OUT, "measure"),
 }
+
+
+NAMED = {name: module for name, (module, *_) in COMMANDS.items() if name in ("cmu", "paper", "sim2real")} | {
+    "ablation": ablation, "cmu_tables": cmu_tables, "discrepancy": discrepancy, "evaluate": evaluate,
+    "identification": identification_command, "logs": logs, "seeds": seeds, "tune": tune,
+}  # fmt: skip
+
+
+FOLDERS = [(name, "--out") for name in NAMED] + [
+    ("ablation", "--resume"), ("ablation", "--report"), ("evaluate", "--resume"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("command, option", FOLDERS)
+def test_an_empty_folder_name_is_refused(command, option, capsys):
+    with pytest.raises(SystemExit) as end:
+        NAMED[command].main([option, ""])
+    err = capsys.readouterr().err
+    assert end.value.code == 2 and err.count("\n") == 1
+    assert err.endswith(f": error: argument {option}: is empty: expected a folder\n")
 
 
 @pytest.mark.parametrize("command", COMMANDS)

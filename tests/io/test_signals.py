@@ -170,6 +170,25 @@ def test_what_goes_wrong_in_a_command_is_one_line(capsys, error, status, said):
     assert capsys.readouterr().err == said
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes")
+@pytest.mark.parametrize("say", ["print('x', flush=True)", "print('x')", "Console().print('x')"])
+def test_a_reader_that_has_enough_ends_a_command_silently(say):
+    """As COMMAND | head does: status 141 of `SIGPIPE` and no line, also where only the interpreter's end writes."""
+    code = (
+        "from rich.console import Console\nfrom soil_env._io.commands import command_line, leave\n"
+        f"leave(command_line('mine')(lambda: {say} or 0)())"
+    )
+    read, write = os.pipe()
+    os.close(read)
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    command = [sys.executable, "-c", code]
+    try:
+        done = subprocess.run(command, cwd=ROOT, env=env, stdout=write, stderr=subprocess.PIPE, text=True)
+    finally:
+        os.close(write)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_print_that_fails_is_one_line():
     code = (

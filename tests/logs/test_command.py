@@ -102,6 +102,14 @@ def test_a_gap_starts_the_identifier_anew(log_map):
     assert two.values["shear_modulus"][-1] != one.values["shear_modulus"][-1]
 
 
+def test_readings_of_a_lifted_wheel_are_replayed(log_map):
+    """A load of nothing or less, as of a sensor with noise, is judged under the least load."""
+    log = made(log_map, [(s, 2.0) for s in (0.1, 0.4, 0.2, 0.6)])
+    log.readings["load"][40:] = np.tile([0.0, -0.5], 20)
+    out = replay(log, log_map)
+    assert out.renewed[40:].any() and np.isfinite(out.values["drawbar_margin"][-1])
+
+
 @pytest.mark.parametrize("method", ["filter", "window"])
 def test_what_is_told_is_what_was_learnt(log_map, method):
     log_map = dataclasses.replace(log_map, belief=dataclasses.replace(log_map.belief, method=method))

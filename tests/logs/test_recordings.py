@@ -435,6 +435,15 @@ def test_a_table_with_nothing_whole_in_it(tmp_path, content, named):
     assert "unknown key" not in str(error.value)
 
 
+def test_cells_that_are_nan_are_counted_as_empty_ones(tmp_path):
+    rows = [f"{0.1 * k:g},2,{v},{z},5\n" for k, (v, z) in enumerate([(0.1, "nan"), ("NaN", ""), (" nan ", 0.02)])]
+    (tmp_path / "a.csv").write_text(HEADER + "".join(rows))
+    found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
+    assert found.counts["speed"].readings == found.counts["sinkage"].readings == 1
+    told = [line for line in found.notes if "nan" in line]
+    assert sorted(told) == ["column sinkage: 1 cell nan: taken as empty", "column speed: 2 cells nan: taken as empty"]
+
+
 def test_time_that_goes_back_in_a_table(tmp_path):
     """By less than max_gap a row is put where it belongs, by more it is left out; both are told with the first row."""
     log_map = read_map(write_map(tmp_path, COLUMNS))

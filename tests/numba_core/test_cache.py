@@ -117,3 +117,9 @@ def test_code_that_cannot_be_saved_is_one_line_and_runs(tmp_path, monkeypatch, c
     monkeypatch.delenv("PYTEST_CURRENT_TEST")
     assert root(tripled)(2.0) == 6.0
     assert sum("No space left" in line for line in capsys.readouterr().err.splitlines()) == 1
+
+
+def test_the_line_before_compiling_says_how_often_it_comes(monkeypatch, tmp_path):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(cache, "_FOLDER", tmp_path)
+    assert "about 30 s for each kind of environment" in cache._announcement()

@@ -91,6 +91,21 @@ def test_bad_input_is_said_in_one_line(name, arguments, tmp_path, monkeypatch, c
     assert end.value.code == 2 and said.startswith(f"{name}.py: error: ") and said.count("\n") == 1
 
 
+@pytest.mark.parametrize("port", ["0", "-1", "65536", "99999"])
+def test_a_port_that_cannot_be_is_refused(port, tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit) as end:
+        run("live_identifier", f"--udp {port}", tmp_path, monkeypatch)
+    said = capsys.readouterr().err
+    assert end.value.code == 2 and f"--udp {port}: expected a port, from 1 to 65535" in said
+
+
+def test_a_frame_after_the_end_of_the_course_is_told(tmp_path, monkeypatch, capsys):
+    run("drive", "--controller full_throttle --frame 100000 --out wheel.png", tmp_path, monkeypatch)
+    said = capsys.readouterr().out
+    told = r"^--frame 100000: the course ended before, after \d+ periods; the picture is of its end$"
+    assert re.search(told, said, re.MULTILINE)
+
+
 def test_a_rover_that_identifies_nothing_is_driven(tmp_path, monkeypatch, capsys):
     (tmp_path / "mine.yaml").write_text((FOLDER.parent / "configs/rovers/field_rover.yaml").read_text().replace(
         "\nbelief: {", "\nbelief: {method: none, "))  # fmt: skip
