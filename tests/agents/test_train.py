@@ -34,6 +34,12 @@ TINY = (
 ROLLOUT = 128
 
 
+def tiny(*other):
+    """`TINY` with other values of some of its keys, as --KEY=VALUE, and more keys."""
+    keys = {argument.partition("=")[0] for argument in other}
+    return [*(argument for argument in TINY if argument.partition("=")[0] not in keys), *other]
+
+
 def run(capsys, *arguments):
     """Exit status, stdout and stderr of a run in this process."""
     capsys.readouterr()
@@ -371,7 +377,7 @@ def test_interrupt_saves_a_checkpoint_and_resume_completes(capsys, tmp_path, mon
     folder = tmp_path / "n"
     with monkeypatch.context() as patch:
         patch.setattr(SoilWheelVecEnv, "step_wait", interrupted)
-        code, _, err = run(capsys, *TINY, "--timesteps=512", "--runs", tmp_path, "--name", "n")
+        code, _, err = run(capsys, *tiny("--timesteps=512"), "--runs", tmp_path, "--name", "n")
     assert code == 130 and f"--resume {folder}" in err and "Traceback" not in err
     reached = read_meta(folder / "checkpoint.zip")["timesteps"]
     assert 2 * ROLLOUT < reached < 3 * ROLLOUT
@@ -418,12 +424,13 @@ def test_checkpoints_come_as_often_as_asked(capsys, tmp_path, monkeypatch):
         original(model, path, **more)
 
     monkeypatch.setattr(ppo, "save", spy)
-    code, _, err = run(capsys, *TINY, "--timesteps=640", "--checkpoint_every=256", "--runs", tmp_path, "--name", "n")
+    asked = tiny("--timesteps=640", "--checkpoint_every=256")
+    code, _, err = run(capsys, *asked, "--runs", tmp_path, "--name", "n")
     assert code == 0, err
     assert saved == [("checkpoint.zip", 256), ("checkpoint.zip", 512), ("model.zip", 640)]
 
 
-LONG = [*TINY, "--timesteps=100000000", f"--checkpoint_every={ROLLOUT}"]
+LONG = tiny("--timesteps=100000000", f"--checkpoint_every={ROLLOUT}")
 
 
 def shorten(folder, extra=2 * ROLLOUT):
@@ -463,7 +470,7 @@ def test_a_run_that_was_killed_ends_as_one_that_was_not(capsys, tmp_path, monkey
     """Killed after a checkpoint, in the middle of the next rollout: the same weights, the same table."""
     if not more:
         request.getfixturevalue("undrawn")
-    arguments = [*TINY, *more, "--timesteps=640", f"--checkpoint_every={2 * ROLLOUT}", "--runs", tmp_path]
+    arguments = [*tiny(*more, "--timesteps=640", f"--checkpoint_every={2 * ROLLOUT}"), "--runs", tmp_path]
     assert run(capsys, *arguments, "--name", "calm")[0] == 0
 
     class Killed(BaseException):
