@@ -26,8 +26,10 @@ def make_models(folder):
 
 
 def evaluate(out, controllers, *more):
-    """Status of a short evaluation."""
-    return main(["--controllers", controllers, "--out", str(out), *SHORT, *more])
+    """Status of a short evaluation; `more` is in place of what is usual."""
+    later = {option.partition("=")[0] for option in more}
+    short = [option for option in SHORT if option.partition("=")[0] not in later]
+    return main(["--controllers", controllers, "--out", str(out), *short, *more])
 
 
 def result_of(folder):

@@ -116,7 +116,7 @@ def test_a_folder_of_another_evaluation_is_refused(capsys, tmp_path, done, model
     out = tmp_path / "copy"
     shutil.copytree(done, out)
     before = {p.name: p.read_bytes() for p in out.iterdir()}
-    own = [] if controllers == "full_throttle" else ["--settings.fixed_slip.slip=0.2"]
+    own = [] if controllers == "full_throttle" or "fixed_slip" in option else ["--settings.fixed_slip.slip=0.2"]
     names = controllers.format(all=everything(models))
     assert evaluate(out, names, *own, option) == 2
     error = capsys.readouterr().err
