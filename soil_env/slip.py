@@ -32,6 +32,13 @@ def motion_from_slip(slip):
     return alike(1.0, slip), where_less(slip, 0.0, 1.0 / braking, 1.0 - slip)
 
 
+@inlined
+def travel_rate(travel):
+    """Derivative of `travel` of `motion_from_slip` by the slip: -1 driving, -travel^2 braking."""
+    braking = larger(travel, 1.0)
+    return -1.0 * braking * braking
+
+
 def travel_speeds(rim_speed: float | np.ndarray, slip: float | np.ndarray) -> np.ndarray:
     """`motion_from_slip` of arrays of numpy: V [m/s], [N], at rim speeds r w [m/s] and slips in [-1, 1]."""
     return rim_speed * np.where(slip < 0.0, 1.0 / np.maximum(1.0 + slip, 1e-9), 1.0 - slip)

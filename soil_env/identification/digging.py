@@ -19,7 +19,7 @@ import math
 
 from soil_env._numba.compiling import inlined
 from soil_env._numba.rows import Rows, copy_column, rows
-from soil_env.terramechanics.effects import excavation_rate
+from soil_env.terramechanics.effects import excavation_rate, onto_fresh
 
 #: Points kept as places of reference.
 KEPT = 8
@@ -48,7 +48,7 @@ def onto_fresh_ground(memory, k, moved):
     """Move wheel k by `moved` [m]: how far of that it came onto ground that it had not touched."""
     place, high, low = memory.place[k] + moved, memory.furthest[k], memory.lowest[k]
     memory.place[k], memory.furthest[k], memory.lowest[k] = place, max(place, high), min(place, low)
-    return max(place - high, 0.0) + max(low - place, 0.0)
+    return onto_fresh(place, low, high)
 
 
 @inlined

@@ -32,7 +32,7 @@ from soil_env.identification.linearised import (
     Linearised,
     linearise,
 )
-from soil_env.slip import motion_from_slip
+from soil_env.slip import motion_from_slip, travel_rate
 
 _YIELD_RATE = 6.0  # [1/s] at which a wheel comes up to its bearing sinkage, in the mean over a point
 _LAG = 0.5  # share of the change in bearing sinkage since the last point that has not acted yet
@@ -208,8 +208,7 @@ def measure(mean, covariance, at, out, size, point, numbers):
     less(last, of_sinkage, from_array(of_sinkage, MASS * COUNT), size)
 
     travel = motion_from_slip(slip)[1]
-    braking = larger(travel, 1.0)  # V/(r w) where it brakes, whose slope by the slip is its square
-    slope, misfit = (-point.rim_speed) * braking * braking, point.speed - point.rim_speed * travel
+    slope, misfit = point.rim_speed * travel_rate(travel), point.speed - point.rim_speed * travel
     variance = fill((sd[5] * sd[5] + sd[6] * sd[6]) / n)
     a, b, scale = _take_state(mean, of_slip, at, SLIP, slope, misfit, variance, size)
     x2, logs = x2 + a, logs + b

@@ -22,7 +22,7 @@ from soil_env._numba.compiling import inlined
 from soil_env._numba.elementary import exp, half_sin_cos, larger, log
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import Rows, rows, scratch_rows
-from soil_env.slip import motion_from_slip
+from soil_env.slip import motion_from_slip, travel_rate
 from soil_env.terramechanics.arc_integrals import (
     NODE_COLUMNS,
     Nodes,
@@ -138,8 +138,7 @@ def linearise(x, cos_pitch, reference, numbers, out):
     none = 0.0 * c
     of_s = forces(q, none + 1.0, tan_phi, none, r, b, 1.0)
     st, by_K = s * tan_phi, shear_modulus_rates(by_rim, by_travel, rim, travel, K)
-    braking = larger(travel, 1.0)
-    rate = -1.0 * braking * braking  # d travel/d slip: -1 driving, -travel^2 braking
+    rate = travel_rate(travel)
     _by(out, STRENGTH, shear_forces(q, s * phi.by_strength, none, r, b, 1.0), of_s, s, n, none)
     through_phi = shear_forces(q, s * phi.by_ln_K, none, r, b, 1.0)
     directly = shear_forces(by_K, st * K, c * K, r, b, 1.0)

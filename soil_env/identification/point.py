@@ -9,7 +9,7 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part, root
 from soil_env._numba.rows import Rows, rows
-from soil_env.slip import motion_from_slip
+from soil_env.slip import motion_from_slip, travel_rate
 from soil_env.terramechanics.arc_integrals import (
     integrals_of,
     shear_modulus_rates,
@@ -118,7 +118,7 @@ def channels_at(x, slip, sinkage, dig_ratio, reading):
     resistance = compaction_resistance(sinkage, S, n, b) if reading.paper_resistance else -1.0
     k = shear_modulus_rates(by_rim, by_travel, rim, travel, K)
     y = channels(q, k, S, tan_phi, K, reading.cohesion, r, b, resistance)
-    rate = -1.0 if slip >= 0.0 else -travel * travel  # d travel/d slip
+    rate = travel_rate(travel)
     return y, _in_order(shear_forces(by_travel, rate * S * tan_phi, rate * reading.cohesion, r, b, 1.0))
 
 

@@ -50,7 +50,7 @@ from soil_env.simulation.wheel import (
     motor,
     relax_sinkage,
 )
-from soil_env.terramechanics.effects import digging_ratio
+from soil_env.terramechanics.effects import digging_ratio, onto_fresh
 from soil_env.terramechanics.steady import DEEPEST
 
 __all__ = ["MANY", "STEP", "TOLERANCE", "advance"]
@@ -156,7 +156,7 @@ def _sink(state, k, i, alive, sub, world, mobilised, moved, slid, duration):
     if world.wheel.on:
         bearing = bearing + from_array(g.lift, i)
     x, low, high = from_array(state.x, k) + moved, from_array(state.lowest_x, k), from_array(state.best_x, k)
-    fresh = smaller((larger(x - high, 0.0) + larger(low - x, 0.0)) / larger(abs(moved), 1e-12), 1.0)
+    fresh = smaller(onto_fresh(x, low, high) / larger(abs(moved), 1e-12), 1.0)
     onto = fresh * bearing + (1.0 - fresh) * from_array(rut, k)
     over = 1.0 / duration
     relaxed = relax_sinkage(sinkage, bearing, onto, over * moved, over * slid, soil, world.relaxation, duration)

@@ -110,6 +110,12 @@ def digging_ratio(slid, way, gain, recovery):
 
 
 @inlined
+def onto_fresh(x, low, high):
+    """How far [m] a wheel at x that had been between `low` and `high` has come onto ground that it had not touched."""
+    return larger(x - high, 0.0) + larger(low - x, 0.0)
+
+
+@inlined
 def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z.
 
