@@ -159,7 +159,8 @@ class Warnings(Alarm):
         moved = (step > _STEP).any(axis=1) | (np.abs(load - known[:, 5]) > 0.1 * known[:, 5])
         rows = np.flatnonzero(alive & moved)
         soils = np.empty((len(load), 7))
-        soils[rows] = np.column_stack(np.broadcast_arrays(*soil_as_identified(x[rows, :5].T, belief)))
+        for k in rows:
+            soils[k] = soil_as_identified(x[k, :5], belief)
         best_points(rows, soils, load, wheel.radius, wheel.width, wheel.stall_torque, self.best_slip, self.best_pull)
         self.best_pull[rows] /= load[rows]
         known[rows] = np.column_stack([x[rows, :5], load[rows]])

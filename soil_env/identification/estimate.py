@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from soil_env._numba.compiling import inlined, uncompiled
 from soil_env.parameters import Belief, SoilState
 
-STIFFEST = 1e13  # sinkage coefficient, and
-MOST_DIGGING = 20.0  # gain of digging up to which an estimate is taken at its word
+STIFFEST = 1e13  # sinkage coefficient up to which an estimate is taken at its word,
+MOST_DIGGING = 20.0  # and gain of digging
 LEAST_LOAD = 0.05  # of the weight, under which no working point is sought
 
 
@@ -16,15 +18,16 @@ LEAST_LOAD = 0.05  # of the weight, under which no working point is sought
 def soil_of_estimate(x, dig_gain, exponent, dig_recovery):
     """`SoilState` of the estimate x [5] of (phi [rad], ln K, ln S, cohesion, ln(gain of digging / `dig_gain`)).
 
-    Exponent and recovery of digging are those of the belief. Numbers, or from Python arrays [n] too.
+    Exponent and recovery of digging are those of the belief.
     """
     return SoilState(
-        np.tan(x[0]), x[3], np.exp(x[1]), np.minimum(np.exp(x[2]), STIFFEST), exponent,
-        np.minimum(dig_gain * np.exp(x[4]), MOST_DIGGING), dig_recovery,
+        math.tan(x[0]), x[3], math.exp(x[1]), min(math.exp(x[2]), STIFFEST), exponent,
+        min(dig_gain * math.exp(x[4]), MOST_DIGGING), dig_recovery,
     )  # fmt: skip
 
 
 def soil_as_identified(estimate: np.ndarray, belief: Belief) -> SoilState:
-    """`soil_of_estimate` of an estimate [5], or of many [5, n], under a belief; its angle as published, in degrees."""
-    x = (np.radians(np.degrees(estimate[0])), *estimate[1:])
+    """`soil_of_estimate` of an estimate [5] under a belief; the friction angle to the bit as published, in degrees."""
+    phi, *rest = estimate.tolist()
+    x = math.radians(math.degrees(phi)), *rest
     return uncompiled(soil_of_estimate)(x, belief.dig_gain, belief.sinkage_exponent, belief.dig_recovery)
