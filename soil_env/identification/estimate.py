@@ -9,9 +9,9 @@ import numpy as np
 from soil_env._numba.compiling import inlined, uncompiled
 from soil_env.parameters import Belief, SoilState
 
-STIFFEST = 1e13  # sinkage coefficient up to which an estimate is taken at its word,
-MOST_DIGGING = 20.0  # and gain of digging
-LEAST_LOAD = 0.05  # of the weight, under which no working point is sought
+STIFFEST = 1e13  # largest sinkage coefficient that an estimate may stand for, whatever its exponent
+MOST_DIGGING = 20.0  # largest gain of digging that an estimate may stand for
+LEAST_LOAD = 0.05  # share of the weight below which a measured load counts as this share
 
 
 @inlined
