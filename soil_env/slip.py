@@ -14,15 +14,30 @@ from soil_env._numba.lanes import alike
 
 
 @inlined
-def slip_ratio(rim_speed, travel_speed, floor):
-    """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse.
+def signed_slip(rim_speed, travel_speed, floor):
+    """(slip in [-1, 1], its derivatives by the two speeds [s/m]): (r w - V)/max(|r w|, |V|), of the sign of r w - V.
 
     `floor` [m/s] bounds the denominator from below, so that a wheel at rest has slip 0.
     """
-    scale = larger(larger(abs(rim_speed), abs(travel_speed)), floor)
-    difference = rim_speed - travel_speed
-    forward = where_less(rim_speed + travel_speed, 0.0, -difference, difference)
-    return larger(-1.0, smaller(1.0, forward / scale))
+    u, v = abs(rim_speed), abs(travel_speed)
+    scale = larger(larger(u, v), floor)
+    slip = larger(-1.0, smaller(1.0, (rim_speed - travel_speed) / scale))
+    rolling = where_less(v, u, 1.0, 0.0)  # the rim is the faster one
+    moving = where_less(larger(u, v), floor, 0.0, 1.0)
+    sign_u, sign_v = where_less(rim_speed, 0.0, -1.0, 1.0), where_less(travel_speed, 0.0, -1.0, 1.0)
+    inside = where_less(abs(slip), 1.0, 1.0, 0.0)
+    return (
+        slip,
+        inside * (1.0 - moving * rolling * slip * sign_u) / scale,
+        inside * (-1.0 - moving * (1.0 - rolling) * slip * sign_v) / scale,
+    )
+
+
+@inlined
+def slip_ratio(rim_speed, travel_speed, floor):
+    """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse (`signed_slip`)."""
+    slip, _, _ = signed_slip(rim_speed, travel_speed, floor)
+    return where_less(rim_speed + travel_speed, 0.0, -slip, slip)
 
 
 @inlined

@@ -1,9 +1,9 @@
 """Borders between soils: where the filter takes one to begin, and the ground on it.
 
-Over `Belief.border` metres the ground passes from one soil to the next, moduli geometrically and all else linearly with
-the share of the new soil (`terrain.blend`), a cubic of the distance from the middle of the border. On a border the
-state of a filter has the old soil too, the place of the border, and by how much the grade rises from one soil to the
-next (`filter_bank`): readings on it tell of both soils, in proportion to their shares.
+Over `Belief.border` metres the ground passes from one soil to the next, moduli geometrically and all else linearly
+(`ground.blend`) with the share of the new soil (`ground.share_of_next`), a cubic of the distance from the middle of the
+border. On a border the state of a filter has the old soil too, the place of the border, and by how much the grade rises
+from one soil to the next (`filter_bank`): readings on it tell of both soils, in proportion to their shares.
 
 The soils of a course have a grade each, which passes with them, so the grade tells where a border is before the forces
 do. `CANDIDATES` places, evenly over the length of a border, are tested by every reading of the pitch: with y the pitch
@@ -23,7 +23,7 @@ import math
 from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import exp, larger, log, smaller, smooth_step
+from soil_env._numba.elementary import exp, larger, log, smaller
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
 from soil_env.identification.filter_bank import (
     CANDIDATES,
@@ -38,6 +38,7 @@ from soil_env.identification.filter_bank import (
     prior_of_soil,
 )
 from soil_env.identification.linearised import GAIN, LN_K, MASS, SINKAGE, SLIP, STATES, STRENGTH, mobilised_share
+from soil_env.terramechanics.ground import share_of_next
 
 _ODDS = 3.0  # ln odds at which a change of the grade is a border
 _HAZARD = 0.5  # [1/m] of borders, as believed
@@ -79,8 +80,8 @@ def search(banks, k, numbers):
 
 @inlined
 def _share(x, place, length):
-    """(share of the new soil at x, its derivative by the place of the border), as `terrain.ground_at` blends."""
-    w, rate = smooth_step((x - place) * (1.0 / length) + 0.5)
+    """(share of the new soil at x, its derivative by the place of the border)."""
+    w, rate = share_of_next((x - place) * (1.0 / length))
     return w, (-1.0 / length) * rate
 
 

@@ -32,6 +32,7 @@ from soil_env._numba.compiling import FastCall, inlined, root
 from soil_env._numba.elementary import exp, fma
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env.parameters import Scenario
+from soil_env.terramechanics.motor import full_voltage
 
 FILE = Path(__file__).with_suffix(".json")
 HORIZONS = (3.0, 5.0)  # [s] of driving
@@ -146,7 +147,8 @@ def warning_numbers(scenario: Scenario) -> WarningNumbers:
 def _channels(reading, numbers):
     load = max(reading.load, _LEAST_LOAD * numbers.weight)
     rim, pitch = reading.rim_speed / numbers.radius, math.sin(reading.pitch)
-    available = numbers.stall_torque * max(1.0 - rim / numbers.no_load_speed, _LEAST_TORQUE)
+    stall = numbers.stall_torque
+    available = max(full_voltage(stall, rim, numbers), _LEAST_TORQUE * stall)
     return Channels(
         reading.slip,
         reading.sinkage / numbers.radius,

@@ -30,7 +30,6 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import smooth_step
 from soil_env._numba.lanes import COUNT, scratch
 from soil_env.identification.border import begin
 from soil_env.identification.filter_bank import element
@@ -39,6 +38,7 @@ from soil_env.identification.mixture_prior import moments, prior_of_belief
 from soil_env.identification.online import HELD, RENEWED, IdentifierNumbers, identifier_numbers
 from soil_env.identification.solver import Status
 from soil_env.parameters import Scenario
+from soil_env.terramechanics.ground import share_of_next
 
 UNKNOWNS = 5  # (phi, ln K, ln S, c, ln g), as `Identifiers.estimate`
 SHARED = 3  # unknowns that a passing wheel does not change: phi, ln K, c
@@ -339,7 +339,7 @@ def _known_by(pools, o, k, first, numbers, ground):
         border = pools.ends[k, pools.left[k] - 1]
         before, behind = _soil_at(pools, first, border - 0.5 * length), _soil_at(pools, first, border + 0.5 * length)
         if before[0] != behind[0]:
-            w, _ = smooth_step((x - border) / length + 0.5)
+            w, _ = share_of_next((x - border) / length)
             v = 1.0 - w
             knows_old, knows_new = _find(pools, o, k, before, numbers, old), _find(pools, o, k, behind, numbers, new)
             if not knows_old:

@@ -26,8 +26,9 @@ from soil_env.simulation.passability import (
     draw_soil,
     steepest,
 )
-from soil_env.simulation.terrain import blend, cell_at, row_soil
+from soil_env.simulation.terrain import cell_at
 from soil_env.simulation.wheel import interaction_of
+from soil_env.terramechanics.ground import blend, row_soil
 from soil_env.terramechanics.model import WheelSoilModel
 
 _MAX_REDRAWS = 30

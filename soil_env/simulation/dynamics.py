@@ -47,10 +47,10 @@ from soil_env.simulation.wheel import (
     bearing_sinkage,
     commanded,
     finish,
-    motor,
     relax_sinkage,
 )
 from soil_env.terramechanics.effects import digging_ratio, onto_fresh
+from soil_env.terramechanics.motor import motor
 from soil_env.terramechanics.steady import DEEPEST
 
 __all__ = ["MANY", "STEP", "TOLERANCE", "advance"]

@@ -15,7 +15,7 @@ import numpy as np
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.random_streams import between, normal_pair, uniform
 from soil_env.simulation.passability import capacity, draw_soil, scattered, steepest
-from soil_env.simulation.terrain import blend, row_soil
+from soil_env.terramechanics.ground import blend, row_soil
 
 _REDRAWS = 30
 

@@ -25,8 +25,8 @@ from soil_env.simulation.stage import (
     reaction_at,
     store_reaction,
 )
-from soil_env.simulation.wheel import motor
 from soil_env.terramechanics.arc_integrals import NODE_COLUMNS
+from soil_env.terramechanics.motor import motor
 from soil_env.terramechanics.reaction import REST_SPEED, Reaction, moved
 
 TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically

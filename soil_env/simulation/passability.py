@@ -11,8 +11,8 @@ from soil_env._numba.compiling import part
 from soil_env._numba.lanes import scratch
 from soil_env._numba.random_streams import normal_pair, uniform
 from soil_env.parameters import SoilState
-from soil_env.simulation.terrain import row_soil
 from soil_env.terramechanics.effects import depends_on_speed
+from soil_env.terramechanics.ground import row_soil
 from soil_env.terramechanics.model import Conditions, Rim, steady_with
 from soil_env.terramechanics.reaction import Interaction
 from soil_env.terramechanics.residual import dimensionless_groups, residual_at

@@ -16,7 +16,7 @@ from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import Rows, rows, scratch_rows
 from soil_env.parameters import SoilState
 from soil_env.simulation.terrain import ground_at, rut_factor
-from soil_env.simulation.wheel import axle_of, course_of, motor
+from soil_env.simulation.wheel import axle_of, course_of
 from soil_env.terramechanics.arc_integrals import (
     NODE_COLUMNS,
     ArcFrame,
@@ -25,6 +25,7 @@ from soil_env.terramechanics.arc_integrals import (
     store_nodes,
 )
 from soil_env.terramechanics.contact import motion_from_speeds
+from soil_env.terramechanics.motor import motor
 from soil_env.terramechanics.reaction import (
     REST_SPEED,
     Reaction,

@@ -19,7 +19,8 @@ from soil_env.identification import Status
 from soil_env.parameters import CourseSpec, Scenario
 from soil_env.simulation.camera import CameraNumbers, Sight, camera_numbers, patch_ahead, seen_grade, write_view
 from soil_env.simulation.sensors import SensorNumbers, sensor_numbers
-from soil_env.simulation.terrain import BEHIND, ground_at, row_soil
+from soil_env.simulation.terrain import BEHIND, ground_at
+from soil_env.terramechanics.ground import row_soil
 from soil_env.terramechanics.model import WheelSoilModel
 
 

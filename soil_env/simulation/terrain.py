@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined
-from soil_env._numba.elementary import smooth_step
-from soil_env.parameters import Scenario, SoilState
+from soil_env.parameters import Scenario
+from soil_env.terramechanics.ground import blend, row_soil, share_of_next
 
 CELL = 0.05  # [m] length of one cell of the rut
 CELLS_BEHIND = 10
@@ -97,31 +97,10 @@ def new_courses(wheels: int, scenario: Scenario) -> Courses:
 
 
 @inlined
-def row_soil(s):
-    """`SoilState` of a row of `Courses.soils`."""
-    return SoilState(s[0], s[1], s[2], s[3], s[4], s[5], s[6])
-
-
-@inlined
-def blend(a, b, w):
-    """Soil between two soils, share w of the second: moduli geometrically, everything else linearly."""
-    v = 1.0 - w
-    return SoilState(
-        v * a.tan_phi + w * b.tan_phi,
-        v * a.cohesion + w * b.cohesion,
-        a.shear_modulus**v * b.shear_modulus**w,
-        a.sinkage_coefficient**v * b.sinkage_coefficient**w,
-        v * a.sinkage_exponent + w * b.sinkage_exponent,
-        v * a.dig_gain + w * b.dig_gain,
-        v * a.dig_recovery + w * b.dig_recovery,
-    )
-
-
-@inlined
 def ground_at(courses, k, x, patch, border):
     """(soil, grade [rad], patch) of course k at x [m], undisturbed; `patch` is a first guess of the patch index.
 
-    Within `border` [m] around a patch border soil and grade pass smoothly (cubic) from one patch to the next.
+    Within `border` [m] around a patch border soil and grade pass smoothly from one patch to the next (`share_of_next`).
     """
     edges, last = courses.edges[k], courses.patches[k] - 1
     while patch < last and x >= edges[patch + 1]:
@@ -129,10 +108,9 @@ def ground_at(courses, k, x, patch, border):
     while patch > 0 and x < edges[patch]:
         patch -= 1
     near = patch + 1 if x - edges[patch] > edges[patch + 1] - x else patch  # index of the nearer border
-    t = (x - edges[near]) / border + 0.5
-    if near < 1 or near > last or t <= 0.0 or t >= 1.0:
+    w, _ = share_of_next((x - edges[near]) / border)
+    if near < 1 or near > last or w <= 0.0 or w >= 1.0:
         return row_soil(courses.soils[k, patch]), courses.grades[k, patch], patch
-    w, _ = smooth_step(t)
     soil = blend(row_soil(courses.soils[k, near - 1]), row_soil(courses.soils[k, near]), w)
     return soil, (1.0 - w) * courses.grades[k, near - 1] + w * courses.grades[k, near], patch
 

@@ -163,29 +163,6 @@ def wheel_of(j, axle, axles):
 
 
 @inlined
-def motor(command, by_speed, wheel_speed, world):
-    """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
-
-    The command is a share of the stall torque or, with `by_speed`, of the no-load speed, which a stiff speed loop then
-    follows. Either way the torque stays between the torque-speed lines of full voltage forward and backward,
-    T_stall (+-1 - w/w_0), and within +-T_stall: faster than the no-load speed the motor brakes. `available` is the line
-    on the side of the command. Of floats or in lanes; `by_speed` is 1 or 0.
-    """
-    stall, line = world.stall_torque, world.stall_torque / world.no_load_speed
-    high = smaller(larger(stall - line * wheel_speed, -stall), stall)
-    low = smaller(larger(-stall - line * wheel_speed, -stall), stall)
-    gain = 10.0 * line
-    follow = gain * (command * world.no_load_speed - wheel_speed)
-    torque = where_less(0.5, by_speed, follow, command * stall)
-    slope = where_less(0.5, by_speed, -gain, 0.0)
-    available = where_less(torque, 0.0, -low, high)
-    on_high = where_less(-stall, high, where_less(high, stall, -line, 0.0), 0.0)
-    on_low = where_less(-stall, low, where_less(low, stall, -line, 0.0), 0.0)
-    slope = where_less(high, torque, on_high, where_less(torque, low, on_low, slope))
-    return where_less(high, torque, high, where_less(torque, low, low, torque)), slope, available
-
-
-@inlined
 def bearing_sinkage(sinkage, mobilised, soil):
     """z_w [m]: depth at which undisturbed soil bears the pressure `mobilised` z^n, at most 10 z."""
     n = larger(soil.sinkage_exponent, 0.05)

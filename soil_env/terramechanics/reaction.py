@@ -11,7 +11,7 @@ from soil_env._numba.compiling import inlined, part, uncompiled
 from soil_env._numba.elementary import larger, sqrt, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
-from soil_env.slip import slip_ratio
+from soil_env.slip import signed_slip, slip_ratio
 from soil_env.terramechanics.arc_integrals import (
     integrals_of,
 )
@@ -191,28 +191,11 @@ class Added(NamedTuple):
 
 
 @inlined
-def _signed_slip(speed, rim_speed):
-    """`Added` (u - V) / max(|u|, |V|, rest): positive where the rim drives the wheel forward."""
-    u, v = abs(rim_speed), abs(speed)
-    scale = larger(larger(u, v), REST_SPEED)
-    slip = (rim_speed - speed) / scale
-    rolling = where_less(v, u, 1.0, 0.0)  # the rim is the faster one
-    moving = where_less(larger(u, v), REST_SPEED, 0.0, 1.0)
-    sign_u, sign_v = where_less(rim_speed, 0.0, -1.0, 1.0), where_less(speed, 0.0, -1.0, 1.0)
-    inside = where_less(abs(slip), 1.0, 1.0, 0.0)
-    return Added(
-        larger(-1.0, where_less(slip, 1.0, slip, 1.0)),
-        inside * (-1.0 - moving * (1.0 - rolling) * slip * sign_v) / scale,
-        inside * (1.0 - moving * rolling * slip * sign_u) / scale,
-    )
-
-
-@inlined
 def _blades(thrust, speed, rim_speed):
     """`Added` thrust [N] of the lugs along the rim."""
-    slip = _signed_slip(speed, rim_speed)
-    force, slope = blades_at(thrust, slip.value)
-    return Added(force, slope * slip.by_v, slope * slip.by_u)
+    slip, by_u, by_v = signed_slip(rim_speed, speed, REST_SPEED)
+    force, slope = blades_at(thrust, slip)
+    return Added(force, slope * by_v, slope * by_u)
 
 
 @inlined

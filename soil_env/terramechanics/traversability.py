@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import part, root
-from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import NO_EFFECTS, digging, slip_sinkage_ratio
+from soil_env.terramechanics.ground import row_soil
 from soil_env.terramechanics.model import DEEPEST, LEVEL, Rim, steady_with
 
 #: Slips at which the drawbar pull is compared.
@@ -78,6 +78,5 @@ def best_points(rows, soils, load, r, b, torque, slip, pull):
     `soils` [n, 7] are rows of `SoilState`, `load` [n] in N; r, b [m] and the motor's torque [N m] are of all wheels.
     """
     for k in rows:
-        s = soils[k]
-        best = best_working_point(load[k], SoilState(s[0], s[1], s[2], s[3], s[4], s[5], s[6]), r, b, torque)
+        best = best_working_point(load[k], row_soil(soils[k]), r, b, torque)
         slip[k], pull[k] = best.slip, best.drawbar_pull

@@ -186,9 +186,9 @@ def ground(x, at, spread, numbers):
 
 
 def test_the_ground_on_a_border_is_that_of_the_terrain():
-    """Strength apart, which is compared by tan(phi): the mean over two places of `terrain.blend`."""
+    """Strength apart, which is compared by tan(phi): the mean over two places of `ground.blend`."""
     from soil_env.parameters import SoilState
-    from soil_env.simulation.terrain import blend as terrain_blend
+    from soil_env.terramechanics.ground import blend as terrain_blend
 
     x, numbers = two_soils()
     found = ground(x, 1.03, 0.0, numbers)

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation import dynamics, terrain
-from soil_env.simulation.wheel import WheelState, motor, settle, world_numbers
+from soil_env.simulation.wheel import WheelState, settle, world_numbers
 from soil_env.terramechanics import reaction
+from soil_env.terramechanics.motor import motor
 from tests.simulation.wheels import on_random_courses
 
 EASY = {"margin": [0.15, 0.25], "grade_deg": [-5.0, 10.0]}  # a course on which half the torque gets through

@@ -13,6 +13,7 @@ from soil_env.simulation import camera, terrain
 from soil_env.simulation import courses as drawing
 from soil_env.simulation.task import VARIANTS, Cause, layout
 from soil_env.simulation.worlds import Simulation
+from soil_env.terramechanics.ground import blend
 from soil_env.terramechanics.traversability import best_working_point
 
 SEEDS = range(30)
@@ -83,7 +84,7 @@ def test_every_border_between_passable_lines_is_passable(drawn, scenario):
                     soils = SoilState(*lines.soils[0, p - 1, a]), SoilState(*lines.soils[0, p, b])
                     good = [margin(s, g, mass, scenario) > 0.0 for s, g in zip(soils, grades, strict=True)]
                     if all(good):
-                        middle = margin(terrain.blend(*soils, 0.5), 0.5 * sum(grades), mass, scenario)
+                        middle = margin(blend(*soils, 0.5), 0.5 * sum(grades), mass, scenario)
                         assert middle >= scenario.course.margin[0] - 1e-3
                         checked += 1
         assert checked > 3

@@ -22,7 +22,7 @@ from soil_env.simulation.stage import (
     stand,
     store_reaction,
 )
-from soil_env.simulation.wheel import motor
+from soil_env.terramechanics.motor import motor
 from soil_env.terramechanics.reaction import REST_SPEED, Reaction
 
 _LEAST_PIVOT = 1e-12
