@@ -51,8 +51,19 @@ class PPOConfig(Checked):
             )
 
 
+class OfWorld(Checked):
+    """Base of what has `model`, the content of the model.yaml of its world's effects; empty = none."""
+
+    model: dict
+
+    @property
+    def world(self) -> WheelSoilModel | None:
+        """The model of the world's effects."""
+        return WheelSoilModel.from_content(self.model, "model") if self.model else None
+
+
 @dataclass(frozen=True)
-class TrainConfig(Checked):
+class TrainConfig(OfWorld):
     """A training run: what `train.py` takes from YAML and from its command line."""
 
     scenario: str = _text(
@@ -106,11 +117,6 @@ class TrainConfig(Checked):
             elif self.rover and value:
                 beside = f"expected none beside rover = {self.rover!r}: {reason}"
                 raise ParameterError(f"TrainConfig.{name} = {value!r}: {beside}")
-
-    @property
-    def world(self) -> WheelSoilModel | None:
-        """The model of the world's effects."""
-        return WheelSoilModel.from_content(self.model, "model") if self.model else None
 
 
 def load_config(mapping: dict, where: str) -> TrainConfig:

@@ -20,7 +20,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, root
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.estimate import LEAST_LOAD, soil_as_identified
+from soil_env.identification.estimate import LEAST_LOAD, published, soil_as_identified
 from soil_env.identification.linearised import SINKAGE
 from soil_env.identification.online import (
     HELD,
@@ -34,8 +34,9 @@ from soil_env.identification.online import (
     new_replay,
     observe_rows,
 )
+from soil_env.identification.priors import soil_state
 from soil_env.identification.solver import Status
-from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
+from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, Wheel
 from soil_env.slip import rim_speeds, slip_ratio, travel_speeds
 from soil_env.terramechanics.model import steady_state
 from soil_env.terramechanics.reaction import REST_SPEED
@@ -410,12 +411,9 @@ class OnlineIdentifier:
         return min(max(float(weights @ depths), 0.01 * self._radius), self._radius)
 
     def _published(self, renewed: bool) -> Estimate:
-        x, sd = self._ids.estimate[0].tolist(), self._ids.sd[0].tolist()
-        return Estimate(
-            math.degrees(x[0]), math.exp(x[1]), math.exp(x[2]), x[3], self.scenario.belief.dig_gain * math.exp(x[4]),
-            math.degrees(sd[0]), sd[1], sd[2], sd[3], sd[4], _STATUS[self._ids.status.item(0)], renewed,
-            int(self._ids.borders[0]),
-        )  # fmt: skip
+        ids = self._ids
+        told = published(ids.estimate[0].tolist(), ids.sd[0].tolist(), self.scenario.belief.dig_gain)
+        return Estimate(**told, status=_STATUS[ids.status.item(0)], renewed=renewed, borders=int(ids.borders[0]))
 
 
 def _finite(given: object) -> bool:
@@ -426,10 +424,7 @@ def _finite(given: object) -> bool:
 def _bearing_sinkage(scenario: Scenario) -> float:
     """Sinkage [m] of the wheel at rest under its weight on the soil of the belief."""
     b, wheel = scenario.belief, scenario.wheel
-    soil = SoilState(
-        math.tan(math.radians(b.friction_angle_deg)), b.cohesion, b.shear_modulus, b.sinkage_coefficient,
-        b.sinkage_exponent, 0.0, b.dig_recovery,
-    )  # fmt: skip
+    soil = soil_state(vars(b), (0.0, b.dig_recovery))
     return float(steady_state(0.0, scenario.weight, soil, wheel.radius, wheel.width).sinkage)
 
 

@@ -27,7 +27,7 @@ from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import studies
-from ..config import PPOConfig, TrainConfig
+from ..config import OfWorld, PPOConfig, TrainConfig
 from ..controllers import CONTROLLERS
 from ..evaluate import HELD_OUT_SET
 from ..evaluate import study as driving
@@ -39,17 +39,12 @@ _NOT_COMPARED = ("seeds", "courses")  # may differ when a study goes on: more se
 
 
 @dataclass(frozen=True)
-class Target(Checked):
+class Target(OfWorld):
     """A scenario on which controllers are compared."""
 
     scenario: Scenario
     trained_on: str = ""  # the target whose agents and tuned controllers are compared here; empty = its own
     model: dict = field(default_factory=dict)  # content of the model.yaml of this world's effects; empty = none
-
-    @property
-    def world(self) -> WheelSoilModel | None:
-        """The model of the world's effects."""
-        return WheelSoilModel.from_content(self.model, "model") if self.model else None
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import soil_env
-from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env._io.loading import ParameterError, quantity
 from soil_env.identification import immobilisation
 from soil_env.parameters import Scenario
-from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import studies
+from ..config import OfWorld
 from ..controllers.oracle import Oracle
 from . import loading
 from .contestants import Contestant, digest, model_files
@@ -41,7 +41,7 @@ def code_version() -> str:
 
 
 @dataclass(frozen=True)
-class Study(Checked):
+class Study(OfWorld):
     """What is compared, and on which courses."""
 
     scenario: Scenario
@@ -62,11 +62,6 @@ class Study(Checked):
             raise ParameterError(
                 f"Study.oracle_courses = {self.oracle_courses}: expected at most {self.courses}, the courses compared"
             )
-
-    @property
-    def world(self) -> WheelSoilModel | None:
-        """The model of the world's effects."""
-        return WheelSoilModel.from_content(self.model, "model") if self.model else None
 
     @property
     def names(self) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,22 @@ def soil_of_estimate(x, dig_gain, exponent, dig_recovery):
         math.tan(x[0]), x[3], math.exp(x[1]), min(math.exp(x[2]), STIFFEST), exponent,
         min(dig_gain * math.exp(x[4]), MOST_DIGGING), dig_recovery,
     )  # fmt: skip
+
+
+def published(x: Any, sd: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
+    """What is told of an estimate x [5] and its standard deviations; of arrays [5, wheels] with `of` numpy."""
+    return {
+        "friction_angle_deg": of.degrees(x[0]),
+        "shear_modulus": of.exp(x[1]),
+        "sinkage_coefficient": of.exp(x[2]),
+        "cohesion": x[3],
+        "dig_gain": dig_gain * of.exp(x[4]),
+        "friction_angle_sd_deg": of.degrees(sd[0]),
+        "shear_modulus_relative_sd": sd[1],
+        "sinkage_coefficient_relative_sd": sd[2],
+        "cohesion_sd": sd[3],
+        "dig_gain_relative_sd": sd[4],
+    }
 
 
 def soil_as_identified(estimate: np.ndarray, belief: Belief) -> SoilState:

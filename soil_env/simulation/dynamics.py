@@ -247,16 +247,33 @@ def _drive_alone(state, counts, first, i, period, courses, world):
 
 
 @inlined
-def _choose_steps(state, first, i, period, world):
-    """Steps that eight wheels take in this control period where others take one."""
-    change = change_ahead(
-        state, first + i, from_array(period.command, i), from_array(period.by_speed, i), world,
-        world.period / world.substeps,
-    )  # fmt: skip
-    steps, driven = fill(1.0), below(from_array(state.halt_left, first + i), 1e-9)  # a halt has its speed loop
+def begin_period(state, k, i, period, commands, going, halted, world):
+    """Column i of `period` for wheel k, which is `going` or of no concern, at the beginning of a control period."""
+    period.left[i], period.clean[i] = (world.period, 1.0) if going else (0.0, 1.0)
+    period.start[i] = period.command[i] = period.by_speed[i] = 0.0
+    period.speed_before[i] = period.rim_before[i] = 0.0
+    if going:
+        period.start[i] = state.x[k]
+        period.command[i] = commanded(state, k, commands[k], halted, world)
+        period.by_speed[i] = 1.0 if halted or world.speed_command else 0.0
+        state.motor_work[k] = state.soil_work[k] = state.numerical_work[k] = 0.0
+
+
+@inlined
+def steps_for(change, halt_left):
+    """Steps that eight wheels take where others take one, for a change of speeds ahead [of the top rim speed]."""
+    steps, driven = fill(1.0), below(halt_left, 1e-9)  # a halt has its speed loop
     for limit in REFINED_BEYOND:
         steps = steps * (1.0 + driven * below(limit, change))
-    to_array(steps, period.steps, i)
+    return steps
+
+
+@inlined
+def arrive(period, end):
+    """Who is alive has arrived; what others of the columns up to `end` have `left` is due to a failed step."""
+    for i in range(end):
+        if period.alive[i] > 0.0:
+            period.left[i] = 0.0
 
 
 @inlined
@@ -281,23 +298,14 @@ def advance(state, counts, first, count, what, commands, courses, streams, world
     for i in range(end):
         k = first + i
         going = i < count and what[k] == STEP
-        period.left[i], period.clean[i] = (world.period, 1.0) if going else (0.0, 1.0)
-        period.start[i] = period.command[i] = period.by_speed[i] = 0.0
-        period.speed_before[i] = period.rim_before[i] = 0.0
-        if going:
-            halted = state.halt_left[k] > 0.0
-            period.start[i] = state.x[k]
-            period.command[i] = commanded(state, k, commands[k], halted, world)
-            period.by_speed[i] = 1.0 if halted or world.speed_command else 0.0
-            state.motor_work[k] = state.soil_work[k] = state.numerical_work[k] = 0.0
+        begin_period(state, k, i, period, commands, going, state.halt_left[k] > 0.0, world)
     for i in range(0, end, COUNT):
-        _choose_steps(state, first, i, period, world)
+        change = change_ahead(state, first + i, i, period, world, world.period / world.substeps)
+        to_array(steps_for(change, from_array(state.halt_left, first + i)), period.steps, i)
     steps = 1
     while steps <= MOST_STEPS:
         _drive_together(state, counts, first, end, period, courses, world, steps)
-        for i in range(end):  # who is alive has arrived; what others have `left` is due to a failed step
-            if period.alive[i] > 0.0:
-                period.left[i] = 0.0
+        arrive(period, end)
         steps *= 2
     for i in range(count):
         if what[first + i] != STEP:

@@ -11,7 +11,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall
 from soil_env.identification import Status
-from soil_env.identification.estimate import LEAST_LOAD, soil_as_identified
+from soil_env.identification.estimate import LEAST_LOAD, published, soil_as_identified
 from soil_env.identification.immobilisation import HORIZONS, ImmobilisationWarning
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
@@ -103,7 +103,10 @@ class Infos:
             "cause": cause.name,
             "immobilised": cause in IMMOBILISED,
             "reward_terms": dict(zip(REWARD_TERMS, worlds.terms[k].tolist(), strict=True)),
-            "estimate": self._estimate(worlds, k),
+            "estimate": {
+                **published(worlds.ids.estimate[k].tolist(), worlds.ids.sd[k].tolist(), self.scenario.belief.dig_gain),
+                "status": STATUS[worlds.ids.status.item(k)],
+            },
             "traversability": {
                 **warning,
                 "passable": warning["passable"] > 0.0,
@@ -112,22 +115,6 @@ class Infos:
             "state": {name: state[row] for name, row in zip(_STATE, _ROWS, strict=True)},
         }
         return full if self.kind == "full" else _numbers(flat(full))
-
-    def _estimate(self, worlds: Worlds, k: int) -> dict[str, Any]:
-        x, sd = worlds.ids.estimate[k].tolist(), worlds.ids.sd[k].tolist()
-        return {
-            "friction_angle_deg": math.degrees(x[0]),
-            "shear_modulus": math.exp(x[1]),
-            "sinkage_coefficient": math.exp(x[2]),
-            "cohesion": x[3],
-            "dig_gain": self.scenario.belief.dig_gain * math.exp(x[4]),
-            "friction_angle_sd_deg": math.degrees(sd[0]),
-            "shear_modulus_relative_sd": sd[1],
-            "sinkage_coefficient_relative_sd": sd[2],
-            "cohesion_sd": sd[3],
-            "dig_gain_relative_sd": sd[4],
-            "status": STATUS[worlds.ids.status.item(k)],
-        }
 
     def _foreseen(self, worlds: Worlds, rows: np.ndarray) -> np.ndarray:
         """Probabilities [n, 2] of immobilisation within `HORIZONS` of the wheels `rows` [n]."""
@@ -185,20 +172,8 @@ class Infos:
 
 def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
     """What is identified of the soil under each wheel, arrays [wheels], of `estimate`, `sd` and `status` of `known`."""
-    x, sd = known.estimate.T, known.sd.T
-    return {
-        "friction_angle_deg": np.degrees(x[0]),
-        "shear_modulus": np.exp(x[1]),
-        "sinkage_coefficient": np.exp(x[2]),
-        "cohesion": x[3].copy(),
-        "dig_gain": scenario.belief.dig_gain * np.exp(x[4]),
-        "friction_angle_sd_deg": np.degrees(sd[0]),
-        "shear_modulus_relative_sd": sd[1].copy(),
-        "sinkage_coefficient_relative_sd": sd[2].copy(),
-        "cohesion_sd": sd[3].copy(),
-        "dig_gain_relative_sd": sd[4].copy(),
-        "status": known.status.copy(),
-    }
+    told = published(known.estimate.T.copy(), known.sd.T.copy(), scenario.belief.dig_gain, np)
+    return told | {"status": known.status.copy()}
 
 
 def masked(info: dict[str, Any], which: np.ndarray) -> dict[str, Any]:

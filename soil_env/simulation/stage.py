@@ -169,15 +169,21 @@ def _foreseen(state, k, back_v, back_u, cv, cu, weight_along, command, by_speed,
 
 
 @inlined
-def change_ahead(state, k, command, by_speed, world, h):
+def held_change(du, state, k, i, period, world):
+    """Size of a foreseen change `du` [m/s] of the rim speeds of eight wheels: a speed loop stops at its command."""
+    r = world.wheel.radius
+    follow = abs(from_array(period.command, i) * (r * world.no_load_speed) - r * from_array(state.wheel_speed, k))
+    return where_less(0.5, from_array(period.by_speed, i), smaller(abs(du), follow), abs(du))
+
+
+@inlined
+def change_ahead(state, k, i, period, world, h):
     """Foreseen change of the speeds [of the top rim speed] of eight wheels in h seconds under their commands."""
     r, mass = world.wheel.radius, from_array(state.mass, k)
     along, still = world.wheel.gravity * mass * sine_of(from_array(state.grade, k)), fill(0.0)
+    command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
     dv, du = _foreseen(state, k, still, still, h / mass, h * r / world.inertia, along, command, by_speed, world)
-    top = r * world.no_load_speed
-    follow = abs(command * top - r * from_array(state.wheel_speed, k))  # the speed loop stops at its command
-    du = where_less(0.5, by_speed, smaller(abs(du), follow), abs(du))
-    return larger(abs(dv), du) / top
+    return larger(abs(dv), held_change(du, state, k, i, period, world)) / (r * world.no_load_speed)
 
 
 @inlined

@@ -10,17 +10,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import below, larger, sine_of, smaller, where_less
-from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
+from soil_env._numba.elementary import larger, sine_of
+from soil_env._numba.lanes import COUNT, from_array, scratch, to_array
 from soil_env._numba.rows import Rows, scratch_rows
 from soil_env.simulation.dynamics import (
     FINEST,
     MOST_STEPS,
-    REFINED_BEYOND,
     STEP,
+    arrive,
+    begin_period,
     leave_ruts,
     move,
     stage_of,
+    steps_for,
 )
 from soil_env.simulation.rover.body import angle_of, rise_of_body
 from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds, weight_of
@@ -30,12 +32,13 @@ from soil_env.simulation.stage import (
     Period,
     Substep,
     gather_ground,
+    held_change,
     new_equations,
     new_footing,
     new_newton,
     new_nodes,
 )
-from soil_env.simulation.wheel import commanded, finish, wheel_of
+from soil_env.simulation.wheel import finish, wheel_of
 from soil_env.slip import slip_ratio
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.vehicle import MOST_AXLES
@@ -128,19 +131,15 @@ def _drive_alone(rovers, block, lane, period, courses, ruts, world, s):
 def _choose_steps(rovers, block, period, world, s):
     """Steps that eight rovers take in this control period where others take one (`newton.change_ahead`)."""
     wheels, body, first = rovers.wheels, rovers.body, block * s.axles
-    changes, top = _changes(), world.wheel.radius * world.no_load_speed
+    changes = _changes()
     dv = foresee(
         wheels, first, period, world, s, world.period / world.substeps, from_array(body.mass, block), 0.0, changes
     )  # fmt: skip
     change = abs(dv)
     for a in range(s.axles):
-        i, k = a * COUNT, first + a * COUNT
-        du = abs(from_array(changes, i))
-        follow = abs(from_array(period.command, i) * top - world.wheel.radius * from_array(wheels.wheel_speed, k))
-        change = larger(change, where_less(0.5, from_array(period.by_speed, i), smaller(du, follow), du))
-    steps, driven = fill(1.0), below(from_array(body.halt_left, block), 1e-9)
-    for limit in REFINED_BEYOND:
-        steps = steps * (1.0 + driven * below(limit * top, change))
+        i = a * COUNT
+        change = larger(change, held_change(from_array(changes, i), wheels, first + i, i, period, world))
+    steps = steps_for(change / (world.wheel.radius * world.no_load_speed), from_array(body.halt_left, block))
     for a in range(s.axles):
         to_array(steps, period.steps, a * COUNT)
 
@@ -157,15 +156,7 @@ def advance(rovers, block, what, commands, courses, ruts, streams, world, s):
     for i in range(end):
         k, j = first + i, block + i % COUNT
         going = j < what.size and what[j] == STEP
-        period.left[i], period.clean[i] = (world.period, 1.0) if going else (0.0, 1.0)
-        period.start[i] = period.command[i] = period.by_speed[i] = 0.0
-        period.speed_before[i] = period.rim_before[i] = 0.0
-        if going:
-            halted = body.halt_left[j] > 0.0
-            period.start[i] = wheels.x[k]
-            period.command[i] = commanded(wheels, k, commands[k], halted, world)
-            period.by_speed[i] = 1.0 if halted or world.speed_command else 0.0
-            wheels.motor_work[k] = wheels.soil_work[k] = wheels.numerical_work[k] = 0.0
+        begin_period(wheels, k, i, period, commands, going, body.halt_left[j] > 0.0, world)
     _choose_steps(rovers, block, period, world, s)
     steps = 1
     while steps <= MOST_STEPS:
@@ -176,9 +167,7 @@ def advance(rovers, block, what, commands, courses, ruts, streams, world, s):
         if going > 0.0:
             longest = world.period / (world.substeps * steps)
             _drive(rovers, block, period, courses, ruts, world, s, world.period, longest, 0.0)
-            for i in range(end):  # who is alive has arrived; what others have `left` is due to a failed step
-                if period.alive[i] > 0.0:
-                    period.left[i] = 0.0
+            arrive(period, end)
         steps *= 2
     for lane in range(min(COUNT, what.size - block)):
         if what[block + lane] == STEP:
