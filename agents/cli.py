@@ -59,6 +59,8 @@ def overrides(arguments: list[str], file_option: str = "") -> dict:
             if not rest:
                 raise ParameterError(f"{key}: expected a value after it")
             value = rest.pop(0)
+        if not value and name not in _TEXT:
+            raise ParameterError(f"--{name}: is empty: expected a value")
         try:
             entry = value if name in _TEXT else parse_yaml(value)
         except yaml.YAMLError:

@@ -60,6 +60,7 @@ class ExportedAgent:
         """Actions [n, 1] for observations [n, D] in the units of `content["inputs"]`, or [1] for [D], and the hidden
         states for the next call. ParameterError for another D, an entry out of its bounds, NaN, and hidden states or an
         `episode_start` of another number of courses."""
+        given.switch(deterministic)  # an exported agent has no other
         batch = np.atleast_2d(self._layout.observed(observation))
         feeds = {"observation": batch}
         if self._states:

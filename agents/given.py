@@ -54,6 +54,13 @@ def starts(episode_start, count: int, default: bool) -> np.ndarray:
     return fresh
 
 
+def switch(deterministic) -> bool:
+    """Whether the likeliest action is asked for; ParameterError for what is neither True nor False."""
+    if not isinstance(deterministic, (bool, np.bool_)):
+        raise ParameterError(f"deterministic = {deterministic!r:.60}: expected True or False")
+    return bool(deterministic)
+
+
 def memory(state, shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
     """The arrays of a memory with these `shapes`, float32; ParameterError where it is not what such a call returned."""
     expected = f"expected what the last predict of as many observations returned, arrays of shape {list(shapes)}"

@@ -19,7 +19,7 @@ from soil_env._io.commands import command_line, folder, leave, whole_number
 from soil_env._io.document import renewed
 from soil_env._io.files import make_folder, replace_file, write_json
 from soil_env._io.loading import config_dir, read_yaml
-from soil_env.vehicle import DEFAULT_ROVER, RoverScenario
+from soil_env.vehicle import DEFAULT_ROVER, RoverScenario, load_rover
 
 from .cli import manual_parser
 from .config import NAMES, TrainConfig, load_config
@@ -137,6 +137,7 @@ def main(arguments: list[str] | None = None) -> int:
     with needing("train", NAME):
         importlib.import_module(".training", __package__)
     out = options.out
+    load_rover(options.rover)  # refuses what is none
     make_folder(out)
     if options.page:
         renewed(Path(options.page).read_text(encoding="utf-8"), {"comparison": ""}, options.page)

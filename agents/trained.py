@@ -103,7 +103,7 @@ class Agent:
             batch, kept = self.history.observe(batch, kept, fresh)
         if memory is not None and (of_lstm := getattr(self.model.policy, "lstm_hidden_state_shape", None)):
             memory = tuple(given.memory(memory, [(of_lstm[0], count, of_lstm[2])] * 2))
-        action, memory = self.model.predict(self._normalised(batch), memory, fresh, deterministic)
+        action, memory = self.model.predict(self._normalised(batch), memory, fresh, given.switch(deterministic))
         return (action[0] if seen.ndim == 1 else action), (memory if kept is None else (kept, memory))
 
     def _normalised(self, observation):

@@ -12,10 +12,12 @@ import difflib
 import functools
 import math
 import re
+import sys
 import types
 import typing
 from collections import Counter
 from dataclasses import field
+from decimal import Context
 from pathlib import Path
 
 import yaml
@@ -52,13 +54,20 @@ def check(instance) -> None:
             if x is None:
                 continue
             is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
-            if not (is_number and math.isfinite(x) and low <= x <= high):
+            if not (is_number and low <= x <= high and math.isfinite(x)):
                 raise ParameterError(
-                    f"{type(instance).__name__}.{f.name} = {value!r}: expected a number "
+                    f"{type(instance).__name__}.{f.name} = {_said(value)}: expected a number "
                     f"in [{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
                 )
         if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
             raise ParameterError(f"{type(instance).__name__}.{f.name} = {value!r}: expected the smaller number first")
+
+
+def _said(value: object) -> str:
+    """A value for people: a whole number of very many digits by its size."""
+    if type(value) is int and abs(value) > 10**15:
+        return f"{Context(prec=6).create_decimal(value).normalize():e}"
+    return repr(value)
 
 
 def _bound(x: float) -> str:
@@ -199,8 +208,8 @@ def number(kind: type, value, where: str):
             value = float(value)
         except ValueError:
             pass
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ParameterError(f"{where} = {value!r}: expected a number")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or sys.float_info.max < abs(value) < math.inf:
+        raise ParameterError(f"{where} = {_said(value)}: expected a number")
     if kind is int:
         if not math.isfinite(value) or value != int(value):
             raise ParameterError(f"{where} = {value!r}: expected a whole number")

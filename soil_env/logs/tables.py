@@ -104,8 +104,7 @@ def _csv(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
                 raise ParameterError(f"{path}: no whole row below the header{cut}")
             if late is not None:
                 notes.add(f"{path.name} is cut off in its last row: that row is left out")
-            for column, count in nans.items():
-                notes.add(f"column {column}: {count} cell{'s' * (count > 1)} nan: taken as empty")
+            _tell_nans(notes, nans)
             if block:
                 yield _block(block, columns)
     except UnicodeDecodeError as error:
@@ -126,6 +125,11 @@ def _block(block: list[tuple[int, int, list[float]]], columns: dict[str, str]) -
     rows, times, values = zip(*block, strict=True)
     matrix = np.array(values, float).reshape(len(rows), len(columns))
     return np.array(rows), np.array(times, np.int64), {c: matrix[:, k] for k, c in enumerate(columns)}
+
+
+def _tell_nans(notes, nans: Counter[str]) -> None:
+    for column, count in nans.items():
+        notes.add(f"column {column}: {count} cell{'s' * (count > 1)} nan: taken as empty")
 
 
 def _value(text: str) -> float:
@@ -149,16 +153,19 @@ def _parquet(path, stamps, unit, columns, notes, progress) -> Iterator[Block]:
         with pyarrow.parquet.ParquetFile(path) as file:
             header = file.schema_arrow.names
             _check_columns(path, header, stamps, columns)
-            done, size = 0, path.stat().st_size
+            done, size, nans = 0, path.stat().st_size, Counter[str]()
             for batch in file.iter_batches(_BLOCK, columns=[stamps, *columns]):
                 rows = np.arange(done + 1, done + batch.num_rows + 1)
                 times = _arrow_times(path, batch.column(stamps), unit, rows)
                 values = {c: _arrow_numbers(path, batch.column(c), c) for c in columns}
+                for c, x in values.items():
+                    nans[c] += int(np.isnan(x).sum()) - batch.column(c).null_count
                 done += batch.num_rows
                 progress(int(size * done / max(file.metadata.num_rows, 1)), size)
                 yield rows, times, values
             if done == 0:
                 raise ParameterError(f"{path}: has no rows")
+            _tell_nans(notes, +nans)
     except (OSError, pyarrow.ArrowException) as error:
         said = str(error).splitlines()[0]
         raise ParameterError(f"{path}: cannot be read as Parquet, whose index is at its end ({said})") from None

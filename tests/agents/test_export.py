@@ -200,6 +200,7 @@ def test_what_an_exported_agent_cannot_take_is_named(tmp_path, scenario):
         (lambda: agent.predict(rows, 3.0), "state = 3.0: expected"),
         (lambda: agent.predict(rows, state, [True]), "episode_start: 1 values: expected 3"),
         (lambda: agent.predict(rows, state, "yes"), "episode_start = 'yes'"),
+        (lambda: agent.predict(rows, state, deterministic="no"), "deterministic = 'no': expected True or False"),
     ):
         with pytest.raises(ParameterError) as error:
             call()

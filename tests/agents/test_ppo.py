@@ -400,6 +400,7 @@ def test_what_predict_cannot_take_is_named(agents, which):
     rows[2, 10] = 0.0
     refused(lambda: agent.predict(rows, None, [True]), "episode_start: 1 values: expected 3")
     refused(lambda: agent.predict(rows, None, "yes"), "episode_start = 'yes': expected True or False")
+    refused(lambda: agent.predict(rows, deterministic="no"), "deterministic = 'no': expected True or False")
     _, state = agent.predict(rows, None, np.ones(3, dtype=bool))
     assert agent.predict(rows, state, [False] * 3)[0].shape == (3, 1)
     if which != "none":

@@ -253,6 +253,12 @@ def test_study_has_a_training_for_each_agent_and_seed(tmp_path):
     assert all({key: getattr(c.ppo, key) for key in hyperparameters} == hyperparameters for c in configs)
 
 
+def test_a_study_of_no_rover_is_refused(tmp_path, capsys):
+    assert rover_study.main(["--rover", "", "--out", str(tmp_path / "study")]) == 2
+    assert "rover = '': expected a name or the path of a YAML file" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("which", [{"rover": "mars_rover"}, {}])
 def test_a_training_without_identification_is_refused_before_it_begins(which):
     """A controller that the agent is compared with is told the identified soil."""

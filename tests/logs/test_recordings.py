@@ -435,6 +435,16 @@ def test_a_table_with_nothing_whole_in_it(tmp_path, content, named):
     assert "unknown key" not in str(error.value)
 
 
+def test_cells_that_are_nan_are_counted_as_empty_ones_in_a_parquet_file_too(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    nan, columns = math.nan, {"t": [0.0, 0.1, 0.2], "wheel_speed": [2.0] * 3, "torque": [5.0] * 3}
+    columns |= {"speed": [0.1, nan, nan], "sinkage": [nan, None, 0.02]}
+    pytest.importorskip("pyarrow.parquet").write_table(pyarrow.table(columns), tmp_path / "a.parquet")
+    found = read_recording(tmp_path / "a.parquet", read_map(write_map(tmp_path, COLUMNS)))
+    told = [line for line in found.notes if "nan" in line]
+    assert sorted(told) == ["column sinkage: 1 cell nan: taken as empty", "column speed: 2 cells nan: taken as empty"]
+
+
 def test_cells_that_are_nan_are_counted_as_empty_ones(tmp_path):
     rows = [f"{0.1 * k:g},2,{v},{z},5\n" for k, (v, z) in enumerate([(0.1, "nan"), ("NaN", ""), (" nan ", 0.02)])]
     (tmp_path / "a.csv").write_text(HEADER + "".join(rows))
