@@ -8,7 +8,6 @@ Examples:
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -16,13 +15,14 @@ import gymnasium
 import numpy as np
 
 from soil_env import ParameterError
+from soil_env._io.commands import command_parser
 from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env_agents.controllers import CONTROLLERS, make_controller
 
 
 def main() -> None:
     """Parse the command line, drive, save."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = command_parser("drive.py", __doc__, status="")
     p.add_argument("--controller", choices=sorted(CONTROLLERS), default="best_slip_identified")
     p.add_argument("--scenario", default=DEFAULT_SCENARIO, help="name of a scenario or path of a YAML file")
     p.add_argument("--seed", type=int, default=0, help="seed of the course")
