@@ -20,7 +20,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, root
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.estimate import LEAST_LOAD, published, soil_as_identified
+from soil_env.identification.estimate import LEAST_LOAD, published, traversability
 from soil_env.identification.linearised import SINKAGE
 from soil_env.identification.online import (
     HELD,
@@ -323,7 +323,6 @@ class OnlineIdentifier:
 
         Raises ParameterError for a load that is no finite number above zero and a pitch beyond a right angle.
         """
-        wheel = self.scenario.wheel
         if load is not None and not (_finite(load) and load > 0.0):
             raise ParameterError(f"load = {load!r}: expected a finite number > 0 [N]")
         if not _finite(pitch):
@@ -331,10 +330,7 @@ class OnlineIdentifier:
         if abs(pitch) >= 0.5 * math.pi:
             raise ParameterError(f"pitch = {pitch!r}: expected radians, less than pi/2")
         load = float(self._weight * math.cos(pitch) if load is None else max(load, LEAST_LOAD * self._weight))
-        soil = soil_as_identified(self._ids.estimate[0], self.scenario.belief)
-        best = self._best(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
-        margin = max(best.drawbar_pull / load - math.tan(pitch), -1.0)
-        return Traversability(best.slip, margin, best.torque, wheel.stall_torque, bool(margin > 0.0))
+        return Traversability(*traversability(self._ids.estimate[0], load, pitch, self.scenario, self._best))
 
     def _period(self, time: float) -> float:
         """Time [s] since the last update."""

@@ -53,6 +53,14 @@ class SoilState(NamedTuple):
     dig_recovery: float  # [-]
 
 
+def lumped_coefficient(k_c: float, k_phi: float, width: float) -> float:
+    """S = k_c/b + k_phi [N/m^(n+2)] for a wheel of width b [m] (Bekker); `ParameterError` if it is not positive."""
+    s = k_c / width + k_phi
+    if s <= 0.0:
+        raise ParameterError(f"soil: k_c/b + k_phi = {s:g} for a wheel of width {width:g} m: expected > 0")
+    return s
+
+
 @dataclass(frozen=True)
 class Soil(Checked):
     """A uniform soil, in the terms of Bekker, Janosi & Hanamoto and Mohr-Coulomb.
@@ -86,14 +94,11 @@ class Soil(Checked):
         return math.tan(math.radians(self.friction_angle_deg))
 
     def lumped(self, width: float) -> float:
-        """S = k_c/b + k_phi [N/m^(n+2)] for a wheel of width b [m]; `ParameterError` if it is not positive."""
+        """S [N/m^(n+2)] for a wheel of width b [m]; as `lumped_coefficient` where the moduli are given."""
         if self.sinkage_coefficient is not None:
             return self.sinkage_coefficient
         assert self.k_c is not None and self.k_phi is not None  # checked on construction
-        s = self.k_c / width + self.k_phi
-        if s <= 0.0:
-            raise ParameterError(f"Soil: k_c/b + k_phi = {s:g} for a wheel of width {width:g} m: expected > 0")
-        return s
+        return lumped_coefficient(self.k_c, self.k_phi, width)
 
     def state(self, width: float) -> SoilState:
         """The soil as the compiled kernels take it, under a wheel of width b [m]."""

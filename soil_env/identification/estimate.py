@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from soil_env._numba.compiling import inlined, uncompiled
-from soil_env.parameters import Belief, SoilState
+from soil_env.parameters import Belief, Scenario, SoilState
 
 STIFFEST = 1e13  # largest sinkage coefficient that an estimate may stand for, whatever its exponent
 MOST_DIGGING = 20.0  # largest gain of digging that an estimate may stand for
@@ -41,6 +42,20 @@ def published(x: Any, sd: Any, dig_gain: float, of: Any = math) -> dict[str, Any
         "cohesion_sd": sd[3],
         "dig_gain_relative_sd": sd[4],
     }
+
+
+def traversability(
+    estimate: np.ndarray, load: float, pitch: float, scenario: Scenario, best_point: Callable[..., Any]
+) -> tuple[float, float, float, float, bool]:
+    """(best slip, drawbar margin, torque required, torque available, whether passable) of the ground as identified.
+
+    By an estimate [5], under `load` [N] at `pitch` [rad]; `best_point`: `best_working_point`.
+    """
+    wheel = scenario.wheel
+    soil = soil_as_identified(estimate, scenario.belief)
+    best = best_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
+    margin = max(best.drawbar_pull / load - math.tan(pitch), -1.0)
+    return best.slip, margin, best.torque, wheel.stall_torque, margin > 0.0
 
 
 def soil_as_identified(estimate: np.ndarray, belief: Belief) -> SoilState:

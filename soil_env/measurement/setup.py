@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml
-from soil_env.parameters import Soil
+from soil_env.parameters import Soil, lumped_coefficient
 
 REQUIRED = ("slip", "load")  # columns of every table
 LARGEST_WHEEL = 3.0  # [m] as in `parameters.Wheel`
@@ -106,9 +106,7 @@ class SoilPriors(Checked):
         """Prior of S [N/m^(n+2)] under a wheel of width b [m]: k_c/b + k_phi where these are given."""
         if self.k_c is None or self.k_phi is None:
             return self.sinkage_coefficient
-        value = self.k_c.value / width + self.k_phi.value
-        if value <= 0.0:
-            raise ParameterError(f"soil: k_c/b + k_phi = {value:g} for a wheel of width {width:g} m: expected > 0")
+        value = lumped_coefficient(self.k_c.value, self.k_phi.value, width)
         return Prior(value, math.hypot(self.k_c.sd / width, self.k_phi.sd))
 
 

@@ -27,7 +27,7 @@ from soil_env.paper.model import (
     roots,
 )
 from soil_env.paper.printed import WONG_REECE_LOAD, Sand, printed
-from soil_env.parameters import Soil, soils
+from soil_env.parameters import Soil, lumped_coefficient, soils
 from soil_env.terramechanics.model import steady_state
 
 P = printed()
@@ -66,7 +66,7 @@ def as_shown(value: float, form: str) -> float:
 
 def sand_set(sand: Sand = SAND) -> tuple[float, float, float]:
     """(phi [deg], K [m], S)."""
-    return sand.friction_angle_deg, sand.shear_modulus, sand.k_c / WHEEL.width + sand.k_phi
+    return sand.friction_angle_deg, sand.shear_modulus, lumped_coefficient(sand.k_c, sand.k_phi, WHEEL.width)
 
 
 def pull(e: Equations, sand: Sand = SAND, slip: ArrayLike = POINT.slip) -> np.ndarray:

@@ -44,8 +44,8 @@ def contact_stresses(
     angle = np.linspace(0.0, theta1, ARC_POINTS)
     normal, shear = np.empty(ARC_POINTS), np.empty(ARC_POINTS)
     for i, theta in enumerate(angle):
-        depth = r * (math.cos(mirror_angle(theta, theta1, 0.0, 0.5 * theta1)) - math.cos(theta1))
-        normal[i] = coefficient * relative_stress(depth, soil.sinkage_exponent)
+        front = mirror_angle(theta, theta1, 0.0, 0.5 * theta1)
+        normal[i] = coefficient * relative_stress(front, math.cos(theta1), soil.sinkage_exponent, r)
         j, _, _ = shear_displacement(theta, theta1, math.sin(theta1), rim, travel, r)
         share, _ = mobilised(j, soil.shear_modulus, JANOSI)
         shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * share

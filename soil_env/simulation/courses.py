@@ -24,11 +24,12 @@ from soil_env.simulation.passability import (
     CourseNumbers,
     capacity,
     draw_soil,
+    margin_between,
     steepest,
 )
 from soil_env.simulation.terrain import cell_at
 from soil_env.simulation.wheel import interaction_of
-from soil_env.terramechanics.ground import blend, row_soil
+from soil_env.terramechanics.ground import row_soil
 from soil_env.terramechanics.model import WheelSoilModel
 
 _MAX_REDRAWS = 30
@@ -75,9 +76,8 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
 @part
 def _margin_at_border(k, courses, i, load, numbers):
     """Margin in the middle of the passage from patch i - 1 to patch i."""
-    mid = blend(row_soil(courses.soils[k, i - 1]), row_soil(courses.soils[k, i]), 0.5)
-    tangent = math.tan(0.5 * (courses.grades[k, i - 1] + courses.grades[k, i]))
-    return capacity(load, mid, tangent, numbers) - tangent
+    soils, grades = courses.soils[k], courses.grades[k]
+    return margin_between(row_soil(soils[i - 1]), row_soil(soils[i]), grades[i - 1], grades[i], load, numbers)
 
 
 @part

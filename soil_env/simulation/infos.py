@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall
 from soil_env.identification import Status
-from soil_env.identification.estimate import LEAST_LOAD, published, soil_as_identified
+from soil_env.identification.estimate import LEAST_LOAD, published, traversability
 from soil_env.identification.immobilisation import HORIZONS, ImmobilisationWarning
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
@@ -124,12 +123,9 @@ class Infos:
         """Traversability (paper, Section 6) of the ground as identified, at the measured load and pitch; `_WARNING`."""
         if self._stale[k]:
             self._stale[k] = False
-            belief, wheel = self.scenario.belief, self.scenario.wheel
-            load = max(float(self._seen[k, 0]), LEAST_LOAD) * self.scenario.weight
-            soil = soil_as_identified(worlds.ids.estimate[k], belief)
-            best = self._best(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
-            margin = max(best.drawbar_pull / load - math.tan(float(self._seen[k, 1])), -1.0)
-            self._warnings[k] = best.slip, margin, best.torque, wheel.stall_torque, margin > 0.0
+            load, pitch = self._seen[k].tolist()
+            load = max(load, LEAST_LOAD) * self.scenario.weight
+            self._warnings[k] = traversability(worlds.ids.estimate[k], load, pitch, self.scenario, self._best)
         return self._warnings[k]
 
     # --- many wheels --------------------------------------------------------------------------------------------------

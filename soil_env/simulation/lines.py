@@ -14,8 +14,8 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.random_streams import between, normal_pair, uniform
-from soil_env.simulation.passability import capacity, draw_soil, scattered, steepest
-from soil_env.terramechanics.ground import blend, row_soil
+from soil_env.simulation.passability import draw_soil, margin_between, scattered, steepest
+from soil_env.terramechanics.ground import row_soil
 
 _REDRAWS = 30
 
@@ -179,10 +179,10 @@ def passable(k, courses, p, line):
 @part
 def _border_margin(k, courses, p, before, line, load, numbers):
     """Margin in the middle of the passage from line `before` of patch p - 1 to `line` of patch p."""
-    lines = courses.lines
-    mid = blend(row_soil(lines.soils[k, p - 1, before]), row_soil(lines.soils[k, p, line]), 0.5)
-    tangent = math.tan(0.5 * (lines.grades[k, p - 1, before] + lines.grades[k, p, line]))
-    return capacity(load, mid, tangent, numbers) - tangent
+    soils, grades = courses.lines.soils[k], courses.lines.grades[k]
+    return margin_between(
+        row_soil(soils[p - 1, before]), row_soil(soils[p, line]), grades[p - 1, before], grades[p, line], load, numbers
+    )
 
 
 @part

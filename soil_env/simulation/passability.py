@@ -12,7 +12,7 @@ from soil_env._numba.lanes import scratch
 from soil_env._numba.random_streams import normal_pair, uniform
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import depends_on_speed
-from soil_env.terramechanics.ground import row_soil
+from soil_env.terramechanics.ground import blend, row_soil
 from soil_env.terramechanics.model import Conditions, Rim, steady_with
 from soil_env.terramechanics.reaction import Interaction
 from soil_env.terramechanics.residual import dimensionless_groups, residual_at
@@ -143,6 +143,13 @@ def capacity(load, soil, tangent, numbers):
     if depends_on_speed(wheel.effects):
         pull = min(pull, _best_pull(load, soil, 0.0, sin_grade, numbers))
     return pull
+
+
+@part
+def margin_between(a, b, grade_a, grade_b, load, numbers):
+    """Margin in the middle of the passage from soil a to soil b, with their grades [rad]."""
+    tangent = math.tan(0.5 * (grade_a + grade_b))
+    return capacity(load, blend(a, b, 0.5), tangent, numbers) - tangent
 
 
 @part

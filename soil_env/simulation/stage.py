@@ -153,18 +153,24 @@ def soil_in_lanes(g, i):
 
 
 @inlined
-def _foreseen(state, k, back_v, back_u, cv, cu, weight_along, command, by_speed, world):
+def foreseen_rim(state, k, i, period, back_u, cu, world):
+    """(residual [m/s], d(T - T_motor)/du) of the rotation of eight wheels, by the reaction of the last stage."""
+    command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
+    torque, slope, _ = motor(command, by_speed, from_array(state.wheel_speed, k), world)
+    net = from_array(state.torque_by_rim, k) - slope / world.wheel.radius
+    return back_u - cu * (torque - from_array(state.torque, k)), net
+
+
+@inlined
+def _foreseen(state, k, i, period, back_v, back_u, cv, cu, weight_along, world):
     """Change of the speeds [m/s] of eight wheels in a stage, by the reaction of the last one to first order.
 
     The stage begins at speeds that lie `back_v`, `back_u` behind those that the wheels have.
     """
-    r = world.wheel.radius
-    torque, torque_w, _ = motor(command, by_speed, from_array(state.wheel_speed, k), world)
+    f2, net = foreseen_rim(state, k, i, period, back_u, cu, world)
     return newton_step(
-        back_v - cv * (from_array(state.drawbar_pull, k) - weight_along),
-        back_u - cu * (torque - from_array(state.torque, k)), cv, cu,
-        from_array(state.pull_by_speed, k), from_array(state.pull_by_rim, k), from_array(state.torque_by_speed, k),
-        from_array(state.torque_by_rim, k) - torque_w / r,
+        back_v - cv * (from_array(state.drawbar_pull, k) - weight_along), f2, cv, cu,
+        from_array(state.pull_by_speed, k), from_array(state.pull_by_rim, k), from_array(state.torque_by_speed, k), net,
     )  # fmt: skip
 
 
@@ -181,8 +187,7 @@ def change_ahead(state, k, i, period, world, h):
     """Foreseen change of the speeds [of the top rim speed] of eight wheels in h seconds under their commands."""
     r, mass = world.wheel.radius, from_array(state.mass, k)
     along, still = world.wheel.gravity * mass * sine_of(from_array(state.grade, k)), fill(0.0)
-    command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
-    dv, du = _foreseen(state, k, still, still, h / mass, h * r / world.inertia, along, command, by_speed, world)
+    dv, du = _foreseen(state, k, i, period, still, still, h / mass, h * r / world.inertia, along, world)
     return larger(abs(dv), held_change(du, state, k, i, period, world)) / (r * world.no_load_speed)
 
 
@@ -197,14 +202,13 @@ def set_up(state, first, i, period, sub, world, h, lead, duration):
     cv, cu = h / from_array(state.mass, k), h * world.wheel.radius / world.inertia
     speed0, u0 = from_array(state.speed, k), world.wheel.radius * from_array(state.wheel_speed, k)
     back_v, back_u = behind(state, k, i, period, world, lead)
-    command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
-    dv, du = _foreseen(state, k, back_v, back_u, cv, cu, from_array(e.weight_along, i), command, by_speed, world)
+    dv, du = _foreseen(state, k, i, period, back_v, back_u, cv, cu, from_array(e.weight_along, i), world)
     short = below(larger(abs(dv), abs(du)), SHORT * (abs(u0) + REST_SPEED))
     to_array(cv, e.gain_v, i)
     to_array(speed0 - back_v, e.speed0, i)
     to_array(u0 - back_u, e.rim0, i)
-    to_array(command, e.command, i)
-    to_array(by_speed, e.by_speed, i)
+    to_array(from_array(period.command, i), e.command, i)
+    to_array(from_array(period.by_speed, i), e.by_speed, i)
     to_array(speed0 + short * dv, e.try_v, i)
     to_array(u0 + short * du, e.try_u, i)
 

@@ -308,7 +308,7 @@ def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
         for k in range(2 * m + 1):
             w = h / 3.0 * (1.0 if k == 0 or k == 2 * m else (4.0 if k % 2 == 1 else 2.0))
             theta = low + k * h
-            p = relative_stress(r * (math.cos(mirror_angle(theta, theta1, theta2, thetam)) - cos1), n)
+            p = relative_stress(mirror_angle(theta, theta1, theta2, thetam), cos1, n, r)
             j, lever_rim, lever_travel = shear_displacement(theta, theta1, sin1, rim, travel, r)
             e, g = mobilised(j, K, JANOSI)
             wc, ws = w * math.cos(theta), w * math.sin(theta)

@@ -135,8 +135,12 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
 
 
 @part
-def relative_stress(depth, n):
-    """Normal stress for S = 1 at `depth` [m] on the rim below the entry point, Eq. (7): sigma / S = depth^n."""
+def relative_stress(theta, cos1, n, r):
+    """Normal stress for S = 1 at an angle of the front zone, Eq. (7): its depth [m] below the entry point, to the n.
+
+    cos1 = cos(theta1).
+    """
+    depth = r * (math.cos(theta) - cos1)
     return depth**n if depth > 0.0 else (1.0 if n == 0.0 else 0.0)
 
 

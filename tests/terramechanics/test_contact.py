@@ -187,7 +187,7 @@ def test_exponent_zero_is_constant_stress():
     q = quadrature.arc_integrals(0.8, 0.0, 0.4, 1.0, 0.8, 0.01, 0.0, 0.15)[0]
     assert q.p_cos == pytest.approx(math.sin(0.8), rel=1e-9)
     assert q.p_sin == pytest.approx(1.0 - math.cos(0.8), rel=1e-9)
-    assert contact.relative_stress(0.0, 0.0) == 1.0 and contact.relative_stress(0.0, 0.5) == 0.0
+    assert contact.relative_stress(0.0, 1.0, 0.0, 0.1) == 1.0 and contact.relative_stress(0.0, 1.0, 0.5, 0.1) == 0.0
 
 
 def test_mirror_angle_ends():

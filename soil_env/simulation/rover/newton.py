@@ -17,6 +17,7 @@ from soil_env.simulation.stage import (
     SHORT,
     behind,
     chosen_reaction,
+    foreseen_rim,
     load_reaction,
     reaction_at,
     stand,
@@ -49,15 +50,6 @@ def _turned(dv, torque_by_v, net_by_u, f2, cu):
 
 
 @inlined
-def _foreseen_rim(wheels, k, period, i, back_u, cu, world):
-    """(residual [m/s], d(T - T_motor)/du) of the wheels in columns k on, by the reaction of the last stage."""
-    command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
-    torque, slope, _ = motor(command, by_speed, from_array(wheels.wheel_speed, k), world)
-    net = from_array(wheels.torque_by_rim, k) - slope / world.wheel.radius
-    return back_u - cu * (torque - from_array(wheels.torque, k)), net
-
-
-@inlined
 def foresee(wheels, first, period, world, s, h, mass, lead, changes):
     """Change of V [m/s] of eight rovers in h seconds by the reaction of the last stage to first order, and those of the
     rim speeds into `changes`, eight an axle; the stage begins at speeds as `newton.behind` says."""
@@ -67,7 +59,7 @@ def foresee(wheels, first, period, world, s, h, mass, lead, changes):
     for a in range(s.axles):
         i, k = a * COUNT, first + a * COUNT
         _, back_u = behind(wheels, k, i, period, world, lead)
-        f2, net = _foreseen_rim(wheels, k, period, i, back_u, cu, world)
+        f2, net = foreseen_rim(wheels, k, i, period, back_u, cu, world)
         along = world.wheel.gravity * from_array(wheels.mass, k) * sine_of(from_array(wheels.grade, k))
         by_slope, by_residual = _eliminate(
             from_array(wheels.pull_by_rim, k), from_array(wheels.torque_by_speed, k), net, f2, cu
@@ -78,7 +70,7 @@ def foresee(wheels, first, period, world, s, h, mass, lead, changes):
     for a in range(s.axles):
         i, k = a * COUNT, first + a * COUNT
         _, back_u = behind(wheels, k, i, period, world, lead)
-        f2, net = _foreseen_rim(wheels, k, period, i, back_u, cu, world)
+        f2, net = foreseen_rim(wheels, k, i, period, back_u, cu, world)
         to_array(_turned(dv, from_array(wheels.torque_by_speed, k), net, f2, cu), changes, i)
     return dv
 
