@@ -6,6 +6,7 @@ import pytest
 from soil_env.slip import (
     motion_from_slip,
     rim_speeds,
+    signed_slip,
     slip_of_radius,
     slip_ratio,
     slips_of_radius,
@@ -22,6 +23,14 @@ def test_slip_ratio():
     assert slip_ratio(1.0, 0.0, 1e-3) == 1.0
     assert slip_ratio(0.0, 1.0, 1e-3) == -1.0
     assert slip_ratio(0.0, 0.0, 1e-3) == 0.0
+
+
+@pytest.mark.parametrize("rim, travel", [(1.0, 0.6), (0.6, 1.0), (-1.0, -0.6), (-0.2, -0.9), (2e-4, 1e-4), (1.0, -0.5)])
+def test_derivatives_of_slip_are_those_by_differences(rim, travel):
+    slip, by_rim, by_travel = signed_slip(rim, travel, 1e-3)
+    h = 1e-9
+    ahead = signed_slip(rim + h, travel, 1e-3)[0], signed_slip(rim, travel + h, 1e-3)[0]
+    assert ((ahead[0] - slip) / h, (ahead[1] - slip) / h) == pytest.approx((by_rim, by_travel), rel=1e-4, abs=1e-6)
 
 
 @pytest.mark.parametrize("slip", SLIPS)
