@@ -9,6 +9,7 @@ the first of the next course, the last one is in info["final_obs"]. A course tha
 and full throttle drive the same courses; the picture shows the return over training.
 """
 
+import argparse
 import time
 
 import gymnasium
@@ -16,7 +17,6 @@ import matplotlib
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from soil_env._io.commands import command_parser
 from soil_env_agents.extras import needing
 
 matplotlib.use("Agg")
@@ -174,7 +174,7 @@ def make(scenario: str, count: int):
 
 def main() -> None:
     """Train, compare with full throttle, draw."""
-    p = command_parser("cleanrl_ppo.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--scenario", default="mixed", help="name or YAML file")
     p.add_argument("--steps", type=int, default=300_000)
     p.add_argument("--wheels", type=int, default=128)

@@ -8,11 +8,10 @@ gets stuck and how often it finishes. `soil-env-evaluate` does the same for trai
 your own, with resume, many processes and a report.
 """
 
+import argparse
 import sys
 
 import matplotlib
-
-from soil_env._io.commands import command_parser
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -26,7 +25,7 @@ from soil_env_agents.evaluate.tuning import tuned_settings
 
 def main() -> None:
     """Drive, print, draw."""
-    p = command_parser("compare_controllers.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--scenario", default=DEFAULT_SCENARIO, help="name or YAML file")
     p.add_argument("--courses", type=int, default=200)
     p.add_argument("--out", default="compared.png", help="the picture")

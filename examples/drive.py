@@ -8,6 +8,7 @@ Examples:
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -15,14 +16,13 @@ import gymnasium
 import numpy as np
 
 from soil_env import ParameterError
-from soil_env._io.commands import command_parser
 from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env_agents.controllers import CONTROLLERS, make_controller
 
 
 def main() -> None:
     """Parse the command line, drive, save."""
-    p = command_parser("drive.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--controller", choices=sorted(CONTROLLERS), default="best_slip_identified")
     p.add_argument("--scenario", default=DEFAULT_SCENARIO, help="name of a scenario or path of a YAML file")
     p.add_argument("--seed", type=int, default=0, help="seed of the course")

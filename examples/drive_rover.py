@@ -6,6 +6,7 @@ Examples:
     python examples/drive_rover.py --speed 0.8 --out rover.mp4         the whole course (needs moviepy)
 """
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -14,13 +15,12 @@ import matplotlib.image
 import numpy as np
 
 from soil_env import ParameterError
-from soil_env._io.commands import command_parser
 from soil_env.vehicle import DEFAULT_ROVER, rover_names
 
 
 def main() -> None:
     """Drive, print, save."""
-    p = command_parser("drive_rover.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--rover", default=DEFAULT_ROVER, help=f"{', '.join(rover_names())}, or the path of a YAML file")
     p.add_argument("--speed", type=float, default=0.7, help="of the wheels, as a share of their no-load speed")
     p.add_argument("--seed", type=int, default=0, help="seed of the course")

@@ -7,12 +7,11 @@ Prints the effect that is named, how probable it and its rivals are, and how far
 corrected model, beside the picture. `python -m soil_env.discrepancy` does the same with a whole report.
 """
 
+import argparse
 import sys
 from pathlib import Path
 
 import matplotlib
-
-from soil_env._io.commands import command_parser
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -25,7 +24,7 @@ DATA = Path(__file__).parent / "data"
 
 def main() -> None:
     """Run the workflow, print its verdict, draw the gap."""
-    p = command_parser("find_missing_effect.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("table", nargs="?", default=DATA / "rig.csv", help="CSV file")
     p.add_argument("--setup", default=DATA / "rig.setup.yaml", help="wheel, noise, and what is known of the soil")
     p.add_argument("--out", type=Path, default=Path("gap.png"), help="the picture")

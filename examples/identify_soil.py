@@ -6,12 +6,11 @@
 Prints every soil parameter with its 95 % interval; the picture shows measured points and the fit over slip.
 """
 
+import argparse
 import sys
 from pathlib import Path
 
 import matplotlib
-
-from soil_env._io.commands import command_parser
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -25,7 +24,7 @@ DATA = Path(__file__).parent / "data"
 
 def main() -> None:
     """Identify, print, draw."""
-    p = command_parser("identify_soil.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("table", nargs="?", default=DATA / "single_wheel.csv", help="CSV file")
     p.add_argument("--setup", default=DATA / "setup.yaml", help="wheel, noise, and what is known of the soil")
     p.add_argument("--out", default="identified.png", help="the picture")

@@ -12,6 +12,7 @@ Examples:
 
 from __future__ import annotations
 
+import argparse
 import json
 import socket
 import sys
@@ -19,7 +20,6 @@ import threading
 import time
 from collections.abc import Iterable, Iterator
 
-from soil_env._io.commands import command_parser
 from soil_env.online import OnlineIdentifier, Readings
 from soil_env.parameters import load_scenario
 
@@ -82,7 +82,7 @@ def send(lines: Iterable[str], address: tuple[str, int], pause: float = 0.002) -
 
 def main() -> None:
     """Parse the command line and run the node."""
-    p = command_parser("live_identifier.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     source = p.add_mutually_exclusive_group()
     source.add_argument("--stdin", action="store_true", help="read lines from stdin")
     source.add_argument("--udp", type=int, metavar="PORT", help="listen at this port of this machine")

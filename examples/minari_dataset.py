@@ -8,11 +8,11 @@ This is `python -m soil_env_agents.dataset` for one classical controller; that c
 them. Data sets lie in ~/.minari/datasets, or where MINARI_DATASETS_PATH says.
 """
 
+import argparse
 import sys
 
 import numpy as np
 
-from soil_env._io.commands import command_parser
 from soil_env_agents import dataset
 from soil_env_agents.controllers import CONTROLLERS
 from soil_env_agents.extras import needing
@@ -23,7 +23,7 @@ with needing("minari", "minari_dataset.py"):
 
 def main() -> int:
     """Record, replay, say what came back."""
-    p = command_parser("minari_dataset.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--controller", choices=sorted(CONTROLLERS), default="best_slip_identified")
     p.add_argument("--episodes", type=int, default=5)
     options = p.parse_args()

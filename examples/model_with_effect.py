@@ -7,9 +7,9 @@ The soil that a wheel pushes ahead of it (bulldozing) takes drawbar pull: the pi
 with and without. The same model then becomes a world of which neither identifier nor controller knows.
 """
 
-import matplotlib
+import argparse
 
-from soil_env._io.commands import command_parser
+import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -23,7 +23,7 @@ from soil_env_agents.evaluate import HELD_OUT_SET, run_courses
 
 def main() -> None:
     """Predict, draw, drive."""
-    p = command_parser("model_with_effect.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--courses", type=int, default=100)
     p.add_argument("--out", default="bulldozing.png", help="the picture")
     options = p.parse_args()

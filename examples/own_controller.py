@@ -7,9 +7,10 @@ The picture has a column for each of the two on the same course: grade, slip, si
 second command, from the root of the repository, compares the class with others on 1000 courses.
 """
 
+import argparse
+
 import numpy as np
 
-from soil_env._io.commands import command_parser
 from soil_env.parameters import load_scenario
 from soil_env_agents.controllers import Controller, make_controller
 from soil_env_agents.evaluate import HELD_OUT_SET
@@ -32,7 +33,7 @@ class Careful(Controller):
 
 def main() -> None:
     """Drive both on one course."""
-    p = command_parser("own_controller.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--course", type=int, default=3, help="which of the held-out courses")
     p.add_argument("--out", default="own_controller.png", help="the picture")
     options = p.parse_args()

@@ -7,20 +7,21 @@ Saves the task as a YAML file, which every command takes as --scenario, and draw
 the wheel is refused in one line.
 """
 
+import argparse
+
 import gymnasium
 import matplotlib.image
 import numpy as np
 import yaml
 
 from soil_env import ParameterError
-from soil_env._io.commands import command_parser
 from soil_env.parameters import Soil, to_dict
 from soil_env_agents.controllers import make_controller
 
 
 def main() -> None:
     """Build the task, save it, drive it."""
-    p = command_parser("own_soil.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--phi", type=float, default=31.0, help="friction angle [deg]")
     p.add_argument("--shear-modulus", type=float, default=0.02, help="K [m]")
     p.add_argument("--steps", type=int, default=200, help="control periods until the picture")

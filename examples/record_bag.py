@@ -13,6 +13,7 @@ Examples:
 
 from __future__ import annotations
 
+import argparse
 import math
 from pathlib import Path
 
@@ -21,7 +22,6 @@ import numpy as np
 import yaml
 
 from soil_env import ParameterError
-from soil_env._io.commands import command_parser
 from soil_env.logs import read_map, read_recording, replay
 from soil_env.parameters import to_dict
 from soil_env_agents.extras import needing
@@ -142,7 +142,7 @@ def map_of(scenario) -> str:
 
 def main() -> None:
     """Record, read back, compare."""
-    p = command_parser("record_bag.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--seed", type=int, default=0, help="seed of the course")
     p.add_argument("--steps", type=int, default=600, help="control periods at most")
     p.add_argument("--out", type=Path, default=Path("drive"), help="folder of the bag, which must not exist")

@@ -8,11 +8,11 @@ RLlib makes the environment by its name in every env runner, many wheels in one 
 by wheel in Python, which takes most of the time, about ten times what Stable-Baselines3 takes for a step.
 """
 
+import argparse
 from collections import deque
 
 import numpy as np
 
-from soil_env._io.commands import command_parser
 from soil_env_agents.extras import needing
 
 with needing("rllib", "rllib_ppo.py"):
@@ -39,7 +39,7 @@ class Driving(DefaultPPOTorchRLModule):
 
 def main() -> None:
     """Parse the command line, train."""
-    p = command_parser("rllib_ppo.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--iterations", type=int, default=40)
     p.add_argument("--batch", type=int, default=8192, help="steps an iteration (default: 8192)")
     p.add_argument("--wheels", type=int, default=64, help="of each env runner (default: 64)")

@@ -6,11 +6,10 @@
 The picture shows the return over training. `python train.py` trains the full agent, with checkpoints and a comparison.
 """
 
+import argparse
 from pathlib import Path
 
 import matplotlib
-
-from soil_env._io.commands import command_parser
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -44,7 +43,7 @@ class Returns(BaseCallback):
 
 def main() -> None:
     """Train, compare, draw."""
-    p = command_parser("train_ppo.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--steps", type=int, default=1_000_000)
     p.add_argument("--courses", type=int, default=200, help="held-out courses of the comparison")
     p.add_argument("--save", type=Path, default=Path("agent.zip"), help="the agent, for agents.evaluate")

@@ -7,6 +7,7 @@ Prints steps a second and how the courses ended, and draws where they ended: a c
 later, hardly any wheel finishes.
 """
 
+import argparse
 import sys
 import time
 from collections import Counter
@@ -14,8 +15,6 @@ from collections import Counter
 import gymnasium
 import matplotlib
 import numpy as np
-
-from soil_env._io.commands import command_parser
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -26,7 +25,7 @@ from soil_env.simulation.task import Cause
 
 def main() -> None:
     """Step, count, draw."""
-    p = command_parser("vector_env.py", __doc__, status="")
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--wheels", type=int, default=512)
     p.add_argument("--steps", type=int, default=1000, help="of every wheel")
     p.add_argument("--out", default="vector_env.png", help="the picture")
