@@ -221,7 +221,13 @@ def test_bad_options_are_refused_in_one_line(done, tmp_path, capsys):
 
 
 def test_the_shipped_configs_can_be_read():
-    for name in ("ablation.yaml", "ablation_harder.yaml", "ablation_smoke.yaml"):
+    for name in (
+        "ablation.yaml",
+        "ablation_harder.yaml",
+        "ablation_wider.yaml",
+        "ablation_narrow.yaml",
+        "ablation_smoke.yaml",
+    ):
         asked = study.read_config(config_dir() / name)
         found = [asked.asked_about(variant) for variant in ("blind", "identified", "true_soil")]
         assert (
@@ -229,6 +235,8 @@ def test_the_shipped_configs_can_be_read():
             == {
                 "ablation.yaml": ["blind_memory", "identified_memory", "true_soil"],
                 "ablation_harder.yaml": ["blind_memory", "robust", None],
+                "ablation_wider.yaml": ["robust_blind", "robust", None],
+                "ablation_narrow.yaml": ["robust_blind", "robust", None],
                 "ablation_smoke.yaml": ["ppo_blind", "ppo_identified", "ppo_true"],
             }[name]
         )
