@@ -60,6 +60,9 @@ UNITS = {
 DEEPEST = 1.0  # [m] a larger sinkage is taken for millimetres
 STEEPEST = 60.0  # [deg]
 FASTEST = 40.0  # [m/s] a larger speed is taken for mm/s
+LIGHTEST, STRONGEST = 1e-3, 1e6  # [N] of a load; the latter of a pull, and in N m of a torque, either way, too
+MOST_PASSES = 10**6
+EXACTEST, COARSEST = 1e-9, 1e6  # standard deviation, in the unit of its column
 
 Rows = Sequence[tuple[int, list[str]]]  # line of the file and cells
 
@@ -162,7 +165,7 @@ def read_table(path: str | Path, wheel: SetupWheel | None = None, ignore: Sequen
         source=str(path),
         given=frozenset(header),
         row=np.array([line for line, _ in rows]),
-        passes=np.where(np.isnan(passes), 1.0, passes).astype(int),
+        passes=np.clip(np.where(np.isnan(passes), 1.0, passes), 0, MOST_PASSES).astype(int),  # checked below
         run=np.array([text for _, text in runs]),
         **columns,
     )
@@ -287,12 +290,15 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
     percent = 2.0 < np.max(np.abs(table.slip)) <= 100.0
     refuse("slip", outside, "slip in [-1, 1]" + (" (if it is percent, divide by 100)" if percent else ""))
     refuse("load", table.load <= 0.0, "a load > 0 N, upward on the wheel")
+    refuse("load", table.load < LIGHTEST, f"newtons, at least {LIGHTEST:g}")
+    refuse("load", table.load > STRONGEST, f"newtons, at most {STRONGEST:g}")
     refuse("speed", table.speed < 0.0, "a travel speed >= 0 m/s")
     refuse("speed", table.speed > FASTEST, f"metres per second, at most {FASTEST:g} (if it is mm/s, divide by 1000)")
     if "pass" in header:
         numbers = _column(Path(table.source), "pass", header, rows)
         refuse("pass", (numbers != np.floor(numbers)) & ~np.isnan(numbers), "a whole number, 1 = fresh soil")
         refuse("pass", numbers < 1, "a whole number from 1, 1 = fresh soil")
+        refuse("pass", numbers > MOST_PASSES, f"a whole number from 1 to {MOST_PASSES:g}")
     refuse("grade_deg", np.abs(table.grade_deg) > STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]")
     grades = [cells[header.index("grade_deg")] for _, cells in rows] if "grade_deg" in header else []
     if in_radians(grades) and np.unique(np.abs(table.grade_deg[table.grade_deg != 0.0])).size > 1:
@@ -301,7 +307,13 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
         size = getattr(table, name)
         refuse(name, (size <= 0.0) | (size > LARGEST_WHEEL), f"metres in (0, {LARGEST_WHEEL:g}]")
     for name in NOISE:
-        refuse(name, getattr(table, name) <= 0.0, f"a standard deviation > 0 {UNITS[name]}, or an empty cell")
+        sd, unit = getattr(table, name), UNITS[name]
+        refuse(name, sd <= 0.0, f"a standard deviation > 0 {unit}, or an empty cell")
+        outside = (sd < EXACTEST) | (sd > COARSEST)
+        refuse(name, outside, f"a standard deviation in [{EXACTEST:g}, {COARSEST:g}] {unit}")
+    for name, unit in (("drawbar_pull", "newtons"), ("torque", "newton metres")):
+        outside = np.abs(getattr(table, name)) > STRONGEST
+        refuse(name, outside, f"{unit} in [-{STRONGEST:g}, {STRONGEST:g}]")
     refuse("grouser_height", (table.grouser_height < 0.0) | (table.grouser_height > 1.0), "metres in [0, 1]")
     refuse(
         "sinkage",
@@ -317,7 +329,11 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
     if np.any(deep):
         r = radius[deep][0]
         refuse("sinkage", deep, f"metres, at most the wheel radius {r:g} m (if it is millimetres, divide by 1000)")
+    _check_whole(table)
 
+
+def _check_whole(table: Table) -> None:
+    """Refuse rows without a measurement, and a table that has one slip only."""
     nothing = np.isnan(table.sinkage) & np.isnan(table.drawbar_pull) & np.isnan(table.torque)
     if np.any(nothing):
         line = table.row[nothing][0]

@@ -66,6 +66,18 @@ def test_reads_a_full_table(tmp_path):
         ([HEADER, "0.1,-100,0.02,5"], ["row 2", "load = -100", "load > 0 N"]),
         ([HEADER + ",pass", "0.1,100,0.02,5,1.5"], ["row 2", "pass = 1.5", "whole number"]),
         ([HEADER + ",pass", "0.1,100,0.02,5,0"], ["row 2", "pass = 0", "from 1"]),
+        ([HEADER + ",pass", GOOD[1] + ",1", "0.2,100,0.02,5,1e300"], ["row 3, pass = 1e300", "from 1 to 1e+06"]),
+        ([HEADER, GOOD[1], "0.2,1e300,0.02,5"], ["row 3, load = 1e300: expected newtons, at most 1e+06\n"]),
+        ([HEADER, GOOD[1], "0.2,1e-300,0.02,5"], ["row 3, load = 1e-300: expected newtons, at least 0.001\n"]),
+        (
+            [HEADER, GOOD[1], "0.2,100,0.02,-1e300"],
+            ["row 3, drawbar_pull = -1e300: expected newtons in [-1e+06, 1e+06]"],
+        ),
+        (
+            ["slip,load,torque", "0.1,100,5", "0.2,100,1e300"],
+            ["row 3, torque = 1e300: expected newton metres in [-1e+06, 1e+06]"],
+        ),
+        ([HEADER + ",sinkage_sd", GOOD[1] + ",1e300"], ["row 2, sinkage_sd = 1e300", "in [1e-09, 1e+06] m\n"]),
         ([HEADER + ",grade_deg", "0.1,100,0.02,5,75"], ["row 2", "grade_deg = 75", "[-60, 60]"]),
         ([HEADER + ",grade_deg", "0.1,100,0.02,5,-0.0873", "0.2,100,0.02,5,0.1745"], ["row 2", "radians", "57.3"]),
         ([HEADER + ",wheel_radius", "0.1,100,0.02,5,0"], ["row 2", "wheel_radius = 0", "metres in (0, 3]"]),
@@ -92,6 +104,7 @@ def test_reads_a_full_table(tmp_path):
         ([HEADER + ",sinkage_sd", "0.1,100,0.02,5,0"], ["row 2, sinkage_sd = 0: expected a standard deviation > 0 m"]),
     ],
 )
+@pytest.mark.filterwarnings("error")
 def test_refuses_a_bad_table(tmp_path, lines, words):
     message = refusal(read_table, written(tmp_path, *lines))
     assert "data.csv" in message
