@@ -11,7 +11,7 @@ from pathlib import Path
 import yaml
 
 from soil_env._io.commands import command, command_parser
-from soil_env._io.loading import ParameterError, config_dir, merge, parse_yaml
+from soil_env._io.loading import ParameterError, config_dir, merge, parse_yaml, read_yaml
 
 
 def manual(text: str) -> str:
@@ -85,6 +85,15 @@ def as_options(**names: str) -> Iterator[None]:
             raise
         option = names.get(own[1], own[1]).replace("_", "-")
         raise ParameterError(f"--{option}{str(error)[own.end() :]}") from None
+
+
+def config_mapping(name: str | Path) -> dict:
+    """The keys in the file of --config; ParameterError where it has none, which would be a long run of the defaults."""
+    path = config_file(name)
+    mapping = read_yaml(path)
+    if not mapping:
+        raise ParameterError(f"{path}: is empty: expected keys with their values; for the defaults leave out --config")
+    return mapping
 
 
 def config_file(name: str | Path) -> Path:

@@ -26,11 +26,11 @@ from pathlib import Path
 import soil_env
 from soil_env._io.commands import command_line, folder, leave
 from soil_env._io.files import make_folder
-from soil_env._io.loading import ParameterError, merge, read_yaml
+from soil_env._io.loading import ParameterError, merge
 from soil_env.parameters import Scenario
 
 from . import studies
-from .cli import config_file, manual_parser, overrides
+from .cli import config_mapping, manual_parser, overrides
 from .config import NAMES, TrainConfig, load_config
 from .extras import needing
 from .progress import Bar, console, show
@@ -145,7 +145,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = [key for key in _SET_HERE if key in changes]
     if given:
         raise ParameterError(f"--{given[0]}: is set for every seed; expected --seeds, --first and --out")
-    mapping = {} if options.config is None else read_yaml(config_file(options.config))
+    mapping = {} if options.config is None else config_mapping(options.config)
     config = load_config(merge(mapping, changes), options.config or "command line")
     scenario = training.scenario_of(config)
     training.check(config)

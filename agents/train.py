@@ -22,10 +22,10 @@ import re
 from pathlib import Path
 
 from soil_env._io.commands import command, command_line, label, leave
-from soil_env._io.loading import ParameterError, merge, read_yaml
+from soil_env._io.loading import ParameterError, merge
 from soil_env.vehicle import load_rover
 
-from .cli import config_file, manual_parser, overrides
+from .cli import config_mapping, manual_parser, overrides
 from .config import PPOConfig, TrainConfig, load_config
 from .extras import needing
 
@@ -103,7 +103,7 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
         folder = Path(options.resume)
         config, scenario = training.open_run(folder)
     else:
-        mapping = {} if options.config is None else read_yaml(config_file(options.config))
+        mapping = {} if options.config is None else config_mapping(options.config)
         config = load_config(mapping, options.config or "defaults")
         if changes:
             config = _over(mapping, changes, options.config)

@@ -22,11 +22,12 @@ from typing import Literal
 import numpy as np
 
 from soil_env._io.files import replace_file
-from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml, to_dict, unknown_key
+from soil_env._io.loading import Checked, ParameterError, load, quantity, to_dict, unknown_key
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import studies
+from ..cli import config_mapping
 from ..config import OfWorld, PPOConfig, TrainConfig
 from ..controllers import CONTROLLERS
 from ..evaluate import HELD_OUT_SET
@@ -121,7 +122,7 @@ class Ablation(Checked):
 
 def read_config(path: Path, only: list[str] | None = None, **changes) -> Ablation:
     """The study of a YAML file (see configs/ablation.yaml), with `changes` over it, for the scenarios `only`."""
-    content = {**read_yaml(path), **{k: v for k, v in changes.items() if v is not None}}
+    content = {**config_mapping(path), **{k: v for k, v in changes.items() if v is not None}}
     entries = content.pop("scenarios", None)
     if not isinstance(entries, dict) or not entries:
         raise ParameterError(f"{path}: scenarios: expected a mapping NAME: {{...}}")

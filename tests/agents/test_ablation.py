@@ -220,6 +220,12 @@ def test_bad_options_are_refused_in_one_line(done, tmp_path, capsys):
     assert "study" in refused(capsys, "--config", path, "--out", tmp_path)  # not empty, and no study
 
 
+def test_an_empty_config_is_refused(tmp_path, capsys):
+    path = tmp_path / "empty.yaml"
+    path.write_text("")
+    assert "empty.yaml: is empty: expected keys" in refused(capsys, "--config", path, "--out", tmp_path / "o")
+
+
 def test_the_shipped_configs_can_be_read():
     for name in (
         "ablation.yaml",

@@ -304,6 +304,16 @@ def test_a_bad_config_is_refused_with_the_file_s_name(capsys, tmp_path, content)
     assert "bad.yaml" in refused(capsys, "--config", file, "--runs", tmp_path / "runs")
 
 
+@pytest.mark.parametrize("content", ["", "# nothing yet\n", "{}\n"])
+def test_a_config_without_keys_is_refused(capsys, tmp_path, monkeypatch, content):
+    """It would be the default training of hours."""
+    monkeypatch.setattr(training, "train", lambda *_: pytest.fail("training was started"))
+    file = tmp_path / "empty.yaml"
+    file.write_text(content)
+    assert "empty.yaml: is empty: expected keys" in refused(capsys, "--config", file, "--runs", tmp_path / "runs")
+    assert not (tmp_path / "runs").exists()
+
+
 def test_too_little_memory_gives_one_line(capsys, tmp_path, monkeypatch):
     def fill(*args, **kwargs):
         raise MemoryError("Unable to allocate 288. GiB")
