@@ -65,6 +65,8 @@ def main(arguments: list[str] | None = None) -> int:
         raise ParameterError("expected one of --out, --resume and --report (see --help)")
     engine = studies.choose("local", options.workers)
     folder = options.report or options.resume or options.out
+    if options.page is not None:
+        page.check(options.page)
     with go_on_with(_NAME, folder):
         if options.out is not None:
             asked = _asked(options)

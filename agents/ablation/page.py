@@ -7,7 +7,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from soil_env._io.document import Table, render, renewed
-from soil_env._io.files import replace_file, write_json
+from soil_env._io.files import check_outputs, replace_file, write_json
+from soil_env._io.loading import ParameterError
 
 from ..evaluate import report
 from ..evaluate.figures import draw_profiles, png
@@ -30,6 +31,23 @@ _COLUMNS = (
 _COLOURS = {"true_soil": "#777777", "identified": "#d55e00", "blind": "#0072b2"}
 
 
+def check(page: Path) -> None:
+    """Before the work: ParameterError or OSError if the page, or the folder beside it, could not be written."""
+    if not page.suffix:  # the folder beside it would have its name
+        raise ParameterError(f"--page {page}: expected a file NAME.md")
+    if not page.parent.is_dir():
+        raise ParameterError(f"{page.parent}: no such folder: expected one for the page {page.name}")
+    _renewed(page, "")
+    check_outputs(page.parent, (page.name,))
+    check_outputs(page.with_suffix(""))
+
+
+def _renewed(page: Path, part: str) -> str:
+    """The text of the page, an empty one where there is none, with `part` between its markers."""
+    text = page.read_text(encoding="utf-8") if page.exists() else EMPTY_PAGE
+    return renewed(text, {"ablation": part}, page)
+
+
 def write(asked: Ablation, folder: Path, result: dict, page: Path | None) -> list[Path]:
     """Evaluations of all scenarios, comparison.json, figures and comparison.md into `folder`; with `page`, the marked
     part of that page, and json and figures into a folder of its name beside it. Returns what was written."""
@@ -44,12 +62,11 @@ def write(asked: Ablation, folder: Path, result: dict, page: Path | None) -> lis
     replace_file(path, f"# Does the identifier help?\n\n{block(asked, result, '')}\n")
     if page is not None:
         page = Path(page)
-        text = page.read_text(encoding="utf-8") if page.exists() else EMPTY_PAGE
-        renewed(text, {"ablation": ""}, page)  # its markers are checked before anything is written beside it
+        check(page)  # before anything is written beside it
         beside = page.with_suffix("")
-        beside.mkdir(parents=True, exist_ok=True)
+        beside.mkdir(exist_ok=True)
         written += [*_files(asked, result, beside), page]
-        replace_file(page, renewed(text, {"ablation": block(asked, result, beside.name + "/")}, page))
+        replace_file(page, _renewed(page, block(asked, result, beside.name + "/")))
     return written
 
 

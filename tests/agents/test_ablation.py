@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 import yaml
 
-from agents.ablation import results, study
+from agents.ablation import __main__ as ablation
+from agents.ablation import page, results, study
 from agents.ablation.__main__ import main
 from agents.controllers import CONTROLLERS
 from agents.evaluate import HELD_OUT_SET, run_courses
@@ -218,6 +219,24 @@ def test_bad_options_are_refused_in_one_line(done, tmp_path, capsys):
     assert "--seeds" in refused(capsys, "--resume", done, "--seeds", "3")
     assert "stiky" in refused(capsys, "--config", path, "--out", tmp_path / "o", "--scenarios", "stiky")
     assert "study" in refused(capsys, "--config", path, "--out", tmp_path)  # not empty, and no study
+
+
+def test_a_page_that_cannot_be_written_is_refused_before_the_study(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(ablation, "fill", lambda *_: pytest.fail("the study was begun"))
+    path, out, marked, plain = config(tmp_path), tmp_path / "o", tmp_path / "marked.md", tmp_path / "plain.md"
+    plain.write_text("# Title\n")
+    marked.write_text(page.EMPTY_PAGE)
+    (tmp_path / "marked").write_text("no folder for the figures")
+    for given, words in (
+        (tmp_path / "nosuch" / "x.md", f"{tmp_path / 'nosuch'}: no such folder"),
+        (plain, "plain.md: expected one pair of markers"),
+        (marked, f"{tmp_path / 'marked'}: is a file"),
+        (tmp_path / "name", f"--page {tmp_path / 'name'}: expected a file NAME.md"),
+    ):
+        assert words in refused(capsys, "--config", path, "--out", out, "--page", given)
+        assert not out.exists()
+    page.check(tmp_path / "new.md")  # is made
+    assert not (tmp_path / "new.md").exists()
 
 
 def test_an_empty_config_is_refused(tmp_path, capsys):
