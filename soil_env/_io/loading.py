@@ -15,7 +15,6 @@ import re
 import sys
 import types
 import typing
-from collections import Counter
 from dataclasses import field
 from decimal import Context
 from pathlib import Path
@@ -266,17 +265,27 @@ class _Strict(yaml.SafeLoader):
     def _check(self, node: yaml.Node, above: tuple[yaml.Node, ...]) -> None:
         """Refuse a node that stands for too much, contains itself or has a key twice; `above` are those around it."""
         self.values += 1
+        mark = node.start_mark
         reason = _TOO_MUCH if self.values > MOST_VALUES or len(above) >= DEEPEST else ""
         reason = "a value that contains itself" if node in above else reason
         if isinstance(node, yaml.MappingNode) and not reason:
-            keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-            twice = [key for key, times in Counter(keys).items() if times > 1]
-            reason = f"key {twice[0]!r} appears twice" if twice else ""
+            mark, reason = _twice(node)
         if reason:
-            raise yaml.constructor.ConstructorError(None, None, reason, node.start_mark)
+            raise yaml.constructor.ConstructorError(None, None, reason, mark)
         for item in () if isinstance(node, yaml.ScalarNode) else node.value:
             for part in item if isinstance(item, tuple) else (item,):
                 self._check(part, (*above, node))
+
+
+def _twice(node: yaml.MappingNode) -> tuple[yaml.Mark, str]:
+    """Where a key of a mapping is given the second time, and what is wrong with it; "" where none is."""
+    seen: set[str] = set()
+    for key, _ in node.value:
+        if isinstance(key, yaml.ScalarNode):
+            if key.value in seen:
+                return key.start_mark, f"key {key.value!r} appears twice"
+            seen.add(key.value)
+    return node.start_mark, ""
 
 
 def parse_yaml(text: str):

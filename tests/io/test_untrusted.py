@@ -59,6 +59,13 @@ def test_yaml(tmp_path, monkeypatch, name, load):
     assert [p.name for p in tmp_path.iterdir()] == ["x.yaml"]
 
 
+def test_a_key_given_twice_is_named_with_the_place_of_the_second(tmp_path):
+    path = tmp_path / "x.yaml"
+    path.write_text("a: 1\nb:\n  block: 1\n  other: 2\n  block: 3\n  other: 4\n")
+    with pytest.raises(ParameterError, match=r"key 'block' appears twice in line 5, column 3: block: 3"):
+        read_yaml(path)
+
+
 def test_shipped_files_are_far_below_the_limits():
     for path in (ROOT / "configs").rglob("*.yaml"):
         assert path.stat().st_size < 100_000 and read_yaml(path)
