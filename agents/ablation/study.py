@@ -123,27 +123,41 @@ class Ablation(Checked):
 def read_config(path: Path, only: list[str] | None = None, **changes) -> Ablation:
     """The study of a YAML file (see configs/ablation.yaml), with `changes` over it, for the scenarios `only`."""
     content = {**config_mapping(path), **{k: v for k, v in changes.items() if v is not None}}
+    known = {"scenarios", *(f.name for f in dataclasses.fields(Ablation))} - {"targets", "version"}
+    for key in content:
+        if key not in known:
+            raise unknown_key(key, known, str(path))
     entries = content.pop("scenarios", None)
     if not isinstance(entries, dict) or not entries:
         raise ParameterError(f"{path}: scenarios: expected a mapping NAME: {{...}}")
     for name in only or ():
         if name not in entries:
             raise unknown_key(name, entries, f"{path}: scenarios")
-    targets = {}
-    for name, entry in entries.items():
-        if only and name not in only:
-            continue
-        entry, where = dict(entry or {}), f"{path}: scenarios.{name}"
-        for key in entry:
-            if key not in ("scenario", "changes", "trained_on", "model"):
-                raise unknown_key(key, ("scenario", "changes", "trained_on", "model"), where)
-        world = entry.get("model")
-        targets[name] = {
-            "scenario": to_dict(load_scenario(entry.get("scenario", name), entry.get("changes"))),
-            "trained_on": entry.get("trained_on", ""),
-            "model": WheelSoilModel.load(_beside(path, world)).content() if world else {},
-        }
-    return load(Ablation, {**content, "targets": targets}, str(path))
+    targets = {name: _target(path, name, entry) for name, entry in entries.items() if not only or name in only}
+    try:
+        return load(Ablation, {**content, "targets": targets}, str(path))
+    except ParameterError as error:  # in the words of the file
+        raise ParameterError(str(error).replace(f"{path}: targets.", f"{path}: scenarios.", 1)) from None
+
+
+def _target(path: Path, name: str, entry) -> dict:
+    """The mapping of a `Target` that an entry of `scenarios` in the file `path` stands for."""
+    where = f"{path}: scenarios.{name}"
+    if entry is not None and not isinstance(entry, dict):
+        raise ParameterError(f"{where} = {entry!r:.60}: expected a mapping")
+    entry = entry or {}
+    for key in entry:
+        if key not in ("scenario", "changes", "trained_on", "model"):
+            raise unknown_key(key, ("scenario", "changes", "trained_on", "model"), where)
+    for key, kind, expected in (("changes", dict, "a mapping"), ("model", str, "the path of a model.yaml")):
+        if not isinstance(entry.get(key) or kind(), kind):
+            raise ParameterError(f"{where}.{key} = {entry[key]!r:.60}: expected {expected}")
+    world = entry.get("model")
+    return {
+        "scenario": to_dict(load_scenario(entry.get("scenario", name), entry.get("changes"), f"{where}.changes")),
+        "trained_on": entry.get("trained_on", ""),
+        "model": WheelSoilModel.load(_beside(path, world)).content() if world else {},
+    }
 
 
 def with_steps(study: Ablation, timesteps: int) -> Ablation:

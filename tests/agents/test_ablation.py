@@ -206,6 +206,18 @@ def test_a_killed_study_goes_on_from_its_checkpoints(tmp_path):
         ({"agents": {"a": {"observation": "blind", "hidden_worlds": -1}}}, "hidden_worlds"),
         ({"question": {"blind": "ppo_true"}}, "ppo_true reads true_soil"),
         ({"question": {"blind": "nobody"}}, "nobody"),
+        (
+            {"scenarios": {"mixed": {}, "unseen": {"trained_on": "mixd"}}},
+            "ablation.yaml: scenarios.unseen: trained_on: ",
+        ),
+        ({"scenarios": {"mixed": {}, "unseen": {"trained_on": 5}}}, "ablation.yaml: scenarios.unseen.trained_on = 5"),
+        ({"seed": 1}, "question, resamples, scenarios, seeds, tuning_courses)"),
+        ({"targets": {}}, "ablation.yaml: unknown key 'targets'"),
+        ({"version": "1"}, "ablation.yaml: unknown key 'version'"),
+        ({"scenarios": {"mixed": ["sticky"]}}, "ablation.yaml: scenarios.mixed = ['sticky']: expected a mapping"),
+        ({"scenarios": {"mixed": {"changes": 5}}}, "ablation.yaml: scenarios.mixed.changes = 5: expected a mapping"),
+        ({"scenarios": {"mixed": {"model": 5}}}, "ablation.yaml: scenarios.mixed.model = 5: expected the path"),
+        ({"scenarios": {"mixed": {"changes": {"course": {"lenght": 1}}}}}, "ablation.yaml: scenarios.mixed.changes"),
     ],
 )
 def test_a_bad_config_is_refused_in_one_line(tmp_path, capsys, changes, said):
