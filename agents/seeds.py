@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import soil_env
-from soil_env._io.commands import command_line, folder, leave
+from soil_env._io.commands import command_line, file_path, folder, leave
 from soil_env._io.files import make_folder
 from soil_env._io.loading import ParameterError, merge
 from soil_env.parameters import Scenario
@@ -123,7 +123,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--seeds", metavar="N", type=int, default=5, help="how many (default: 5)")
     p.add_argument("--first", metavar="SEED", type=int, default=0, help="the first of them (default: 0)")
     p.add_argument("--out", metavar="OUT", type=folder, required=True, help="folder of the run folders")
-    p.add_argument("--config", metavar="YAML", help="file of config keys; the command line goes over it")
+    p.add_argument(
+        "--config", metavar="YAML", type=file_path, help="file of config keys; the command line goes over it"
+    )
     studies.add_options(p, "one training after the other in this one")
     return p
 
@@ -146,7 +148,7 @@ def main(arguments: list[str] | None = None) -> int:
     if given:
         raise ParameterError(f"--{given[0]}: is set for every seed; expected --seeds, --first and --out")
     mapping = {} if options.config is None else config_mapping(options.config)
-    config = load_config(merge(mapping, changes), options.config or "command line")
+    config = load_config(merge(mapping, changes), str(options.config or "command line"))
     scenario = training.scenario_of(config)
     training.check(config)
     train(options.out, config, scenario, range(options.first, options.first + options.seeds), engine)

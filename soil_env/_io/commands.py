@@ -78,12 +78,12 @@ def table_parser(module: str, manual: str, written: str, examples: str) -> argpa
     description, _, files = manual.partition("\n\nDATA.csv")
     epilog = f"files:\n\nDATA.csv{files}\n{_RIGS}\n{written}\n\nexamples:\n\n{examples}"
     p = command_parser(f"python -m {module}", description, epilog)
-    p.add_argument("data", metavar="DATA.csv", type=Path, help="measurement table (CSV, or Parquet with pyarrow)")
+    p.add_argument("data", metavar="DATA.csv", type=file_path, help="measurement table (CSV, or Parquet with pyarrow)")
     p.add_argument(
         "--setup",
         metavar="YAML",
         required=True,
-        type=Path,
+        type=file_path,
         help="YAML: wheel, what is known of the soil, noise; required",
     )
     return p
@@ -108,6 +108,13 @@ def folder(text: str) -> Path:
     """Type of an option: a path that is not empty."""
     if not text:
         raise argparse.ArgumentTypeError("is empty: expected a folder")
+    return Path(text)
+
+
+def file_path(text: str) -> Path:
+    """Type of an option: the path of a file, not empty."""
+    if not text:
+        raise argparse.ArgumentTypeError("is empty: expected a file")
     return Path(text)
 
 

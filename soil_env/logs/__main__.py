@@ -30,12 +30,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
-from soil_env._io.commands import command_line, command_parser, folder, leave
+from soil_env._io.commands import command_line, command_parser, file_path, folder, leave
 from soil_env._io.files import check_outputs, replace_files
 from soil_env.logs.grounds import FILES, advice, commands, grounds
 from soil_env.logs.mapping import read_map
@@ -94,8 +93,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser():
     p = command_parser(f"python -m {NAME}", __doc__, _WRITTEN)
-    p.add_argument("recording", metavar="RECORDING", type=Path, help="bag (folder, .mcap, .db3), .csv or .parquet")
-    p.add_argument("--map", metavar="YAML", type=Path, required=True, help="which reading is where; required")
+    p.add_argument("recording", metavar="RECORDING", type=file_path, help="bag (folder, .mcap, .db3), .csv or .parquet")
+    p.add_argument("--map", metavar="YAML", type=file_path, required=True, help="which reading is where; required")
     p.add_argument("--out", metavar="DIR", type=folder, required=True, help="folder, made if need be; required")
     return p
 

@@ -53,6 +53,22 @@ def test_an_empty_folder_name_is_refused(command, option, capsys):
     assert err.endswith(f": error: argument {option}: is empty: expected a folder\n")
 
 
+FILES = [
+    ("ablation", "--config"), ("ablation", "--page"), ("seeds", "--config"), ("logs", "--map"), ("logs", "recording"),
+    *((name, option) for name in ("discrepancy", "identification") for option in ("--setup", "data")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("command, option", FILES)
+def test_an_empty_file_name_is_refused(command, option, capsys):
+    with pytest.raises(SystemExit) as end:
+        NAMED[command].main([option, ""] if option.startswith("--") else [""])
+    err = capsys.readouterr().err
+    name = {"data": "DATA.csv", "recording": "RECORDING"}.get(option, option)
+    assert end.value.code == 2 and err.count("\n") == 1
+    assert err.endswith(f": error: argument {name}: is empty: expected a file\n")
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_folder_that_cannot_be_is_refused_before_the_work(command, capsys, monkeypatch, tmp_path):
     module, name, arguments, work = COMMANDS[command]
