@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import soil_env
-from soil_env._io.commands import command_line, file_path, folder, leave
+from soil_env._io.commands import command_line, file_path, folder, leave, whole_number
 from soil_env._io.files import make_folder
 from soil_env._io.loading import ParameterError, merge
 from soil_env.parameters import Scenario
@@ -120,8 +120,8 @@ def train(out: Path, config: TrainConfig, scenario: Scenario, seeds: range, engi
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
     p = manual_parser(f"python -m {NAME}", __doc__, "python train.py --help lists the config keys.")
-    p.add_argument("--seeds", metavar="N", type=int, default=5, help="how many (default: 5)")
-    p.add_argument("--first", metavar="SEED", type=int, default=0, help="the first of them (default: 0)")
+    p.add_argument("--seeds", metavar="N", type=whole_number(), default=5, help="how many (default: 5)")
+    p.add_argument("--first", metavar="SEED", type=whole_number(), default=0, help="the first of them (default: 0)")
     p.add_argument("--out", metavar="OUT", type=folder, required=True, help="folder of the run folders")
     p.add_argument(
         "--config", metavar="YAML", type=file_path, help="file of config keys; the command line goes over it"

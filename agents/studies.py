@@ -30,6 +30,7 @@ from pathlib import Path
 import yaml
 
 import soil_env
+from soil_env._io.commands import whole_number
 from soil_env._io.files import append_line, is_unused, make_folder, replace_file
 from soil_env._io.loading import ParameterError, load, read_yaml, to_dict, unknown_value
 
@@ -164,7 +165,7 @@ def add_options(parser: argparse.ArgumentParser, default: str) -> None:
     parser.add_argument(
         "--workers",
         metavar="N",
-        type=int,
+        type=whole_number(),
         help=f"processes of this machine (default: {default}; with ray: all processors)",
     )
     parser.add_argument(

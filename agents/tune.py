@@ -16,7 +16,7 @@ from typing import get_args, get_type_hints
 
 import yaml
 
-from soil_env._io.commands import command, command_line, folder, leave
+from soil_env._io.commands import command, command_line, folder, leave, whole_number
 from soil_env._io.document import Table
 from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, quantity, unknown_value
@@ -60,7 +60,7 @@ def parser() -> argparse.ArgumentParser:
         help="of configs/scenarios (default: %(default)s)",
     )
     p.add_argument("--actions", metavar="A,B", default=",".join(ACTIONS), help="of the drive (default: all)")
-    p.add_argument("--courses", metavar="N", type=int, default=300, help="tuning courses (default: 300)")
+    p.add_argument("--courses", metavar="N", type=whole_number(), default=300, help="tuning courses (default: 300)")
     return p
 
 

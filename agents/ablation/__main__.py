@@ -21,7 +21,7 @@ from contextlib import closing
 from functools import partial
 from pathlib import Path
 
-from soil_env._io.commands import command, command_line, file_path, folder, label, leave
+from soil_env._io.commands import command, command_line, file_path, folder, label, leave, whole_number
 from soil_env._io.loading import ParameterError, config_dir
 
 from .. import studies
@@ -41,10 +41,12 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--report", metavar="OUT", type=folder, help="only write the results of what a study has so far")
     p.add_argument("--config", metavar="YAML", type=file_path, help="what is asked (default: configs/ablation.yaml)")
     p.add_argument("--scenarios", metavar="A,B", help="only these of the config")
-    p.add_argument("--seeds", metavar="N", type=int, help="trainings of each agent on each scenario")
+    p.add_argument("--seeds", metavar="N", type=whole_number(), help="trainings of each agent on each scenario")
     p.add_argument("--steps", metavar="N", type=float, help="environment steps of each training")
-    p.add_argument("--courses", metavar="N", type=int, help="held-out courses of each scenario")
-    p.add_argument("--workers", metavar="N", type=int, help="processes side by side (default: none but this one)")
+    p.add_argument("--courses", metavar="N", type=whole_number(), help="held-out courses of each scenario")
+    p.add_argument(
+        "--workers", metavar="N", type=whole_number(), help="processes side by side (default: none but this one)"
+    )
     p.add_argument(
         "--page", metavar="MD", type=file_path,
         help="write the results into the marked part of this page, with comparison/*.json and *.png beside it",

@@ -30,7 +30,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 
-from soil_env._io.commands import command, command_line, folder, leave
+from soil_env._io.commands import command, command_line, folder, leave, whole_number
 from soil_env._io.loading import ParameterError, unknown_key
 from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
@@ -62,24 +62,30 @@ def parser(name: str = _NAME) -> argparse.ArgumentParser:
     )
     p.add_argument("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help="or YAML file (default: %(default)s)")
     p.add_argument("--model", metavar="YAML", default="", help="model.yaml with the effects that are on in this world")
-    p.add_argument("--courses", metavar="N", type=int, default=1000, help="courses that each drives (default: 1000)")
     p.add_argument(
-        "--seed", metavar="N", type=int, default=HELD_OUT_SET,
+        "--courses", metavar="N", type=whole_number(), default=1000, help="courses that each drives (default: 1000)"
+    )
+    p.add_argument(
+        "--seed", metavar="N", type=whole_number(), default=HELD_OUT_SET,
         help=f"names the set of courses (default: {HELD_OUT_SET}, the held-out set of train.py)",
     )  # fmt: skip
     p.add_argument(
-        "--tuning-courses", metavar="N", type=int,
+        "--tuning-courses", metavar="N", type=whole_number(),
         help="tune the classical controllers on N other courses first, those with --settings excepted; 0: not at all "
         f"(default: 0 among classical ones alone, else as many as --courses, at most {_TUNING_COURSES}; each then "
         "drives them as often as configs/tuning.yaml says, unless settings come with the package)",
     )  # fmt: skip
     p.add_argument(
-        "--oracle-courses", metavar="N", type=int, default=0,
+        "--oracle-courses", metavar="N", type=whole_number(), default=0,
         help="the oracle, a planner that knows the ground, drives the first N courses: the limit of the task, and "
         "which failures were avoidable (default: 0; about a second of a processor each)",
     )  # fmt: skip
-    p.add_argument("--block", metavar="N", type=int, default=100, help="courses driven side by side (default: 100)")
-    p.add_argument("--resamples", metavar="N", type=int, default=2000, help="redraws of the bootstrap (default: 2000)")
+    p.add_argument(
+        "--block", metavar="N", type=whole_number(), default=100, help="courses driven side by side (default: 100)"
+    )
+    p.add_argument(
+        "--resamples", metavar="N", type=whole_number(), default=2000, help="redraws of the bootstrap (default: 2000)"
+    )
     studies.add_options(p, "one, threaded")
     return p
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 import argparse
 import importlib
 
-from soil_env._io.commands import command, command_line, folder, label, leave
+from soil_env._io.commands import command, command_line, folder, label, leave, whole_number
 from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 
 from ..cli import as_options, manual_parser
@@ -44,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--scenario", metavar="NAME", default=DEFAULT_SCENARIO,
                    help=f"name or YAML file (default: {DEFAULT_SCENARIO})")  # fmt: skip
     for name, text in _NUMBERS.items():
-        p.add_argument(f"--{name.replace('_', '-')}", metavar="N", type=int, default=default[name],
+        p.add_argument(f"--{name.replace('_', '-')}", metavar="N", type=whole_number(), default=default[name],
                        help=f"{text} (default: {default[name]})")  # fmt: skip
     return p
 

@@ -69,6 +69,23 @@ def test_an_empty_file_name_is_refused(command, option, capsys):
     assert err.endswith(f": error: argument {name}: is empty: expected a file\n")
 
 
+NUMBERS = [(name, option) for name in ("ablation", "evaluate", "seeds") for option in ("--workers", "--seeds")] + [
+    ("ablation", "--courses"), ("evaluate", "--courses"), ("evaluate", "--seed"), ("evaluate", "--tuning-courses"),
+    ("evaluate", "--oracle-courses"), ("evaluate", "--block"), ("evaluate", "--resamples"), ("seeds", "--first"),
+    ("tune", "--courses"),
+]  # fmt: skip
+NUMBERS.remove(("evaluate", "--seeds"))
+
+
+@pytest.mark.parametrize("command, option", NUMBERS)
+def test_what_is_no_whole_number_is_refused(command, option, capsys):
+    with pytest.raises(SystemExit) as end:
+        NAMED[command].main([option, "abc"])
+    err = capsys.readouterr().err
+    assert end.value.code == 2 and err.count("\n") == 1
+    assert f": error: argument {option}: 'abc': expected a whole number" in err
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_folder_that_cannot_be_is_refused_before_the_work(command, capsys, monkeypatch, tmp_path):
     module, name, arguments, work = COMMANDS[command]
