@@ -25,6 +25,8 @@ def main(arguments: list[str] | None = None) -> int:
     if options.list:
         print(*files, sep="\n")
         return 0
+    if options.folder.resolve() == source.resolve():
+        raise ParameterError(f"{options.folder}: has the examples already, as every clone: nothing to copy")
     if not is_unused(options.folder):
         raise ParameterError(f"{options.folder}: is not empty: expected a folder to be made")
     check_outputs(options.folder, map(str, files))

@@ -10,6 +10,8 @@ from agents.evaluate import __main__ as evaluate
 from agents.sim2real import __main__ as sim2real
 from benchmarks import clients, cmu, fuzz, identification, memory, throughput, training
 from benchmarks.blind import __main__ as blind
+from soil_env._io import examples
+from soil_env._io.loading import shipped_dir
 from soil_env.discrepancy import __main__ as discrepancy
 from soil_env.discrepancy import cmu as cmu_tables
 from soil_env.identification import __main__ as identification_command
@@ -67,6 +69,18 @@ def test_an_empty_file_name_is_refused(command, option, capsys):
     name = {"data": "DATA.csv", "recording": "RECORDING"}.get(option, option)
     assert end.value.code == 2 and err.count("\n") == 1
     assert err.endswith(f": error: argument {name}: is empty: expected a file\n")
+
+
+def test_the_examples_of_a_clone_are_said_to_be_there(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(shipped_dir("examples").parent)
+    assert examples.main([]) == 2
+    err = capsys.readouterr().err
+    assert (
+        err.endswith(": examples: has the examples already, as every clone: nothing to copy\n") and err.count("\n") == 1
+    )
+    (tmp_path / "mine").write_text("")
+    assert examples.main([str(tmp_path)]) == 2
+    assert capsys.readouterr().err.endswith(f": {tmp_path}: is not empty: expected a folder to be made\n")
 
 
 NUMBERS = [(name, option) for name in ("ablation", "evaluate", "seeds") for option in ("--workers", "--seeds")] + [
