@@ -42,7 +42,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--config", metavar="YAML", type=file_path, help="what is asked (default: configs/ablation.yaml)")
     p.add_argument("--scenarios", metavar="A,B", help="only these of the config")
     p.add_argument("--seeds", metavar="N", type=whole_number(), help="trainings of each agent on each scenario")
-    p.add_argument("--steps", metavar="N", type=float, help="environment steps of each training")
+    p.add_argument("--steps", metavar="N", type=whole_number(1), help="environment steps of each training")
     p.add_argument("--courses", metavar="N", type=whole_number(), help="held-out courses of each scenario")
     p.add_argument(
         "--workers", metavar="N", type=whole_number(), help="processes side by side (default: none but this one)"
@@ -94,7 +94,7 @@ def _asked(options) -> study.Ablation:
     given = {name: getattr(options, name) for name in ("seeds", "courses") if getattr(options, name) is not None}
     with as_options(timesteps="steps"):
         asked = dataclasses.replace(asked, **given)
-        return asked if options.steps is None else study.with_steps(asked, int(options.steps))
+        return asked if options.steps is None else study.with_steps(asked, options.steps)
 
 
 def fill(asked: study.Ablation, folder: Path, engine: studies.Engine) -> None:

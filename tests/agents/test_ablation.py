@@ -231,6 +231,9 @@ def test_bad_options_are_refused_in_one_line(done, tmp_path, capsys):
     assert "--seeds" in refused(capsys, "--resume", done, "--seeds", "3")
     assert "stiky" in refused(capsys, "--config", path, "--out", tmp_path / "o", "--scenarios", "stiky")
     assert "study" in refused(capsys, "--config", path, "--out", tmp_path)  # not empty, and no study
+    with pytest.raises(SystemExit) as stopped:
+        main(["--config", str(path), "--steps", "abc"])
+    assert stopped.value.code == 2 and "--steps: 'abc': expected a whole number >= 1" in capsys.readouterr().err
 
 
 def test_a_page_that_cannot_be_written_is_refused_before_the_study(tmp_path, capsys, monkeypatch):
