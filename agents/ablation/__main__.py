@@ -66,22 +66,22 @@ def main(arguments: list[str] | None = None) -> int:
     if [options.out, options.resume, options.report].count(None) != 2:
         raise ParameterError("expected one of --out, --resume and --report (see --help)")
     engine = studies.choose("local", options.workers)
-    folder = options.report or options.resume or options.out
+    place = options.report or options.resume or options.out
     if options.page is not None:
         page.check(options.page)
-    with go_on_with(_NAME, folder):
+    with go_on_with(_NAME, place):
         if options.out is not None:
             asked = _asked(options)
-            study.begin(asked, folder)
+            study.begin(asked, place)
         else:
             given = [name for name in _ASKING if getattr(options, name) is not None]
             if given:
-                raise ParameterError(f"--{given[0]}: only with --out; {folder} has what is asked")
-            asked = study.open_study(folder)
+                raise ParameterError(f"--{given[0]}: only with --out; {place} has what is asked")
+            asked = study.open_study(place)
         if options.report is None:
-            fill(asked, folder, engine)
-        result = results.result(asked, folder)
-        written = page.write(asked, folder, result, options.page)
+            fill(asked, place, engine)
+        result = results.result(asked, place)
+        written = page.write(asked, place, result, options.page)
         page.print_tables(result)
         show(f"Written: {', '.join(map(str, written))}")
     return 0

@@ -152,9 +152,13 @@ def _target(path: Path, name: str, entry) -> dict:
     for key, kind, expected in (("changes", dict, "a mapping"), ("model", str, "the path of a model.yaml")):
         if not isinstance(entry.get(key) or kind(), kind):
             raise ParameterError(f"{where}.{key} = {entry[key]!r:.60}: expected {expected}")
-    world = entry.get("model")
+    world, scenario = entry.get("model"), entry.get("scenario", name)
+    try:
+        load_scenario(scenario)
+    except ParameterError as error:
+        raise ParameterError(f"{where}: {error}") from None
     return {
-        "scenario": to_dict(load_scenario(entry.get("scenario", name), entry.get("changes"), f"{where}.changes")),
+        "scenario": to_dict(load_scenario(scenario, entry.get("changes"), f"{where}.changes")),
         "trained_on": entry.get("trained_on", ""),
         "model": WheelSoilModel.load(_beside(path, world)).content() if world else {},
     }

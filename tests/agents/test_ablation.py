@@ -197,7 +197,7 @@ def test_a_killed_study_goes_on_from_its_checkpoints(tmp_path):
 @pytest.mark.parametrize(
     "changes, said",
     [
-        ({"scenarios": {"mixd": {}}}, "mixd"),
+        ({"scenarios": {"mixd": {}}}, "ablation.yaml: scenarios.mixd: scenario: unknown value"),
         ({"scenarios": {"mixed": {}, "unseen": {"trained_on": "stiky"}}}, "stiky"),
         ({"agents": {}}, "agent"),
         ({"agents": {"a-b": {"observation": "blind"}}}, "a-b"),
@@ -261,25 +261,18 @@ def test_an_empty_config_is_refused(tmp_path, capsys):
 
 
 def test_the_shipped_configs_can_be_read():
-    for name in (
-        "ablation.yaml",
-        "ablation_harder.yaml",
-        "ablation_wider.yaml",
-        "ablation_narrow.yaml",
-        "ablation_smoke.yaml",
-    ):
+    for name, expected in {
+        "ablation.yaml": ["blind_memory", "identified_memory", "true_soil"],
+        "ablation_harder.yaml": ["blind_memory", "robust", None],
+        "ablation_wider.yaml": ["robust_blind", "robust", None],
+        "ablation_narrow.yaml": ["robust_blind", "robust", None],
+        "ablation_smoke.yaml": ["ppo_blind", "ppo_identified", "ppo_true"],
+    }.items():
         asked = study.read_config(config_dir() / name)
-        found = [asked.asked_about(variant) for variant in ("blind", "identified", "true_soil")]
-        assert (
-            found
-            == {
-                "ablation.yaml": ["blind_memory", "identified_memory", "true_soil"],
-                "ablation_harder.yaml": ["blind_memory", "robust", None],
-                "ablation_wider.yaml": ["robust_blind", "robust", None],
-                "ablation_narrow.yaml": ["robust_blind", "robust", None],
-                "ablation_smoke.yaml": ["ppo_blind", "ppo_identified", "ppo_true"],
-            }[name]
-        )
+        assert [asked.asked_about(variant) for variant in ("blind", "identified", "true_soil")] == expected
+    wider, narrow = (study.read_config(config_dir() / f"ablation_{name}.yaml") for name in ("wider", "narrow"))
+    assert narrow.held_out == wider.held_out and narrow.targets["unseen"].model == wider.targets["unseen"].model
+    assert all(wider.agents[name] == spec for name, spec in narrow.agents.items())  # a control
     asked = study.read_config(config_dir() / "ablation.yaml")
     assert asked.seeds >= 3 and asked.courses >= 1000
     assert asked.targets["unseen"].world is not None and asked.source("unseen") == "mixed"
