@@ -160,7 +160,9 @@ class Problem:
         at = self.data.conditions | self.data.elapsed
         self.law_processes: list[Process] = [Process.over(at, of=INPUTS, most=_LAW, lengths=x) for x in LAW_LENGTHS]
         own = {e.conditions for e in CATALOGUE.values()}
-        self.effect_processes = {more: Process.over(at, of=(*INPUTS, *more), most=_EFFECT) for more in own}
+        self.effect_processes: dict[tuple[str, ...], Process] = {
+            more: Process.over(at, of=(*INPUTS, *more), most=_EFFECT) for more in own
+        }
         lengths = {k: _LONGER * v for k, v in LENGTHS.items()}
         self.free_functions: np.ndarray = Process.over(at, additive=True, most=_FREE, lengths=lengths).at_points
         square = np.where(self.used, np.nan_to_num(self.data.y) ** 2, 0.0)
