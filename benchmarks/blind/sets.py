@@ -1,7 +1,7 @@
 """The sets of cases of the benchmark.
 
-`laws`: forms that no fit has on laws with errors; `log_slip`: the same with errors that change otherwise with slip;
-`easy`: listed forms on exact laws.
+`laws`: forms that no fit has on laws with errors; `log_slip` and `regimes`: the same with errors that change otherwise
+with slip; `easy`: listed forms on exact laws.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from benchmarks.blind import cases as laws_cases
 from benchmarks.blind import groups as laws_groups
-from benchmarks.blind import log_slip
+from benchmarks.blind import slip_errors
 from benchmarks.blind.easy import groups as easy_groups
 from benchmarks.blind.groups import Task
 
@@ -56,9 +56,12 @@ SETS = {
             "laws", laws_groups.GROUPS, laws_cases.draw_case,
             (*sorted(_files(HERE, _LAWS + _SHARED)), *_files(HERE / "easy", _EASY)), 0.1, _ASKED,
         ),
-        CaseSet(
-            "log_slip", log_slip.GROUPS, log_slip.draw_case,
-            (*sorted(_files(HERE, (*_LAWS, *_SHARED, "log_slip"))), *_files(HERE / "easy", _EASY)), 0.1, _ASKED,
+        *(
+            CaseSet(
+                name, errors.groups, slip_errors.draw_of(name),
+                (*sorted(_files(HERE, (*_LAWS, *_SHARED, "slip_errors"))), *_files(HERE / "easy", _EASY)), 0.1, _ASKED,
+            )
+            for name, errors in slip_errors.KINDS.items()
         ),
         CaseSet(
             "easy", easy_groups.GROUPS, easy_groups.draw,
@@ -71,7 +74,7 @@ SETS = {
 
 def set_of(name: str) -> CaseSet:
     """The set of a case."""
-    other = {"easy-": "easy", log_slip.PREFIX: "log_slip"}
+    other = {"easy-": "easy"} | {errors.prefix: name for name, errors in slip_errors.KINDS.items()}
     return SETS[next((of for prefix, of in other.items() if name.startswith(prefix)), "laws")]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.blind import __main__ as command
-from benchmarks.blind import groups, run, score
+from benchmarks.blind import groups, run, score, slip_errors
 from benchmarks.blind.cases import draw_case, write_case
 from benchmarks.blind.effect import Hidden
 from benchmarks.blind.entrants import Answer, entrant
@@ -20,7 +20,6 @@ from benchmarks.blind.forms import FORMS, MECHANISMS, forms_of
 from benchmarks.blind.groups import GROUPS, Task
 from benchmarks.blind.laws import BASE_LAWS, LENGTHS, RandomFunction, StressError, covariance
 from benchmarks.blind.limits import Measure, without
-from benchmarks.blind.log_slip import LogSlipError
 from benchmarks.blind.plan import CHANNELS, draw_bench
 from benchmarks.blind.score import judged, reliability, share
 from benchmarks.blind.sets import SETS, task_of
@@ -252,29 +251,46 @@ def test_cases_are_read_by_the_workflows_reader_and_hold_no_truth(tmp_path, name
         assert e["size"] > 0.0 and (truth["kind"] != "one" or not truth["counts"] or e["size"] >= 1.9)
 
 
-def test_errors_that_go_with_the_logarithm_of_slip_are_on_the_same_cases():
-    other = SETS["log_slip"].draw(100030, task_of("log-slip-one-rich-10-002"))
+@pytest.mark.parametrize(("name", "prefix"), [("log_slip", "log-slip"), ("regimes", "regimes")])
+def test_errors_that_go_otherwise_with_slip_are_on_the_same_cases(name, prefix):
+    other = SETS[name].draw(100030, task_of(f"{prefix}-one-rich-10-002"))
     known = SETS["laws"].draw(100030, task_of("one-rich-10-002"))
-    assert other.truth == known.truth | {"case": "log-slip-one-rich-10-002"}
+    assert other.truth == known.truth | {"case": f"{prefix}-one-rich-10-002"}
     assert other.setup == known.setup
     assert {k for k, v in other.columns.items() if v != known.columns[k]} == {"sinkage", "drawbar_pull", "torque"}
     assert not np.allclose(other.clean, known.clean, rtol=1e-3)
 
-    def factor(error, slip):  # of the normal stress, where along the arc and how far pressed being the same
-        rows = Rows(np.array(slip), *(np.full(3, x) for x in (known.bench.load, 0.05, 1.0, 0.0, 0.0)))
-        contact = Contact(rows, Wheel(0.15, 0.15), known.bench.ground)
-        error(contact)
-        arc = Arc(*(np.full((3, 1), x) for x in (0.5, 0.25, 0.0, 0.2)), sigma=np.full((3, 1), known.bench.pressure))
-        return np.log(contact.normal[0](1.0, arc)).ravel()
 
-    at_small, at_large = [], []
-    rng = np.random.default_rng(0)
-    for _ in range(300):
-        drawn = LogSlipError.draw(rng, 1.0, known.bench.pressure, known.bench.load)
-        small, large = factor(drawn, [0.0, 0.05, 0.1]), factor(drawn, [0.5, 0.55, 0.6])
-        at_small.append(np.ptp(small))
-        at_large.append(np.ptp(large))
-    assert np.mean(at_small) > 3.0 * np.mean(at_large)
+def log_factors(bench, kind, slip, count=300):
+    """[count, slips] of logarithms of the normal stress's factor by errors of size 1, at one place of the arc."""
+    rng, out = np.random.default_rng(0), []
+    for _ in range(count):
+        coordinate = slip_errors.KINDS[kind].draw(rng)
+        error = slip_errors.SlipError(StressError.draw(rng, 1.0, bench.pressure, bench.load), coordinate)
+        n = len(slip)
+        rows = Rows(np.array(slip), *(np.full(n, x) for x in (bench.load, 0.05, 1.0, 0.0, 0.0)))
+        contact = Contact(rows, Wheel(0.15, 0.15), bench.ground)
+        error(contact)
+        arc = Arc(*(np.full((n, 1), x) for x in (0.5, 0.25, 0.0, 0.2)), sigma=np.full((n, 1), bench.pressure))
+        out.append(np.log(contact.normal[0](1.0, arc)).ravel())
+    return np.array(out)
+
+
+def test_errors_of_the_logarithm_of_slip_change_most_at_little_slip():
+    bench = SETS["laws"].draw(100030, task_of("one-rich-10-002")).bench
+    factor = log_factors(bench, "log_slip", [0.0, 0.05, 0.1, 0.5, 0.55, 0.6])
+    assert np.mean(np.ptp(factor[:, :3], axis=1)) > 3.0 * np.mean(np.ptp(factor[:, 3:], axis=1))
+
+
+def test_errors_of_two_regimes_are_smooth_but_for_one_border_within_the_slips_of_the_tables():
+    bench = SETS["laws"].draw(100030, task_of("one-rich-10-002")).bench
+    slip = np.arange(0.0, 0.65, 0.025)
+    change = np.abs(np.diff(log_factors(bench, "regimes", slip), axis=1))
+    border = slip[np.argmax(change, axis=1)]
+    assert np.mean((border > 0.05) & (border < 0.55)) > 0.95  # none where no case has its border
+    assert np.median(np.max(change, axis=1) / np.median(change, axis=1)) > 4.0
+    left, right = log_factors(bench, "regimes", [0.02, 0.62]).T
+    assert np.std(left) == pytest.approx(1.0, abs=0.15) and abs(np.corrcoef(left, right)[0, 1]) < 0.25
 
 
 def test_a_case_follows_from_its_seed_and_name_and_has_its_law_error():
