@@ -30,11 +30,13 @@ from scipy.linalg import LinAlgError, lapack
 #: added); of the grade [deg]; of the time elapsed, over that of the campaign.
 LENGTHS = {"slip": 0.3, "load": 0.8, "speed": 1.5, "pass": 1.0, "grade_deg": 10.0, "wheel_radius": 0.7,
            "wheel_width": 0.7, "grouser_height": 1.5, "elapsed": 0.5}  # fmt: skip
-#: Of the error of the base law, one as probable as the other.
-LAW_LENGTHS: tuple[Mapping[str, float], ...] = (LENGTHS, LENGTHS | {"slip": 0.6})
+_NO_SLIP = {name: length for name, length in LENGTHS.items() if name != "slip"}
+#: Of the error of the base law, one as probable as the other; log_slip: ln(1 + slip/0.05), odd in the slip.
+LAW_LENGTHS: tuple[Mapping[str, float], ...] = (LENGTHS, LENGTHS | {"slip": 0.6}, {"log_slip": 0.8} | _NO_SLIP)
+LITTLE_SLIP = 0.05
 LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width", "grouser_height")
 #: What the base law depends on, and so its error: what goes with anything else is a missing effect.
-INPUTS = ("slip", "load", "wheel_radius", "wheel_width", "grouser_height")
+INPUTS = ("slip", "log_slip", "load", "wheel_radius", "wheel_width", "grouser_height")
 _LEFT = 1e-3  # share of the variance that may be left out of a basis
 _NUGGET = 1e-9
 _SHORTER = 3.0  # correlation length of a contribution of all conditions over that of one condition alone
@@ -84,8 +86,8 @@ class Process:
         lengths: Mapping[str, float] = LENGTHS,
     ) -> Process:
         """The process over those of the conditions [N] that vary, with at most `most` functions; `of` None: of all."""
-        known = [n for n in lengths if n in conditions and (of is None or n in of)]
-        names = tuple(n for n in known if np.ptp(_scale(n, conditions[n])) > 1e-6)
+        known = [n for n in lengths if _condition(n) in conditions and (of is None or n in of)]
+        names = tuple(n for n in known if np.ptp(_coordinate(n, conditions)) > 1e-6)
         points = _points(conditions, names)
         empty = cls(names, np.array([lengths[n] for n in names]), additive, points, np.zeros((0, 0)))
         values, vectors = np.linalg.eigh(empty._covariance(empty.points))
@@ -116,7 +118,16 @@ class Process:
         return np.clip(1.0 - np.sum(self.at(conditions) ** 2, axis=1), 0.0, 1.0)
 
 
-def _scale(name: str, value: np.ndarray) -> np.ndarray:
+def _condition(name: str) -> str:
+    """What a coordinate is of."""
+    return "slip" if name == "log_slip" else name
+
+
+def _coordinate(name: str, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+    """[N] of a coordinate in which processes are stationary."""
+    value = conditions[_condition(name)]
+    if name == "log_slip":
+        return np.copysign(np.log1p(np.abs(value) / LITTLE_SLIP), value)
     if name not in LOGARITHMIC:
         return value
     return np.log(value + 1e-3) if name == "grouser_height" else np.log(np.maximum(value, 1e-6))
@@ -124,7 +135,7 @@ def _scale(name: str, value: np.ndarray) -> np.ndarray:
 
 def _points(conditions: Mapping[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
     size = np.size(next(iter(conditions.values())))
-    return np.stack([_scale(n, conditions[n]) for n in names], axis=1) if names else np.zeros((size, 0))
+    return np.stack([_coordinate(n, conditions) for n in names], axis=1) if names else np.zeros((size, 0))
 
 
 Compression = tuple[np.ndarray, np.ndarray]

@@ -32,6 +32,17 @@ def test_the_functions_have_the_covariance_of_the_process():
     assert over.at_points @ over.at_points.T == pytest.approx(kernel(("load",)) * np.exp(-0.5 * slip**2), abs=0.03)
 
 
+def test_errors_over_the_logarithm_of_slip_change_fast_at_little_slip_and_not_where_it_only_turns_round():
+    conditions = CONDITIONS | {"slip": np.linspace(-0.6, 0.6, 60)}
+    process = Process.over(conditions, of=INPUTS, lengths=form_error.LAW_LENGTHS[2])
+    assert set(process.names) == {"log_slip", "load"}  # in place of the slip
+    place = np.array([-0.6, -0.05, 0.0, 0.05, 0.5, 0.55])
+    at = process.at({"slip": place, "load": np.full(6, 120.0), "pass": np.ones(6), "speed": np.full(6, 0.05)})
+    logarithm = np.sign(place) * np.log(1.0 + np.abs(place) / 0.05)
+    expected = np.exp(-0.5 * ((logarithm[:, None] - logarithm) / 0.8) ** 2)
+    assert at @ at.T == pytest.approx(expected, abs=0.1)
+
+
 def test_beyond_the_table_the_variance_is_open():
     process = Process.over(CONDITIONS)
     assert np.max(process.left(CONDITIONS)) < 0.05
