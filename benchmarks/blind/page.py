@@ -34,8 +34,8 @@ def _asked(target, of: CaseSet) -> str:
     return f"{'>=' if target.least else '<='} {100 * of.bounds[target.key]:.3g}"
 
 
-def _deviation(calibration: dict) -> str:
-    return "-" if calibration["largest"] is None else f"{100 * calibration['largest']:.1f}"
+def _deviation(calibration: dict, key: str) -> str:
+    return "-" if calibration[key] is None else f"{100 * calibration[key]:.1f}"
 
 
 def _before(result: dict) -> str:
@@ -94,8 +94,9 @@ def markdown(result: dict) -> str:
         nearest = [percent(f["nearest"][t.key]) for f in entrants.values()]
         rows.append([f"{t.words}; where its own listed form is nearest", "", *nearest])
     for key, words in (("first", "first name"), ("all", "every mechanism")):
-        deviations = [_deviation(f["calibration"][key]) for f in entrants.values()]
-        rows.append([f"largest deviation of stated probabilities, {words}", f"<= {100 * CALIBRATED:.0f}", *deviations])
+        for size, asked in (("largest", f"<= {100 * CALIBRATED:.0f}"), ("mean", "")):
+            deviations = [_deviation(f["calibration"][key], size) for f in entrants.values()]
+            rows.append([f"{size} deviation of stated probabilities, {words}", asked, *deviations])
     rows.append(["answers that failed", "0", *(f["errors"] for f in entrants.values())])
     rows.append(["verdicts against the stated probabilities", "0", *(f["contradicted"] for f in entrants.values())])
     rows.append(["seconds a case, median (most)", "", *(f"{f['seconds']['median']:.1f} ({f['seconds']['most']:.1f})"
@@ -106,8 +107,9 @@ def markdown(result: dict) -> str:
 
 Set `{of.name}`, seed {result["seed"]}, generator {result.get("generator", "-")}; [how](blind_benchmark.md).
 Cases: {_cases(entrants)}.
-Shares in % with 95 % intervals (Wilson) of the cases at or above twice the detection limit; deviations in points, of
-bins of {LEAST_IN_BIN} and more.{_before(result)}
+Shares in % with 95 % intervals (Wilson) of the cases at or above twice the detection limit; deviations in points: the
+largest of a bin of {LEAST_IN_BIN} and more, and the mean over all answers, the expected calibration
+error.{_before(result)}
 
 ## At {100 * of.main:.0f} % law error, rich tables of one and two wheels
 
@@ -233,6 +235,6 @@ def summary(result: dict) -> str:
     for label, f in result["entrants"].items():
         lines.append(f"{label}: {f['cases']} cases, {f['counting']} count, {f['errors']} errors")
         lines += [f"  {t.words}: {percent(f['targets'][t.key])} (asked {_asked(t, of)})" for t in TARGETS]
-        lines.append(f"  largest deviation of stated probabilities: first {_deviation(f['calibration']['first'])}, "
-                     f"all {_deviation(f['calibration']['all'])} points")  # fmt: skip
+        first, every = (_deviation(f["calibration"][of_what], "largest") for of_what in ("first", "all"))
+        lines.append(f"  largest deviation of stated probabilities: first {first}, all {every} points")
     return "\n".join(lines)

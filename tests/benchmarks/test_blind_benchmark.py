@@ -376,6 +376,7 @@ def test_figures_and_page_say_what_was_counted(tmp_path):
     text = (tmp_path / "blind_scores.md").read_text()
     assert "Missed by mine: one effect: its mechanism named first (80.0, asked 85)" in text
     assert f["contradicted"] == 0 and "not fresh" not in text
+    assert "| mean deviation of stated probabilities, first name |  | 0.0 |" in text  # 0.8 stated, 8 of 10 right
     assert "not fresh" in page.markdown(result | {"seed": page.REPORTED})
     assert "80.0 [49.0, 94.3] of 10" in text and (tmp_path / "blind_scores_mine.svg").read_text().count("<circle") >= 2
 
@@ -384,6 +385,7 @@ def test_reliability_by_hand():
     """40 answers of 0.8, 30 right: seen 0.75, deviation 0.05; 3 answers of 0.95 are too few to count."""
     r = reliability([(0.8, k < 30) for k in range(40)] + [(0.95, False)] * 3)
     assert r["largest"] == pytest.approx(0.05) and r["of"] == 43
+    assert r["mean"] == pytest.approx((40 * 0.05 + 3 * 0.95) / 43)
     assert [b["seen"]["of"] for b in r["bins"]] == [40, 3]
     assert share([True] * 10)["low"] == pytest.approx(1.0 / (1.0 + 1.959963985**2 / 10.0))
 
