@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.data import CHANNELS, Data
-from soil_env.discrepancy.noise import NoiseEstimate, find_noise
+from soil_env.discrepancy.noise import NoiseEstimate, find_noise, with_noise_of_conditions
 from soil_env.identification.form_error import (
     INPUTS,
     LAW_LENGTHS,
@@ -411,7 +411,13 @@ def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
         getattr(data.setup.noise, name) or max(0.05 * spread[j], 1e-12) for j, name in enumerate(CHANNELS)
     ])  # fmt: skip
     first = Problem(data, rough, data.measured)
-    noise = find_noise(data, first.fit().output)
+    fit = first.fit()
+
+    def base(rows: Rows) -> np.ndarray:
+        return first.predict(fit.parameters(), (), first.sinkage_guess(fit), rows)
+
+    data = with_noise_of_conditions(data, base)
+    noise = find_noise(data, fit.output)
     known = [f for f, o in zip(noise.freedom, noise.origin, strict=True) if o]
     problem = Problem(data, noise.sd, noise.used, float(min(known)))
     return problem, noise

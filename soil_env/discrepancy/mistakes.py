@@ -26,6 +26,7 @@ FALLS = 0.8  # share of the groups of rows in which the drawbar pull falls with 
 LOW_SLIP, LEAST_SPAN = 0.2, 0.15  # slip below which a group must begin, and its span, for that to say anything
 SURE = 4.0  # [sd] beyond the setup's value at which a soil parameter is not sought
 STEEPEST = 50.0  # [deg] friction angle where the setup says nothing
+WEAK = 2e-3  # share of the load, largest in a table, below which a force is in another unit: rolling takes more
 
 
 class Reinterpretation(NamedTuple):
@@ -41,6 +42,9 @@ def examine(problem: Problem) -> tuple[str, ...]:
     """Doubts in sentences, none as a rule; `ParameterError` where the table cannot be right."""
     load = load_doubt(problem.data.table, problem.data.setup)
     always = (*filter(None, (load,)), *problem.data.setup.doubts(), *_grades_doubted(problem.data))
+    dead = _channels_doubted(problem)
+    if dead:  # what else could be read into such a table says nothing
+        return (*dead, *always)
     rms = _rms(problem)
     if rms < LARGE:
         return always
@@ -74,6 +78,30 @@ def _grades_doubted(data: Data) -> tuple[str, ...]:
     return (f"grade_deg = {abs(grades[0]):g} is {angle:.0f} degrees in radians: expected degrees.",)
 
 
+def _channels_doubted(problem: Problem) -> tuple[str, ...]:
+    """Doubts of channels that hold one value at all slips, or forces that are far too small for newtons."""
+    data, out = problem.data, []
+    free = data.setup.load == "vertical" or "grade_deg" in data.varied  # a wheel that climbs freely pulls nothing
+    size = data.rows.load * data.rows.wheels[:, 0]
+    for j, name, unit, over in (
+        (0, "sinkage", "", data.rows.wheels[:, 0]), (1, "drawbar_pull", "newtons", data.rows.load),
+        (2, "torque", "newton metres", size),
+    ):  # fmt: skip
+        known = data.measured[:, j]
+        y, slips = data.y[known, j], data.rows.slip[known]
+        if y.size < 4 or np.ptp(slips) < LEAST_SPAN or (j == 1 and free and not np.any(y)):
+            continue
+        largest = float(np.max(np.abs(y) / over[known]))
+        if np.ptp(y) == 0.0:
+            out.append(f"{name} is {y[0]:g} in every row: expected measured values, which change with slip.")
+        elif unit and largest < WEAK:
+            against = "the load" if j == 1 else "load times radius"
+            out.append(
+                f"{name} is at most {largest:.2g} times {against}: expected {unit} (if it is kilo{unit}, times 1000)."
+            )
+    return tuple(out)
+
+
 def _rms(problem: Problem) -> float:
     fit = problem.fit()
     return math.sqrt(float(np.mean(fit.residual**2)))
@@ -98,8 +126,9 @@ def _reinterpretations(problem: Problem) -> list[Reinterpretation]:
             y=data.y * [1.0, 1.0, GRAVITY], scale=np.array([1.0, 1.0, GRAVITY]))  # fmt: skip
     add("load", f"With load as kilograms (times {GRAVITY})", "expected load in newtons",
         rows=rows._replace(load=rows.load * GRAVITY))  # fmt: skip
-    add("slip", "With the sign of slip turned", "expected slip positive where the wheel drives",
-        rows=rows._replace(slip=-rows.slip))  # fmt: skip
+    if problem.used[:, 1:].any():  # sinkage alone may rise or fall with slip
+        add("slip", "With the sign of slip turned", "expected slip positive where the wheel drives",
+            rows=rows._replace(slip=-rows.slip))  # fmt: skip
     if not np.any(np.isfinite(data.table.wheel_radius)) and data.wheel.radius >= 0.02:
         half = 0.5 * data.wheel.radius
         if not np.any(data.y[:, 0] > half):

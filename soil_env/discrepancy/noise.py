@@ -10,16 +10,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy.data import CHANNELS, WHEEL, Data
+from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC, WHEEL, Data
+from soil_env.terramechanics.model import Rows
 
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
 ALONE = 0.8  # leverage on the smooth surface above which a value is checked by no other
 LEAST_NOISE = 1e-5  # scatter over the size of the values below which they are rounded or computed, not measured
+LEAST_GIVEN = 1e-6  # the same of noise that the setup gives; less leaves no digits to fit with
+STEPS = {"slip": 0.005, "load": 0.01}  # of a slope: absolute, relative
 REPEAT_SLIP = 0.02  # largest difference of slip within repeats
 REPEAT_LOAD = 0.2  # largest difference of load within repeats, over their mean
 
@@ -42,7 +46,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Values further than `OUTLIER` sd
     from the surface are left out one after the other.
     """
-    given = [data.table.channel_sd(data.setup, name) for name in CHANNELS]
+    given = _given(data)
     repeat_sd, repeat_freedom = repeat_noise(data, model)
     basis = smooth_basis(data)
     used, sd, freedom, origin = data.measured.copy(), np.ones(3), np.full(3, math.inf), [""] * 3
@@ -76,6 +80,69 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     _refuse_no_scatter(data, used, sd, origin)
     left_out = int(data.measured.sum() - used.sum())
     return NoiseEstimate(np.maximum(sd, 1e-12), freedom, tuple(origin), used, left_out, alone)
+
+
+def _given(data: Data) -> list[float | None]:
+    """[3] noise of the channels as the setup or the rows give it; `ParameterError` where it is none."""
+    given = [data.table.channel_sd(data.setup, name) for name in CHANNELS]
+    for j, name in enumerate(CHANNELS):
+        values = data.y[data.measured[:, j], j]
+        least = LEAST_GIVEN * float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+        sd = given[j]
+        if sd is not None and sd < least:
+            raise ParameterError(
+                f"{data.setup.source}: noise.{name} = {sd:g}: expected at least {least:.2g}, a millionth of the "
+                "values; leave it out where it is not known"
+            )
+    return given
+
+
+def with_noise_of_conditions(data: Data, predict: Callable[[Rows], np.ndarray]) -> Data:
+    """The data with the noise of slip and load, where the setup gives it, as noise of what was measured there.
+
+    An error of the slip moves a value along the surface through the data. The effective variance (Orear 1982, Am. J.
+    Phys. 50:912-916) adds that to the noise of a channel, where the setup or the table gives it; noise that is taken
+    from the scatter has it already. `predict`: values [N, 3] of the calibrated base model at rows.
+    """
+    noise = {name: getattr(data.setup.noise, name) for name in STEPS}
+    known = _given(data)
+    if not any(noise.values()) or all(sd is None for sd in known):
+        return data
+    more = np.zeros(data.y.shape)
+    for name, sd in noise.items():
+        if sd is not None:
+            more += (sd * _slopes(data, predict, name)) ** 2
+    columns, levels = {}, {}
+    for j, channel in enumerate(CHANNELS):
+        own = known[j]
+        if own is not None:
+            columns[f"{channel}_sd"] = np.sqrt((own * data.relative_sd[:, j]) ** 2 + more[:, j])
+            levels[channel] = None
+    setup = dataclasses.replace(data.setup, noise=dataclasses.replace(data.setup.noise, **levels))
+    table = dataclasses.replace(data.table, **columns)
+    return dataclasses.replace(data, table=table, setup=setup, relative_sd=table.relative_sd(setup))
+
+
+def _slopes(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.ndarray:
+    """[N, 3] change per unit of slip or load of the smooth surface: the base model and polynomials of the rest."""
+    value = getattr(data.rows, name)
+    step = STEPS[name] * (value if name in LOGARITHMIC else np.ones_like(value))
+    ends = [predict(data.rows._replace(**{name: value + sign * step})) for sign in (1.0, -1.0)]
+    out = (ends[0] - ends[1]) / (2.0 * step[:, None])
+    if name in data.varied:
+        factor = data.varied[name]
+        scale = np.log(value) if name in LOGARITHMIC else value
+        per_unit = (1.0 / value if name in LOGARITHMIC else 1.0) * np.ptp(factor.scaled) / np.ptp(scale)
+        shifted = dataclasses.replace(factor, scaled=factor.scaled + 1e-4)
+        basis = smooth_basis(data)
+        change = (smooth_basis(dataclasses.replace(data, varied=data.varied | {name: shifted})) - basis) / 1e-4
+        left = data.y - predict(data.rows)
+        for j in range(len(CHANNELS)):
+            rows = np.isfinite(left[:, j])
+            if rows.any():
+                coefficients, *_ = np.linalg.lstsq(basis[rows], left[rows, j], rcond=1e-10)
+                out[:, j] += change @ coefficients * per_unit
+    return np.where(np.isfinite(out), out, 0.0)
 
 
 def _without_outliers(basis: np.ndarray, e: np.ndarray, used: np.ndarray, sd: float | None) -> np.ndarray:

@@ -73,6 +73,41 @@ def test_a_wrong_unit_or_sign_is_told_or_refused(tmp_path, column, factor, words
     assert words.lower() in " ".join(doubts).lower()
 
 
+@pytest.mark.parametrize(
+    "column, change, words",
+    [
+        ("torque", lambda x: 0.0, "torque is 0 in every row: expected measured values"),
+        ("torque", lambda x: 2.5, "torque is 2.5 in every row: expected measured values"),
+        ("sinkage", lambda x: 0.02, "sinkage is 0.02 in every row"),
+        ("drawbar_pull", lambda x: 0.0, "drawbar_pull is 0 in every row"),
+        ("drawbar_pull", lambda x: x / 1000.0, "expected newtons (if it is kilonewtons, times 1000)"),
+        ("torque", lambda x: x / 1000.0, "expected newton metres (if it is kilonewton metres, times 1000)"),
+    ],
+)
+def test_a_channel_that_is_dead_or_in_kilonewtons_is_said_and_nothing_else_of_it(tmp_path, column, change, words):
+    lines = list(csv.reader(table_text({}).splitlines()))
+    k = lines[0].index(column)
+    for line in lines[1:]:
+        line[k] = repr(change(float(line[k])))
+    (said,) = examined(tmp_path, "\n".join(",".join(line) for line in lines) + "\n")
+    assert words in said
+
+
+def test_a_wheel_that_climbs_freely_has_no_dead_pull(tmp_path):
+    text = table_text({}, grade_deg=(5.0, 12.0))
+    lines = list(csv.reader(text.splitlines()))
+    k = lines[0].index("drawbar_pull")
+    free = "\n".join(",".join("0.0" if i == k else x for i, x in enumerate(line)) for line in lines[1:]) + "\n"
+    assert not any("in every row" in said for said in examined(tmp_path, ",".join(lines[0]) + "\n" + free))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sinkage_alone_does_not_tell_the_sign_of_the_slip(tmp_path, seed):
+    """Slip-sinkage may raise it with slip, and the base model lets it fall."""
+    text = table_text({"slip_sinkage": {"gain": 4.0, "apparent": 1.0}}, channels=("sinkage",), seed=seed)
+    assert examined(tmp_path, text, SETUP.replace(", drawbar_pull: 0.8, torque: 0.1", "")) == ()
+
+
 def test_one_grade_that_could_be_radians_is_doubted(tmp_path):
     lines = table_text({}).splitlines()
     for grade, doubts in ((0.6458, ("grade_deg = 0.6458 is 37 degrees in radians: expected degrees.",)), (0.65, ())):

@@ -1,0 +1,72 @@
+"""Noise of the channels: given, with that of slip and load in it, and what is too little to be noise."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from soil_env._io.loading import ParameterError
+from soil_env.discrepancy.calibrate import calibrate
+from soil_env.discrepancy.data import prepare
+from soil_env.discrepancy.workflow import run
+from soil_env.measurement.table import NoiseLevels
+from tests.discrepancy.tables import NOISE, table
+from tests.discrepancy.tables import world as world_of
+
+SLIPS = np.linspace(0.05, 0.7, 8)
+
+
+def noisy(seed, slip_sd, load_sd=0.0, effects=None, told=True):
+    """A table whose slips and loads were read with noise."""
+    clean, rng = table(effects, slips=SLIPS), np.random.default_rng(seed)
+    y = clean.y + NOISE * rng.normal(size=clean.y.shape)
+    slip = clean.table.slip + slip_sd * rng.normal(size=len(y))
+    load = clean.table.load + load_sd * rng.normal(size=len(y))
+    columns = dict(zip(("sinkage", "drawbar_pull", "torque"), y.T, strict=True))
+    of = {"slip": slip_sd or None, "load": load_sd or None} if told else {}
+    noise = NoiseLevels(**dict(zip(columns, NOISE.tolist(), strict=True)), **of)
+    return dataclasses.replace(clean.table, slip=slip, load=load, **columns), dataclasses.replace(
+        clean.setup, noise=noise
+    )
+
+
+@pytest.mark.parametrize("effects", [{}, {"slip_sinkage": {"gain": 1.0, "recovery": 1.0, "apparent": 1.0}}])
+def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects):
+    """The slopes of the true world, which the base model does not have where an effect is missing."""
+    rows, setup = noisy(0, 0.02, 3.0, effects)
+    problem, noise = calibrate(prepare(rows, setup))
+    world, step = world_of(effects), 1e-3
+    conditions = {"slip": rows.slip, "load": rows.load, "speed": 0.06}
+
+    def values(slip=0.0, load=0.0):
+        at = conditions | {"slip": rows.slip + slip, "load": rows.load + load}
+        return np.stack(world.predict(at)[:3], axis=1)
+
+    by_slip = (values(slip=step) - values(slip=-step)) / (2.0 * step)
+    by_load = (values(load=1.0) - values(load=-1.0)) / 2.0
+    expected = np.sqrt(NOISE**2 + (0.02 * by_slip) ** 2 + (3.0 * by_load) ** 2)
+    found = noise.sd * problem.data.relative_sd
+    inner = (rows.slip > 0.1) & (rows.slip < 0.65)
+    assert np.median(np.abs(found / expected - 1.0)[inner]) < 0.1
+    assert np.max(np.abs(found / expected - 1.0)[inner]) < 0.5
+    assert noise.origin == ("setup", "setup", "setup")
+
+
+def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():
+    told = [run(*noisy(seed, 0.03)).verdict for seed in range(2)]
+    assert told == ["none"] * 2
+    assert run(*noisy(0, 0.03, told=False)).verdict == "unlisted"
+
+
+def test_noise_of_conditions_changes_nothing_where_the_channels_noise_is_found_from_the_table():
+    rows, setup = noisy(0, 0.02)
+    bare = dataclasses.replace(setup, noise=NoiseLevels(slip=0.02))
+    exact = dataclasses.replace(setup, noise=NoiseLevels())
+    assert calibrate(prepare(rows, bare))[1].sd == pytest.approx(calibrate(prepare(rows, exact))[1].sd)
+
+
+def test_noise_that_leaves_no_digits_is_refused():
+    rows, setup = noisy(0, 0.0)
+    tiny = dataclasses.replace(setup, noise=dataclasses.replace(setup.noise, sinkage=1e-10))
+    with pytest.raises(ParameterError, match=r"noise.sinkage = 1e-10: expected at least .* a millionth of the values"):
+        run(rows, tiny)
