@@ -48,7 +48,8 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from soil_env._io.commands import command_line, folder, label, leave, table_parser, whole_number
 from soil_env.discrepancy.report import FILES, show
-from soil_env.discrepancy.report.words import check_first, summary
+from soil_env.discrepancy.report.cautions import check_first
+from soil_env.discrepancy.report.words import summary
 from soil_env.discrepancy.workflow import run
 
 NAME = "soil_env.discrepancy"

@@ -161,7 +161,8 @@ def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
         elif effect.varies is not None and effect.varies not in data.varied and effect.name != "shear_rate":
             reasons[effect.name] = words[effect.varies]
         elif effect.name == "shear_rate" and not np.all(data.rows.conditions[:, 0] > 0.0):
-            reasons[effect.name] = "speed not given"
+            given = np.any(data.rows.conditions[:, 0] > 0.0)
+            reasons[effect.name] = "a speed of 0" if given else "speed not given"
         else:
             names.append(effect.name)
     return names, reasons

@@ -15,7 +15,7 @@ from rich.text import Text
 from soil_env._io.document import html_image, html_page, render
 from soil_env._io.files import check_outputs, replace_files
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy.report import blocks, tables, words
+from soil_env.discrepancy.report import blocks, cautions, tables, words
 from soil_env.discrepancy.report.content import content
 from soil_env.discrepancy.report.numbers import p_value
 from soil_env.discrepancy.report.pictures import CAPTIONS, pictures
@@ -86,8 +86,8 @@ def _common(report: Report) -> dict[str, Any]:
         "words": words,
         "tables": tables,
         "blocks": blocks.blocks(report),
-        "check_first": words.check_first(report),
-        "cautions": words.cautions(report),
+        "check_first": cautions.check_first(report),
+        "cautions": cautions.cautions(report),
         "where": [(words.disagreement(report, d), p_value(d.p_value)) for d in report.where],
         "next_tests": [words.next_test(report, t) for t in report.next_tests],
     }
@@ -95,7 +95,7 @@ def _common(report: Report) -> dict[str, Any]:
 
 def show(report: Report, console: Console) -> None:
     """Print the conclusion with its tables."""
-    first, colour = words.check_first(report), COLOURS.get(report.verdict, "yellow")
+    first, colour = cautions.check_first(report), COLOURS.get(report.verdict, "yellow")
     if first:
         console.print(Panel(Text(" ".join(first)), title="[bold]check first[/]", title_align="left", style="red"))
     title = f"[bold]{report.verdict}[/]"

@@ -11,7 +11,7 @@ import scipy
 from soil_env import __version__
 from soil_env._io.files import plain
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.report import words
+from soil_env.discrepancy.report import cautions, words
 from soil_env.discrepancy.report.blocks import blocks
 from soil_env.discrepancy.report.equations import SYMBOLS
 from soil_env.discrepancy.result import Report
@@ -23,7 +23,7 @@ LEAST = 1e-3  # probability below which a hypothesis is not listed
 def content(report: Report) -> dict[str, Any]:
     """Plain values for JSON, null where there is no number; every key is always present."""
     shown = [block.content() for block in blocks(report)]
-    first = words.check_first(report)
+    first = cautions.check_first(report)
     noise = {name: CHANNELS.index(name) for name in report.channels}
     return plain({
         "verdict": report.verdict,
@@ -73,7 +73,7 @@ def content(report: Report) -> dict[str, Any]:
         "noise": {name: {"sd": report.noise.sd[j], "origin": report.noise.origin[j]} for name, j in noise.items()},
         "left_out": [{"row": row, "channel": name} for row, name in report.left_out],
         "check_first": first,
-        "cautions": [*first, *words.cautions(report)],
+        "cautions": [*first, *cautions.cautions(report)],
         "validity": {name: list(pair) for name, pair in report.model.validity.items()},
         "rows": len(report.problem.data.table),
         "settings": vars(report.settings),

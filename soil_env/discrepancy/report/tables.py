@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from soil_env._io.document import Table
 from soil_env.discrepancy.judgement import Interval
+from soil_env.discrepancy.report.cautions import not_tiny
 from soil_env.discrepancy.report.numbers import figures, fixed, times
-from soil_env.discrepancy.report.words import SOIL, TITLES, amount, not_tiny, title
+from soil_env.discrepancy.report.words import SOIL, TITLES, amount, title
 from soil_env.discrepancy.result import Report
 from soil_env.terramechanics.catalogue import CATALOGUE
 

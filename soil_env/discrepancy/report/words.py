@@ -1,13 +1,11 @@
-"""Sentences of a report: the summary, disagreements, next tests, and what a reader should be wary of."""
+"""Sentences of a report: the summary, disagreements, next tests."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS, WHEEL
 from soil_env.discrepancy.experiment import NextTest
 from soil_env.discrepancy.locate import Disagreement
@@ -15,11 +13,8 @@ from soil_env.discrepancy.report.numbers import figure, figures, fixed
 from soil_env.discrepancy.result import LEFT, WORSE, Report
 from soil_env.discrepancy.search import NAMED, ODDS, TOLD, UNLISTED_ODDS
 from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.model import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
-FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
-FEW = 6  # conditions below which hardly anything can be told
 MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
 SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
 SOIL = {
@@ -62,15 +57,15 @@ def amount(channel: str, value: float, digits: int = 2) -> str:
     return f"{figure(scale * value) if digits == 2 else figures(scale * value, digits)} {unit}"
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
-def _plural(count: int, word: str) -> str:
+def plural(count: int, word: str) -> str:
     return f"{count} {word}" + ("" if count == 1 else "s")
 
 
-def _first_upper(text: str) -> str:
+def first_upper(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
@@ -137,8 +132,8 @@ def summary(report: Report) -> str:
         "undetermined": _undetermined,
     }[report.verdict](report)  # fmt: skip
     if report.corrected:
-        parts.append(f"With {_what(report)}, {_shrinks(report)}.")
-        parts += [text for text in _of_gap(report) if "rises" in text]
+        parts.append(f"With {added(report)}, {_shrinks(report)}.")
+        parts += rises(report)
     if report.verdict in ("named", "partly", "ambiguous") and MENTIONED <= finding.remainder < NAMED:
         parts.append(
             f"The probability that something is missing that is in no catalogue is {_sure(finding.remainder)}."
@@ -163,7 +158,7 @@ def probabilities(report: Report) -> str:
     )
 
 
-def _what(report: Report) -> str:
+def added(report: Report) -> str:
     """What the corrected model has beyond the base model."""
     names = [title(e.name) for e in report.effects]
     return listed([*names, *(["a law without a name"] if report.model.residual else [])])
@@ -198,10 +193,15 @@ def _remainder(report: Report) -> str:
 
 def _either(report: Report) -> list[str]:
     sets = [h for h in report.finding.hypotheses if h.names and h.probability >= TOLD][:4]
-    said = "; ".join(f"{title(' and '.join(h.names))} ({_sure(h.probability)})" for h in sets)
+    said = "; ".join(f"{_set(h.names)} ({_sure(h.probability)})" for h in sets)
     rest = f"; that nothing is missing has {_sure(report.finding.none)}" if report.finding.none >= TOLD else ""
     some = f"Something is missing with a probability of {_sure(1.0 - report.finding.none)}"
     return [f"{some}, and these data cannot tell what{f': {said}' if said else ''}{rest}."]
+
+
+def _set(names: tuple[str, ...]) -> str:
+    """A set of effects: one of them alone, or both."""
+    return f"{title(names[0])} alone" if len(names) == 1 else title(" and ".join(names))
 
 
 def _unlisted(report: Report) -> list[str]:
@@ -226,7 +226,7 @@ def _nothing(report: Report) -> list[str]:
     nearest = next((r for r in report.ranking if r.probability >= TOLD), None)
     if nearest is not None:
         parts.append(f"The nearest effect is {title(nearest.name)} ({_sure(nearest.probability)}).")
-    return parts + ([f"{_plural(unseen, 'effect')} cannot be seen in this table."] if unseen else [])
+    return parts + ([f"{plural(unseen, 'effect')} cannot be seen in this table."] if unseen else [])
 
 
 def _undetermined(report: Report) -> list[str]:
@@ -234,7 +234,7 @@ def _undetermined(report: Report) -> list[str]:
     weak = [title(n) for n, d in seen.items() if d.power < NAMED]
     return [
         f"These {int(report.problem.used.sum())} values do not tell whether anything is missing: that nothing is has "
-        f"{_sure(report.finding.none)}, but of {_plural(len(seen), 'effect')} that could be looked for, {len(weak)} "
+        f"{_sure(report.finding.none)}, but of {plural(len(seen), 'effect')} that could be looked for, {len(weak)} "
         "would more probably have been overlooked than seen at their usual size."
     ]
 
@@ -248,11 +248,19 @@ def _shrinks(report: Report) -> str:
         f"{gap.after / gap.noise_floor:.2f} times the noise"
     )
     if report.closed is not None and report.closed > 0.0:
-        text += f", and {_percent(report.closed)} of the gap above the noise is closed"
+        text += f", and {percent(report.closed)} of the gap above the noise is closed"
         if report.closed_interval is not None:
             low, high = (f"{100.0 * x:.0f}" for x in report.closed_interval)
             text += f" (95 % interval {low} to {high} %)"
     return text
+
+
+def rises(report: Report) -> list[str]:
+    """Channels whose held-out error is larger with the corrected model, in sentences."""
+    return [
+        f"The held-out error of {TITLES[name]} rises by {percent(g.after / g.before - 1.0)} with {added(report)}."
+        for name, g in report.gap.items() if report.corrected and g.after > (1.0 + WORSE) * g.before
+    ]  # fmt: skip
 
 
 def rule(report: Report) -> str:
@@ -274,125 +282,3 @@ IN_MODEL = (
     "Values and intervals allow for errors of the laws; model.yaml, which simulates without them, has the values that "
     "predict best so."
 )
-
-# --- cautions ---------------------------------------------------------------------------------------------------------
-
-
-def check_first(report: Report) -> list[str]:
-    """What to check before anything else is read: signs and units."""
-    return list(report.doubts)
-
-
-def cautions(report: Report) -> list[str]:
-    """What a reader should be wary of beside `check_first`; of the fit that model.yaml holds."""
-    return [*_of_table(report), *_of_fit(report), *_of_gap(report), *_of_model(report)]
-
-
-def _from_priors(report: Report) -> dict[str, float]:
-    """Distance of each soil parameter with a prior from the setup's value, in standard deviations of the setup."""
-    widened = {k.name: k for k in report.problem.soil}
-    priors = report.problem.data.setup.soil
-    return {
-        k.name: PRIOR_WIDTH * widened[k.name].at(float(k.value(u)))
-        for k, u in zip(report.fit.unknowns, report.fit.u, strict=True)
-        if getattr(priors, k.name, None) is not None
-    }
-
-
-def _of_table(report: Report) -> list[str]:
-    problem, noise, out = report.problem, report.noise, []
-    conditions = len(np.unique(problem.data.cell))
-    if conditions < FEW:
-        out.append(f"{conditions} conditions can hardly show a misfit.")
-    values, unknowns = int(problem.used.sum()), len(report.fit.unknowns)
-    if values < unknowns:
-        out.append(f"{values} values for {unknowns} unknowns: the priors decide much of this.")
-    missing = [TITLES[name] for name in CHANNELS if name not in report.channels]
-    if missing:
-        out.append(f"{_first_upper(listed(missing))} not measured: effects that move nothing else cannot be seen.")
-    for j, name in enumerate(CHANNELS):
-        if noise.origin[j] == "scatter":
-            out.append(
-                f"The noise of {TITLES[name]} ({amount(name, noise.sd[j])}) is neither given nor measured by repeats; "
-                "it was taken from the scatter about a smooth surface."
-            )
-    if report.left_out:
-        rows = ", ".join(f"{TITLES[name]} in row {row}" for row, name in report.left_out[:8])
-        more = ", ..." if len(report.left_out) > 8 else ""
-        out.append(
-            f"{_plural(len(report.left_out), 'value')} left out as outliers: {rows}{more}.{_with_outliers(report)}"
-        )
-    return out
-
-
-def _with_outliers(report: Report) -> str:
-    """How the final model compares with the values that were left out."""
-    problem, fit = report.problem, report.fit
-    far = np.abs(problem.data.y - fit.output) / problem.noise
-    dropped = problem.data.measured & ~problem.used
-    ordinary, out = int(np.sum(far[dropped] <= 3.0)), ""
-    if ordinary:
-        out += f" By the final model {ordinary} of them {'is' if ordinary == 1 else 'are'} ordinary."
-    for j, name in enumerate(CHANNELS):
-        if dropped[:, j].any():
-            kept = math.sqrt(float(np.mean(far[problem.used[:, j], j] ** 2)))
-            whole = math.sqrt(float(np.mean(far[problem.data.measured[:, j], j] ** 2)))
-            if whole > 1.2 * kept:
-                out += (
-                    f" With them it misses {TITLES[name]} by {whole:.2g} times the noise instead of {kept:.2g}: where "
-                    "their repeats agree, that is lack of fit."
-                )
-    return out
-
-
-def _of_fit(report: Report) -> list[str]:
-    fit, out, far = report.fit, [], _from_priors(report)
-    for unknown, u in zip(fit.unknowns, fit.u, strict=True):
-        label = SOIL.get(unknown.name, (unknown.name.replace("_", " "), ""))[0]
-        value, x = float(unknown.value(u)), unknown.mean + unknown.sd * float(u)
-        if min(x - unknown.low, unknown.high - x) <= 1e-4 * unknown.sd:
-            out.append(f"{_first_upper(label)} is at a bound of its range ({not_tiny(value):.4g}).")
-        elif abs(far.get(unknown.name, 0.0)) > FAR:
-            off = abs(far[unknown.name])
-            out.append(f"{_first_upper(label)} is {off:.1f} standard deviations from the setup's value.")
-    if not fit.converged:
-        out.append("The fit did not converge: take the numbers as rough.")
-    buried = int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * report.problem.data.wheel.radius))
-    if buried:
-        out.append(f"The fitted soil does not carry the load in {_plural(buried, 'row')}.")
-    return out
-
-
-def not_tiny(value: float) -> float:
-    """0 for what a bound at 0 leaves of a soil parameter."""
-    return value if abs(value) > 1e-6 else 0.0
-
-
-def _of_gap(report: Report) -> list[str]:
-    out = []
-    for name, g in report.gap.items():
-        if g.after > LEFT * g.noise_floor:
-            out.append(
-                f"The held-out error of {TITLES[name]} stays at {g.after / g.noise_floor:.1f} times the noise: form "
-                "error of the laws, or something that is not listed."
-            )
-        if report.corrected and g.after > (1.0 + WORSE) * g.before:
-            rise = _percent(g.after / g.before - 1.0)
-            out.append(f"The held-out error of {TITLES[name]} rises by {rise} with {_what(report)}.")
-    return out
-
-
-def _of_model(report: Report) -> list[str]:
-    out, height = [], report.problem.data.setup.wheel.grouser_height
-    if height is None and "grousers" in report.model.effects:
-        h = report.model.wheel.grouser_height
-        out.append(
-            f"The setup gives no grouser_height: {1e3 * h:.3g} mm was taken, so only the product with it is told."
-        )
-    if height:
-        out.append("The base model has no grousers: those of the setup are tried as an effect.")
-    if report.model.residual:
-        out.append("The law without a name holds only within the conditions of this table.")
-    if report.finding.untestable and report.verdict != "none":
-        out.append(f"This table cannot show {listed(title(name) for name in report.finding.untestable)}.")
-    return out
