@@ -7,6 +7,7 @@
     python -m benchmarks.blind score --out DIR                                           scores of all answers in DIR
     python -m benchmarks.blind list                                                      groups and forms
 
+Sets: laws; log_slip and regimes, whose law errors go otherwise with slip; easy, listed forms on exact laws.
 An entrant is `workflow`, `bic`, `pysindy`, module:function (from two paths to benchmarks.blind.entrants.Answer), or a
 command with {data} and {setup} that prints the answer as JSON. The same command goes on with a run that was
 interrupted. Seed 2027 is the one that is reported; develop with seeds from 100000 on. docs/blind_benchmark.md says how
@@ -29,6 +30,7 @@ from benchmarks.blind import page, run, score
 from benchmarks.blind.entrants import NAMES, entrant
 from benchmarks.blind.forms import MECHANISMS, forms_of
 from benchmarks.blind.sets import SETS
+from benchmarks.blind.unlisted import UNLISTED
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env._io.loading import ParameterError
 
@@ -103,6 +105,8 @@ def _list(options: argparse.Namespace) -> int:
     for mechanism in MECHANISMS:
         for form in forms_of(mechanism):
             print(f"{mechanism:20s} {form.name:24s} {form.source.splitlines()[0]}")
+    for form in UNLISTED:
+        print(f"{'(in no catalogue)':20s} {form.name:24s} {form.source.splitlines()[0]}")
     return 0
 
 

@@ -25,7 +25,7 @@ from pathlib import Path
 from benchmarks.blind.cases import write_case
 from benchmarks.blind.entrants import Answer, entrant
 from benchmarks.blind.sets import CaseSet, set_of, task_of
-from soil_env._io.files import replace_file
+from soil_env._io.files import make_folder, replace_file
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -37,7 +37,7 @@ def generator(of: CaseSet) -> str:
 
 def begin(folder: Path, seed: int, of: CaseSet) -> None:
     """Make the folder of a seed. Raises `ValueError` where it holds cases of another set, seed or generator."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     path, about = folder / "study.json", {"set": of.name, "seed": seed, "generator": generator(of)}
     if path.exists():
         begun = json.loads(path.read_text(encoding="utf-8"))
@@ -66,6 +66,7 @@ def ask(who: str, label: str, seed: int, folder: Path, name: str) -> float:
         wall, cpu = time.perf_counter(), time.process_time()
         try:
             said = entrant(who)(Path(place) / "data.csv", Path(place) / "setup.yaml")
+            said = said if isinstance(said, Answer) else Answer.of(said)
         except Exception as error:
             said = Answer("error", note=f"{type(error).__name__}: {error}"[:300])
         seconds = time.perf_counter() - wall

@@ -65,6 +65,8 @@ setup's, for several wheels in one table. setup.yaml takes, beside the above:
     load: vertical                # the load on a grade presses with load cos(b), pulls back with load sin(b);
                                   # default: normal to the ground
     slip_reference: tip           # slip was computed with the radius to the lug tips; default: rim
+    noise: {slip: 0.01, load: 2}  # of conditions, [-] and N; left out: exact
+    soil: {dig_gain: 1.5}         # slip-sinkage that is known, and dig_recovery; left out: none
     tilt_deg: {value: 0, sd: 1}   # of a rig that is not level, uphill positive: fitted with the soil; a number: known
     ignore_columns: [note]        # of DATA.csv; any other unknown column is refused
 """

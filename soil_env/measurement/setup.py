@@ -217,7 +217,7 @@ def _prior(value: Any, where: str) -> dict[str, Any]:
                 "(write a known value as a plain number)"
             )
         return value
-    if value is None or isinstance(value, list):
+    if value is None or isinstance(value, list) or (isinstance(value, (str, bool)) and _as_number(value) is None):
         raise ParameterError(f"{where} = {value!r}: expected a number or {{value: ..., sd: ...}}, or leave it out")
     return {"value": value, "sd": 0.0}
 

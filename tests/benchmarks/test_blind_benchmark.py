@@ -403,6 +403,10 @@ def test_answers_are_checked():
         Answer("sure")
     with pytest.raises(ValueError, match="unknown key 'nmaed'"):
         Answer.of({"verdict": "none", "nmaed": []})
+    with pytest.raises(ValueError, match="mechanism 'grouser': expected one of .*grousers"):
+        Answer("named", ("grouser",))
+    with pytest.raises(ValueError, match="list: expected an Answer, or a mapping"):
+        Answer.of(["named"])
     with pytest.raises(ValueError, match=r"grade = 1\.5"):
         Answer("none", (), (), {"grade": 1.5})
     with pytest.raises(ValueError, match="expected workflow, bic"):
@@ -456,6 +460,34 @@ def test_an_entrant_that_fails_is_an_error_not_the_end(tmp_path):
     run.ask("math:sqrt", "broken", 100010, tmp_path, "none-few-10-000")
     record = score.read_records(tmp_path, "broken", ["none-few-10-000"])[0]
     assert record.answer.verdict == "error" and "TypeError" in record.answer.note
+
+
+def says_grade_in_a_dict(data, setup):
+    return {"verdict": "named", "named": ["grade"], "probabilities": {"grade": 0.9}}
+
+
+def says_nothing(data, setup):
+    return None
+
+
+def test_a_function_may_answer_by_a_mapping_and_anything_else_is_an_error(tmp_path):
+    run.begin(tmp_path, 100010, SETS["laws"])
+    for function, verdict in ((says_grade_in_a_dict, "named"), (says_nothing, "error")):
+        run.ask(f"{__name__}:{function.__name__}", function.__name__, 100010, tmp_path, "none-few-10-000")
+        (record,) = score.read_records(tmp_path, function.__name__, ["none-few-10-000"])
+        assert record.answer.verdict == verdict
+
+
+def test_a_file_is_no_folder_of_cases(tmp_path, capsys):
+    (tmp_path / "taken").write_text("")
+    assert command.main(["draw", "--limit", "1", "--out", str(tmp_path / "taken")]) == 2
+    assert "expected a folder" in capsys.readouterr().err
+
+
+def test_the_list_has_all_forms(capsys):
+    assert command.main(["list"]) == 0
+    said = capsys.readouterr().out
+    assert all(f.name in said for f in (*FORMS, *UNLISTED)) and all(f"set {name}" in said for name in SETS)
 
 
 def test_the_workflow_and_the_bank_answer(tmp_path):

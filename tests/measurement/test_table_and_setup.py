@@ -174,6 +174,10 @@ def test_reads_a_setup(tmp_path):
         (SETUP + "noise: {torque: .nan}", ["torque = nan", "> 0"]),
         (SETUP + "soil: {cohesion: {value: 10, sd: 0}}", ["cohesion: sd = 0", "plain number"]),
         (SETUP + "soil: {cohesion: }", ["cohesion = None", "leave it out"]),
+        (
+            SETUP + "soil: {cohesion: about 1000}",
+            ["soil.cohesion = 'about 1000': expected a number or {value: ..., sd: ...}"],
+        ),
         (SETUP + "soil: {friction_angle_deg: 95}", ["friction_angle_deg = 95", "deg"]),
         (SETUP + "soil: {shear_modulus: 30}", ["shear_modulus = 30", "[0.0001, 0.3] m"]),
         (SETUP + "soil: {k_c: 1000}", ["both k_c and k_phi"]),

@@ -14,6 +14,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from benchmarks.blind.forms import MECHANISMS
+
 VERDICTS = ("named", "partly", "ambiguous", "unlisted", "none", "undetermined", "error")
 NAMES = {
     "workflow": "benchmarks.blind.entrants.workflow:answer",
@@ -29,7 +31,7 @@ class Answer:
     `verdict`: one of `VERDICTS`. `named`: the mechanisms that it says are there, the surest first; empty where the
     verdict is unlisted, none or undetermined. `alternatives`: those that it cannot tell from the named ones.
     `probabilities`: that a mechanism is in the table, by name; those left out count as 0. Names are those of the
-    catalogue, `benchmarks.blind.forms.MECHANISMS`; others are taken for wrong.
+    catalogue, `benchmarks.blind.forms.MECHANISMS`. Raises `ValueError` for others.
     """
 
     verdict: str
@@ -41,13 +43,18 @@ class Answer:
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
             raise ValueError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
+        for name in (*self.named, *self.alternatives, *self.probabilities):
+            if name not in MECHANISMS:
+                raise ValueError(f"mechanism {name!r}: expected one of {', '.join(MECHANISMS)}")
         for name, p in self.probabilities.items():
             if not (math.isfinite(p) and -1e-9 <= p <= 1.0 + 1e-6):
                 raise ValueError(f"probability of {name} = {p!r}: expected a number in [0, 1]")
 
     @classmethod
     def of(cls, content: Mapping) -> Answer:
-        """The answer of a mapping with the keys of this class. Raises `ValueError` for unknown keys."""
+        """The answer of a mapping with the keys of this class. Raises `ValueError` for anything else."""
+        if not isinstance(content, Mapping):
+            raise ValueError(f"answer: {type(content).__name__}: expected an Answer, or a mapping with its keys")
         known = cls.__dataclass_fields__
         for key in content:
             if key not in known:
@@ -56,7 +63,7 @@ class Answer:
         return cls(**{**content, **lists})
 
 
-Entrant = Callable[[Path, Path], Answer]
+Entrant = Callable[[Path, Path], Answer | Mapping]
 
 
 def entrant(name: str) -> Entrant:
