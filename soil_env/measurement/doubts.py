@@ -11,6 +11,8 @@ MOST_GRIP = 1.5  # force over load in the middle of the rows, beyond which the l
 DRIVEN = 0.15  # slip from which the strength of the soil is mobilised
 FRICTION = 0.5  # tan(phi) beside a cohesion that is known
 USUAL_SINKAGE = 0.3  # [radii] where none was measured
+FEWEST = 3  # rows in another unit than the rest
+LIGHTER = 0.2  # load of such rows over that of the rest
 
 
 def contact_area(sinkage: np.ndarray, radius: np.ndarray, width: np.ndarray) -> np.ndarray:
@@ -38,5 +40,18 @@ def load_doubt(table: Table, setup: Setup) -> str:
                 f"{name} is {np.median(share):.2g} times the load in the middle of the rows with slip above "
                 f"{DRIVEN:g}, more than soil gives: expected load in newtons (if it is in kilograms or kgf, multiply "
                 "it by 9.81)."
+            )
+        known = np.isfinite(force)
+        odd = driven & known & (force > most * table.load)
+        rest = known & ~odd
+        if odd.sum() < FEWEST or not rest.any():
+            continue
+        light = float(np.max(table.load[odd]))
+        if light < LIGHTER * np.median(table.load[rest]):
+            share = float(np.median(force[odd] / table.load[odd]))
+            return (
+                f"{name} is {share:.2g} times the load in {odd.sum()} rows with loads up to {light:.3g} N, more than "
+                "soil gives, and not in the others: expected load in newtons in every row (if these are in kilograms "
+                "or kgf, multiply them by 9.81)."
             )
     return ""

@@ -5,6 +5,7 @@ import dataclasses
 import json
 import re
 
+import numpy as np
 import pytest
 
 from benchmarks.sound_tables import MISTAKES, check_first, sound_tables
@@ -166,6 +167,18 @@ def test_a_load_in_kilograms_is_doubted_whatever_the_soil(tmp_path):
     table = read_table(tmp_path / "data.csv")
     sticky = Setup(SetupWheel(0.15, 0.12), SoilPriors(cohesion=Prior(60e3, 5e3)))
     assert load_doubt(kilograms(table), Setup(SetupWheel(0.15, 0.12))) and not load_doubt(kilograms(table), sticky)
+
+
+def test_some_loads_in_kilograms_are_doubted(tmp_path):
+    text = table_text({})
+    (tmp_path / "data.csv").write_text(text)
+    table, setup = read_table(tmp_path / "data.csv"), Setup(SetupWheel(0.15, 0.12))
+    assert load_doubt(table, setup) == ""
+    some = table.load < 140.0
+    mixed = dataclasses.replace(table, load=np.where(some, table.load / 9.81, table.load))
+    assert re.search(
+        r"times the load in \d+ rows with loads up to 10.2 N, .* in newtons in every row", load_doubt(mixed, setup)
+    )
 
 
 def kilograms(table):
