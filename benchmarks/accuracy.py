@@ -16,6 +16,7 @@ import numpy as np
 
 from soil_env._io.commands import command_parser
 from soil_env.simulation.terrain import cell_at
+from soil_env.slip import travel_speeds
 from soil_env.terramechanics.arc_integrals import arc_integrals, simpson_integrals
 from soil_env.terramechanics.contact import forces
 from soil_env.vector_env import SoilWheelVectorEnv
@@ -91,7 +92,7 @@ def quadrature(slips: tuple[float, float], ratios: tuple[float, float], rng, arc
     out = []
     for _ in range(arcs):
         entry, slip, n = rng.uniform(0.2, 1.3), rng.uniform(*slips), rng.uniform(0.3, 1.5)
-        rim, travel = (1.0, 1.0 - slip) if slip >= 0.0 else (1.0 + slip, 1.0)
+        rim, travel = 1.0, float(travel_speeds(1.0, slip))
         K, at = RADIUS * np.exp(rng.uniform(*np.log(ratios))), (entry, 0.0, 0.5 * entry)
         f, exact = (
             forces(q, 1.0, TAN_PHI, 0.0, RADIUS, WIDTH, 1.0)

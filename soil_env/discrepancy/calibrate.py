@@ -416,8 +416,8 @@ def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
     def base(rows: Rows) -> np.ndarray:
         return first.predict(fit.parameters(), (), first.sinkage_guess(fit), rows)
 
-    data = with_noise_of_conditions(data, base)
-    noise = find_noise(data, fit.output)
+    data, counted = with_noise_of_conditions(data, base)
+    noise = dataclasses.replace(find_noise(data, fit.output), of_conditions=counted)
     known = [f for f, o in zip(noise.freedom, noise.origin, strict=True) if o]
     problem = Problem(data, noise.sd, noise.used, float(min(known)))
     return problem, noise

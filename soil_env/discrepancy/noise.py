@@ -12,6 +12,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,7 @@ class NoiseEstimate:
     used: np.ndarray  # [N, 3] bool
     outliers: int  # values that were left out
     alone: np.ndarray  # [N] bool, rows whose values no other row comes near enough to check
+    of_conditions: tuple[str, ...] = ()  # slip, load: whose noise is in that of the channels
 
 
 def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
@@ -97,8 +99,8 @@ def _given(data: Data) -> list[float | None]:
     return given
 
 
-def with_noise_of_conditions(data: Data, predict: Callable[[Rows], np.ndarray]) -> Data:
-    """The data with the noise of slip and load, where the setup gives it, as noise of what was measured there.
+def with_noise_of_conditions(data: Data, predict: Callable[[Rows], np.ndarray]) -> tuple[Data, tuple[str, ...]]:
+    """The data with the noise of slip and load, where the setup gives it, as noise of what was measured; their names.
 
     An error of the slip moves a value along the surface through the data. The effective variance (Orear 1982, Am. J.
     Phys. 50:912-916) adds that to the noise of a channel, where the setup or the table gives it; noise that is taken
@@ -107,12 +109,13 @@ def with_noise_of_conditions(data: Data, predict: Callable[[Rows], np.ndarray]) 
     noise = {name: getattr(data.setup.noise, name) for name in STEPS}
     known = _given(data)
     if not any(noise.values()) or all(sd is None for sd in known):
-        return data
+        return data, ()
     more = np.zeros(data.y.shape)
     for name, sd in noise.items():
         if sd is not None:
             more += (sd * _slopes(data, predict, name)) ** 2
-    columns, levels = {}, {}
+    columns: dict[str, Any] = {}
+    levels: dict[str, None] = dict.fromkeys(STEPS)  # from here on they are exact
     for j, channel in enumerate(CHANNELS):
         own = known[j]
         if own is not None:
@@ -120,7 +123,8 @@ def with_noise_of_conditions(data: Data, predict: Callable[[Rows], np.ndarray]) 
             levels[channel] = None
     setup = dataclasses.replace(data.setup, noise=dataclasses.replace(data.setup.noise, **levels))
     table = dataclasses.replace(data.table, **columns)
-    return dataclasses.replace(data, table=table, setup=setup, relative_sd=table.relative_sd(setup))
+    counted = tuple(name for name, sd in noise.items() if sd is not None)
+    return dataclasses.replace(data, table=table, setup=setup, relative_sd=table.relative_sd(setup)), counted
 
 
 def _slopes(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.ndarray:

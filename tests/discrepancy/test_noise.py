@@ -49,7 +49,9 @@ def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects
     inner = (rows.slip > 0.1) & (rows.slip < 0.65)
     assert np.median(np.abs(found / expected - 1.0)[inner]) < 0.1
     assert np.max(np.abs(found / expected - 1.0)[inner]) < 0.5
-    assert noise.origin == ("setup", "setup", "setup")
+    assert noise.origin == ("setup", "setup", "setup") and noise.of_conditions == ("slip", "load")
+    again, _ = calibrate(prepare(problem.data.table, problem.data.setup))  # as where rows are left out: counted once
+    assert again.noise * again.data.relative_sd == pytest.approx(found)
 
 
 def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():

@@ -55,9 +55,9 @@ def _of_table(report: Report) -> list[str]:
                 f"The noise of {TITLES[name]} ({amount(name, noise.sd[j])}) is neither given nor measured by repeats; "
                 "it was taken from the scatter about a smooth surface."
             )
-    also = [name for name in ("slip", "load") if getattr(problem.data.setup.noise, name) is not None]
-    if also and "setup" in noise.origin:
-        out.append(f"The noise of {listed(also)} counts as noise of what was measured, by the slopes of the table.")
+    if noise.of_conditions:
+        names = listed(noise.of_conditions)
+        out.append(f"The noise of {names} counts as noise of what was measured, by the slopes of the table.")
     if report.left_out:
         rows = ", ".join(f"{TITLES[name]} in row {row}" for row, name in report.left_out[:8])
         more = ", ..." if len(report.left_out) > 8 else ""
