@@ -74,7 +74,7 @@ dist: $(TEST_READY)  ## wheel and sdist into dist/
 	$(PIP) install -q --no-compile -c constraints.txt build
 	$(PY) -m build
 
-bench: $(TRAIN_READY)  ## run the studies of benchmarks/ and renew their pages in docs/
+bench: $(TRAIN_READY)  ## run the studies of identification and throughput, renew their pages
 	$(PY) benchmarks/identification.py $(ARGS)
 	$(PY) benchmarks/throughput.py $(ARGS)
 

@@ -22,7 +22,7 @@ def _text(default: str, doc: str):
 class PPOConfig(Checked):
     """Hyperparameters of PPO (Schulman et al. 2017), in SB3's terms. The learning rate falls linearly to 5 %.
 
-    docs/training.md says how the layout was chosen.
+    docs/training.md says how these defaults were chosen.
     """
 
     num_envs: int = quantity("", 1, 65536, default=256, doc="wheels stepped together")

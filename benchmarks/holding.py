@@ -2,10 +2,10 @@
 
 At a constant speed a wheel on a slope has the slip whose drawbar pull carries it up there, whatever the controller: it
 holds more slip only while it gains speed, and less only while it loses some. So the first table drives uniform slopes
-that ask for OFF less than the slip to hold, from the creeping start up to the top speed of the motor, and says for how
-long and how well the slip is held between those two, from SETTLING seconds on; a constant speed on the same slope would
-be off by OFF. The second drives random courses: the share of the time at the start, between, and at the top, and how
-far the slip is off between.
+whose steady slip is OFF below the slip to hold, from the creeping start up to the top speed of the motor, and says for
+how long and how well the slip is held between those two, from SETTLING seconds on; a constant speed on the same slope
+would be off by OFF. The second drives random courses: the share of the time at the start, between, and at the top, and
+how far the slip is off between.
 
     python -m benchmarks.holding
 """

@@ -70,7 +70,7 @@ LOSS = (-1.0, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 3.0, 1e9)
 SWINGS = (0.0, 0.3, 0.6)  # of the rim speed, up and down, of `manoeuvre`
 _UNIT = np.array([math.degrees(1.0), 1.0, 1.0])
 _SOIL = 6  # unknowns of a patch: (phi, ln K, q, c, n, ln g)
-_BEFORE, _NOW, _SINKAGE, _MASS, _SIZE = 0, _SOIL, 2 * _SOIL, 2 * _SOIL + 1, 2 * _SOIL + 2
+_NOW, _SINKAGE, _MASS, _SIZE = _SOIL, 2 * _SOIL, 2 * _SOIL + 1, 2 * _SOIL + 2
 _AT = Reference(0.02, 1e4)
 _STATE = ("x", "slip", "sinkage", "mass", "grade", "wheel_speed", "bearing_sinkage", "halt_left", "motor_work")
 
@@ -202,7 +202,7 @@ def bound(log: dict, scenario: Scenario, fitted: Fitted) -> np.ndarray:
 
 
 def _driven(P, J, spread, log, t, u, numbers):
-    """The sinkage after one period of its law, as `filter_update`."""
+    """Covariance after one period of the law of sinkage."""
     slip, step = log["slip"][t], numbers.period / numbers.relaxation
     v = u * (1.0 - slip) if slip >= 0.0 else u / (1.0 + slip)
     sliding = abs(u - v) * step

@@ -153,7 +153,7 @@ class SoilWheelEnv(CourseEnv):
     Where the scenario has terrain classes (`course={"classes": 3}`, as in "two_lines"), a camera's view follows, here
     for 3 classes and 2 lines; n is the number of entries above. Entries of the patch ahead are 0 while its border is
     out of sight (`camera={"range": 2}`), and so are those of the line beside where there is none. Labels are wrong now
-    and then, grade and border distance have errors that stay (`Camera`).
+    and then, grade and border distance have errors, in part the same in every image (`Camera`).
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
@@ -227,7 +227,7 @@ class SoilWheelEnv(CourseEnv):
     |-------|-----------|
     | FINISHED | x >= course length |
     | ENTRAPPED | no progress, though the wheel turns |
-    | STALLED | no progress, and the rim is slower than 0.01 m/s most of that time: torque required > torque available |
+    | STALLED | no progress, and the rim is slower than 0.01 m/s most of that time |
     | BOGGED | sinkage > 0.8 radii |
     | TIME_LIMIT | neither finished nor immobilised in `control={"time_limit": ...}` (90 s) |
 

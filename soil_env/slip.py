@@ -1,7 +1,7 @@
 """The slip of a wheel, (r w - V)/(r w) driving and (r w - V)/V braking, and what follows from its definition.
 
 r w is the speed of the rim, V the travel speed. Compiled functions take floats or lanes (`_numba.lanes`), those in the
-plural arrays of numpy, whose type of numbers they keep.
+plural arrays of numpy.
 """
 
 from __future__ import annotations

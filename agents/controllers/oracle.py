@@ -56,7 +56,7 @@ class Plans(NamedTuple):
         return Plans(*(x[where] for x in self))
 
     def after(self, time: float) -> Plans:
-        """What is left of them after `time` seconds."""
+        """The plans with `time` seconds elapsed."""
         back = np.maximum(self.back - time, 0.0)
         return self._replace(back=back, left=np.where(self.back > 0.0, self.left, np.maximum(self.left - time, 0.0)))
 

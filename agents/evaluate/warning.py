@@ -117,14 +117,14 @@ class Foresight(Alarm):
         self.probability = np.zeros(count)  # within the longer horizon
 
     def signs(self, worlds, alive):
-        """Whose probability is over the threshold; the worlds keep the last seconds of the sensors."""
+        """[wheels] whether the probability is over the threshold; the worlds keep the last seconds of the sensors."""
         rows = np.flatnonzero(alive)
         found = self.warning.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
         self.probability[rows] = found[:, -1]
         return self.probability >= self.threshold
 
     def keeps(self, looks):
-        """Whose probability is over the lower threshold."""
+        """[wheels] whether the probability is over the lower threshold."""
         return self.probability >= KEPT * self.threshold
 
 

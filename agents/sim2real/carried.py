@@ -1,4 +1,4 @@
-"""How much of what acts in a hidden world a correction foretells, on the soils of the scenario: steady forces alone."""
+"""Errors of steady forces against the hidden world, on the soils of the scenario: uncorrected and corrected."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from soil_env.terramechanics.catalogue import CATALOGUE
 EFFECT_SIZES, EFFECT_PRIOR = (0.03, 0.12, 0.3), (0.35, 0.5, 0.15)
 _NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
 _ROUNDS = 2  # of fit and sizes in turn
-_SLIGHT = 1e-3  # share of sizes that do not count
+_SLIGHT = 1e-3  # posterior share below which a size of the form error does not count
 _LITTLE = 0.05  # [prior sd] strength at which an effect's first order is taken
 
 

@@ -21,7 +21,7 @@ FEW = 20  # rows for each one that may stand alone; in a smaller table most of t
 
 
 def examine(problem: Problem, noise: NoiseEstimate, finding: Finding, say: Callable[[str], None]) -> tuple[str, ...]:
-    """A doubt in a sentence where rows that stand alone decide what is named; none as a rule."""
+    """A warning where rows that stand alone decide what is named, as a rule ()."""
     table, alone = problem.data.table, np.flatnonzero(noise.alone)
     if not 0 < alone.size <= len(table) // FEW:
         return ()

@@ -125,7 +125,7 @@ def clear_of_borders(since, left, numbers):
 
 @inlined
 def leaves(memory, k, patch, clear):
-    """Whether wheel k, not `clear` of borders any more, has come to the end of a `patch`; True once for each."""
+    """Whether wheel k, not `clear` of borders any more, has come into the border that ends a `patch`; once each."""
     if clear or memory.patch[k] != patch or memory.left[k] == patch:
         return False
     memory.left[k] = patch

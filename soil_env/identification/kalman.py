@@ -82,7 +82,7 @@ def take_in(mean, vector, slope, own, misfit, variance, size):
 
 @inlined
 def less(vector, v, share, size):
-    """Take `share` of v, that of a channel before, out of the vector of another."""
+    """vector -= share v, v being the vector of an earlier channel."""
     for i in range(size):
         to_array(fma(-1.0 * share, from_array(v, i * COUNT), from_array(vector, i * COUNT)), vector, i * COUNT)
 

@@ -1,4 +1,4 @@
-"""What a wheel at a point reads, and how deep its load would sink it, with the derivatives by the state of the filter.
+"""Predicted readings and bearing sinkage of a point, with their derivatives by the state of the filter.
 
 State, each a value a lane: (t, ln K, q, c, n, ln g, z, m, i): strength mobilised at one slip, over the normal stress; K
 the shear deformation modulus [m]; q the ln of the sinkage coefficient, compared at one depth; cohesion [Pa]; exponent;
@@ -43,7 +43,7 @@ from soil_env.terramechanics.contact import (
 STATES = 9
 STRENGTH, LN_K, Q, COHESION, EXPONENT, GAIN, SINKAGE, MASS, SLIP = range(STATES)
 LN_DEPTH = math.log(0.03)  # sinkage [m] at which the sinkage coefficients of different exponents are compared
-_LEAST_RISE = 1e-3  # of sin(entry angle): beyond, the wheel is buried
+_LEAST_RISE = 1e-3  # lower bound of sin(entry angle), by which is divided: no contact, or a buried wheel
 
 #: Predictions, then their derivatives; eight columns a state.
 Linearised: type[Rows] = rows("Linearised", "pull", "torque", "ln_bearing")

@@ -30,7 +30,7 @@ class Cause(enum.IntEnum):
     RUNNING = 0
     FINISHED = 1  # reached the end of the course
     ENTRAPPED = 2  # no progress, though the wheel turns
-    STALLED = 3  # no progress, and the wheel does not turn: the ground takes more torque than the drive gives
+    STALLED = 3  # no progress, and the wheel hardly turns: too little torque, given or commanded
     BOGGED = 4  # sinkage over the limit
     TIME_LIMIT = 5  # neither finished nor immobilised in time
 
@@ -298,7 +298,7 @@ def judge(state, counts, k, task):
     """`Cause` of wheel k after a step; advances its clocks, which stand still in halts.
 
     A wheel is immobilised when it has not got `no_progress_distance` further than ever before for `no_progress_time`,
-    whatever it does meanwhile, has left the course backwards, or has sunk deeper than `bogged_sinkage` radii.
+    whatever it does meanwhile, has left the course backwards, or has sunk deeper than `bogged_sinkage` [m].
     """
     out_of_time = counts.steps[k] >= task.periods
     if state.halt_left[k] > 0.0:

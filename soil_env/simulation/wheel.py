@@ -54,7 +54,7 @@ WheelState: type[Rows] = rows(
     "slid",  # [m] that the rim has slid over the ground in the present cell
     "mass",  # [kg]
     "motor_torque",  # [N m]
-    "available_torque",  # [N m] of the motor at this wheel speed, in the direction of the command
+    "available_torque",  # [N m] of the motor at this wheel speed, in the direction of the torque asked for
     "load",  # W [N]
     "drawbar_pull",  # DP [N]
     "torque",  # T [N m], soil on wheel

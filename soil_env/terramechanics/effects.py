@@ -317,7 +317,7 @@ BLADE_SLIP = 0.015  # slip over which the thrust of the lugs comes in
 
 @part
 def blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx):
-    """Thrust [N] of the lugs in the ground along the rim of a slipping wheel: lugs a radian, times theta1, times one.
+    """Thrust [N] of the lugs in the ground along the rim of a slipping wheel: lugs a radian x theta1 x thrust of one.
 
     One blade of width b and height h pushes soil out with b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt Kp) (Rankine;
     Bekker 1969), q = gamma z/2 the soil above it on average.

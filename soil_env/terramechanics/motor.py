@@ -18,8 +18,8 @@ def motor(command, by_speed, wheel_speed, size):
 
     The command is a share of the stall torque or, with `by_speed`, of the no-load speed, which a stiff speed loop then
     follows. Either way the torque stays between the lines of `full_voltage` forward and backward, and within +-T_stall:
-    faster than the no-load speed the motor brakes. `available` is the line on the side of the command. `size` has
-    `stall_torque` [N m] and `no_load_speed` [rad/s]. Of floats or in lanes; `by_speed` is 1 or 0.
+    faster than the no-load speed the motor brakes. `available` is the line on the side of the torque that is asked for.
+    `size` has `stall_torque` [N m] and `no_load_speed` [rad/s]. Of floats or in lanes; `by_speed` is 1 or 0.
     """
     stall, line = size.stall_torque, size.stall_torque / size.no_load_speed
     high = smaller(larger(full_voltage(stall, wheel_speed, size), -stall), stall)

@@ -53,7 +53,7 @@ def floor_at(ruts, k, x):
 
 @inlined
 def pass_on(ruts, k, behind, cell, after):
-    """Let the wheels behind wheel k, so many, meet what it has left in the cells from `cell` to before `after`."""
+    """Copy the rut of wheel k to the `behind` wheels that follow it, in the cells from `cell` to before `after`."""
     while cell != after:
         depth = ruts.floor[k, cell] + ruts.rut[k, cell]
         for n in range(1, behind + 1):
