@@ -20,6 +20,7 @@ VERDICTS = ("named", "partly", "ambiguous", "unlisted", "none", "undetermined", 
 NAMES = {
     "workflow": "benchmarks.blind.entrants.workflow:answer",
     "bic": "benchmarks.blind.entrants.bic:answer",
+    "gls": "benchmarks.blind.entrants.gls:answer",
     "pysindy": "benchmarks.blind.entrants.pysindy_residual:answer",
 }
 

@@ -140,6 +140,10 @@ class Bank:
         p = self._model(soil, chosen, values).predict(self.table)
         return np.stack([p.sinkage, p.drawbar_pull, p.torque])
 
+    def whitened(self, off: np.ndarray) -> np.ndarray:
+        """Values in use of a table [3, N], over the noise."""
+        return (off / self.noise[:, None])[self.there]
+
     def fit(self, chosen: Sequence[Chosen] = ()) -> Fitted:
         """Soil and free parameters of the effects by least squares, priors of the soil as measurements."""
         start, low, high, scale = self._start(chosen) if chosen else np.zeros((4, 0))
@@ -149,8 +153,8 @@ class Bank:
 
         def residual(x):
             table = self.predict(self._soil(x[:5]), chosen, np.clip(x[5:] * scale, low, high))
-            r = np.concatenate([((table - self.measured) / self.noise[:, None])[self.there], x[:5]])
-            return np.where(np.isfinite(r), r, 1e3)
+            off = np.where(np.isfinite(table), table - self.measured, 1e3 * self.noise[:, None])
+            return np.concatenate([self.whitened(off), x[:5]])
 
         found = least_squares(residual, x0, bounds=(lower, upper), diff_step=1e-5, max_nfev=40, ftol=1e-6)
         soil, values = self._soil(found.x[:5]), np.clip(found.x[5:] * scale, low, high)

@@ -6,6 +6,7 @@ of the laws: that is what it is a baseline for.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,21 +19,26 @@ LEAST = 0.05  # probability from which a mechanism is an alternative
 
 def answer(data: Path, setup: Path) -> Answer:
     """What the bank says of a table."""
-    bank = Bank(data, setup)
+    return best_of(Bank(data, setup), lambda fitted: fitted.bic)
+
+
+def best_of(bank: Bank, criterion: Callable[[Fitted], float]) -> Answer:
+    """The answer by a criterion: base model, every effect in its best form, and pairs of these with the best effect."""
     base = bank.fit()
-    singles: dict[str, Fitted] = {}
+    singles: dict[str, tuple[float, Fitted]] = {}
     for chosen in bank.candidates:
         fitted = bank.fit([chosen])
-        if chosen.effect not in singles or fitted.bic < singles[chosen.effect].bic:
-            singles[chosen.effect] = fitted
-    best = min(singles.values(), key=lambda f: f.bic)
-    pairs = [bank.fit([*best.chosen, *f.chosen]) for name, f in singles.items() if f is not best]
-    return weighed([base, *singles.values(), *pairs])
+        told = criterion(fitted)
+        if chosen.effect not in singles or told < singles[chosen.effect][0]:
+            singles[chosen.effect] = told, fitted
+    _, best = min(singles.values(), key=lambda pair: pair[0])
+    pairs = [bank.fit([*best.chosen, *f.chosen]) for _, f in singles.values() if f is not best]
+    return weighed([(criterion(base), base), *singles.values(), *((criterion(f), f) for f in pairs)])
 
 
-def weighed(fits: list[Fitted]) -> Answer:
+def weighed(told: list[tuple[float, Fitted]]) -> Answer:
     """The answer that BIC weights give: names above one half; where none is, the first with those of 5 % and more."""
-    bic = np.array([f.bic for f in fits])
+    bic, fits = np.array([value for value, _ in told]), [f for _, f in told]
     weight = np.exp(-0.5 * (bic - bic.min()))
     weight /= weight.sum()
     chance: dict[str, float] = {}
