@@ -462,6 +462,23 @@ def test_an_entrant_that_fails_is_an_error_not_the_end(tmp_path):
     assert record.answer.verdict == "error" and "TypeError" in record.answer.note
 
 
+def test_the_bank_under_law_errors_weighs_by_their_covariance(tmp_path):
+    """Its criterion is -2 ln of the normal density of what is left, at the most probable size, by its definition."""
+    from scipy.stats import multivariate_normal
+
+    from benchmarks.blind.entrants import gls
+
+    case = draw_case(100012, task_of("one-few-10-001"))
+    write_case(case, tmp_path / "case", tmp_path / "truth.json")
+    bank = gls.CorrelatedBank(tmp_path / "case" / "data.csv", tmp_path / "case" / "setup.yaml")
+    fitted = bank.fit()
+    off = (fitted.predicted - bank.measured)[bank.there]
+    densities = [multivariate_normal.logpdf(off, cov=f @ f.T) for f in bank.factors]
+    constant = off.size * math.log(2.0 * math.pi)
+    assert bank.criterion(fitted) == pytest.approx(-2.0 * max(densities) - constant + fitted.penalty)
+    assert len(bank.factors) == len(gls.SIZES) * (1 if bank.stated else len(gls.NOISES))
+
+
 def says_grade_in_a_dict(data, setup):
     return {"verdict": "named", "named": ["grade"], "probabilities": {"grade": 0.9}}
 
@@ -493,7 +510,7 @@ def test_the_list_has_all_forms(capsys):
 def test_the_workflow_and_the_bank_answer(tmp_path):
     case = draw_case(100012, task_of("one-few-0-001"))
     write_case(case, tmp_path / "case", tmp_path / "truth.json")
-    for name in ("workflow", "bic"):
+    for name in ("workflow", "bic", "gls"):
         said = entrant(name)(tmp_path / "case" / "data.csv", tmp_path / "case" / "setup.yaml")
         assert (
             said.verdict != "error" and set(said.named) <= set(CATALOGUE) and set(said.probabilities) <= set(CATALOGUE)
