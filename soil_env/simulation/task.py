@@ -209,13 +209,19 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
 
 
 @inlined
+def _write_moments(out, six, four, mean, sd, task):
+    """Mean and sd [5] of (phi, ln K, ln S, c, ln gain): of the first three from `six` on, of the rest from `four`."""
+    out[six], out[six + 1], out[six + 2] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
+    out[six + 3], out[six + 4], out[six + 5] = sd[0], sd[1], sd[2]
+    out[four], out[four + 1] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
+    out[four + 2], out[four + 3] = sd[3] / 1000.0, sd[4]
+
+
+@inlined
 def write_estimate(out, mean, sd, converged, task):
     """Fill `out` [11] with what is identified of a soil: mean and sd [5] of (phi, ln K, ln S, c, ln gain)."""
-    out[0], out[1], out[2] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
-    out[3], out[4], out[5] = sd[0], sd[1], sd[2]
+    _write_moments(out, 0, 7, mean, sd, task)
     out[6] = 1.0 if converged else 0.0
-    out[7], out[8] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
-    out[9], out[10] = sd[3] / 1000.0, sd[4]
 
 
 @inlined
@@ -281,12 +287,8 @@ def _write_ahead(out, k, courses, memory, sight, task):
             o[i] = 0.0
         if there and task.variant == 1:
             label = lines.labels[k, ahead, line]
-            mean, sd = memory.estimate[k, label], memory.sd[k, label]
             o[0] = 1.0 if memory.met[k, label] else 0.0
-            o[1], o[2], o[3] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
-            o[4], o[5], o[6] = sd[0], sd[1], sd[2]
-            o[7], o[8] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
-            o[9], o[10] = sd[3] / 1000.0, sd[4]
+            _write_moments(o, 1, 7, memory.estimate[k, label], memory.sd[k, label], task)
             o[11] = memory.capacity[k, label] - math.tan(seen_grade(courses, k, ahead, line))
         elif there and task.variant == 2:
             write_soil(o, row_soil(lines.soils[k, ahead, line]))
