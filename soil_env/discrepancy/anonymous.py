@@ -14,9 +14,10 @@ from itertools import product
 import numpy as np
 from scipy.special import logsumexp
 
-from soil_env.discrepancy.calibrate import Fit, Problem
+from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import Evidence, Grid, plain_grid, weigh
+from soil_env.discrepancy.fits import Fit
 from soil_env.identification.form_error import INPUTS, LENGTHS, Process
 
 #: Sizes of a smooth contribution to a channel, relative to its root mean square; each as probable as another, and each

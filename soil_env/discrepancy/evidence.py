@@ -18,7 +18,8 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.special import log_ndtr, logsumexp, ndtr
 from scipy.stats import chi2
 
-from soil_env.discrepancy.calibrate import Choice, Fit, Problem, Sizes
+from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.fits import Choice, Fit, Sizes
 from soil_env.identification.form_error import LAW_LENGTHS, SIZES, marginals, mixed, size_prior
 from soil_env.identification.priors import Unknown
 from soil_env.identification.weighted import finite

@@ -12,9 +12,10 @@ import math
 
 import numpy as np
 
-from soil_env.discrepancy.calibrate import Fit, Problem
+from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.experiment import DEEPEST, LEAST, MOST, NextTest
+from soil_env.discrepancy.fits import Fit
 from soil_env.discrepancy.symbolic import ResidualFit
 from soil_env.terramechanics.model import Prediction, WheelSoilModel
 

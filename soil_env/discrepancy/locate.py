@@ -19,8 +19,9 @@ import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from soil_env.discrepancy.calibrate import Fit, Problem
+from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.fits import Fit
 
 SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
 MOST = 4  # disagreements reported

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soil_env.discrepancy.calibrate import Fit, Problem
+from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.experiment import NextTest
+from soil_env.discrepancy.fits import Fit
 from soil_env.discrepancy.judgement import Gap, Interval, Rank, Remainder
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.noise import NoiseEstimate

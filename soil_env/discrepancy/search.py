@@ -16,8 +16,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from soil_env.discrepancy.anonymous import anonymous
-from soil_env.discrepancy.calibrate import Choice, Problem
+from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.evidence import Detectable, Evidence, detectable, promised, settle
+from soil_env.discrepancy.fits import Choice
 from soil_env.terramechanics.catalogue import CATALOGUE
 
 #: Prior odds that a listed effect is missing, each independent of the others: of 13 effects none is missing with 37 %,

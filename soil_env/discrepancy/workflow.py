@@ -14,9 +14,10 @@ from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import influence, judgement, mistakes, symbolic
-from soil_env.discrepancy.calibrate import EXACT, GRAVITY, Choice, Fit, Problem, calibrate
+from soil_env.discrepancy.calibrate import GRAVITY, Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.experiment import next_tests
+from soil_env.discrepancy.fits import EXACT, Choice, Fit
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.law_tests import law_tests
 from soil_env.discrepancy.locate import locate

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from soil_env.discrepancy import anonymous, evidence
-from soil_env.discrepancy.calibrate import Choice, Sizes
+from soil_env.discrepancy.fits import Choice, Sizes
 from soil_env.discrepancy.search import forms
 from tests.discrepancy.tables import NOISE, problem, table
 

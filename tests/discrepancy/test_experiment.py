@@ -6,7 +6,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from soil_env.discrepancy.calibrate import Choice
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import settle
 from soil_env.discrepancy.experiment import (
@@ -17,6 +16,7 @@ from soil_env.discrepancy.experiment import (
     next_tests,
     separating,
 )
+from soil_env.discrepancy.fits import Choice
 from soil_env.discrepancy.search import Finding, Hypothesis
 from soil_env.parameters import Soil
 from soil_env.terramechanics.model import WheelSoilModel

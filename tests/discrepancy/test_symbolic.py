@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from soil_env.discrepancy import symbolic
-from soil_env.discrepancy.calibrate import GRAVITY, Choice
+from soil_env.discrepancy.calibrate import GRAVITY
 from soil_env.discrepancy.data import folds
+from soil_env.discrepancy.fits import Choice
 from soil_env.parameters import Soil
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.residual import GROUPS

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from soil_env.discrepancy import judgement, run, workflow
-from soil_env.discrepancy.calibrate import Choice, Problem
+from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS, prepare
+from soil_env.discrepancy.fits import Choice
 from soil_env.discrepancy.report import content
 from soil_env.discrepancy.workflow import model_of
 from soil_env.identification.table import identify_table
