@@ -30,7 +30,7 @@ def noisy(seed, slip_sd, load_sd=0.0, effects=None, told=True):
     )
 
 
-@pytest.mark.parametrize("effects", [{}, {"slip_sinkage": {"gain": 1.0, "recovery": 1.0, "apparent": 1.0}}])
+@pytest.mark.parametrize("effects", [{}, {"slip_sinkage": {"gain": 3.0, "recovery": 1.0, "apparent": 1.0}}])
 def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects):
     """The slopes of the true world, which the base model does not have where an effect is missing."""
     rows, setup = noisy(0, 0.02, 3.0, effects)
@@ -47,8 +47,9 @@ def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects
     expected = np.sqrt(NOISE**2 + (0.02 * by_slip) ** 2 + (3.0 * by_load) ** 2)
     found = noise.sd * problem.data.relative_sd
     inner = (rows.slip > 0.1) & (rows.slip < 0.65)
-    assert np.median(np.abs(found / expected - 1.0)[inner]) < 0.1
-    assert np.max(np.abs(found / expected - 1.0)[inner]) < 0.5
+    off = np.abs(found / expected - 1.0)[inner]
+    assert np.max(np.median(off, axis=0)) < 0.05  # of the sinkage 0.17 by the base model's slopes alone
+    assert np.max(off) < 0.15
     assert noise.origin == ("setup", "setup", "setup") and noise.of_conditions == ("slip", "load")
     again, _ = calibrate(prepare(problem.data.table, problem.data.setup))  # as where rows are left out: counted once
     assert again.noise * again.data.relative_sd == pytest.approx(found)

@@ -32,7 +32,7 @@ def test_the_functions_have_the_covariance_of_the_process():
     assert over.at_points @ over.at_points.T == pytest.approx(kernel(("load",)) * np.exp(-0.5 * slip**2), abs=0.03)
 
 
-def test_errors_over_the_logarithm_of_slip_change_fast_at_little_slip_and_not_where_it_only_turns_round():
+def test_errors_over_the_logarithm_of_slip_change_fast_at_little_slip_and_differ_by_its_sign():
     conditions = CONDITIONS | {"slip": np.linspace(-0.6, 0.6, 60)}
     process = Process.over(conditions, of=INPUTS, lengths=form_error.LAW_LENGTHS[2])
     assert set(process.names) == {"log_slip", "load"}  # in place of the slip
