@@ -120,7 +120,8 @@ class SoilWheelEnv(CourseEnv):
     | 13 | rim_command | of top rim speed, what the drive is told to follow; 0 with "torque" | -1 | 1 |
 
     Odometry integrates the readings of the speed sensor, noise and all, times a scale drawn once an episode
-    (`noise={"odometry_scale": ...}`, 1.5 %): its difference says nothing that the speed does not.
+    (`noise={"odometry_scale": ...}`, 1.5 %): its difference over an action is the mean of the readings in it, of which
+    `speed` is the last. With `repeat` 1 both are the same reading, which tells the scale.
 
     `observation="blind"` ends here. `"identified"` (default) adds the identifier's estimate from those readings:
 

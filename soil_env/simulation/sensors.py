@@ -55,7 +55,7 @@ def start_odometry(state, k, streams, sensors):
 def roll_odometer(state, k, speed, sensors):
     """Odometry of wheel k after a control period at whose end the sensor read this `speed` [m/s].
 
-    It integrates the readings of the speed sensor, so that its difference says nothing that they do not.
+    It integrates the readings of the speed sensor, so that its difference holds no truth beyond theirs.
     """
     state.odometer[k] += state.odometer_scale[k] * speed * sensors.period
 

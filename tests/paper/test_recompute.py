@@ -1,7 +1,10 @@
 """The source paper beside its printed numbers: soil_env/paper/printed.yaml is the golden data, as printed."""
 
 import math
+import os
 import re
+from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -189,6 +192,26 @@ def test_every_printed_number_is_on_the_page():
 
 
 DATA = printed.Path(printed.__file__).with_name("printed.yaml")
+TRANSCRIPT = Path(os.environ.get("SOIL_ENV_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
+
+
+@pytest.mark.skipif(not (TRANSCRIPT / "paper/printed.yaml").exists(), reason="no second transcript of the paper")
+def test_a_second_transcript_of_the_paper_has_the_same_numbers():
+    other = yaml.safe_load((TRANSCRIPT / "paper/printed.yaml").read_text())
+    other.pop("fig5", None)  # a flow chart in words
+    ours, theirs = (Counter(numbers(x)) for x in (read_yaml(DATA), other))
+    assert not theirs - ours, "not in the package"
+    unquoted = Counter([527.0, 9.5])  # of sentences, which the transcript has as comments
+    assert not ours - theirs - unquoted, "not in the transcript"
+
+
+def numbers(x) -> list[float]:
+    """All numbers in nested lists, dictionaries and strings."""
+    if isinstance(x, str):
+        return [float(v) for v in re.findall(r"\d+\.?\d*", x)]
+    if isinstance(x, (dict, list, tuple)):
+        return [v for item in (x.values() if isinstance(x, dict) else x) for v in numbers(item)]
+    return [float(x)]
 
 
 def test_data_are_loaded_strictly():
