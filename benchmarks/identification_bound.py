@@ -172,9 +172,14 @@ def stress_row(log: dict, J: np.ndarray, t: int, radius: float) -> np.ndarray:
 
 def bound(log: dict, scenario: Scenario, fitted: Fitted) -> np.ndarray:
     """Standard deviations [T, 3] of (phi, ln K, ln S) of the soil under the wheel."""
+    return posterior(log, scenario, fitted, plain(scenario)[2])[0]
+
+
+def posterior(log: dict, scenario: Scenario, fitted: Fitted, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(`bound`, covariance of the newest soil [T, 6, 6]) under a prior covariance of soils (phi, ln K, q, c, n, ln g)."""
     numbers, J, T = filter_numbers(scenario), jacobians(log, scenario), len(log["slip"])
-    prior, sd, r, border = plain(scenario)[2], numbers.noise, numbers.radius, scenario.course.border
-    P, out, passed = np.zeros((_SIZE, _SIZE)), np.empty((T, 3)), 0
+    sd, r, border = numbers.noise, numbers.radius, scenario.course.border
+    P, out, newest, passed = np.zeros((_SIZE, _SIZE)), np.empty((T, 3)), np.empty((T, _SOIL, _SOIL)), 0
     P[:_SOIL, :_SOIL] = P[_NOW:_SINKAGE, _NOW:_SINKAGE] = prior
     P[_SINKAGE, _SINKAGE], P[_MASS, _MASS] = sd[1] ** 2, (0.2 * scenario.wheel.body_mass) ** 2
     variances = np.array([sd[2] ** 2, sd[4] ** 2, sd[3] ** 2, sd[1] ** 2])
@@ -198,7 +203,8 @@ def bound(log: dict, scenario: Scenario, fitted: Fitted) -> np.ndarray:
         rows = spread[:3].copy()
         rows[2] += log["depth"][t] * spread[4]
         out[t] = np.sqrt(np.einsum("ip,pq,iq->i", rows, P, rows))
-    return out
+        newest[t] = P[_NOW:_SINKAGE, _NOW:_SINKAGE]
+    return out, newest
 
 
 def _driven(P, J, spread, log, t, u, numbers):

@@ -31,7 +31,7 @@ _CONVERGED = Status.CONVERGED.value
 #: Identifiers of `soil_env`, by what they change in the scenario.
 COMPILED = {
     "ours": lambda scenario: {},
-    "library": lambda scenario: {"belief": {"soils": dict(scenario.soils), "spread": scenario.spread}},
+    "library": lambda scenario: {"belief": {"soils": dict(scenario.soils)}},
     "forces": lambda scenario: {"belief": {"grade_change_deg": 0.0}},
     "window": lambda scenario: {"belief": {"method": "window"}},
 }

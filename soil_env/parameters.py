@@ -252,7 +252,7 @@ class Belief(Checked):
     soils: dict[str, float] = field(
         default_factory=dict
     )  # library of soils that may come, with weights; {} = not known
-    spread: SoilSpread = SoilSpread()  # of the soils of that library
+    spread: SoilSpread | None = None  # of the soils of that library; None: as those of the courses
 
     def __post_init__(self) -> None:
         super().__post_init__()

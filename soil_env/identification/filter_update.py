@@ -277,11 +277,11 @@ def _measure_grade(mean, covariance, at, b, grade, grades, point, numbers):
 
 
 @inlined
-def _weigh(log_weight, old, x2, logs):
+def _weigh(log_weight, old, x2, logs, power):
     """Renew the weights of the filters by the likelihood of a point; its chi-squared under their mixture."""
     least = smallest(x2)
     misfit = least - 2.0 * math.log(max(total(old * exp(-0.5 * (x2 - least))), 1e-300))
-    new = from_array(log_weight, 0) - 0.5 * (x2 + logs)
+    new = from_array(log_weight, 0) - (0.5 * power) * (x2 + logs)
     highest = -smallest(-1.0 * new)
     new = larger(new - highest, -700.0)
     to_array(new - math.log(total(exp(new))), log_weight, 0)
@@ -340,7 +340,7 @@ def _renew_on_border(banks, k, point, numbers):
     if numbers.grade_change > 0.0 and p.grade_used[k] == 0.0:
         c, d = _measure_grade(mean, covariance, at, b, p.grade[k], p.grades[k], point, numbers)
         x2, logs = x2 + c, logs + d
-    misfit = _weigh(banks.log_weight[k], old, x2, logs)
+    misfit = _weigh(banks.log_weight[k], old, x2, logs, numbers.power)
     _finish(banks, k, at, all_, CROSSING)
     return misfit
 
@@ -359,7 +359,7 @@ def _renew_on_one_soil(banks, k, point, numbers):
     _drive(mean, covariance, at, gains, of_gain, out, STATES, banks.point.bearing[k], point, numbers)
     old = exp(from_array(banks.log_weight[k], 0))
     x2, logs = measure(mean, covariance, at, out, STATES, point, numbers)
-    misfit = _weigh(banks.log_weight[k], old, x2, logs)
+    misfit = _weigh(banks.log_weight[k], old, x2, logs, numbers.power)
     _finish(banks, k, at, out, STATES)
     return misfit
 

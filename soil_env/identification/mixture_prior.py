@@ -63,7 +63,7 @@ def plain(scenario: Scenario) -> Gaussian:
 
 def of_library(scenario: Scenario, depth: float) -> list[Gaussian]:
     """A Gaussian for each soil of the belief's library; the sinkage coefficients are compared at `depth` [m]."""
-    b, spread, found = scenario.belief, scenario.belief.spread, []
+    b, spread, found = scenario.belief, scenario.belief.spread or scenario.spread, []
     relative = np.array([spread.friction, spread.cohesion, spread.shear_modulus, spread.stiffness, spread.dig_gain])
     logs = np.sqrt(np.log1p(relative**2))
     correlation = spread.factor() @ spread.factor().T

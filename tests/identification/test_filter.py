@@ -39,7 +39,7 @@ from soil_env.simulation.worlds import Simulation
 from tests.identification.observing import observe
 
 SCENARIO = load_scenario("mixed")
-LIBRARY = {"belief": {"soils": dict(SCENARIO.soils), "spread": {"shear_modulus": 0.7, "dig_gain": 0.8}}}
+LIBRARY = {"belief": {"soils": dict(SCENARIO.soils)}}
 
 
 @root
@@ -375,6 +375,32 @@ def test_more_soils_than_filters_are_merged():
     names = list(load_scenario("mixed").library)[: COUNT + 3]
     prior = mixture_prior(load_scenario("mixed", {"belief": {"soils": dict.fromkeys(names, 1.0)}}))
     assert prior.mean.size == SIZE * COUNT and np.exp(prior.log_weight).sum() == pytest.approx(1.0)
+
+
+def test_a_library_scatters_as_the_soils_of_the_courses_unless_told_otherwise():
+    told = {"belief": LIBRARY["belief"] | {"spread": {"shear_modulus": 0.7, "dig_gain": 0.8}}}
+    other = {"belief": LIBRARY["belief"] | {"spread": {"shear_modulus": 0.2}}}
+    own, same, narrow = (mixture_prior(load_scenario("mixed", changes)) for changes in (LIBRARY, told, other))
+    np.testing.assert_array_equal(own.covariance, same.covariance)
+    assert np.any(own.covariance != narrow.covariance)
+
+
+def test_soils_of_a_library_are_weighed_by_the_root_of_the_likelihood():
+    changed = []
+    for changes, power in ((LIBRARY, 1.0), (LIBRARY, None), ({}, 1.0), ({}, None)):
+        numbers = identifier.identifier_numbers(load_scenario("mixed", changes))
+        if power:
+            numbers = numbers._replace(filter=numbers.filter._replace(power=power))
+        ids = identifier.new_identifiers(1)
+        identifier.forget(ids, 0, numbers)
+        for _ in range(8):
+            observe(ids, 0, CONTRARY._replace(load=14.7), numbers)
+        moved = (ids.banks.log_weight[0] - numbers.filter.prior.log_weight)[: COUNT - 1]
+        changed.append(moved - moved[0])
+    full, library, plain_full, plain = changed
+    assert np.abs(full).max() > 0.1
+    np.testing.assert_allclose(library, 0.5 * full, rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(plain, plain_full)
 
 
 def test_an_unknown_soil_of_the_belief_is_refused():
