@@ -26,7 +26,13 @@ import numpy as np
 from scipy.integrate import quad
 from scipy.optimize import root
 
-from benchmarks import identification_bound, identification_online, identification_page
+from benchmarks import (
+    identification_bound,
+    identification_drives,
+    identification_one_soil,
+    identification_online,
+    identification_page,
+)
 from benchmarks.common import TORQUE, study_parser
 from benchmarks.identification_contenders import replay
 from soil_env._io.commands import command_line, leave, whole_number
@@ -303,7 +309,8 @@ def speed(rng: np.random.Generator, repeats: int) -> dict:
 # --- all --------------------------------------------------------------------------------------------------------------
 
 
-PARTS = ("convergence", "efficiency", "identifiability", "speed", "online", "bound", "manoeuvre")
+PARTS = ("convergence", "efficiency", "identifiability", "speed", "online", "bound", "other_seed", "one_soil",
+         "manoeuvre")  # fmt: skip
 
 
 def _replay_once():
@@ -332,7 +339,9 @@ def study(seed: int, smoke: bool, courses: int = 200, names=PARTS) -> dict:
         "speed": lambda: speed(rngs[2], 3 if smoke else 50),
         "online": lambda: identification_online.run(courses, seed, _say, replay=once, rounds=rounds),
         "bound": lambda: identification_bound.study(load_scenario("mixed", TORQUE), courses, seed, every, once),
-        "manoeuvre": lambda: identification_bound.manoeuvre(load_scenario("mixed", TORQUE), 2 if smoke else 60, seed),
+        "other_seed": lambda: identification_drives.other_seed(load_scenario("mixed", TORQUE), courses, seed + 1),
+        "one_soil": lambda: identification_one_soil.study(load_scenario("mixed", TORQUE), courses, seed, _say),
+        "manoeuvre": lambda: identification_drives.manoeuvre(load_scenario("mixed", TORQUE), courses, seed),
     }
     for name in names:
         start = time.perf_counter()

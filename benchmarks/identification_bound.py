@@ -45,11 +45,13 @@ class Fitted(NamedTuple):
     accelerometer: bool = True
     stress: bool = False  # of the highest normal stress on the rim, which the environment does not have
     forces: bool = True  # drawbar pull and torque
+    known: int = -1  # number of an unknown of the soil that is told
 
 
 SENSORS = {
     "all sensors": Fitted(), "without motor torque and acceleration": Fitted(False, False),
-    "all sensors and the stress on the rim": Fitted(stress=True),
+    "all sensors and the stress on the rim": Fitted(stress=True), "all sensors, cohesion known": Fitted(known=3),
+    "all sensors, gain of digging known": Fitted(known=5),
 }  # fmt: skip
 STRESS_ERROR = 0.05  # of the stress on the rim, relative
 ESTIMATORS = {
@@ -67,7 +69,6 @@ OTHERS = {
 PLACES = {"all": (-1.0, 1e9), "0.1-0.2 m": (0.1, 0.2), "within 1.5 m": (-1.0, 1.5), "beyond 1.5 m": (1.5, 1e9)}
 #: Edges [m] of the bins in which the error above the bound is counted.
 LOSS = (-1.0, 0.1, 0.2, 0.3, 0.5, 1.0, 1.5, 3.0, 1e9)
-SWINGS = (0.0, 0.3, 0.6)  # of the rim speed, up and down, of `manoeuvre`
 _UNIT = np.array([math.degrees(1.0), 1.0, 1.0])
 _SOIL = 6  # unknowns of a patch: (phi, ln K, q, c, n, ln g)
 _NOW, _SINKAGE, _MASS, _SIZE = _SOIL, 2 * _SOIL, 2 * _SOIL + 1, 2 * _SOIL + 2
@@ -172,11 +173,15 @@ def stress_row(log: dict, J: np.ndarray, t: int, radius: float) -> np.ndarray:
 
 def bound(log: dict, scenario: Scenario, fitted: Fitted) -> np.ndarray:
     """Standard deviations [T, 3] of (phi, ln K, ln S) of the soil under the wheel."""
-    return posterior(log, scenario, fitted, plain(scenario)[2])[0]
+    prior = plain(scenario)[2]
+    if fitted.known >= 0:
+        told = prior[:, fitted.known]
+        prior = prior - (1.0 - 1e-8) * np.outer(told, told) / told[fitted.known]
+    return posterior(log, scenario, fitted, prior)[0]
 
 
 def posterior(log: dict, scenario: Scenario, fitted: Fitted, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(`bound`, covariance of the newest soil [T, 6, 6]) under a prior covariance of soils (phi, ln K, q, c, n, ln g)."""
+    """(`bound`, covariance [T, 6, 6] of the newest soil (phi, ln K, q, c, n, ln g)) under a prior covariance of it."""
     numbers, J, T = filter_numbers(scenario), jacobians(log, scenario), len(log["slip"])
     sd, r, border = numbers.noise, numbers.radius, scenario.course.border
     P, out, newest, passed = np.zeros((_SIZE, _SIZE)), np.empty((T, 3)), np.empty((T, _SOIL, _SOIL)), 0
@@ -300,30 +305,6 @@ def study(
         "ratio": _ratios(squares, estimators, starts, seed),
         "loss": _loss(since, best, squares[next(iter(estimators))]),
     }  # fmt: skip
-
-
-def manoeuvre(scenario: Scenario, courses: int, seed: int) -> dict:
-    """What swings of the rim speed buy, RMS of bound and filter bank over all driven steps [3], and what they cost."""
-    rows = []
-    for swing in SWINGS:
-        found = study(scenario, courses, seed, {"filter bank": "ours"}, swing=swing)
-        rms = {label: found["rms"][label]["all"] for label in ("bound, all sensors", "filter bank")}
-        rows.append(found["drive"] | {"rms": rms})
-    return {"courses": courses, "rows": rows}
-
-
-def manoeuvre_table(result: dict) -> Table:
-    """`manoeuvre` as a table."""
-    rows = [
-        (
-            f"+-{100 * row['swing']:.0f}",
-            *(" / ".join(f"{v:.3g}" for v in values) for values in row["rms"].values()),
-            f"{row['energy_per_metre']:.1f}",
-            f"{row['immobilised']} of {result['courses']}",
-        )
-        for row in result["rows"]
-    ]
-    return Table(("swing of the rim speed [%]", "bound", "filter bank", "motor work [J/m]", "immobilised"), rows)
 
 
 def _rms(squares: np.ndarray) -> list[float]:

@@ -200,7 +200,10 @@ def all_readings(log: dict, scenario: Scenario) -> np.ndarray:
     whole = readings_of(log, numbers)
     for t in log["at"]:
         r = Readings({"grade": whole.log["grade"][: t + 1]}, *(a[: t + 1] for a in whole[1:]))
-        weight = r.load[r.used].mean() if r.used.any() else scenario.weight
+        if not r.used.any():
+            found.append(mean[:3])
+            continue
+        weight = r.load[r.used].mean()
         depth = np.maximum(r.sinkage, 1e-3 * numbers.radius)
         starts = [np.append(mean, [weight / numbers.gravity, depth[0]]) for _ in range(2)]
         starts[0][1] += 0.8 * sd

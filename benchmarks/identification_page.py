@@ -9,7 +9,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from benchmarks import identification_bound, identification_online
+from benchmarks import identification_bound, identification_drives, identification_one_soil, identification_online
 from soil_env._io.document import Table, render, wrapped
 from soil_env._io.files import replace_file, save_figure
 
@@ -66,7 +66,10 @@ def markdown(result: dict) -> str:
         contenders=_contenders(online),
         bound=identification_bound.table(bound),
         loss=identification_bound.loss_table(bound),
-        manoeuvre=identification_bound.manoeuvre_table(result["manoeuvre"]),
+        manoeuvre=identification_drives.manoeuvre_table(result["manoeuvre"]),
+        other=_other(result["other_seed"]),
+        one_soil=identification_one_soil.table(result["one_soil"]),
+        one_soil_over={row[0]: row[4] for row in identification_one_soil.table(result["one_soil"]).rows},
         over_bound=_intervals(bound["ratio"]["filter bank"]),
         window_over_bound=_intervals(bound["ratio"]["moving window"]),
         near=_triple([sum(row[5][j] for row in bound["loss"] if row[1] <= 1.0) for j in range(3)], "{:.0%}"),
@@ -74,6 +77,27 @@ def markdown(result: dict) -> str:
         speed=_speed(speed),
     )
     return wrapped(text)
+
+
+def _other(found: dict) -> dict[str, str]:
+    """What the page says of the other courses: errors, ratios and intervals in words."""
+    ours, exact, rms = "filter bank", found["exact_slip"], found["rms"]
+    errors = lambda values: "{:.2f} deg, {:.3f} and {:.3f}".format(*values)  # noqa: E731
+    ratios = lambda of: "{:.2f}, {:.2f} and {:.2f}".format(*of["ratio"][ours]["value"])  # noqa: E731
+    best, stressed = rms["bound, all sensors"]["all"], rms["bound, all sensors and the stress on the rim"]["all"]
+    above = [[v[j] ** 2 - best[j] ** 2 for j in range(3)] for v in (rms[ours]["all"], exact["rms"][ours]["all"])]
+    gone = [1.0 - after / before for before, after in zip(*above, strict=True)]
+    return {
+        "seed": found["seed"], "courses": found["courses"], "bound": errors(best), "stress": errors(stressed),
+        "ours": errors(rms[ours]["all"]), "ratios": ratios(found), "window": errors(rms["moving window"]["all"]),
+        "library": errors(rms["filter bank, told the library"]["all"]),
+        "inside": "{:.0f}, {:.0f} and {:.0f} %".format(*(100.0 * v for v in found["inside_68"][ours])),
+        "library_inside": "{:.0f}, {:.0f} and {:.0f} %".format(
+            *(100.0 * v for v in found["inside_68"]["filter bank, told the library"])
+        ),
+        "exact": errors(exact["rms"][ours]["all"]), "exact_ratios": ratios(exact),
+        "gone": "{:.0%} in the friction angle, {:.0%} in ln K and {:.0%} in ln S".format(*gone),
+    }  # fmt: skip
 
 
 def _best(online: dict, rivals: list[str], key: str) -> str:

@@ -35,8 +35,8 @@ TRIANGLE = CROSSING * (CROSSING + 1) // 2
 MEANS, COVARIANCES = CROSSING * COUNT, TRIANGLE * COUNT
 CANDIDATES = 2 * COUNT  # places of a border that are tested at a time
 STAYS = COUNT - 1  # the filter to which the soil stays the same on a border
-#: Power of the likelihood by which filters of different soils are weighed. Each is linearised within its own narrow prior
-#: and surer of its soil than the readings are (tempered likelihood: Gruenwald & van Ommen 2017, Bayesian Analysis
+#: Power of the likelihood by which the filters of a library are weighed. Each is linearised within its narrow prior and
+#: surer of its soil than the readings are (tempered likelihood: Gruenwald & van Ommen 2017, Bayesian Analysis
 #: 12:1069-1103); set on courses of seeds 7001 and 7002.
 POWER_OF_SOILS = 0.5
 #: The open point of each bank, sums over its readings, and its clocks.
@@ -99,7 +99,8 @@ def filter_numbers(scenario: Scenario) -> FilterNumbers:
         w.radius, w.width, w.inertia, scenario.gravity, b.sinkage_exponent, b.dig_gain, b.dig_recovery,
         scenario.relaxation * w.radius, scenario.control.period, mixture_prior(scenario),
         np.maximum(sensor_noise(scenario), floor), max(0.55 * b.model_error, 1e-3), b.border,
-        math.radians(b.grade_change_deg), 0.0, POWER_OF_SOILS if b.soils else 1.0, b.border * np.arange(CANDIDATES) / (CANDIDATES - 1),
+        math.radians(b.grade_change_deg), 0.0, POWER_OF_SOILS if b.soils else 1.0,
+        b.border * np.arange(CANDIDATES) / (CANDIDATES - 1),
     )  # fmt: skip
 
 
