@@ -14,34 +14,36 @@ from __future__ import annotations
 
 import numpy as np
 
-from soil_env._io.commands import command_parser
+from soil_env._io.commands import command_line, command_parser, leave
 from soil_env.simulation.terrain import cell_at
 from soil_env.slip import travel_speeds
 from soil_env.terramechanics.arc_integrals import arc_integrals, simpson_integrals
 from soil_env.terramechanics.contact import forces
 from soil_env.vector_env import SoilWheelVectorEnv
 
-WHEELS, PERIODS, FINER, START = 48, 100, 32, 4.0
+WHEELS, PERIODS, FINER, START, ARCS = 48, 100, 32, 4.0, 1000
 TAN_PHI, RADIUS, WIDTH = 0.6, 0.15, 0.15
 
 
-def commands(name: str) -> np.ndarray:
+def commands(name: str, wheels: int) -> np.ndarray:
     """Torque commands [periods, wheels]."""
     rng, k = np.random.default_rng(1), np.arange(PERIODS)[:, None]
-    size = rng.uniform(0.2, 1.0, (PERIODS, WHEELS))
+    size = rng.uniform(0.2, 1.0, (PERIODS, wheels))
     if name == "smooth":
-        return np.broadcast_to(0.22 + 0.06 * np.sin(0.1 * k), (PERIODS, WHEELS))
+        return np.broadcast_to(0.22 + 0.06 * np.sin(0.1 * k), (PERIODS, wheels))
     if name == "policy":
-        return np.clip(0.4 + 0.2 * rng.standard_normal((PERIODS, WHEELS)), -1.0, 1.0)
+        return np.clip(0.4 + 0.2 * rng.standard_normal((PERIODS, wheels)), -1.0, 1.0)
     every = int(name)
     return np.where(k // every % 2, -1.0, 1.0) * size[k[:, 0] // every * every]
 
 
 def drive(given: np.ndarray, finer: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(x [periods, wheels], motor work, work of the integrator [wheels]) with steps `finer` times as short."""
+    wheels = given.shape[1]
     far = {"no_progress_time": 1000.0, "bogged_sinkage": 1.4}
     env = SoilWheelVectorEnv(
-        WHEELS,
+        wheels,
+        "mixed",
         observation="blind",
         action="torque",
         course={"halt_time": 0.0},
@@ -49,13 +51,13 @@ def drive(given: np.ndarray, finer: int) -> tuple[np.ndarray, np.ndarray, np.nda
         control={"substep": 0.1 / finer},
     )
     env.reset(seed=0)
-    for k in range(WHEELS):
+    for k in range(wheels):
         env.simulation.complete(k)
         env.simulation.worlds.counts.cell[k] = cell_at(env.simulation.worlds.courses, START)
     for name in ("x", "best_x", "lowest_x", "mark_x", "cell_x"):
         env.simulation.worlds.state[name] = START
-    state, rows, work, taken = env.simulation.worlds.state, [], np.zeros(WHEELS), np.zeros(WHEELS)
-    over = np.zeros(WHEELS, dtype=bool)
+    state, rows, work, taken = env.simulation.worlds.state, [], np.zeros(wheels), np.zeros(wheels)
+    over = np.zeros(wheels, dtype=bool)
     for row in given:
         _, _, terminated, truncated, _ = env.step(row[:, None])
         over |= terminated | truncated
@@ -66,13 +68,13 @@ def drive(given: np.ndarray, finer: int) -> tuple[np.ndarray, np.ndarray, np.nda
     return np.array(rows), work, taken
 
 
-def time_step() -> None:
+def time_step(wheels: int) -> None:
     """Print the table of the time step."""
     print("| commands | x, median | x, 90 % | motor work | taken by the integrator |\n|---|---|---|---|---|")
     names = {"smooth": "smooth torque", "policy": "torque 0.4 +- 0.2 at random, every 0.1 s"}
     names |= {str(k): f"full reversals every {0.1 * k:.1f} s" for k in (1, 2, 5)}
     for name, text in names.items():
-        (x, work, taken), (exact, exact_work, _) = (drive(commands(name), finer) for finer in (1, FINER))
+        (x, work, taken), (exact, exact_work, _) = (drive(commands(name, wheels), finer) for finer in (1, FINER))
         stayed = np.isfinite(work + exact_work)
         x, exact, work, exact_work, taken = (
             x[:, stayed],
@@ -87,7 +89,7 @@ def time_step() -> None:
         print(f"| {text}, {stayed.sum()} courses | " + " | ".join(cells) + " |")
 
 
-def quadrature(slips: tuple[float, float], ratios: tuple[float, float], rng, arcs: int = 1000) -> np.ndarray:
+def quadrature(slips: tuple[float, float], ratios: tuple[float, float], rng, arcs: int = ARCS) -> np.ndarray:
     """Error of the forces over the load [arcs], for slips and for K/r drawn from these ranges."""
     out = []
     for _ in range(arcs):
@@ -106,17 +108,22 @@ def quadrature(slips: tuple[float, float], ratios: tuple[float, float], rng, arc
     return np.array(out)
 
 
-def main() -> None:
-    """Print both tables."""
-    command_parser("python -m benchmarks.accuracy", __doc__).parse_args()
-    time_step()
+@command_line("benchmarks.accuracy")
+def main(arguments: list[str] | None = None) -> int:
+    """Print the tables; returns the exit status."""
+    p = command_parser("python -m benchmarks.accuracy", __doc__)
+    p.add_argument("--smoke", action="store_true", help="every part in seconds, numbers without meaning")
+    smoke = p.parse_args(arguments).smoke
+    wheels, arcs = (4, 5) if smoke else (WHEELS, ARCS)
+    time_step(wheels)
     print("\n| slip | K/r | median | 90 % | largest |\n|---|---|---|---|---|")
     for slips in ((0.02, 0.95), (-0.95, -0.02)):
         for ratios in ((0.02, 0.05), (0.05, 0.1), (0.1, 0.3)):
-            off = quadrature(slips, ratios, np.random.default_rng(0))
+            off = quadrature(slips, ratios, np.random.default_rng(0), arcs)
             cells = [f"{value:.1e}" for value in (np.median(off), np.quantile(off, 0.9), off.max())]
             print(f"| {slips[0]:g} to {slips[1]:g} | {ratios[0]:g} to {ratios[1]:g} | " + " | ".join(cells) + " |")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    leave(main())
