@@ -7,11 +7,11 @@ from benchmarks import accuracy
 
 def test_smoke_run_prints_every_table(capsys):
     assert accuracy.main(["--smoke"]) == 0
-    step, arcs = capsys.readouterr().out.split("\n\n")
-    for table in (step, arcs):
+    step, halved, arcs = capsys.readouterr().out.split("\n\n")
+    for table in (step, halved, arcs):
         header, rule, *rows = table.strip().splitlines()
         columns = header.count("|")
         assert rule.count("---") == columns - 1 and rows
         assert all(row.count("|") == columns and "nan" not in row for row in rows)
     courses = [int(number) for number in re.findall(r", (\d+) courses", step)]
-    assert len(courses) == 5 and min(courses) > 0
+    assert len(courses) == 8 and min(courses) > 0
