@@ -179,7 +179,7 @@ def independence(seconds: float, rounds: int, wheels: int, steps: int) -> dict:
         return spent / moved
 
     def seeded(changes):
-        env = SoilWheelVectorEnv(wheels, action="torque", threads=1, **changes)
+        env = SoilWheelVectorEnv(wheels, "mixed", action="torque", threads=1, **changes)
         env.reset(seed=0)
         return env.simulation
 

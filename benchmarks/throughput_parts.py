@@ -157,7 +157,7 @@ def parts(wheels: int, steps: int, rounds: int) -> dict:
 
 def _python(wheels: int, rounds: int) -> list[float]:
     """Processor time a wheel and step [us] of `SoilWheelVectorEnv.step` without what is compiled."""
-    env, found = SoilWheelVectorEnv(wheels, action="torque", threads=1), []
+    env, found = SoilWheelVectorEnv(wheels, "mixed", action="torque", threads=1), []
     env.reset(seed=0)
     env.simulation.step_all = lambda commands, what: None
     actions = np.zeros((wheels, 1), dtype=np.float32)
