@@ -54,6 +54,7 @@ class Row(NamedTuple):
     printed: float
     ours: tuple[float, float]
     form: str = ".2f"
+    beyond: tuple[str, str] = ("", "")  # "<" or ">" where ours is the end of what was scanned, and no limit was found
 
 
 def as_shown(value: float, form: str) -> float:
@@ -227,10 +228,11 @@ def table_4() -> list[Row]:
             solution = root(e)
             good = np.array([reaches(e, [*GUESS[:k], v, *GUESS[k + 1 :]], solution) for v in scan])
             below, above = (np.flatnonzero(~good & side) for side in (scan < GUESS[k], scan > GUESS[k]))
-            limits.append((scan[below[-1] + 1 if below.size else 0], scan[above[0] - 1 if above.size else -1]))
+            lowest = (scan[below[-1] + 1], "") if below.size else (scan[0], "<")
+            limits.append((lowest, (scan[above[0] - 1], "") if above.size else (scan[-1], ">")))
         for end, label in enumerate(("lowest", "highest")):
-            own = tuple(float(pair[end]) for pair in limits)
-            rows.append(Row(f"{LABELS[name]}, {label}", P.table4[name][end], own, form))
+            own, beyond = zip(*(pair[end] for pair in limits), strict=True)
+            rows.append(Row(f"{LABELS[name]}, {label}", P.table4[name][end], tuple(map(float, own)), form, beyond))
     return rows
 
 
@@ -293,6 +295,12 @@ def sets(k: int) -> dict[str, tuple[np.ndarray, Equations]]:
 def prediction(soil: ArrayLike, e: Equations) -> np.ndarray:
     """DP [N] and T [N m] at the measured points, [3, 2]."""
     return forces(soil, *MEASURED[:2], e)[:, [0, 2]]
+
+
+def pull_misfits() -> tuple[float, float]:
+    """Root mean square [N] by which the printed set of Table 3 misses the three measured drawbar pulls."""
+    as_printed, wong_reece = (prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull for e in HELD)
+    return float(np.sqrt(np.mean(as_printed**2))), float(np.sqrt(np.mean(wong_reece**2)))
 
 
 def torque(soil: Soil, load: float = WONG_REECE_LOAD) -> np.ndarray:

@@ -34,6 +34,7 @@ def markdown(results: Results, command: str) -> str:
     low = 100.0 * (1.0 - compare.prediction(*printed)[:, 1] / compare.prediction(*own)[:, 1])
     k_phi = compare.alone(MODELS[1], "k_phi", 1.05 * compare.pull(MODELS[1], pounds), pounds)
     others = {"rules": _rules(results), "box": _shares(results), "noise": _noise(results), "forces": _forces()}
+    others["rms"] = _rms()
 
     def agree(table: str, reading: int = 1) -> int:
         """How many printed numbers of a table agree to the last digit."""
@@ -48,15 +49,18 @@ def markdown(results: Results, command: str) -> str:
 
 
 def _beside(rows: Sequence[Row]) -> Table:
-    """A printed number, ours by each reading, and the differences."""
+    """A printed number, ours by each reading, and the differences; none where our scan ends before a limit."""
     header = ["", "printed"]
     for name in READINGS:
         header += [name, "difference"]
     lines = []
-    for name, printed, ours, form in rows:
+    for name, printed, ours, form, beyond in rows:
         line = [name, format(printed, form)]
-        for value in ours:
-            line += [format(value, form), format(compare.as_shown(value, form) - printed, "+" + form)]
+        for value, side in zip(ours, beyond, strict=True):
+            if side:
+                line += [f"{side} {value:{form}} (end of the scan)", "-"]
+            else:
+                line += [format(value, form), format(compare.as_shown(value, form) - printed, "+" + form)]
         lines.append(line)
     return Table(header, lines)
 
@@ -103,6 +107,21 @@ def _forces() -> Table:
     slips = [f"{100 * i:.1f} %" for i in MEASURED.slip]
     header = ("parameters", *(f"DP at {i}" for i in slips), *(f"T at {i}" for i in slips),
               "rms of DP from measured [N]", "rms of T from Table 2's [N m]")  # fmt: skip
+    return Table(header, rows)
+
+
+def _rms() -> Table:
+    """The printed rms errors of Figs. 6 and 7, and ours where three points allow one."""
+    header, rows = ["rms error", "printed, over the curve"], []
+    for name in READINGS:
+        header += [f"{name}, at the three points", "difference"]
+    for what, values in (("drawbar pull [N]", P.fig6_rms_drawbar_pull), ("torque [N m]", P.fig7_rms_torque)):
+        for points, printed in values.items():
+            row = [f"{what}, set from {points.replace('_', ' ')}", f"{printed:.2f}"]
+            known = values is P.fig6_rms_drawbar_pull and points == "three_points"
+            for own in compare.pull_misfits():
+                row += [f"{own:.2f}", f"{compare.as_shown(own, '.2f') - printed:+.2f}"] if known else ["-", "-"]
+            rows.append(row)
     return Table(header, rows)
 
 

@@ -145,6 +145,27 @@ def test_table_4_range_of_K():
     assert [low, high] == pytest.approx([printed_low, printed_high], abs=0.06 * (printed_high - printed_low))
 
 
+def test_no_difference_from_the_end_of_a_scan():
+    """At the highest phi and S nothing fails within the scan: a bound is printed, and no difference."""
+    rows = {row.name: row for row in compare.table_4()}
+    open_ended = {name for name, row in rows.items() if any(row.beyond)}
+    assert open_ended == {"phi [deg], highest", "S, highest"}
+    text = page.markdown(compare.compute(), "")
+    for line in text.splitlines():
+        if line.startswith(("| phi [deg], highest", "| S, highest")):
+            assert line.count("end of the scan") == 2 and line.count("| - |") == 2
+
+
+def test_rms_errors_of_fig_6_at_the_three_points():
+    """Against numpy's norm; each printed error has a row of the table."""
+    for own, e in zip(compare.pull_misfits(), HELD, strict=True):
+        off = model.forces(PRINTED_SET, *MEASURED[:2], e)[:, 0] - MEASURED.pull
+        assert own == pytest.approx(np.linalg.norm(off) / math.sqrt(3.0))
+    text = page.markdown(compare.compute(), "")
+    for printed_rms in (*P.fig6_rms_drawbar_pull.values(), *P.fig7_rms_torque.values()):
+        assert any(line.startswith("|") and f" {printed_rms:.2f} " in line for line in text.splitlines())
+
+
 def test_guesses_that_converge():
     """A good guess is quick; a large S is forgotten; the plain iteration loses part of the box, ours none."""
     np.testing.assert_allclose(model.newton_raphson(MEASURED, (33.0, 0.038, 1e12), HELD[0]), compare.root(HELD[0]))
