@@ -55,7 +55,10 @@ def test_parts_made_anew_keep_the_others(folder):
 def test_parts_without_the_others_are_refused(tmp_path, capsys):
     (tmp_path / "identification.json").write_text('{"made": {}}')
     assert identification.main(["--smoke", "--parts", "speed", "--out", str(tmp_path)]) == 2
-    assert "has no bound, convergence, efficiency, identifiability, manoeuvre, one_soil, online, other_seed" in capsys.readouterr().err
+    assert (
+        "has no bound, convergence, efficiency, identifiability, manoeuvre, one_soil, online, other_seed"
+        in capsys.readouterr().err
+    )
 
 
 def test_no_contender_reads_a_wheel_that_turns_backwards():
