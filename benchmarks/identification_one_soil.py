@@ -216,6 +216,13 @@ def all_readings(log: dict, scenario: Scenario) -> np.ndarray:
     return np.array(found)
 
 
+def law_error(log: dict, scenario: Scenario) -> np.ndarray:
+    """By how much [m] the law of sinkage, from the readings of the speeds and the true soil, misses the sinkage [T]."""
+    r = readings_of(log, filter_numbers(scenario))
+    x = np.append(log["soil"][0], [log["mass"][0], log["sinkage"][0]])
+    return evaluate(x, np.clip(log["slip"], -0.95, 0.98), log["sinkage"], r, scenario).sinkage - log["sinkage"]
+
+
 # --- what the library is worth ----------------------------------------------------------------------------------------
 
 
@@ -260,11 +267,12 @@ def under_the_library(log: dict, t: int, P: np.ndarray, own: int, library: list,
 
 
 def study(scenario: Scenario, courses: int, seed: int, say=print) -> dict:
-    """{"rms": {row: [3]}, "soils": number of them, "recognised": mean probability of the soil under the library}."""
+    """{"rms": {row: [3]}, "soils": number of them, "recognised": mean probability of the soil under the library,
+    "law_error": RMS and 95th percentile [m] of `law_error`}."""
     told = load_scenario("mixed", TORQUE | {"belief": {"soils": dict(scenario.soils)}})
     library, names, rng = of_library(told, 0.03), list(scenario.soils), np.random.default_rng([seed, 7])
     which = {n: load_scenario("mixed", TORQUE | {"belief": {"soils": {n: 1.0}}}) for n in names}
-    logs, squares, recognised = first_soils(record(scenario, courses, seed), scenario.course.border), {}, []
+    logs, squares, recognised, missed = first_soils(record(scenario, courses, seed), scenario.course.border), {}, [], []
     sensors = SENSORS["all sensors"]
     for number, log in enumerate(logs):
         at, own = log["at"], _likeliest(log["soil"][0], library)
@@ -274,6 +282,7 @@ def study(scenario: Scenario, courses: int, seed: int, say=print) -> dict:
             under_the_library(log, t, covariances[t], own, library, plain(scenario), rng) for t in np.repeat(at, 8)
         ])  # fmt: skip
         recognised.append(ideal[:, 6].mean())
+        missed.append(np.abs(law_error(log, scenario))[log["halt_left"] == 0.0])
         found = {
             "bound": rows[at] ** 2,
             "readings as good as the bound, plain prior": ideal[:, 3:6].reshape(STEPS, 8, 3).mean(axis=1),
@@ -291,7 +300,11 @@ def study(scenario: Scenario, courses: int, seed: int, say=print) -> dict:
         if (number + 1) % 50 == 0:
             say(f"one soil: {number + 1} of {len(logs)} courses")
     rms = {label: (np.sqrt(np.concatenate(v).mean(axis=0)) * _UNIT).tolist() for label, v in squares.items()}
-    return {"courses": courses, "seed": seed, "soils": len(logs), "rms": rms, "recognised": float(np.mean(recognised))}
+    away = np.concatenate(missed)
+    return {
+        "courses": courses, "seed": seed, "soils": len(logs), "rms": rms, "recognised": float(np.mean(recognised)),
+        "law_error": {"rms": float(np.sqrt((away**2).mean())), "p95": float(np.percentile(away, 95))},
+    }  # fmt: skip
 
 
 def table(result: dict) -> Table:
