@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from benchmarks.identification_contenders import Contender, Digging, is_informative
-from soil_env.identification.digging import KEPT, DiggingPlaces, close_point, note, roll
-from soil_env.identification.digging import Digging as DiggingMemory
+from soil_env.identification.digging import KEPT, Digging as DiggingMemory, DiggingPlaces, close_point, note, roll
 from soil_env.identification.point import Points, Reading, predict, weigh, weights
 from soil_env.identification.solver import LOWER, UPPER
 from soil_env.identification.window import RATIO_ERROR

@@ -19,8 +19,7 @@ from soil_env.simulation.dynamics import MANY, advance
 from soil_env.simulation.sensors import sense
 from soil_env.simulation.task import Cause, judge, reward_terms, write_observation
 from soil_env.simulation.worlds import RESTART, STEP, Simulation
-from soil_env.terramechanics import arc_integrals as quadrature
-from soil_env.terramechanics import contact
+from soil_env.terramechanics import arc_integrals as quadrature, contact
 from soil_env.vector_env import SoilWheelVectorEnv
 
 NOTHING_SEEN = Sight(0, 0.0, 0.0)  # by a camera, which "mixed" does not have

@@ -14,8 +14,7 @@ from ..evaluate import report
 from ..evaluate.figures import draw_profiles, png
 from ..evaluate.tables import Column, cell, draw_intervals, labels, metric_table, points
 from ..progress import show
-from . import results
-from . import study as studies
+from . import results, study as studies
 from .study import Ablation
 
 EMPTY_PAGE = "# Does the identifier help?\n\n<!-- ablation -->\n<!-- end -->\n"

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..controllers import CONTROLLERS
-from ..evaluate import results as evaluation_results
-from ..evaluate import statistics as st
+from ..evaluate import results as evaluation_results, statistics as st
 from ..evaluate.records import METRICS
 from . import study as studies
 from .study import Ablation

@@ -30,8 +30,7 @@ from .. import studies
 from ..cli import config_mapping
 from ..config import OfWorld, PPOConfig, TrainConfig
 from ..controllers import CONTROLLERS
-from ..evaluate import HELD_OUT_SET
-from ..evaluate import study as driving
+from ..evaluate import HELD_OUT_SET, study as driving
 from ..evaluate.contestants import Contestant, digest
 from ..evaluate.records import Records
 from ..evaluate.tuning import kept_settings

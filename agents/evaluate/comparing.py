@@ -11,8 +11,7 @@ from soil_env.parameters import Scenario
 
 from ..studies import save_csv
 from .driving import METRICS, RATES, Runs
-from .limit import limit
-from .limit import rows as limit_rows
+from .limit import limit, rows as limit_rows
 from .statistics import wilson
 
 RESAMPLES = 2000  # of the bootstraps

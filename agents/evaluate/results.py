@@ -11,8 +11,7 @@ from soil_env.simulation.task import Cause
 
 from ..controllers import make_controller
 from ..studies import save_csv
-from . import limit
-from . import statistics as st
+from . import limit, statistics as st
 from .limit import ORACLE
 from .records import METRICS, RATES, Records
 from .study import Study

@@ -10,9 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.blind import cases as laws_cases
-from benchmarks.blind import groups as laws_groups
-from benchmarks.blind import slip_errors
+from benchmarks.blind import cases as laws_cases, groups as laws_groups, slip_errors
 from benchmarks.blind.easy import groups as easy_groups
 from benchmarks.blind.groups import Task
 

@@ -27,7 +27,7 @@ else:
 
 #: Folders, with the folders in them, and files whose sources and constants compiled code is made of.
 _ROOMS = ("_numba", "terramechanics", "simulation", "identification")
-_FILES = ("parameters.py", "slip.py", "vehicle.py")
+_FILES = ("parameters.py", "slip.py", "soil_parameters.py", "vehicle.py")
 _LOCK = "soil_env.lock"
 _POLL = 0.1  # s between two attempts at the lock
 _TAKEN = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.stats import norm, t as student
 
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS

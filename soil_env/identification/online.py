@@ -13,8 +13,7 @@ import numpy as np
 from soil_env._numba.compiling import inlined, part, root
 from soil_env._numba.rows import Rows, zero_column
 from soil_env.identification.digging import KEPT, Digging, DiggingPlaces
-from soil_env.identification.filter import CONTRADICTION_OF_POINTS
-from soil_env.identification.filter import take as take_by_filter
+from soil_env.identification.filter import CONTRADICTION_OF_POINTS, take as take_by_filter
 from soil_env.identification.filter_bank import STAYS, FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
 from soil_env.identification.filter_estimate import publish
 from soil_env.identification.mixture_prior import moments, prior_of_belief
@@ -22,8 +21,7 @@ from soil_env.identification.normal_equations import SIZE
 from soil_env.identification.point import Points, Reading
 from soil_env.identification.readings import SensorReading, sensor_noise
 from soil_env.identification.solver import Status
-from soil_env.identification.window import WINDOW, OpenPoint
-from soil_env.identification.window import take as take_by_window
+from soil_env.identification.window import WINDOW, OpenPoint, take as take_by_window
 from soil_env.parameters import Scenario
 
 #: What a set of readings did to the estimate: nothing; the wheel is elsewhere on a border, and so on other ground; it

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, t
-from scipy.stats import f as f_distribution
+from scipy.stats import chi2, f as f_distribution, t
 
 from soil_env.identification.form_error import mixed
 from soil_env.identification.scatter import FEW, Scatter

@@ -123,8 +123,7 @@ def _objects(data: bytes) -> Any:
 def _mcap(file: Path, wanted: set[str], notes: Notes, told: Callable[[int], None]) -> Iterator[Message]:
     try:
         from mcap.exceptions import EndOfFile, InvalidMagic, McapError
-        from mcap.records import Channel, Chunk, DataEnd, Footer, Schema
-        from mcap.records import Message as Record
+        from mcap.records import Channel, Chunk, DataEnd, Footer, Message as Record, Schema
         from mcap.stream_reader import StreamReader, breakup_chunk
     except ImportError:
         raise ParameterError(_NEEDED) from None

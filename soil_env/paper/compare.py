@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq, least_squares, linprog
 
-from soil_env.identification import Reading
-from soil_env.identification import newton_raphson as safeguarded
+from soil_env.identification import Reading, newton_raphson as safeguarded
 from soil_env.paper.model import (
     AS_PRINTED,
     WONG_REECE,

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
-from agents.ablation import __main__ as ablation
-from agents.ablation import page, results, study
+from agents.ablation import __main__ as ablation, page, results, study
 from agents.ablation.__main__ import main
 from agents.controllers import CONTROLLERS
 from agents.evaluate import HELD_OUT_SET, run_courses

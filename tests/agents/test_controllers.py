@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from agents.controllers import CONTROLLERS, checked_settings, make_controller
-from agents.evaluate import drive as evaluation_drive
-from agents.evaluate import run_courses
+from agents.evaluate import drive as evaluation_drive, run_courses
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario, soils

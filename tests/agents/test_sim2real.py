@@ -9,15 +9,12 @@ import numpy as np
 import pytest
 
 from agents.controllers import make_controller
-from agents.evaluate import __main__ as evaluate_command
-from agents.evaluate import run_courses
+from agents.evaluate import __main__ as evaluate_command, run_courses
 from agents.evaluate.statistics import draws
 from agents.evaluate.study import load_study
 from agents.ppo import PPOConfig, TrainConfig, load_agent, load_config, read_meta
 from agents.sb3 import SoilWheelVecEnv
-from agents.sim2real import __main__ as command
-from agents.sim2real import carried, report, study, table
-from agents.sim2real import drives as driving
+from agents.sim2real import __main__ as command, carried, drives as driving, report, study, table
 from agents.sim2real.drives import Commissioning
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.measurement.table import read_setup, read_table

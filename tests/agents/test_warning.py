@@ -215,8 +215,7 @@ def test_agents_to_judge_it_on_are_refused_in_one_line(given, words, tmp_path, c
 @pytest.mark.slow
 def test_the_command_writes_weights_figures_and_page(tmp_path, monkeypatch):
     pytest.importorskip("torch")
-    from agents.warning import __main__ as command
-    from agents.warning import drives as driven
+    from agents.warning import __main__ as command, drives as driven
 
     short = {"course": {"length": 3.0}, "control": {"action": "torque", "time_limit": 30.0}}
     monkeypatch.setattr(driven, "load_scenario", lambda name, changes: load_scenario(name, short))

@@ -11,8 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.blind import __main__ as command
-from benchmarks.blind import groups, run, score, slip_errors
+from benchmarks.blind import __main__ as command, groups, run, score, slip_errors
 from benchmarks.blind.cases import draw_case, write_case
 from benchmarks.blind.effect import Hidden
 from benchmarks.blind.entrants import Answer, entrant

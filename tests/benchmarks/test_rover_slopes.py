@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks import rover_rigs as rigs
-from benchmarks import rover_slopes as study
+from benchmarks import rover_rigs as rigs, rover_slopes as study
 from benchmarks.rover_slopes_page import PARTS
 from soil_env._io.loading import ParameterError, load, read_yaml
 from soil_env.parameters import Soil

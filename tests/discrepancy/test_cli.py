@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from soil_env.discrepancy import __main__ as discrepancy
-from soil_env.discrepancy import report
+from soil_env.discrepancy import __main__ as discrepancy, report
 from soil_env.discrepancy.__main__ import main
 from tests.discrepancy.files import SETUP, table_text, write_files
 

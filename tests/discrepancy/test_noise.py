@@ -10,8 +10,7 @@ from soil_env.discrepancy.calibrate import calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.workflow import run
 from soil_env.measurement.table import NoiseLevels
-from tests.discrepancy.tables import NOISE, table
-from tests.discrepancy.tables import world as world_of
+from tests.discrepancy.tables import NOISE, table, world as world_of
 
 SLIPS = np.linspace(0.05, 0.7, 8)
 

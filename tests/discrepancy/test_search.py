@@ -16,8 +16,7 @@ from soil_env.parameters import Soil
 from soil_env.terramechanics.catalogue import CATALOGUE
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from tests.discrepancy.files import SETUP, write_files
-from tests.discrepancy.tables import NOISE as NOISE_SD
-from tests.discrepancy.tables import problem, table
+from tests.discrepancy.tables import NOISE as NOISE_SD, problem, table
 
 SMALL = SETUP.split("noise:")[0].replace("grouser_height: 0.01", "grouser_height: 0")
 NOISE = "noise:" + SETUP.split("noise:")[1]

@@ -4,13 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
+from hypothesis import Phase, given, settings, strategies as st
 
 from soil_env._numba.compiling import root
 from soil_env._numba.lanes import COUNT, to_array
-from soil_env.identification import Status
-from soil_env.identification import online as identifier
+from soil_env.identification import Status, online as identifier
 from soil_env.identification.border import begin, blend, by_both_soils, covariance_of_ground
 from soil_env.identification.filter_bank import (
     COVARIANCES,

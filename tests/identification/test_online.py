@@ -4,12 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from soil_env._numba.rows import Rows
-from soil_env.identification import LOWER, UPPER, Points, Status, predict
-from soil_env.identification import online as identifier
+from soil_env.identification import LOWER, UPPER, Points, Status, online as identifier, predict
 from soil_env.identification.online import SensorReading
 from soil_env.identification.point import weigh
 from soil_env.identification.window import WINDOW

@@ -12,8 +12,7 @@ from benchmarks import clients, cmu, fuzz, identification, memory, throughput, t
 from benchmarks.blind import __main__ as blind
 from soil_env._io import examples
 from soil_env._io.loading import shipped_dir
-from soil_env.discrepancy import __main__ as discrepancy
-from soil_env.discrepancy import cmu as cmu_tables
+from soil_env.discrepancy import __main__ as discrepancy, cmu as cmu_tables
 from soil_env.identification import __main__ as identification_command
 from soil_env.logs import __main__ as logs
 from soil_env.paper import __main__ as paper

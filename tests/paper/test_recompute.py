@@ -11,10 +11,8 @@ import pytest
 import yaml
 
 from soil_env._io.loading import ParameterError, load, read_yaml
-from soil_env.identification import Reading, Status
-from soil_env.identification import newton_raphson as safeguarded
-from soil_env.paper import __main__ as command
-from soil_env.paper import compare, model, page, printed
+from soil_env.identification import Reading, Status, newton_raphson as safeguarded
+from soil_env.paper import __main__ as command, compare, model, page, printed
 from soil_env.paper.compare import HELD, MEASURED, MODELS, PRINTED_SET, P
 from soil_env.parameters import Soil
 from tests.terramechanics import reference

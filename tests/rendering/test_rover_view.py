@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from soil_env.parameters import load_scenario
-from soil_env.rendering import canvas, charts
-from soil_env.rendering import rover_view as rendering
+from soil_env.rendering import canvas, charts, rover_view as rendering
 from soil_env.rendering.rover_view import RoverRenderer, posture_of, rover_stresses
 from soil_env.rendering.side_view import Renderer
 from soil_env.rover_env import SoilRoverEnv

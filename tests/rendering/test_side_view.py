@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from soil_env.parameters import load_scenario
-from soil_env.rendering import canvas, charts
-from soil_env.rendering import side_view as rendering
+from soil_env.rendering import canvas, charts, side_view as rendering
 from soil_env.rendering.side_view import Renderer, stresses_under
 from soil_env.simulation.terrain import cell_at
 from soil_env.simulation.worlds import Simulation

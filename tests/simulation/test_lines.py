@@ -9,8 +9,7 @@ import pytest
 from soil_env._numba.random_streams import seed_stream
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import ParameterError, SoilState, load_scenario
-from soil_env.simulation import camera, terrain
-from soil_env.simulation import courses as drawing
+from soil_env.simulation import camera, courses as drawing, terrain
 from soil_env.simulation.task import VARIANTS, Cause, layout
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.ground import blend

@@ -4,8 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from soil_env.env import SoilWheelEnv, observation_space
 from soil_env.parameters import ParameterError, load_scenario

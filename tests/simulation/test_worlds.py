@@ -10,8 +10,7 @@ from soil_env._io.loading import ParameterError
 from soil_env._numba.random_streams import seed_stream
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import Soil, SoilState, load_scenario, soils
-from soil_env.simulation import courses as drawing
-from soil_env.simulation import dynamics, terrain
+from soil_env.simulation import courses as drawing, dynamics, terrain
 from soil_env.simulation.sensors import sense
 from soil_env.simulation.task import VARIANTS, task_numbers
 from soil_env.simulation.terrain import rut_factor

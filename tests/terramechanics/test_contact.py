@@ -4,13 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from soil_env.paper.printed import WONG_REECE_PEAK, WONG_REECE_RADIUS, printed
 from soil_env.slip import motion_from_slip
-from soil_env.terramechanics import arc_integrals as quadrature
-from soil_env.terramechanics import contact
+from soil_env.terramechanics import arc_integrals as quadrature, contact
 from tests.terramechanics import reference
 
 # The wheel and soil of Hutangkabodee et al. (2006), as printed there.

@@ -6,8 +6,7 @@ The numbers use phi = 30 deg, for which tan^2(45 deg + phi/2) = 3 and cot(45 deg
 import math
 
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import SoilState, soils

@@ -4,11 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
-from soil_env.terramechanics import arc_integrals as quadrature
-from soil_env.terramechanics import contact, effects
+from soil_env.terramechanics import arc_integrals as quadrature, contact, effects
 from soil_env.terramechanics.effects import NO_EFFECTS, pack_effects
 
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from soil_env._io.files import plain
-from soil_env.discrepancy import judgement, run
-from soil_env.discrepancy import report as drawn
+from soil_env.discrepancy import judgement, report as drawn, run
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.judgement import Gap
 from soil_env.discrepancy.report import blocks, cautions, content, numbers, tables, text, words

@@ -1,0 +1,129 @@
+"""Parameters of a soil, and how soils of a kind scatter: frozen dataclasses in SI units.
+
+`SoilState` is the plain tuple of floats in which the compiled kernels take a soil.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._io.loading import Checked, ParameterError, quantity
+
+
+class SoilState(NamedTuple):
+    """Parameters of a soil under a given wheel, as the kernels take them; see `Soil`."""
+
+    tan_phi: float  # [-]
+    cohesion: float  # [Pa]
+    shear_modulus: float  # shear deformation modulus K [m]
+    sinkage_coefficient: float  # S [N/m^(n+2)]
+    sinkage_exponent: float  # n [-]
+    dig_gain: float  # [-]
+    dig_recovery: float  # [-]
+
+
+def lumped_coefficient(k_c: float, k_phi: float, width: float) -> float:
+    """S = k_c/b + k_phi [N/m^(n+2)] for a wheel of width b [m] (Bekker); `ParameterError` if it is not positive."""
+    s = k_c / width + k_phi
+    if s <= 0.0:
+        raise ParameterError(f"soil: k_c/b + k_phi = {s:g} for a wheel of width {width:g} m: expected > 0")
+    return s
+
+
+@dataclass(frozen=True)
+class Soil(Checked):
+    """A uniform soil, in the terms of Bekker, Janosi & Hanamoto and Mohr-Coulomb.
+
+    The pressure-sinkage relation p = (k_c/b + k_phi) z^n is given by its two moduli or by their sum for the wheel at
+    hand, `sinkage_coefficient` (the S of the source paper). Unless `dig_gain` is given there is no slip-sinkage, as in
+    the base model of Eqs. (1)-(10); the presets of configs/soils.yaml have it, and 1.5 is Lyasko (2010).
+    """
+
+    friction_angle_deg: float = quantity("deg", 0.0, 89.9)
+    cohesion: float = quantity("Pa", 0.0, 2e5)
+    shear_modulus: float = quantity("m", 1e-4, 0.3, doc="shear deformation modulus, K of Eq. (10)")
+    sinkage_exponent: float = quantity("", 0.0, 3.0, doc="n of Eq. (7)")
+    k_c: float | None = quantity("N/m^(n+1)", -1e7, 1e9, default=None)
+    k_phi: float | None = quantity("N/m^(n+2)", 0.0, 1e13, default=None)
+    sinkage_coefficient: float | None = quantity("N/m^(n+2)", 1.0, 1e13, default=None)
+    density: float = quantity("kg/m3", 50.0, 4000.0, default=1500.0)
+    dig_gain: float = quantity("", 0.0, 20.0, default=0.0, doc="slip-sinkage, effects.slip_sinkage_ratio")
+    dig_recovery: float = quantity("", 0.05, 5.0, default=0.5, doc="slip-sinkage, effects.slip_sinkage_ratio")
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        pair = (self.k_c is not None) + (self.k_phi is not None)
+        if pair != (2 if self.sinkage_coefficient is None else 0):
+            raise ParameterError("Soil: expected either sinkage_coefficient, or both k_c and k_phi")
+
+    @property
+    def tan_phi(self) -> float:
+        """Tangent of the friction angle [-]."""
+        return math.tan(math.radians(self.friction_angle_deg))
+
+    def lumped(self, width: float) -> float:
+        """S [N/m^(n+2)] for a wheel of width b [m]; as `lumped_coefficient` where the moduli are given."""
+        if self.sinkage_coefficient is not None:
+            return self.sinkage_coefficient
+        assert self.k_c is not None and self.k_phi is not None  # checked on construction
+        return lumped_coefficient(self.k_c, self.k_phi, width)
+
+    def state(self, width: float) -> SoilState:
+        """The soil as the compiled kernels take it, under a wheel of width b [m]."""
+        return SoilState(
+            self.tan_phi, self.cohesion, self.shear_modulus, self.lumped(width), self.sinkage_exponent,
+            self.dig_gain, self.dig_recovery,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SoilSpread(Checked):
+    """Scatter of a soil in the field about its preset: coefficients of variation and correlations.
+
+    Friction scatters normally, the others log-normally. The stiffness that scatters is the pressure at
+    `reference_sinkage`, not S itself, whose unit depends on n. Sources: COV of friction 5-15 % in sand (Phoon & Kulhawy
+    1999, Can. Geotech. J. 36:612), cohesion 20-40 % with correlation -0.24 to -0.7 to friction (Cherubini 2000, Can.
+    Geotech. J. 37:705); denser soil has higher friction (Bolton 1986, Geotechnique 36:65) and stiffness and a lower
+    shear deformation modulus. For K, stiffness and digging no published statistics were found: those are our choice.
+    """
+
+    friction: float = quantity("", 0.0, 0.35, default=0.08)
+    cohesion: float = quantity("", 0.0, 1.0, default=0.3)
+    shear_modulus: float = quantity("", 0.0, 1.5, default=0.4)
+    stiffness: float = quantity("", 0.0, 1.5, default=0.35)
+    exponent: float = quantity("", 0.0, 0.3, default=0.05)
+    dig_gain: float = quantity("", 0.0, 1.5, default=0.4)
+    reference_sinkage: float = quantity("m", 1e-3, 0.5, default=0.03)
+    friction_cohesion: float = quantity("", -0.99, 0.99, default=-0.5)
+    friction_stiffness: float = quantity("", -0.99, 0.99, default=0.4)
+    friction_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.3)
+    stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4)
+    stiffness_dig_gain: float = quantity("", -0.99, 0.99, default=-0.5)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.factor()
+
+    def factor(self) -> np.ndarray:
+        """Lower Cholesky factor [5, 5] of the correlations of (friction, cohesion, K, stiffness, dig gain)."""
+        return correlation_factor(self, 5, {
+            (0, 1): "friction_cohesion", (0, 3): "friction_stiffness", (0, 2): "friction_shear_modulus",
+            (2, 3): "stiffness_shear_modulus", (3, 4): "stiffness_dig_gain",
+        })  # fmt: skip
+
+
+def correlation_factor(owner: Checked, size: int, names: dict[tuple[int, int], str]) -> np.ndarray:
+    """Lower Cholesky factor [size, size] of the correlations that `owner` has under these names, by row and column."""
+    c = np.eye(size)
+    for (i, j), name in names.items():
+        c[i, j] = c[j, i] = getattr(owner, name)
+    try:
+        return np.linalg.cholesky(c)
+    except np.linalg.LinAlgError:
+        where = type(owner).__name__
+        raise ParameterError(f"{where}: the correlations contradict each other (not positive definite)") from None
