@@ -5,16 +5,9 @@ import pytest
 
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.online import RENEWED, forget, identifier_numbers, new_identifiers
-from soil_env.identification.pooling import (
-    ERROR_OF_MODEL,
-    forget_stretches,
-    new_pools,
-    note,
-    pool,
-    pool_numbers,
-    share,
-)
+from soil_env.identification.pooling import pool, share
 from soil_env.identification.solver import Status
+from soil_env.identification.stretches import ERROR_OF_MODEL, forget_stretches, new_pools, note, pool_numbers
 from soil_env.parameters import load_scenario
 
 SCENARIO = load_scenario("mixed")

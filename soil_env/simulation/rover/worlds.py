@@ -22,15 +22,8 @@ from soil_env.identification.online import (
     new_identifiers,
     observe,
 )
-from soil_env.identification.pooling import (
-    PoolNumbers,
-    Pools,
-    forget_stretches,
-    new_pools,
-    note,
-    pool_numbers,
-    share,
-)
+from soil_env.identification.pooling import share
+from soil_env.identification.stretches import PoolNumbers, Pools, forget_stretches, new_pools, note, pool_numbers
 from soil_env.simulation.courses import (
     CourseDistribution,
     CourseNumbers,
