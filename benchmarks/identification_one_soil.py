@@ -235,8 +235,8 @@ def _likeliest(soil: np.ndarray, library: list) -> int:
 
 
 def under_the_library(log: dict, t: int, P: np.ndarray, own: int, library: list, plain_prior, rng) -> np.ndarray:
-    """[7] of readings up to step t with the bound's information and Gaussian errors: squared errors of (phi, ln K, ln S)
-    of the posterior mean under the library, those under the plain prior, and the posterior probability of soil `own`.
+    """[7] of readings up to step t with the bound's information and Gaussian errors: squares of the errors of (phi,
+    ln K, ln S) of the posterior mean under the library, those under the plain prior, and the probability of soil `own`.
 
     P: the bound's covariance of the soil there under the plain prior, whose information is taken out.
     """
