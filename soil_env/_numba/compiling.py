@@ -17,6 +17,7 @@ allocate does not compile. Scratch memory is on the stack (`lanes.scratch`, `row
 from __future__ import annotations
 
 import importlib
+import signal
 import threading
 from collections.abc import Callable
 from functools import update_wrapper
@@ -39,6 +40,26 @@ COMPILED = not config.DISABLE_JIT
 Compiled: TypeAlias = Callable[..., Any]
 
 _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
+_mask = getattr(signal, "pthread_sigmask", None)  # not on Windows
+
+
+def _uninterrupted(function, arguments, keywords):
+    """Call compiled code that returns a tuple; Ctrl-C waits until it is done.
+
+    Numba makes a named tuple by Python code, in which an interrupt may be raised, and takes what that returns without
+    looking whether there is anything: a crash.
+    """
+    if _mask is None:
+        return function(*arguments, **keywords)
+    before = _mask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        return function(*arguments, **keywords)
+    finally:
+        _mask(signal.SIG_SETMASK, before)
+
+
+def _gives_tuples(dispatcher) -> bool:
+    return any(isinstance(o.signature.return_type, types.BaseTuple) for o in dispatcher.overloads.values())
 
 
 class Part:
@@ -48,6 +69,9 @@ class Part:
         update_wrapper(self, function)
         self.py_func = function
         self._root = None
+        self._given: dict[
+            tuple[type, ...], bool
+        ] = {}  # whether the root of such arguments, once compiled, gives tuples
         compiled = njit(_nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=PART, **_OPTIONS)
         self.dispatcher = compiled(function)
         template = self.dispatcher.get_call_template
@@ -64,7 +88,14 @@ class Part:
         return self._root
 
     def __call__(self, *arguments, **keywords):
-        return self.root(*arguments, **keywords)
+        root, kinds = self.root, tuple(map(type, arguments))
+        tuples = self._given.get(kinds)
+        if tuples:
+            return _uninterrupted(root, arguments, keywords)
+        result = root(*arguments, **keywords)  # the first time it compiles, which Ctrl-C may end
+        if tuples is None:
+            self._given[kinds] = _gives_tuples(root)
+        return result
 
     def __reduce__(self):
         return _named, (self.__module__, self.__qualname__)
@@ -119,15 +150,15 @@ class FastCall:
     """
 
     def __init__(self, function) -> None:
-        self._function, self._code = function, None if COMPILED else function
+        self._function, self._code, self._tuples = function, None if COMPILED else function, False
 
     def __call__(self, *arguments):
         if self._code is None:
             function = getattr(self._function, "root", self._function)
             signature = tuple(typeof(a) for a in arguments)
             function.compile(signature)
-            self._code = function.overloads[signature].entry_point
-        return self._code(*arguments)
+            self._code, self._tuples = function.overloads[signature].entry_point, _gives_tuples(function)
+        return _uninterrupted(self._code, arguments, {}) if self._tuples else self._code(*arguments)
 
     def __reduce__(self):
         """By name: numba would pickle the source of the function, and compile it anew in another process."""
