@@ -28,7 +28,7 @@ from benchmarks.common import ROOT
 from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.document import Table, render
 from soil_env._io.files import make_folder, replace_file, write_json
-from soil_env._io.loading import ParameterError, read_yaml, unknown_value
+from soil_env._io.loading import ParameterError, read_json, read_yaml, unknown_value
 from soil_env.parameters import DEFAULT_SCENARIO
 
 NAME = "benchmarks.clients"
@@ -181,7 +181,7 @@ def main(arguments: list[str] | None = None) -> int:
         )
     make_folder(options.out)
     file = options.out / "clients.json"
-    result = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    result = read_json(file) if file.exists() else {}
     if options.page:
         replace_file(options.out / "clients.md", page(result))
         return 0

@@ -10,7 +10,6 @@ Every number of docs/identification.md comes from this command; the page says wi
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import platform
 import sys
@@ -37,7 +36,7 @@ from benchmarks.common import TORQUE, study_parser
 from benchmarks.identification_contenders import replay
 from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.files import check_outputs, make_folder, write_json
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, read_json
 from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict
 from soil_env.identification.point import Points, weigh
 from soil_env.identification.solver import solve
@@ -383,13 +382,22 @@ def main(arguments: list[str] | None = None) -> int:
     kept = {}
     if set(options.parts) != set(PARTS):
         file = options.out / "identification.json"
-        kept = json.loads(file.read_text(encoding="utf-8"))
-        if missing := set(PARTS) - set(options.parts) - set(kept.get("made", {})):
+        kept = read_json(file)
+        made = kept.get("made")
+        known = {p for p in kept if isinstance(made, dict) and isinstance(made.get(p), dict)}
+        if missing := set(PARTS) - set(options.parts) - known:
             raise ParameterError(f"{file}: has no {', '.join(sorted(missing))}; give --parts with them, or without it")
     result = kept | study(options.seed, options.smoke, options.courses, options.parts)
     result["made"] = kept.get("made", {}) | dict.fromkeys(options.parts, _made(options))
-    identification_page.write(result, options.out)
     write_json(options.out / "identification.json", result)
+    try:
+        identification_page.write(result, options.out)
+    except (AttributeError, IndexError, KeyError, TypeError) as error:
+        others = ", ".join(sorted(set(PARTS) - set(options.parts)))
+        raise ParameterError(
+            f"{options.out / 'identification.json'}: what it has of {others} is of another version "
+            f"({type(error).__name__}: {error}); make these parts anew"
+        ) from None
     print(f"Written: {options.out / 'identification.md'}", flush=True)
     return 0
 

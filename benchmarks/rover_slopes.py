@@ -12,7 +12,6 @@ that, three parameters of the soil are fitted to one campaign and the fit is jud
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -40,7 +39,7 @@ from benchmarks.rover_rigs import (
 )
 from soil_env._io.commands import command_line, leave
 from soil_env._io.files import make_folder, write_json
-from soil_env._io.loading import merge
+from soil_env._io.loading import merge, read_json
 from soil_env.parameters import Soil
 
 FREE = ("friction_angle_deg", "shear_modulus", "dig_gain")  # of a fit; the others stay where `HELD` has them
@@ -185,7 +184,7 @@ def main(arguments: list[str] | None = None) -> int:
             "rovers": {name: study(of, soils, draws[name], refined, 0) for name, of in rovers.items()},
         }
         write_json(file, results, None)
-    rover_slopes_page.write(json.loads(file.read_text(encoding="utf-8")), folder)
+    rover_slopes_page.write(read_json(file), folder)
     return 0
 
 

@@ -12,7 +12,6 @@ rounds with the lowest and the highest; what is compared is measured in turns. R
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import subprocess
 import sys
@@ -31,6 +30,7 @@ from benchmarks import throughput_page, throughput_parts
 from benchmarks.common import ROOT, machine, renew_page, spread, study_parser
 from soil_env._io.commands import command_line, leave
 from soil_env._io.files import make_folder, write_json
+from soil_env._io.loading import read_json
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.simulation.task import Cause
@@ -282,7 +282,7 @@ def main(arguments: list[str] | None = None) -> int:
         result = run(options.smoke, print, parts_alone=True)
         sections = {name: throughput_page.SECTIONS[name](result) for name in ("parts", "rates", "estimators")}
         file = options.out / "performance.json"
-        kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+        kept = read_json(file) if file.exists() else {}
         new = {"parts": result["parts"], "limit": result["limit"], "machine_of_parts": result["machine"]}
         write_json(file, kept | new)
         renew_page(ROOT / "docs" / "performance.md", sections, options.out / "performance.md")

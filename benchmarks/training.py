@@ -10,7 +10,6 @@ One thread throughout: then wall time is processor time even where others use th
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from dataclasses import replace
@@ -30,6 +29,7 @@ from benchmarks.common import ROOT, machine, machine_text, range_text, renew_pag
 from soil_env._io.commands import command_line, leave
 from soil_env._io.document import Table
 from soil_env._io.files import make_folder, write_json
+from soil_env._io.loading import read_json
 from soil_env.parameters import load_scenario
 
 SMALL = ppo.PPOConfig(num_envs=128, n_steps=128, n_epochs=6, batch_size=1024, activation="tanh", history=0, threads=1)
@@ -100,7 +100,7 @@ def sections(result: dict) -> dict[str, str]:
 def measure(options: argparse.Namespace) -> None:
     """Measure what training.json does not have yet, and write it and its page."""
     path = options.out / "training.json"
-    result = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    result = read_json(path) if path.is_file() else {}
     if options.run is not None:
         result["run"] = Times(options.run).seconds
     if "update" not in result:

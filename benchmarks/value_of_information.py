@@ -14,7 +14,6 @@ What was driven already is read from value_of_information.json and not driven ag
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from benchmarks.common import ROOT, check_page, renew_page, study_parser
 from soil_env._io.commands import command_line, leave
 from soil_env._io.document import Table
 from soil_env._io.files import make_folder, write_json
+from soil_env._io.loading import read_json
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import LINES, layout
 from soil_env.slip import rim_speeds
@@ -247,7 +247,7 @@ def main(arguments: list[str] | None = None) -> int:
     tries, tuning, courses = (1, 4, 8) if options.smoke else (24, 200, 1000)
     make_folder(options.out)
     file = Path(options.out) / "value_of_information.json"
-    results = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    results = read_json(file) if file.is_file() else {}
     for arm in ARMS:
         if arm.name not in results:
             results[arm.name] = measure(arm, tries, tuning, courses)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import functools
+import json
 import math
 import re
 import sys
@@ -313,6 +314,19 @@ def read_yaml(path: Path) -> dict:
         return {}
     if not isinstance(content, dict):
         raise ParameterError(f"{path}: expected a mapping at the top, got {type(content).__name__}")
+    return content
+
+
+def read_json(path: Path) -> dict:
+    """The object in a JSON file; `ParameterError` if it cannot be read as one."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError) as error:  # no UTF-8 either
+        raise ParameterError(f"{path}: not valid JSON ({str(error)[:200]})") from None
+    if not isinstance(content, dict):
+        raise ParameterError(f"{path}: expected an object at the top, got {type(content).__name__}")
     return content
 
 

@@ -61,6 +61,23 @@ def test_parts_without_the_others_are_refused(tmp_path, capsys):
     )
 
 
+@pytest.mark.parametrize("content", ["{broken", "[]", '{"made": 3}', "\\xff", '{"made": {"online": "x"}}'])
+def test_a_broken_file_of_the_other_parts_is_refused_before_anything_is_made(tmp_path, capsys, content, monkeypatch):
+    monkeypatch.setattr(identification, "study", lambda *_: pytest.fail("made"))
+    (tmp_path / "identification.json").write_bytes(content.encode().decode("unicode_escape").encode("latin-1"))
+    assert identification.main(["--smoke", "--parts", "speed", "--out", str(tmp_path)]) == 2
+    said = capsys.readouterr().err.strip()
+    assert "identification.json: " in said and "\n" not in said
+
+
+def test_parts_of_another_version_lose_nothing(folder, tmp_path, capsys):
+    kept = _read(folder) | {"one_soil": {}}
+    (tmp_path / "identification.json").write_text(json.dumps(kept))
+    assert identification.main(["--smoke", "--parts", "speed", "--out", str(tmp_path)]) == 2
+    assert "is of another version (KeyError" in capsys.readouterr().err
+    assert _read(tmp_path)["speed"] != kept["speed"]
+
+
 def test_no_contender_reads_a_wheel_that_turns_backwards():
     scenario = load_scenario("mixed")
     reading = SensorReading(0.3, 0.03, 20.0, 150.0, 10.0, 0.1, 0.15, 0.0, 10.0, 0.0)
