@@ -69,7 +69,8 @@ def markdown(result: dict) -> str:
         manoeuvre=identification_drives.manoeuvre_table(result["manoeuvre"]),
         other=_other(result["other_seed"]),
         one_soil=identification_one_soil.table(result["one_soil"]),
-        one_soil_over={row[0]: row[4] for row in identification_one_soil.table(result["one_soil"]).rows},
+        one_soil_over={row: _intervals(ratio) for row, ratio in result["one_soil"]["ratio"].items()},
+        library=identification_drives.library_table(result["other_seed"]["library"]),
         over_bound=_intervals(bound["ratio"]["filter bank"]),
         window_over_bound=_intervals(bound["ratio"]["moving window"]),
         near=_triple([sum(row[5][j] for row in bound["loss"] if row[1] <= 1.0) for j in range(3)], "{:.0%}"),
@@ -83,7 +84,7 @@ def _other(found: dict) -> dict[str, str]:
     """What the page says of the other courses: errors, ratios and intervals in words."""
     ours, exact, rms = "filter bank", found["exact_slip"], found["rms"]
     errors = lambda values: "{:.2f} deg, {:.3f} and {:.3f}".format(*values)  # noqa: E731
-    ratios = lambda of: "{:.2f}, {:.2f} and {:.2f}".format(*of["ratio"][ours]["value"])  # noqa: E731
+    ratios = lambda of: _intervals(of["ratio"][ours])  # noqa: E731
     best, stressed = rms["bound, all sensors"]["all"], rms["bound, all sensors and the stress on the rim"]["all"]
     above = [[v[j] ** 2 - best[j] ** 2 for j in range(3)] for v in (rms[ours]["all"], exact["rms"][ours]["all"])]
     gone = [1.0 - after / before for before, after in zip(*above, strict=True)]

@@ -35,9 +35,9 @@ TRIANGLE = CROSSING * (CROSSING + 1) // 2
 MEANS, COVARIANCES = CROSSING * COUNT, TRIANGLE * COUNT
 CANDIDATES = 2 * COUNT  # places of a border that are tested at a time
 STAYS = COUNT - 1  # the filter to which the soil stays the same on a border
-#: Power of the likelihood by which the filters of a library are weighed. Each is linearised within its narrow prior and
-#: surer of its soil than the readings are (tempered likelihood: Gruenwald & van Ommen 2017, Bayesian Analysis
-#: 12:1069-1103); set on courses of seeds 7001 and 7002.
+#: Power of the likelihood by which the filters of a library are weighed: by the likelihood itself they are too sure
+#: behind borders (tempered likelihood: Gruenwald & van Ommen 2017, Bayesian Analysis 12:1069-1103). Set on courses of
+#: seeds 7001 and 7002.
 POWER_OF_SOILS = 0.5
 #: The open point of each bank, sums over its readings, and its clocks.
 FilterPoint: type[Rows] = rows(

@@ -17,6 +17,7 @@ from soil_env.parameters import Scenario
 
 SIZE = 6  # (phi, ln K, q, c, n, ln g), as in `linearised`, but for the friction angle
 PARTS = COUNT - 1
+_REACH = {2: 0.555, 3: 1.05, 4: 1.4, 5: 1.65, 6: 1.8, 7: 1.9}  # [sd] of the outermost of so many parts
 _NEVER = -700.0  # ln weight of a filter that is not used
 
 
@@ -33,13 +34,13 @@ Gaussian = tuple[float, np.ndarray, np.ndarray]  # weight, mean [SIZE], covarian
 
 
 def split(gaussian: Gaussian, parts: int) -> list[Gaussian]:
-    """A Gaussian as a mixture of narrower ones along ln K: means evenly within 1.9 standard deviations."""
+    """A Gaussian as a mixture of narrower ones along ln K, with means evenly within `_REACH`; its standard deviation is
+    kept to 3 %."""
     weight, mean, covariance = gaussian
     if parts == 1:
         return [gaussian]
-    reach = 1.9 if parts > 2 else 0.6
-    at = np.linspace(-reach, reach, parts)
-    share = min(0.75 * (at[1] - at[0]), 0.9)
+    at = np.linspace(-_REACH[parts], _REACH[parts], parts)
+    share = 0.75 * (at[1] - at[0])
     weights = np.exp(-0.5 * at**2 / (1.0 - share**2))
     along = covariance[:, 1] / math.sqrt(covariance[1, 1])
     narrower = covariance - (1.0 - share**2) * np.outer(along, along)
