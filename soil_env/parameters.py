@@ -6,7 +6,6 @@ Presets with their sources: configs/soils.yaml, configs/wheels.yaml, configs/sce
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cache, partial
@@ -36,6 +35,8 @@ from soil_env.soil_parameters import (
     correlation_factor,
     lumped_coefficient as lumped_coefficient,
 )
+
+_HEAVIEST = 1e9  # weight of a soil
 
 # --- wheel ------------------------------------------------------------------------------------------------------------
 
@@ -132,7 +133,7 @@ class Belief(Checked):
     )  # fmt: skip
     soils: dict[str, float] = field(
         default_factory=dict
-    )  # library of soils that may come, with weights; {} = not known
+    )  # library of soils that may come, with weights, of the filter; {} = not known
     spread: SoilSpread | None = None  # of the soils of that library; None: as those of the courses
 
     def __post_init__(self) -> None:
@@ -224,14 +225,14 @@ class Scenario(Checked):
         for name, weight in self.soils.items():
             if name not in library:
                 raise unknown_key(name, library, "soils")
-            if not (math.isfinite(weight) and weight >= 0.0):
-                raise ParameterError(f"soils.{name} = {weight!r}: expected a weight >= 0")
+            if not 0.0 <= weight <= _HEAVIEST:
+                raise ParameterError(f"soils.{name} = {weight!r}: expected a weight >= 0, at most {_HEAVIEST:g}")
             library[name].lumped(self.wheel.width)
         for name, weight in self.belief.soils.items():
             if name not in library:
                 raise unknown_key(name, library, "belief.soils")
-            if not (math.isfinite(weight) and weight > 0.0):
-                raise ParameterError(f"belief.soils.{name} = {weight!r}: expected a weight > 0")
+            if not 0.0 < weight <= _HEAVIEST:
+                raise ParameterError(f"belief.soils.{name} = {weight!r}: expected a weight > 0, at most {_HEAVIEST:g}")
         if self.belief.method == "none" and self.reward.information > 0.0:
             raise ParameterError("reward.information: expected 0 where belief.method = 'none' identifies nothing")
         if sum(self.soils.values()) <= 0.0:

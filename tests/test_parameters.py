@@ -99,6 +99,8 @@ BAD_SCENARIO = [
     ({"course": {"grade_deg": [10, -5]}}, ["grade_deg", "10"]),
     ({"course": {"grade_deg": [1, 2, 3]}}, ["grade_deg", "[1, 2, 3]"]),
     ({"course": {"lenght": 5}}, ["lenght", "'length'"]),
+    ({"belief": {"soils": {"dry_sand": 1e308, "quartz_sand": 1e308}}}, ["belief.soils.dry_sand", "at most 1e+09"]),
+    ({"soils": {"dry_sand": float("inf")}}, ["soils.dry_sand", "at most 1e+09"]),
     ({"spread": {"friction_cohesion": 0.9, "friction_stiffness": 0.9}}, ["correlations"]),
     ({"belief": {"friction_cohesion": 0.9, "friction_stiffness": 0.9}}, ["belief", "correlations"]),
     ({"control": {"action": "voltage"}}, ["action", "voltage"]),

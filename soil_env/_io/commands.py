@@ -100,7 +100,7 @@ def whole_number(least: int = 0) -> Callable[[str], int]:
         except ValueError:
             value = -1.0
         if not (least <= value < 1e15 and value == int(value)):
-            raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= {least}")
+            raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= {least}, below 1e15")
         return int(value)
 
     return convert
