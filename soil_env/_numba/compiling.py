@@ -51,8 +51,9 @@ def _uninterrupted(function, arguments, keywords):
     """
     if _mask is None:
         return function(*arguments, **keywords)
-    before = _mask(signal.SIG_BLOCK, (signal.SIGINT,))
+    before = _mask(signal.SIG_BLOCK, ())
     try:
+        _mask(signal.SIG_BLOCK, (signal.SIGINT,))  # which raises an interrupt that has come already
         return function(*arguments, **keywords)
     finally:
         _mask(signal.SIG_SETMASK, before)

@@ -13,6 +13,7 @@ import pytest
 from numba import njit
 from numba.core.errors import NumbaError
 
+from soil_env._numba import compiling
 from soil_env._numba.compiling import FastCall, inlined, part, root, take
 
 
@@ -150,3 +151,20 @@ def test_an_interrupt_while_results_are_made_into_tuples_is_no_crash():
         child.send_signal(signal.SIGINT)
         assert child.wait(60) == 130
         child.stdout.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no masks of signals")
+def test_an_interrupt_just_before_leaves_nothing_held_back(monkeypatch):
+    """`pthread_sigmask` raises what has come already once the mask is set."""
+    true = signal.pthread_sigmask
+
+    def raises(how, which):
+        before = true(how, which)
+        if how == signal.SIG_BLOCK and which:
+            raise KeyboardInterrupt
+        return before
+
+    monkeypatch.setattr(compiling, "_mask", raises)
+    with pytest.raises(KeyboardInterrupt):
+        compiling._uninterrupted(lambda: pytest.fail("called"), (), {})
+    assert signal.SIGINT not in true(signal.SIG_BLOCK, ())
