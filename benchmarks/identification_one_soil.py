@@ -35,10 +35,12 @@ from soil_env.slip import motion_from_slip, travel_rate
 
 STEPS = 8  # of a soil, evenly over those that are driven, at which all are judged
 MASS, FIRST, UNKNOWNS = 6, 7, 8  # after the soil (phi, ln K, q, c, n, ln g): mass [kg] and first sinkage [m]
+# Bounds of the unknowns, in that order; the highest sinkage is that of `_DEEPEST` of the wheel of "mixed".
+_DEEPEST = 0.85  # [radii]
 _LOWEST = np.array([0.02, math.log(2e-4), math.log(1e3), -1000.0, 0.3, -3.0, 0.05, 1e-4])
 _HIGHEST = np.array([1.2, math.log(0.3), math.log(1e13), 2e5, 2.5, 3.0, 1e6, 0.13])
-_ROUNDS, _SMALL = 30, 1e-4
-_LEFT = 1.0  # of -2 ln posterior
+_ROUNDS, _SMALL = 30, 1e-4  # Gauss-Newton steps; change of -2 ln posterior that ends them
+_MISSED = 1.0  # of -2 ln posterior, by which another start must be better for a fit to count as missed
 _UNIT = np.array([math.degrees(1.0), 1.0, 1.0])
 
 
@@ -68,14 +70,14 @@ class Readings(NamedTuple):
     sinkage: np.ndarray  # [m]
     channels: np.ndarray  # [T, 4] drawbar pull [N], torque of sensor and motor [N m], acceleration [m/s2]
     variances: np.ndarray  # [T, 4]
-    used: np.ndarray  # [T] whether forces and slip say anything
+    used: np.ndarray  # [T] whether forces and slip say anything, as the filter has it
     load: np.ndarray  # [N]
-    path: np.ndarray  # [T] of the law of sinkage since the step before: A dt, |r w - V| dt / l
-    sliding: np.ndarray
+    path: np.ndarray  # [T] of the law of sinkage (`effects.excavation_rate`) since the step before: A dt
+    sliding: np.ndarray  # [T] and |r w - V| dt / l
 
 
 def readings_of(log: dict, n: FilterNumbers) -> Readings:
-    """`Readings` of a log's noisy readings."""
+    """`Readings` of a log's noisy readings: slip and speeds are made one slip by their precisions."""
     r, sd = log["readings"].T, n.noise
     u, slip = r[6], np.clip(r[0], -0.95, 0.98)
     travel = np.array([motion_from_slip(i)[1] for i in slip])
@@ -140,7 +142,11 @@ def _sinkages(J: np.ndarray, x: np.ndarray, guess: np.ndarray, r: Readings, n: F
 
 
 def evaluate(x: np.ndarray, slip: np.ndarray, guess: np.ndarray, r: Readings, scenario: Scenario) -> Fit:
-    """`Fit` at unknowns x and slips, the contact linearised at sinkages `guess`; the slips are eliminated."""
+    """`Fit` at unknowns x and slips, the contact linearised at sinkages `guess`.
+
+    The slips are eliminated: their errors add slope slope' times their variance to the covariance of a reading's forces
+    (errors in variables: Fuller 1987, Measurement Error Models, Sec. 1.4).
+    """
     n, T = filter_numbers(scenario), len(slip)
     here = {"soil": np.tile(x[:6], (T, 1)), "mass": np.full(T, x[MASS]), "slip": slip, "sinkage": guess}
     J = jacobians(here | r.log, scenario)
@@ -177,7 +183,7 @@ def evaluate(x: np.ndarray, slip: np.ndarray, guess: np.ndarray, r: Readings, sc
 
 def _settled(x: np.ndarray, slip: np.ndarray, guess: np.ndarray, r: Readings, scenario: Scenario) -> Fit:
     """`evaluate` with the contact linearised at the sinkages that follow."""
-    deepest = 0.85 * scenario.wheel.radius
+    deepest = _DEEPEST * scenario.wheel.radius
     fit = evaluate(x, slip, np.clip(guess, 1e-4, deepest), r, scenario)
     return evaluate(x, slip, np.clip(fit.sinkage, 1e-4, deepest), r, scenario)
 
@@ -282,7 +288,7 @@ def under_the_library(log: dict, t: int, P: np.ndarray, own: int, library: list,
 def study(scenario: Scenario, courses: int, seed: int, say=print) -> dict:
     """{"rms": {row: [3]}, "ratio": {row: those over the bound, with 95 % intervals over soils}, "soils": their number,
     "recognised": mean probability of the soil under the library, "missed": share of the fits that a start at
-    the truth betters by more than `_LEFT`, "law_error": RMS and 95th percentile [m] of `law_error`}."""
+    the truth betters by more than `_MISSED`, "law_error": RMS and 95th percentile [m] of `law_error`}."""
     told, which = _told(scenario, dict(scenario.soils)), [_told(scenario, {name: 1.0}) for name in scenario.soils]
     library, rng = of_library(told, 0.03), np.random.default_rng([seed, 7])
     logs, squares, recognised, missed, left = (
@@ -325,7 +331,7 @@ def study(scenario: Scenario, courses: int, seed: int, say=print) -> dict:
         "courses": courses, "seed": seed, "soils": len(logs), "recognised": float(np.mean(recognised)),
         "rms": {label: (np.sqrt(v.sum(axis=0) / (STEPS * len(logs))) * _UNIT).tolist() for label, v in sums.items()},
         "ratio": {label: ratio_of_sums(v, sums["bound"], picks, root=True) for label, v in sums.items()},
-        "missed": float(np.mean(np.concatenate(left) > _LEFT)),
+        "missed": float(np.mean(np.concatenate(left) > _MISSED)),
         "law_error": {"rms": float(np.sqrt((away**2).mean())), "p95": float(np.percentile(away, 95))},
     }  # fmt: skip
 

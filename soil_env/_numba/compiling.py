@@ -70,9 +70,8 @@ class Part:
         update_wrapper(self, function)
         self.py_func = function
         self._root = None
-        self._given: dict[
-            tuple[type, ...], bool
-        ] = {}  # whether the root of such arguments, once compiled, gives tuples
+        # Whether the root gives tuples for arguments of these types; none where it was not called with them yet.
+        self._given: dict[tuple[type, ...], bool] = {}
         compiled = njit(_nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=PART, **_OPTIONS)
         self.dispatcher = compiled(function)
         template = self.dispatcher.get_call_template

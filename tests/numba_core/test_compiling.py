@@ -143,7 +143,7 @@ except KeyboardInterrupt:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no masks of signals, no SIGINT to a child")
 def test_an_interrupt_while_results_are_made_into_tuples_is_no_crash():
-    """Seven of ten such processes ended by a segmentation fault, when nothing held the interrupt back."""
+    """Most such processes ended by a segmentation fault when nothing held the interrupt back."""
     for wait in (0.2, 0.23, 0.27, 0.31, 0.36):
         child = subprocess.Popen([sys.executable, "-c", _LOOP], stdout=subprocess.PIPE, text=True)
         assert child.stdout.readline() == "begun\n"
