@@ -36,10 +36,11 @@ DOCS_READY := $(VENV)/.installed-docs
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
 
-train: $(TRAIN_READY)  ## install what training needs, then run train.py $(ARGS)
+# Compiling the kernels takes one core for a while; the rest of the installation, lint and site the other.
+train: $(BASE_READY)  ## install what training needs, then run train.py $(ARGS)
+	$(MAKE) -j 2 kernels $(TRAIN_READY)
 	$(PY) train.py $(ARGS)
 
-# Compiling the kernels takes one core for a while; the rest of the installation, lint and site the other.
 test: $(BASE_READY)  ## lint, build the site, compile the kernels, run the tests
 	$(MAKE) -j 2 kernels checks
 	$(PY) -m pytest -q -n $(JOBS) --dist worksteal $(ARGS)
@@ -103,7 +104,7 @@ $(BASE_READY): pyproject.toml constraints.txt | $(PY)
 	$(PIP) install -q --no-compile -c constraints.txt -e .
 	@touch $@
 
-$(TRAIN_READY): pyproject.toml constraints.txt $(TORCH_READY)
+$(TRAIN_READY): pyproject.toml constraints.txt $(BASE_READY) $(TORCH_READY)
 	$(PIP) install -q --no-compile -c constraints.txt -e '.[train]'
 	@touch $@
 

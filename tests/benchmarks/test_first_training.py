@@ -103,10 +103,12 @@ def test_the_file_of_cleanrl_is_run_unchanged_under_the_gymnasium_it_was_written
     (tmp_path / "cleanrl").mkdir()
     (tmp_path / "cleanrl" / "ppo_continuous_action.py").write_text(SCRIPT, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
     here, registered = os.getcwd(), set(gymnasium.registry)
     names = gymnasium.vector.SyncVectorEnv, gymnasium.wrappers.TransformObservation, sys.argv
     agent = first_learners.trained("cleanrl.PPO", load_scenario("mixed"), "blind", 7, 3)
-    assert capsys.readouterr().out == "" and os.getcwd() == here and not os.path.exists("runs")
+    assert capsys.readouterr().out == "" and os.getcwd() == here and not os.listdir(here)
     assert (gymnasium.vector.SyncVectorEnv, gymnasium.wrappers.TransformObservation, sys.argv) == names
     assert set(gymnasium.registry) == registered
     env = gymnasium.make("SoilWheel-v0", scenario="mixed", observation="blind", scaled=False)
