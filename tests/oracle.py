@@ -21,10 +21,10 @@ from tests import oracle_cases, oracle_runs
 FILE = Path(__file__).parent / "data" / "oracle.npz"
 TOLERANCE = 1e-9  # of the largest value that a quantity has over the case
 SINGLE = 1.2e-7  # the same for float32, whose last digit may be rounded the other way
-#: The same for results of optimisers, which stop near the optimum, not at it: ten times what --nudge 1e-15 changes.
-SEARCHED = {"identification": 1e-7, "discrepancy": 2e-5}
-#: Rivals that lose, which the search follows less far: the same for how well each of them explains a table.
-RIVAL, RIVALS = 3e-4, "ranking."
+#: The same for results of optimisers, which stop near the optimum, elsewhere on another processor or BLAS. They are
+#: compared to what they mean: texts such as a verdict exactly, a probability to 0.01, a parameter to a small share of
+#: its interval.
+SEARCHED = {"identification": 1e-4, "discrepancy": 1e-2}
 #: Worlds with added forces: Newton's method has their derivatives in closed form, not by differences, since the laws
 #: are written once, and so ends within its tolerance elsewhere.
 ADDED = 1e-6
@@ -35,8 +35,6 @@ UNIT = ("probability", "p_value", "share", "chance", "score", "residual")
 
 def tolerance(case: str, name: str, values: np.ndarray) -> float:
     """Largest difference from the recorded `values` of a quantity, over their scale."""
-    if name.startswith(RIVALS):
-        return RIVAL
     if case in ADDED_FORCES:
         return ADDED
     return SEARCHED.get(case.split("/")[0], SINGLE if values.dtype == np.float32 else TOLERANCE)
