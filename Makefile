@@ -75,8 +75,8 @@ dist: $(TEST_READY)  ## wheel and sdist into dist/
 	$(PIP) install -q --no-compile -c constraints.txt build
 	$(PY) -m build
 
-bench: $(TRAIN_READY)  ## run the studies of identification and throughput, renew their pages
-	$(PY) benchmarks/identification.py $(ARGS)
+bench: $(TRAIN_READY)  ## run the studies of fits to tables and throughput, renew their pages
+	$(PY) benchmarks/table_fits.py $(ARGS)
 	$(PY) benchmarks/throughput.py $(ARGS)
 
 clients: $(TRAIN_READY)  ## smoke runs in rl-zoo3, RLlib, Minari, Ray, TorchRL and others, each in an environment of its own

@@ -83,8 +83,8 @@ def scenario_of(config: TrainConfig) -> Scenario:
         scenario = load_scenario(config.scenario, config.changes)
     if scenario.belief.method == "none":
         raise ParameterError(
-            "belief.method = 'none': expected 'filter' or 'window': the agent is compared with best_slip_identified, "
-            "which is told the identified soil"
+            "belief.method = 'none': expected 'filter': the agent is compared with best_slip_identified, which is told "
+            "the identified soil"
         )
     return scenario
 

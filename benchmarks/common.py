@@ -1,4 +1,4 @@
-"""What several benchmarks share: the machine, rounds of a measurement, options, pages with marked parts."""
+"""What several benchmarks share: the machine, rounds of a measurement, intervals, options, pages with marked parts."""
 
 from __future__ import annotations
 
@@ -23,6 +23,24 @@ TORQUE = {"control": {"action": "torque"}}
 def spread(values) -> dict[str, float]:
     """Median, lowest and highest of rounds."""
     return {"median": float(np.median(values)), "low": float(np.min(values)), "high": float(np.max(values))}
+
+
+def ratio_of_sums(top: np.ndarray, bottom: np.ndarray, picks: np.ndarray, root: bool = False) -> dict:
+    """Value and 95 % bootstrap interval over courses of sum(top)/sum(bottom), per column of [courses, ...].
+
+    Of its square root with `root`; `picks` [draws, courses] are the courses of each draw.
+    """
+
+    def value(t, b):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            q = t / b
+        return np.sqrt(q) if root else q
+
+    counts = np.stack([np.bincount(p, minlength=len(top)) for p in picks]).astype(float)  # [draws, courses]
+    drawn = value(np.tensordot(counts, top, 1), np.tensordot(counts, bottom, 1))
+    low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
+    whole = value(top.sum(0), bottom.sum(0))
+    return {"value": np.asarray(whole).tolist(), "low": np.asarray(low).tolist(), "high": np.asarray(high).tolist()}
 
 
 def range_text(value: dict, digits: int = 2, scale: float = 1.0) -> str:

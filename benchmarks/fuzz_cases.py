@@ -128,8 +128,8 @@ def _scenario(c: Choices, most_substeps: int) -> dict:
 
 
 def _belief(c: Choices) -> dict:
-    """A prior of either identifier; that of the filter sometimes has a library of soils."""
-    out = _half(c, Belief, CONTRADICTING) | {"method": c.pick(["filter", "filter", "window"])}
+    """A prior of the identifier, sometimes with a library of soils."""
+    out = _half(c, Belief, CONTRADICTING)
     if c.pick([True, False, False]):
         names = sorted(soils())
         out["soils"] = {c.pick(names): c.number(0.1, 1.0) for _ in range(c.pick([1, 3, 12]))}

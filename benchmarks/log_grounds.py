@@ -1,10 +1,10 @@
 """Steady points of logs by ground: how many lie on one soil, and what the fits of their tables say of it.
 
-    python -m benchmarks.log_grounds                 40 courses of scenario "mixed", seeds from 0 on; a minute or two
+    python -m benchmarks.log_grounds                 40 courses of scenario "mixed", held out; a minute or two
     python -m benchmarks.log_grounds --courses 5
 
-A drive that holds four speeds for 2.5 s each is read as a log. The border that the filter found decides to which ground
-a steady point belongs; the course knows which soil it was. Tables of one ground are fitted as
+A drive that holds four speeds for 2.5 s each is read as a log. The borders that were found decide to which ground a
+steady point belongs; the course knows which soil it was. Tables of one ground are fitted as
 `python -m soil_env.identification` does, and so is the table of all points.
 """
 
@@ -14,61 +14,41 @@ import math
 import tempfile
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 
-import soil_env  # noqa: F401  (registers SoilWheel-v0)
+from agents.evaluate import HELD_OUT_SET
+from benchmarks.drives import record
+from benchmarks.logs import SteppedSpeed, log_of
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env._io.document import Table
 from soil_env.identification.table import identify_table
-from soil_env.logs import LogMap, Source, replay, steady_windows
-from soil_env.logs.align import Aligned
+from soil_env.logs import replay, steady_windows
 from soil_env.logs.grounds import files, grounds
-from soil_env.logs.mapping import Channels, RoverWheel
 from soil_env.measurement.table import read_setup, read_table
+from soil_env.parameters import Scenario, load_scenario
 
 NAME = "benchmarks.log_grounds"
-_SPEEDS, _HOLD, _STEPS = (0.25, 0.45, 0.35, 0.6), 25, 600
-_CHANNELS = ("wheel_speed", "speed", "sinkage", "drawbar_pull", "load", "torque", "slip", "pitch", "motor_torque",
-             "acceleration")  # fmt: skip
 
 
-def drive(seed: int):
-    """(log of a drive, its map, place [N] of each step in m, edges of the soils [m], soils [n, 7] as `SoilState`)."""
-    env = gymnasium.make("SoilWheel-v0", scenario="mixed", action="torque", scaled=False).unwrapped
-    env.reset(seed=seed)
-    scenario, rows, places = env.scenario, [], []
-    weight, r, top = scenario.weight, scenario.wheel.radius, scenario.wheel.no_load_speed
-    unit = {"rim_speed": top, "speed": top * r, "sinkage": r, "drawbar_pull": weight, "load": weight,
-            "torque": weight * r, "slip": 1.0, "pitch": 1.0, "motor_torque": weight * r,
-            "acceleration": scenario.gravity}  # fmt: skip
-    for step in range(_STEPS):
-        observation, _, over, late, _ = env.step([_SPEEDS[step // _HOLD % len(_SPEEDS)]])
-        seen = dict(zip(env.observation_names, observation.tolist(), strict=True))
-        rows.append([scale * seen[name] for name, scale in unit.items()])
-        places.append(float(env.simulation.worlds.state.x[0]))
-        if over or late:
-            break
-    period, courses = scenario.control.period, env.simulation.worlds.courses
-    readings = dict(zip(_CHANNELS, np.array(rows).T, strict=True))
-    wheel = scenario.wheel
-    rover = RoverWheel(wheel.radius, wheel.width, wheel.body_mass, wheel.inertia)
-    log_map = LogMap(rover, Channels(**{n: Source(column=n) for n in _CHANNELS}), period=period, belief=scenario.belief)
-    log = Aligned(0, period * np.arange(len(rows)), readings, {}, period)
-    return log, log_map, np.array(places), courses.edges[0].copy(), courses.soils[0].copy()
+def judge(driven: dict[str, np.ndarray], scenario: Scenario, folder: Path) -> dict[str, list[float]]:
+    """Of one course: points, those that lie on two soils, and of each table whether its intervals hold phi and K.
 
-
-def judge(seed: int, folder: Path) -> dict[str, list[float]]:
-    """Of one course: points, those that lie on two soils, and of each table whether its intervals hold phi and K."""
-    log, log_map, places, edges, soils = drive(seed)
+    And the borders: true ones that the wheel came to, those that the filter saw, those that counted, and of these the
+    ones within a border length of a true one.
+    """
+    log, log_map = log_of(driven, scenario)
+    edges, soils, places = driven["edges"], driven["soils"], driven["x"]
     found = replay(log, log_map)
     steady = steady_windows(log, log_map, found.ground)
     parts = grounds(found, steady)
+    begins = places[np.flatnonzero(np.diff(found.ground)) + 1]
+    near = [bool(np.min(np.abs(edges - x), initial=math.inf) < scenario.belief.border) for x in begins]
+    borders = [int(np.sum(edges < places.max())), found.borders, len(near), sum(near)]
     steps = round(log_map.windows.duration / log.period)
-    soil_of, out = {}, {"points": [], "one": [], "all": []}
+    soil_of, out = {}, {"points": [], "one": [], "all": [], "borders": [borders]}
     for ground, start in zip(steady.ground, steady.start, strict=True):
         first = int(np.searchsorted(log.time, start - 1e-9))
-        ends = {int(np.sum(edges[1:] <= places[min(k, places.size - 1)])) for k in (first, first + steps - 1)}
+        ends = {int(np.sum(edges <= places[min(k, places.size - 1)])) for k in (first, first + steps - 1)}
         main = soil_of.setdefault(ground, min(ends))
         out["points"].append(float(ends == {main}))
     for name, text in files(parts, steady, log_map, found.prior).items():
@@ -99,12 +79,13 @@ def judge(seed: int, folder: Path) -> dict[str, list[float]]:
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     p = command_parser(f"python -m {NAME}", __doc__)
-    p.add_argument("--courses", type=whole_number(1), default=40, help="seeds from 0 on (default 40)")
+    p.add_argument("--courses", type=whole_number(1), default=40, help="held out (default 40)")
     options = p.parse_args(arguments)
-    found = []
-    for seed in range(options.courses):
+    scenario, found = load_scenario("mixed"), []
+    for driven in record(SteppedSpeed(scenario), scenario, options.courses, HELD_OUT_SET):
         with tempfile.TemporaryDirectory() as folder:
-            found.append(judge(seed, Path(folder)))
+            found.append(judge(driven, scenario, Path(folder)))
+    true, seen, counted, near = np.sum([f["borders"][0] for f in found], axis=0)
     points = [x for f in found for x in f["points"]]
     rows = []
     for kind, words in (("one", "of one ground"), ("all", "of all points, several soils")):
@@ -114,6 +95,10 @@ def main(arguments: list[str] | None = None) -> int:
             rows.append((words, len(tables), f"{100 * held:.0f} %", f"{width:.3g}"))
     print(
         f"{len(points)} steady points on {options.courses} courses; {int(sum(points))} lie on the soil of their table"
+    )
+    print(
+        f"{true} borders that the wheel came to; {seen} that the filter saw; {counted} that counted, {near} of these "
+        "within a border length of a true one"
     )
     header = ("tables", "number", "95 % intervals that hold phi and K", "high over low of K, median")
     print(Table(header, rows).text())

@@ -1,7 +1,7 @@
 """What the wheels of a rover know of the soil: each by itself, and pooled, by the distance behind a border.
 
     python benchmarks/rover_identification.py                  minutes; writes docs/rover_identification.json and the
-                                                               tables of docs/rover_identification.md
+                                                               table of docs/rover_identification.md
     python benchmarks/rover_identification.py --courses 10 --out X   in seconds
 
 Each rover drives courses that nothing was set on, at a slip that swings slowly, each axle at a phase of its own: 20 %
@@ -23,15 +23,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 
-from benchmarks.common import ROOT, renew_page, study_parser
-from benchmarks.identification_bound import jacobians
-from benchmarks.identification_online import ratio_of_sums
+from benchmarks.common import ROOT, ratio_of_sums, renew_page, study_parser
 from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.document import Table
 from soil_env._io.files import make_folder, plain, write_json
 from soil_env._numba.compiling import root
-from soil_env.identification.linearised import LN_DEPTH, MASS, SINKAGE, SLIP
-from soil_env.identification.mixture_prior import moments, prior_of_belief
+from soil_env.identification.soil_prior import published_prior
 from soil_env.parameters import Belief
 from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.rover.task import axle_names
@@ -51,7 +48,6 @@ PLACES = (0.5, 1.0, 2.0)
 _BAND = 0.06  # [wheelbases] to either side
 _SHARED = np.array([0, 1, 3])  # phi, ln K, c of an estimate
 _UNIT = np.array([math.degrees(1.0), 1.0, 1e-3])
-_OF_WHEEL = ("slip", "sinkage", "load", "grade", "wheel_speed")
 
 
 def scenario_of(rover: str, case: str) -> RoverScenario:
@@ -72,8 +68,7 @@ def _soils(wheels, counts, courses, border, rows, out):
             k, o = rows[j, a], out[j, a]
             soil, _, patch = ground_at(courses, j, wheels.x[k], counts.patch[k], border)
             o[0], o[1], o[2] = math.atan(soil.tan_phi), math.log(soil.shear_modulus), soil.cohesion
-            o[3], o[4] = soil.sinkage_exponent, math.log(soil.sinkage_coefficient)
-            o[5], o[6] = patch, wheels.x[k] - courses.edges[j, patch]
+            o[3], o[4] = patch, wheels.x[k] - courses.edges[j, patch]
 
 
 class SwingingSlip:
@@ -109,7 +104,10 @@ class ConstantSpeed:
 
 
 def record(scenario: RoverScenario, courses: int, seed: int, drive) -> tuple[dict[str, np.ndarray], dict]:
-    """Drive the courses: arrays [T, courses, axles, ...] of truth and estimates, and how the courses ended."""
+    """Drive the courses: arrays [T, courses, axles, ...] of truth and estimates, and how the courses ended.
+
+    "soil" is (phi, ln K, c, number of the patch, distance behind its beginning [m]).
+    """
     simulation = RoverSimulation(courses, scenario, "blind", 2)
     for j in range(courses):
         simulation.seed(j, np.random.default_rng([seed, j]))
@@ -119,14 +117,13 @@ def record(scenario: RoverScenario, courses: int, seed: int, drive) -> tuple[dic
     while going.any():
         commands = drive(w.observation[:, 0].astype(float))
         simulation.step_all(commands, np.where(going, STEP, IDLE))
-        soils = np.empty((*rows.shape, 7))
+        soils = np.empty((*rows.shape, 5))
         _soils(w.rovers.wheels, w.rovers.counts, w.courses, scenario.course.border, rows, soils)
         driven = going & (np.array(w.rovers.body["halt_left"]) == 0.0)
         log.append({
             "soil": soils, "driven": np.repeat(driven[:, None], rows.shape[1], 1),
             "alone": w.ids.estimate[rows], "alone_sd": w.ids.sd[rows],
             "pooled": w.known.estimate[rows], "pooled_sd": w.known.sd[rows],
-            **{name: np.array(w.rovers.wheels[name])[rows] for name in _OF_WHEEL},
         })  # fmt: skip
         going &= w.cause == Cause.RUNNING.value
     ends = [Cause(c).name.lower() for c in w.cause]
@@ -142,7 +139,7 @@ def _where(log: dict, scenario: RoverScenario) -> dict[str, np.ndarray]:
     """{place: [T, courses, axles]}: steps with the front axle so far behind a border, of the axles behind it too; steps
     in which an axle behind the front one has just left a border."""
     base, half = scenario.vehicle.base, 0.5 * scenario.course.border
-    patch, since, driven = log["soil"][..., 5], log["soil"][..., 6], log["driven"]
+    patch, since, driven = log["soil"][..., 3], log["soil"][..., 4], log["driven"]
     on = driven & (patch > 0.0) & (patch == patch[:, :, :1]) & (since >= half)
     found = {f"{d:g}": on & (np.abs(since[:, :, :1] / base - d) < _BAND) for d in PLACES}
     found["leaves the border"] = on & (since < half + 2.0 * _BAND * base)
@@ -153,7 +150,7 @@ def _where(log: dict, scenario: RoverScenario) -> dict[str, np.ndarray]:
 def errors(log: dict, scenario: RoverScenario, seed: int) -> list[dict]:
     """Rows of place and axle: RMS errors of (phi [deg], ln K, c [kPa]) with intervals and shares within one standard
     deviation, of each wheel alone, pooled, and of the prior."""
-    mean = moments(prior_of_belief(scenario))[0][_SHARED]
+    mean = published_prior(scenario)[0][_SHARED]
     truth = log["soil"][..., :3]
     courses = truth.shape[1]
     picks = np.random.default_rng([seed, 99]).integers(courses, size=(1000, courses))
@@ -176,77 +173,18 @@ def errors(log: dict, scenario: RoverScenario, seed: int) -> list[dict]:
     return rows
 
 
-# --- the bound --------------------------------------------------------------------------------------------------------
-
-
-def information(log: dict, scenario: RoverScenario, t: np.ndarray, j: int, a: int) -> np.ndarray:
-    """Fisher information [4, 4] of phi, ln K, c, n in the drawbar pull and torque that axle a reads at the steps t.
-
-    At the truth; sinkage, load and slip of each reading are nuisances known from their own sensors, so that the law of
-    sinkage tells nothing.
-    """
-    soil, noise, weight, r = log["soil"][t, j, a], scenario.noise, scenario.weight, scenario.wheel.radius
-    n = soil[:, 3]
-    stiffness = soil[:, 4] + (n - scenario.belief.sinkage_exponent) * LN_DEPTH
-    state = {name: log[name][t, j, a] for name in _OF_WHEEL}
-    truth = {
-        "soil": np.column_stack([soil[:, 0], soil[:, 1], stiffness, soil[:, 2], n, np.zeros(len(t))]),
-        "slip": state["slip"], "sinkage": state["sinkage"], "grade": np.zeros(len(t)),
-        "mass": state["load"] / scenario.gravity,
-    }  # fmt: skip
-    J = jacobians(truth, scenario)[:, :2]
-    rim = np.maximum(state["wheel_speed"] * r, 1e-3)
-    speeds = noise.speed**2 + (noise.wheel_speed * r) ** 2
-    nuisance = np.array([noise.sinkage**2, (noise.load * weight / scenario.gravity) ** 2])
-    found = np.zeros((4, 4))
-    for k in range(len(t)):
-        slip = 1.0 / (1.0 / noise.slip**2 + rim[k] ** 2 / speeds)
-        by = J[k][:, [SINKAGE, MASS, SLIP]]
-        R = np.diag([(noise.drawbar_pull * weight) ** 2, (noise.torque * weight * r) ** 2])
-        R += by @ np.diag([*nuisance, slip]) @ by.T
-        H = J[k][:, [0, 1, 3, 4]]
-        found += H.T @ np.linalg.solve(R, H)
-    return found
-
-
-def bounds(log: dict, scenario: RoverScenario, place: float, courses: int) -> dict[str, list[float]]:
-    """RMS over borders of the Cramer-Rao bounds of (phi [deg], ln K, c [kPa]) with the front axle `place` wheelbases
-    behind a border: by its own readings, by as many of its kind as all axles have, and by those of all axles."""
-    base, half = scenario.vehicle.base, 0.5 * scenario.course.border
-    prior = np.linalg.inv(moments(prior_of_belief(scenario))[1][np.ix_([0, 1, 3, 4], [0, 1, 3, 4])])
-    found: dict[str, list] = {"front axle": [], "as many readings of the front axle": [], "all axles": []}
-    patch, since, rolls = log["soil"][..., 5], log["soil"][..., 6], log["wheel_speed"] * scenario.wheel.radius > 0.02
-    useful = log["driven"] & rolls & (np.abs(log["slip"]) < 0.85) & (since >= half)
-    for j in range(courses):
-        for p in range(1, int(patch[:, j].max()) + 1):
-            reached = np.flatnonzero(log["driven"][:, j, 0] & (patch[:, j, 0] == p) & (since[:, j, 0] >= place * base))
-            if not len(reached):
-                continue
-            before = np.arange(len(patch)) <= reached[0]
-            which = [np.flatnonzero(before & useful[:, j, a] & (patch[:, j, a] == p)) for a in range(scenario.axles)]
-            if min(map(len, which)) == 0:
-                continue
-            infos = [information(log, scenario, t, j, a) for a, t in enumerate(which)]
-            more = sum(map(len, which)) / len(which[0])
-            for name, total in zip(found, (infos[0], more * infos[0], sum(infos)), strict=True):
-                found[name].append(np.diag(np.linalg.inv(prior + total))[:3])
-    return {name: (np.sqrt(np.mean(v, axis=0)) * _UNIT).tolist() for name, v in found.items() if v}
-
-
 # --- report -----------------------------------------------------------------------------------------------------------
 
 
-def study(courses: int, seed: int, bound_courses: int) -> dict:
+def study(courses: int, seed: int) -> dict:
     """All rovers in all cases."""
-    result: dict = {"courses": courses, "seed": seed, "bound_courses": bound_courses, "cases": []}
+    result: dict = {"courses": courses, "seed": seed, "cases": []}
     for rover in ROVERS:
         for name in CASES:
             scenario = scenario_of(rover, name)
             drive = (ConstantSpeed if name == "at constant speed" else SwingingSlip)(scenario)
             log, ends = record(scenario, courses, seed, drive)
-            case = {"rover": rover, "case": name, "ends": ends, "rows": errors(log, scenario, seed)}
-            case["bounds"] = bounds(log, scenario, PLACES[-1], bound_courses)
-            result["cases"].append(case)
+            result["cases"].append({"rover": rover, "case": name, "ends": ends, "rows": errors(log, scenario, seed)})
             print(f"{rover}, {name}: {ends}", file=sys.stderr)
     return plain(result)
 
@@ -272,19 +210,6 @@ def error_table(result: dict) -> Table:
     )  # fmt: skip
 
 
-def bound_table(result: dict) -> Table:
-    """Cramer-Rao bounds."""
-    rows = [
-        (
-            f"{case['rover']}, {case['case']}",
-            *(f"{v[0]:.2f} / {v[1]:.3f} / {v[2]:.2f}" for v in case["bounds"].values()),
-        )
-        for case in result["cases"]
-        if case["bounds"]
-    ]
-    return Table(("rover", "front axle", "as many readings of the front axle", "all axles"), rows)
-
-
 @command_line("benchmarks/rover_identification.py")
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status."""
@@ -295,12 +220,11 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the courses (default 0)")
     options = p.parse_args(arguments)
     make_folder(options.out)
-    courses = 3 if options.smoke else options.courses
-    result = study(courses, options.seed, min(courses, 30))
+    result = study(3 if options.smoke else options.courses, options.seed)
     write_json(options.out / "rover_identification.json", result)
-    parts = {"errors": error_table(result).markdown(), "bounds": bound_table(result).markdown()}
-    renew_page(_PAGE, parts, options.out / _PAGE.name)
-    print(*parts.values(), sep="\n\n")
+    table = error_table(result).markdown()
+    renew_page(_PAGE, {"errors": table}, options.out / _PAGE.name)
+    print(table)
     return 0
 
 

@@ -2,7 +2,7 @@
 
     python benchmarks/throughput.py                  minutes; writes docs/performance.json and the tables of
                                                      docs/performance.md
-    python benchmarks/throughput.py --parts          the parts of a step alone, and both estimators in turns
+    python benchmarks/throughput.py --parts          the parts of a step alone
     python benchmarks/throughput.py --smoke --out X  every part in seconds, numbers without meaning
 
 EnvPool and MuJoCo are measured where they are installed (`pip install -e '.[bench]'`). Every figure is a median over
@@ -139,7 +139,6 @@ def against_others(seconds: float, rounds: int, wheels: int, threads: int, notes
         "wheels": wheels,
         "threads": threads,
         "vector": comparison(ours(wheels, threads), cartpole, seconds, rounds),
-        "vector_window": comparison(ours(wheels, threads, belief={"method": "window"}), None, seconds, rounds),
         "vector_none": comparison(
             ours(wheels, threads, observation="blind", belief={"method": "none"}), None, seconds, rounds
         ),
@@ -273,14 +272,12 @@ def run(smoke: bool, say=lambda text: None, parts_alone: bool = False) -> dict:
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status."""
     parser = study_parser("python benchmarks/throughput.py", __doc__, "performance.json and performance.md")
-    parser.add_argument(
-        "--parts", action="store_true", help="the parts of a step alone, and both estimators in turns: a minute"
-    )
+    parser.add_argument("--parts", action="store_true", help="the parts of a step alone: a minute")
     options = parser.parse_args(arguments)
     make_folder(options.out)
     if options.parts:
         result = run(options.smoke, print, parts_alone=True)
-        sections = {name: throughput_page.SECTIONS[name](result) for name in ("parts", "rates", "estimators")}
+        sections = {name: throughput_page.SECTIONS[name](result) for name in ("parts", "rates")}
         file = options.out / "performance.json"
         kept = read_json(file) if file.exists() else {}
         new = {"parts": result["parts"], "limit": result["limit"], "machine_of_parts": result["machine"]}

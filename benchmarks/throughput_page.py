@@ -21,9 +21,8 @@ def targets(result: dict) -> str:
             f"`SoilWheelVectorEnv`, {t['wheels']} wheels, {t['threads']} threads",
             "EnvPool CartPole-v1, so too",
         ),
-        "vector_window": ("the same with the window in place of the filter", ""),
         "vector_none": ("the same with `belief.method` none, `blind`", ""),
-        "vector_default": (f"the same on `{DEFAULT_SCENARIO}`, with the filter", ""),
+        "vector_default": (f"the same on `{DEFAULT_SCENARIO}`", ""),
         "single": ("`SoilWheelEnv`", "Gymnasium HalfCheetah-v5"),
     }
     for key, (ours, reference) in names.items():
@@ -69,7 +68,7 @@ def rates(result: dict) -> str:
     return (
         Table(["operation", "numbers", "ns"], rows).markdown()
         + f"\n\nA wheel takes {b['wheel']:,} bytes; a step reads or writes about {b['step']:,} of them, and "
-        f"{b['solve']:,} more where it completes a point of the estimator."
+        f"up to {b['solve']:,} more where it completes a point of the estimator."
     )
 
 
@@ -109,19 +108,9 @@ def startup(result: dict) -> str:
     ).markdown()
 
 
-def estimators(result: dict) -> str:
-    """Table of the speed of filter and window, timed alternately."""
-    rows = [
-        [name, range_text(e["filter"], 3), range_text(e["window"], 3), range_text(e["ratio"])]
-        for name, e in result["parts"]["estimators"].items()
-    ]
-    header = ["us a wheel and step, one core", "filter bank", "window", "ratio"]
-    return Table(header, rows).markdown() + "\n\n" + machine_text(result["machine"], "numba") + "."
-
-
 SECTIONS = {
-    "machine": machine, "targets": targets, "scaling": scaling, "parts": parts, "estimators": estimators,
-    "rates": rates, "independence": independence, "accuracy": accuracy, "startup": startup,
+    "machine": machine, "targets": targets, "scaling": scaling, "parts": parts, "rates": rates,
+    "independence": independence, "accuracy": accuracy, "startup": startup,
 }  # fmt: skip
 
 

@@ -88,9 +88,9 @@ _PARTS = ("ground", "dynamics", "sensors", "identification", "report")
 class _Drive:
     """Wheels under held random commands, one thread, the parts of whose steps are timed one by one."""
 
-    def __init__(self, wheels: int, method: str):
-        scenario = load_scenario("mixed", {**TORQUE, "belief": {"method": method}})
-        self.simulation, self.rng = Simulation(wheels, scenario, "identified", threads=1), np.random.default_rng(0)
+    def __init__(self, wheels: int):
+        scenario, self.rng = load_scenario("mixed", TORQUE), np.random.default_rng(0)
+        self.simulation = Simulation(wheels, scenario, "identified", threads=1)
         for k in range(wheels):
             self.simulation.seed(k, self.rng)
         self.simulation.restart_where(np.ones(wheels, dtype=np.bool_))
@@ -126,31 +126,17 @@ class _Drive:
 def parts(wheels: int, steps: int, rounds: int) -> dict:
     """Processor time a wheel and step [us] of each part, one thread; and how often things happen.
 
-    "ground" draws patches and puts wheels at the start of a course. Both estimators are driven in turns on the same
-    courses with the same commands: "estimators" has what each takes, and the ratio, round by round.
+    "ground" draws patches and puts wheels at the start of a course.
     """
-    drives = {method: _Drive(wheels, method) for method in ("filter", "window")}
-    found: dict[str, list] = {method: [] for method in drives}
-    for turn in range(rounds + 1):  # the first warms up and spreads the ages
-        for method, drive in drives.items():
-            if turn == 1:
-                drive.counts = dict.fromkeys(drive.counts, 0)
-            spent = drive.turn(steps)
-            if turn > 0:
-                found[method].append(spent)
-    ours, made = drives["filter"], steps * wheels * rounds
-    alone = {method: np.array([turn["identification"] for turn in turns]) for method, turns in found.items()}
-    whole = {method: np.array([sum(turn.values()) for turn in turns]) for method, turns in found.items()}
+    drive, made = _Drive(wheels), steps * wheels * rounds
+    drive.turn(steps)  # warms up and spreads the ages
+    drive.counts = dict.fromkeys(drive.counts, 0)
+    found = [drive.turn(steps) for _ in range(rounds)]
     return {
         "wheels": wheels,
-        "us": {name: spread([turn[name] for turn in found["filter"]]) for name in _PARTS}
+        "us": {name: spread([turn[name] for turn in found]) for name in _PARTS}
         | {"Python": spread(_python(wheels, rounds))},
-        "estimators": {
-            name: {method: spread(values) for method, values in us.items()}
-            | {"ratio": spread(us["filter"] / us["window"])}
-            for name, us in (("estimator", alone), ("whole step, without Python", whole))
-        },
-        **{f"{name}_a_step": count / made for name, count in ours.counts.items()},
+        **{f"{name}_a_step": count / made for name, count in drive.counts.items()},
     }
 
 

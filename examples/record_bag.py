@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -121,7 +122,8 @@ def drive(recorder: Recorder, seed: int, steps: int):
 
 def map_of(scenario) -> str:
     """map.yaml of such a bag, with the wheel, the sensors and the belief of the scenario."""
-    wheel, noise, belief, weight = scenario.wheel, scenario.noise, scenario.belief, scenario.weight
+    wheel, noise, weight = scenario.wheel, scenario.noise, scenario.weight
+    belief = replace(scenario.belief, spread=scenario.belief.spread or scenario.spread)
     sd = {
         "wheel_speed": noise.wheel_speed, "speed": noise.speed, "slip": noise.slip, "pitch": noise.pitch,
         "drawbar_pull": noise.drawbar_pull * weight, "load": noise.load * weight,

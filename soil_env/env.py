@@ -81,6 +81,8 @@ class SoilWheelEnv(CourseEnv):
     | 0 | 0.1 | margin |
     | 0 | 0.15 | pitch, acceleration, grade |
     | 0.05 | 0.03 | friction_angle_sd |
+    | 0.05 | 0.05 | best_pull_sd, margin_sd |
+    | 0.1 | 0.15 | best_pull |
     | 0.1 | 0.2 | drawbar_pull |
     | 0.2 | 0.2 | speed, rim_speed, rim_command |
     | 0.2 | 0.3 | slip |
@@ -138,6 +140,8 @@ class SoilWheelEnv(CourseEnv):
     | 22 | dig_gain | -, of slip-sinkage | 0 | 100 |
     | 23 | cohesion_sd | kPa | 0 | 1000 |
     | 24 | dig_gain_sd | relative | 0 | 20 |
+    | 25 | best_pull | of load, highest steady drawbar pull of this soil | -1 | 2 |
+    | 26 | best_pull_sd | of load | 0 | 2 |
 
     `"true_soil"`, for reference only, adds the undisturbed soil under the wheel instead:
 
@@ -188,7 +192,8 @@ class SoilWheelEnv(CourseEnv):
     | n+21 | ahead_dig_gain | - | 0 | 100 |
     | n+22 | ahead_cohesion_sd | kPa | 0 | 1000 |
     | n+23 | ahead_dig_gain_sd | relative | 0 | 20 |
-    | n+24 | ahead_margin | of weight, best drawbar pull of that estimate over the grade that is seen | -2 | 2 |
+    | n+24 | ahead_margin | of load, best drawbar pull of that class over the grade that is seen | -2 | 2 |
+    | n+25 | ahead_margin_sd | of load, of that pull | 0 | 2 |
 
     and `"true_soil"` with the true soil of each line:
 
@@ -201,7 +206,7 @@ class SoilWheelEnv(CourseEnv):
     | n+17 | ahead_sinkage_exponent | - | 0 | 4 |
     | n+18 | ahead_dig_gain | - | 0 | 100 |
     | n+19 | ahead_dig_recovery | - | 0 | 10 |
-    | n+20 | ahead_margin | of weight, best drawbar pull of that soil over the grade that is seen | -2 | 2 |
+    | n+20 | ahead_margin | of load, best drawbar pull of that soil over the grade that is seen | -2 | 2 |
 
     ## Rewards
     The sum of the terms in `info["reward_terms"]`, with weights `reward={...}`:
@@ -242,11 +247,12 @@ class SoilWheelEnv(CourseEnv):
     | cause | name of the `task.Cause`, "RUNNING" before the end |
     | immobilised | bool |
     | reward_terms | dict of the terms above; their sum is the reward |
-    | estimate | dict: phi [deg], K [m], S [N/m^(n+2)], cohesion [Pa], slip-sinkage gain, their standard deviations, |
-    |          | status of the identifier |
-    | traversability | dict, from sensors and estimate only: best slip, drawbar margin there over the grade [of load; |
-    |                | at least -1], torque required there and available [N m], passable; renewed with the estimate; |
-    |                | probability that it stops for good within 3 s and within 5 s of driving |
+    | estimate | dict: phi [deg], K [m], S [N/m^(n+2)], cohesion [Pa], slip-sinkage gain, best drawbar pull [of load], |
+    |          | their standard deviations, status of the identifier |
+    | traversability | dict, from sensors and estimate only: best slip, drawbar margin over the grade [of load; at |
+    |                | least -1] and its standard deviation, torque required at that slip and available [N m], |
+    |                | passable; renewed with the estimate; probability that it stops for good within 3 s and |
+    |                | within 5 s of driving |
     | state | dict of the true x, speed, wheel speed, slip, sinkage, load, drawbar pull, torques, grade, in SI units |
 
     This is `info="full"`. `"numeric"` has the same numbers without nesting, `cause` and `estimate_status` as numbers of
@@ -267,7 +273,7 @@ class SoilWheelEnv(CourseEnv):
     * v0: first version. It has not been released, so that laws still change under this number. On the way: odometry in
       place of the exact progress; fresh ground is ground that the wheel has not touched; one count of no progress in
       place of two timers; a time step of second order; the time limit is a termination that costs; rim_acceleration,
-      repeat and rim_command; observations of order one (`scaled`).
+      repeat and rim_command; observations of order one (`scaled`); best_pull, ahead_margin_sd and another identifier.
     """
 
     def __init__(

@@ -19,12 +19,9 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, root
-from soil_env._numba.lanes import COUNT
 from soil_env.identification.estimate import LEAST_LOAD, published, traversability
-from soil_env.identification.linearised import SINKAGE
 from soil_env.identification.online import (
     HELD,
-    RENEWED,
     IdentifierNumbers,
     Identifiers,
     SensorReading,
@@ -46,10 +43,6 @@ __all__ = ["Estimate", "OnlineIdentifier", "Readings", "Status", "Traversability
 
 _NAN = math.nan
 _UNKNOWN = 1e2  # standard deviation, in weights and the like, of what is not measured: nothing beside what is
-#: Columns of `SensorReading` that may be missing; the speed where it, or the slip, follows from the other.
-_FILTERED = (1, 2, 3, 4, 5, 8, 9)
-_LEAST_SLIP_SD = 1e-3
-_LEAST_SHARE = 1e-6  # of the weight: least standard deviation of what stands for a force
 
 
 class Readings(NamedTuple):
@@ -109,9 +102,11 @@ class Estimate:
     sinkage_coefficient_relative_sd: float
     cohesion_sd: float  # [Pa]
     dig_gain_relative_sd: float
+    best_pull: float  # [of load] highest steady drawbar pull of this soil
+    best_pull_sd: float  # from the whole covariance: known better than the soil
     status: Status
     renewed: bool  # whether this call changed it
-    borders: int  # to another soil that the filter has found; 0 with the window, which starts anew for less
+    borders: int  # to another soil that the filter has found
 
     @property
     def valid(self) -> bool:
@@ -123,7 +118,8 @@ class Traversability(NamedTuple):
     """Whether the wheel can pass the ground as identified (source paper, Section 6)."""
 
     best_slip: float  # [-] of the highest steady drawbar pull
-    drawbar_margin: float  # [of load] drawbar pull there over the grade; at least -1
+    drawbar_margin: float  # [of load] best drawbar pull over the grade; at least -1
+    drawbar_margin_sd: float  # of the best drawbar pull
     torque_required: float  # [N m] there
     torque_available: float  # [N m]
     passable: bool
@@ -163,24 +159,20 @@ class OnlineIdentifier:
     """Identifies friction angle, shear deformation modulus K and sinkage coefficient S under one driven wheel.
 
     `wheel`: its radius, width and the mass on it; its inertia where there is a motor torque; the motor only for
-    `traversability`. `belief`: the prior, which should be that of the ground to be expected, and the method, the filter
-    or the window. `noise`: standard deviations of the sensors. `period` [s]: time between two updates whose readings
-    bear no time. `relaxation` [wheel radii]: distance in which sinkage adapts. `gravity` [m/s2].
+    `traversability`. `belief`: the prior, which should be that of the ground to be expected. `noise`: standard
+    deviations of the sensors. `period` [s]: time between two updates whose readings bear no time. `relaxation` [wheel
+    radii]: distance in which sinkage adapts. `gravity` [m/s2].
 
-    What is not measured is left NaN:
+    What is not measured is left NaN, now and then or always:
 
-    * no torque, pull, motor torque or acceleration: the channel has no weight. The filter reads all four. To the window
-      a motor torque, less what accelerates the wheel, J dw/dt, stands for a torque that is missing, and an
-      accelerometer times the mass on the wheel for a pull (gravity along the slope is in both);
-    * no load: the weight m g cos(pitch) stands for it, of a mass that the filter doubts by 20 % as far as no force
-      tells more; to the window it is known where one is needed, and is no measurement;
+    * no torque, pull, motor torque or acceleration: the channel has no weight. An accelerometer tells the pull with the
+      mass on the wheel (gravity along the slope is in both);
+    * no load: the weight m g cos(pitch) stands for it, of a mass that is doubted by 5 %;
     * no slip: it follows from the two speeds, with their noise;
-    * no sinkage: the filter follows it by the law of slip-sinkage, from that of the belief under the weight; with the
-      window nothing is learnt of the soil;
+    * no sinkage: it is followed by the law of slip-sinkage, from that of the belief under the weight;
     * no wheel speed or no speed, and no slip in its place: the readings are passed over.
 
-    Readings are averaged over a few periods; a channel that comes less often than once a period should be given with
-    its last value, otherwise the averages that it is missing from go without it.
+    Readings are averaged to points of a few control periods, each with the channels that it has.
 
     An instance is not for several threads at once. It can be pickled and copied. Raises TypeError for arguments of
     other types, `ParameterError` for numbers out of range.
@@ -222,17 +214,14 @@ class OnlineIdentifier:
 
     def _set(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        wheel, noise = scenario.wheel, scenario.noise
-        self._radius, self._inertia, self._weight = wheel.radius, wheel.inertia, scenario.weight
-        self._rim_sd, self._speed_sd = noise.wheel_speed * wheel.radius, noise.speed
+        wheel = scenario.wheel
+        self._radius, self._weight = wheel.radius, scenario.weight
         twist = self._weight * wheel.radius
-        self._motor_sd, self._accelerometer_sd = noise.motor_torque * twist, noise.acceleration
         if scenario.belief.method == "none":
-            raise ParameterError("belief.method = 'none': expected 'filter' or 'window'")
+            raise ParameterError("belief.method = 'none': expected 'filter'")
         self._ready, self._observe = FastCall(_ready), FastCall(observe_rows)
         self._start, self._best = FastCall(_start), FastCall(best_working_point)
         self._numbers = identifier_numbers(scenario)
-        self._force_sd = self._numbers.force_sd.tolist()  # of pull, load, torque where they are measured
         self._sd = self._numbers.filter.noise.tolist()  # of `SensorReading` where it is measured
         top = wheel.radius * wheel.no_load_speed
         units = (1.0, wheel.radius, self._weight, self._weight, twist, top, top, 1.0, twist, scenario.gravity)
@@ -243,19 +232,14 @@ class OnlineIdentifier:
             [most.slip, most.sinkage, most.drawbar_pull, most.load, most.torque, most.speed, rim, most.pitch,
              most.motor_torque, most.acceleration]
         )  # fmt: skip
-        self._put = self._put_for_filter if self._numbers.by_filter else self._put_for_window
-        self._first_sinkage = _bearing_sinkage(scenario)
+        self._sinkage = _bearing_sinkage(scenario)  # where none is measured
         self._ids, self._values, self._done = new_identifiers(1), np.zeros(len(SensorReading._fields)), new_replay(1)
         self.reset()
 
     def reset(self) -> None:
         """Forget all readings: back to the prior."""
         self._start(self._ids, self._numbers)
-        # in a reading of the open point: pull, load, torque of the window, `_FILTERED` of the filter
-        self._missing = [False] * (len(_FILTERED) if self._numbers.by_filter else 3)
-        self._slip_sd = 0.0  # largest of the open point
-        self._sinkage = self._first_sinkage  # as predicted, where none is measured
-        self._time = self._last_wheel_speed = _NAN
+        self._time = _NAN
         self._estimate = self._published(False)
 
     @property
@@ -264,7 +248,7 @@ class OnlineIdentifier:
         return self._estimate
 
     def update(self, readings: Readings) -> Estimate:
-        """Take one set of readings; the estimate after it, renewed about every fifth time, on a border every time.
+        """Take one set of readings; the estimate after it, renewed about every eighth time, on a border every time.
 
         Raises, and takes nothing: TypeError for what is no `Readings` and no number; ValueError for a time that is not
         later than the last, and for a reading that is infinite or larger than `largest_readings`. Readings within these
@@ -279,30 +263,21 @@ class OnlineIdentifier:
 
     def _updated(self, r: Readings) -> Estimate:
         sum(r)  # TypeError where one is no number: numpy would take text for one
-        numbers, period = self._numbers, self._period(r.time)
+        period = self._period(r.time)
         rim, speed = r.wheel_speed * self._radius, r.speed
         if rim != rim or speed != speed:
             rim, speed = _completed(rim, speed, r.slip)
-        slip_sd = 0.0  # that of the sensor
-        if r.slip != r.slip:  # from the speeds, to first order
-            larger = max(abs(rim), abs(speed), REST_SPEED)
-            slip_sd = math.hypot(self._speed_sd, self._rim_sd * min(abs(speed), larger) / larger) / larger
         outcome = HELD
         if rim == rim and speed == speed:
-            now = self._put(r, rim, speed, period)
-            numbers = self._numbers_now(period, slip_sd)
+            self._put(r, rim, speed)
             if not self._ready(self._values, self._limits):
                 raise ValueError(f"{r}: expected the speeds and forces of a wheel; these lead beyond {self._largest}")
-            self._observe(self._ids, _ONE, self._values[None], numbers, self._done)
+            self._observe(self._ids, _ONE, self._values[None], self._numbers_of(period), self._done)
             outcome = self._done.outcome.item()
-            self._missing = now if outcome == RENEWED else [a or b for a, b in zip(self._missing, now, strict=True)]
-            self._slip_sd = slip_sd if outcome == RENEWED else max(slip_sd, self._slip_sd)
         elif refusal := _refusal(r, self._largest):
             raise refusal
-        self._time, self._last_wheel_speed = r.time, r.wheel_speed
+        self._time = r.time
         if outcome != HELD:
-            if now[0] and numbers.by_filter:
-                self._sinkage = self._followed_sinkage()
             self._estimate = self._published(True)
         elif self._estimate.renewed:
             self._estimate = self._published(False)
@@ -330,7 +305,9 @@ class OnlineIdentifier:
         if abs(pitch) >= 0.5 * math.pi:
             raise ParameterError(f"pitch = {pitch!r}: expected radians, less than pi/2")
         load = float(self._weight * math.cos(pitch) if load is None else max(load, LEAST_LOAD * self._weight))
-        return Traversability(*traversability(self._ids.estimate[0], load, pitch, self.scenario, self._best))
+        ids = self._ids
+        found = traversability(ids.estimate[0], ids.best_pull[0], load, pitch, self.scenario, self._best)
+        return Traversability(*found)
 
     def _period(self, time: float) -> float:
         """Time [s] since the last update."""
@@ -338,77 +315,33 @@ class OnlineIdentifier:
         if 0.0 < passed < math.inf:
             return passed
         if passed != passed:
-            return self._numbers.period
+            return self._numbers.filter.period
         raise ValueError(f"time = {time!r} s: expected later than that of the last readings, {self._time!r} s")
 
-    def _numbers_now(self, period: float, slip_sd: float) -> IdentifierNumbers:
-        """The numbers of the identifier for readings `period` [s] after the last; `slip_sd` of a slip from the speeds.
-
-        The window closes a point with the readings of now in it, the filter one without them.
-        """
+    def _numbers_of(self, period: float) -> IdentifierNumbers:
+        """The numbers of the identifier for readings `period` [s] after the last."""
         numbers = self._numbers
-        if numbers.by_filter:
-            numbers.filter.noise[0] = max(self._slip_sd, _LEAST_SLIP_SD) if self._slip_sd else self._sd[0]
-            if period != numbers.period:
-                numbers = numbers._replace(period=period, filter=numbers.filter._replace(period=period))
+        if period == numbers.filter.period:
             return numbers
-        changes: dict[str, Any] = {}
-        if period != numbers.period:
-            changes["period"] = period
-        if slip_sd:
-            changes["slip_sd"] = slip_sd
-        return numbers._replace(**changes) if changes else numbers
+        return numbers._replace(filter=numbers.filter._replace(period=period))
 
-    def _put_for_filter(self, r: Readings, rim: float, speed: float, period: float) -> list[bool]:
-        """Put the readings where the compiled code takes them; which of `_FILTERED` are missing now.
-
-        What was missing in the open point, which these readings may close, gets no weight in it.
-        """
+    def _put(self, r: Readings, rim: float, speed: float) -> None:
+        """Put readings and their standard deviations where the compiled code takes them; what is missing has none."""
         pitch = 0.0 if r.pitch != r.pitch else r.pitch
-        load = self._weight * math.cos(pitch) if r.load != r.load else r.load
-        sinkage = self._sinkage if r.sinkage != r.sinkage else r.sinkage
-        channels = (r.drawbar_pull, r.torque, r.motor_torque, r.acceleration)
-        pull, torque, motor, acceleration = (0.0 if x != x else x for x in channels)
-        self._values[:] = r.slip, sinkage, pull, load, torque, speed, rim, pitch, motor, acceleration
-        noise = self._numbers.filter.noise
-        for column, missing in zip(_FILTERED, self._missing, strict=True):
-            noise[column] = self._unknown[column] if missing else self._sd[column]
-        given = (r.sinkage, r.drawbar_pull, r.load, r.torque, r.speed + r.slip, r.motor_torque, r.acceleration)
-        return [x != x for x in given]
-
-    def _put_for_window(self, r: Readings, rim: float, speed: float, period: float) -> list[bool]:
-        """Put the readings where the compiled code takes them; which of pull, load and torque are missing now.
-
-        What is missing gets no weight in the point that is averaged at present.
-        """
-        sd = list(self._force_sd)
-        pull, load, torque = r.drawbar_pull, r.load, r.torque
-        if pull != pull:
-            mass = self._weight / self.scenario.gravity
-            pull, sd[0] = r.acceleration * mass, max(self._accelerometer_sd * mass, _LEAST_SHARE * self._weight)
-        if torque != torque and r.motor_torque == r.motor_torque:
-            rate = (r.wheel_speed - self._last_wheel_speed) / period
-            torque = r.motor_torque - self._inertia * rate
-            turning = self._inertia * math.sqrt(2.0) * self._rim_sd / (self._radius * period)
-            sd[2] = max(math.hypot(self._motor_sd, turning), _LEAST_SHARE * self._weight)
-        now = [pull != pull, load != load, torque != torque]
-        if now[1]:
-            load = self._weight * math.cos(r.pitch if r.pitch == r.pitch else 0.0)
-        for i in range(3):
-            self._numbers.force_sd[i] = math.inf if now[i] or self._missing[i] else sd[i]
-        sinkage = 0.0 if r.sinkage != r.sinkage else r.sinkage  # the window takes 0 for a wheel off the ground
-        self._values[:7] = r.slip, sinkage, 0.0 if now[0] else pull, load, 0.0 if now[2] else torque, speed, rim
-        return now
-
-    def _followed_sinkage(self) -> float:
-        """Sinkage [m] that the filter predicts: the mean of its mixture."""
-        weights = np.exp(self._ids.banks.log_weight[0])
-        depths = self._ids.banks.mean[0, SINKAGE * COUNT : (SINKAGE + 1) * COUNT]
-        return min(max(float(weights @ depths), 0.01 * self._radius), self._radius)
+        load = self._weight * math.cos(pitch)
+        given = r.slip, r.sinkage, r.drawbar_pull, r.load, r.torque, r.speed, r.wheel_speed, 0.0, r.motor_torque, r.acceleration
+        instead = r.slip, self._sinkage, 0.0, load, 0.0, speed, rim, pitch, 0.0, 0.0
+        noise, values = self._numbers.filter.noise, self._values
+        for i, measured in enumerate(given):
+            missing = measured != measured
+            values[i] = instead[i] if missing or i in _DERIVED else measured
+            noise[i] = self._unknown[i] if missing else self._sd[i]
 
     def _published(self, renewed: bool) -> Estimate:
         ids = self._ids
-        told = published(ids.estimate[0].tolist(), ids.sd[0].tolist(), self.scenario.belief.dig_gain)
+        told = published(
+            ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), self.scenario.belief.dig_gain
+        )
         return Estimate(**told, status=_STATUS[ids.status.item(0)], renewed=renewed, borders=int(ids.borders[0]))
 
 
@@ -425,6 +358,7 @@ def _bearing_sinkage(scenario: Scenario) -> float:
 
 
 _BOUNDS = {f.name: f.metadata for f in fields(Soil)}
+_DERIVED = (5, 6, 7)  # of `SensorReading`: speed, rim speed, pitch
 _ONE = np.zeros(1, dtype=np.int64)  # the one wheel of an `OnlineIdentifier`
 _STATUS = {status.value: status for status in Status}
 

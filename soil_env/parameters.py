@@ -99,10 +99,10 @@ class Belief(Checked):
 
     Neither the soil nor the parameters of the world's slip-sinkage are known to it. Friction angle, cohesion and
     exponent have a normal prior, K, S and the gain of digging a log-normal one (`..._sd` are relative there); the
-    recovery of digging has one value. The filter estimates all six; the window estimates phi, K and S, holds the
-    others and widens its standard deviations by those of cohesion and gain. The defaults are the mean and the scatter
-    of the soils that scenario "mixed" draws; S is compared at the exponent of the belief, at a sinkage of 3 cm. With
-    `method` "none" nothing is identified and nothing of the observation may ask for it: a step costs about half.
+    recovery of digging has one value. Where `soils` names a library, the prior has the mean and the covariance of its
+    soils instead, each with the scatter of `spread`; of the numbers before, only `dig_gain` and `sinkage_exponent`
+    count then, as those to which gain and S are referred. With `method` "none" nothing is identified and nothing of
+    the observation may ask for it: a step costs about half.
     """
 
     friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=30.0)
@@ -114,26 +114,23 @@ class Belief(Checked):
     cohesion: float = quantity("Pa", 0.0, 2e5, default=550.0)
     cohesion_sd: float = quantity("Pa", 0.0, 2e5, default=450.0)
     sinkage_exponent: float = quantity("", 0.1, 3.0, default=1.07)
-    sinkage_exponent_sd: float = quantity("", 0.0, 1.0, default=0.07, doc="of the filter; the window holds it")
+    sinkage_exponent_sd: float = quantity("", 0.0, 1.0, default=0.07)
     dig_gain: float = quantity("", 0.0, 20.0, default=2.2)
     dig_gain_sd: float = quantity("", 0.0, 5.0, default=0.7, doc="relative")
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5)
-    model_error: float = quantity("of load", 0.0, 1.0, default=0.01, doc="1-sigma misfit of the model itself")
-    memory: float = quantity("m", 0.01, 1e3, default=1.5, doc="distance after which the window forgets a point")
-    method: Literal["filter", "window", "none"] = "filter"
-    friction_cohesion: float = quantity("", -0.99, 0.99, default=-0.6, doc="correlation, of the filter")
-    friction_stiffness: float = quantity("", -0.99, 0.99, default=0.5, doc="correlation, of the filter")
-    stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4, doc="correlation, of the filter")
-    border: float = quantity(
-        "m", 0.01, 10.0, default=0.3, doc="length over which one soil passes into the next, of the filter"
+    model_error: float = quantity(
+        "of load", 1e-4, 0.3, default=1e-3, doc="1-sigma error of the laws, as long as no reading contradicts them"
     )
+    method: Literal["filter", "none"] = "filter"
+    friction_cohesion: float = quantity("", -0.99, 0.99, default=-0.6, doc="correlation")
+    friction_stiffness: float = quantity("", -0.99, 0.99, default=0.5, doc="correlation")
+    stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4, doc="correlation")
+    border: float = quantity("m", 0.01, 10.0, default=0.3, doc="length over which one soil passes into the next")
     grade_change_deg: float = quantity(
         "deg", 0.0, 60.0, default=8.0,
-        doc="sd of the change of grade from one soil to the next, of the filter; 0 = the grade says nothing of soil",
+        doc="sd of the change of grade from one soil to the next; 0 = the grade says nothing of soil",
     )  # fmt: skip
-    soils: dict[str, float] = field(
-        default_factory=dict
-    )  # library of soils that may come, with weights, of the filter; {} = not known
+    soils: dict[str, float] = field(default_factory=dict)  # library of soils that may come, with weights
     spread: SoilSpread | None = None  # of the soils of that library; None: as those of the courses
 
     def __post_init__(self) -> None:
@@ -367,6 +364,13 @@ def _is_valid(merged: Callable[[dict[str, Any], str], Any]) -> bool:
     return True
 
 
+#: Numbers of `Belief` that a library of soils takes the place of.
+_PRIOR = (
+    "friction_angle_deg", "friction_sd_deg", "shear_modulus", "shear_modulus_sd", "sinkage_coefficient",
+    "sinkage_coefficient_sd", "cohesion", "cohesion_sd", "sinkage_exponent_sd", "dig_gain_sd",
+)  # fmt: skip
+
+
 def _merged(
     kind: type[Scenario],
     complete: Callable[[dict[str, Any]], dict[str, Any]],
@@ -377,8 +381,22 @@ def _merged(
     """The scenario of a mapping with `changes` over it."""
     mapping = dict(mapping)
     changes = dict(changes)
+    belief = mapping.get("belief")
+    told, asked = belief if isinstance(belief, dict) else {}, changes.get("belief")
+    asked = to_dict(asked) if isinstance(asked, Checked) else asked if isinstance(asked, dict) else {}
     if "soils" in changes:
+        if told.get("soils") == mapping.get("soils"):  # the belief knows which soils may come
+            given = changes["soils"]
+            kept = {k: v for k, v in given.items() if v != 0.0} if isinstance(given, dict) else given
+            mapping["belief"] = told = told | {"soils": kept}
         mapping["soils"] = changes.pop("soils")
+    if "soils" in asked:
+        mapping["belief"] = told = told | {"soils": asked["soils"]}
+    elif told.get("soils") and (idle := [name for name in asked if name in _PRIOR]):
+        raise ParameterError(
+            f"{where}: belief.{idle[0]}: without effect beside belief.soils, whose mean and covariance are the prior; "
+            "expected soils: {} with it"
+        )
     if "wheel" in changes and not isinstance(changes["wheel"], dict):
         mapping["wheel"] = changes.pop("wheel")
     if isinstance(mapping.get("wheel"), str):

@@ -117,9 +117,11 @@ class SoilRoverEnv(CourseEnv):
     | 31 | front_dig_gain | -, of slip-sinkage | 0 | 100 |
     | 32 | front_cohesion_sd | kPa | 0 | 1000 |
     | 33 | front_dig_gain_sd | relative | 0 | 20 |
+    | 34 | front_best_pull | of load, highest steady drawbar pull, by the readings of this axle alone | -1 | 2 |
+    | 35 | front_best_pull_sd | of load | 0 | 2 |
 
-    and so on: with two axles the rear one's are 34 to 44; with three the front, middle and rear ones' begin with 32, 43
-    and 54, and 64 is the last.
+    and so on: with two axles the rear one's are 36 to 48; with three the front, middle and rear ones' begin with 32, 45
+    and 58, and 70 is the last.
 
     `"true_soil"`, for reference only, adds the undisturbed soil under each axle instead, the front one's first:
 

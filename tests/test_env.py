@@ -51,7 +51,7 @@ def test_registration_in_a_fresh_process(code):
     code += "; print(type(e.unwrapped).__name__, e.observation_space.shape)"
     done = subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "SoilWheelEnv (62,)"
+    assert done.stdout.strip() == "SoilWheelEnv (66,)"
 
 
 # --- determinism ------------------------------------------------------------------------------------------------------
@@ -283,8 +283,8 @@ def check_info(info, observation, env):
     assert info["immobilised"] is (info["cause"] in ("ENTRAPPED", "STALLED", "BOGGED"))
     assert set(info["reward_terms"]) == {"progress", "energy", "immobilisation", "information"}
     assert set(info["traversability"]) == {
-        "best_slip", "drawbar_margin", "torque_required", "torque_available", "passable", "immobilised_within_3_s",
-        "immobilised_within_5_s"}  # fmt: skip
+        "best_slip", "drawbar_margin", "drawbar_margin_sd", "torque_required", "torque_available", "passable",
+        "immobilised_within_3_s", "immobilised_within_5_s"}  # fmt: skip
     soon, later = (info["traversability"][f"immobilised_within_{s}_s"] for s in (3, 5))
     assert 0.0 <= soon <= later <= 1.0
     assert info["traversability"]["passable"] == (info["traversability"]["drawbar_margin"] > 0.0)
@@ -296,6 +296,8 @@ def check_info(info, observation, env):
     assert math.radians(e["friction_angle_sd_deg"]) == pytest.approx(names["friction_angle_sd"], rel=1e-5)
     assert e["shear_modulus_relative_sd"] == pytest.approx(names["shear_modulus_sd"], rel=1e-5)
     assert e["sinkage_coefficient_relative_sd"] == pytest.approx(names["sinkage_coefficient_sd"], rel=1e-5)
+    for name in ("best_pull", "best_pull_sd"):
+        assert e[name] == pytest.approx(names[name], rel=1e-5)
     assert (e["status"] == "CONVERGED") == (names["estimate_valid"] == 1.0)
     s, noise = info["state"], env.scenario.noise
     assert abs(s["sinkage"] / env.scenario.wheel.radius - names["sinkage"]) < 6.0 * noise.sinkage / 0.15 + 1e-6
@@ -354,7 +356,9 @@ def test_traversability_is_that_of_the_estimate():
             soil = env.estimate().state(wheel.width)
             best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
             assert found["best_slip"] == best.slip and found["torque_required"] == best.torque
-            assert found["drawbar_margin"] == pytest.approx(best.drawbar_pull / load - math.tan(observation[7]))
+            told = info["estimate"]
+            assert found["drawbar_margin"] == pytest.approx(told["best_pull"] - math.tan(observation[7]))
+            assert found["drawbar_margin_sd"] == told["best_pull_sd"]
             assert found["torque_available"] == wheel.stall_torque
         if ended:
             break
@@ -376,8 +380,12 @@ def test_traversability_never_uses_the_true_soil(monkeypatch):
     for name in ("sinkage", "load", "mass", "grade", "x", "slip"):
         env.simulation.worlds.state[name] *= 1.5
     assert warning() == before
+    env.simulation.worlds.ids.best_pull[0] += [-0.1, 0.02]
+    worse = warning()
+    assert worse["drawbar_margin"] == pytest.approx(before["drawbar_margin"] - 0.1)
+    assert worse["drawbar_margin_sd"] == pytest.approx(before["drawbar_margin_sd"] + 0.02)
     env.simulation.worlds.ids.estimate[0, 0] -= 0.2
-    assert warning()["drawbar_margin"] < before["drawbar_margin"] - 0.05
+    assert warning()["torque_required"] < worse["torque_required"]
 
 
 def test_extreme_estimates_do_not_stop_the_episode():

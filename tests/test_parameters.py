@@ -118,9 +118,7 @@ def test_bad_scenario(changes, words):
 
 
 def test_a_choice_that_does_not_exist_is_refused_on_construction():
-    with pytest.raises(
-        ParameterError, match=r"Belief.method: unknown value 'kf' \(expected one of filter, none, window\)"
-    ):
+    with pytest.raises(ParameterError, match=r"Belief.method: unknown value 'kf' \(expected one of filter, none\)"):
         Belief(method="kf")
     with pytest.raises(ParameterError, match="Control.action.*did you mean 'torque'"):
         Control(action="torq")

@@ -308,7 +308,7 @@ def test_make_vec():
     assert isinstance(env.unwrapped, SoilWheelVectorEnv) and env.num_envs == 3
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     observations, _ = env.reset(seed=0)
-    assert observations.shape == env.observation_space.shape == (3, 62) and observations.dtype == np.float32
+    assert observations.shape == env.observation_space.shape == (3, 66) and observations.dtype == np.float32
     assert env.observation_space.contains(observations)
     observations, rewards, terminated, truncated, _ = env.step(env.action_space.sample())
     assert rewards.shape == terminated.shape == truncated.shape == (3,)

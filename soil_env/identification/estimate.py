@@ -28,8 +28,11 @@ def soil_of_estimate(x, dig_gain, exponent, dig_recovery):
     )  # fmt: skip
 
 
-def published(x: Any, sd: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
-    """What is told of an estimate x [5] and its standard deviations; of arrays [5, wheels] with `of` numpy."""
+def published(x: Any, sd: Any, pull: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
+    """What is told of an estimate x [5] and its standard deviations, and of the best drawbar pull [2] and its own.
+
+    Of arrays [5, wheels] and [2, wheels] with `of` numpy.
+    """
     return {
         "friction_angle_deg": of.degrees(x[0]),
         "shear_modulus": of.exp(x[1]),
@@ -41,21 +44,29 @@ def published(x: Any, sd: Any, dig_gain: float, of: Any = math) -> dict[str, Any
         "sinkage_coefficient_relative_sd": sd[2],
         "cohesion_sd": sd[3],
         "dig_gain_relative_sd": sd[4],
+        "best_pull": pull[0],
+        "best_pull_sd": pull[1],
     }
 
 
 def traversability(
-    estimate: np.ndarray, load: float, pitch: float, scenario: Scenario, best_point: Callable[..., Any]
-) -> tuple[float, float, float, float, bool]:
-    """(best slip, drawbar margin, torque required, torque available, whether passable) of the ground as identified.
+    estimate: np.ndarray,
+    pull: np.ndarray,
+    load: float,
+    pitch: float,
+    scenario: Scenario,
+    best_point: Callable[..., Any],
+) -> tuple[float, float, float, float, float, bool]:
+    """(best slip, drawbar margin and its sd, torque required, torque available, whether passable) of the ground.
 
-    By an estimate [5], under `load` [N] at `pitch` [rad]; `best_point`: `best_working_point`.
+    By an estimate [5] and its best drawbar pull [2], under `load` [N] at `pitch` [rad]; `best_point`:
+    `best_working_point`.
     """
     wheel = scenario.wheel
     soil = soil_as_identified(estimate, scenario.belief)
     best = best_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
-    margin = max(best.drawbar_pull / load - math.tan(pitch), -1.0)
-    return best.slip, margin, best.torque, wheel.stall_torque, margin > 0.0
+    margin, sd = max(float(pull[0]) - math.tan(pitch), -1.0), float(pull[1])
+    return best.slip, margin, sd, best.torque, wheel.stall_torque, margin > 0.0
 
 
 def soil_as_identified(estimate: np.ndarray, belief: Belief) -> SoilState:

@@ -1,44 +1,78 @@
-"""The estimator of `Belief.method` "filter": a bank of extended Kalman filters, one a lane.
+"""The online identifier: what a wheel's readings tell of the soil under it, reading by reading.
 
-Each filter of the bank follows the soil under the wheel, the sinkage as the state of the law of slip-sinkage, and the
-mass on the wheel (`linearised`). The friction angle and the shear deformation modulus K hide each other along a curved
-ridge, on which one Gaussian is sure of what it has not seen; therefore the prior of ln K is split among the filters of
-the bank, and the estimate is the mean of their mixture (Gaussian sum filter: Alspach & Sorenson 1972, IEEE Trans.
-Automatic Control 17:439-448). The slip, whose noise is that of an abscissa, is a state too.
+Readings are averaged to points, over times in which little changes; a quantity that two sensors tell is their mean by
+precision. The forces of the points are gathered as a traction curve (`curve`), to which friction angle, cohesion,
+exponent and shear deformation modulus are fitted (`curve_fit`, `soil_nodes`). Sinkage coefficient and gain of digging
+follow from how the sinkage changes (`sinkage_filter`). Where the grade changes, or the forces of a few points are less
+likely than the errors allow, the wheel comes to another soil (`border`).
 
-Readings are averaged to points first. The sinkage between two points follows the exact solution of its law; that it
-comes up to the bearing sinkage at once where it is less is taken in the mean over the uncertainty of both (statistical
-linearisation: Gelb 1974, Applied Optimal Estimation, Sec. 6.2). When the grade changes, or the readings of a point or
-two are less likely than the errors allow, the wheel comes to another soil (`border`): the bank keeps what it knows of
-mass and sinkage, follows both soils over the border, and forgets the old one behind it.
+The laws of the forces are those of a wheel in steady motion. Readings at which the wheel does not move so are passed
+over: nearly at rest, locked, spinning on the spot, or turned faster or slower by more than a share of gravity. Where
+even the others contradict the laws, these have a form error, as large as the fit needs (Kennedy & O'Hagan 2001, J. R.
+Stat. Soc. B 63:425-464).
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined
-from soil_env._numba.elementary import smaller
-from soil_env._numba.lanes import COUNT, fill, from_array, smallest, to_array, total
-from soil_env.identification.border import cross_here, cross_where_the_grade_changes, end, note_grade
-from soil_env.identification.digging import onto_fresh_ground
-from soil_env.identification.filter_bank import CROSSING, element, fetch_bank, prior_of_soil, restart
-from soil_env.identification.filter_update import Point, renew
-from soil_env.identification.linearised import MASS, SINKAGE, SLIP, STATES
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import larger, smaller
+from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
+from soil_env.identification.border import (
+    cross_here,
+    cross_where_the_grade_changes,
+    end,
+    note_grade,
+    share_here,
+)
+from soil_env.identification.contact_slopes import GroundSoil, Slopes, reaction
+from soil_env.identification.curve import (
+    KEY,
+    LOAD,
+    ON_BORDER,
+    PLACE,
+    PULL,
+    PULL_WEIGHT,
+    READINGS,
+    SINKAGE,
+    SINKAGE_WEIGHT,
+    SLIP,
+    SLIP_WEIGHT,
+    SPREAD,
+    TORQUE,
+    TORQUE_WEIGHT,
+    add,
+    new_point,
+)
+from soil_env.identification.curve_fit import begin_bin, fit, quadratic_form
+from soil_env.identification.filter_bank import fetch_bank, restart
+from soil_env.identification.sinkage_filter import DEPTH, Ground, Motion, follow, mean, spread, start
+from soil_env.identification.soil_nodes import OLD, SOIL, fit_is_sound, renew_prior
 from soil_env.slip import motion_from_slip
-from soil_env.terramechanics.contact import entry_angle, shear_displacement
+from soil_env.terramechanics.effects import onto_fresh
+from soil_env.terramechanics.reaction import REST_SPEED
 
-# Limits of a point: readings, [m], range of slip, relative range of rim speed.
-_READINGS, _LENGTH, _SLIP, _RIM = 8, 0.1, 0.05, 0.1
+SLOWEST = 20.0 * REST_SPEED  # [m/s] rim speed below which readings are passed over
+# Limits of a point: readings, [wheel radii], range of slip, relative range of the rim speed.
+_READINGS, _LENGTH, _SLIP_RANGE, _RIM_RANGE = 8, 0.67, 0.1, 0.25
 _ON_BORDER = 0.6  # of the readings and the length where the soil changes
-_SPINNING = 0.85  # |slip| beyond which readings are passed over: a wheel that digs on the spot, or is locked
-_SLOWEST = 0.02  # [m/s] rim speed below which readings say nothing of shear
+_SPINNING, _LOCKED = 0.9, -0.4  # slips beyond which they are
+_THROWN = 0.115  # [of gravity] acceleration of the rim above which they are
+_TURNED = 8.0  # 1-sigma error of a motor torque, of the mean torque that turns the wheel faster in the period
+_MASS_DOUBT = 0.05  # relative, of a load that is not measured
+_SINKAGE_DOUBT = 0.1  # [wheel radii] of the first sinkage: reached where none is measured
+_SINKAGE_SHARE = 2.0  # variance of the sinkage in the fit over that of the sinkage filter, whose errors go on
+_KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip, of the load
 #: The excess of the chi-squared of each point over `_EXPECTED` is summed, never below 0; a sum above this means another
-#: soil. Both were set on courses of seed 7001, docs/identification.md.
-CONTRADICTION_OF_POINTS = 12.0
-_EXPECTED = 10.0  # chi-squared of a point, of seven channels, that raises no suspicion
-_MASS_VARIANCE = 0.04  # relative, of the mass that the first load gives
-_SINKAGE_SD = 0.1  # of the radius, of the first sinkage: reached where none is measured
+#: soil.
+CONTRADICTION_OF_POINTS = 10.0
+_EXPECTED = 3.5  # chi-squared of pull and torque that raises no suspicion
+# Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows until chi-squared is
+# below the mean over _HARDER^2, since errors of the laws do not average out as noise does.
+_BEGINS, _HARDER, _GROWS, _SHRINKS, _LARGEST = 4.0, 5.0, 1.3, 1.1, 0.3
+_slopes = scratch(3 * len(Slopes._fields) * COUNT)
 
 
 # --- readings to points -----------------------------------------------------------------------------------------------
@@ -47,13 +81,14 @@ _SINKAGE_SD = 0.1  # of the radius, of the first sinkage: reached where none is 
 @inlined
 def _advance_clocks(p, k, reading, numbers):
     """Integrals over the last period, of the readings' mean over it."""
-    u, i = reading.rim_speed, min(max(reading.slip, -0.95), 0.98)
+    u, i = reading.rim_speed, min(max(reading.slip, -0.9), 0.98)
     v = u * motion_from_slip(i)[1]
     mean_v, mean_u = 0.5 * (v + p.last_speed[k]), 0.5 * (u + p.last_rim[k])
     step = numbers.period / numbers.relaxation
     sliding = abs(mean_u - mean_v) * step
-    travel = onto_fresh_ground(p, k, mean_v * numbers.period)
-    p.path[k] += travel / numbers.relaxation + numbers.dig_recovery * sliding
+    place, high, low = p.place[k] + mean_v * numbers.period, p.furthest[k], p.lowest[k]
+    p.place[k], p.furthest[k], p.lowest[k] = place, max(place, high), min(place, low)
+    p.path[k] += onto_fresh(place, low, high) / numbers.relaxation + numbers.dig_recovery * sliding
     p.sliding[k] += sliding
     p.shock[k] += abs(u - p.last_rim[k]) * step
     p.time[k] += numbers.period
@@ -61,17 +96,33 @@ def _advance_clocks(p, k, reading, numbers):
 
 
 @inlined
-def _collect(p, k, r):
-    p.slip[k] += r.slip
-    p.sinkage[k] += r.sinkage
-    p.drawbar_pull[k] += r.drawbar_pull
-    p.load[k] += r.load
-    p.torque[k] += r.torque
-    p.speed[k] += r.speed
-    p.rim_speed[k] += r.rim_speed
+def _collect(p, k, r, turned, numbers):
+    """Add a reading to the open point; `turned`: change of the rim speed [m/s] in its period."""
+    sd, u = numbers.noise, r.rim_speed
+    travel = r.speed / u
+    if travel <= 1.0:
+        of_speeds, rate = 1.0 - travel, 1.0
+    else:
+        of_speeds, rate = 1.0 / travel - 1.0, 1.0 / (travel * travel)
+    error = rate * math.hypot(sd[5], min(travel, 2.0) * sd[6]) / u
+    a, b = 1.0 / (sd[0] * sd[0]), 1.0 / (error * error)
+    p.slip[k] += r.slip * a + of_speeds * b
+    p.slip_weight[k] += a + b
+    mass = p.mass[k] if p.mass[k] > 0.0 else max(r.load, 0.0) / (numbers.gravity * math.cos(r.pitch))
+    a, b = 1.0 / (sd[2] * sd[2]), 1.0 / (mass * sd[9]) ** 2 if mass > 0.0 else 0.0
+    p.pull[k] += r.drawbar_pull * a + mass * r.acceleration * b
+    p.pull_weight[k] += a + b
+    excess = max(turned * turned - 2.0 * sd[6] * sd[6], 0.0)
+    accelerated = _TURNED * numbers.inertia / (numbers.radius * numbers.period)
+    a, b = 1.0 / (sd[4] * sd[4]), 1.0 / (sd[8] * sd[8] + accelerated * accelerated * excess)
+    p.torque[k] += r.torque * a + r.motor_torque * b
+    p.torque_weight[k] += a + b
+    a, b = 1.0 / (sd[1] * sd[1]), 1.0 / (sd[3] * sd[3])
+    p.sinkage[k] += r.sinkage * a
+    p.sinkage_weight[k] += a
+    p.load[k] += r.load * b
+    p.load_weight[k] += b
     p.pitch[k] += r.pitch
-    p.motor_torque[k] += r.motor_torque
-    p.acceleration[k] += r.acceleration
     p.path_sum[k] += p.path[k]
     p.sliding_sum[k] += p.sliding[k]
     p.shock_sum[k] += p.shock[k]
@@ -79,6 +130,7 @@ def _collect(p, k, r):
     place = p.place[k] - p.first_place[k]
     p.place_sum[k] += place
     p.place_square[k] += place * place
+    p.length[k] += abs(r.speed) * numbers.period
     p.readings[k] += 1.0
 
 
@@ -90,117 +142,260 @@ def take(banks, k, reading, numbers):
     known += reading.rim_speed + reading.pitch + reading.motor_torque + reading.acceleration
     if not abs(known) < 1e12:
         return False
-    before, time = p.last_rim[k], p.time[k]
+    turned = abs(reading.rim_speed - p.last_rim[k])
     if p.crossing[k] > 0.0 or p.readings[k] >= _READINGS - 1.0:  # likely to be needed
         fetch_bank(banks, k)
     _advance_clocks(p, k, reading, numbers)
     if numbers.grade_change > 0.0:
         note_grade(banks, k, reading.pitch, numbers)
-    # the model does not predict a wheel that turns backwards, as when a halt throws it back
-    useless = reading.rim_speed < _SLOWEST or reading.sinkage < 1e-3 * numbers.radius
-    useless = useless or abs(reading.slip) > _SPINNING
+    useless = reading.rim_speed < SLOWEST or reading.sinkage < 1e-3 * numbers.radius
+    useless = useless or reading.slip > _SPINNING or reading.slip < _LOCKED
+    useless = useless or turned > _THROWN * numbers.gravity * numbers.period
     if p.readings[k] > 0.0:
-        other = abs(reading.rim_speed - p.first_rim[k]) > _RIM * max(abs(p.first_rim[k]), 0.05)
-        other = other or abs(reading.slip - p.first_slip[k]) > _SLIP
+        other = abs(reading.rim_speed - p.first_rim[k]) > _RIM_RANGE * max(p.first_rim[k], 2.5 * SLOWEST)
+        other = other or abs(reading.slip - p.first_slip[k]) > _SLIP_RANGE
         most = _ON_BORDER if p.crossing[k] > 0.0 else 1.0
-        if useless or other or p.readings[k] >= most * _READINGS or p.length[k] > most * _LENGTH:
-            _complete(banks, k, before, time, numbers)
+        long = p.readings[k] >= most * _READINGS or p.length[k] > most * _LENGTH * numbers.radius
+        if useless or other or long:
+            _complete(banks, k, numbers)
             done = True
     if useless:
         return done
     if p.readings[k] == 0.0:
-        p.first_slip[k], p.first_rim[k] = reading.slip, reading.rim_speed
-        p.rim_at[k], p.rim_time[k], p.first_place[k] = before, time, p.place[k]
-    _collect(p, k, reading)
-    p.length[k] += abs(reading.speed) * numbers.period
+        p.first_slip[k], p.first_rim[k], p.first_place[k] = reading.slip, reading.rim_speed, p.place[k]
+    _collect(p, k, reading, turned, numbers)
     return done
 
 
+# --- points -----------------------------------------------------------------------------------------------------------
+
+
+class Point(NamedTuple):
+    """Means over the readings of a point, with their variances, and the motion since the last."""
+
+    readings: float
+    slip: float
+    slip_variance: float
+    sinkage: float
+    sinkage_variance: float
+    pull: float
+    pull_variance: float
+    torque: float
+    torque_variance: float
+    load: float
+    load_variance: float
+    cos_pitch: float
+    place: float  # [m] mean
+    spread: float  # [m] sd of the places
+    path: float  # integral of A dt
+    sliding: float  # integral of |r w - V| dt / l
+    shock: float  # sum of |d(r w)| dt / l
+    time: float  # [s]
+
+
 @inlined
-def _close(p, k, rim, time, numbers):
-    """The open point of bank k as `Point`, which ends at this rim speed and time; the next is empty."""
+def _close(p, k, numbers):
+    """The open point of bank k as `Point`; the next is empty."""
     n = p.readings[k]
-    lasted = max(time - p.rim_time[k], numbers.period)
-    faster = numbers.inertia / (numbers.radius * lasted)
     path, sliding, shock, middle = p.path_sum[k] / n, p.sliding_sum[k] / n, p.shock_sum[k] / n, p.time_sum[k] / n
-    u = p.rim_speed[k] / n
-    # a speed loop turns the wheel faster early in a period, and the torque is read at its end
-    spin, turned = faster * numbers.noise[6], faster * (rim - p.rim_at[k])
-    pitch, place = min(max(p.pitch[k] / n, -1.5), 1.5), p.place_sum[k] / n
+    place = p.place_sum[k] / n
     point = Point(
-        n, min(max(p.slip[k] / n, -0.95), 0.98), max(p.sinkage[k] / n, 1e-3 * numbers.radius), p.drawbar_pull[k] / n,
-        p.load[k] / n, p.torque[k] / n, p.speed[k] / n, u, pitch, math.cos(pitch),
-        p.motor_torque[k] / n - turned, p.acceleration[k] / n,
-        numbers.noise[8] * numbers.noise[8] / n + 2.0 * spin * spin + turned * turned,
+        n, min(max(p.slip[k] / p.slip_weight[k], -0.5), 0.97), 1.0 / p.slip_weight[k],
+        min(max(p.sinkage[k] / p.sinkage_weight[k], 1e-3 * numbers.radius), 1.9 * numbers.radius),
+        1.0 / p.sinkage_weight[k], p.pull[k] / p.pull_weight[k], 1.0 / p.pull_weight[k],
+        p.torque[k] / p.torque_weight[k], 1.0 / p.torque_weight[k], p.load[k] / p.load_weight[k],
+        1.0 / p.load_weight[k], math.cos(min(max(p.pitch[k] / n, -1.5), 1.5)), p.first_place[k] + place,
+        math.sqrt(max(p.place_square[k] / n - place * place, 0.0)),
         path - p.path_at[k], sliding - p.sliding_at[k], shock - p.shock_at[k], middle - p.time_at[k],
-        p.first_place[k] + place, math.sqrt(max(p.place_square[k] / n - place * place, 0.0)),
     )  # fmt: skip
     p.path_at[k], p.sliding_at[k], p.shock_at[k], p.time_at[k] = path, sliding, shock, middle
-    p.slip[k] = p.sinkage[k] = p.drawbar_pull[k] = p.load[k] = p.torque[k] = p.speed[k] = p.rim_speed[k] = 0.0
-    p.pitch[k] = p.motor_torque[k] = p.acceleration[k] = p.path_sum[k] = p.sliding_sum[k] = p.shock_sum[k] = 0.0
-    p.time_sum[k] = p.readings[k] = p.length[k] = p.place_sum[k] = p.place_square[k] = 0.0
+    p.slip[k] = p.slip_weight[k] = p.sinkage[k] = p.sinkage_weight[k] = p.pull[k] = p.pull_weight[k] = 0.0
+    p.torque[k] = p.torque_weight[k] = p.load[k] = p.load_weight[k] = p.pitch[k] = p.length[k] = p.readings[k] = 0.0
+    p.path_sum[k] = p.sliding_sum[k] = p.shock_sum[k] = p.time_sum[k] = p.place_sum[k] = p.place_square[k] = 0.0
     return point
 
 
 @inlined
-def _refer(p, k, point, numbers):
-    """Compare strength from now on at the mean shear displacement and normal stress of this point."""
-    r = numbers.radius
-    entry = entry_angle(min(point.sinkage, 1.9 * r), r)
-    middle = 0.5 * entry
-    rim, travel = motion_from_slip(max(abs(point.slip), 0.02))
-    p.displacement[k] = shear_displacement(middle, entry, math.sin(entry), rim, travel, r)[0]
-    p.stress[k] = max(point.load, 1e-3) / (r * numbers.width * math.sin(middle) * 2.0)
+def _weigh(p, k, point, numbers):
+    """Renew the mass on wheel k by a point; the load on it [N]."""
+    gravity = numbers.gravity * point.cos_pitch
+    if p.mass[k] == 0.0:
+        p.mass[k] = max(point.load, 1e-3 * math.sqrt(point.load_variance)) / gravity
+        p.mass_variance[k] = (_MASS_DOUBT * p.mass[k]) ** 2
+    drift = numbers.load_drift * p.mass[k]
+    before = p.mass_variance[k] + drift * drift
+    gain = before / (before + point.load_variance / (gravity * gravity))
+    p.mass[k] = max(p.mass[k] + gain * (point.load / gravity - p.mass[k]), 0.05 * p.mass[k])
+    p.mass_variance[k] = (1.0 - gain) * before
+    return p.mass[k] * gravity
 
 
 @inlined
-def _sound(banks, k, misfit):
-    """Whether all numbers of bank k are finite and its variances positive."""
-    every, least = fill(0.0), fill(1.0)
-    for i in range(CROSSING if banks.point.crossing[k] > 0.0 else STATES):
-        every = every + abs(from_array(banks.mean[k], i * COUNT))
-        variance = from_array(banks.covariance[k], element(i, i))
-        every, least = every + abs(variance), smaller(least, variance)
-    return total(every) < 1e18 and smallest(least) > 0.0 and abs(misfit) < 1e12
-
-
-@inlined
-def _start(banks, k, point, numbers):
-    """The first point of bank k: a mass, a sinkage, and where strength is compared."""
-    mean, covariance, unsure = banks.mean[k], banks.covariance[k], _SINKAGE_SD * numbers.radius
-    least = 1e-3 * numbers.noise[3] / numbers.gravity
-    mass = max(point.load / (numbers.gravity * point.cos_pitch), least)
-    to_array(fill(mass), mean, MASS * COUNT)
-    to_array(fill(_MASS_VARIANCE * mass * mass), covariance, element(MASS, MASS))
-    to_array(fill(point.sinkage), mean, SINKAGE * COUNT)
-    variance = min(1e2 * numbers.noise[1] * numbers.noise[1], unsure * unsure)
-    to_array(fill(variance), covariance, element(SINKAGE, SINKAGE))
-    to_array(fill(point.slip), mean, SLIP * COUNT)
-    _refer(banks.point, k, point, numbers)
-    prior_of_soil(banks, k, numbers)
-
-
-@inlined
-def _complete(banks, k, rim, time, numbers):
+def _complete(banks, k, numbers):
     """Close the open point, see whether a border begins or ends with it, and renew bank k by it."""
     p = banks.point
     first = p.first_place[k]
-    point = _close(p, k, rim, time, numbers)
-    if banks.covariance[k, element(MASS, MASS)] == 0.0:
-        _start(banks, k, point, numbers)
+    point, begun = _close(p, k, numbers), p.mass[k] > 0.0
+    load = _weigh(p, k, point, numbers)
+    if not begun:
+        unsure = _SINKAGE_DOUBT * numbers.radius
+        start(banks, k, point.sinkage, min(1e2 * point.sinkage_variance, unsure * unsure))
     if p.crossing[k] == 0.0:
-        if numbers.grade_change > 0.0:
+        if numbers.grade_change > 0.0 and p.points[k] > 0.0:
             cross_where_the_grade_changes(banks, k, numbers)
+        if p.misfit[k] > CONTRADICTION_OF_POINTS and p.points[k] > 2.0 and p.crossing[k] == 0.0:
+            cross_here(banks, k, numbers)
     elif first > p.border[k] + 0.5 * numbers.border:
         end(banks, k, numbers)
-    misfit = renew(banks, k, point, numbers)
-    if not _sound(banks, k, misfit):  # readings that no wheel gives
+    _renew(banks, k, point, load, numbers)
+    if not fit_is_sound(banks, k):  # readings that no wheel gives
         restart(banks, k, numbers)
+
+
+# --- renewal by a point -----------------------------------------------------------------------------------------------
+
+
+@inlined
+def ground_of(banks, k, share):
+    """`GroundSoil`, as means, where the new soil has this share."""
+    known, w, v = banks.known[k], share, 1.0 - share
+    if w >= 1.0:
+        return GroundSoil(known[0], known[1], known[2], known[3])
+    return GroundSoil(
+        w * known[0] + v * known[OLD], w * known[1] + v * known[OLD + 1], w * known[2] + v * known[OLD + 2],
+        w * known[3] + v * known[OLD + 3],
+    )  # fmt: skip
+
+
+@inlined
+def _keep(slopes, into, row):
+    to_array(slopes.value, into, row * COUNT)
+    to_array(slopes.by_tangent, into, (row + 1) * COUNT)
+    to_array(slopes.by_cohesion, into, (row + 2) * COUNT)
+    to_array(slopes.by_exponent, into, (row + 3) * COUNT)
+    to_array(slopes.by_ln_K, into, (row + 4) * COUNT)
+    to_array(slopes.by_sinkage, into, (row + 5) * COUNT)
+    to_array(slopes.by_slip, into, (row + 6) * COUNT)
+
+
+@inlined
+def _one(rows, row, lane):
+    """`Slopes` of one lane."""
+    i = row * COUNT + lane
+    return Slopes(
+        rows[i], rows[i + COUNT], rows[i + 2 * COUNT], rows[i + 3 * COUNT], rows[i + 4 * COUNT], rows[i + 5 * COUNT],
+        rows[i + 6 * COUNT],
+    )  # fmt: skip
+
+
+_PULL, _TORQUE, _LN_S = 0, 7, 14  # rows of `_slopes`
+_HERE = 3  # the lane at the slip of the point
+
+
+@inlined
+def _slips(point):
+    """Slips at which the forces of a point are predicted, a value a lane; that of the point is in lane `_HERE`."""
+    lanes = _lane_numbers()
+    step = max(0.8 * math.sqrt(point.slip_variance), 2e-3)
+    for j in range(COUNT):
+        lanes[j] = min(max(point.slip + (j - _HERE) * step, _LOCKED), 0.95) if j != _HERE else point.slip
+    return from_array(lanes, 0)
+
+
+_lane_numbers = scratch(COUNT)
+
+
+@inlined
+def _key(rows, point, load, numbers):
+    """The slip that slip, pull and torque of a point tell together under the soil so far."""
+    error = _KEY_ERROR * load
+    of_pull = 1.0 / (point.pull_variance + error * error)
+    of_torque = 1.0 / (point.torque_variance + (error * numbers.radius) ** 2)
+    of_slip, lanes = 1.0 / point.slip_variance, _lane_numbers()
+    slips = _slips(point)
+    p = point.pull - from_array(rows, _PULL * COUNT)
+    t = point.torque - from_array(rows, _TORQUE * COUNT)
+    s = point.slip - slips
+    by_slip, twist_by_slip = from_array(rows, (_PULL + 6) * COUNT), from_array(rows, (_TORQUE + 6) * COUNT)
+    to_array(of_pull * p * p + of_torque * t * t + of_slip * s * s, lanes, 0)
+    best = 0
+    for j in range(1, COUNT):
+        if lanes[j] < lanes[best]:
+            best = j
+    curvature = of_pull * by_slip * by_slip + of_torque * twist_by_slip * twist_by_slip + of_slip
+    step = (of_pull * p * by_slip + of_torque * t * twist_by_slip + of_slip * s) / curvature
+    to_array(smaller(larger(slips + smaller(larger(step, -0.05), 0.05), _LOCKED), 0.95), lanes, 0)
+    return lanes[best]
+
+
+@inlined
+def _surprise(banks, k, rows, point, load, moved, variance, numbers):
+    """Chi-squared of pull and torque under the soil so far; the sinkage has `moved` [m] and has this variance."""
+    p, t = _one(rows, _PULL, _HERE), _one(rows, _TORQUE, _HERE)
+    error = banks.point.form_error[k] * load
+    pp = point.pull_variance + error * error + p.by_slip * p.by_slip * point.slip_variance
+    pt = p.by_slip * t.by_slip * point.slip_variance + p.by_sinkage * t.by_sinkage * variance
+    tt = point.torque_variance + (error * numbers.radius) ** 2 + t.by_slip * t.by_slip * point.slip_variance
+    pp += p.by_sinkage * p.by_sinkage * variance + quadratic_form(banks.known[k], SOIL, p, p)
+    pt += quadratic_form(banks.known[k], SOIL, p, t)
+    tt += t.by_sinkage * t.by_sinkage * variance + quadratic_form(banks.known[k], SOIL, t, t)
+    a = point.pull - p.value - p.by_sinkage * moved
+    b = point.torque - t.value - t.by_sinkage * moved
+    return (tt * a * a - 2.0 * pt * a * b + pp * b * b) / (pp * tt - pt * pt)
+
+
+@part
+def _renew(banks, k, point, load, numbers):
+    """Renew what is known of the soil and the sinkage of wheel k by a point."""
+    p, s, rows, r = banks.point, banks.sinkage[k], _slopes(), numbers.radius
+    share, by_place = share_here(banks, k, point.place, point.spread, numbers)
+    soil = ground_of(banks, k, share)
+    depth = max(mean(s, DEPTH), 2e-3 * r)
+    lanes = GroundSoil(fill(soil.tangent), fill(soil.cohesion), fill(soil.exponent), fill(soil.ln_K))
+    found = reaction(lanes, fill(depth), _slips(point), load, r, numbers.width)
+    _keep(found.pull, rows, _PULL)
+    _keep(found.torque, rows, _TORQUE)
+    _keep(found.ln_s, rows, _LN_S)
+    of_s = _one(rows, _LN_S, _HERE)
+    p.ln_s_tangent[k], p.ln_s_cohesion[k], p.ln_s_ln_K[k] = of_s.by_tangent, of_s.by_cohesion, of_s.by_ln_K
+    p.ln_s_exponent[k] = of_s.by_exponent + math.log(depth)
+    ground = Ground(of_s.value, depth, of_s.by_sinkage * depth, soil.exponent, share, by_place, p.border_variance[k])
+    motion = Motion(point.path, point.sliding, point.shock, point.time, point.sinkage, point.sinkage_variance)
+    follow(banks, k, ground, motion, numbers)
+    after, variance = max(mean(s, DEPTH), 2e-3 * r), _SINKAGE_SHARE * max(spread(s, DEPTH, DEPTH), 1e-12)
+    if p.points[k] > 0.0 and p.crossing[k] == 0.0:
+        surprise = _surprise(banks, k, rows, point, load, after - depth, variance, numbers)
+        p.misfit[k] = max(p.misfit[k] + surprise - _EXPECTED, 0.0)
+    new = new_point()
+    new[READINGS], new[SLIP], new[SLIP_WEIGHT] = point.readings, point.slip, 1.0 / point.slip_variance
+    new[SINKAGE], new[SINKAGE_WEIGHT] = after, 1.0 / variance
+    new[PULL], new[PULL_WEIGHT] = point.pull, 1.0 / point.pull_variance
+    new[TORQUE], new[TORQUE_WEIGHT] = point.torque, 1.0 / point.torque_variance
+    new[LOAD], new[PLACE], new[SPREAD] = load, point.place, point.spread
+    new[KEY] = _key(rows, point, load, numbers)
+    new[ON_BORDER] = 1.0 if share < 0.999 else 0.0
+    count, changed, replaced = add(banks.bins[k], int(p.bins[k]), new, numbers.border)
+    if replaced >= 0 or count > int(p.bins[k]):
+        begin_bin(banks, k, replaced if replaced >= 0 else changed, new[KEY])
+    p.bins[k], p.points[k] = count, p.points[k] + 1.0
+    if p.same[k] == 0.0:
+        renew_prior(banks, k, numbers)
+    _adapt(p, k, fit(banks, k, changed, replaced, numbers), numbers.model_error)
+
+
+@inlined
+def _adapt(p, k, misfit, least):
+    """Renew the form error, which is `least` or more, by the least chi-squared of a fit."""
+    if p.bins[k] < 3.0 or p.crossing[k] > 0.0 or p.misfit[k] > _EXPECTED:  # it may be another soil
         return
-    p.grade_used[k] = 0.0
-    before = p.misfit[k] if p.points[k] > 0.0 else 0.0
-    expected = _EXPECTED + p.crossing[k]  # on a border the pitch is a channel more
-    p.misfit[k] = max(before + misfit - expected, 0.0)
-    p.points[k] += 1.0
-    if p.misfit[k] > CONTRADICTION_OF_POINTS and p.points[k] > 2.0 and p.crossing[k] == 0.0:
-        cross_here(banks, k, numbers)
+    free = 2.0 * p.bins[k] - 2.0
+    aim = free / (_HARDER * _HARDER)
+    if p.flagged[k] == 0.0:
+        if misfit > free + _BEGINS * math.sqrt(2.0 * free):
+            p.flagged[k], p.form_error[k] = 1.0, 2.0 * least
+    elif misfit > aim:
+        p.form_error[k] = min(_GROWS * p.form_error[k], _LARGEST)
+    elif misfit < 0.5 * aim:
+        p.form_error[k] /= _SHRINKS
+        if p.form_error[k] <= 1.2 * least:
+            p.flagged[k], p.form_error[k] = 0.0, least

@@ -1,99 +1,127 @@
-"""The estimate that a bank of filters (`filter`) gives of the soil under the wheel."""
+"""The estimate that a filter gives of the soil under the wheel."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import asin_root, exp, sqrt
-from soil_env._numba.lanes import COUNT, from_array, scratch, to_array, total
-from soil_env.identification.border import blend, covariance_of_ground
-from soil_env.identification.filter_bank import COVARIANCES, MEANS, PUBLISHED, element, reference_of
-from soil_env.identification.linearised import (
-    COHESION,
-    EXPONENT,
-    GAIN,
-    LN_DEPTH,
-    LN_K,
-    STRENGTH,
-    Q,
-    friction,
-)
+from soil_env._numba.elementary import exp, log
+from soil_env._numba.lanes import COUNT, from_array, scratch, total
+from soil_env.identification.best_pull import best_pull
+from soil_env.identification.border import share_here
+from soil_env.identification.sinkage_filter import GAIN, OLD_GAIN, OLD_PRESSURE, PRESSURE, cell, weights
+from soil_env.identification.soil_nodes import GAUSSIAN, OLD, SOIL, below_diagonal
 
-_ground, _published = scratch(MEANS), scratch(PUBLISHED * COUNT)
-_of_ground = scratch(COVARIANCES)
-
-
-@inlined
-def publish(banks, k, numbers, estimate, sd, covariance):
-    """Of the soil under the wheel: mean [5], standard deviations [5], covariance [5, 5] of (phi, ln K, ln S, c, ln g).
-
-    ln S is that at the exponent of the belief which bears the same pressure at the bearing sinkage.
-    """
-    if banks.point.crossing[k] > 0.0:
-        ground, of_ground = _ground(), _of_ground()
-        b = blend(banks.mean[k], banks.point.place[k], 0.0, reference_of(banks, k), ground, numbers)
-        covariance_of_ground(banks.covariance[k], banks.mean[k], b, of_ground)
-        _publish(banks, k, ground, of_ground, numbers, estimate, sd, covariance)
-    else:
-        _publish(banks, k, banks.mean[k], banks.covariance[k], numbers, estimate, sd, covariance)
-
-
-class _Slopes(NamedTuple):
-    """Derivatives of the friction angle by the states; a value a lane."""
-
-    by_strength: object
-    by_ln_K: object
-    by_cohesion: object
-
-
-@inlined
-def _with_state(P, i, state, angle, depth):
-    """Covariance of published number i with a state."""
-    if i == STRENGTH:
-        return (
-            angle.by_strength * from_array(P, element(STRENGTH, state))
-            + angle.by_ln_K * from_array(P, element(LN_K, state))
-            + angle.by_cohesion * from_array(P, element(COHESION, state))
-        )
-    v = from_array(P, element(GAIN if i == GAIN - 1 else i, state))
-    return v + depth * from_array(P, element(EXPONENT, state)) if i == Q else v
+PUBLISHED = 5  # (phi, ln K, ln S, c, ln g)
+PHI, LN_K, LN_S, COHESION, LN_GAIN = range(PUBLISHED)
+_ground, _product = scratch(GAUSSIAN), scratch(SOIL)
+# Unknowns of a soil in the order of `soil_nodes`, which are (tan phi, c, n, ln K), and where they are published.
+_TANGENT, _C, _N, _LN_K = range(SOIL)
+_LEAST_VARIANCE = 1e-18
+# What is published is wider than the Gaussians of the filter, by what these leave out: `_WIDER` times the standard
+# deviations of what the forces tell; to the ln of pressure and gain 1-sigma errors, of themselves and by that of the exponent, which
+# the filter of the sinkage holds known. Where readings begin to contradict the soil so far (`filter.FilterPoint.misfit`),
+# all standard deviations grow by the misfit over `_DOUBTED`.
+_WIDER, _DOUBTED, _MOST, _CONTRADICTED = 1.07, 6.0, 12.0, 1.4
+_OF_PRESSURE, _OF_GAIN = (0.05, 0.65), (0.2, 1.5)
 
 
 @part
-def _publish(banks, k, x, P, numbers, estimate, sd, covariance):
-    """`publish` from the soil states x and their covariance P, eight filters each."""
-    w = exp(from_array(banks.log_weight[k], 0))
-    depth = from_array(banks.ln_bearing[k], 0) - LN_DEPTH
-    rows_, n = _published(), from_array(x, EXPONENT * COUNT)
-    for i in range(PUBLISHED):
-        j = GAIN if i == GAIN - 1 else i
-        to_array(from_array(x, j * COUNT), rows_, i * COUNT)
-    tan = friction(
-        from_array(x, STRENGTH * COUNT),
-        from_array(x, LN_K * COUNT),
-        from_array(x, COHESION * COUNT),
-        reference_of(banks, k),
-    )
-    angle = 2.0 * asin_root(0.5 - 0.5 / sqrt(1.0 + tan.tangent * tan.tangent))
-    to_array(angle, rows_, 0)
-    to_array(from_array(x, Q * COUNT) + (n - numbers.exponent) * depth, rows_, Q * COUNT)
-    for i in range(PUBLISHED):
-        estimate[i] = total(w * from_array(rows_, i * COUNT))
-    rate = 1.0 / (1.0 + tan.tangent * tan.tangent)
-    of_angle = _Slopes(rate * tan.by_strength, rate * tan.by_ln_K, rate * tan.by_cohesion)
-    for i in range(PUBLISHED):
-        away = from_array(rows_, i * COUNT) - estimate[i]
+def _of_forces(banks, k, share, by_place, out):
+    """Gaussian [GAUSSIAN] of the ground under the wheel by the forces: a blend of two soils on a border."""
+    known = banks.known[k]
+    if share >= 1.0:
+        for i in range(GAUSSIAN):
+            out[i] = known[i]
+        return
+    w, v = share, 1.0 - share
+    for i in range(SOIL):
+        out[i] = w * known[i] + v * known[OLD + i]
+    spread = by_place * by_place * banks.point.border_variance[k]
+    for i in range(SOIL):
+        apart = known[i] - known[OLD + i]
         for j in range(i + 1):
-            if j == STRENGTH:
-                v = of_angle.by_strength * _with_state(P, i, STRENGTH, of_angle, depth)
-                v = v + of_angle.by_ln_K * _with_state(P, i, LN_K, of_angle, depth)
-                v = v + of_angle.by_cohesion * _with_state(P, i, COHESION, of_angle, depth)
-            else:
-                v = _with_state(P, i, GAIN if j == GAIN - 1 else j, of_angle, depth)
-                if j == Q:
-                    v = v + depth * _with_state(P, i, EXPONENT, of_angle, depth)
-            covariance[i, j] = covariance[j, i] = total(w * (v + away * (from_array(rows_, j * COUNT) - estimate[j])))
-        sd[i] = math.sqrt(max(covariance[i, i], 1e-18))
-    estimate[COHESION] = max(estimate[COHESION], 0.0)
+            n = SOIL + below_diagonal(i, j)
+            out[n] = w * w * known[n] + v * v * known[OLD + n] + spread * apart * (known[j] - known[OLD + j])
+
+
+@inlined
+def _wider(i):
+    return 1.0 if i == LN_S or i == LN_GAIN else _WIDER
+
+
+@part
+def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
+    """Of the soil under the wheel: mean [5], standard deviations [5], covariance [5, 5] of (phi, ln K, ln S, c, ln g).
+
+    And, if `anew`, `pull` [2]: best drawbar pull of the load and its standard deviation.
+
+    ln S is that at the exponent of the belief which bears the same pressure at the bearing sinkage. What is not known
+    of the load scales all strengths.
+    """
+    p, g = banks.point, _ground()
+    share, by_place = share_here(banks, k, p.place[k], 0.0, numbers)
+    _of_forces(banks, k, share, by_place, g)
+    tangent, c = g[_TANGENT], SOIL
+    rate = 1.0 / (1.0 + tangent * tangent)
+    estimate[PHI], estimate[LN_K], estimate[COHESION] = math.atan(tangent), g[_LN_K], max(g[_C], 0.0)
+    of_load = p.mass_variance[k] / max(p.mass[k] * p.mass[k], 1e-300)
+    covariance[PHI, PHI] = rate * rate * (g[c] + of_load * tangent * tangent)
+    covariance[COHESION, PHI] = rate * (g[c + 1] + of_load * tangent * g[_C])
+    covariance[COHESION, COHESION] = g[c + 2] + of_load * g[_C] * g[_C]
+    covariance[LN_K, PHI], covariance[COHESION, LN_K] = rate * g[c + 6], g[c + 7]
+    covariance[LN_K, LN_K] = g[c + 9]
+    slopes, along = (p.ln_s_tangent[k], p.ln_s_cohesion[k], p.ln_s_exponent[k], p.ln_s_ln_K[k]), _product()
+    variance = 0.0
+    for i in range(SOIL):
+        along[i] = 0.0
+        for j in range(SOIL):
+            along[i] += g[c + below_diagonal(max(i, j), min(i, j))] * slopes[j]
+        variance += along[i] * slopes[i]
+    y, gain, yy, yg, gg = _of_sinkage(banks.sinkage[k], share)
+    depth = p.bearing[k] if p.bearing[k] > 1e-6 else numbers.depth
+    n, bearing = g[_N], math.log(depth)
+    pressure = y + n * (bearing - math.log(numbers.depth))
+    estimate[LN_S] = pressure - numbers.exponent * bearing
+    estimate[LN_GAIN] = gain
+    covariance[LN_S, LN_S], covariance[LN_GAIN, LN_S], covariance[LN_GAIN, LN_GAIN] = yy + variance + of_load, yg, gg
+    covariance[LN_S, PHI], covariance[LN_S, LN_K] = rate * (along[_TANGENT] + of_load * tangent), along[_LN_K]
+    covariance[COHESION, LN_S] = along[_C] + of_load * g[_C]
+    for i in range(LN_GAIN):
+        if i != LN_S:
+            covariance[LN_GAIN, i] = 0.0
+    of_exponent, doubt = g[c + 5], (1.0 + min(p.misfit[k], _MOST) / _DOUBTED) * (_CONTRADICTED if p.flagged[k] > 0.0 else 1.0)
+    covariance[LN_S, LN_S] += _OF_PRESSURE[0] ** 2 + _OF_PRESSURE[1] ** 2 * of_exponent
+    covariance[LN_GAIN, LN_GAIN] += _OF_GAIN[0] ** 2 + _OF_GAIN[1] ** 2 * of_exponent
+    for i in range(PUBLISHED):
+        for j in range(i + 1):
+            covariance[i, j] *= doubt * doubt * _wider(i) * _wider(j)
+            covariance[j, i] = covariance[i, j]
+        sd[i] = math.sqrt(max(covariance[i, i], _LEAST_VARIANCE))
+    if anew:
+        load = p.mass[k] * numbers.gravity
+        pull[0], of_pull = best_pull(banks.steady[k], g, slopes, pressure, gain, (yy, yg, gg), depth, load, numbers)
+        pull[1] = doubt * math.sqrt(max(of_pull + p.form_error[k] * p.form_error[k], _LEAST_VARIANCE))
+
+
+@part
+def _of_sinkage(s, share):
+    """(mean of y, of the ln of the gain; their variances and covariance: yy, yg, gg) of the ground."""
+    w, own = share, weights(s)
+    y, gain = from_array(s, PRESSURE * COUNT), from_array(s, GAIN * COUNT)
+    yy, yg, gg = from_array(s, cell(PRESSURE, PRESSURE)), from_array(s, cell(GAIN, PRESSURE)), from_array(s, cell(GAIN, GAIN))
+    if share < 1.0:
+        v = 1.0 - w
+        old_y, old_gain = from_array(s, OLD_PRESSURE * COUNT), from_array(s, OLD_GAIN * COUNT)
+        new, old = w * exp(gain), v * exp(old_gain)
+        a, b = new / (new + old), old / (new + old)
+        yg = (w * a) * yg + (v * b) * from_array(s, cell(OLD_GAIN, OLD_PRESSURE))
+        yy = (w * w) * yy + (v * v) * from_array(s, cell(OLD_PRESSURE, OLD_PRESSURE))
+        yy = yy + (2.0 * v * w) * from_array(s, cell(OLD_PRESSURE, PRESSURE))
+        gg = a * a * gg + b * b * from_array(s, cell(OLD_GAIN, OLD_GAIN)) + 2.0 * a * b * from_array(s, cell(OLD_GAIN, GAIN))
+        y, gain = w * y + v * old_y, log(new + old)
+    mean_y, mean_gain = total(own * y), total(own * gain)
+    away, off = y - mean_y, gain - mean_gain
+    return (
+        mean_y, mean_gain, total(own * (yy + away * away)), total(own * (yg + away * off)), total(own * (gg + off * off)),
+    )  # fmt: skip

@@ -1,7 +1,4 @@
-"""Online identification: estimate, standard deviations and status, by the filter or by the moving window.
-
-Both (`filter`, `window`) see sensor readings only, and publish the same numbers of their estimates.
-"""
+"""Online identification: estimate, standard deviations and status, by the filter."""
 
 from __future__ import annotations
 
@@ -11,42 +8,31 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part, root
-from soil_env._numba.rows import Rows, zero_column
-from soil_env.identification.digging import KEPT, Digging, DiggingPlaces
-from soil_env.identification.filter import CONTRADICTION_OF_POINTS, take as take_by_filter
-from soil_env.identification.filter_bank import STAYS, FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
-from soil_env.identification.filter_estimate import publish
-from soil_env.identification.mixture_prior import moments, prior_of_belief
-from soil_env.identification.normal_equations import SIZE
-from soil_env.identification.point import Points, Reading
-from soil_env.identification.readings import SensorReading, sensor_noise
+from soil_env.identification.best_pull import prior_pull
+from soil_env.identification.filter import CONTRADICTION_OF_POINTS, take
+from soil_env.identification.filter_bank import FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
+from soil_env.identification.filter_estimate import PUBLISHED as SIZE, publish
+from soil_env.identification.readings import SensorReading
+from soil_env.identification.soil_prior import depth_of, prior_of_belief, published_prior
 from soil_env.identification.solver import Status
-from soil_env.identification.window import WINDOW, OpenPoint, take as take_by_window
 from soil_env.parameters import Scenario
 
 #: What a set of readings did to the estimate: nothing; the wheel is elsewhere on a border, and so on other ground; it
 #: completed a point.
 HELD, MOVED, RENEWED = 0, 1, 2
+_OFTEN = 4.0  # points of a soil after which the best drawbar pull is renewed with every second one
 FARTHEST = 60.0  # |ln| of K, of S and of the gain over its prior, beyond which an estimate is that of no soil
-KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
-_HALF = math.log(0.5)  # ln probability of the soil having stayed the same, below which a border is counted
 
 
 class Identifiers(NamedTuple):
     """Memory of many identifiers: arrays with one row a wheel."""
 
-    points: Rows  # Points, WINDOW columns a wheel
-    count: np.ndarray  # [wheels] points in the window
-    open: Rows  # OpenPoint
-    digging: Rows  # Digging
-    places: Rows  # DiggingPlaces, KEPT columns a wheel
     estimate: np.ndarray  # [wheels, 5] the published estimate, in the order of `IdentifierNumbers.prior`
     sd: np.ndarray  # [wheels, 5] its standard deviations
     status: np.ndarray  # [wheels] `Status`
-    trial: np.ndarray  # [wheels, 5] the newest solution, published or not
     covariance: np.ndarray  # [wheels, 5, 5] of it
-    condition: np.ndarray  # [wheels] largest posterior over prior standard deviation (1 = nothing learnt)
-    banks: FilterBanks  # of the method "filter"
+    best_pull: np.ndarray  # [wheels, 2] best steady drawbar pull [of load] and its standard deviation
+    banks: FilterBanks
     borders: np.ndarray  # [wheels] to another soil that the filter has found since `forget`
 
 
@@ -57,76 +43,48 @@ class Replay(NamedTuple):
     estimate: np.ndarray  # [T, 5] as in `Identifiers`
     sd: np.ndarray  # [T, 5]
     status: np.ndarray  # [T] `Status`
+    best_pull: np.ndarray  # [T, 2]
 
 
 def new_replay(count: int) -> Replay:
     """For `observe_rows` with `count` sets of readings."""
     whole = np.zeros((2, count), dtype=np.int64)
-    return Replay(whole[0], np.zeros((count, 5)), np.zeros((count, 5)), whole[1])
+    return Replay(whole[0], np.zeros((count, 5)), np.zeros((count, 5)), whole[1], np.zeros((count, 2)))
 
 
 class IdentifierNumbers(NamedTuple):
     """What the identifier takes from a `Scenario`."""
 
-    reading: Reading
     prior: np.ndarray  # [5] of (phi, ln K, ln S, cohesion, ln(gain of digging / dig_gain))
-    precision: np.ndarray  # [5] of the prior
-    slip_sd: float
-    sinkage_sd: float
-    force_sd: np.ndarray  # [3] drawbar pull [N], load [N], torque [N m]
-    model_error: float
+    prior_covariance: np.ndarray  # [5, 5]
+    prior_pull: np.ndarray  # [2] best steady drawbar pull [of load], its standard deviation
+    precision: np.ndarray  # [5] of the prior, each on its own
     dig_gain: float
     dig_recovery: float
-    relaxation: float  # [m]
-    memory: float  # [m]
-    period: float  # [s]
-    by_filter: bool
+    exponent: float
     off: bool  # nothing is identified
     filter: FilterNumbers
 
 
 def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
-    """Pack what `observe` needs; the noise of a channel is floored at a millionth so that weights stay finite."""
-    b, w, weight, noise = scenario.belief, scenario.wheel, scenario.weight, sensor_noise(scenario)
-    prior = [math.radians(b.friction_angle_deg), math.log(b.shear_modulus), math.log(b.sinkage_coefficient)]
-    sd = [math.radians(b.friction_sd_deg), b.shear_modulus_sd, b.sinkage_coefficient_sd]
-    sd += [max(b.cohesion_sd, KNOWN * weight / (w.radius * w.width)), max(b.dig_gain_sd, KNOWN)]
-    if b.method == "filter" and b.soils:  # the first two moments of the library
-        mean, covariance = moments(prior_of_belief(scenario))
-        prior, sd = [*mean[:3]], [*np.sqrt(np.diag(covariance))[:3], *sd[3:]]
+    """Pack what `observe` needs."""
+    b = scenario.belief
+    prior, covariance = published_prior(scenario)
+    pull, variance = prior_pull(*prior_of_belief(scenario), depth_of(scenario), scenario)
     return IdentifierNumbers(
-        Reading(b.cohesion, b.sinkage_exponent, w.radius, w.width, 0, False),
-        np.array([*prior, b.cohesion, 0.0]),
-        1.0 / np.square(sd),
-        noise[0],
-        noise[1],
-        np.maximum(noise[2:5], 1e-6 * weight),
-        b.model_error,
-        b.dig_gain,
-        b.dig_recovery,
-        scenario.relaxation * w.radius,
-        b.memory,
-        scenario.control.period,
-        b.method == "filter",
-        b.method == "none",
-        filter_numbers(scenario),
-    )
+        prior, covariance, np.array([pull, math.sqrt(variance)]), 1.0 / np.diag(covariance), b.dig_gain, b.dig_recovery, b.sinkage_exponent,
+        b.method == "none", filter_numbers(scenario),
+    )  # fmt: skip
 
 
 def new_identifiers(wheels: int) -> Identifiers:
     """Empty identifiers; `forget` sets one to the prior."""
     return Identifiers(
-        Points(wheels * WINDOW),
-        np.zeros(wheels, dtype=np.int64),
-        OpenPoint(wheels),
-        Digging(wheels),
-        DiggingPlaces(wheels * KEPT),
         np.zeros((wheels, SIZE)),
         np.zeros((wheels, SIZE)),
         np.zeros(wheels, dtype=np.int64),
-        np.zeros((wheels, SIZE)),
         np.zeros((wheels, SIZE, SIZE)),
-        np.ones(wheels),
+        np.zeros((wheels, 2)),
         new_banks(wheels),
         np.zeros(wheels, dtype=np.int64),
     )
@@ -135,14 +93,14 @@ def new_identifiers(wheels: int) -> Identifiers:
 @part
 def forget(ids, k, numbers):
     """Set identifier k back to its prior."""
-    ids.count[k] = ids.borders[k] = 0
-    zero_column(ids.open, k)
-    zero_column(ids.digging, k)
+    ids.borders[k] = 0
     for i in range(SIZE):
-        ids.estimate[k, i] = ids.trial[k, i] = numbers.prior[i]
+        ids.estimate[k, i] = numbers.prior[i]
         ids.sd[k, i] = 1.0 / math.sqrt(numbers.precision[i])
+        for j in range(SIZE):
+            ids.covariance[k, i, j] = numbers.prior_covariance[i, j]
+    ids.best_pull[k, 0], ids.best_pull[k, 1] = numbers.prior_pull[0], numbers.prior_pull[1]
     ids.status[k] = Status.NO_DATA.value
-    ids.condition[k] = 1.0
     restart(ids.banks, k, numbers.filter)
 
 
@@ -151,9 +109,31 @@ def observe(ids, k, reading, numbers):
     """Take one set of readings: `HELD`, `MOVED` or `RENEWED`."""
     if numbers.off:
         return HELD
-    if numbers.by_filter:
-        return _observe_by_filter(ids, k, reading, numbers)
-    return RENEWED if take_by_window(ids, k, reading, numbers) else HELD
+    p, crossed = ids.banks.point, ids.banks.point.crossing[k]
+    done = take(ids.banks, k, reading, numbers.filter)
+    if not done and p.crossing[k] == 0.0:
+        return HELD
+    if p.mass[k] == 0.0:  # readings that no wheel gives: the filter has started anew
+        forget(ids, k, numbers)
+        return RENEWED
+    if p.crossing[k] > crossed:
+        ids.borders[k] += int(p.by_forces[k])
+    elif p.crossing[k] < crossed and p.by_forces[k] == 0.0 and p.same[k] == 0.0:
+        ids.borders[k] += 1  # the grade told of a border, and it was one of soil
+    # on a border the soil under the wheel changes from reading to reading
+    anew = done and (p.points[k] < _OFTEN or p.points[k] % 2.0 > 0.0)
+    publish(ids.banks, k, numbers.filter, ids.estimate[k], ids.sd[k], ids.covariance[k], ids.best_pull[k], anew)
+    if not max(abs(ids.estimate[k, 1]), abs(ids.estimate[k, 2]), abs(ids.estimate[k, 4])) < FARTHEST:
+        forget(ids, k, numbers)
+        return RENEWED
+    learnt = 0.0
+    for i in range(2):  # friction and shear deformation modulus need a range of slip
+        learnt = max(learnt, ids.sd[k, i] * math.sqrt(numbers.precision[i]))
+    if p.flagged[k] > 0.0 or p.misfit[k] > CONTRADICTION_OF_POINTS:
+        ids.status[k] = Status.MISFIT.value
+    else:
+        ids.status[k] = Status.CONVERGED.value if learnt <= 0.6 else Status.NOT_EXCITED.value
+    return RENEWED if done else MOVED
 
 
 @root(nogil=True)
@@ -172,29 +152,4 @@ def observe_rows(
         for i in range(replay.estimate.shape[1]):
             replay.estimate[t, i], replay.sd[t, i] = ids.estimate[k, i], ids.sd[k, i]
         replay.status[t] = ids.status[k]
-
-
-@inlined
-def _observe_by_filter(ids, k, reading, numbers):
-    p, crossed = ids.banks.point, ids.banks.point.crossing[k]
-    done = take_by_filter(ids.banks, k, reading, numbers.filter)
-    if not done and p.crossing[k] == 0.0:
-        return HELD
-    if p.crossing[k] > crossed:
-        ids.borders[k] += int(p.by_forces[k])
-    elif p.crossing[k] < crossed and p.by_forces[k] == 0.0 and ids.banks.log_weight[k, STAYS] < _HALF:
-        ids.borders[k] += 1  # the grade told of a border, and it was one of soil
-    # on a border the soil under the wheel changes from reading to reading
-    publish(ids.banks, k, numbers.filter, ids.estimate[k], ids.sd[k], ids.covariance[k])
-    if max(abs(ids.estimate[k, 1]), abs(ids.estimate[k, 2]), abs(ids.estimate[k, 4])) > FARTHEST:
-        forget(ids, k, numbers)
-        return RENEWED
-    learnt = 0.0
-    for i in range(2):  # friction and shear deformation modulus need a range of slip
-        learnt = max(learnt, ids.sd[k, i] * math.sqrt(numbers.precision[i]))
-    ids.condition[k] = learnt
-    if p.misfit[k] > CONTRADICTION_OF_POINTS:
-        ids.status[k] = Status.MISFIT.value
-    else:
-        ids.status[k] = Status.CONVERGED.value if learnt <= 0.6 else Status.NOT_EXCITED.value
-    return RENEWED if done else MOVED
+        replay.best_pull[t, 0], replay.best_pull[t, 1] = ids.best_pull[k, 0], ids.best_pull[k, 1]

@@ -4,7 +4,7 @@ Each wheel has a filter of its own (`filter`), which finds borders by itself; he
 between two borders is a stretch (`stretches`). Of each a wheel keeps what it knew of (phi, ln K, c) when it left it, so
 that one further ahead tells those behind
 
-- where a border is: their filters begin with the new soil there (`border.begin`), and do not first take it for the old;
+- where a border is: their filters begin with the new soil there (`border.begin_told`), and do not first take it for the old;
 - what the soil is. With the posterior (m_o, P_o) of another wheel on the same stretch and the prior (m_p, P_p), which
   both have counted, the own posterior (m, P) becomes
 
@@ -48,7 +48,7 @@ _FAR = 1e6  # [m]
 _CONVERGED, _MISFIT = Status.CONVERGED.value, Status.MISFIT.value
 _NOT_EXCITED, _NO_DATA = Status.NOT_EXCITED.value, Status.NO_DATA.value
 _LEARNT = 0.6  # sd of phi and ln K over that of the prior, at most, for an estimate to count as converged
-_LEAST_ANGLE = 0.01  # [rad], as `linearised.friction` has it
+_LEAST_ANGLE = 0.01  # [rad]
 _STEEPEST = 1.5  # [rad]
 _NEARLY = 0.999  # share of the prior's information that a posterior must exceed: equal ones differ by rounding
 _LEAST_SHARE = 0.02  # of the prior's information that is taken out, if any
@@ -210,7 +210,7 @@ def pool(pools, ids, k, first, axles, numbers):
             P[UNKNOWNS * i + j] = ids.covariance[k, i, j]
     for a in range(axles):
         o = first + a * COUNT
-        if o == k or not numbers.by_filter:
+        if o == k:
             continue
         known, spread = _known_by(pools, o, k, first, numbers, ground)
         if known and _information(ground, 1.0, gain) and _information(numbers.prior, spread, prior):
@@ -243,9 +243,8 @@ def share(pools, ids, first, axles, outcome, numbers, identifier):
     """
     if outcome == HELD:
         return
-    if numbers.by_filter:
-        for a in range(1, axles):
-            tell(pools, ids, first + a * COUNT, first, numbers, identifier)
+    for a in range(1, axles):
+        tell(pools, ids, first + a * COUNT, first, numbers, identifier)
     for a in range(axles):
         if outcome == RENEWED or pools.crossing[first + a * COUNT] > 0.0:
             pool(pools, ids, first + a * COUNT, first, axles, numbers)

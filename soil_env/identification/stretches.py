@@ -2,7 +2,7 @@
 
 The soil between two borders is a stretch. Of each a wheel keeps what it knew of (phi, ln K, c) when it left it, for the
 wheels that come after it (`pooling`), and these are told where the wheel ahead has found a border: their filters begin
-with the new soil there (`border.begin`), and do not first take it for the old.
+with the new soil there (`border.begin_told`), and do not first take it for the old.
 """
 
 from __future__ import annotations
@@ -14,11 +14,9 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.border import begin
-from soil_env.identification.filter_bank import element
-from soil_env.identification.linearised import Q
-from soil_env.identification.mixture_prior import moments, prior_of_belief
+from soil_env.identification.border import begin_told
 from soil_env.identification.online import RENEWED, IdentifierNumbers, identifier_numbers
+from soil_env.identification.sinkage_filter import PRESSURE, cell
 from soil_env.identification.solver import Status
 from soil_env.parameters import Scenario
 
@@ -26,9 +24,9 @@ UNKNOWNS = 5  # (phi, ln K, ln S, c, ln g), as `Identifiers.estimate`
 SHARED = 3  # unknowns that a passing wheel does not change: phi, ln K, c
 BELIEF = SHARED + SHARED * SHARED
 STRETCHES = 4  # that a wheel remembers
-#: 1-sigma of the errors that all wheels have alike, of (phi [rad], ln K, ln S, c [Pa], ln g): set on courses of seed
-#: 7001, so that 68 % intervals hold as much, docs/rover_identification.md.
-ERROR_OF_MODEL = np.array([math.radians(0.2), 0.015, 0.0, 35.0, 0.0])
+#: 1-sigma of what pooling leaves out of (phi [rad], ln K, ln S, c [Pa], ln g): errors that all wheels have alike, borders
+#: that are found late. Set on courses of seed 779, so that 68 % intervals hold as much, docs/identification.md.
+ERROR_OF_MODEL = np.array([math.radians(0.6), 0.1, 0.0, 100.0, 0.0])
 COHESION = 3
 WHICH = np.array([0, 1, COHESION])  # of the unknowns are shared
 LAG = 3  # estimates are taken this many points before a border was found, so that they hold nothing from behind it
@@ -46,6 +44,7 @@ class Pools(NamedTuple):
 
     estimate: np.ndarray  # [wheels, 5] pooled, of the soil under the wheel
     sd: np.ndarray  # [wheels, 5]
+    best_pull: np.ndarray  # [wheels, 2] and its standard deviation, by the wheel's own readings
     status: np.ndarray  # [wheels] `Status`
     place: np.ndarray  # [wheels] where it is
     start: np.ndarray  # [wheels] where the stretch under the wheel begins
@@ -66,7 +65,6 @@ class PoolNumbers(NamedTuple):
     border: float  # [m] that a border is believed to be long
     rut_drift: float  # 1-sigma of the change of ln S in a rut from point to point
     error: np.ndarray  # [5] `ERROR_OF_MODEL`
-    by_filter: bool  # the window knows of no borders, and is not pooled
 
 
 def new_pools(wheels: int) -> Pools:
@@ -74,6 +72,7 @@ def new_pools(wheels: int) -> Pools:
     return Pools(
         np.zeros((wheels, UNKNOWNS)),
         np.zeros((wheels, UNKNOWNS)),
+        np.zeros((wheels, 2)),
         np.zeros(wheels, dtype=np.int64),
         np.zeros(wheels),
         np.full(wheels, AT_START),
@@ -90,10 +89,9 @@ def new_pools(wheels: int) -> Pools:
 def pool_numbers(scenario: Scenario) -> PoolNumbers:
     """Pack what `share` needs."""
     numbers: IdentifierNumbers = identifier_numbers(scenario)
-    mean, covariance = moments(prior_of_belief(scenario))
-    prior = np.concatenate([mean[WHICH], covariance[np.ix_(WHICH, WHICH)].ravel()])
+    prior = np.concatenate([numbers.prior[WHICH], numbers.prior_covariance[np.ix_(WHICH, WHICH)].ravel()])
     sd = 1.0 / np.sqrt(numbers.precision)
-    return PoolNumbers(prior, sd, scenario.belief.border, RUT_DRIFT, ERROR_OF_MODEL, numbers.by_filter)
+    return PoolNumbers(prior, sd, scenario.belief.border, RUT_DRIFT, ERROR_OF_MODEL)
 
 
 @part
@@ -108,6 +106,7 @@ def take_own(pools, ids, k):
     """What wheel k knows by its own filter, as what is pooled of the ground under it."""
     for i in range(UNKNOWNS):
         pools.estimate[k, i], pools.sd[k, i] = ids.estimate[k, i], ids.sd[k, i]
+    pools.best_pull[k, 0], pools.best_pull[k, 1] = ids.best_pull[k, 0], ids.best_pull[k, 1]
     pools.status[k] = ids.status[k]
 
 
@@ -182,12 +181,12 @@ def tell(pools, ids, k, first, numbers, identifier):
         border = pools.ends[first, s]
         if border > pools.start[k] + length and x > border - 0.5 * length:
             sd = _PLACE_SD * length
-            begin(ids.banks, k, identifier.filter, p.place[k] + border - x, sd * sd, 0.0, 1e-12, 0.0)
+            begin_told(ids.banks, k, identifier.filter, p.place[k] + border - x, sd * sd)
             return
 
 
 @inlined
 def _loosen(ids, k, numbers):
     """The floor of a rut has another sinkage coefficient from place to place."""
-    for i in range(element(Q, Q), element(Q, Q) + COUNT):
-        ids.banks.covariance[k, i] += numbers.rut_drift * numbers.rut_drift
+    for i in range(cell(PRESSURE, PRESSURE), cell(PRESSURE, PRESSURE) + COUNT):
+        ids.banks.sinkage[k, i] += numbers.rut_drift * numbers.rut_drift

@@ -5,7 +5,7 @@ messages, or a CSV or Parquet file with a column of time stamps. A recording tha
 
 map.yaml says which reading is where:
 
-    wheel: {radius: 0.15, width: 0.15, body_mass: 15}    # m, m, kg on this wheel; or the name of a preset
+    wheel: {radius: 0.15, width: 0.15, body_mass: 15, inertia: 0.5}  # m, m, kg on it, kg m2; or a preset's name
     channels:
       wheel_speed:  {topic: /joint_states, field: "velocity[front_left]", unit: rad/s}
       speed:        {topic: /odom, field: twist.twist.linear.x}          # m/s, of travel: visual odometry, not wheels
@@ -19,7 +19,7 @@ map.yaml says which reading is where:
   pitch as far as they are measured: the report says what can be told without. A table has column: NAME in place of
   topic and field, and at the top time: {column: t, unit: s} (or ms, us, ns, iso). constant: 147 is a reading that
   never changes. unit, sign (1 or -1), offset (SI, added last), gear (turns of the motor to one of the wheel) and sd
-  (1-sigma, in unit) may be left out.
+  (1-sigma, in unit) may be left out. A motor_torque counts only where inertia (rotor and gear included) is known.
   clock: header (default; time stamps in the messages) or log; period: 0.1 (s, of the time axis and the identifier);
   max_gap: 0.5 (s, over which readings are interpolated); gravity, relaxation, belief: {...} (the prior of the
   identifier), windows: {...} (what is steady), soil: {...} (copied to setup.yaml): see docs/logs.md
@@ -36,7 +36,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeR
 
 from soil_env._io.commands import command_line, command_parser, file_path, folder, leave
 from soil_env._io.files import check_outputs, replace_files
-from soil_env.logs.grounds import FILES, advice, commands, grounds
+from soil_env.logs.grounds import FILES, advice, commands, grounds, how_found
 from soil_env.logs.mapping import read_map
 from soil_env.logs.recordings import read_recording
 from soil_env.logs.replay import replay, what_can_be_told
@@ -73,13 +73,15 @@ def main(arguments: list[str] | None = None) -> int:
             place.unlink()
     parts = grounds(found, steady)
     print(summary(log))
+    for line in log.doubts:
+        print(f"check first: {line}")
     print(channel_table(log).text(2))
     print(soil_table(found).text(2))
-    for line in what_can_be_told(found, set(log.readings)):
+    for line in what_can_be_told(found, log):
         print(f"- {line}")
     if len(parts) > 1:
         print(ground_table(parts).text(2))
-    for line in advice(parts, steady):
+    for line in (how_found(found), *advice(parts, steady)):
         print(f"- {line}")
     for line in (*log.notes, *found.warnings):
         print(f"! {line}")

@@ -41,6 +41,7 @@ class Aligned:
     counts: dict[str, ChannelCount]
     period: float  # [s]
     notes: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)  # to be checked first: readings that hardly can be
 
     def __len__(self) -> int:
         return self.time.size

@@ -1,8 +1,8 @@
 """Steady points by ground: which may be fitted together, and the tables and setups that are written of them.
 
 Points of several soils are no single soil: a fit to all of them is that of none, and what is left over looks like an
-effect. Where the filter found borders, each ground has a table of its own; `steady.csv` has all points, and the column
-`run` says of which ground.
+effect. Where grounds differ (`replay`), each has a table of its own; `steady.csv` has all points, and the column `run`
+says of which ground.
 
 The priors in a setup are those of the belief, not the online estimate, which was made of the same readings. The gain of
 slip-sinkage, which a setup takes as known or not at all, is the online one of that ground.
@@ -20,7 +20,7 @@ from typing import Any
 import yaml
 
 from soil_env.logs.mapping import LogMap
-from soil_env.logs.replay import Replay
+from soil_env.logs.replay import DIFFERS, Replay
 from soil_env.logs.steady import Steady
 from soil_env.online import Estimate
 
@@ -29,11 +29,12 @@ FILES = re.compile(r"(steady|setup|ground\d+)\.(csv|yaml)")  # those that `files
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The ground between two borders: its steady points and the last current estimate on it."""
+    """The ground between two borders to other soils: its steady points and the last current estimate on it."""
 
     number: int
     begin: float  # [s]
     end: float
+    differs: float  # probability that its soil is not that of the ground before; NaN of the first after a gap
     points: Steady
     estimate: dict[str, float] | None  # by `replay.COLUMNS`
 
@@ -50,8 +51,18 @@ def grounds(found: Replay, steady: Steady) -> list[Ground]:
     for number in sorted({*found.ground.tolist()}):
         time = found.time[found.ground == number]
         begin, end = float(time[0]), float(time[-1])
-        out.append(Ground(number, begin, end, steady.on(number), found.last_on(number)))
+        out.append(Ground(number, begin, end, found.differs[number - 1], steady.on(number), found.last_on(number)))
     return out
+
+
+def how_found(found: Replay) -> str:
+    """Number of grounds and borders, and what counts as one, in a sentence."""
+    count = len(found.differs)
+    return (
+        f"Grounds found: {count}, of {found.borders} borders that the filter saw and {found.restarts} gaps. A border "
+        f"counts where friction angle, K and cohesion on its two sides differ with probability above {DIFFERS:g}: "
+        "soils that are alike, or driven on too briefly, count as one ground."
+    )
 
 
 def tables(grounds: list[Ground], steady: Steady) -> list[tuple[str, str, Ground]]:
@@ -132,11 +143,11 @@ def advice(grounds: list[Ground], steady: Steady) -> list[str]:
     count = f"{len(steady.rows)} steady points in steady.csv"
     noise = "The noise in the setup is the scatter within the stretches; what differs from place to place comes on top."
     if len(grounds) == 1:
-        return [f"{count}, all on one ground as far as the filter can tell, with setup.yaml beside it. {noise}"]
+        return [f"{count}, all on one ground as far as was found, with setup.yaml beside it. {noise}"]
     changes = ", ".join(f"{g.begin:.1f}" for g in grounds[1:])
     lines = [
-        f"{count}, on {len(grounds)} grounds: the soil changes at {changes} s, as the filter found. Several "
-        "soils cannot be fitted as one: fit one ground at a time."
+        f"{count}, on {len(grounds)} grounds as found, which change at {changes} s. Several soils cannot be fitted "
+        "as one: fit one ground at a time."
     ]
     for table, _, g in tables(grounds, steady):
         lines.append(

@@ -38,6 +38,7 @@ UNITS: dict[str, dict[str, float]] = {
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
 QUANTITIES = tuple(UNITS)
 _GEARED = ("wheel_speed", "torque", "motor_torque")
+_BORDER = 2.0  # [wheel radii] length of a border between soils, where the belief of the map says nothing of it
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,8 @@ class Channels:
                 raise ParameterError(f"Channels: {error}") from None
         if self.wheel_speed is None or (self.speed is None and self.slip is None):
             raise ParameterError("Channels: expected wheel_speed, and speed or slip; without them no slip is known")
+        if self.wheel_speed.constant is not None:
+            raise ParameterError("Channels: wheel_speed: expected readings, which make the time axis; no constant")
 
     def given(self) -> dict[str, Source]:
         """The sources by the name of the reading."""
@@ -129,7 +132,9 @@ class RoverWheel(Checked):
     radius: float = quantity("m", 0.01, LARGEST_WHEEL)
     width: float = quantity("m", 0.005, LARGEST_WHEEL)
     body_mass: float = quantity("kg", 0.1, 1e5, doc="mass on this wheel")
-    inertia: float | None = quantity("kg m2", 1e-6, 1e5, default=None, doc="with the rotor seen through the gear")
+    inertia: float | None = quantity(
+        "kg m2", 1e-6, 1e5, default=None, doc="with the rotor seen through the gear; needed for a motor torque"
+    )
     stall_torque: float = quantity("N m", 1e-3, 1e6, default=1e6)
     no_load_speed: float = quantity("rad/s", 1e-3, 1e3, default=10.0)
     source: str = ""
@@ -139,7 +144,10 @@ class RoverWheel(Checked):
         self.wheel()
 
     def wheel(self) -> Wheel:
-        """As the identifier takes it; an inertia that is not known is the least that a `Wheel` may have."""
+        """As the identifier takes it; an inertia that is not known is the least that a `Wheel` may have.
+
+        `replay` then leaves the motor torque out, the only reading whose meaning hangs on it.
+        """
         inertia = 0.02 * self.body_mass * self.radius**2 * (1.0 + 1e-12) if self.inertia is None else self.inertia
         return Wheel(self.radius, self.width, inertia, self.stall_torque, self.no_load_speed, self.body_mass)
 
@@ -160,7 +168,7 @@ class Windows(Checked):
     """
 
     duration: float = quantity("s", 0.1, 600.0, default=1.0)
-    rim_speed: float = quantity("m/s", 0.0, 40.0, default=0.02, doc="least")
+    wheel_speed: float = quantity("rad/s", 0.0, 1e3, default=0.13, doc="least")
     slip_change: float = quantity("", 0.0, 1.0, default=0.03)
     speed_change: float = quantity("of rim speed", 0.0, 1.0, default=0.05)
     sinkage_left: float = quantity("of radius", 0.0, 1.0, default=0.05)
@@ -231,6 +239,9 @@ def read_map(path: str | Path) -> LogMap:
             raise unknown_key(wheel["preset"], wheels(), f"{where}: wheel")
         wheel = merge(to_dict(wheels()[wheel["preset"]]), {k: v for k, v in wheel.items() if k != "preset"})
     found: LogMap = load(LogMap, {**mapping, "wheel": wheel}, where)
+    if "border" not in (mapping.get("belief") or {}):
+        border = min(_BORDER * found.wheel.radius, 10.0)
+        found = dataclasses.replace(found, belief=dataclasses.replace(found.belief, border=border))
     rim = {"radius": found.wheel.radius, "width": found.wheel.width}
     setup_of({"wheel": rim, "soil": found.soil}, where)
     try:

@@ -11,7 +11,7 @@ from soil_env._io.loading import ParameterError, unknown_key
 from soil_env.logs import bags, tables
 from soil_env.logs.align import Aligned, Bins, ChannelCount, aligned
 from soil_env.logs.bags import Message, Notes, Progress
-from soil_env.logs.doubts import doubts
+from soil_env.logs.doubts import doubts, time_doubts
 from soil_env.logs.fields import NotHere, number, parse
 from soil_env.logs.mapping import UNITS, LogMap, Source, factor
 from soil_env.online import largest_readings
@@ -40,7 +40,8 @@ def read_recording(path: str | Path, log_map: LogMap, progress: Progress = lambd
     found = aligned(reader.bins, reader.counts, reader.constants, log_map.period, log_map.max_gap)
     if len(found) == 0:
         raise ParameterError(f"{path}: {log_map.channels.wheel_speed.place}: not one reading of wheel_speed")
-    found.notes.extend(notes.lines + _remarks(found, log_map) + doubts(found, log_map))
+    found.notes.extend(notes.lines + _remarks(found, log_map))
+    found.doubts.extend(time_doubts(reader.interval, reader.length, log_map) + doubts(found, log_map))
     return found
 
 
@@ -118,6 +119,8 @@ class _Reader:
         self.bins = Bins(list(self.sources), log_map.period)
         self.factors = {n: factor(n, s) for n, s in self.sources.items()}
         self.limits = largest(log_map)
+        self.interval = math.nan  # [s] between the first rows of a table, in the middle
+        self.length = 0.0  # [s] from the first to the last row
         for name, value in self.constants.items():
             if not abs(value) <= self.limits[name]:
                 raise ParameterError(
@@ -132,9 +135,13 @@ class _Reader:
         columns: dict[str, str] = {}
         for name, source in self.sources.items():
             columns[source.column] = f"{columns[source.column]}, {name}" if source.column in columns else name
-        clock = _Clock("", round(self.map.max_gap * 1e9))
+        clock, first = _Clock("", round(self.map.max_gap * 1e9)), None
         for lines, times, values in tables.blocks(path, stamps.column, stamps.unit, columns, notes, progress):
             taken = clock.kept_rows(times, lines)
+            if first is None and times.size > 1:
+                self.interval, first = float(np.median(np.abs(np.diff(times)))) * 1e-9, int(times[0])
+            if first is not None:
+                self.length = (int(times[-1]) - first) * 1e-9
             times, values = times[taken], {c: v[taken] for c, v in values.items()}
             rows = np.empty((times.size, len(self.sources)))
             for k, (name, source) in enumerate(self.sources.items()):

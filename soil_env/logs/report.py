@@ -34,11 +34,12 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
     """All files of the folder by name: `ALWAYS`, and tables and setups where there are steady points."""
     parts = by_ground.grounds(found, steady)
     estimates, readings = _estimates_picture(found), _readings_picture(log, steady, log_map)
-    told = what_can_be_told(found, set(log.readings))
+    told = what_can_be_told(found, log)
     body = render(
         "soil_env.logs:report.html",
         recording=recording,
         summary=summary(log),
+        doubts=log.doubts,
         notes=log.notes,
         channels=channel_table(log),
         readings=html_image(readings, "Readings over time in SI units; steady stretches are shaded."),
@@ -48,7 +49,7 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
             estimates, "The soil as identified, with 95 % intervals; grey where the estimate is the prior or held."
         ),
         warnings=found.warnings,
-        steady=by_ground.advice(parts, steady),
+        steady=[by_ground.how_found(found), *by_ground.advice(parts, steady)],
         commands=by_ground.commands(parts, steady),
         grounds=ground_table(parts),
         points=_points(steady),
@@ -59,6 +60,7 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
         "steps": len(log),
         "period": log.period,
         "channels": {name: vars(count) for name, count in log.counts.items()},
+        "doubts": log.doubts,
         "notes": log.notes,
         "told": told,
         "learnt": found.learnt(),
@@ -66,8 +68,10 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
         "estimate": {name: float(values[-1]) for name, values in found.values.items()},
         "status": Status(found.status[-1]).name,
         "steady_points": len(steady.rows),
+        "borders": found.borders,
         "grounds": [
-            {"begin": g.begin, "end": g.end, "steady_points": len(g.points.rows), "estimate": g.estimate} for g in parts
+            {n: getattr(g, n) for n in ("begin", "end", "differs", "estimate")} | {"steady_points": len(g.points.rows)}
+            for g in parts
         ],
         "noise": steady.noise,
     }
@@ -115,13 +119,14 @@ def soil_table(found: Replay) -> Table:
     for name, (words, unit, sd) in names.items():
         spread = found.values[sd][-1]
         error = f"{100 * spread:.0f} %" if "relative" in sd else f"{spread:.3g} {unit}"
-        rows.append((words, f"{found.values[name][-1]:.4g}", error, unit, f"{learnt[name]:.2f}"))
+        cells = ("refused", "") if spread != spread else (f"{found.values[name][-1]:.4g}", error)
+        rows.append((words, *cells, unit, f"{learnt[name]:.2f}"))
     header = ("parameter", "at the end", "1 sd", "unit", "least sd / prior sd")
     return Table(header, rows, f"Status at the end: {Status(found.status[-1]).name}")
 
 
 def ground_table(parts: list[Ground]) -> Table:
-    """The grounds between borders: when, the last current estimate there, and the steady points."""
+    """The grounds as found: when, how sure that each is not the last, its last current estimate, its steady points."""
     rows = []
     for g in parts:
         e, cells = g.estimate, ("no current estimate", "", "")
@@ -132,8 +137,10 @@ def ground_table(parts: list[Ground]) -> Table:
                 f"{K:.3g} mm +- {100 * e['shear_modulus_relative_sd']:.0f} %",
                 f"{S:.3g} +- {100 * e['sinkage_coefficient_relative_sd']:.0f} %",
             )
-        rows.append((g.number, f"{g.begin:.1f}", f"{g.end:.1f}", *cells, len(g.points.rows), g.slips))
-    return Table(("ground", "from [s]", "to [s]", "friction angle", "K", "S", "steady points", "slip"), rows)
+        sure = "" if g.differs != g.differs else f"{g.differs:.2f}"
+        rows.append((g.number, f"{g.begin:.1f}", f"{g.end:.1f}", sure, *cells, len(g.points.rows), g.slips))
+    header = ("ground", "from [s]", "to [s]", "differs", "friction angle", "K", "S", "steady points", "slip")
+    return Table(header, rows, "differs: the probability that its soil is not that of the ground before")
 
 
 def _points(steady: Steady) -> Table:
@@ -168,7 +175,7 @@ def _estimates_picture(found: Replay) -> bytes:
     for axis, (name, (sd, scale, label, relative)) in zip(axes, _SHOWN.items(), strict=False):
         value, spread = scale * found.values[name][k], found.values[sd][k]
         low, high = (
-            (value * np.exp(-1.96 * spread), value * np.exp(1.96 * spread))
+            (value * np.exp(-np.minimum(1.96 * spread, 10.0)), value * np.exp(np.minimum(1.96 * spread, 10.0)))
             if relative
             else (value - 1.96 * spread, value + 1.96 * spread)
         )

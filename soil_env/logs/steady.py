@@ -113,8 +113,8 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
         get["drawbar_pull"],
     )  # fmt: skip
     motor = log.readings.get("motor_torque", nan)
-    if "motor_torque" in log.readings and len(log) > 1:
-        motor = motor - log_map.wheel.wheel().inertia * np.gradient(get["wheel_speed"], log.time)
+    if "motor_torque" in log.readings and len(log) > 1 and log_map.wheel.inertia is not None:
+        motor = motor - log_map.wheel.inertia * np.gradient(get["wheel_speed"], log.time)
     return {
         "slip": slip,
         "speed": speed,
@@ -129,7 +129,7 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
 
 def _runs(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
     """Number [N] of the drive that each step belongs to, a drive being what is between halts and gaps; -1 = halted."""
-    driving = np.abs(rim) > log_map.windows.rim_speed
+    driving = np.abs(rim) > log_map.windows.wheel_speed * log_map.wheel.radius
     gap = np.diff(log.time, prepend=log.time[:1]) > 1.5 * log.period
     begins = driving & (gap | ~np.concatenate(([False], driving[:-1])))
     return np.where(driving, np.cumsum(begins) - 1, -1)

@@ -67,7 +67,7 @@ class Renderer(CourseView):
         self._angle += float(w["wheel_speed"]) * self._step
         if w["steps"] % (self._every * self.scenario.control.held) == 0:
             soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], world.border)
-            same = sinkage_coefficient_at(soil, simulation.numbers.identifier.reading.exponent, w["bearing_sinkage"])
+            same = sinkage_coefficient_at(soil, simulation.numbers.identifier.exponent, w["bearing_sinkage"])
             truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
             now = w["steps"] * world.period, w["slip"], w["sinkage"] / world.wheel.radius
             self._history.append((*now, *ids.estimate[k, :3], *ids.sd[k, :3], *truth))

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined
 from soil_env._numba.random_streams import normal_pair
+from soil_env.identification.class_memory import PULL
 from soil_env.identification.immobilisation import View
 from soil_env.parameters import Scenario
 from soil_env.simulation.lines import choosing, settled
@@ -79,10 +80,10 @@ def way_ahead(state, k, courses, memory, sight, camera):
     line = courses.lines.taken[k, patch]
     a, b = courses.lines.labels[k, patch, line], courses.lines.labels[k, patch, 1 - line]
     return View(
-        sight.since, min(sight.left, camera.sight), memory.capacity[k, here], float(memory.judged[k, here]),
+        sight.since, min(sight.left, camera.sight), memory.estimate[k, here, PULL], float(memory.patches[k, here]),
         ahead >= 0, settled(state, k, courses, patch),
-        seen_grade(courses, k, patch, line), memory.capacity[k, a], float(memory.judged[k, a]),
-        seen_grade(courses, k, patch, 1 - line), memory.capacity[k, b], float(memory.judged[k, b]),
+        seen_grade(courses, k, patch, line), memory.estimate[k, a, PULL], float(memory.patches[k, a]),
+        seen_grade(courses, k, patch, 1 - line), memory.estimate[k, b, PULL], float(memory.patches[k, b]),
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ _TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
 STATUS = {status.value: status.name for status in Status}
 _STATE = ("x", "speed", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
 _ROWS = [WheelState.NAMES.index(name) for name in _STATE]
-_WARNING = ("best_slip", "drawbar_margin", "torque_required", "torque_available", "passable")
+_WARNING = ("best_slip", "drawbar_margin", "drawbar_margin_sd", "torque_required", "torque_available", "passable")
 _FORESEEN = tuple(f"immobilised_within_{horizon:g}_s" for horizon in HORIZONS)
 _SEEN = [[e.name for e in layout("blind")].index(name) for name in ("load", "pitch")]
 
@@ -103,7 +103,10 @@ class Infos:
             "immobilised": cause in IMMOBILISED,
             "reward_terms": dict(zip(REWARD_TERMS, worlds.terms[k].tolist(), strict=True)),
             "estimate": {
-                **published(worlds.ids.estimate[k].tolist(), worlds.ids.sd[k].tolist(), self.scenario.belief.dig_gain),
+                **published(
+                    worlds.ids.estimate[k].tolist(), worlds.ids.sd[k].tolist(), worlds.ids.best_pull[k].tolist(),
+                    self.scenario.belief.dig_gain,
+                ),
                 "status": STATUS[worlds.ids.status.item(k)],
             },
             "traversability": {
@@ -125,7 +128,10 @@ class Infos:
             self._stale[k] = False
             load, pitch = self._seen[k].tolist()
             load = max(load, LEAST_LOAD) * self.scenario.weight
-            self._warnings[k] = traversability(worlds.ids.estimate[k], load, pitch, self.scenario, self._best)
+            ids = worlds.ids
+            self._warnings[k] = traversability(
+                ids.estimate[k], ids.best_pull[k], load, pitch, self.scenario, self._best
+            )
         return self._warnings[k]
 
     # --- many wheels --------------------------------------------------------------------------------------------------
@@ -167,8 +173,10 @@ class Infos:
 
 
 def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
-    """What is identified of the soil under each wheel, arrays [wheels], of `estimate`, `sd` and `status` of `known`."""
-    told = published(known.estimate.T.copy(), known.sd.T.copy(), scenario.belief.dig_gain, np)
+    """What is identified of the soil under each wheel, arrays [wheels], by those of `known`."""
+    told = published(
+        known.estimate.T.copy(), known.sd.T.copy(), known.best_pull.T.copy(), scenario.belief.dig_gain, np
+    )
     return told | {"status": known.status.copy()}
 
 

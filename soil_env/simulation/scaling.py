@@ -44,7 +44,10 @@ CENTRE_AND_SCALE = {
     "dig_recovery": (0.5, 0.5),
     "border_distance": (1.0, 0.5),
     "grade": (0.0, 0.15),
+    "best_pull": (0.1, 0.15),
+    "best_pull_sd": (0.05, 0.05),
     "margin": (0.0, 0.1),
+    "margin_sd": (0.05, 0.05),
 }
 _OF_LINES = tuple(f"{line}_" for line in LINES)
 _PREFIXES = (*_OF_LINES, *(f"{axle}_" for axle in AXLES))

@@ -16,6 +16,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError, unknown_value
 from soil_env._numba.compiling import inlined
 from soil_env.identification import Status
+from soil_env.identification.class_memory import PULL
 from soil_env.parameters import CourseSpec, Scenario
 from soil_env.simulation.camera import CameraNumbers, Sight, camera_numbers, patch_ahead, seen_grade, write_view
 from soil_env.simulation.sensors import SensorNumbers, sensor_numbers
@@ -85,6 +86,8 @@ _IDENTIFIED = (
     ObservedNumber("dig_gain", "-", 0.0, 100.0),
     ObservedNumber("cohesion_sd", "kPa", 0.0, 1000.0),
     ObservedNumber("dig_gain_sd", "relative", 0.0, 20.0),
+    ObservedNumber("best_pull", "of load", -1.0, 2.0),
+    ObservedNumber("best_pull_sd", "of load", 0.0, 2.0),
 )
 _TRUE = (
     ObservedNumber("friction_angle", "rad", 0.0, 1.6),
@@ -101,10 +104,11 @@ _AHEAD = {  # of the soil of a line ahead
     "blind": (),
     "identified": (
         ObservedNumber("met", "0 or 1", 0.0, 1.0),
-        *(e for e in _IDENTIFIED if e.name != "estimate_valid"),
-        ObservedNumber("margin", "of weight", -2.0, 2.0),
+        *(e for e in _IDENTIFIED if e.name not in ("estimate_valid", "best_pull", "best_pull_sd")),
+        ObservedNumber("margin", "of load", -2.0, 2.0),
+        ObservedNumber("margin_sd", "of load", 0.0, 2.0),
     ),
-    "true_soil": (*_TRUE, ObservedNumber("margin", "of weight", -2.0, 2.0)),
+    "true_soil": (*_TRUE, ObservedNumber("margin", "of load", -2.0, 2.0)),
 }
 LINES = ("ahead", "beside")
 AXLES = ("front", "middle", "rear")  # of a rover, which has its own entries for each (`rover.task`)
@@ -175,7 +179,7 @@ class TaskNumbers(NamedTuple):
 def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None = None) -> TaskNumbers:
     """Pack what the functions below need; `model` brings the effects that are on in this world."""
     if variant == "identified" and scenario.belief.method == "none":
-        raise ParameterError("belief.method = 'none': expected 'filter' or 'window' for observation 'identified'")
+        raise ParameterError("belief.method = 'none': expected 'filter' for observation 'identified'")
     entries = layout(variant, scenario.course)
     lim, w = scenario.limits, scenario.wheel
     weight = scenario.weight
@@ -218,10 +222,12 @@ def _write_moments(out, six, four, mean, sd, task):
 
 
 @inlined
-def write_estimate(out, mean, sd, converged, task):
-    """Fill `out` [11] with what is identified of a soil: mean and sd [5] of (phi, ln K, ln S, c, ln gain)."""
+def write_estimate(out, mean, sd, pull, converged, task):
+    """Fill `out` [13] with what is identified of a soil: mean and sd [5] of (phi, ln K, ln S, c, ln gain), best drawbar
+    pull and its sd [2]."""
     _write_moments(out, 0, 7, mean, sd, task)
     out[6] = 1.0 if converged else 0.0
+    out[11], out[12] = pull[0], pull[1]
 
 
 @inlined
@@ -243,7 +249,7 @@ def write_observation(out, state, counts, k, reading, courses, ids, memory, sigh
     out[13] = state.rim_command[k]
     soils = out[_SENSORS:]
     if task.variant == 1:
-        write_estimate(soils, ids.estimate[k], ids.sd[k], ids.status[k] == _CONVERGED, task)
+        write_estimate(soils, ids.estimate[k], ids.sd[k], ids.best_pull[k], ids.status[k] == _CONVERGED, task)
     elif task.variant == 2:
         soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], task.border)
         write_soil(soils, soil)
@@ -287,9 +293,10 @@ def _write_ahead(out, k, courses, memory, sight, task):
             o[i] = 0.0
         if there and task.variant == 1:
             label = lines.labels[k, ahead, line]
-            o[0] = 1.0 if memory.met[k, label] else 0.0
+            o[0] = 1.0 if memory.patches[k, label] > 0 else 0.0
             _write_moments(o, 1, 7, memory.estimate[k, label], memory.sd[k, label], task)
-            o[11] = memory.capacity[k, label] - math.tan(seen_grade(courses, k, ahead, line))
+            o[11] = memory.estimate[k, label, PULL] - math.tan(seen_grade(courses, k, ahead, line))
+            o[12] = memory.sd[k, label, PULL]
         elif there and task.variant == 2:
             write_soil(o, row_soil(lines.soils[k, ahead, line]))
             o[7] = lines.capacities[k, ahead, line] - math.tan(seen_grade(courses, k, ahead, line))

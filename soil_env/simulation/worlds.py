@@ -18,8 +18,6 @@ from soil_env.identification.class_memory import (
     MemoryNumbers,
     clear_of_borders,
     forget_classes,
-    judge_class,
-    leaves,
     memory_numbers,
     new_memory,
     remember,
@@ -138,7 +136,7 @@ def restart(worlds, numbers, k):
         raise RuntimeError("no passable course found: the soils are too weak for this wheel")
     settle(worlds.state, worlds.counts, k, mass, worlds.courses, worlds.streams, numbers.world)
     forget(worlds.ids, k, numbers.identifier)
-    forget_classes(worlds.memory, k, worlds.ids.estimate[k], worlds.ids.sd[k], numbers.memory)
+    forget_classes(worlds.memory, k, numbers.memory)
     worlds.cause[k] = _RUNNING
     _clear(worlds, k)
     start_odometry(worlds.state, k, worlds.streams, numbers.task.sensors)
@@ -176,15 +174,11 @@ def _observation(worlds, numbers, k, reading, sight):
 
 
 @inlined
-def _learn_class(worlds, numbers, k, reading, renewed, sight):
+def _learn_class(worlds, numbers, k, renewed, sight):
     """What the camera and the identifier say together of the terrain class under wheel k."""
-    here, ids, state = label_here(worlds.courses, k, sight), worlds.ids, worlds.state
-    clear = clear_of_borders(sight.since, sight.left, numbers.memory)
-    if renewed and clear:
-        remember(worlds.memory, k, here, sight.patch, ids.estimate[k], ids.sd[k])
-    halts = state.halt_left[k] == numbers.world.halt_time  # a halt begins
-    if leaves(worlds.memory, k, sight.patch, clear) or halts:
-        judge_class(worlds.memory, k, here, sight.patch, reading.load, numbers.memory)
+    if renewed and clear_of_borders(sight.since, sight.left, numbers.memory):
+        here = label_here(worlds.courses, k, sight)
+        remember(worlds.memory, k, here, sight.patch, worlds.ids, numbers.memory)
 
 
 @inlined
@@ -220,7 +214,7 @@ def after_period(worlds, numbers, k, first, last):
     worlds.changed[k] = worlds.changed[k] or outcome != HELD
     sight = _look(worlds, numbers, k)
     if numbers.task.camera.classes > 0:
-        _learn_class(worlds, numbers, k, reading, outcome == RENEWED, sight)
+        _learn_class(worlds, numbers, k, outcome == RENEWED, sight)
         _foresee(worlds, numbers, k, sight)
     cause = judge(worlds.state, worlds.counts, k, numbers.task)
     worlds.cause[k] = cause

@@ -210,7 +210,7 @@ def test_the_agent_loads_and_acts(run_folder):
     names = [e.name for e in rover_layout("identified", 3)]
     action, _ = agent.predict(np.zeros((2, len(names))))
     assert action.shape == (2, 3) and agent.variant == "identified"
-    with pytest.raises(ParameterError, match="expected 65 numbers"):
+    with pytest.raises(ParameterError, match="expected 71 numbers"):
         agent.predict(np.zeros((2, 25)))
 
 

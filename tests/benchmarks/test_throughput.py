@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks import throughput, throughput_page
-from soil_env.identification.window import WINDOW
+from soil_env._numba.lanes import COUNT
+from soil_env.identification.curve import FIELDS
+from soil_env.identification.curve_fit import FIT_ROWS
 from soil_env.parameters import load_scenario
 from soil_env.simulation.worlds import Simulation
 
@@ -21,16 +23,13 @@ def test_smoke_run_measures_every_part(tmp_path):
     assert all(v["low"] >= 0.0 for v in parts["us"].values())
     assert 0.0 < parts["solves_a_step"] < 1.0 and 0.0 <= parts["resets_a_step"] < 0.2
     assert {"dynamics", "sensors", "ground"} == set(result["limit"]["us"])
-    for pair in parts["estimators"].values():
-        low, high = (pair["filter"][a] / pair["window"][b] for a, b in (("low", "high"), ("high", "low")))
-        assert 0.0 < low <= pair["ratio"]["median"] <= high
     assert max(v["high"] for v in result["accuracy"].values()) < 1e-4
     page = (tmp_path / "performance.md").read_text(encoding="utf-8")
     assert all(f"<!-- {name} -->" in page for name in throughput_page.SECTIONS)
 
 
 def step_spoilt(sim, k, command):
-    """`sim.step` while all of course k but the patches and cells beside the wheel is NaN, and unused points too.
+    """`sim.step` while all of course k but the patches and cells beside the wheel is NaN, and unused bins too.
 
     The last patch drawn stays as well: the next may be drawn in this step, and joins it.
     """
@@ -48,8 +47,9 @@ def step_spoilt(sim, k, command):
     kept = {name: getattr(courses, name)[k, where].copy() for name, where in far.items()}
     for name, where in far.items():
         getattr(courses, name)[k, where] = np.nan
-    for name in sim.worlds.ids.points.NAMES:
-        sim.worlds.ids.points[name][k * WINDOW + sim.worlds.ids.count[k] : (k + 1) * WINDOW] = np.nan
+    banks = sim.worlds.ids.banks
+    used = int(banks.point.bins[k])
+    banks.bins[k, used * FIELDS :] = banks.fits[k, used * FIT_ROWS * COUNT :] = np.nan
     sim.step(k, command)
     for name, where in far.items():
         getattr(courses, name)[k, where] = kept[name]

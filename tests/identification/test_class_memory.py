@@ -6,87 +6,104 @@ import numpy as np
 import pytest
 
 from soil_env.identification import class_memory as memory
+from soil_env.identification.online import forget, identifier_numbers, new_identifiers
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.traversability import best_working_point
 
 SCENARIO = load_scenario("two_lines")
-PRIOR, WIDE = np.array([0.5, -4.4, 14.0, 500.0, 0.0]), np.array([0.1, 0.7, 0.6, 400.0, 0.7])
-ESTIMATE, SD = np.array([0.6, -4.0, 13.5, 300.0, 0.2]), np.array([0.02, 0.2, 0.1, 300.0, 0.3])
+NUMBERS = memory.memory_numbers(SCENARIO)
+PRIOR, WIDE = NUMBERS.prior, NUMBERS.precision**-0.5
+ESTIMATE, SD = PRIOR + 0.4 * WIDE, WIDE * np.array([0.3, 0.4, 0.3, 0.7, 0.5, 0.2])
+
+
+class Memory:
+    """The memory of one wheel, of three classes."""
+
+    def __init__(self):
+        self.kept, self.ids = memory.new_memory(1, 3), new_identifiers(1)
+        forget(self.ids, 0, identifier_numbers(SCENARIO))
+        memory.forget_classes(self.kept, 0, NUMBERS)
+
+    def remember(self, c, patch, estimate, sd):
+        """Of a class and a patch: an estimate [6] with sd [6], the best drawbar pull the last of them."""
+        self.ids.estimate[0], self.ids.sd[0] = estimate[:5], sd[:5]
+        self.ids.best_pull[0] = estimate[5], sd[5]
+        memory.remember(self.kept, 0, c, patch, self.ids, NUMBERS)
+
+    def of(self, c):
+        """(estimate [6], sd [6]) of a class."""
+        return self.kept.estimate[0, c].copy(), self.kept.sd[0, c].copy()
 
 
 @pytest.fixture
 def one():
-    kept = memory.new_memory(1, 3)
-    memory.forget_classes(kept, 0, PRIOR, WIDE, memory.memory_numbers(SCENARIO))
-    return kept
+    return Memory()
+
+
+def combined(posteriors):
+    """Posteriors (mean, sd) of one number each that all hold the prior, which counts once."""
+    J, h = WIDE**-2.0, WIDE**-2.0 * PRIOR
+    for mean, sd in posteriors:
+        J, h = J + sd**-2.0 - WIDE**-2.0, h + sd**-2.0 * mean - WIDE**-2.0 * PRIOR
+    return h / J, J**-0.5
 
 
 def test_a_class_not_met_is_the_prior(one):
-    assert not one.met.any()
-    np.testing.assert_array_equal(one.estimate[0], np.tile(PRIOR, (3, 1)))
-    np.testing.assert_array_equal(one.sd[0], np.tile(WIDE, (3, 1)))
+    np.testing.assert_array_equal(one.kept.patches, 0)
+    for c in range(3):
+        np.testing.assert_allclose(one.of(c), (PRIOR, WIDE), rtol=1e-12)
+    assert PRIOR[memory.PULL] == identifier_numbers(SCENARIO).prior_pull[0]
+
+
+def test_one_patch_tells_what_its_estimate_does(one):
+    one.remember(1, 4, ESTIMATE, SD)
+    np.testing.assert_allclose(one.of(1), (ESTIMATE, SD), rtol=1e-9)
+    np.testing.assert_allclose(one.of(2), (PRIOR, WIDE), rtol=1e-12)
+    assert list(one.kept.patches[0]) == [0, 1, 0]
 
 
 def test_a_later_estimate_on_the_same_patch_replaces_the_earlier(one):
-    memory.remember(one, 0, 1, 4, 2.0 * ESTIMATE, SD)
-    memory.remember(one, 0, 1, 4, ESTIMATE, 0.5 * SD)
-    np.testing.assert_allclose(one.estimate[0, 1], ESTIMATE)
-    np.testing.assert_allclose(one.sd[0, 1], 0.5 * SD)
-    assert list(one.met[0]) == [False, True, False]
-    np.testing.assert_array_equal(one.estimate[0, 2], PRIOR)
+    one.remember(1, 4, PRIOR - WIDE, SD)
+    one.remember(1, 4, ESTIMATE, 0.5 * SD)
+    np.testing.assert_allclose(one.of(1), (ESTIMATE, 0.5 * SD), rtol=1e-9)
+    assert one.kept.patches[0, 1] == 1
 
 
-def test_estimates_of_patches_are_weighted_by_precision(one):
-    """Mean and standard deviation of independent Gaussian measurements of one number."""
-    for patch, (e, s) in enumerate([(ESTIMATE, SD), (1.1 * ESTIMATE, 2.0 * SD), (0.9 * ESTIMATE, SD)]):
-        memory.remember(one, 0, 0, patch, e, s)
-        memory.remember(one, 0, 2, 10 + patch, PRIOR, WIDE)  # another class between
-    weights = np.array([1.0, 0.25, 1.0])
-    expected = (weights @ np.array([1.0, 1.1, 0.9])) / weights.sum() * ESTIMATE
-    np.testing.assert_allclose(one.estimate[0, 0], expected, atol=1e-12)
-    np.testing.assert_allclose(one.sd[0, 0], SD / math.sqrt(weights.sum()))
+def test_precisions_of_patches_add_up_and_the_prior_counts_once(one):
+    told = [(ESTIMATE, SD), (PRIOR - 0.3 * WIDE, 0.8 * SD), (PRIOR + 0.1 * WIDE, 1.2 * SD)]
+    for patch, (estimate, sd) in enumerate(told):
+        one.remember(0, patch, PRIOR, 0.9 * SD)  # an earlier one on the same patch
+        one.remember(0, patch, estimate, sd)
+        one.remember(2, 10 + patch, ESTIMATE, SD)  # another class between
+    for c, told_of_it in ((0, told), (2, [(ESTIMATE, SD)] * 3)):
+        np.testing.assert_allclose(one.of(c), combined(told_of_it), rtol=1e-9)
+        assert one.kept.patches[0, c] == 3
+    assert np.all(one.of(2)[1] > SD / math.sqrt(3.0))  # the prior is no reading of each patch
 
 
-def best_pull(estimate, load):
-    """Best steady drawbar pull over the load of an estimate."""
-    wheel, belief = SCENARIO.wheel, SCENARIO.belief
-    soil = SoilState(
-        math.tan(estimate[0]), estimate[3], math.exp(estimate[1]), math.exp(estimate[2]), belief.sinkage_exponent,
-        belief.dig_gain * math.exp(estimate[4]), belief.dig_recovery,
-    )  # fmt: skip
-    return best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque).drawbar_pull / load
+def test_who_knows_no_more_than_the_prior_adds_nothing(one):
+    one.remember(0, 0, ESTIMATE, SD)
+    one.remember(0, 1, PRIOR - 5.0 * WIDE, 1.2 * WIDE)
+    np.testing.assert_allclose(one.of(0), (ESTIMATE, SD), rtol=1e-9)
 
 
-def test_capacity_is_the_mean_of_the_patches_of_a_class(one):
-    """Of each patch that of the last estimate on it; a patch without an estimate changes nothing."""
-    numbers = memory.memory_numbers(SCENARIO)
-    prior = one.capacity[0, 0]
-    assert prior == pytest.approx(best_pull(PRIOR, SCENARIO.weight), rel=1e-9)
-    memory.judge_class(one, 0, 1, 5, 160.0, numbers)
-    np.testing.assert_array_equal(one.capacity[0], prior)  # not met
-    other = ESTIMATE + np.array([0.05, 0.3, -0.2, 100.0, 0.1])
-    for patch, found, expected in (
-        (5, other, best_pull(other, 160.0)),
-        (5, ESTIMATE, best_pull(ESTIMATE, 160.0)),
-        (8, other, 0.5 * (best_pull(ESTIMATE, 160.0) + best_pull(other, 160.0))),
-        (9, ESTIMATE, (2.0 * best_pull(ESTIMATE, 160.0) + best_pull(other, 160.0)) / 3.0),
-    ):
-        memory.remember(one, 0, 1, patch, found, SD)
-        memory.judge_class(one, 0, 1, patch, 160.0, numbers)
-        assert one.capacity[0, 1] == pytest.approx(expected, rel=1e-9)
-    memory.judge_class(one, 0, 2, 10, 160.0, numbers)
-    assert one.capacity[0, 0] == one.capacity[0, 2] == prior
+def test_a_new_course_begins_with_the_prior(one):
+    one.remember(0, 0, ESTIMATE, SD)
+    memory.forget_classes(one.kept, 0, NUMBERS)
+    np.testing.assert_allclose(one.of(0), (PRIOR, WIDE), rtol=1e-12)
+    one.remember(0, 0, ESTIMATE, SD)
+    np.testing.assert_allclose(one.of(0), (ESTIMATE, SD), rtol=1e-9)
 
 
-def test_the_end_of_a_patch_is_reached_once(one):
-    memory.remember(one, 0, 1, 4, ESTIMATE, SD)
-    found = [memory.leaves(one, 0, patch, clear) for patch, clear in ((4, True), (3, False), (4, False), (4, False))]
-    assert found == [False, False, True, False]
+def test_estimates_are_kept_away_from_borders():
+    length = NUMBERS.border
+    for since, left, clear in ((0.85, 0.55, True), (0.85, 0.45, False), (0.8, 9.0, False), (9.0, 9.0, True)):
+        assert memory.clear_of_borders(since * length, left * length, NUMBERS) == clear
 
 
 def test_what_was_learnt_of_a_class_is_near_its_soil():
-    """After a course, best drawbar pulls of the classes met: a quarter of their scatter off at most."""
+    """After a course, best drawbar pulls of the classes met: a quarter of their scatter off, and about as stated."""
     wheels = 60
     scenario = load_scenario("two_lines", {"control": {"action": "wheel_speed"}, "camera": {"label_error": 0.0},
                                            "course": {"dead_ends": 0.0}})  # fmt: skip
@@ -101,15 +118,19 @@ def test_what_was_learnt_of_a_class_is_near_its_soil():
         sim.step_all(command, what)
         what[sim.worlds.cause != 0] = 2
     kept, lines = sim.worlds.memory, sim.worlds.courses.lines
-    found, true = [], []
+    found, sds, true = [], [], []
     for k in range(wheels):
-        for c in np.flatnonzero(kept.met[k]):
+        for c in np.flatnonzero(kept.patches[k]):
             load = sim.worlds.state["mass"][k] * scenario.gravity
             wheel, soil = scenario.wheel, SoilState(*lines.library[k, c])
-            true.append(
-                best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque).drawbar_pull / load
-            )
-            found.append(kept.capacity[k, c])
-    error = np.array(found) - true
+            best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
+            true.append(best.drawbar_pull / load)
+            found.append(kept.estimate[k, c, memory.PULL])
+            sds.append(kept.sd[k, c, memory.PULL])
+    error, sds = np.array(found) - true, np.array(sds)
     assert len(error) > 150 and np.std(true) > 0.08
     assert abs(error.mean()) < 0.03 and error.std() < 0.25 * np.std(true)
+    without = np.array(true) - PRIOR[memory.PULL]
+    assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(without**2))
+    scaled = np.abs(error) / sds
+    assert 0.45 < np.mean(scaled < 1.0) < 0.85 and np.mean(scaled < 3.0) > 0.94

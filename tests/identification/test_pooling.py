@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.online import RENEWED, forget, identifier_numbers, new_identifiers
+from soil_env.identification.online import RENEWED, SensorReading, forget, identifier_numbers, new_identifiers
 from soil_env.identification.pooling import pool, share
 from soil_env.identification.solver import Status
 from soil_env.identification.stretches import ERROR_OF_MODEL, forget_stretches, new_pools, note, pool_numbers
 from soil_env.parameters import load_scenario
+from tests.identification.observing import observe
 
 SCENARIO = load_scenario("mixed")
 NUMBERS, IDENTIFIER = pool_numbers(SCENARIO), identifier_numbers(SCENARIO)
@@ -144,18 +145,33 @@ def test_a_wheel_behind_begins_with_the_new_soil_where_the_front_one_has_found_i
     assert point.crossing[0] == 0.0
 
 
+def test_the_place_that_the_front_wheel_has_found_is_kept():
+    """While the wheel behind reads one grade, which tells less of where the new soil begins: 1 cm to its tenth."""
+    wheels = Wheels([MEAN, MEAN], [covariance(), covariance()])
+    p, point = wheels.pools, wheels.ids.banks.point
+    reading, x = SensorReading(0.2, 0.02, 10.0, 147.0, 5.0, 0.08, 0.1, 0.0, 5.0, 0.0), 4.2 - 0.49 * NUMBERS.border
+
+    def read():
+        observe(wheels.ids, COUNT, reading, IDENTIFIER)
+        wheels.ids.status[COUNT], point.misfit[COUNT] = Status.CONVERGED.value, 0.0  # the forces tell of no border
+
+    for _ in range(20):
+        read()
+    p.left[0], p.ends[0, 0], p.start[0] = 1, 4.2, 4.2
+    note(p, wheels.ids, COUNT, x, 0, True, NUMBERS)
+    share(p, wheels.ids, 0, 2, RENEWED, NUMBERS, IDENTIFIER)
+    told = point.border[COUNT]
+    assert point.crossing[COUNT] == 1.0 and told - point.place[COUNT] == pytest.approx(0.49 * NUMBERS.border)
+    for _ in range(20):  # 16 cm on, to the middle of the border
+        read()
+    assert point.border[COUNT] == pytest.approx(told, abs=0.1 * NUMBERS.border)
+
+
 def test_no_angle_and_no_cohesion_is_below_zero():
     flat, steep = MEAN * np.array([0.1, 1.0, 1.0, 0.05, 1.0]), np.array([0.0, 0.0, 0.0, -900.0, 0.0])
     wheels = Wheels([flat, flat - 8.0 * SD + steep], [covariance(), covariance()])
     mean, _ = wheels.pooled()
     assert mean[0] == 0.01 and mean[3] == 0.0
-
-
-def test_the_window_is_not_pooled():
-    window = pool_numbers(load_scenario("mixed", {"belief": {"method": "window"}}))
-    wheels = Wheels([MEAN, MEAN], [covariance(), covariance()])
-    pool(wheels.pools, wheels.ids, 0, 0, 2, window)
-    assert wheels.pools.sd[0] ** 2 - ERROR_OF_MODEL**2 == pytest.approx(np.diag(covariance()), rel=1e-9)
 
 
 def test_a_posterior_wider_than_the_prior_does_not_throw_the_other():

@@ -8,7 +8,7 @@ from agents import seeds, tune
 from agents.ablation import __main__ as ablation
 from agents.evaluate import __main__ as evaluate
 from agents.sim2real import __main__ as sim2real
-from benchmarks import clients, cmu, fuzz, identification, memory, throughput, training
+from benchmarks import clients, cmu, fuzz, memory, table_fits, throughput, training
 from benchmarks.blind import __main__ as blind
 from soil_env._io import examples
 from soil_env._io.loading import shipped_dir
@@ -25,10 +25,10 @@ COMMANDS = {
     "clients": (clients, "benchmarks.clients", ["zoo", *OUT], "environment"),
     "cmu": (cmu, "benchmarks.cmu", OUT, "study"),
     "fuzz": (fuzz, "benchmarks.fuzz", PAGE, "run"),
-    "identification": (identification, "benchmarks.identification", OUT, "study"),
     "memory": (memory, "benchmarks.memory", PAGE, "vector"),
     "paper": (paper, "soil_env.paper", OUT, "compute"),
     "sim2real": (sim2real, "agents.sim2real", ["--world", str(WORLDS / "bulldozing.yaml"), *OUT], "report"),
+    "table_fits": (table_fits, "benchmarks.table_fits", OUT, "study"),
     "throughput": (throughput, "benchmarks.throughput", OUT, "run"),
     "training": (training, "benchmarks.training", OUT, "measure"),
 }

@@ -195,7 +195,7 @@ def test_where_nothing_is_identified_no_estimate_is_drawn(method):
     """Another prior then leaves the picture as it is, although the state of the identifier holds that prior."""
     pictures = []
     for prior in (30.0, 40.0):
-        belief = {"method": method, "friction_angle_deg": prior, "shear_modulus": 4e-4 * prior}
+        belief = {"method": method, "soils": {}, "friction_angle_deg": prior, "shear_modulus": 4e-4 * prior}
         simulation, renderer = start(changes={"belief": belief}, variant="blind")
         drive(simulation, renderer, 20)
         pictures.append(renderer.draw(simulation, 0))

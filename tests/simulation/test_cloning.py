@@ -40,10 +40,9 @@ def driven(scenario, variant, steps=60, seed=4):
     return sim
 
 
-@pytest.mark.parametrize("method", ["filter", "window"])
 @pytest.mark.parametrize("variant", ["blind", "identified", "true_soil"])
-def test_a_clone_stepped_alike_gives_the_same_bit_for_bit(variant, method):
-    scenario = load_scenario("mixed", {"belief": {"method": method}})
+def test_a_clone_stepped_alike_gives_the_same_bit_for_bit(variant):
+    scenario = load_scenario("mixed")
     sim, other = driven(scenario, variant), Simulation(CLONES, scenario, variant, threads=1)
     pairs = {0: 3, 7: 1, 10: 3, 2: 4}  # place: wheel
     clone(sim, list(pairs.values()), other, list(pairs))

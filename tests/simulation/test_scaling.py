@@ -1,13 +1,14 @@
 """Observations of order one: centre and scale as documented, back again, and what is out of sight."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
 from soil_env.env import SoilWheelEnv, observation_space
-from soil_env.parameters import ParameterError, load_scenario
+from soil_env.parameters import Belief, ParameterError, load_scenario
 from soil_env.simulation.scaling import CENTRE_AND_SCALE, Scaling
 from soil_env.simulation.task import VARIANTS, layout
 from soil_env.vector_env import SoilWheelVectorEnv
@@ -16,8 +17,8 @@ ROW = re.compile(r"^\s*\| (\S+) \| (\S+) \| ([\w, ]+) \|$", re.MULTILINE)
 COURSE = load_scenario("two_lines").course
 
 
-def driven(wheels=16, steps=60, **options):
-    env = SoilWheelVectorEnv(wheels, "two_lines", **options)
+def driven(scenario="two_lines", wheels=16, steps=60, **options):
+    env = SoilWheelVectorEnv(wheels, scenario, **options)
     env.reset(seed=0)
     rng = np.random.default_rng(1)
     return env, np.concatenate([env.step(rng.uniform(-0.5, 1.0, (wheels, 1)))[0] for _ in range(steps)])
@@ -50,7 +51,7 @@ def test_scaled_and_physical_are_the_same_drive(variant):
     assert env.single_observation_space == observation_space(variant, COURSE) != other.single_observation_space
 
 
-@given(st.lists(st.floats(0.01, 1.0), min_size=62, max_size=62))
+@given(st.lists(st.floats(0.01, 1.0), min_size=66, max_size=66))
 def test_there_and_back_within_the_bounds(shares):
     scaling = Scaling(layout("identified", COURSE))
     low, high = (np.array([getattr(e, side) for e in scaling.entries]) for side in ("low", "high"))
@@ -71,9 +72,9 @@ def test_a_line_out_of_sight_is_0():
 
 def test_a_coefficient_at_its_centre_is_in_sight():
     """S = 1e6 exactly, the value of a line whose class was never met."""
-    belief = {"sinkage_coefficient": 1e6}
-    env, seen = driven(belief=belief)
-    _, values = driven(belief=belief, scaled=False)
+    scenario = replace(load_scenario("two_lines"), belief=Belief(sinkage_coefficient=1e6))
+    env, seen = driven(scenario)
+    _, values = driven(scenario, scaled=False)
     assert (values[:, env.observation_names.index("ahead_log10_sinkage_coefficient")] == 6.0).any()
     np.testing.assert_allclose(env.physical(seen), values, rtol=1e-5, atol=2e-6)
 

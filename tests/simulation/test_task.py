@@ -8,6 +8,7 @@ import pytest
 
 from soil_env.env import SoilWheelEnv
 from soil_env.identification import Status
+from soil_env.identification.soil_prior import published_prior
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation import sensors, task
 from soil_env.simulation.camera import Sight
@@ -149,7 +150,8 @@ def test_estimate_in_the_observation():
         np.testing.assert_allclose(seen[3:6], ids.sd[0, :3], rtol=1e-6)
         belief = load_scenario("mixed").belief
         np.testing.assert_allclose(seen[7:9], [x[3] / 1000.0, belief.dig_gain * math.exp(x[4])], rtol=1e-6)
-        np.testing.assert_allclose(seen[9:], [ids.sd[0, 3] / 1000.0, ids.sd[0, 4]], rtol=1e-6)
+        np.testing.assert_allclose(seen[9:11], [ids.sd[0, 3] / 1000.0, ids.sd[0, 4]], rtol=1e-6)
+        np.testing.assert_allclose(seen[11:], ids.best_pull[0], rtol=1e-6)
         assert seen[6] == (ids.status[0] == Status.CONVERGED)
         rows.append(seen[6])
     assert {0.0, 1.0} == set(rows)
@@ -301,9 +303,7 @@ def drives(reward, time_limit=90.0):
     for seed in range(6):
         changes = {"reward": reward, "course": {"length": 3.0}, "control": {"time_limit": time_limit}}
         sim, rng = simulation("identified", seed, changes), np.random.default_rng(seed)
-        b, rows = sim.scenario.belief, []
-        prior = [math.radians(b.friction_sd_deg), b.shear_modulus_sd, b.sinkage_coefficient_sd, b.cohesion_sd,
-                 b.dig_gain_sd]  # fmt: skip
+        prior, rows = np.sqrt(np.diag(published_prior(sim.scenario)[1])), []
         cause, after = Cause.RUNNING, 0.0
         for step in range(900):
             if step % 7 == 0:

@@ -89,15 +89,15 @@ def write_axle(out, wheels, k, axle, reading, task):
 def write_soils(out, j, axles, wheels, counts, courses, known, task):
     """Fill what the variant knows of the soil under each axle of rover j, and cut all to the bounds of the layout.
 
-    `known`: estimate [wheels, 5], sd [wheels, 5] and status [wheels] of the soil under each wheel.
+    `known`: estimate [wheels, 5], sd [wheels, 5], best_pull [wheels, 2] and status [wheels] of the soil under each
+    wheel.
     """
     first = 5 + 9 * axles
     for axle in range(axles):
         k = wheel_of(j, axle, axles)
         if task.variant == 1:
-            write_estimate(
-                out[first + 11 * axle :], known.estimate[k], known.sd[k], known.status[k] == _CONVERGED, task
-            )
+            o, converged = out[first + 13 * axle :], known.status[k] == _CONVERGED
+            write_estimate(o, known.estimate[k], known.sd[k], known.best_pull[k], converged, task)
         elif task.variant == 2:
             soil, _, _ = ground_at(courses, j, wheels.x[k], counts.patch[k], task.border)
             write_soil(out[first + 7 * axle :], soil)

@@ -133,14 +133,13 @@ def _drawn(scenario: RoverScenario, model: WheelSoilModel | None) -> CourseDistr
 def _identifier_numbers(scenario: RoverScenario) -> IdentifierNumbers:
     """Of an identifier a wheel: the body's accelerometer says nothing of one wheel, nor does the body's pitch of the
     grade under it, and the load on a wheel changes with the pull. Nor does the torque of a motor whose speed loop turns
-    the wheel faster or slower: that at the end of a period is not the mean over it. Soils are weighed by the whole
-    likelihood: where wheels know too surely, their difference widens what is pooled (`pooling`)."""
+    the wheel faster or slower: that at the end of a period is not the mean over it."""
     numbers = identifier_numbers(scenario)
     noise = numbers.filter.noise.copy()
     noise[9] = 1e6 * scenario.gravity
     if scenario.control.action != "torque":
         noise[8] = 1e6 * scenario.weight * scenario.wheel.radius
-    own = numbers.filter._replace(noise=noise, grade_change=0.0, load_drift=_LOAD_DRIFT, power=1.0)
+    own = numbers.filter._replace(noise=noise, grade_change=0.0, load_drift=_LOAD_DRIFT)
     return numbers._replace(filter=own)
 
 

@@ -24,18 +24,20 @@ def test_the_rear_wheel_knows_the_soil_as_it_leaves_the_border(told):
     rows = {(r["place"], r["axle"]): r for r in errors(log, scenario, 0)}
     rear = rows["leaves the border", "rear"]
     pooled, alone, prior = (np.array(rear[kind]["value"]) for kind in ("pooled", "alone", "prior"))
-    assert rear["courses"] >= 3 and pooled[0] < 0.8 * alone[0] and np.all(pooled[:2] < 0.5 * prior[:2])
+    assert rear["courses"] >= 3 and pooled[0] < 0.8 * alone[0] and np.all(pooled[:2] < 0.7 * prior[:2])
 
 
 def test_two_wheelbases_behind_a_border(told):
     scenario, log = told
     rows = {(r["place"], r["axle"]): r for r in errors(log, scenario, 0)}
-    assert all(rows["2", axle]["pooled"]["value"][0] < 1.5 for axle in ("front", "middle", "rear"))
+    for axle in ("front", "middle", "rear"):
+        row = rows["2", axle]
+        assert row["pooled"]["value"][0] < 0.75 * row["prior"]["value"][0]
 
 
 def test_pooled_is_surer_than_alone(told):
     _, log = told
-    settled = log["driven"] & (log["soil"][..., 6] > 1.0) & (log["soil"][..., 5] > 0)
+    settled = log["driven"] & (log["soil"][..., 4] > 1.0) & (log["soil"][..., 3] > 0)
     ratio = log["pooled_sd"][settled][:, FRICTION_AND_COHESION] / log["alone_sd"][settled][:, FRICTION_AND_COHESION]
     assert np.all(np.median(ratio, axis=0) < 0.8)
 

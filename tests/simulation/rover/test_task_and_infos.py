@@ -62,8 +62,8 @@ def test_places_of_the_axles_are_the_documented_ones():
     assert (two.index("rear_slip"), two.index("rear_rim_command"), len(two)) == (14, 22, 23)
     assert "those of the rear one are 23 to 31" in doc and "23 entries with two axles and 32 with three" in doc
     assert (three.index("rear_slip"), three.index("rear_rim_command"), len(three)) == (23, 31, 32)
-    assert "with two axles the rear one's are 34 to 44" in doc
-    assert (names["identified", 2].index("rear_friction_angle"), len(names["identified", 2])) == (34, 45)
+    assert "with two axles the rear one's are 36 to 48" in doc
+    assert (names["identified", 2].index("rear_friction_angle"), len(names["identified", 2])) == (36, 49)
     assert "With two axles the rear one's are 30 to 36" in doc
     assert (names["true_soil", 2].index("rear_friction_angle"), len(names["true_soil", 2])) == (30, 37)
 

@@ -1,10 +1,10 @@
-"""Accuracy of the identification: convergence, efficiency, identifiability, online estimation, speed.
+"""Accuracy of fits to tables: convergence, efficiency, identifiability, coverage of intervals.
 
-    python benchmarks/identification.py                  the full study, minutes; writes docs/identification.*
-    python benchmarks/identification.py --smoke --out X every part in seconds, numbers without meaning
-    python benchmarks/identification.py --parts bound   this part anew, the others as docs/identification.json has them
+    python benchmarks/table_fits.py                    the full study, minutes; writes docs/table_fits.*
+    python benchmarks/table_fits.py --smoke --out X    every part in seconds, numbers without meaning
+    python benchmarks/table_fits.py --parts coverage   this part anew, the others as docs/table_fits.json has them
 
-Every number of docs/identification.md comes from this command; the page says with what options and seed.
+Every number of docs/table_fits.md comes from this command; the page says with what options and seed.
 """
 
 from __future__ import annotations
@@ -22,26 +22,15 @@ import soil_env  # noqa: F401  first: from here on Ctrl-C ends the imports in on
 
 # isort: split
 import numpy as np
-from scipy.integrate import quad
-from scipy.optimize import root
 
-from benchmarks import (
-    identification_bound,
-    identification_drives,
-    identification_one_soil,
-    identification_online,
-    identification_page,
-)
-from benchmarks.common import TORQUE, study_parser
-from benchmarks.identification_contenders import replay
+from benchmarks import table_fits_coverage, table_fits_page
+from benchmarks.common import study_parser
 from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.files import check_outputs, make_folder, write_json
 from soil_env._io.loading import ParameterError, read_json
-from soil_env.identification import Reading, Status, generalized_newton_raphson, newton_raphson, predict
+from soil_env.identification import Reading, Status, generalized_newton_raphson, predict
 from soil_env.identification.point import Points, weigh
-from soil_env.identification.solver import solve
-from soil_env.identification.uniqueness import other_soil
-from soil_env.parameters import Soil, SoilState, load_scenario, soils
+from soil_env.parameters import Soil, SoilState, soils
 from soil_env.terramechanics.model import steady_state
 
 PAPER = Reading(cohesion=3000.0, exponent=0.47, radius=0.6274, width=0.1524)  # the wheel and sand of the source paper
@@ -231,174 +220,70 @@ def identifiability(points: int = 24) -> list[dict]:
     return out
 
 
-# --- 5: speed ---------------------------------------------------------------------------------------------------------
-
-
-def _by_quadrature(x, slip, sinkage, reading) -> float:
-    """Drawbar pull [N] of Eqs. (2), (7), (8), (10) by scipy.integrate.quad: the method the speed is compared with."""
-    r, n, c = reading.radius, reading.exponent, reading.cohesion
-    K, tan_phi, S = math.exp(x[1]), math.tan(x[0]), math.exp(x[2])
-    theta1 = math.acos(1.0 - sinkage / r)
-    thetam = 0.5 * theta1
-
-    def stresses(theta):
-        front = theta if theta >= thetam else theta1 - theta / thetam * (theta1 - thetam)
-        sigma = S * max(r * (math.cos(front) - math.cos(theta1)), 0.0) ** n
-        j = r * ((theta1 - theta) - (1.0 - slip) * (math.sin(theta1) - math.sin(theta)))
-        return sigma, (c + sigma * tan_phi) * -math.expm1(-j / K)
-
-    def pull(theta):
-        sigma, tau = stresses(theta)
-        return tau * math.cos(theta) - sigma * math.sin(theta)
-
-    return r * reading.width * (quad(pull, 0.0, thetam)[0] + quad(pull, thetam, theta1)[0])
-
-
-def speed(rng: np.random.Generator, repeats: int) -> dict:
-    """Time of one three-point solve on drawbar pull: ours and scipy.optimize.root on quad integrals, same problems."""
-    ours, compiled, checked, theirs, agreement = [], [], [], [], []
-    for _ in range(repeats):
-        phi, K, S = rng.uniform([28.0, 0.03, 4e5], [38.0, 0.045, 7e5])
-        x = np.array([math.radians(phi), math.log(K), math.log(S)])
-        slip = np.array([0.08, 0.22, 0.45])
-        sinkage = steady_sinkage(x, slip, np.array([7000.0, 8900.0, 10500.0]), PAPER)
-        y, _ = predictions(x, slip, sinkage, PAPER)
-        guess = Soil(30.0, PAPER.cohesion, 0.035, PAPER.exponent, sinkage_coefficient=5e5)
-        start = time.perf_counter()
-        e = newton_raphson(slip, sinkage, y[:, 0], reading=PAPER, guess=guess, sd=(1.0, 1.0, 1.0))
-        ours.append(time.perf_counter() - start)
-
-        points = Points(3)
-        points["slip"], points["sinkage"], points["drawbar_pull"] = slip, sinkage, y[:, 0]
-        points["dig_ratio"] = points["w00"] = 1.0
-        z, zero, covariance = unknowns(guess), np.zeros(3), np.zeros((3, 3))
-        start = time.perf_counter()
-        solve(z, points, zero, zero, PAPER, 100, 1e-8, covariance)
-        compiled.append(time.perf_counter() - start)
-        other_soil(z, points, PAPER, np.empty(3))
-        checked.append(time.perf_counter() - start)
-
-        def residual(v, slip=slip, sinkage=sinkage, y=y):
-            return [_by_quadrature(v, i, s, PAPER) - d for i, s, d in zip(slip, sinkage, y[:, 0], strict=True)]
-
-        start = time.perf_counter()
-        s = root(residual, unknowns(guess))
-        theirs.append(time.perf_counter() - start)
-        if s.success:
-            agreement.append(float(np.max(np.abs(s.x - unknowns(e.soil)))))
-    ratios, compiled_ratios = np.array(theirs) / np.array(ours), np.array(theirs) / np.array(compiled)
-
-    def spread(values):
-        return dict(zip(("median", "low", "high"), np.percentile(values, [50, 5, 95]).tolist(), strict=True))
-
-    return {
-        "newton_raphson_s": spread(ours),
-        "compiled_solve_s": spread(compiled),
-        "checked_solve_s": spread(checked),
-        "scipy_s": spread(theirs),
-        "ratio": spread(ratios),
-        "ratio_compiled": spread(compiled_ratios),
-        "ratio_checked": spread(np.array(theirs) / np.array(checked)),
-        "scipy_converged": len(agreement) / repeats,
-        "largest_difference": max(agreement, default=math.nan),
-        "published_s": {"Hutangkabodee et al. 2006": 0.15, "WEVJ 2024 15(5):217": 0.84},
-    }
-
-
 # --- all --------------------------------------------------------------------------------------------------------------
 
 
-PARTS = ("convergence", "efficiency", "identifiability", "speed", "online", "bound", "other_seed", "one_soil",
-         "manoeuvre")  # fmt: skip
+PARTS = ("convergence", "efficiency", "identifiability", "coverage")
 
 
-def _replay_once():
-    """`replay` that makes each of its replays once: two parts judge the same ones."""
-    made: dict = {}
-
-    def once(name, scenario, readings):
-        key = name, readings.tobytes()
-        if key not in made:
-            made[key] = replay(name, scenario, readings)
-        return made[key]
-
-    return once
-
-
-def study(seed: int, smoke: bool, courses: int = 200, names=PARTS) -> dict:
+def study(seed: int, smoke: bool, names=PARTS) -> dict:
     """Run the named parts; their results as plain values, by name."""
-    seeds = np.random.SeedSequence(seed).spawn(3)
-    rngs, result, once = [np.random.default_rng(s) for s in seeds], {}, _replay_once()
-    courses, every = 2 if smoke else courses, identification_bound.ESTIMATORS | identification_bound.OTHERS
-    rounds = 1 if smoke else 7
+    rngs, result = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2)], {}
     parts = {
         "convergence": lambda: convergence(rngs[0], 50 if smoke else 10_000),
         "efficiency": lambda: efficiency(rngs[1], 20 if smoke else 1000),
         "identifiability": identifiability,
-        "speed": lambda: speed(rngs[2], 3 if smoke else 50),
-        "online": lambda: identification_online.run(courses, seed, _say, replay=once, rounds=rounds),
-        "bound": lambda: identification_bound.study(load_scenario("mixed", TORQUE), courses, seed, every, once),
-        "other_seed": lambda: identification_drives.other_seed(load_scenario("mixed", TORQUE), courses, seed + 1),
-        "one_soil": lambda: identification_one_soil.study(load_scenario("mixed", TORQUE), courses, seed, _say),
-        "manoeuvre": lambda: identification_drives.manoeuvre(load_scenario("mixed", TORQUE), courses, seed),
+        "coverage": lambda: table_fits_coverage.study(seed, 1 if smoke else 50),
     }
     for name in names:
         start = time.perf_counter()
         result[name] = parts[name]()
-        _say(f"{name}: {time.perf_counter() - start:.0f} s")
+        print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
     return result
-
-
-def _say(line: str) -> None:
-    print(line, flush=True)
 
 
 def _made(options: argparse.Namespace) -> dict:
     """How these parts are made."""
-    command = ["python benchmarks/identification.py", *(["--smoke"] if options.smoke else [])]
+    command = ["python benchmarks/table_fits.py", *(["--smoke"] if options.smoke else [])]
     if tuple(options.parts) != PARTS:
         command += ["--parts", *options.parts]
-    if options.courses != 200:
-        command += ["--courses", str(options.courses)]
     machine = f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}"
     return {"command": " ".join(command), "seed": options.seed, "machine": machine}
 
 
-@command_line("benchmarks.identification", interrupted="nothing written")
+@command_line("benchmarks.table_fits", interrupted="nothing written")
 def main(arguments: list[str] | None = None) -> int:
     """Run the study and write its page."""
-    p = study_parser("python benchmarks/identification.py", __doc__, "identification.json, .md and plots", Path("docs"))
+    p = study_parser("python benchmarks/table_fits.py", __doc__, "table_fits.json, .md and plots", Path("docs"))
     p.add_argument(
         "--seed", metavar="N", type=whole_number(), default=0, help="of everything random, >= 0 (default: 0)"
     )
-    p.add_argument("--courses", metavar="N", type=whole_number(1), default=200, help="courses driven (default: 200)")
     p.add_argument(
         "--parts", metavar="PART", nargs="+", choices=PARTS, default=PARTS,
-        help="parts to make anew, the others are taken from OUT/identification.json; of " + ", ".join(PARTS),
+        help="parts to make anew, the others are taken from OUT/table_fits.json; of " + ", ".join(PARTS),
     )  # fmt: skip
     options = p.parse_args(arguments)
-    check_outputs(options.out, ("identification.json", "identification.md", "identification/x.png"))
+    check_outputs(options.out, ("table_fits.json", "table_fits.md", "table_fits/x.png"))
     make_folder(options.out)
-    kept = {}
+    file, kept = options.out / "table_fits.json", {}
     if set(options.parts) != set(PARTS):
-        file = options.out / "identification.json"
         kept = read_json(file)
         made = kept.get("made")
         known = {p for p in kept if isinstance(made, dict) and isinstance(made.get(p), dict)}
         if missing := set(PARTS) - set(options.parts) - known:
             raise ParameterError(f"{file}: has no {', '.join(sorted(missing))}; give --parts with them, or without it")
-    result = kept | study(options.seed, options.smoke, options.courses, options.parts)
+    result = kept | study(options.seed, options.smoke, options.parts)
     result["made"] = kept.get("made", {}) | dict.fromkeys(options.parts, _made(options))
-    write_json(options.out / "identification.json", result)
+    write_json(file, result)
     try:
-        identification_page.write(result, options.out)
+        table_fits_page.write(result, options.out)
     except (AttributeError, IndexError, KeyError, TypeError) as error:
         others = ", ".join(sorted(set(PARTS) - set(options.parts)))
         raise ParameterError(
-            f"{options.out / 'identification.json'}: what it has of {others} is of another version "
-            f"({type(error).__name__}: {error}); make these parts anew"
+            f"{file}: what it has of {others} is of another version ({type(error).__name__}: {error}); make these "
+            "parts anew"
         ) from None
-    print(f"Written: {options.out / 'identification.md'}", flush=True)
+    print(f"Written: {options.out / 'table_fits.md'}", flush=True)
     return 0
 
 

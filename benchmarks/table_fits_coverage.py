@@ -1,7 +1,4 @@
-"""Coverage of the 95 % intervals of `python -m soil_env.identification`: the table of docs/identify.md.
-
-    python -m benchmarks.identification_coverage               minutes; prints the table as Markdown
-    python -m benchmarks.identification_coverage --draws 20    seconds, for a look
+"""Coverage of the 95 % intervals of `python -m soil_env.identification`: a part of benchmarks/table_fits.py.
 
 Tables are drawn from one soil (friction angle 31 deg, K 0.018 m, S 9e5, n 0.9, cohesion 1500 Pa) under a wheel of
 0.15 m by 0.12 m: steady points by Eqs. (1)-(3), with Gaussian noise of 0.3 mm, 0.7 N and 0.1 N m. Cohesion and n are
@@ -15,8 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._io import document
-from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env.identification import Reading, predict
 from soil_env.identification.table import identify_table
 from soil_env.measurement.table import NOISE, NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, Table
@@ -107,23 +102,10 @@ def coverage(case: Case, draws: int, rng: np.random.Generator) -> tuple[dict[str
     return {name: count / draws for name, count in hits.items()}, unsettled / draws
 
 
-@command_line("benchmarks.identification_coverage")
-def main(arguments: list[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    p = command_parser("python -m benchmarks.identification_coverage", __doc__)
-    p.add_argument(
-        "--draws", metavar="N", type=whole_number(1), default=400, help="tables drawn for each row (default: 400)"
-    )
-    p.add_argument("--seed", metavar="N", type=whole_number(), default=0, help="of the noise, >= 0 (default: 0)")
-    options = p.parse_args(arguments)
+def study(seed: int, draws: int) -> dict:
+    """All cases: shares of the draws by parameter, and of those that did not settle."""
     rows = []
     for k, case in enumerate(CASES):
-        shares, unsettled = coverage(case, options.draws, np.random.default_rng([options.seed, k]))
-        rows.append((*case.label, *(f"{100.0 * v:.0f} %" for v in shares.values()), f"{100.0 * unsettled:.0f} %"))
-    header = ("slips", "loads", "measured", "noise", "$\\varphi$", "$K$", "$S$", "not settled")
-    print(document.Table(header, rows).markdown())
-    return 0
-
-
-if __name__ == "__main__":
-    leave(main())
+        shares, unsettled = coverage(case, draws, np.random.default_rng([seed, k]))
+        rows.append({"case": case.label, "shares": shares, "unsettled": unsettled})
+    return {"draws": draws, "rows": rows}

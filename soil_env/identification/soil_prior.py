@@ -1,0 +1,116 @@
+"""Prior of the filter: a Gaussian of the soil, that of the belief itself or the moments of its library of soils.
+
+Unknowns are (tan phi, cohesion, exponent n, ln K), which the forces tell, and (y, l), which the sinkage tells: ln of
+the pressure S depth^n under which undisturbed soil lets the wheel `depth` deep, and ln of the gain of digging over the
+nominal one. Soils are compared by that pressure, since the unit of S depends on n.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.parameters import Scenario
+
+SIZE = 6
+TANGENT, COHESION, EXPONENT, LN_K, PRESSURE, GAIN = range(SIZE)
+KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
+_DEPTH = 0.2  # [wheel radii] at which pressures are compared
+_OF_SPREAD = np.array([TANGENT, COHESION, LN_K, PRESSURE, GAIN])  # in the order of `SoilSpread.factor`
+
+Gaussian = tuple[float, np.ndarray, np.ndarray]  # weight, mean [SIZE], covariance [SIZE, SIZE]
+
+
+class SoilPrior(NamedTuple):
+    """The prior as the compiled filter takes it."""
+
+    forces: np.ndarray  # [14] mean of (tan phi, c, n, ln K), then the lower triangle of their covariance
+    sinkage: np.ndarray  # [2] mean of (y, l)
+    sinkage_covariance: np.ndarray  # [4]
+    regression: np.ndarray  # [8] of the four on the two, row by row
+
+
+def depth_of(scenario: Scenario) -> float:
+    """Sinkage [m] at which the pressures of soils are compared."""
+    return _DEPTH * scenario.wheel.radius
+
+
+def plain(scenario: Scenario) -> Gaussian:
+    """The prior of the belief without its library."""
+    b, w = scenario.belief, scenario.wheel
+    tangent = math.tan(math.radians(b.friction_angle_deg))
+    y = math.log(b.sinkage_coefficient) + b.sinkage_exponent * math.log(depth_of(scenario))
+    mean = np.array([tangent, b.cohesion, b.sinkage_exponent, math.log(b.shear_modulus), y, 0.0])
+    sd = np.array([
+        (1.0 + tangent**2) * math.radians(b.friction_sd_deg), b.cohesion_sd, b.sinkage_exponent_sd, b.shear_modulus_sd,
+        b.sinkage_coefficient_sd, b.dig_gain_sd,
+    ])  # fmt: skip
+    least = np.full(SIZE, KNOWN)
+    least[COHESION] *= scenario.weight / (w.radius * w.width)
+    sd, r = np.maximum(sd, least), np.eye(SIZE)
+    r[TANGENT, COHESION] = r[COHESION, TANGENT] = b.friction_cohesion
+    r[TANGENT, PRESSURE] = r[PRESSURE, TANGENT] = b.friction_stiffness
+    r[LN_K, PRESSURE] = r[PRESSURE, LN_K] = b.stiffness_shear_modulus
+    return 1.0, mean, r * np.outer(sd, sd)
+
+
+def of_library(scenario: Scenario) -> list[Gaussian]:
+    """A Gaussian for each soil of the belief's library, with the scatter of `Belief.spread`."""
+    b, spread, found = scenario.belief, scenario.belief.spread or scenario.spread, []
+    logs = np.sqrt(np.log1p(np.square([spread.shear_modulus, spread.stiffness, spread.dig_gain])))
+    r = np.eye(SIZE)
+    r[np.ix_(_OF_SPREAD, _OF_SPREAD)] = spread.factor() @ spread.factor().T
+    least = 1e-2 * np.sqrt(np.diag(plain(scenario)[2]))
+    deeper = np.eye(SIZE)  # from the pressure at the reference of the scatter to that at `depth_of`
+    deeper[PRESSURE, EXPONENT] = math.log(depth_of(scenario) / spread.reference_sinkage)
+    for name, weight in b.soils.items():
+        soil = scenario.library[name].state(scenario.wheel.width)
+        tangent, n = soil.tan_phi, soil.sinkage_exponent
+        y = math.log(soil.sinkage_coefficient) + n * math.log(spread.reference_sinkage)
+        gain = math.log(max(soil.dig_gain, 1e-3) / max(b.dig_gain, 1e-3))
+        mean = np.array([tangent, soil.cohesion, n, math.log(soil.shear_modulus), y, gain])
+        mean[LN_K:] -= 0.5 * logs**2  # the scatter keeps the mean, not the median
+        friction = (1.0 + tangent**2) * math.atan(tangent) * spread.friction
+        sd = np.maximum([friction, soil.cohesion * spread.cohesion, n * spread.exponent, *logs], least)
+        found.append((weight, deeper @ mean, deeper @ (r * np.outer(sd, sd)) @ deeper.T))
+    return found
+
+
+def moments(gaussians: list[Gaussian]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of a mixture."""
+    weights = np.array([g[0] for g in gaussians]) / sum(g[0] for g in gaussians)
+    means = np.array([g[1] for g in gaussians])
+    mean = weights @ means
+    away = means - mean
+    return mean, np.einsum("k,kij->ij", weights, np.array([g[2] for g in gaussians])) + (away.T * weights) @ away
+
+
+def prior_of_belief(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+    """Mean [SIZE] and covariance [SIZE, SIZE] of the soil before any reading."""
+    return moments(of_library(scenario) if scenario.belief.soils else [plain(scenario)])
+
+
+def soil_prior(scenario: Scenario) -> SoilPrior:
+    """The prior of a scenario's belief as the compiled filter takes it."""
+    mean, covariance = prior_of_belief(scenario)
+    triangle = covariance[:PRESSURE, :PRESSURE][np.tril_indices(PRESSURE)]
+    of_sinkage = covariance[PRESSURE:, PRESSURE:]
+    regression = np.linalg.solve(of_sinkage, covariance[PRESSURE:, :PRESSURE]).T
+    return SoilPrior(
+        np.concatenate([mean[:PRESSURE], triangle]), mean[PRESSURE:].copy(), of_sinkage.ravel().copy(),
+        np.ascontiguousarray(regression).ravel(),
+    )  # fmt: skip
+
+
+def published_prior(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+    """Mean [5] and covariance [5, 5] of (phi, ln K, ln S, c, l) before any reading, S at the exponent of the belief."""
+    mean, covariance = prior_of_belief(scenario)
+    ln_depth = math.log(depth_of(scenario))
+    to = np.zeros((5, SIZE))
+    to[0, TANGENT] = 1.0 / (1.0 + mean[TANGENT] ** 2)
+    to[[1, 2, 3, 4], [LN_K, PRESSURE, COHESION, GAIN]] = 1.0
+    x = to @ mean
+    x[0], x[2] = math.atan(mean[TANGENT]), mean[PRESSURE] - scenario.belief.sinkage_exponent * ln_depth
+    return x, to @ covariance @ to.T

@@ -1,0 +1,281 @@
+"""Borders: the odds of a change of the grade against scipy, where one is found, and none where there is none."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from soil_env._numba.compiling import root
+from soil_env._numba.lanes import COUNT
+from soil_env.identification.border import begin, cross_here, cross_where_the_grade_changes, end, note_grade, share_here
+from soil_env.identification.filter_bank import CANDIDATES, filter_numbers, new_banks, restart
+from soil_env.identification.soil_nodes import GAUSSIAN, LOG_WEIGHT, NODE_ROWS, OLD, SAME_SOIL, STAYS
+from soil_env.parameters import Belief, load_scenario
+from soil_env.simulation.worlds import Simulation
+from soil_env.terramechanics.ground import share_of_next
+
+SCENARIO = replace(load_scenario("mixed"), belief=Belief())
+NUMBERS = filter_numbers(SCENARIO)
+LENGTH, NOISE = NUMBERS.border, NUMBERS.noise[7]
+STEP = 0.02  # m from reading to reading
+
+
+@root
+def _note(banks, x, pitch, looks, numbers):
+    banks.point.place[0] = x
+    note_grade(banks, 0, pitch, numbers)
+    if looks and banks.point.crossing[0] == 0.0:
+        cross_where_the_grade_changes(banks, 0, numbers)
+
+
+@root
+def _cross_here(banks, numbers):
+    cross_here(banks, 0, numbers)
+
+
+@root
+def _end(banks, numbers):
+    end(banks, 0, numbers)
+
+
+@root
+def _share_here(banks, x, spread, numbers, out):
+    out[0], out[1] = share_here(banks, 0, x, spread, numbers)
+
+
+class Wheel:
+    """What one filter knows of borders."""
+
+    def __init__(self, numbers=NUMBERS):
+        self.banks, self.numbers = new_banks(1), numbers
+        restart(self.banks, 0, numbers)
+        self.p = self.banks.point
+
+    def note(self, x, pitch, looks=True):
+        _note(self.banks, float(x), float(pitch), looks, self.numbers)
+
+    @property
+    def crossing(self):
+        return self.p.crossing[0] > 0.0
+
+
+def pitches(x, middle, rise, rng, noise=NOISE):
+    """Readings [n] at places x [n] of a course whose grade rises by `rise` [rad] over a border."""
+    share = np.array([share_of_next((at - middle) / LENGTH)[0] for at in x])
+    return 0.05 + rise * share + noise * rng.standard_normal(len(x))
+
+
+def driven(seed, rise, middle=1.5, end_at=3.0, numbers=NUMBERS):
+    """(place where a border was found, its middle as known at last) or None, of one drive over a border."""
+    wheel, found, rng = Wheel(numbers), None, np.random.default_rng(seed)
+    x = np.arange(0.0, end_at, STEP)
+    for at, pitch in zip(x, pitches(x, middle, rise, rng), strict=True):
+        wheel.note(at, pitch)
+        if wheel.crossing and found is None:
+            found = at
+        if wheel.crossing and at > wheel.p.border[0] + 0.5 * LENGTH:
+            break
+    return None if found is None else (found, wheel.p.border[0], math.sqrt(wheel.p.border_variance[0]))
+
+
+@pytest.mark.parametrize("rise_deg", [-12.0, -4.0, 4.0, 12.0])
+def test_a_clean_step_is_found_near_its_place(rise_deg):
+    """Before its middle, and behind it to two centimetres of a length of 30 cm, about as well as stated.
+
+    One course of the twenty has a false border before it.
+    """
+    rows = np.array([driven(seed, math.radians(rise_deg)) for seed in range(20)])
+    assert np.median(rows[:, 0]) < 1.5
+    assert np.median(np.abs(rows[:, 1] - 1.5)) < 0.02
+    scaled = np.abs(rows[:, 1] - 1.5) / rows[:, 2]
+    assert np.mean(scaled < 3.0) >= 0.75 and np.median(rows[:, 2]) < 0.1 * LENGTH
+
+
+def test_the_steeper_the_step_the_earlier_it_is_found():
+    found = [np.mean([driven(s, math.radians(rise))[0] for s in range(12)]) for rise in (2.0, 5.0, 15.0)]
+    assert found[0] > found[1] > found[2]
+
+
+def test_without_a_step_none_is_found():
+    """Courses of six metres of one grade: nineteen of twenty have none."""
+    false = sum(driven(seed, 0.0, end_at=6.0) is not None for seed in range(60))
+    assert false <= 3, false
+
+
+class Judge:
+    """Bayesian regression of the readings on each place, by dense Gaussians of scipy; readings are of one grade before,
+    known to 60 of them."""
+
+    def __init__(self):
+        self.x, self.y, self.variance, self.t2 = [], [], NOISE**2 * (1.0 + 1.0 / 60.0), NUMBERS.grade_change**2
+
+    def located(self, places):
+        """(ln odds of a border in these places, mean and sd of its place, mean rise)."""
+        n, evidence, rises = len(self.x), [], []
+        none = multivariate_normal(np.zeros(n), self.variance * np.eye(n)).logpdf(self.y)
+        for place in places:
+            w = np.array([share_of_next((a - place) / LENGTH)[0] for a in self.x])
+            cov = self.variance * np.eye(n) + self.t2 * np.outer(w, w)
+            evidence.append(multivariate_normal(np.zeros(n), cov).logpdf(self.y) - none)
+            rises.append(self.t2 * w @ np.linalg.solve(cov, self.y))
+        evidence = np.array(evidence)
+        odds = np.logaddexp.reduce(evidence) + math.log(0.5 * NUMBERS.offsets[1])
+        weight = np.exp(evidence - evidence.max())
+        weight /= weight.sum()
+        mean = weight @ places
+        return odds, mean, math.sqrt(weight @ (places - mean) ** 2), weight @ rises
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_odds_and_the_place_are_those_of_bayesian_regression(seed):
+    """A border is begun when the evidence exceeds the odds, and is where and as steep as it says, also afterwards."""
+    rng, wheel, judge, crossed = np.random.default_rng(seed), Wheel(), Judge(), 0
+    wheel.p.grades[0], wheel.p.grade[0] = 1e6, 0.05
+    x = np.arange(-0.5 * LENGTH, 0.5, STEP)
+    for at, pitch in zip(x, pitches(x, 0.25, math.radians(6.0), rng), strict=True):
+        judge.x.append(at), judge.y.append(pitch - wheel.p.grade[0])
+        before = wheel.crossing
+        wheel.note(at, pitch, looks=False)
+        odds, mean, sd, rise = judge.located(wheel.p.nearest[0] + NUMBERS.offsets)
+        if not before:
+            _look(wheel.banks, NUMBERS)
+            assert wheel.crossing == (odds >= 3.0)
+        if wheel.crossing:
+            crossed += 1
+            assert wheel.p.border[0] == pytest.approx(mean, abs=1e-6)
+            assert wheel.p.rise[0] == pytest.approx(rise, abs=1e-6)
+            between = 2.0 * NUMBERS.offsets[1]  # at most, of places that are tested at intervals
+            assert sd < math.sqrt(wheel.p.border_variance[0]) < math.hypot(sd, between)
+    assert crossed > 10 and abs(wheel.p.border[0] - 0.25) < 0.02
+
+
+@root
+def _look(banks, numbers):
+    cross_where_the_grade_changes(banks, 0, numbers)
+
+
+def test_the_share_is_one_away_from_borders():
+    wheel, out = Wheel(), np.zeros(2)
+    _share_here(wheel.banks, 3.0, 0.1, NUMBERS, out)
+    assert tuple(out) == (1.0, 0.0)
+    begin(wheel.banks, 0, NUMBERS, 3.0, 1e-4, 0.1)
+    for x, expected in ((2.0, 0.0), (3.0, 0.5), (4.0, 1.0)):
+        _share_here(wheel.banks, x, 0.01, NUMBERS, out)
+        assert out[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_forces_tell_of_a_border_ahead():
+    wheel = Wheel()
+    wheel.p.place[0], wheel.p.misfit[0] = 2.0, 13.0
+    _cross_here(wheel.banks, NUMBERS)
+    assert wheel.crossing and wheel.p.by_forces[0] == 1.0 and wheel.p.misfit[0] == 13.0
+    assert 2.0 < wheel.p.border[0] < 2.0 + 0.5 * LENGTH
+    assert wheel.p.border_variance[0] == pytest.approx((wheel.p.border[0] - 2.0) ** 2)
+
+
+def test_a_border_that_ends_is_behind():
+    """The grade is that of the new soil, and the search begins anew: no reading of the old soil counts."""
+    wheel = Wheel()
+    x = np.arange(0.0, 1.2, STEP)
+    for at, pitch in zip(x, pitches(x, 1.0, 0.2, np.random.default_rng(0), 1e-4), strict=True):
+        wheel.note(at, pitch)
+    assert wheel.crossing and wheel.p.rise[0] == pytest.approx(0.2, abs=0.02)
+    _end(wheel.banks, NUMBERS)
+    assert not wheel.crossing and wheel.p.grade[0] == pytest.approx(0.25, abs=0.02)
+    assert np.all(wheel.banks.candidates == 0.0) and len(wheel.banks.candidates[0]) == 2 * CANDIDATES
+    for at in np.arange(1.2, 3.0, STEP):
+        wheel.note(at, 0.25)
+        assert not wheel.crossing
+
+
+# --- on courses -------------------------------------------------------------------------------------------------------
+
+
+def found_borders(scenario, seeds, steps=420):
+    """Of each border that a wheel passes: how far before its middle [m] one was found, and the error [m] of its place
+    behind it, of the nearest one found."""
+    sim, rows = Simulation(1, scenario, "identified", threads=1), []
+    w, p = sim.worlds, sim.worlds.ids.banks.point
+    for seed in seeds:
+        sim.seed(0, np.random.default_rng(seed))
+        sim.restart(0)
+        was, begun, middles = 0.0, [], []
+        for step in range(steps):
+            sim.step(0, 0.42 + 0.1 * math.sin(0.1 * step))
+            if w.cause[0] != 0:
+                break
+            if was == 0.0 and p.crossing[0] == 1.0:
+                begun.append(w.state.x[0])
+            if was == 1.0 and p.crossing[0] == 0.0:
+                middles.append(p.border[0] + w.state.x[0] - p.place[0])
+            was = p.crossing[0]
+        edges = w.courses.edges[0, 1 : w.courses.patches[0]]
+        for edge in edges[edges < w.state.x[0] - 0.5]:
+            at = np.array(begun)[np.argmin(np.abs(np.array(begun) - edge))] if begun else np.inf
+            middle = np.array(middles)[np.argmin(np.abs(np.array(middles) - edge))] if middles else np.inf
+            rows.append((edge - at, middle - edge))
+    return np.array(rows)
+
+
+WHEEL_SPEED = {"control": {"action": "wheel_speed"}}
+
+
+def test_the_grade_tells_of_a_border_before_its_middle():
+    """And its place behind it is right to two centimetres in most cases."""
+    rows = found_borders(load_scenario("mixed", WHEEL_SPEED), range(10))
+    assert len(rows) >= 15
+    assert np.median(rows[:, 0]) > 0.0  # m
+    assert np.median(np.abs(rows[:, 1])) < 0.02
+
+
+def test_the_forces_alone_find_borders_later():
+    rows = found_borders(load_scenario("mixed", WHEEL_SPEED | {"belief": {"grade_change_deg": 0.0}}), range(10))
+    assert len(rows) >= 15
+    assert -0.2 < np.median(rows[:, 0]) < 0.03
+
+
+def weights_of_the_same_soil(changes):
+    """Probabilities [n] that the soil stayed the same, at the end of each border of six courses."""
+    sim, found = Simulation(1, load_scenario("mixed", WHEEL_SPEED | changes), "identified", threads=1), []
+    banks = sim.worlds.ids.banks
+    for seed in range(6):
+        sim.seed(0, np.random.default_rng(seed))
+        sim.restart(0)
+        was = 0.0
+        for step in range(420):
+            nodes = banks.nodes[0].reshape(NODE_ROWS, COUNT)
+            weight = math.exp(nodes[LOG_WEIGHT, STAYS]) if nodes[SAME_SOIL, STAYS] > 0.0 else 0.0
+            sim.step(0, 0.42 + 0.1 * math.sin(0.1 * step))
+            if was == 1.0 and banks.point.crossing[0] == 0.0:
+                found.append(weight)
+            was = banks.point.crossing[0]
+    return np.array(found)
+
+
+def test_a_slope_on_the_same_soil_is_told_from_a_new_soil():
+    """By the forces: the odds of patches of one soil, whose grades differ, rise, and those of other soils fall."""
+    none = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
+    prior = {"soils": load_scenario("mixed").belief.soils, "spread": {}}
+    ground = {"soils": {"dry_sand": 1}, "spread": none, "course": {"margin": [0.0, 0.15]}, "belief": prior}
+    same = weights_of_the_same_soil(ground)
+    other = weights_of_the_same_soil({})
+    assert len(same) >= 8 and len(other) >= 8
+    assert np.median(same) > 5.0 * 0.05  # what is believed before the forces are known
+    assert np.median(other) < 0.2 * 0.05
+
+
+def test_what_is_known_of_the_old_soil_is_kept_on_a_border():
+    sim = Simulation(1, SCENARIO, "identified", threads=1)
+    sim.seed(0, np.random.default_rng(2))
+    sim.restart(0)
+    for k in range(60):
+        sim.step(0, 0.35 + 0.15 * math.sin(0.1 * k))
+    banks = sim.worlds.ids.banks
+    assert banks.point.crossing[0] == 0.0 and banks.point.points[0] > 3.0
+    before, mass = banks.known[0, :GAUSSIAN].copy(), banks.point.mass[0]
+    begin(banks, 0, NUMBERS, 1.0, 1e-4, 0.1)
+    np.testing.assert_array_equal(banks.known[0, OLD:], before)
+    np.testing.assert_array_equal(banks.known[0, :GAUSSIAN], NUMBERS.prior.forces)
+    assert banks.point.mass[0] == mass

@@ -1,0 +1,100 @@
+"""Whether the stated uncertainty of the online identifier is that of its errors, and whether it runs everywhere."""
+
+import math
+
+import numpy as np
+import pytest
+
+from agents.controllers import make_controller
+from agents.evaluate import drive
+from soil_env._numba.compiling import root
+from soil_env.identification import Status
+from soil_env.identification.online import identifier_numbers
+from soil_env.parameters import load_scenario, scenario_names
+from soil_env.simulation.rover.simulation import RoverSimulation
+from soil_env.simulation.task import Cause
+from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.worlds import IDLE, STEP
+from soil_env.vehicle import load_rover, rover_names
+
+SEED, COURSES = 5, 40
+SECONDS = 20.0  # of a smoke test
+
+
+@root
+def _truth(state, counts, courses, border, exponent, bearing_ln, out):
+    """(phi, ln K, ln S at `exponent`) of the ground under each wheel into `out` [n, 3]."""
+    for k in range(len(out)):
+        soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], border)
+        out[k, 0], out[k, 1] = math.atan(soil.tan_phi), math.log(soil.shear_modulus)
+        out[k, 2] = math.log(soil.sinkage_coefficient) + (soil.sinkage_exponent - exponent) * bearing_ln[k]
+
+
+def record(scenario, name, seed=SEED, courses=COURSES):
+    """Errors and standard deviations [n, 3] of (phi, ln K, ln S) at all driven steps of a controller, and the errors
+    that the prior makes there."""
+    prior, exponent = identifier_numbers(scenario).prior[:3], scenario.belief.sinkage_exponent
+    errors, sds, without = [], [], []
+    for w, alive in drive(make_controller(name, scenario), scenario, seed, 0, courses, threads=1):
+        truth = np.empty((courses, 3))
+        bearing = np.log(np.maximum(w.state["bearing_sinkage"], 1e-4))
+        _truth(w.state, w.counts, w.courses, scenario.course.border, exponent, bearing, truth)
+        driven = alive & (w.state["halt_left"] == 0.0)
+        errors.append((w.ids.estimate[:, :3] - truth)[driven])
+        sds.append(w.ids.sd[driven, :3])
+        without.append((prior - truth)[driven])
+    return tuple(map(np.concatenate, (errors, sds, without)))
+
+
+def test_intervals_hold_on_the_default_task():
+    """Friction angle and ln K on 40 courses that no threshold was set on: 68 % intervals hold about so often."""
+    error, sd, without = record(load_scenario("two_lines"), "best_slip_identified")
+    assert len(error) > 10_000
+    scaled = np.abs(error / sd)[:, :2]
+    inside, beyond = np.mean(scaled < 1.0, axis=0), np.mean(scaled > 3.0, axis=0)
+    assert np.all((inside > 0.55) & (inside < 0.80)), inside
+    assert np.all(beyond < 0.05), beyond
+    rms, of_prior = (np.sqrt(np.mean(np.square(e), axis=0))[:2] for e in (error, without))
+    assert np.all(rms < of_prior), (rms, of_prior)
+
+
+def check(ids, scenario):
+    """Estimates are finite and those of some soil, standard deviations are positive, covariances semidefinite and
+    symmetric, and the two tell the same."""
+    prior = 1.0 / np.sqrt(identifier_numbers(scenario).precision)
+    assert np.all(np.isfinite(ids.estimate)) and np.all(np.isfinite(ids.covariance))
+    assert np.all(ids.sd > 0.0) and np.all(np.isfinite(ids.sd))
+    np.testing.assert_allclose(ids.covariance, ids.covariance.transpose(0, 2, 1), rtol=1e-9)
+    scaled = ids.covariance / np.outer(prior, prior)
+    assert np.linalg.eigvalsh(scaled).min() > -1e-6
+    np.testing.assert_allclose(np.einsum("kii->ki", ids.covariance), ids.sd**2, rtol=1e-9, atol=2e-18)
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_scenario_gives_finite_estimates(name):
+    scenario = load_scenario(name)
+    renewed, w = np.zeros(2, dtype=bool), None
+    for step, (w, alive) in enumerate(drive(make_controller("soft_start", scenario), scenario, SEED, 0, 2, threads=1)):
+        renewed |= alive & (w.ids.banks.point.points > 0.0)
+        check(w.ids, scenario)
+        if step * scenario.control.period >= SECONDS:
+            break
+    assert renewed.all() and np.any(w.ids.sd[:, :2] < 0.9 / np.sqrt(identifier_numbers(scenario).precision[:2]))
+
+
+@pytest.mark.parametrize("name", rover_names())
+def test_every_rover_gives_finite_estimates(name):
+    scenario = load_rover(name, {"control": {"action": "wheel_speed", "repeat": 1}})
+    simulation, rovers = RoverSimulation(2, scenario, "blind", 1), 2
+    for j in range(rovers):
+        simulation.seed(j, np.random.default_rng([SEED, j]))
+    simulation.restart_where(np.ones(rovers, dtype=bool))
+    w, rows = simulation.worlds, simulation.wheels.ravel()
+    for step in range(round(SECONDS / scenario.control.period)):
+        going = w.cause == Cause.RUNNING.value
+        commands = np.full(simulation.wheels.shape, min(0.02 * step, 0.4))
+        simulation.step_all(commands, np.where(going, STEP, IDLE))
+        of_wheels = w.ids._replace(estimate=w.ids.estimate[rows], sd=w.ids.sd[rows], covariance=w.ids.covariance[rows])
+        check(of_wheels, scenario)
+        assert np.all(np.isfinite(w.known.estimate[rows])) and np.all(w.known.sd[rows] > 0.0)
+    assert np.all(w.ids.status[rows] != Status.NO_DATA)

@@ -1,0 +1,133 @@
+"""Forces of the ground and their slopes: against adaptive quadrature, the simulated steady wheel and differences."""
+
+import math
+
+import numpy as np
+import pytest
+
+from soil_env._numba.compiling import inlined, root
+from soil_env._numba.lanes import COUNT, from_array, to_array
+from soil_env.identification.contact_slopes import GroundSoil, Slopes, reaction
+from soil_env.parameters import soils
+from soil_env.terramechanics.model import steady_state
+from tests.terramechanics import reference
+
+R, B = 0.15, 0.12
+TANGENT, COHESION, EXPONENT, LN_K, SINKAGE, SLIP = range(6)
+VALUE = Slopes._fields.index("value")
+
+
+@inlined
+def _store(slopes, out, row):
+    to_array(slopes.value, out, row * COUNT)
+    to_array(slopes.by_tangent, out, (row + 1) * COUNT)
+    to_array(slopes.by_cohesion, out, (row + 2) * COUNT)
+    to_array(slopes.by_exponent, out, (row + 3) * COUNT)
+    to_array(slopes.by_ln_K, out, (row + 4) * COUNT)
+    to_array(slopes.by_sinkage, out, (row + 5) * COUNT)
+    to_array(slopes.by_slip, out, (row + 6) * COUNT)
+
+
+@root
+def _reaction(x, load, r, b, out):
+    soil = GroundSoil(from_array(x, 0), from_array(x, COUNT), from_array(x, 2 * COUNT), from_array(x, 3 * COUNT))
+    found = reaction(soil, from_array(x, 4 * COUNT), from_array(x, 5 * COUNT), load, r, b)
+    _store(found.pull, out, 0)
+    _store(found.torque, out, 7)
+    _store(found.ln_s, out, 14)
+
+
+def reactions(x, load, r=R, b=B):
+    """(pull, torque, ln s) by value and slopes [3, 7, COUNT] at rows x [6, COUNT]: soil, sinkage and slip."""
+    out = np.zeros(21 * COUNT)
+    _reaction(np.ascontiguousarray(x, float).ravel(), load, r, b, out)
+    return out.reshape(3, 7, COUNT)
+
+
+def cases(seed, braking=False):
+    """Eight random soils, sinkages and slips [6, COUNT] that carry loads of the order of 100 N."""
+    rng = np.random.default_rng(seed)
+    slip = rng.uniform(-0.4, -0.02, COUNT) if braking else rng.uniform(0.01, 0.8, COUNT)
+    return np.array([
+        np.tan(np.radians(rng.uniform(15.0, 42.0, COUNT))), rng.uniform(0.0, 2000.0, COUNT),
+        rng.uniform(0.6, 1.3, COUNT), np.log(rng.uniform(0.006, 0.04, COUNT)), rng.uniform(0.008, 0.05, COUNT), slip,
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("braking", [False, True])
+@pytest.mark.parametrize("seed", range(5))
+def test_slopes_are_those_of_central_differences(seed, braking):
+    x, load = cases(seed, braking), 130.0
+    found = reactions(x, load)
+    for i, h in enumerate((1e-5, 1e-2, 1e-5, 1e-5, 1e-7, 1e-6)):
+        away = np.zeros_like(x)
+        away[i] = h
+        expected = (reactions(x + away, load)[:, VALUE] - reactions(x - away, load)[:, VALUE]) / (2.0 * h)
+        size = np.abs(expected).max(axis=1, keepdims=True)
+        assert np.all(np.abs(found[:, 1 + i] - expected) <= 2e-5 * size + 1e-9), (i, found[:, 1 + i], expected)
+
+
+@pytest.mark.parametrize(("seed", "braking", "tolerance"), [(0, False, 1e-4), (1, False, 1e-4), (2, True, 1e-3)])
+def test_forces_are_those_of_quadrature(seed, braking, tolerance):
+    """At the mobilised sinkage coefficient that is stated, the equations give the load, the pull and the torque."""
+    x, load = cases(seed, braking), 130.0
+    pull, torque, ln_s = reactions(x, load)[:, VALUE]
+    for k in range(COUNT):
+        tangent, cohesion, exponent, ln_K, sinkage, slip = x[:, k]
+        soil = reference.Ground(math.degrees(math.atan(tangent)), cohesion, math.exp(ln_K), math.exp(ln_s[k]), exponent)
+        judge = reference.forces(soil, slip, math.acos(1.0 - sinkage / R), R, B)
+        for found, expected in ((load, judge.load), (pull[k], judge.drawbar_pull), (torque[k] / R, judge.torque / R)):
+            assert abs(found - expected) < tolerance * judge.scale
+
+
+@pytest.mark.parametrize("name", ["dry_sand", "lunar_nominal", "sandy_loam_15"])
+def test_a_steady_wheel_mobilises_the_sinkage_coefficient_of_undisturbed_soil(name):
+    """Without digging: as `steady_state` finds the sinkage by the load, the coefficient follows from both."""
+    soil, load = soils()[name].state(B)._replace(dig_gain=0.0), 140.0
+    slips = np.linspace(-0.3, 0.7, COUNT)
+    steady = [steady_state(float(slip), load, soil, R, B) for slip in slips]
+    x = np.array([[soil.tan_phi, soil.cohesion, soil.sinkage_exponent, math.log(soil.shear_modulus)]] * COUNT).T
+    x = np.vstack([x, [s.sinkage for s in steady], slips])
+    pull, torque, ln_s = reactions(x, load)[:, VALUE]
+    np.testing.assert_allclose(np.exp(ln_s), soil.sinkage_coefficient, rtol=1e-5)
+    np.testing.assert_allclose(pull, [s.drawbar_pull for s in steady], rtol=1e-5, atol=1e-5 * load)
+    np.testing.assert_allclose(torque, [s.torque for s in steady], rtol=1e-5, atol=1e-5 * load * R)
+
+
+def test_without_cohesion_forces_are_in_proportion_to_the_load():
+    x = cases(3)
+    x[COHESION] = 0.0
+    one, three = reactions(x, 60.0), reactions(x, 180.0)
+    np.testing.assert_allclose(three[:2, VALUE], 3.0 * one[:2, VALUE], rtol=1e-9)
+    np.testing.assert_allclose(three[2, VALUE] - one[2, VALUE], math.log(3.0), rtol=1e-9)
+    np.testing.assert_allclose(three[:2, 1 + COHESION], one[:2, 1 + COHESION], rtol=1e-9)
+
+
+def test_without_shear_strength_the_wheel_is_only_pushed_back():
+    """No torque; the load and the resistance are those of the normal stress alone."""
+    x = cases(4)
+    x[TANGENT] = x[COHESION] = 0.0
+    pull, torque, _ = reactions(x, 100.0)[:, VALUE]
+    np.testing.assert_allclose(torque, 0.0, atol=1e-9)
+    assert np.all(pull < 0.0)
+    no_slip = x.copy()
+    no_slip[SLIP] = 0.3
+    np.testing.assert_allclose(reactions(no_slip, 100.0)[0, VALUE], pull, rtol=1e-9)
+
+
+@pytest.mark.parametrize("depth", [1e-3, 0.01, 1.0, 1.9])
+def test_all_is_finite_from_the_surface_to_the_top_of_the_wheel(depth):
+    """Also under no load, at the wildest soils that nodes may be at; the filter keeps sinkages within these."""
+    for load in (0.0, 1e-3, 1e4):
+        x = cases(5)
+        x[SINKAGE] = depth * R
+        x[TANGENT, :4], x[COHESION, 2:6], x[EXPONENT, 4:] = 0.005, -500.0, 0.2
+        x[LN_K, :2], x[LN_K, 2:4] = -12.0, 3.0
+        assert np.all(np.isfinite(reactions(x, load)))
+
+
+def test_a_lane_does_not_depend_on_the_others():
+    x = cases(6)
+    for k in range(COUNT):
+        alone = reactions(np.repeat(x[:, k : k + 1], COUNT, axis=1), 90.0)
+        np.testing.assert_array_equal(alone[..., 0], reactions(x, 90.0)[..., k])

@@ -1,0 +1,162 @@
+"""The prior of the filter: against draws of the mixture, the soils that courses have and the numbers of the belief."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from soil_env._numba.compiling import root
+from soil_env._numba.random_streams import seed_stream
+from soil_env.identification.soil_prior import (
+    COHESION,
+    EXPONENT,
+    GAIN,
+    KNOWN,
+    LN_K,
+    PRESSURE,
+    TANGENT,
+    depth_of,
+    moments,
+    of_library,
+    plain,
+    prior_of_belief,
+    published_prior,
+    soil_prior,
+)
+from soil_env.parameters import Belief, ParameterError, SoilSpread, load_scenario, scenario_names
+from soil_env.simulation.courses import course_numbers, draw_soil
+from soil_env.vehicle import load_rover, rover_names
+
+
+def believing(**belief):
+    """The scenario "mixed" with a belief of its own: changes of a scenario cannot take a library away."""
+    return replace(load_scenario("mixed"), belief=Belief(**belief))
+
+
+def every_scenario():
+    return [load_scenario(n) for n in scenario_names()] + [load_rover(n) for n in rover_names()]
+
+
+def test_moments_are_those_of_draws_of_the_mixture():
+    rng, gaussians = np.random.default_rng(0), of_library(load_scenario("mixed"))
+    weights = np.array([g[0] for g in gaussians])
+    which = rng.choice(len(gaussians), 400_000, p=weights / weights.sum())
+    rows = np.concatenate([
+        rng.multivariate_normal(mean, covariance, (which == k).sum())
+        for k, (_, mean, covariance) in enumerate(gaussians)
+    ])  # fmt: skip
+    mean, covariance = moments(gaussians)
+    sd = np.sqrt(np.diag(covariance))
+    assert np.all(np.abs(rows.mean(axis=0) - mean) < 0.01 * sd)
+    np.testing.assert_allclose(np.cov(rows.T) / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=0.015)
+
+
+def test_the_library_is_what_the_world_draws():
+    """Moments of the mixture against 4000 soils as `courses.draw_soil` draws them, of all patches, passable or not."""
+
+    @root
+    def drawn(streams, numbers, out):
+        for k in range(len(out)):
+            soil = draw_soil(streams, 0, numbers)
+            for j in range(7):
+                out[k, j] = soil[j]
+
+    scenario, out = load_scenario("mixed"), np.empty((4000, 7))
+    drawn(np.array([seed_stream(np.random.default_rng(0))]), course_numbers(scenario), out)
+    tangent, cohesion, K, S, n, gain = out[:, :6].T
+    y = np.log(S) + n * math.log(depth_of(scenario))
+    rows = np.stack([tangent, cohesion, n, np.log(K), y, np.log(gain / scenario.belief.dig_gain)])
+    mean, covariance = prior_of_belief(scenario)
+    sd = np.sqrt(np.diag(covariance))
+    assert np.all(np.abs(rows.mean(axis=1) - mean) < 0.1 * sd)
+    np.testing.assert_allclose(rows.std(axis=1), sd, rtol=0.1)
+    assert np.abs(np.corrcoef(rows) - covariance / np.outer(sd, sd)).max() < 0.1
+
+
+def test_a_plain_belief_gives_its_own_numbers():
+    told = {
+        "friction_angle_deg": 33.0, "friction_sd_deg": 4.0, "shear_modulus": 0.02, "shear_modulus_sd": 0.5,
+        "sinkage_coefficient": 2e6, "sinkage_coefficient_sd": 0.4, "cohesion": 700.0, "cohesion_sd": 300.0,
+        "sinkage_exponent": 1.1, "sinkage_exponent_sd": 0.05, "dig_gain_sd": 0.6, "friction_cohesion": -0.5,
+        "friction_stiffness": 0.4, "stiffness_shear_modulus": -0.3,
+    }  # fmt: skip
+    mean, covariance = published_prior(believing(**told))
+    np.testing.assert_allclose(mean, [math.radians(33.0), math.log(0.02), math.log(2e6), 700.0, 0.0])
+    sd = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(sd, [math.radians(4.0), 0.5, 0.4, 300.0, 0.6], rtol=1e-9)
+    r = covariance / np.outer(sd, sd)
+    np.testing.assert_allclose([r[0, 3], r[0, 2], r[1, 2]], [-0.5, 0.4, -0.3], rtol=1e-9)
+    np.testing.assert_allclose([r[0, 1], r[0, 4], r[3, 4]], 0.0, atol=1e-12)
+    inner, whole = prior_of_belief(believing(**told))
+    assert inner[EXPONENT] == 1.1 and whole[EXPONENT, EXPONENT] == pytest.approx(0.05**2)
+    assert inner[PRESSURE] == pytest.approx(math.log(2e6 * depth_of(load_scenario("mixed")) ** 1.1))
+
+
+def test_what_is_not_doubted_is_nearly_known():
+    scenario = believing(cohesion_sd=0.0, sinkage_exponent_sd=0.0, dig_gain_sd=0.0)
+    covariance = plain(scenario)[2]
+    assert covariance[GAIN, GAIN] == pytest.approx(KNOWN**2) == covariance[EXPONENT, EXPONENT]
+    pressure = scenario.weight / (scenario.wheel.radius * scenario.wheel.width)
+    assert covariance[COHESION, COHESION] == pytest.approx((KNOWN * pressure) ** 2)
+    assert np.linalg.eigvalsh(covariance / np.outer(*[np.sqrt(np.diag(covariance))] * 2)).min() > 0.0
+
+
+@pytest.mark.parametrize("scenario", every_scenario(), ids=lambda s: s.name)
+def test_the_prior_of_each_shipped_scenario_is_a_gaussian(scenario):
+    """Symmetric, positive definite, and as wide as soils differ: neither sure nor without any idea."""
+    for mean, covariance in (prior_of_belief(scenario), published_prior(scenario)):
+        assert np.all(np.isfinite(mean))
+        np.testing.assert_allclose(covariance, covariance.T, rtol=1e-12)
+        sd = np.sqrt(np.diag(covariance))
+        assert np.linalg.eigvalsh(covariance / np.outer(sd, sd)).min() > 1e-4
+    mean, covariance = published_prior(scenario)
+    sd = np.sqrt(np.diag(covariance))
+    assert np.all((np.degrees(mean[0]) > 15.0) & (np.degrees(mean[0]) < 45.0))
+    assert np.all(sd[[0, 1, 2]] > [math.radians(1.0), 0.1, 0.1]) and np.all(sd[[1, 2, 4]] < 3.0)
+
+
+@pytest.mark.parametrize("scenario", [load_scenario("mixed"), believing()], ids=["library", "plain"])
+def test_the_regression_is_that_of_the_forces_on_the_sinkage(scenario):
+    """Least squares over draws of the joint Gaussian; the rest of the variance is that of the residuals."""
+    mean, covariance = prior_of_belief(scenario)
+    rows = np.random.default_rng(1).multivariate_normal(mean, covariance, 200_000) - mean
+    prior, sd = soil_prior(scenario), np.sqrt(np.diag(covariance))
+    found, *_ = np.linalg.lstsq(rows[:, PRESSURE:], rows[:, :PRESSURE], rcond=None)
+    scale = np.outer(sd[PRESSURE:], 1.0 / sd[:PRESSURE])
+    np.testing.assert_allclose(prior.regression.reshape(4, 2).T * scale, found * scale, atol=0.02)
+    np.testing.assert_array_equal(prior.forces[:4], mean[:4])
+    np.testing.assert_array_equal(prior.forces[4:], covariance[:4, :4][np.tril_indices(4)])
+    np.testing.assert_array_equal(prior.sinkage, mean[4:])
+    np.testing.assert_array_equal(prior.sinkage_covariance.reshape(2, 2), covariance[4:, 4:])
+
+
+def test_pressures_are_compared_at_one_depth():
+    """The prior is the same whatever exponent the belief refers S to; the published S is not."""
+    one, other = (load_scenario("mixed", {"belief": {"sinkage_exponent": n}}) for n in (0.8, 1.2))
+    for a, b in zip(prior_of_belief(one), prior_of_belief(other), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12)
+    at = published_prior(one)[0][2] - published_prior(other)[0][2]
+    assert at == pytest.approx(0.4 * math.log(depth_of(one)))
+
+
+def test_a_library_scatters_as_the_soils_of_the_courses_unless_told_otherwise():
+    names = {"soils": dict(load_scenario("mixed").soils)}
+    told, other = SoilSpread(shear_modulus=0.7, dig_gain=0.8), SoilSpread(shear_modulus=0.2, dig_gain=0.8)
+    own, same, narrow = (prior_of_belief(believing(**names, spread=spread))[1] for spread in (None, told, other))
+    np.testing.assert_array_equal(own, same)
+    assert narrow[LN_K, LN_K] < own[LN_K, LN_K] and narrow[TANGENT, TANGENT] == own[TANGENT, TANGENT]
+
+
+def test_soils_are_weighed():
+    only, one = believing(soils={"dry_sand": 1e9, "quartz_sand": 1e-6}), believing(soils={"dry_sand": 3.0})
+    for a, b in zip(prior_of_belief(only), prior_of_belief(one), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
+    even = prior_of_belief(believing(soils={"dry_sand": 2.0, "quartz_sand": 2.0}))[0]
+    alone = [prior_of_belief(believing(soils={name: 1.0}))[0] for name in ("dry_sand", "quartz_sand")]
+    np.testing.assert_allclose(even, np.mean(alone, axis=0), rtol=1e-12)
+
+
+def test_an_unknown_soil_of_the_belief_is_refused():
+    with pytest.raises(ParameterError, match="belief.soils"):
+        load_scenario("mixed", {"belief": {"soils": {"dry_sandd": 1}}})

@@ -1,0 +1,95 @@
+"""What is doubted of a log, in one line each, and that a log of what was driven raises no doubt."""
+
+import dataclasses
+import math
+import re
+
+import numpy as np
+import pytest
+
+from soil_env.logs import read_map, read_recording
+from soil_env.logs.doubts import doubts
+from soil_env.parameters import load_scenario
+from tests.logs.bags import write_map
+
+
+@pytest.fixture(scope="module")
+def logs():
+    """Drives of three scenarios as logs with their maps, three courses each: {name: [(log, map)]}."""
+    from agents.controllers import ConstantSpeed
+    from benchmarks.drives import record
+    from benchmarks.logs import SteppedSpeed, log_of
+
+    out = {}
+    for name, controller in (("mixed", SteppedSpeed), ("sticky", ConstantSpeed), ("field_vehicle", SteppedSpeed)):
+        scenario = load_scenario(name)
+        out[name] = [log_of(driven, scenario) for driven in record(controller(scenario), scenario, 3, 11)]
+    return out
+
+
+def changed(log, without=(), **factors):
+    """A log with readings left out, and others times a factor."""
+    readings = {n: v * factors.get(n, 1.0) for n, v in log.readings.items() if n not in without}
+    return dataclasses.replace(log, readings=readings)
+
+
+FORCES = ("drawbar_pull", "load", "torque", "motor_torque")
+WRONG = {  # readings left out, factors of others, mass in the map over that of the wheel; where, what is proposed
+    "rpm": ((), {"wheel_speed": 30.0 / math.pi}, 1.0, "column wheel_speed", "wheel_speed in rpm"),
+    "deg/s": ((), {"wheel_speed": 180.0 / math.pi}, 1.0, "column wheel_speed", "wheel_speed in deg/s"),
+    "backwards": ((), {"wheel_speed": -1.0}, 1.0, "column wheel_speed", "sign"),
+    "km/h": ((), {"speed": 3.6}, 1.0, "column speed", "km/h"),
+    "km/h, no slip": (("slip",), {"speed": 3.6}, 1.0, "column speed", "km/h"),
+    "m/s as km/h, no slip": (("slip",), {"speed": 1.0 / 3.6}, 1.0, "column speed", "another unit"),
+    "mN m": ((), {"torque": 90.0}, 1.0, "column torque", "another unit|unit mN m"),
+    "kN m": ((), {"torque": 1e-3}, 1.0, "column torque", "unit kN m"),
+    "kN": ((), {"load": 1e-3}, 1.0, "column load", "unit kN"),
+    "downward load": ((), {"load": -1.0}, 1.0, "column load", "sign"),
+    "kN pull": ((), {"drawbar_pull": 1e-3}, 1.0, "column drawbar_pull", "unit kN"),
+    "slip": ((), {"slip": -1.0}, 1.0, "column slip", "sign"),
+    "sinkage": ((), {"sinkage": 1e-3}, 1.0, "column sinkage", "unit"),
+    "g": ((), {"acceleration": 30.0}, 1.0, "column acceleration", "axis"),
+    "downhill pitch": ((), {"pitch": -1.0}, 1.0, "column pitch", "sign"),
+    "downhill pitch, pull": (("acceleration",), {"pitch": -1.0}, 1.0, "column pitch", "sign"),
+    "a tenth of the mass": ((), {}, 0.1, "body_mass = 1.5 kg", "about 1[4-9]"),
+    "a tenth, no acceleration": (("acceleration", *FORCES[2:]), {}, 0.1, "column load", "body_mass 1[4-9]"),
+    "a tenth, no load": (("load", *FORCES[2:]), {}, 0.1, "column drawbar_pull", "body_mass 1[4-9]"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_each_wrong_reading_is_doubted_in_one_line(logs, wrong):
+    without, factors, mass, where, proposed = WRONG[wrong]
+    for log, log_map in logs["mixed"]:
+        wheel = dataclasses.replace(log_map.wheel, body_mass=mass * log_map.wheel.body_mass)
+        found = doubts(changed(log, without, **factors), dataclasses.replace(log_map, wheel=wheel))
+        assert len(found) == 1 and where in found[0] and re.search(proposed, found[0]), found
+        assert "expected" in found[0]
+
+
+@pytest.mark.parametrize("name", ["mixed", "sticky", "field_vehicle"])
+def test_what_was_driven_is_not_doubted(logs, name):
+    for log, log_map in logs[name]:
+        assert not doubts(log, log_map)
+        for without in ("slip", "load", "acceleration", "drawbar_pull"):
+            assert not doubts(changed(log, (without,)), log_map), without
+        assert not doubts(changed(log, load=1.3, drawbar_pull=0.8, speed=1.05, pitch=1.0), log_map)
+
+
+@pytest.mark.parametrize(
+    ("rows", "unit", "proposed"),
+    [(0.1, "s", ""), (1e-4, "ms", "unit s"), (100.0, "s", "unit ms"), (1e-3, "s", ""), (0.0015, "ms", "unit s"),
+     (1e5, "s", "unit us"), (1e-4, "s", "another")],
+)  # fmt: skip
+def test_stamps_in_another_unit_are_doubted(tmp_path, rows, unit, proposed):
+    """`rows` [s] apart as declared; a table with a drive in the morning and one in the evening is not doubted."""
+    factor = {"s": 1.0, "ms": 1e3}[unit]
+    stamps = rows * factor * np.arange(12000 if rows == 1e-3 else 400)
+    if rows == 0.1:
+        stamps[300:] += 36e3
+    lines = "".join(f"{t:.9g},2,0.25,0.02,5\n" for t in stamps)
+    (tmp_path / "a.csv").write_text("t,wheel_speed,speed,sinkage,torque\n" + lines)
+    changes = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")}
+    log_map = read_map(write_map(tmp_path, changes | {"time": {"column": "t", "unit": unit}}))
+    found = [line for line in read_recording(tmp_path / "a.csv", log_map).doubts if line.startswith("time: column t")]
+    assert len(found) == bool(proposed) and (not found or proposed in found[0]), found
