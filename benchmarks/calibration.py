@@ -119,7 +119,14 @@ def measure(case: Case, courses: int, bounds: int, seed: int, agent: str = "") -
         first = course < bounds
         found["bound"] = np.sqrt((best**2).mean(0)) * UNITS
         found["rms_there"] = np.sqrt((error[first] ** 2).mean(0)) * UNITS
-    return plain(found)
+    return _short(plain(found))
+
+
+def _short(found: dict[str, Any]) -> dict[str, Any]:
+    """Five digits of each number of a row."""
+    return {
+        k: [float(f"{x:.5g}") for x in v] if isinstance(v, list) else v for k, v in found.items()
+    }  # fmt: skip
 
 
 def _agent(folder: str, scenario: Scenario) -> Any:
@@ -135,11 +142,14 @@ def measure_rover(rover: str, drive: str, courses: int, seed: int) -> dict[str, 
     here, true = log["driven"], log["soil"][..., :3]
     course = np.broadcast_to(np.arange(courses)[:, None], here.shape)[here]
     found = statistics(
-        (log["pooled"][..., which] - true)[here], log["pooled_sd"][..., which][here], (prior[which] - true)[here], course
+        (log["pooled"][..., which] - true)[here],
+        log["pooled_sd"][..., which][here],
+        (prior[which] - true)[here],
+        course,
     )
     for name in ("bias", "rms", "prior_rms", "sd"):  # `statistics` takes the third for ln S
         found[name] = found[name] * np.array([1.0, 1.0, UNITS[3]])
-    return plain({"scenario": rover, "world": "", "drive": drive, "action": "", "courses": courses} | found)
+    return _short(plain({"scenario": rover, "world": "", "drive": drive, "action": "", "courses": courses} | found))
 
 
 def study(options: Any, file: Path) -> Iterator[dict]:
@@ -149,7 +159,9 @@ def study(options: Any, file: Path) -> Iterator[dict]:
     result = read_json(file) if file.exists() else {}
     if {name: result.get(name) for name in settings} != settings:
         result = settings | {"rows": {}}
-    wanted = [(c.name, lambda c=c: measure(c, courses, bounds, options.seed, options.agent)) for c in cases(options.agent)]
+    wanted = [
+        (c.name, lambda c=c: measure(c, courses, bounds, options.seed, options.agent)) for c in cases(options.agent)
+    ]
     for rover in ROVERS:
         for drive in ("swinging slip", "constant speed"):
             name = f"{rover}/-/{drive}/-"
@@ -194,6 +206,7 @@ def table(rows: list[dict]) -> Table:
 
 def verdict(rows: list[dict], quantity: int) -> dict[str, int]:
     """How many of these rows are as asked in one of `QUANTITIES`."""
+
     def count(test) -> int:
         return sum(bool(test(row)) for row in rows)
 

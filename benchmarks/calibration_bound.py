@@ -63,9 +63,7 @@ def derivatives(log: dict, scenario: Scenario) -> np.ndarray:
     soils, centre = log["soils"][:p], unknowns(log["soils"][:p], scenario)
     step = np.tile(_STEP, (p, 1))
     step[:, 1] = np.maximum(20.0, 0.01 * soils[:, 1])
-    steps = np.concatenate(
-        [step.ravel(), np.full(p, _GRADE_STEP), np.full(p - 1, _PLACE_STEP), [_MASS_STEP * mass]]
-    )
+    steps = np.concatenate([step.ravel(), np.full(p, _GRADE_STEP), np.full(p - 1, _PLACE_STEP), [_MASS_STEP * mass]])
     count = steps.size
     moved = np.concatenate([np.diag(steps), -np.diag(steps)])
     of_soil, of_grade = moved[:, : SOIL * p].reshape(-1, p, SOIL), moved[:, SOIL * p : (SOIL + 1) * p]

@@ -67,7 +67,7 @@ def record(
     """Drive courses of a seed: of each a log of T control periods.
 
     `readings` [T, 10] in the order of `SensorReading`; `estimate`, `sd` [T, 6] of `QUANTITIES` as the environment had
-    them; `truth` [T, 6]: of the ground under the wheel, ln S at the exponent of the belief and the true bearing sinkage;
+    them; `truth` [T, 6]: of the ground under the wheel, ln S at exponent of the belief and true bearing sinkage;
     `soil` [T, 7] of it; `since` [T] m since the last border; `edges`, `soils`, `grades` of the patches; and `_STATE`.
     """
     wheel, weight = scenario.wheel, scenario.weight

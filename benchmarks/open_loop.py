@@ -50,7 +50,9 @@ class OpenLoop:
         course, length = scenario.course, scenario.course.length / (patches + 1)
         plain = replace(
             scenario,
-            course=replace(course, classes=0, lines=1, patch_length=(length, length), border=min(course.border, length)),
+            course=replace(
+                course, classes=0, lines=1, patch_length=(length, length), border=min(course.border, length)
+            ),
         )
         self.worlds = new_worlds(count, plain, task_numbers(plain, "blind", None))
         numbers = world_numbers(plain)

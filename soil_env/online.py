@@ -13,7 +13,7 @@ import math
 import re
 from dataclasses import dataclass, fields, replace
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -329,7 +329,18 @@ class OnlineIdentifier:
         """Put readings and their standard deviations where the compiled code takes them; what is missing has none."""
         pitch = 0.0 if r.pitch != r.pitch else r.pitch
         load = self._weight * math.cos(pitch)
-        given = r.slip, r.sinkage, r.drawbar_pull, r.load, r.torque, r.speed, r.wheel_speed, 0.0, r.motor_torque, r.acceleration
+        given = (
+            r.slip,
+            r.sinkage,
+            r.drawbar_pull,
+            r.load,
+            r.torque,
+            r.speed,
+            r.wheel_speed,
+            0.0,
+            r.motor_torque,
+            r.acceleration,
+        )
         instead = r.slip, self._sinkage, 0.0, load, 0.0, speed, rim, pitch, 0.0, 0.0
         noise, values = self._numbers.filter.noise, self._values
         for i, measured in enumerate(given):

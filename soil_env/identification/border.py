@@ -1,11 +1,11 @@
 """Borders between soils: where one is, by the grade and by the forces.
 
 Over `Belief.border` metres the ground passes from one soil to the next with the share of the new soil
-(`ground.share_of_next`), a cubic of the distance from the middle of the border. The soils of a course have a grade each,
-which passes with them, so the grade tells where a border is before the forces do. `CANDIDATES` places, evenly over the
-length of a border, are tested by every reading of the pitch: with y the pitch less that of this soil so far, w the share
-of the new soil if the border were there, d = N(0, t^2) the unknown rise and v the variance of a reading, the likelihood
-of a border over that of none is (Bayesian linear regression)
+(`ground.share_of_next`), a cubic of the distance from the middle of the border. The soils of a course have a grade
+each, which passes with them, so the grade tells where a border is before the forces do. `CANDIDATES` places, evenly
+over the length of a border, are tested by every reading of the pitch: with y the pitch less that of this soil so far, w
+the share of the new soil if the border were there, d = N(0, t^2) the unknown rise and v the variance of a reading, the
+likelihood of a border over that of none is (Bayesian linear regression)
 
     (1 + A t^2/v)^-1/2 exp(B^2 / (2 v (A + v/t^2))),   A = sum w^2, B = sum w y.
 
@@ -143,7 +143,10 @@ def cross_here(banks, k, numbers):
 
 @part
 def begin(banks, k, numbers, place, place_variance, rise):
-    """Come to a border at `place` [m] with this `rise` of the grade [rad]: the soil so far becomes the old one, the new one is that of the prior."""
+    """Come to a border at `place` [m] with this `rise` of the grade [rad].
+
+    The soil so far becomes the old one, the new one is that of the prior.
+    """
     p = banks.point
     p.crossing[k], p.by_forces[k], p.told[k], p.same[k] = 1.0, 0.0, 0.0, 0.0
     p.border[k], p.border_variance[k], p.rise[k] = place, place_variance, rise

@@ -22,7 +22,7 @@ BINS = 8  # of a curve
 #: [N]; slip by which it is grouped; mean and spread [m] of its places; 1 where the soil passes into the next there.
 READINGS, SLIP, SLIP_WEIGHT, SINKAGE, SINKAGE_WEIGHT, PULL, PULL_WEIGHT, TORQUE, TORQUE_WEIGHT = range(9)
 LOAD, KEY, PLACE, SPREAD, ON_BORDER, FIELDS = range(9, 15)
-# Differences that count as one: of slip, of its size, relative of the sinkage. Squared, what lies within them is merged.
+# Differences that count as one: of slip, of its size, relative of the sinkage; squared, within which bins are merged.
 _SLIP, _SLIP_SHARE, _SINKAGE, _SAME = 0.012, 0.1, 0.17, 0.25
 _BORDER = 0.1  # [lengths of the border] the same for places on one
 _APART = 4.0  # how unlike bins on a border are at least, so that others are merged before them

@@ -1,8 +1,8 @@
 """Fit of the soil to the traction curve (`curve`), for the eight nodes of ln K (`soil_nodes`) side by side.
 
 Slip and sinkage of a bin are measured too (errors in variables). Linearised, their errors add to those of pull and
-torque, b b'/w with the slopes b = d(pull, torque)/d(slip) and the weight w of the slip. The logarithm of the determinant
-of that sum goes without b: with it, low slopes would be preferred by as much as there are bins (profile likelihood;
+torque, b b'/w with the slopes b = d(pull, torque)/d(slip) and the weight w of the slip. The ln of the determinant of
+that sum goes without b: with it, low slopes would be preferred by as much as there are bins (profile likelihood;
 Neyman & Scott 1948, Econometrica 16:1-32).
 
 Each node has a maximum a posteriori with a covariance (Laplace); the posterior is their mixture, weighted by the
@@ -209,7 +209,11 @@ def _add_bin(nodes, bins, at, fits, f, A, g, form_error, numbers):
     p_slip = from_array(fits, f + (OF_PULL + BY_SLIP) * COUNT)
     t_slip = from_array(fits, f + (OF_TORQUE + BY_SLIP) * COUNT)
     twist = error * numbers.radius
-    pp = from_array(fits, f + BESIDE * COUNT) + of_slip * p_slip * p_slip + (1.0 / bins[at + PULL_WEIGHT] + error * error)
+    pp = (
+        from_array(fits, f + BESIDE * COUNT)
+        + of_slip * p_slip * p_slip
+        + (1.0 / bins[at + PULL_WEIGHT] + error * error)
+    )
     pt = from_array(fits, f + (BESIDE + 1) * COUNT) + of_slip * p_slip * t_slip
     tt = from_array(fits, f + (BESIDE + 2) * COUNT) + of_slip * t_slip * t_slip
     tt = tt + (1.0 / bins[at + TORQUE_WEIGHT] + twist * twist)

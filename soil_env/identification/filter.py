@@ -69,7 +69,7 @@ _KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip,
 #: soil.
 CONTRADICTION_OF_POINTS = 10.0
 _EXPECTED = 3.5  # chi-squared of pull and torque that raises no suspicion
-# Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows until chi-squared is
+# Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows until that is
 # below the mean over _HARDER^2, since errors of the laws do not average out as noise does.
 _BEGINS, _HARDER, _GROWS, _SHRINKS, _LARGEST = 4.0, 5.0, 1.3, 1.1, 0.3
 _slopes = scratch(3 * len(Slopes._fields) * COUNT)

@@ -35,7 +35,7 @@ FilterPoint: type[Rows] = rows(
     "points", "bins", "stale",  # of this soil: points; bins of its curve; the bin that is linearised anew next
     "misfit",  # sum of the excess of chi-squared
     "form_error", "flagged",  # 1-sigma error of the laws [of load]; 1 where readings contradict the laws
-    "ln_s_tangent", "ln_s_cohesion", "ln_s_exponent", "ln_s_ln_K",  # derivatives of ln(s z^n) by the soil, of the last point
+    "ln_s_tangent", "ln_s_cohesion", "ln_s_exponent", "ln_s_ln_K",  # derivatives of ln(s z^n), at the last point
     "bearing",  # [m] bearing sinkage at the last point; 0: none yet
     # the border under the wheel: 1 on one, place [m] and its variance, rise of the grade [rad]; 1 if forces told
     # of it, 1 if anything but the grade did
@@ -94,8 +94,9 @@ def filter_numbers(scenario: Scenario) -> FilterNumbers:
              1e-3 * twist, 1e-3 * scenario.gravity]  # fmt: skip
     return FilterNumbers(
         w.radius, w.width, w.inertia, scenario.gravity, b.sinkage_exponent, b.dig_gain, b.dig_recovery,
-        scenario.relaxation * w.radius, scenario.control.period, depth_of(scenario), b.model_error, soil_prior(scenario),
-        np.maximum(sensor_noise(scenario), floor), b.border, math.radians(b.grade_change_deg), 0.0,
+        scenario.relaxation * w.radius, scenario.control.period, depth_of(scenario), b.model_error,
+        soil_prior(scenario), np.maximum(sensor_noise(scenario), floor), b.border,
+        math.radians(b.grade_change_deg), 0.0,
         w.stall_torque, SLIPS, b.border * np.arange(CANDIDATES) / (CANDIDATES - 1),
     )  # fmt: skip
 

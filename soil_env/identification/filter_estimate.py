@@ -19,9 +19,9 @@ _ground, _product = scratch(GAUSSIAN), scratch(SOIL)
 _TANGENT, _C, _N, _LN_K = range(SOIL)
 _LEAST_VARIANCE = 1e-18
 # What is published is wider than the Gaussians of the filter, by what these leave out: `_WIDER` times the standard
-# deviations of what the forces tell; to the ln of pressure and gain 1-sigma errors, of themselves and by that of the exponent, which
-# the filter of the sinkage holds known. Where readings begin to contradict the soil so far (`filter.FilterPoint.misfit`),
-# all standard deviations grow by the misfit over `_DOUBTED`.
+# deviations of what the forces tell; of the ln of pressure and gain, errors of themselves and by that of the exponent,
+# which the filter of the sinkage holds known. Where readings begin to contradict the soil so far, all standard
+# deviations grow by the misfit over `_DOUBTED`, at most `_MOST`, and where they contradict the laws by `_CONTRADICTED`.
 _WIDER, _DOUBTED, _MOST, _CONTRADICTED = 1.07, 6.0, 12.0, 1.4
 _OF_PRESSURE, _OF_GAIN = (0.05, 0.65), (0.2, 1.5)
 
@@ -90,7 +90,10 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
     for i in range(LN_GAIN):
         if i != LN_S:
             covariance[LN_GAIN, i] = 0.0
-    of_exponent, doubt = g[c + 5], (1.0 + min(p.misfit[k], _MOST) / _DOUBTED) * (_CONTRADICTED if p.flagged[k] > 0.0 else 1.0)
+    of_exponent, doubt = (
+        g[c + 5],
+        (1.0 + min(p.misfit[k], _MOST) / _DOUBTED) * (_CONTRADICTED if p.flagged[k] > 0.0 else 1.0),
+    )
     covariance[LN_S, LN_S] += _OF_PRESSURE[0] ** 2 + _OF_PRESSURE[1] ** 2 * of_exponent
     covariance[LN_GAIN, LN_GAIN] += _OF_GAIN[0] ** 2 + _OF_GAIN[1] ** 2 * of_exponent
     for i in range(PUBLISHED):
@@ -109,7 +112,11 @@ def _of_sinkage(s, share):
     """(mean of y, of the ln of the gain; their variances and covariance: yy, yg, gg) of the ground."""
     w, own = share, weights(s)
     y, gain = from_array(s, PRESSURE * COUNT), from_array(s, GAIN * COUNT)
-    yy, yg, gg = from_array(s, cell(PRESSURE, PRESSURE)), from_array(s, cell(GAIN, PRESSURE)), from_array(s, cell(GAIN, GAIN))
+    yy, yg, gg = (
+        from_array(s, cell(PRESSURE, PRESSURE)),
+        from_array(s, cell(GAIN, PRESSURE)),
+        from_array(s, cell(GAIN, GAIN)),
+    )
     if share < 1.0:
         v = 1.0 - w
         old_y, old_gain = from_array(s, OLD_PRESSURE * COUNT), from_array(s, OLD_GAIN * COUNT)
@@ -118,10 +125,13 @@ def _of_sinkage(s, share):
         yg = (w * a) * yg + (v * b) * from_array(s, cell(OLD_GAIN, OLD_PRESSURE))
         yy = (w * w) * yy + (v * v) * from_array(s, cell(OLD_PRESSURE, OLD_PRESSURE))
         yy = yy + (2.0 * v * w) * from_array(s, cell(OLD_PRESSURE, PRESSURE))
-        gg = a * a * gg + b * b * from_array(s, cell(OLD_GAIN, OLD_GAIN)) + 2.0 * a * b * from_array(s, cell(OLD_GAIN, GAIN))
+        gg = (
+            a * a * gg
+            + b * b * from_array(s, cell(OLD_GAIN, OLD_GAIN))
+            + 2.0 * a * b * from_array(s, cell(OLD_GAIN, GAIN))
+        )
         y, gain = w * y + v * old_y, log(new + old)
     mean_y, mean_gain = total(own * y), total(own * gain)
     away, off = y - mean_y, gain - mean_gain
-    return (
-        mean_y, mean_gain, total(own * (yy + away * away)), total(own * (yg + away * off)), total(own * (gg + off * off)),
-    )  # fmt: skip
+    yy, yg, gg = total(own * (yy + away * away)), total(own * (yg + away * off)), total(own * (gg + off * off))
+    return mean_y, mean_gain, yy, yg, gg

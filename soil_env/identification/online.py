@@ -72,8 +72,8 @@ def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
     prior, covariance = published_prior(scenario)
     pull, variance = prior_pull(*prior_of_belief(scenario), depth_of(scenario), scenario)
     return IdentifierNumbers(
-        prior, covariance, np.array([pull, math.sqrt(variance)]), 1.0 / np.diag(covariance), b.dig_gain, b.dig_recovery, b.sinkage_exponent,
-        b.method == "none", filter_numbers(scenario),
+        prior, covariance, np.array([pull, math.sqrt(variance)]), 1.0 / np.diag(covariance), b.dig_gain,
+        b.dig_recovery, b.sinkage_exponent, b.method == "none", filter_numbers(scenario),
     )  # fmt: skip
 
 

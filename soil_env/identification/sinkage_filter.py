@@ -1,6 +1,6 @@
 """Filter of the sinkage and of the two parameters of the soil that show in it: a bank of extended Kalman filters.
 
-States, each a value a lane: (z, y, l) and on a border the old soil's (y, l) behind them: sinkage [m]; ln of the pressure
+States, each a value a lane: (z, y, l), on a border the old soil's (y, l) behind them: sinkage [m]; ln of the pressure
 [Pa] under which undisturbed soil lets the wheel `depth` deep, which is S depth^n; ln of the gain of digging over the
 nominal one. Between two points the sinkage follows the exact solution of its law (`effects.excavation_rate`); that it
 comes up to the bearing sinkage at once where it is less is taken in the mean over the uncertainty of both (statistical
@@ -21,7 +21,11 @@ from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to
 DEPTH, PRESSURE, GAIN, OLD_PRESSURE, OLD_GAIN, STATES = range(6)
 HERE = 3  # states away from borders
 #: Rows of `sinkage`, COUNT numbers each: states, lower triangle of their covariance, ln weight.
-COVARIANCE, LOG_WEIGHT, SINKAGE_ROWS = STATES, STATES + STATES * (STATES + 1) // 2, STATES + STATES * (STATES + 1) // 2 + 1
+COVARIANCE, LOG_WEIGHT, SINKAGE_ROWS = (
+    STATES,
+    STATES + STATES * (STATES + 1) // 2,
+    STATES + STATES * (STATES + 1) // 2 + 1,
+)
 _REACH = 1.9  # [sd of ln gain] of the outermost filters
 _WIDTH = 0.75 * 2.0 * _REACH / (COUNT - 1)  # [sd] of each
 _YIELD_RATE = 6.0  # [1/s] at which a wheel comes up to its bearing sinkage, in the mean over a point
@@ -202,7 +206,9 @@ def _follow(s, ground, motion, last_bearing, size, numbers):
             v = fma(per_gain * old_gain, from_array(s, cell(i, OLD_GAIN)), v)
         to_array(v, of_bearing, i * COUNT)
     after = come * bearing + dug + left * z + yields * lacking
-    variance = fma(stay, from_array(of_bearing, DEPTH * COUNT), (per_gain * gain) * from_array(of_bearing, GAIN * COUNT))
+    variance = fma(
+        stay, from_array(of_bearing, DEPTH * COUNT), (per_gain * gain) * from_array(of_bearing, GAIN * COUNT)
+    )
     for i in range(size):
         variance = fma(rise * from_array(slopes, i * COUNT), from_array(of_bearing, i * COUNT), variance)
     if size > HERE:

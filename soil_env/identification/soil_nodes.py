@@ -155,7 +155,7 @@ def begin_next_soil(banks, k, numbers):
     nodes, known, old = banks.nodes[k], banks.known[k], banks.old_prior[k]
     for i in range(GAUSSIAN):
         known[OLD + i] = known[i]
-    for i, diagonal in ((0, 0), (1, 2), (2, 5)):
+    for diagonal in (0, 2, 5):
         known[SOIL + diagonal] += _LOOSER * numbers.prior.forces[SOIL + diagonal]
     _conditional(known, 0, old)
     _conditional(numbers.prior.forces, 0, banks.prior[k])
@@ -207,7 +207,7 @@ def _row(i):
 
 @part
 def gather(banks, k):
-    """Mean and covariance of (tan phi, cohesion, exponent, ln K) over all nodes, into `known`; the least chi-squared."""
+    """Mean and covariance of (tan phi, cohesion, exponent, ln K) over all nodes into `known`; the least chi-squared."""
     nodes, known = banks.nodes[k], banks.known[k]
     w = exp(from_array(nodes, LOG_WEIGHT * COUNT))
     for i in range(SOIL):

@@ -104,7 +104,9 @@ class Infos:
             "reward_terms": dict(zip(REWARD_TERMS, worlds.terms[k].tolist(), strict=True)),
             "estimate": {
                 **published(
-                    worlds.ids.estimate[k].tolist(), worlds.ids.sd[k].tolist(), worlds.ids.best_pull[k].tolist(),
+                    worlds.ids.estimate[k].tolist(),
+                    worlds.ids.sd[k].tolist(),
+                    worlds.ids.best_pull[k].tolist(),
                     self.scenario.belief.dig_gain,
                 ),
                 "status": STATUS[worlds.ids.status.item(k)],
@@ -174,9 +176,7 @@ class Infos:
 
 def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
     """What is identified of the soil under each wheel, arrays [wheels], by those of `known`."""
-    told = published(
-        known.estimate.T.copy(), known.sd.T.copy(), known.best_pull.T.copy(), scenario.belief.dig_gain, np
-    )
+    told = published(known.estimate.T.copy(), known.sd.T.copy(), known.best_pull.T.copy(), scenario.belief.dig_gain, np)
     return told | {"status": known.status.copy()}
 
 
