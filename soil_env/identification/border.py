@@ -10,7 +10,7 @@ likelihood of a border over that of none is (Bayesian linear regression)
     (1 + A t^2/v)^-1/2 exp(B^2 / (2 v (A + v/t^2))),   A = sum w^2, B = sum w y.
 
 Once one is likely enough, the wheel comes to a border, whose place and rise are the means over all places by their
-likelihoods, renewed with every reading.
+likelihoods, renewed with every point.
 """
 
 from __future__ import annotations
@@ -73,7 +73,6 @@ def note_grade(banks, k, pitch, numbers):
     if p.crossing[k] > 0.0:
         if p.told[k] == 0.0:
             _add_pitch(banks, k, y, numbers)
-            _, p.border[k], p.border_variance[k], p.rise[k] = _locate(banks, k, numbers)
         return
     if p.grades[k] == 0.0 or abs(x - p.nearest[k]) > 2.0 * numbers.border:
         search(banks, k, numbers)
@@ -131,6 +130,14 @@ def cross_where_the_grade_changes(banks, k, numbers):
     odds, place, variance, rise = _locate(banks, k, numbers)
     if odds + math.log(_HAZARD * numbers.offsets[1]) >= _ODDS:
         begin(banks, k, numbers, place, variance, rise)
+
+
+@inlined
+def follow_border(banks, k, numbers):
+    """Renew place and rise of the border under wheel k, if the grade tells of it."""
+    p = banks.point
+    if p.told[k] == 0.0 and numbers.grade_change > 0.0:
+        _, p.border[k], p.border_variance[k], p.rise[k] = _locate(banks, k, numbers)
 
 
 @inlined

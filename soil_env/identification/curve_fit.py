@@ -65,7 +65,7 @@ _SLIP_RANGE = 0.05  # that the slip of a bin may be off its reading
 _LOWEST_SLIP, _HIGHEST_SLIP = -0.8, 0.97
 _STEP_TANGENT, _STEP_EXPONENT, _STEP_COHESION = 0.25, 0.3, 0.3  # longest steps; cohesion: of load over r b
 _LEAST_TANGENT, _LEAST_EXPONENT, _MOST_EXPONENT = 0.05, 0.2, 2.0
-_STALE = 1.0  # squared length of a step, in standard deviations, after which all bins are linearised anew
+_STALE = 2.0  # squared length of a step, in standard deviations, after which all bins are linearised anew
 _UNLIKELY = -7.0  # ln weight below which a node is not followed closely
 _FEW = 3.0  # points of a soil up to which all bins are linearised at each
 _LEAST_SHARE = 1e-4  # of either soil on a border
@@ -334,7 +334,7 @@ def fit(banks, k, changed, replaced, numbers):
     """Renew what is known of the soil of wheel k after bins `changed` and `replaced` (or -1) have become others; the
     least chi-squared.
 
-    These are linearised anew, and at every second point one other; all where much has changed.
+    These and one other are linearised anew; all where much has changed.
     """
     p = banks.point
     set_priors(banks, k)
@@ -346,7 +346,7 @@ def fit(banks, k, changed, replaced, numbers):
         linearise(banks, k, changed, numbers)
         if replaced >= 0:
             linearise(banks, k, replaced, numbers)
-        if stale != changed and stale != replaced and p.points[k] % 2.0 == 0.0:
+        if stale != changed and stale != replaced:
             linearise(banks, k, stale, numbers)
     if solve(banks, k, numbers) > _STALE:
         _linearise_all(banks, k, numbers)

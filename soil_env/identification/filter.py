@@ -24,6 +24,7 @@ from soil_env.identification.border import (
     cross_here,
     cross_where_the_grade_changes,
     end,
+    follow_border,
     note_grade,
     share_here,
 )
@@ -68,6 +69,7 @@ _KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip,
 #: The excess of the chi-squared of each point over `_EXPECTED` is summed, never below 0; a sum above this means another
 #: soil.
 CONTRADICTION_OF_POINTS = 10.0
+_SHORT = 12.0  # points of a soil up to which readings contradict the laws, not the soil
 _EXPECTED = 3.5  # chi-squared of pull and torque that raises no suspicion
 # Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows until that is
 # below the mean over _HARDER^2, since errors of the laws do not average out as noise does.
@@ -244,9 +246,15 @@ def _complete(banks, k, numbers):
         if numbers.grade_change > 0.0 and p.points[k] > 0.0:
             cross_where_the_grade_changes(banks, k, numbers)
         if p.misfit[k] > CONTRADICTION_OF_POINTS and p.points[k] > 2.0 and p.crossing[k] == 0.0:
-            cross_here(banks, k, numbers)
-    elif first > p.border[k] + 0.5 * numbers.border:
-        end(banks, k, numbers)
+            if p.points[k] > _SHORT:
+                cross_here(banks, k, numbers)
+            else:  # it is the laws that are contradicted
+                p.misfit[k], p.flagged[k] = 0.0, 1.0
+                p.form_error[k] = max(_GROWS * p.form_error[k], 2.0 * numbers.model_error)
+    else:
+        follow_border(banks, k, numbers)
+        if first > p.border[k] + 0.5 * numbers.border:
+            end(banks, k, numbers)
     _renew(banks, k, point, load, numbers)
     if not fit_is_sound(banks, k):  # readings that no wheel gives
         restart(banks, k, numbers)
