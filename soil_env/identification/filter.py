@@ -69,11 +69,13 @@ _KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip,
 #: The excess of the chi-squared of each point over `_EXPECTED` is summed, never below 0; a sum above this means another
 #: soil.
 CONTRADICTION_OF_POINTS = 10.0
-_SHORT = 12.0  # points of a soil up to which readings contradict the laws, not the soil
+# Points of a soil up to which readings contradict the laws, not the soil; where the grade says nothing of borders.
+_SHORT, _SHORTER = 12.0, 4.0
 _EXPECTED = 3.5  # chi-squared of pull and torque that raises no suspicion
 # Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows until that is
 # below the mean over _HARDER^2, since errors of the laws do not average out as noise does.
 _BEGINS, _HARDER, _GROWS, _SHRINKS, _LARGEST = 4.0, 5.0, 1.3, 1.1, 0.3
+_LATER = 12.0  # `_BEGINS` where only forces tell of borders, which are found after they have spoilt the fit
 _slopes = scratch(3 * len(Slopes._fields) * COUNT)
 
 
@@ -246,7 +248,7 @@ def _complete(banks, k, numbers):
         if numbers.grade_change > 0.0 and p.points[k] > 0.0:
             cross_where_the_grade_changes(banks, k, numbers)
         if p.misfit[k] > CONTRADICTION_OF_POINTS and p.points[k] > 2.0 and p.crossing[k] == 0.0:
-            if p.points[k] > _SHORT:
+            if p.points[k] > (_SHORT if numbers.grade_change > 0.0 else _SHORTER):
                 cross_here(banks, k, numbers)
             else:  # it is the laws that are contradicted
                 p.misfit[k], p.flagged[k] = 0.0, 1.0
@@ -388,18 +390,19 @@ def _renew(banks, k, point, load, numbers):
     p.bins[k], p.points[k] = count, p.points[k] + 1.0
     if p.same[k] == 0.0:
         renew_prior(banks, k, numbers)
-    _adapt(p, k, fit(banks, k, changed, replaced, numbers), numbers.model_error)
+    _adapt(p, k, fit(banks, k, changed, replaced, numbers), numbers)
 
 
 @inlined
-def _adapt(p, k, misfit, least):
-    """Renew the form error, which is `least` or more, by the least chi-squared of a fit."""
+def _adapt(p, k, misfit, numbers):
+    """Renew the form error by the least chi-squared of a fit."""
     if p.bins[k] < 3.0 or p.crossing[k] > 0.0 or p.misfit[k] > _EXPECTED:  # it may be another soil
         return
     free = 2.0 * p.bins[k] - 2.0
-    aim = free / (_HARDER * _HARDER)
+    aim, least = free / (_HARDER * _HARDER), numbers.model_error
+    begins = _BEGINS if numbers.grade_change > 0.0 else _LATER
     if p.flagged[k] == 0.0:
-        if misfit > free + _BEGINS * math.sqrt(2.0 * free):
+        if misfit > free + begins * math.sqrt(2.0 * free):
             p.flagged[k], p.form_error[k] = 1.0, 2.0 * least
     elif misfit > aim:
         p.form_error[k] = min(_GROWS * p.form_error[k], _LARGEST)
