@@ -245,7 +245,11 @@ each hypothesis is followed by a Kalman filter of its own.
 filter is off this reference is due to linearisation, to the forces gathered in bins, and to how it finds borders; what
 the second reference is off the third is due to those errors.
 
-Both are told that patches have the lengths of the scenario, which the filter is not. The reference is made of soils
+How good a reference is, its own tables say. Where error / sd is far above 1, as it is by readings and as allowed behind
+the first border of the scenarios' own courses, the reference is surer than it should be; why is not settled, and there
+it is no judge of the filter.
+
+All are told that patches have the lengths of the scenario, which the filter is not. The reference is made of soils
 drawn from the Gaussian prior; those of the scenarios are of its library, whose mean and covariance the prior has. So it
 must be calibrated on courses "drawn from the prior" (error / sd of RMS 1, 68 % holding 68), and on others about so.
 Steps of a course are far from independent: with so few courses an RMS of error / sd between 0.7 and 1.3 is no finding.

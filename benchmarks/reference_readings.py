@@ -30,7 +30,7 @@ from soil_env.terramechanics.effects import excavation_rate
 
 _READINGS, _LENGTH, _SLIP_RANGE, _RIM_RANGE = 8, 0.67, 0.1, 0.25  # limits of a point, as those of the filter
 _TURNED = 8.0  # as in `filter`
-_MISPLACED = 0.1  # error of place, of the length of a point: what changes over a point is unsure by this share
+_MISPLACED = 0.03  # error of the pitch, of its range over a point
 _JOLT = 0.03  # of the sinkage: 1-sigma of its change in a period whose reading is passed over
 _SINKAGE_DOUBT = 0.1  # [wheel radii] of the first sinkage
 # Columns of the motion.
@@ -203,15 +203,14 @@ class ByReadings(Particles):
         counts = np.diff(np.append(begins, len(rows)))[:, None, None]
         p = number[rows][begins]
         f = np.add.reduceat(out[rows, :, : _LOAD + 1], begins, axis=0) / counts
-        change = out[np.ix_(rows, range(out.shape[1]), [_PULL, _TORQUE, _GRADE])]
-        change = np.maximum.reduceat(change, begins, axis=0) - np.minimum.reduceat(change, begins, axis=0)
+        grade = out[rows, :, _GRADE]
+        spread = np.maximum.reduceat(grade, begins, axis=0) - np.minimum.reduceat(grade, begins, axis=0)
         done = self.last[p] < self.since + len(out)
         p, f = p[done], f[done].transpose(2, 0, 1)
         every = self.slip, self.pull, self.torque, self.pitch, self.load
         (_, slip), (pull, pp), (torque, tt), (pitch, gg), (load, ww) = (tuple(a[p, None] for a in of) for of in every)
         error = self.scenario.belief.model_error * self.load[0][p, None]
-        of_pull, of_torque, of_grade = (_MISPLACED * change[done].transpose(2, 0, 1)) ** 2
-        pp, tt, gg = pp + of_pull, tt + of_torque, gg + of_grade
+        gg = gg + (_MISPLACED * spread[done]) ** 2
         a, b = pull - f[_PULL], torque - f[_TORQUE]
         pp = pp + error**2 + f[_PULL_SLOPE] ** 2 * slip + f[_PULL_DOUBT] ** 2
         pt = f[_PULL_SLOPE] * f[_TORQUE_SLOPE] * slip + f[_PULL_DOUBT] * f[_TORQUE_DOUBT]

@@ -135,7 +135,7 @@ class SoilWheelEnv(CourseEnv):
     | 17 | friction_angle_sd | rad | 0 | 2 |
     | 18 | shear_modulus_sd | relative | 0 | 20 |
     | 19 | sinkage_coefficient_sd | relative | 0 | 20 |
-    | 20 | estimate_valid | 1 while the estimate is current, 0 while it is the prior or held | 0 | 1 |
+    | 20 | estimate_valid | 1 while phi and K are known to 0.6 of the prior's sd by readings that agree | 0 | 1 |
     | 21 | cohesion | kPa | 0 | 1000 |
     | 22 | dig_gain | -, of slip-sinkage | 0 | 100 |
     | 23 | cohesion_sd | kPa | 0 | 1000 |

@@ -110,7 +110,7 @@ class Estimate:
 
     @property
     def valid(self) -> bool:
-        """Whether the estimate is current: neither the prior nor one held while the readings tell nothing."""
+        """Whether phi and ln K are known much better than before, by readings that agree: the status is CONVERGED."""
         return self.status == Status.CONVERGED
 
 

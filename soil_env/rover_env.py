@@ -112,7 +112,7 @@ class SoilRoverEnv(CourseEnv):
     | 26 | front_friction_angle_sd | rad | 0 | 2 |
     | 27 | front_shear_modulus_sd | relative | 0 | 20 |
     | 28 | front_sinkage_coefficient_sd | relative | 0 | 20 |
-    | 29 | front_estimate_valid | 1 while the estimate is current, 0 while it is the prior or held | 0 | 1 |
+    | 29 | front_estimate_valid | 1 while phi and K are known to 0.6 of the prior's sd by readings that agree | 0 | 1 |
     | 30 | front_cohesion | kPa | 0 | 1000 |
     | 31 | front_dig_gain | -, of slip-sinkage | 0 | 100 |
     | 32 | front_cohesion_sd | kPa | 0 | 1000 |

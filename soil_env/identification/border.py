@@ -30,6 +30,7 @@ _HAZARD = 0.5  # [1/m] of borders, as believed
 _KEPT = 60.0  # readings that the grade of a soil is the mean of, at most
 _KNOWN = 5.0  # readings that the grade of a new soil counts for when its border, on which it was estimated, ends
 _BETWEEN = 0.4  # [squared distances of the places tested] variance of a place between two of them
+_KEPT_ERROR = 0.25  # of the form error, that the next soil begins with
 _FOUND = 1.0 / 6.0  # [border lengths] ahead of its middle at which forces show a border, and the sd of that
 
 
@@ -157,6 +158,8 @@ def begin(banks, k, numbers, place, place_variance, rise):
     p = banks.point
     p.crossing[k], p.by_forces[k], p.told[k], p.same[k] = 1.0, 0.0, 0.0, 0.0
     p.border[k], p.border_variance[k], p.rise[k] = place, place_variance, rise
+    p.form_error[k] = max(_KEPT_ERROR * p.form_error[k], numbers.model_error)
+    p.flagged[k] = 1.0 if p.form_error[k] > numbers.model_error else 0.0
     begin_next_soil(banks, k, numbers)
     begin_next_sinkage(banks, k, numbers)
 

@@ -5,9 +5,10 @@ Each of these holds the prior, which counts once: of posteriors (m_i, s_i) and t
 
     s^-2 = s_0^-2 + sum (s_i^-2 - s_0^-2),    s^-2 m = s_0^-2 m_0 + sum (s_i^-2 m_i - s_0^-2 m_0),
 
-each quantity by itself. The best steady drawbar pull, of the load, is one of them: the paper's criterion (Hutangkabodee
-et al. 2006, Section 6) for ground that lies ahead. That of the mean soil would be another: friction, cohesion and K of
-an estimate err together and leave the pull right.
+each quantity by itself. Where two differ by more than they allow, chi-squared widens what they have together (Birge
+1932, Physical Review 40:207-227). The best steady drawbar pull, of the load, is one of them: the paper's criterion
+(Hutangkabodee et al. 2006, Section 6) for ground that lies ahead. That of the mean soil would be another: friction,
+cohesion and K of an estimate err together and leave the pull right.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from soil_env.parameters import Scenario
 UNKNOWNS = 6  # those of `online.IdentifierNumbers.prior` and, last, the best drawbar pull [of load]
 PULL = UNKNOWNS - 1
 _LEAST_SD = 1e-6
+WIDER = 1.4  # standard deviation of a patch over that of its estimate: labels may be wrong, borders are near
 _FOUND = 1.0 / 3.0  # [border lengths] behind a border until the identifier has found it out
 
 
@@ -88,13 +90,16 @@ def remember(memory, k, c, patch, ids, numbers):
         told, sd = ids.best_pull[k, 0], ids.best_pull[k, 1]
         if i < PULL:
             told, sd = ids.estimate[k, i], ids.sd[k, i]
-        own = max(sd, _LEAST_SD) ** -2.0
+        own = (WIDER * max(sd, _LEAST_SD)) ** -2.0
         more = own - numbers.precision[i]
         if more > 0.0:
             total = precision[i] + more
             news = own * told - numbers.precision[i] * numbers.prior[i]
             memory.estimate[k, c, i] = (precision[i] * mean[i] + news) / total
-            memory.sd[k, c, i] = total**-0.5
+            apart = 0.0
+            if memory.patches[k, c] > 1:
+                apart = (told - mean[i]) ** 2 / (1.0 / own + 1.0 / precision[i])
+            memory.sd[k, c, i] = (max(apart, 1.0) / total) ** 0.5
 
 
 @inlined

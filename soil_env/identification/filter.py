@@ -398,7 +398,7 @@ def _adapt(p, k, misfit, numbers):
     """Renew the form error by the least chi-squared of a fit."""
     if p.bins[k] < 3.0 or p.crossing[k] > 0.0 or p.misfit[k] > _EXPECTED:  # it may be another soil
         return
-    free = 2.0 * p.bins[k] - 2.0
+    free = 2.0 * p.bins[k]
     aim, least = free / (_HARDER * _HARDER), numbers.model_error
     begins = _BEGINS if numbers.grade_change > 0.0 else _LATER
     if p.flagged[k] == 0.0:

@@ -18,6 +18,7 @@ _ground, _product = scratch(GAUSSIAN), scratch(SOIL)
 # Unknowns of a soil in the order of `soil_nodes`, which are (tan phi, c, n, ln K), and where they are published.
 _TANGENT, _C, _N, _LN_K = range(SOIL)
 _LEAST_VARIANCE = 1e-18
+_LEAST_TANGENT = 0.01  # of the friction angle that is published
 # What is published is wider than the Gaussians of the filter, by what these leave out: `_WIDER` times the standard
 # deviations of what the forces tell; of the ln of pressure and gain, errors of themselves and by that of the exponent,
 # which the filter of the sinkage holds known. Where readings begin to contradict the soil so far, all standard
@@ -64,7 +65,11 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
     _of_forces(banks, k, share, by_place, g)
     tangent, c = g[_TANGENT], SOIL
     rate = 1.0 / (1.0 + tangent * tangent)
-    estimate[PHI], estimate[LN_K], estimate[COHESION] = math.atan(tangent), g[_LN_K], max(g[_C], 0.0)
+    estimate[PHI], estimate[LN_K], estimate[COHESION] = (
+        math.atan(max(tangent, _LEAST_TANGENT)),
+        g[_LN_K],
+        max(g[_C], 0.0),
+    )
     of_load = p.mass_variance[k] / max(p.mass[k] * p.mass[k], 1e-300)
     covariance[PHI, PHI] = rate * rate * (g[c] + of_load * tangent * tangent)
     covariance[COHESION, PHI] = rate * (g[c + 1] + of_load * tangent * g[_C])

@@ -39,7 +39,7 @@ class Status(enum.IntEnum):
 
     NO_DATA = 0  # fewer measured values than unknowns
     CONVERGED = 1
-    NOT_EXCITED = 2  # the points do not tell the unknowns apart; an online estimate is then the last good one
+    NOT_EXCITED = 2  # the points do not tell the unknowns apart; online: phi or ln K hardly narrower than the prior
     AT_BOUND = 3  # the solution lies on a bound
     DIVERGED = 4  # no convergence within the allowed iterations
     AMBIGUOUS = 5  # converged, but another soil explains the three measured values as exactly

@@ -300,6 +300,7 @@ def what_can_be_told(found: Replay, log: Aligned) -> list[str]:
     if share[Status.MISFIT] > _CONTRADICTS:
         lines.append(
             f"In {100.0 * share[Status.MISFIT]:.0f} % of the steps the readings were further from what the model "
-            "predicts than their errors explain: a wrong unit, sign or wheel in the map, or a wheel that is another."
+            "predicts than their errors explain: a wrong unit, sign or wheel in the map, a belief without this soil, "
+            "or laws that do not hold here."
         )
     return lines

@@ -26,7 +26,8 @@ class Memory:
         memory.forget_classes(self.kept, 0, NUMBERS)
 
     def remember(self, c, patch, estimate, sd):
-        """Of a class and a patch: an estimate [6] with sd [6], the best drawbar pull the last of them."""
+        """Of a class and a patch: an estimate [6] that counts with sd [6], the best drawbar pull the last of them."""
+        sd = sd / memory.WIDER
         self.ids.estimate[0], self.ids.sd[0] = estimate[:5], sd[:5]
         self.ids.best_pull[0] = estimate[5], sd[5]
         memory.remember(self.kept, 0, c, patch, self.ids, NUMBERS)
@@ -71,7 +72,7 @@ def test_a_later_estimate_on_the_same_patch_replaces_the_earlier(one):
 
 
 def test_precisions_of_patches_add_up_and_the_prior_counts_once(one):
-    told = [(ESTIMATE, SD), (PRIOR - 0.3 * WIDE, 0.8 * SD), (PRIOR + 0.1 * WIDE, 1.2 * SD)]
+    told = [(ESTIMATE, SD), (ESTIMATE - 0.3 * SD, 0.8 * SD), (ESTIMATE + 0.1 * SD, 1.2 * SD)]
     for patch, (estimate, sd) in enumerate(told):
         one.remember(0, patch, PRIOR, 0.9 * SD)  # an earlier one on the same patch
         one.remember(0, patch, estimate, sd)
@@ -80,6 +81,13 @@ def test_precisions_of_patches_add_up_and_the_prior_counts_once(one):
         np.testing.assert_allclose(one.of(c), combined(told_of_it), rtol=1e-9)
         assert one.kept.patches[0, c] == 3
     assert np.all(one.of(2)[1] > SD / math.sqrt(3.0))  # the prior is no reading of each patch
+
+
+def test_patches_that_differ_by_more_than_they_allow_are_less_sure(one):
+    one.remember(0, 0, ESTIMATE, SD)
+    one.remember(0, 1, ESTIMATE + 3.0 * math.sqrt(2.0) * SD, SD)
+    mean, sd = combined([(ESTIMATE, SD), (ESTIMATE + 3.0 * math.sqrt(2.0) * SD, SD)])
+    np.testing.assert_allclose(one.of(0), (mean, 3.0 * sd), rtol=1e-9)
 
 
 def test_who_knows_no_more_than_the_prior_adds_nothing(one):
