@@ -24,7 +24,7 @@ from soil_env.parameters import Scenario
 UNKNOWNS = 6  # those of `online.IdentifierNumbers.prior` and, last, the best drawbar pull [of load]
 PULL = UNKNOWNS - 1
 _LEAST_SD = 1e-6
-WIDER = 1.4  # standard deviation of a patch over that of its estimate: labels may be wrong, borders are near
+WIDER = 1.4  # sd of the pull of a patch over that of its estimate: labels may be wrong, borders are near
 _FOUND = 1.0 / 3.0  # [border lengths] behind a border until the identifier has found it out
 
 
@@ -90,7 +90,7 @@ def remember(memory, k, c, patch, ids, numbers):
         told, sd = ids.best_pull[k, 0], ids.best_pull[k, 1]
         if i < PULL:
             told, sd = ids.estimate[k, i], ids.sd[k, i]
-        own = (WIDER * max(sd, _LEAST_SD)) ** -2.0
+        own = max(WIDER * sd if i == PULL else sd, _LEAST_SD) ** -2.0
         more = own - numbers.precision[i]
         if more > 0.0:
             total = precision[i] + more

@@ -27,7 +27,7 @@ class Memory:
 
     def remember(self, c, patch, estimate, sd):
         """Of a class and a patch: an estimate [6] that counts with sd [6], the best drawbar pull the last of them."""
-        sd = sd / memory.WIDER
+        sd = sd / np.array([1.0] * 5 + [memory.WIDER])
         self.ids.estimate[0], self.ids.sd[0] = estimate[:5], sd[:5]
         self.ids.best_pull[0] = estimate[5], sd[5]
         memory.remember(self.kept, 0, c, patch, self.ids, NUMBERS)
