@@ -264,6 +264,25 @@ def weights_of_the_same_soil(changes):
     return np.array(found)
 
 
+@pytest.mark.xfail(strict=True, reason="the soil that stays is believed at 0.05: what was known is lost on a slope")
+def test_what_is_known_is_kept_on_a_slope_of_the_same_soil():
+    none = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
+    prior = {"soils": load_scenario("mixed").belief.soils, "spread": {}}
+    ground = {"soils": {"dry_sand": 1}, "spread": none, "course": {"margin": [0.0, 0.15]}, "belief": prior}
+    same = weights_of_the_same_soil(ground)
+    assert len(same) >= 8 and np.mean(same > 0.5) >= 0.8
+
+
+@pytest.mark.xfail(
+    strict=True, reason="a border is believed later than by the filter before this, and placed less well"
+)
+def test_the_grade_tells_of_a_border_three_centimetres_before_its_middle():
+    rows = found_borders(load_scenario("mixed", WHEEL_SPEED), range(10))
+    assert len(rows) >= 15
+    assert np.median(rows[:, 0]) > 0.03  # m
+    assert np.median(np.abs(rows[:, 1])) < 0.02
+
+
 def test_a_slope_on_the_same_soil_is_told_from_a_new_soil():
     """By the forces: the odds of patches of one soil, whose grades differ, rise, and those of other soils fall."""
     none = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
