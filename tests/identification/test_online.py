@@ -128,18 +128,13 @@ def near(ids, truth):
 
 
 def test_driving_with_varied_slip_finds_the_soil():
-    """On twelve drives friction and K are right, and on most far better known than before: not where noise is taken
-    for a misfit of the laws, which widens all."""
-    known = []
+    """On twelve drives friction and K are right, far better known than before, and noise is no misfit of the laws."""
     for seed in range(12):
         sim, truth = driven(seed, 200, excited)
         ids, prior = sim.worlds.ids, 1.0 / np.sqrt(sim.numbers.identifier.precision)
-        assert ids.status[0] != Status.NO_DATA
         assert near(ids, truth), seed
-        if ids.status[0] != Status.MISFIT:
-            assert np.all(ids.sd[0, :3] < [0.9 * prior[0], 0.35 * prior[1], 0.5 * prior[2]]), seed
-            known.append(seed)
-    assert len(known) >= 6, known
+        assert ids.status[0] in (Status.CONVERGED, Status.NOT_EXCITED), seed
+        assert np.all(ids.sd[0, :3] < [0.9 * prior[0], 0.35 * prior[1], 0.5 * prior[2]]), seed
 
 
 def test_a_wheel_at_one_slip_knows_less_than_one_whose_slip_varies():
