@@ -20,17 +20,21 @@ import math
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp, larger, log
 from soil_env._numba.lanes import COUNT, fill, from_array, smallest, to_array, total
+from soil_env.identification.curve import FIELDS, ON_BORDER
+from soil_env.identification.curve_fit import FIT_ROWS
 from soil_env.identification.filter_bank import CANDIDATES
 from soil_env.identification.sinkage_filter import begin_next_sinkage, keep_old_sinkage
-from soil_env.identification.soil_nodes import begin_next_soil, leave_old_soil
+from soil_env.identification.soil_nodes import _begin_again, begin_next_soil, leave_old_soil
 from soil_env.terramechanics.ground import share_of_next
 
-_ODDS = 3.0  # ln odds at which a change of the grade is a border
+_ON = 0.1
+_ODDS = 2.0  # ln odds at which a change of the grade is a border
 _HAZARD = 0.5  # [1/m] of borders, as believed
 _KEPT = 60.0  # readings that the grade of a soil is the mean of, at most
 _KNOWN = 5.0  # readings that the grade of a new soil counts for when its border, on which it was estimated, ends
 _BETWEEN = 0.4  # [squared distances of the places tested] variance of a place between two of them
 _KEPT_ERROR = 0.25  # of the form error, that the next soil begins with
+_F = 0.08
 _FOUND = 1.0 / 6.0  # [border lengths] ahead of its middle at which forces show a border, and the sd of that
 
 
@@ -107,7 +111,8 @@ def _likelihoods(found, i, v, ratio):
 
 @part
 def _locate(banks, k, numbers):
-    """(ln of the evidence of a border over none, mean [m] and variance [m2] of its place, rise of the grade [rad])."""
+    """(ln of the evidence of a border over none, mean [m] and variance [m2] of its place, rise of the grade [rad], mean
+    and mean square of the share of its new soil here)."""
     p, found = banks.point, banks.candidates[k]
     v = _variance_of_pitch(p, k, numbers)
     ratio = v / (numbers.grade_change * numbers.grade_change)
@@ -115,22 +120,29 @@ def _locate(banks, k, numbers):
     highest = -min(smallest(-1.0 * first), smallest(-1.0 * second))
     first, second = exp(larger(first - highest, -700.0)), exp(larger(second - highest, -700.0))
     weight = total(first + second)
-    place = rise = square = 0.0
+    place = rise = square = here = here_square = 0.0
     for i in range(0, CANDIDATES, COUNT):
         w, e = (first if i == 0 else second) * (1.0 / weight), from_array(numbers.offsets, i)
         place += total(w * e)
         square += total(w * e * e)
         rise += total(w * from_array(found, CANDIDATES + i) / (from_array(found, i) + ratio))
+        share, _ = _share(fill(p.place[k] + _ON * numbers.border), e + p.nearest[k], numbers.border)
+        here += total(w * share)
+        here_square += total(w * share * share)
     variance = max(square - place * place, 0.0) + _BETWEEN * numbers.offsets[1] * numbers.offsets[1]
-    return highest + math.log(weight), p.nearest[k] + place, variance, rise
+    return highest + math.log(weight), p.nearest[k] + place, variance, rise, here, here_square
 
 
 @part
 def cross_where_the_grade_changes(banks, k, numbers):
     """`begin` at the border that the grade tells of, if it tells of one."""
-    odds, place, variance, rise = _locate(banks, k, numbers)
-    if odds + math.log(_HAZARD * numbers.offsets[1]) >= _ODDS:
+    odds, place, variance, rise, share, square = _locate(banks, k, numbers)
+    odds += math.log(_HAZARD * numbers.offsets[1])
+    if odds >= _ODDS:
         begin(banks, k, numbers, place, variance, rise)
+    else:
+        likely = 1.0 / (1.0 + math.exp(-odds))
+        banks.point.next_share[k], banks.point.next_square[k] = likely * share, likely * square
 
 
 @inlined
@@ -138,7 +150,7 @@ def follow_border(banks, k, numbers):
     """Renew place and rise of the border under wheel k, if the grade tells of it."""
     p = banks.point
     if p.told[k] == 0.0 and numbers.grade_change > 0.0:
-        _, p.border[k], p.border_variance[k], p.rise[k] = _locate(banks, k, numbers)
+        _, p.border[k], p.border_variance[k], p.rise[k], _, _ = _locate(banks, k, numbers)
 
 
 @inlined
@@ -157,6 +169,7 @@ def begin(banks, k, numbers, place, place_variance, rise):
     """
     p = banks.point
     p.crossing[k], p.by_forces[k], p.told[k], p.same[k] = 1.0, 0.0, 0.0, 0.0
+    p.next_share[k] = p.next_square[k] = 0.0
     p.border[k], p.border_variance[k], p.rise[k] = place, place_variance, rise
     p.form_error[k] = max(_KEPT_ERROR * p.form_error[k], numbers.model_error)
     p.flagged[k] = 1.0 if p.form_error[k] > numbers.model_error else 0.0
@@ -181,4 +194,21 @@ def end(banks, k, numbers):
     if leave_old_soil(banks, k):
         keep_old_sinkage(banks, k)
         p.same[k] = 1.0
+    if p.told[k] > 0.0 or p.border_variance[k] > (_F * numbers.border) ** 2:
+        _drop(banks, k)
     search(banks, k, numbers)
+
+
+@part
+def _drop(banks, k):
+    bins, p, m = banks.bins[k], banks.point, 0
+    for b in range(int(p.bins[k])):
+        if bins[b * FIELDS + ON_BORDER] == 0.0:
+            for i in range(FIELDS):
+                bins[m * FIELDS + i] = bins[b * FIELDS + i]
+            for i in range(COUNT):
+                banks.fits[k, m * FIT_ROWS * COUNT + i] = banks.fits[k, b * FIT_ROWS * COUNT + i]
+            m += 1
+    _begin_again(banks, k)
+    p.bins[k] = m
+    p.points[k] = min(p.points[k], 2.0)

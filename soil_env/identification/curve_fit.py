@@ -67,6 +67,7 @@ _STEP_TANGENT, _STEP_EXPONENT, _STEP_COHESION = 0.25, 0.3, 0.3  # longest steps;
 _LEAST_TANGENT, _LEAST_EXPONENT, _MOST_EXPONENT = 0.05, 0.2, 2.0
 _STALE = 2.0  # squared length of a step, in standard deviations, after which all bins are linearised anew
 _UNLIKELY = -7.0  # ln weight below which a node is not followed closely
+_OF_VOLUME = 0.25
 _FEW = 3.0  # points of a soil up to which all bins are linearised at each
 _LEAST_SHARE = 1e-4  # of either soil on a border
 _PLACE_DOUBT = 1.0  # how much more the variance of a border's place is to the fit than the grade tells
@@ -173,7 +174,7 @@ def solve(banks, k, numbers):
     """
     nodes, bins, fits = banks.nodes[k], banks.bins[k], banks.fits[k]
     A, g, away = _matrix(), _vector(), _vector()
-    cost = fill(0.0)
+    cost, volumes = fill(0.0), fill(0.0)
     place, form_error = banks.point.border[k], banks.point.form_error[k]
     of_place = 1.0 / max(_PLACE_DOUBT * banks.point.border_variance[k], 1e-8)
     for i in range(3):
@@ -196,8 +197,9 @@ def solve(banks, k, numbers):
         to_array(fill(0.0), A, below_diagonal(3, j) * COUNT)
     to_array(fill(of_place), A, below_diagonal(3, 3) * COUNT)
     for b in range(int(banks.point.bins[k])):
-        cost = cost + _add_bin(nodes, bins, b * FIELDS, fits, b * FIT_ROWS * COUNT, A, g, form_error, numbers)
-    return _step(banks, k, A, g, cost, numbers)
+        chi, volume = _add_bin(nodes, bins, b * FIELDS, fits, b * FIT_ROWS * COUNT, A, g, form_error, numbers)
+        cost, volumes = cost + chi, volumes + volume
+    return _step(banks, k, A, g, cost, _OF_VOLUME * volumes, numbers)
 
 
 @inlined
@@ -230,7 +232,7 @@ def _add_bin(nodes, bins, at, fits, f, A, g, form_error, numbers):
             n = below_diagonal(i, j) * COUNT
             v = fma(up, from_array(fits, f + (OF_PULL + 1 + j) * COUNT), from_array(A, n))
             to_array(fma(ut, from_array(fits, f + (OF_TORQUE + 1 + j) * COUNT), v), A, n)
-    return fp * p + ft * t
+    return fp * p + ft * t, log(pp * tt - pt * pt)
 
 
 @inlined
@@ -274,7 +276,7 @@ def _inverse(L, out, at):
 
 
 @inlined
-def _step(banks, k, A, g, cost, numbers):
+def _step(banks, k, A, g, cost, volume, numbers):
     nodes, L, step = banks.nodes[k], _matrix2(), _vector()
     log_det = _factor(A, L)
     _inverse(L, nodes, COVARIANCE)
@@ -299,7 +301,7 @@ def _step(banks, k, A, g, cost, numbers):
         to_array(fma(share, from_array(step, i * COUNT), from_array(nodes, i * COUNT)), nodes, i * COUNT)
     cost = cost - share * (2.0 - share) * gain
     to_array(cost, nodes, COST * COUNT)
-    weight = from_array(nodes, LOG_PRIOR * COUNT) - 0.5 * (cost + log_det)
+    weight = from_array(nodes, LOG_PRIOR * COUNT) - 0.5 * (cost + volume + log_det)
     highest = -smallest(-1.0 * weight)
     weight = larger(weight - highest, -700.0)
     weight = weight - math.log(total(exp(weight)))

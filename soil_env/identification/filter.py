@@ -68,9 +68,10 @@ _SINKAGE_SHARE = 2.0  # variance of the sinkage in the fit over that of the sink
 _KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip, of the load
 #: The excess of the chi-squared of each point over `_EXPECTED` is summed, never below 0; a sum above this means another
 #: soil.
-CONTRADICTION_OF_POINTS = 10.0
+CONTRADICTION_OF_POINTS = 7.0
 # Points of a soil up to which readings contradict the laws, not the soil; where the grade says nothing of borders.
 _SHORT, _SHORTER = 12.0, 4.0
+_SINK, _SINK_EXPECTED, _SINK_LEAST = 3.0, 0.7, 0.0
 _EXPECTED = 3.5  # chi-squared of pull and torque that raises no suspicion
 # Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows until that is
 # below the mean over _HARDER^2, since errors of the laws do not average out as noise does.
@@ -371,11 +372,12 @@ def _renew(banks, k, point, load, numbers):
     p.ln_s_exponent[k] = of_s.by_exponent + math.log(depth)
     ground = Ground(of_s.value, depth, of_s.by_sinkage * depth, soil.exponent, share, by_place, p.border_variance[k])
     motion = Motion(point.path, point.sliding, point.shock, point.time, point.sinkage, point.sinkage_variance)
-    follow(banks, k, ground, motion, numbers)
+    of_sinkage = follow(banks, k, ground, motion, numbers)
     after, variance = max(mean(s, DEPTH), 2e-3 * r), _SINKAGE_SHARE * max(spread(s, DEPTH, DEPTH), 1e-12)
     if p.points[k] > 0.0 and p.crossing[k] == 0.0:
         surprise = _surprise(banks, k, rows, point, load, after - depth, variance, numbers)
-        p.misfit[k] = max(p.misfit[k] + surprise - _EXPECTED, 0.0)
+        p.stale_dbg[k] = of_sinkage
+        p.misfit[k] = max(p.misfit[k] + surprise - _EXPECTED + _SINK * max(of_sinkage - _SINK_EXPECTED, -_SINK_LEAST), 0.0)
     new = new_point()
     new[READINGS], new[SLIP], new[SLIP_WEIGHT] = point.readings, point.slip, 1.0 / point.slip_variance
     new[SINKAGE], new[SINKAGE_WEIGHT] = after, 1.0 / variance

@@ -33,13 +33,14 @@ FilterPoint: type[Rows] = rows(
     "place", "furthest", "lowest",  # [m] of the wheel, by slip and rim speed; ground beyond or before is fresh
     "mass", "mass_variance",  # on the wheel [kg, kg2]; 0 until the first point
     "points", "bins", "stale",  # of this soil: points; bins of its curve; the bin that is linearised anew next
-    "misfit",  # sum of the excess of chi-squared
+    "stale_dbg", "misfit",  # sum of the excess of chi-squared
     "form_error", "flagged",  # 1-sigma error of the laws [of load]; 1 where readings contradict the laws
     "ln_s_tangent", "ln_s_cohesion", "ln_s_exponent", "ln_s_ln_K",  # derivatives of ln(s z^n), at the last point
     "bearing",  # [m] bearing sinkage at the last point; 0: none yet
     # the border under the wheel: 1 on one, place [m] and its variance, rise of the grade [rad]; 1 if forces told
     # of it, 1 if anything but the grade did
     "crossing", "border", "border_variance", "rise", "by_forces", "told",
+    "next_share", "next_square",  # mean and mean square of the share of a soil that may begin here
     "grade", "grades",  # [rad] of this soil; readings of it
     "nearest",  # [m] first of the places of a border that are tested
     "same",  # probability that the soil stayed the same on the last border

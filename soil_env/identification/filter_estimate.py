@@ -23,17 +23,26 @@ _LEAST_TANGENT = 0.01  # of the friction angle that is published
 # deviations of what the forces tell; of the ln of pressure and gain, errors of themselves and by that of the exponent,
 # which the filter of the sinkage holds known. Where readings begin to contradict the soil so far, all standard
 # deviations grow by the misfit over `_DOUBTED`, at most `_MOST`, and where they contradict the laws by `_CONTRADICTED`.
-_WIDER, _DOUBTED, _MOST, _CONTRADICTED = 1.07, 6.0, 12.0, 1.4
-_OF_PRESSURE, _OF_GAIN = (0.05, 0.65), (0.2, 1.5)
+_WIDER, _OF_PULL, _DOUBTED, _MOST, _CONTRADICTED = 1.05, 0.85, 6.0, 12.0, 1.7
+_OF_PRESSURE, _OF_GAIN = (0.03, 0.65), (0.2, 1.5)
 
 
 @part
-def _of_forces(banks, k, share, by_place, out):
+def _of_forces(banks, k, share, by_place, prior, out):
     """Gaussian [GAUSSIAN] of the ground under the wheel by the forces: a blend of two soils on a border."""
     known = banks.known[k]
     if share >= 1.0:
+        m, q = banks.point.next_share[k], banks.point.next_square[k]
         for i in range(GAUSSIAN):
             out[i] = known[i]
+        if q <= 0.0:
+            return
+        for i in range(SOIL):
+            out[i] += m * (prior[i] - known[i])
+        for i in range(SOIL):
+            for j in range(i + 1):
+                n = SOIL + below_diagonal(i, j)
+                out[n] += q * prior[n] + (q - m * m) * (prior[i] - known[i]) * (prior[j] - known[j])
         return
     w, v = share, 1.0 - share
     for i in range(SOIL):
@@ -62,7 +71,7 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
     """
     p, g = banks.point, _ground()
     share, by_place = share_here(banks, k, p.place[k], 0.0, numbers)
-    _of_forces(banks, k, share, by_place, g)
+    _of_forces(banks, k, share, by_place, numbers.prior.forces, g)
     tangent, c = g[_TANGENT], SOIL
     rate = 1.0 / (1.0 + tangent * tangent)
     estimate[PHI], estimate[LN_K], estimate[COHESION] = (
@@ -83,7 +92,14 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
         for j in range(SOIL):
             along[i] += g[c + below_diagonal(max(i, j), min(i, j))] * slopes[j]
         variance += along[i] * slopes[i]
-    y, gain, yy, yg, gg = _of_sinkage(banks.sinkage[k], share)
+    y, gain, yy, yg, gg = _of_sinkage(banks.sinkage[k], share, by_place * by_place * p.border_variance[k])
+    if share >= 1.0 and p.next_square[k] > 0.0:
+        prior, m, q = numbers.prior, p.next_share[k], p.next_square[k]
+        off, lag = prior.sinkage[0] - y, prior.sinkage[1] - gain
+        y, gain = y + m * off, gain + m * lag
+        yy += q * prior.sinkage_covariance[0] + (q - m * m) * off * off
+        yg += q * prior.sinkage_covariance[1] + (q - m * m) * off * lag
+        gg += q * prior.sinkage_covariance[3] + (q - m * m) * lag * lag
     depth = p.bearing[k] if p.bearing[k] > 1e-6 else numbers.depth
     n, bearing = g[_N], math.log(depth)
     pressure = y + n * (bearing - math.log(numbers.depth))
@@ -109,11 +125,11 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
     if anew:
         load = p.mass[k] * numbers.gravity
         pull[0], of_pull = best_pull(banks.steady[k], g, slopes, pressure, gain, (yy, yg, gg), depth, load, numbers)
-        pull[1] = doubt * math.sqrt(max(of_pull + p.form_error[k] * p.form_error[k], _LEAST_VARIANCE))
+        pull[1] = _OF_PULL * doubt * math.sqrt(max(of_pull + 4.0 * p.form_error[k] * p.form_error[k], _LEAST_VARIANCE))
 
 
 @part
-def _of_sinkage(s, share):
+def _of_sinkage(s, share, place):
     """(mean of y, of the ln of the gain; their variances and covariance: yy, yg, gg) of the ground."""
     w, own = share, weights(s)
     y, gain = from_array(s, PRESSURE * COUNT), from_array(s, GAIN * COUNT)
@@ -135,6 +151,10 @@ def _of_sinkage(s, share):
             + b * b * from_array(s, cell(OLD_GAIN, OLD_GAIN))
             + 2.0 * a * b * from_array(s, cell(OLD_GAIN, GAIN))
         )
+        apart, faster = y - old_y, gain - old_gain
+        yy = yy + place * apart * apart
+        yg = yg + place * apart * faster
+        gg = gg + place * faster * faster
         y, gain = w * y + v * old_y, log(new + old)
     mean_y, mean_gain = total(own * y), total(own * gain)
     away, off = y - mean_y, gain - mean_gain

@@ -121,7 +121,11 @@ def observe(ids, k, reading, numbers):
     elif p.crossing[k] < crossed and p.by_forces[k] == 0.0 and p.same[k] == 0.0:
         ids.borders[k] += 1  # the grade told of a border, and it was one of soil
     # on a border the soil under the wheel changes from reading to reading
-    anew = done and (p.points[k] < _OFTEN or p.points[k] % 3.0 == 0.0)
+    anew = (
+        done or p.readings[k] % 2.0 == 0.0
+        if p.crossing[k] > 0.0
+        else done and (p.points[k] < _OFTEN or p.points[k] % 3.0 == 0.0 or p.next_square[k] > 1e-3)
+    )
     publish(ids.banks, k, numbers.filter, ids.estimate[k], ids.sd[k], ids.covariance[k], ids.best_pull[k], anew)
     if not max(abs(ids.estimate[k, 1]), abs(ids.estimate[k, 2]), abs(ids.estimate[k, 4])) < FARTHEST:
         forget(ids, k, numbers)

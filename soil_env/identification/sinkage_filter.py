@@ -235,7 +235,7 @@ def _follow(s, ground, motion, last_bearing, size, numbers):
             to_array(fma(-1.0 * v, from_array(of_bearing, j * COUNT), c), s, cell(i, j))
     to_array(smaller(larger(from_array(s, DEPTH * COUNT), 1e-3 * r), 1.9 * r), s, DEPTH * COUNT)
     to_array(smaller(larger(from_array(s, GAIN * COUNT), -_LARGEST_GAIN), _LARGEST_GAIN), s, GAIN * COUNT)
-    return -0.5 * (e * e / expected + log(expected))
+    return e, expected
 
 
 @part
@@ -243,15 +243,19 @@ def follow(banks, k, ground, motion, numbers):
     """Follow the sinkage of wheel k from the last point to this one."""
     s, last = banks.sinkage[k], banks.point.bearing[k]
     if ground.share < 1.0:
-        likelihood = _follow(s, ground, motion, last, STATES, numbers)
+        e, expected = _follow(s, ground, motion, last, STATES, numbers)
     else:
-        likelihood = _follow(s, ground, motion, last, HERE, numbers)
-    w = from_array(s, LOG_WEIGHT * COUNT) + likelihood
+        e, expected = _follow(s, ground, motion, last, HERE, numbers)
+    own = weights(s)
+    middle = total(own * e)
+    surprise = middle * middle / total(own * (expected + (e - middle) * (e - middle)))
+    w = from_array(s, LOG_WEIGHT * COUNT) - 0.5 * (e * e / expected + log(expected))
     highest = -smallest(-1.0 * w)
     w = larger(w - highest, -700.0)
     to_array(w - math.log(total(exp(w))), s, LOG_WEIGHT * COUNT)
     bearing = exp(smaller(ln_bearing(s, ground, numbers.depth), math.log(2.0 * numbers.radius)))
     banks.point.bearing[k] = total(weights(s) * bearing)
+    return surprise
 
 
 @inlined

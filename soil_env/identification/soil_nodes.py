@@ -173,7 +173,7 @@ def leave_old_soil(banks, k):
     """Behind a border: spread all nodes over the new soil; True if that is the old one."""
     nodes, prior, p = banks.nodes[k], banks.prior[k], LN_K * COUNT
     same = math.exp(nodes[LOG_WEIGHT * COUNT + STAYS])
-    if same > 0.5:
+    if same > 0.85:
         for i in range(PRIOR_SIZE):
             prior[i] = banks.old_prior[k, i]
         _begin_again(banks, k)
