@@ -20,22 +20,21 @@ import math
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp, larger, log
 from soil_env._numba.lanes import COUNT, fill, from_array, smallest, to_array, total
-from soil_env.identification.curve import FIELDS, ON_BORDER
-from soil_env.identification.curve_fit import FIT_ROWS
+from soil_env.identification.curve_fit import fit_off_border
 from soil_env.identification.filter_bank import CANDIDATES
 from soil_env.identification.sinkage_filter import begin_next_sinkage, keep_old_sinkage
-from soil_env.identification.soil_nodes import _begin_again, begin_next_soil, leave_old_soil
+from soil_env.identification.soil_nodes import begin_next_soil, leave_old_soil
 from soil_env.terramechanics.ground import share_of_next
 
-_ON = 0.1
 _ODDS = 2.0  # ln odds at which a change of the grade is a border
+_AHEAD = 0.1  # [border lengths] ahead of a point at which the share of a next soil is taken: until the next point
 _HAZARD = 0.5  # [1/m] of borders, as believed
 _KEPT = 60.0  # readings that the grade of a soil is the mean of, at most
 _KNOWN = 5.0  # readings that the grade of a new soil counts for when its border, on which it was estimated, ends
 _BETWEEN = 0.4  # [squared distances of the places tested] variance of a place between two of them
 _KEPT_ERROR = 0.25  # of the form error, that the next soil begins with
-_F = 0.08
 _FOUND = 1.0 / 6.0  # [border lengths] ahead of its middle at which forces show a border, and the sd of that
+_UNSURE = 0.08  # [border lengths] sd of a border's place beyond which readings on it tell more of the place than of soils
 
 
 @inlined
@@ -126,7 +125,7 @@ def _locate(banks, k, numbers):
         place += total(w * e)
         square += total(w * e * e)
         rise += total(w * from_array(found, CANDIDATES + i) / (from_array(found, i) + ratio))
-        share, _ = _share(fill(p.place[k] + _ON * numbers.border), e + p.nearest[k], numbers.border)
+        share, _ = _share(fill(p.place[k] + _AHEAD * numbers.border), e + p.nearest[k], numbers.border)
         here += total(w * share)
         here_square += total(w * share * share)
     variance = max(square - place * place, 0.0) + _BETWEEN * numbers.offsets[1] * numbers.offsets[1]
@@ -186,7 +185,7 @@ def begin_told(banks, k, numbers, place, place_variance):
 
 @inlined
 def end(banks, k, numbers):
-    """Leave a border behind: the old soil counts for the readings on the border only."""
+    """Leave a border behind: the old soil counts for the readings on the border only, if they count at all."""
     p = banks.point
     p.crossing[k], p.misfit[k] = 0.0, 0.0
     p.grade[k] += p.rise[k]
@@ -194,21 +193,6 @@ def end(banks, k, numbers):
     if leave_old_soil(banks, k):
         keep_old_sinkage(banks, k)
         p.same[k] = 1.0
-    if p.told[k] > 0.0 or p.border_variance[k] > (_F * numbers.border) ** 2:
-        _drop(banks, k)
+    if p.told[k] > 0.0 or p.border_variance[k] > (_UNSURE * numbers.border) ** 2:
+        fit_off_border(banks, k, numbers)
     search(banks, k, numbers)
-
-
-@part
-def _drop(banks, k):
-    bins, p, m = banks.bins[k], banks.point, 0
-    for b in range(int(p.bins[k])):
-        if bins[b * FIELDS + ON_BORDER] == 0.0:
-            for i in range(FIELDS):
-                bins[m * FIELDS + i] = bins[b * FIELDS + i]
-            for i in range(COUNT):
-                banks.fits[k, m * FIT_ROWS * COUNT + i] = banks.fits[k, b * FIT_ROWS * COUNT + i]
-            m += 1
-    _begin_again(banks, k)
-    p.bins[k] = m
-    p.points[k] = min(p.points[k], 2.0)

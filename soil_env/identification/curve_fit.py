@@ -2,8 +2,9 @@
 
 Slip and sinkage of a bin are measured too (errors in variables). Linearised, their errors add to those of pull and
 torque, b b'/w with the slopes b = d(pull, torque)/d(slip) and the weight w of the slip. The ln of the determinant of
-that sum goes without b: with it, low slopes would be preferred by as much as there are bins (profile likelihood;
-Neyman & Scott 1948, Econometrica 16:1-32).
+that sum counts by a quarter: without it the slips of the bins are estimated beside the soil (profile likelihood), with
+all of it they are as probable anywhere, and low slopes are preferred by as much as there are bins (Neyman & Scott 1948,
+Econometrica 16:1-32).
 
 Each node has a maximum a posteriori with a covariance (Laplace); the posterior is their mixture, weighted by the
 evidence. A bin is linearised at the slip that is most likely under the node.
@@ -49,6 +50,7 @@ from soil_env.identification.soil_nodes import (
     TANGENT,
     TRIANGLE,
     UNKNOWNS,
+    begin_again,
     below_diagonal,
     gather,
     set_priors,
@@ -67,10 +69,10 @@ _STEP_TANGENT, _STEP_EXPONENT, _STEP_COHESION = 0.25, 0.3, 0.3  # longest steps;
 _LEAST_TANGENT, _LEAST_EXPONENT, _MOST_EXPONENT = 0.05, 0.2, 2.0
 _STALE = 2.0  # squared length of a step, in standard deviations, after which all bins are linearised anew
 _UNLIKELY = -7.0  # ln weight below which a node is not followed closely
-_OF_VOLUME = 0.25
 _FEW = 3.0  # points of a soil up to which all bins are linearised at each
 _LEAST_SHARE = 1e-4  # of either soil on a border
 _PLACE_DOUBT = 1.0  # how much more the variance of a border's place is to the fit than the grade tells
+_OF_VOLUME = 0.25  # share of the ln of the determinant that counts, errors by slip and sinkage in it
 _OLD_DOUBT = 3.0  # the same of the old soil, whose error is one for all bins of a border
 _matrix, _matrix2, _vector = scratch(TRIANGLE * COUNT), scratch(TRIANGLE * COUNT), scratch(UNKNOWNS * COUNT)
 
@@ -366,3 +368,18 @@ def fit_anew(banks, k, numbers):
     _linearise_all(banks, k, numbers)
     solve(banks, k, numbers)
     return gather(banks, k)
+
+
+@part
+def fit_off_border(banks, k, numbers):
+    """Drop the bins on a border from the curve of wheel k, and fit the others from the prior on."""
+    p, bins, fits, kept = banks.point, banks.bins[k], banks.fits[k], 0
+    for b in range(int(p.bins[k])):
+        if bins[b * FIELDS + ON_BORDER] == 0.0:
+            for i in range(FIELDS):
+                bins[kept * FIELDS + i] = bins[b * FIELDS + i]
+            begin_bin(banks, k, kept, fits[(b * FIT_ROWS + NEXT_SLIP) * COUNT])
+            kept += 1
+    begin_again(banks, k)
+    p.bins[k], p.points[k] = kept, min(p.points[k], _FEW - 1.0)
+    fit_anew(banks, k, numbers)

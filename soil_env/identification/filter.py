@@ -71,8 +71,9 @@ _KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip,
 CONTRADICTION_OF_POINTS = 7.0
 # Points of a soil up to which readings contradict the laws, not the soil; where the grade says nothing of borders.
 _SHORT, _SHORTER = 12.0, 4.0
-_SINK, _SINK_EXPECTED, _SINK_LEAST = 3.0, 0.7, 0.0
 _EXPECTED = 3.5  # chi-squared of pull and torque that raises no suspicion
+# The same of the sinkage, and how much the excess counts: the errors of its law are ample, 0.7 is seldom.
+_SINKAGE_EXPECTED, _OF_SINKAGE = 0.7, 3.0
 # Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows until that is
 # below the mean over _HARDER^2, since errors of the laws do not average out as noise does.
 _BEGINS, _HARDER, _GROWS, _SHRINKS, _LARGEST = 4.0, 5.0, 1.3, 1.1, 0.3
@@ -376,8 +377,7 @@ def _renew(banks, k, point, load, numbers):
     after, variance = max(mean(s, DEPTH), 2e-3 * r), _SINKAGE_SHARE * max(spread(s, DEPTH, DEPTH), 1e-12)
     if p.points[k] > 0.0 and p.crossing[k] == 0.0:
         surprise = _surprise(banks, k, rows, point, load, after - depth, variance, numbers)
-        p.stale_dbg[k] = of_sinkage
-        p.misfit[k] = max(p.misfit[k] + surprise - _EXPECTED + _SINK * max(of_sinkage - _SINK_EXPECTED, -_SINK_LEAST), 0.0)
+        p.misfit[k] = max(p.misfit[k] + surprise - _EXPECTED + _OF_SINKAGE * max(of_sinkage - _SINKAGE_EXPECTED, 0.0), 0.0)
     new = new_point()
     new[READINGS], new[SLIP], new[SLIP_WEIGHT] = point.readings, point.slip, 1.0 / point.slip_variance
     new[SINKAGE], new[SINKAGE_WEIGHT] = after, 1.0 / variance

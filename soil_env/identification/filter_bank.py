@@ -33,7 +33,7 @@ FilterPoint: type[Rows] = rows(
     "place", "furthest", "lowest",  # [m] of the wheel, by slip and rim speed; ground beyond or before is fresh
     "mass", "mass_variance",  # on the wheel [kg, kg2]; 0 until the first point
     "points", "bins", "stale",  # of this soil: points; bins of its curve; the bin that is linearised anew next
-    "stale_dbg", "misfit",  # sum of the excess of chi-squared
+    "misfit",  # sum of the excess of chi-squared
     "form_error", "flagged",  # 1-sigma error of the laws [of load]; 1 where readings contradict the laws
     "ln_s_tangent", "ln_s_cohesion", "ln_s_exponent", "ln_s_ln_K",  # derivatives of ln(s z^n), at the last point
     "bearing",  # [m] bearing sinkage at the last point; 0: none yet

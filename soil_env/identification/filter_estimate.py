@@ -19,17 +19,23 @@ _ground, _product = scratch(GAUSSIAN), scratch(SOIL)
 _TANGENT, _C, _N, _LN_K = range(SOIL)
 _LEAST_VARIANCE = 1e-18
 _LEAST_TANGENT = 0.01  # of the friction angle that is published
-# What is published is wider than the Gaussians of the filter, by what these leave out: `_WIDER` times the standard
-# deviations of what the forces tell; of the ln of pressure and gain, errors of themselves and by that of the exponent,
-# which the filter of the sinkage holds known. Where readings begin to contradict the soil so far, all standard
-# deviations grow by the misfit over `_DOUBTED`, at most `_MOST`, and where they contradict the laws by `_CONTRADICTED`.
-_WIDER, _OF_PULL, _DOUBTED, _MOST, _CONTRADICTED = 1.05, 0.85, 6.0, 12.0, 1.7
+# What is published is not as wide as the Gaussians of the filter, by what these leave out: friction angle, cohesion and
+# S by `SoilPrior.widths`, ln K by `_OF_LN_K`, the best pull by `_OF_PULL`, to which the error of laws that are
+# contradicted adds `_AWAY` times at other slips; of the ln of pressure and gain, errors of themselves and by that of
+# the exponent, which the filter of the sinkage holds known. Where readings begin to contradict the soil so far, all
+# standard deviations grow by the misfit over `_DOUBTED`, at most `_MOST`, and where they contradict the laws by
+# `_CONTRADICTED`.
+_OF_LN_K, _OF_PULL, _AWAY, _DOUBTED, _MOST, _CONTRADICTED = 1.03, 0.85, 2.0, 6.0, 12.0, 1.7
+_LEAST_WIDTH = 0.95  # of `SoilPrior.widths` that counts for the cohesion
 _OF_PRESSURE, _OF_GAIN = (0.03, 0.65), (0.2, 1.5)
 
 
 @part
 def _of_forces(banks, k, share, by_place, prior, out):
-    """Gaussian [GAUSSIAN] of the ground under the wheel by the forces: a blend of two soils on a border."""
+    """Gaussian [GAUSSIAN] of the ground under the wheel by the forces: a blend of two soils on a border.
+
+    Where the grade has not told of a border yet, of that with the `prior` as far as it may be on one.
+    """
     known = banks.known[k]
     if share >= 1.0:
         m, q = banks.point.next_share[k], banks.point.next_square[k]
@@ -38,11 +44,11 @@ def _of_forces(banks, k, share, by_place, prior, out):
         if q <= 0.0:
             return
         for i in range(SOIL):
-            out[i] += m * (prior[i] - known[i])
-        for i in range(SOIL):
+            off = prior[i] - known[i]
+            out[i] += m * off
             for j in range(i + 1):
                 n = SOIL + below_diagonal(i, j)
-                out[n] += q * prior[n] + (q - m * m) * (prior[i] - known[i]) * (prior[j] - known[j])
+                out[n] = (1.0 - 2.0 * m + q) * known[n] + q * prior[n] + (q - m * m) * off * (prior[j] - known[j])
         return
     w, v = share, 1.0 - share
     for i in range(SOIL):
@@ -56,8 +62,15 @@ def _of_forces(banks, k, share, by_place, prior, out):
 
 
 @inlined
-def _wider(i):
-    return 1.0 if i == LN_S or i == LN_GAIN else _WIDER
+def _width(i, widths):
+    """Standard deviation that is published of quantity i over that of the filter."""
+    if i == PHI:
+        return widths[_TANGENT]
+    if i == COHESION:
+        return max(widths[_C], _LEAST_WIDTH)
+    if i == LN_S:
+        return widths[SOIL]
+    return _OF_LN_K if i == LN_K else 1.0
 
 
 @part
@@ -97,9 +110,10 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
         prior, m, q = numbers.prior, p.next_share[k], p.next_square[k]
         off, lag = prior.sinkage[0] - y, prior.sinkage[1] - gain
         y, gain = y + m * off, gain + m * lag
-        yy += q * prior.sinkage_covariance[0] + (q - m * m) * off * off
-        yg += q * prior.sinkage_covariance[1] + (q - m * m) * off * lag
-        gg += q * prior.sinkage_covariance[3] + (q - m * m) * lag * lag
+        left, apart = 1.0 - 2.0 * m + q, q - m * m
+        yy = left * yy + q * prior.sinkage_covariance[0] + apart * off * off
+        yg = left * yg + q * prior.sinkage_covariance[1] + apart * off * lag
+        gg = left * gg + q * prior.sinkage_covariance[3] + apart * lag * lag
     depth = p.bearing[k] if p.bearing[k] > 1e-6 else numbers.depth
     n, bearing = g[_N], math.log(depth)
     pressure = y + n * (bearing - math.log(numbers.depth))
@@ -119,13 +133,14 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
     covariance[LN_GAIN, LN_GAIN] += _OF_GAIN[0] ** 2 + _OF_GAIN[1] ** 2 * of_exponent
     for i in range(PUBLISHED):
         for j in range(i + 1):
-            covariance[i, j] *= doubt * doubt * _wider(i) * _wider(j)
+            covariance[i, j] *= doubt * doubt * _width(i, numbers.prior.widths) * _width(j, numbers.prior.widths)
             covariance[j, i] = covariance[i, j]
         sd[i] = math.sqrt(max(covariance[i, i], _LEAST_VARIANCE))
     if anew:
         load = p.mass[k] * numbers.gravity
         pull[0], of_pull = best_pull(banks.steady[k], g, slopes, pressure, gain, (yy, yg, gg), depth, load, numbers)
-        pull[1] = _OF_PULL * doubt * math.sqrt(max(of_pull + 4.0 * p.form_error[k] * p.form_error[k], _LEAST_VARIANCE))
+        away = _AWAY * p.form_error[k]
+        pull[1] = _OF_PULL * doubt * math.sqrt(max(of_pull + away * away, _LEAST_VARIANCE))
 
 
 @part

@@ -162,7 +162,7 @@ def _normal_share(x):
 
 @inlined
 def _follow(s, ground, motion, last_bearing, size, numbers):
-    """Time update of the sinkage, and its update by the reading."""
+    """Time update of the sinkage, and its update by the reading: (innovation, its variance), a value a lane."""
     slopes, of_bearing, of_depth, r = _row(), _row2(), _row3(), numbers.radius
     n, share = ground.exponent, ground.share
     a = max(motion.path, 1e-12)
@@ -240,7 +240,7 @@ def _follow(s, ground, motion, last_bearing, size, numbers):
 
 @part
 def follow(banks, k, ground, motion, numbers):
-    """Follow the sinkage of wheel k from the last point to this one."""
+    """Follow the sinkage of wheel k from the last point to this one; chi-squared of its reading."""
     s, last = banks.sinkage[k], banks.point.bearing[k]
     if ground.share < 1.0:
         e, expected = _follow(s, ground, motion, last, STATES, numbers)

@@ -38,6 +38,7 @@ _LEAST_SD = 0.02  # of ln K, that the nodes resolve
 _BETWEEN = 0.4  # [steps of the nodes] least sd of ln K: nothing is told of what lies between two of them
 _WIDE, _OFF, _NARROW = 1.35, 0.25, 0.7  # of the range: where nodes are spread anew
 _SAME = 0.05  # probability that the soil stays the same where a border is found
+_SURELY = 0.85  # the probability at which it is said to have
 _LOOSER = 1e-4  # share of the prior variance by which a soil that stays the same may differ
 _rows, _gaussian = scratch(5 * COUNT), scratch(GAUSSIAN)
 _of_sinkage = scratch(8)
@@ -173,10 +174,10 @@ def leave_old_soil(banks, k):
     """Behind a border: spread all nodes over the new soil; True if that is the old one."""
     nodes, prior, p = banks.nodes[k], banks.prior[k], LN_K * COUNT
     same = math.exp(nodes[LOG_WEIGHT * COUNT + STAYS])
-    if same > 0.85:
+    if same > _SURELY:
         for i in range(PRIOR_SIZE):
             prior[i] = banks.old_prior[k, i]
-        _begin_again(banks, k)
+        begin_again(banks, k)
         return True
     centre = square = 0.0
     for j in range(STAYS):
@@ -188,7 +189,7 @@ def leave_old_soil(banks, k):
 
 
 @inlined
-def _begin_again(banks, k):
+def begin_again(banks, k):
     """Nodes at their prior, fitted to the bins so far."""
     p = banks.point
     points, bins = p.points[k], p.bins[k]

@@ -11,12 +11,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
 from soil_env.parameters import Scenario
 
 SIZE = 6
 TANGENT, COHESION, EXPONENT, LN_K, PRESSURE, GAIN = range(SIZE)
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
+_ONE_SIGMA = math.erf(math.sqrt(0.5))
 _DEPTH = 0.2  # [wheel radii] at which pressures are compared
 _OF_SPREAD = np.array([TANGENT, COHESION, LN_K, PRESSURE, GAIN])  # in the order of `SoilSpread.factor`
 
@@ -30,6 +32,7 @@ class SoilPrior(NamedTuple):
     sinkage: np.ndarray  # [2] mean of (y, l)
     sinkage_covariance: np.ndarray  # [4]
     regression: np.ndarray  # [8] of the four on the two, row by row
+    widths: np.ndarray  # [6] half widths of the 68 % intervals of all six [standard deviations]
 
 
 def depth_of(scenario: Scenario) -> float:
@@ -87,9 +90,27 @@ def moments(gaussians: list[Gaussian]) -> tuple[np.ndarray, np.ndarray]:
     return mean, np.einsum("k,kij->ij", weights, np.array([g[2] for g in gaussians])) + (away.T * weights) @ away
 
 
+def widths(gaussians: list[Gaussian]) -> np.ndarray:
+    """Half widths [SIZE] of the intervals that hold 68 % of a mixture, in its standard deviations; 1 for a Gaussian."""
+    weights, (mean, covariance) = np.array([g[0] for g in gaussians]), moments(gaussians)
+    sd = np.sqrt(np.diag(covariance))
+    off = (np.array([g[1] for g in gaussians]) - mean) / sd
+    own = np.sqrt([np.diag(g[2]) for g in gaussians]) / sd
+    low, high = np.zeros(SIZE), np.full(SIZE, 4.0)
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        held = weights @ (ndtr((middle - off) / own) - ndtr((-middle - off) / own)) / weights.sum()
+        low, high = np.where(held < _ONE_SIGMA, middle, low), np.where(held < _ONE_SIGMA, high, middle)
+    return 0.5 * (low + high)
+
+
+def _gaussians(scenario: Scenario) -> list[Gaussian]:
+    return of_library(scenario) if scenario.belief.soils else [plain(scenario)]
+
+
 def prior_of_belief(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     """Mean [SIZE] and covariance [SIZE, SIZE] of the soil before any reading."""
-    return moments(of_library(scenario) if scenario.belief.soils else [plain(scenario)])
+    return moments(_gaussians(scenario))
 
 
 def soil_prior(scenario: Scenario) -> SoilPrior:
@@ -100,7 +121,7 @@ def soil_prior(scenario: Scenario) -> SoilPrior:
     regression = np.linalg.solve(of_sinkage, covariance[PRESSURE:, :PRESSURE]).T
     return SoilPrior(
         np.concatenate([mean[:PRESSURE], triangle]), mean[PRESSURE:].copy(), of_sinkage.ravel().copy(),
-        np.ascontiguousarray(regression).ravel(),
+        np.ascontiguousarray(regression).ravel(), widths(_gaussians(scenario)),
     )  # fmt: skip
 
 
