@@ -46,12 +46,13 @@ def _newton(x, soil, y, gain, ln_bearing, load, numbers):
 
 
 @part
-def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, numbers):
-    """(best drawbar pull [of load], its variance) of a soil with the Gaussian g of (tan phi, c, n, ln K).
+def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, along, numbers):
+    """(best drawbar pull [of load], its variance, its derivative `along` [6]) of a soil with the Gaussian g of (tan phi,
+    c, n, ln K).
 
     `steady` [COUNT]: ln of the steady sinkages, renewed; 0 before the first time. y: ln of the pressure that the soil
     bears at the sinkage `bearing` [m], `slopes` [4] its derivatives by these. `of_sinkage`: variances and covariance
-    (yy, yg, gg) of what the sinkage adds to y and to the ln of the gain.
+    (yy, yg, gg) of what the sinkage adds to y and to the ln of the gain. `along`: a change of these six.
     """
     soil = GroundSoil(fill(g[0]), fill(g[1]), fill(g[2]), fill(g[3]))
     gain, ln_bearing, rows = numbers.dig_gain * math.exp(ln_gain), math.log(bearing), _rows()
@@ -78,14 +79,16 @@ def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, numbers)
         if rows[COUNT + j] <= numbers.stall_torque and (best < 0 or rows[j] > rows[best]):
             best = j
     if best < 0:
-        return -1.0, 1.0
-    variance, k = 0.0, 2 * COUNT + best
+        return -1.0, 1.0, 0.0
+    variance, rate, k = 0.0, 0.0, 2 * COUNT + best
     for i in range(SOIL):
+        rate += rows[k + i * COUNT] * along[i]
         for j in range(SOIL):
             variance += rows[k + i * COUNT] * rows[k + j * COUNT] * g[SOIL + below_diagonal(max(i, j), min(i, j))]
     by_y, by_gain = rows[6 * COUNT + best], rows[7 * COUNT + best]
     variance += by_y * by_y * of_sinkage[0] + 2.0 * by_y * by_gain * of_sinkage[1] + by_gain * by_gain * of_sinkage[2]
-    return max(rows[best] / load, -1.0), variance / (load * load)
+    rate += by_y * along[SOIL] + by_gain * along[SOIL + 1]
+    return max(rows[best] / load, -1.0), variance / (load * load), rate / load
 
 
 def prior_pull(mean: np.ndarray, covariance: np.ndarray, depth: float, scenario: Scenario) -> tuple[float, float]:

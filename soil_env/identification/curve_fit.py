@@ -176,7 +176,7 @@ def solve(banks, k, numbers):
     """
     nodes, bins, fits = banks.nodes[k], banks.bins[k], banks.fits[k]
     A, g, away = _matrix(), _vector(), _vector()
-    cost, volumes = fill(0.0), fill(0.0)
+    cost, volumes = fill(0.0), fill(1.0)
     place, form_error = banks.point.border[k], banks.point.form_error[k]
     of_place = 1.0 / max(_PLACE_DOUBT * banks.point.border_variance[k], 1e-8)
     for i in range(3):
@@ -200,27 +200,28 @@ def solve(banks, k, numbers):
     to_array(fill(of_place), A, below_diagonal(3, 3) * COUNT)
     for b in range(int(banks.point.bins[k])):
         chi, volume = _add_bin(nodes, bins, b * FIELDS, fits, b * FIT_ROWS * COUNT, A, g, form_error, numbers)
-        cost, volumes = cost + chi, volumes + volume
-    return _step(banks, k, A, g, cost, _OF_VOLUME * volumes, numbers)
+        cost, volumes = cost + chi, volumes * volume
+    return _step(banks, k, A, g, cost, _OF_VOLUME * log(volumes), numbers)
 
 
 @inlined
 def _add_bin(nodes, bins, at, fits, f, A, g, form_error, numbers):
-    """Add a bin to normal matrix and gradient; its chi-squared."""
+    """Add a bin to normal matrix and gradient: (its chi-squared, determinant of its covariance over the sensors')."""
     slip, of_slip, error = bins[at + SLIP], 1.0 / bins[at + SLIP_WEIGHT], form_error * bins[at + LOAD]
     p = _residual(nodes, fits, f, OF_PULL, bins[at + PULL], slip)
     t = _residual(nodes, fits, f, OF_TORQUE, bins[at + TORQUE], slip)
     p_slip = from_array(fits, f + (OF_PULL + BY_SLIP) * COUNT)
     t_slip = from_array(fits, f + (OF_TORQUE + BY_SLIP) * COUNT)
     twist = error * numbers.radius
+    of_pull, of_torque = 1.0 / bins[at + PULL_WEIGHT] + error * error, 1.0 / bins[at + TORQUE_WEIGHT] + twist * twist
     pp = (
         from_array(fits, f + BESIDE * COUNT)
         + of_slip * p_slip * p_slip
-        + (1.0 / bins[at + PULL_WEIGHT] + error * error)
+        + of_pull
     )
     pt = from_array(fits, f + (BESIDE + 1) * COUNT) + of_slip * p_slip * t_slip
     tt = from_array(fits, f + (BESIDE + 2) * COUNT) + of_slip * t_slip * t_slip
-    tt = tt + (1.0 / bins[at + TORQUE_WEIGHT] + twist * twist)
+    tt = tt + of_torque
     det = 1.0 / (pp * tt - pt * pt)
     ipp, itt, ipt = tt * det, pp * det, -1.0 * pt * det
     fp, ft = ipp * p + ipt * t, ipt * p + itt * t
@@ -234,7 +235,7 @@ def _add_bin(nodes, bins, at, fits, f, A, g, form_error, numbers):
             n = below_diagonal(i, j) * COUNT
             v = fma(up, from_array(fits, f + (OF_PULL + 1 + j) * COUNT), from_array(A, n))
             to_array(fma(ut, from_array(fits, f + (OF_TORQUE + 1 + j) * COUNT), v), A, n)
-    return fp * p + ft * t, log(pp * tt - pt * pt)
+    return fp * p + ft * t, (pp * tt - pt * pt) * (1.0 / (of_pull * of_torque))
 
 
 @inlined

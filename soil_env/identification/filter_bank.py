@@ -36,6 +36,7 @@ FilterPoint: type[Rows] = rows(
     "misfit",  # sum of the excess of chi-squared
     "form_error", "flagged",  # 1-sigma error of the laws [of load]; 1 where readings contradict the laws
     "ln_s_tangent", "ln_s_cohesion", "ln_s_exponent", "ln_s_ln_K",  # derivatives of ln(s z^n), at the last point
+    "pull_share", "pull_by_share",  # on a border: share of the new soil where the pull was renewed; its derivative
     "bearing",  # [m] bearing sinkage at the last point; 0: none yet
     # the border under the wheel: 1 on one, place [m] and its variance, rise of the grade [rad]; 1 if forces told
     # of it, 1 if anything but the grade did

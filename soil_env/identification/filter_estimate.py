@@ -9,24 +9,22 @@ from soil_env._numba.elementary import exp, log
 from soil_env._numba.lanes import COUNT, from_array, scratch, total
 from soil_env.identification.best_pull import best_pull
 from soil_env.identification.border import share_here
-from soil_env.identification.sinkage_filter import GAIN, OLD_GAIN, OLD_PRESSURE, PRESSURE, cell, weights
+from soil_env.identification.sinkage_filter import GAIN, OLD_GAIN, OLD_PRESSURE, PRESSURE, cell, mean, weights
 from soil_env.identification.soil_nodes import GAUSSIAN, OLD, SOIL, below_diagonal
 
 PUBLISHED = 5  # (phi, ln K, ln S, c, ln g)
 PHI, LN_K, LN_S, COHESION, LN_GAIN = range(PUBLISHED)
-_ground, _product = scratch(GAUSSIAN), scratch(SOIL)
+_ground, _product, _change = scratch(GAUSSIAN), scratch(SOIL), scratch(SOIL + 2)
 # Unknowns of a soil in the order of `soil_nodes`, which are (tan phi, c, n, ln K), and where they are published.
 _TANGENT, _C, _N, _LN_K = range(SOIL)
 _LEAST_VARIANCE = 1e-18
 _LEAST_TANGENT = 0.01  # of the friction angle that is published
-# What is published is not as wide as the Gaussians of the filter, by what these leave out: friction angle, cohesion and
-# S by `SoilPrior.widths`, ln K by `_OF_LN_K`, the best pull by `_OF_PULL`, to which the error of laws that are
-# contradicted adds `_AWAY` times at other slips; of the ln of pressure and gain, errors of themselves and by that of
-# the exponent, which the filter of the sinkage holds known. Where readings begin to contradict the soil so far, all
+# What is published is not as wide as the Gaussians of the filter, by what these leave out: `SoilPrior.widths`; the best
+# pull by `_OF_PULL`, and to it the error of laws that are contradicted adds `_AWAY` times at other slips; of the ln of
+# pressure and gain, errors of themselves and by that of the exponent, which the filter of the sinkage holds known. Where readings begin to contradict the soil so far, all
 # standard deviations grow by the misfit over `_DOUBTED`, at most `_MOST`, and where they contradict the laws by
 # `_CONTRADICTED`.
-_OF_LN_K, _OF_PULL, _AWAY, _DOUBTED, _MOST, _CONTRADICTED = 1.03, 0.85, 2.0, 6.0, 12.0, 1.7
-_LEAST_WIDTH = 0.95  # of `SoilPrior.widths` that counts for the cohesion
+_OF_PULL, _AWAY, _DOUBTED, _MOST, _CONTRADICTED = 0.85, 2.0, 6.0, 12.0, 1.7
 _OF_PRESSURE, _OF_GAIN = (0.03, 0.65), (0.2, 1.5)
 
 
@@ -59,18 +57,6 @@ def _of_forces(banks, k, share, by_place, prior, out):
         for j in range(i + 1):
             n = SOIL + below_diagonal(i, j)
             out[n] = w * w * known[n] + v * v * known[OLD + n] + spread * apart * (known[j] - known[OLD + j])
-
-
-@inlined
-def _width(i, widths):
-    """Standard deviation that is published of quantity i over that of the filter."""
-    if i == PHI:
-        return widths[_TANGENT]
-    if i == COHESION:
-        return max(widths[_C], _LEAST_WIDTH)
-    if i == LN_S:
-        return widths[SOIL]
-    return _OF_LN_K if i == LN_K else 1.0
 
 
 @part
@@ -131,16 +117,38 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
     )
     covariance[LN_S, LN_S] += _OF_PRESSURE[0] ** 2 + _OF_PRESSURE[1] ** 2 * of_exponent
     covariance[LN_GAIN, LN_GAIN] += _OF_GAIN[0] ** 2 + _OF_GAIN[1] ** 2 * of_exponent
+    widths = numbers.prior.widths
     for i in range(PUBLISHED):
         for j in range(i + 1):
-            covariance[i, j] *= doubt * doubt * _width(i, numbers.prior.widths) * _width(j, numbers.prior.widths)
+            covariance[i, j] *= doubt * doubt * widths[i] * widths[j]
             covariance[j, i] = covariance[i, j]
         sd[i] = math.sqrt(max(covariance[i, i], _LEAST_VARIANCE))
     if anew:
         load = p.mass[k] * numbers.gravity
-        pull[0], of_pull = best_pull(banks.steady[k], g, slopes, pressure, gain, (yy, yg, gg), depth, load, numbers)
+        along = _change()
+        _across(banks, k, share, along)
+        pull[0], of_pull, p.pull_by_share[k] = best_pull(
+            banks.steady[k], g, slopes, pressure, gain, (yy, yg, gg), depth, load, along, numbers
+        )
+        p.pull_share[k] = share
         away = _AWAY * p.form_error[k]
         pull[1] = _OF_PULL * doubt * math.sqrt(max(of_pull + away * away, _LEAST_VARIANCE))
+    elif share < 1.0:
+        pull[0] += p.pull_by_share[k] * (share - p.pull_share[k])
+        p.pull_share[k] = share
+
+
+@inlined
+def _across(banks, k, share, out):
+    """`out` [6]: change of (tan phi, c, n, ln K, y, ln gain) from the old soil to the new one; 0 away from borders."""
+    known, s = banks.known[k], banks.sinkage[k]
+    for i in range(SOIL):
+        out[i] = known[i] - known[OLD + i]
+    out[SOIL] = mean(s, PRESSURE) - mean(s, OLD_PRESSURE)
+    out[SOIL + 1] = mean(s, GAIN) - mean(s, OLD_GAIN)
+    if share >= 1.0:
+        for i in range(SOIL + 2):
+            out[i] = 0.0
 
 
 @part

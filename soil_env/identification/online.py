@@ -20,7 +20,7 @@ from soil_env.parameters import Scenario
 #: What a set of readings did to the estimate: nothing; the wheel is elsewhere on a border, and so on other ground; it
 #: completed a point.
 HELD, MOVED, RENEWED = 0, 1, 2
-_MAY_BE_NEXT = 1e-3  # `next_square` above which the pull is renewed with every point
+_MAY_BE_NEXT = 0.02  # `next_square` above which the pull is renewed with every point
 _OFTEN = 4.0  # points of a soil after which the best drawbar pull is renewed with every third one
 FARTHEST = 60.0  # |ln| of K, of S and of the gain over its prior, beyond which an estimate is that of no soil
 
@@ -122,10 +122,8 @@ def observe(ids, k, reading, numbers):
     elif p.crossing[k] < crossed and p.by_forces[k] == 0.0 and p.same[k] == 0.0:
         ids.borders[k] += 1  # the grade told of a border, and it was one of soil
     # on a border the soil under the wheel changes from reading to reading
-    if p.crossing[k] > 0.0:
-        anew = done or p.readings[k] % 2.0 == 0.0
-    else:
-        anew = done and (p.points[k] < _OFTEN or p.points[k] % 3.0 == 0.0 or p.next_square[k] > _MAY_BE_NEXT)
+    often = p.crossing[k] > 0.0 or p.points[k] < _OFTEN or p.next_square[k] > _MAY_BE_NEXT
+    anew = done and (often or p.points[k] % 3.0 == 0.0)
     publish(ids.banks, k, numbers.filter, ids.estimate[k], ids.sd[k], ids.covariance[k], ids.best_pull[k], anew)
     if not max(abs(ids.estimate[k, 1]), abs(ids.estimate[k, 2]), abs(ids.estimate[k, 4])) < FARTHEST:
         forget(ids, k, numbers)

@@ -18,6 +18,8 @@ from soil_env.parameters import Scenario
 SIZE = 6
 TANGENT, COHESION, EXPONENT, LN_K, PRESSURE, GAIN = range(SIZE)
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
+_LEAST_WIDTHS = np.array([0.95, 1.03, 0.95, 0.95, 0.95])
+_PUBLISHED = [TANGENT, LN_K, PRESSURE, COHESION, GAIN]
 _ONE_SIGMA = math.erf(math.sqrt(0.5))
 _DEPTH = 0.2  # [wheel radii] at which pressures are compared
 _OF_SPREAD = np.array([TANGENT, COHESION, LN_K, PRESSURE, GAIN])  # in the order of `SoilSpread.factor`
@@ -32,7 +34,7 @@ class SoilPrior(NamedTuple):
     sinkage: np.ndarray  # [2] mean of (y, l)
     sinkage_covariance: np.ndarray  # [4]
     regression: np.ndarray  # [8] of the four on the two, row by row
-    widths: np.ndarray  # [6] half widths of the 68 % intervals of all six [standard deviations]
+    widths: np.ndarray  # [5] half widths of the 68 % intervals of (phi, ln K, ln S, c, l) [standard deviations]
 
 
 def depth_of(scenario: Scenario) -> float:
@@ -121,7 +123,7 @@ def soil_prior(scenario: Scenario) -> SoilPrior:
     regression = np.linalg.solve(of_sinkage, covariance[PRESSURE:, :PRESSURE]).T
     return SoilPrior(
         np.concatenate([mean[:PRESSURE], triangle]), mean[PRESSURE:].copy(), of_sinkage.ravel().copy(),
-        np.ascontiguousarray(regression).ravel(), widths(_gaussians(scenario)),
+        np.ascontiguousarray(regression).ravel(), np.maximum(widths(_gaussians(scenario))[_PUBLISHED], _LEAST_WIDTHS),
     )  # fmt: skip
 
 
