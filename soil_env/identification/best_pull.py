@@ -47,8 +47,9 @@ def _newton(x, soil, y, gain, ln_bearing, load, numbers):
 
 @part
 def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, along, numbers):
-    """(best drawbar pull [of load], its variance, its derivative `along` [6]) of a soil with the Gaussian g of (tan phi,
-    c, n, ln K).
+    """(best drawbar pull [of load], its variance, its derivative `along` [6]) of a soil.
+
+    g: Gaussian of (tan phi, c, n, ln K).
 
     `steady` [COUNT]: ln of the steady sinkages, renewed; 0 before the first time. y: ln of the pressure that the soil
     bears at the sinkage `bearing` [m], `slopes` [4] its derivatives by these. `of_sinkage`: variances and covariance

@@ -26,7 +26,7 @@ from soil_env.identification.sinkage_filter import begin_next_sinkage, keep_old_
 from soil_env.identification.soil_nodes import begin_next_soil, leave_old_soil
 from soil_env.terramechanics.ground import share_of_next
 
-_ODDS = 2.0  # ln odds at which a change of the grade is a border
+_ODDS = 2.5  # ln odds at which a change of the grade is a border
 _AHEAD = 0.1  # [border lengths] ahead of a point at which the share of a next soil is taken: until the next point
 _HAZARD = 0.5  # [1/m] of borders, as believed
 _KEPT = 60.0  # readings that the grade of a soil is the mean of, at most
@@ -34,7 +34,7 @@ _KNOWN = 5.0  # readings that the grade of a new soil counts for when its border
 _BETWEEN = 0.4  # [squared distances of the places tested] variance of a place between two of them
 _KEPT_ERROR = 0.25  # of the form error, that the next soil begins with
 _FOUND = 1.0 / 6.0  # [border lengths] ahead of its middle at which forces show a border, and the sd of that
-_UNSURE = 0.08  # [border lengths] sd of a border's place beyond which readings on it tell more of the place than of soils
+_UNSURE = 0.08  # [border lengths] sd of a border's place beyond which readings on it do not count behind it
 
 
 @inlined

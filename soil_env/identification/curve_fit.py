@@ -214,11 +214,7 @@ def _add_bin(nodes, bins, at, fits, f, A, g, form_error, numbers):
     t_slip = from_array(fits, f + (OF_TORQUE + BY_SLIP) * COUNT)
     twist = error * numbers.radius
     of_pull, of_torque = 1.0 / bins[at + PULL_WEIGHT] + error * error, 1.0 / bins[at + TORQUE_WEIGHT] + twist * twist
-    pp = (
-        from_array(fits, f + BESIDE * COUNT)
-        + of_slip * p_slip * p_slip
-        + of_pull
-    )
+    pp = from_array(fits, f + BESIDE * COUNT) + of_slip * p_slip * p_slip + of_pull
     pt = from_array(fits, f + (BESIDE + 1) * COUNT) + of_slip * p_slip * t_slip
     tt = from_array(fits, f + (BESIDE + 2) * COUNT) + of_slip * t_slip * t_slip
     tt = tt + of_torque

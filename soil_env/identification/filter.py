@@ -66,14 +66,15 @@ _MASS_DOUBT = 0.05  # relative, of a load that is not measured
 _SINKAGE_DOUBT = 0.1  # [wheel radii] of the first sinkage: reached where none is measured
 _SINKAGE_SHARE = 2.0  # variance of the sinkage in the fit over that of the sinkage filter, whose errors go on
 _KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip, of the load
-#: The excess of the chi-squared of each point over `_EXPECTED` is summed, never below 0; a sum above this means another
-#: soil.
-CONTRADICTION_OF_POINTS = 7.0
+#: The excess of the chi-squared of each point over `_EXPECTED` is summed, never below 0; a sum above this contradicts
+#: the laws, and one above `_ANOTHER_SOIL` the soil.
+CONTRADICTION_OF_POINTS = 10.0
+_ANOTHER_SOIL = 7.0
 # Points of a soil up to which readings contradict the laws, not the soil; where the grade says nothing of borders.
 _SHORT, _SHORTER = 12.0, 4.0
 _EXPECTED = 3.5  # chi-squared of pull and torque that raises no suspicion
-# The same of the sinkage, and how much the excess counts: the errors of its law are ample, 0.7 is seldom.
-_SINKAGE_EXPECTED, _OF_SINKAGE = 0.7, 3.0
+# The same of the sinkage, how much the excess counts, and at most: the errors of its law are ample, 0.7 is seldom.
+_SINKAGE_EXPECTED, _OF_SINKAGE, _MOST_OF_SINKAGE = 0.7, 3.0, 5.0
 # Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows until that is
 # below the mean over _HARDER^2, since errors of the laws do not average out as noise does.
 _BEGINS, _HARDER, _GROWS, _SHRINKS, _LARGEST = 4.0, 5.0, 1.3, 1.1, 0.3
@@ -237,6 +238,12 @@ def _weigh(p, k, point, numbers):
 
 
 @inlined
+def _short(numbers):
+    """Points of a soil up to which contradictions are of the laws."""
+    return _SHORT if numbers.grade_change > 0.0 else _SHORTER
+
+
+@inlined
 def _complete(banks, k, numbers):
     """Close the open point, see whether a border begins or ends with it, and renew bank k by it."""
     p = banks.point
@@ -249,10 +256,10 @@ def _complete(banks, k, numbers):
     if p.crossing[k] == 0.0:
         if numbers.grade_change > 0.0 and p.points[k] > 0.0:
             cross_where_the_grade_changes(banks, k, numbers)
-        if p.misfit[k] > CONTRADICTION_OF_POINTS and p.points[k] > 2.0 and p.crossing[k] == 0.0:
-            if p.points[k] > (_SHORT if numbers.grade_change > 0.0 else _SHORTER):
+        if p.misfit[k] > _ANOTHER_SOIL and p.points[k] > 2.0 and p.crossing[k] == 0.0:
+            if p.points[k] > _short(numbers):
                 cross_here(banks, k, numbers)
-            else:  # it is the laws that are contradicted
+            elif p.misfit[k] > CONTRADICTION_OF_POINTS:
                 p.misfit[k], p.flagged[k] = 0.0, 1.0
                 p.form_error[k] = max(_GROWS * p.form_error[k], 2.0 * numbers.model_error)
     else:
@@ -377,7 +384,9 @@ def _renew(banks, k, point, load, numbers):
     after, variance = max(mean(s, DEPTH), 2e-3 * r), _SINKAGE_SHARE * max(spread(s, DEPTH, DEPTH), 1e-12)
     if p.points[k] > 0.0 and p.crossing[k] == 0.0:
         surprise = _surprise(banks, k, rows, point, load, after - depth, variance, numbers)
-        p.misfit[k] = max(p.misfit[k] + surprise - _EXPECTED + _OF_SINKAGE * max(of_sinkage - _SINKAGE_EXPECTED, 0.0), 0.0)
+        if p.points[k] > _short(numbers):
+            surprise += min(_OF_SINKAGE * max(of_sinkage - _SINKAGE_EXPECTED, 0.0), _MOST_OF_SINKAGE)
+        p.misfit[k] = max(p.misfit[k] + surprise - _EXPECTED, 0.0)
     new = new_point()
     new[READINGS], new[SLIP], new[SLIP_WEIGHT] = point.readings, point.slip, 1.0 / point.slip_variance
     new[SINKAGE], new[SINKAGE_WEIGHT] = after, 1.0 / variance

@@ -19,12 +19,12 @@ _ground, _product, _change = scratch(GAUSSIAN), scratch(SOIL), scratch(SOIL + 2)
 _TANGENT, _C, _N, _LN_K = range(SOIL)
 _LEAST_VARIANCE = 1e-18
 _LEAST_TANGENT = 0.01  # of the friction angle that is published
-# What is published is not as wide as the Gaussians of the filter, by what these leave out: `SoilPrior.widths`; the best
-# pull by `_OF_PULL`, and to it the error of laws that are contradicted adds `_AWAY` times at other slips; of the ln of
-# pressure and gain, errors of themselves and by that of the exponent, which the filter of the sinkage holds known. Where readings begin to contradict the soil so far, all
-# standard deviations grow by the misfit over `_DOUBTED`, at most `_MOST`, and where they contradict the laws by
-# `_CONTRADICTED`.
-_OF_PULL, _AWAY, _DOUBTED, _MOST, _CONTRADICTED = 0.85, 2.0, 6.0, 12.0, 1.7
+# Standard deviations as published are those of the filter times `SoilPrior.widths`. The best pull has its own factor,
+# `_OF_PULL`; laws that are contradicted err by `_AWAY` times as much at other slips. Pressure and gain (their ln) have
+# an error of their own and one by the exponent, which the filter of the sinkage holds known. Where readings begin to
+# contradict the soil so far, all grow by the misfit over `_DOUBTED`, at most `_MOST`, and by `_CONTRADICTED` where they
+# contradict the laws.
+_OF_PULL, _AWAY, _DOUBTED, _MOST, _CONTRADICTED = 0.86, 2.0, 6.0, 12.0, 1.7
 _OF_PRESSURE, _OF_GAIN = (0.03, 0.65), (0.2, 1.5)
 
 
