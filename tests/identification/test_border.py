@@ -18,6 +18,20 @@ from soil_env.identification.border import (
     note_grade,
     share_here,
 )
+from soil_env.identification.curve import (
+    FIELDS,
+    LOAD,
+    ON_BORDER,
+    PULL,
+    PULL_WEIGHT,
+    READINGS,
+    SINKAGE,
+    SINKAGE_WEIGHT,
+    SLIP,
+    SLIP_WEIGHT,
+    TORQUE,
+    TORQUE_WEIGHT,
+)
 from soil_env.identification.filter_bank import CANDIDATES, filter_numbers, new_banks, restart
 from soil_env.identification.soil_nodes import GAUSSIAN, LOG_WEIGHT, NODE_ROWS, OLD, SAME_SOIL, STAYS
 from soil_env.parameters import Belief, load_scenario
@@ -198,6 +212,43 @@ def test_a_border_that_ends_is_behind():
     for at in np.arange(1.2, 3.0, STEP):
         wheel.note(at, 0.25)
         assert not wheel.crossing
+
+
+def test_a_next_soil_may_begin_before_it_is_believed():
+    """Its share rises while the pitch tells of a border that is not believed yet, and is taken back on it."""
+    rng, wheel, shares = np.random.default_rng(4), Wheel(), []
+    x = np.arange(0.0, 3.0, STEP)
+    for at, pitch in zip(x, pitches(x, 2.5, math.radians(4.0), rng), strict=True):
+        if wheel.crossing:
+            break
+        wheel.note(at, pitch)
+        shares.append((wheel.p.next_share[0], wheel.p.next_square[0]))
+    shares = np.array(shares)
+    assert wheel.crossing and wheel.p.next_share[0] == wheel.p.next_square[0] == 0.0
+    assert np.all((shares >= 0.0) & (shares <= 1.0)) and np.all(shares[:, 1] <= shares[:, 0] + 1e-12)
+    assert shares[:-1, 0].max() > 0.1 and np.median(shares[:60, 0]) < 0.03
+
+
+def on_bins(told, sd):
+    """What is left of a curve of two bins on a border and two behind it, at the end of it."""
+    wheel = Wheel()
+    wheel.p.points[0] = wheel.p.bins[0] = 4.0
+    wheel.p.crossing[0], wheel.p.told[0], wheel.p.border_variance[0] = 1.0, told, (sd * LENGTH) ** 2
+    wheel.p.mass[0] = 15.0
+    bins = wheel.banks.bins[0].reshape(-1, FIELDS)
+    for b in range(4):
+        bins[b, [READINGS, SLIP, SLIP_WEIGHT, SINKAGE, SINKAGE_WEIGHT]] = 8.0, 0.2 + 0.1 * b, 1e4, 0.02, 1e8
+        bins[b, [PULL, PULL_WEIGHT, TORQUE, TORQUE_WEIGHT, LOAD]] = 14.0 + 5.0 * b, 4.0, 5.0 + b, 100.0, 147.0
+        bins[b, ON_BORDER] = 1.0 if b < 2 else 0.0
+    _end(wheel.banks, wheel.numbers)
+    return wheel, bins[: int(wheel.p.bins[0]), SLIP]
+
+
+@pytest.mark.parametrize(("told", "sd", "kept"), [(0.0, 0.05, 4), (0.0, 0.12, 2), (1.0, 0.05, 2)])
+def test_readings_on_a_border_of_unsure_place_are_dropped_behind_it(told, sd, kept):
+    wheel, slips = on_bins(told, sd)
+    np.testing.assert_allclose(slips, [0.2, 0.3, 0.4, 0.5][-kept:])
+    assert np.all(np.isfinite(wheel.banks.known[0])) and wheel.p.crossing[0] == 0.0
 
 
 # --- on courses -------------------------------------------------------------------------------------------------------

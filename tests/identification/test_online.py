@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from soil_env._numba.compiling import root
 from soil_env._numba.rows import Rows
 from soil_env.identification import Status, online as identifier
+from soil_env.identification.filter_estimate import publish
 from soil_env.identification.online import FARTHEST
 from soil_env.online import OnlineIdentifier
 from soil_env.parameters import Belief, ParameterError, SoilSpread, load_scenario, soils, wheels
@@ -177,6 +179,50 @@ def test_a_border_between_soils_is_noticed():
     assert 5.3 < state.x[0] < 5.6 and ids.borders[0] >= 1
     assert np.all(np.abs(ids.estimate[0, :2] - truth[1]) < 3.0 * ids.sd[0, :2])
     assert np.linalg.norm(ids.estimate[0, :2] - truth[1]) < np.linalg.norm(ids.estimate[0, :2] - truth[0])
+
+
+def test_a_change_of_the_sinkage_coefficient_alone_is_noticed():
+    """On the level, by how deep the wheel sinks: pull and torque hardly tell of it."""
+    sim, _ = simulate({"course": UNIFORM | {"patch_length": [4.0, 4.0], "grade_deg": [-1.0, 0.0]}})
+    soil = sim.worlds.courses.soils
+    soil[0, 1] = soil[0, 0]
+    soil[0, 1, 3] *= 0.5
+    sim.worlds.courses.grades[:] = 0.0
+    state, ids = sim.worlds.state, sim.worlds.ids
+    for k in range(900):
+        if state.x[0] > 5.3:
+            break
+        sim.step(0, excited(k))
+        assert ids.borders[0] == 0 or state.x[0] > 3.8
+    assert 5.3 < state.x[0] < 5.6 and ids.borders[0] >= 1
+
+
+@root
+def _published(ids, numbers, anew):
+    publish(ids.banks, 0, numbers.filter, ids.estimate[0], ids.sd[0], ids.covariance[0], ids.best_pull[0], anew)
+
+
+def test_the_best_pull_follows_the_ground_between_the_points_on_a_border():
+    """By its derivative: as one that is found anew, to a hundredth of the load."""
+    sim, apart = (
+        Simulation(1, load_scenario("mixed", {"control": {"action": "wheel_speed"}}), "identified", threads=1),
+        [],
+    )
+    ids, numbers = sim.worlds.ids, sim.numbers.identifier
+    for seed in range(8):
+        sim.seed(0, np.random.default_rng(seed))
+        sim.restart(0)
+        for _ in range(400):
+            points = ids.banks.point.points[0]
+            sim.step(0, 0.42)
+            if sim.worlds.cause[0] != 0:
+                break
+            if ids.banks.point.crossing[0] > 0.0 and ids.banks.point.points[0] == points >= 1.0:
+                found, steady = ids.best_pull[0].copy(), ids.banks.steady[0].copy()
+                _published(ids, numbers, True)
+                apart.append(found[0] - ids.best_pull[0, 0])
+                ids.best_pull[0], ids.banks.steady[0] = found, steady
+    assert len(apart) > 100 and np.sqrt(np.mean(np.square(apart))) < 0.01
 
 
 SCATTER = NO_SPREAD | {"friction": 0.14, "shear_modulus": 0.7, "stiffness": 0.6}

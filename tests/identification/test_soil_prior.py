@@ -23,6 +23,7 @@ from soil_env.identification.soil_prior import (
     prior_of_belief,
     published_prior,
     soil_prior,
+    widths,
 )
 from soil_env.parameters import Belief, ParameterError, SoilSpread, load_scenario, scenario_names
 from soil_env.simulation.courses import course_numbers, draw_soil
@@ -160,3 +161,17 @@ def test_soils_are_weighed():
 def test_an_unknown_soil_of_the_belief_is_refused():
     with pytest.raises(ParameterError, match="belief.soils"):
         load_scenario("mixed", {"belief": {"soils": {"dry_sandd": 1}}})
+
+
+def test_widths_of_a_gaussian_are_those_of_its_standard_deviations():
+    np.testing.assert_allclose(widths([plain(believing())]), 1.0, atol=1e-6)
+
+
+def test_widths_of_a_library_hold_68_percent_of_it():
+    """Against draws; soils of two kinds, which lie at both ends of the interval, need a wider one."""
+    gaussians, rng = of_library(load_scenario("sticky")), np.random.default_rng(3)
+    drawn = np.concatenate([rng.multivariate_normal(mean, covariance, 40_000) for _, mean, covariance in gaussians])
+    mean, covariance = moments(gaussians)
+    off = np.abs(drawn - mean) / np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(np.mean(off < widths(gaussians), axis=0), 0.683, atol=0.01)
+    assert widths(gaussians)[TANGENT] > 1.15
