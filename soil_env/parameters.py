@@ -6,7 +6,7 @@ Presets with their sources: configs/soils.yaml, configs/wheels.yaml, configs/sce
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from functools import cache, partial
 from pathlib import Path
@@ -371,6 +371,19 @@ _PRIOR = (
 )  # fmt: skip
 
 
+def refuse_idle_prior(belief: dict[str, Any], where: str, changes: Iterable[str] = ()) -> None:
+    """Raise `ParameterError` if a mapping of `Belief` has numbers of the prior beside a library of soils.
+
+    A saved one has the defaults of all: those are let pass, but not as `changes`.
+    """
+    idle = [name for name in _PRIOR if name in belief and (name in changes or belief[name] != getattr(Belief, name))]
+    if belief.get("soils") and idle:
+        raise ParameterError(
+            f"{where}: belief.{idle[0]}: without effect beside belief.soils, whose mean and covariance are the prior; "
+            "expected soils: {} with it"
+        )
+
+
 def _merged(
     kind: type[Scenario],
     complete: Callable[[dict[str, Any]], dict[str, Any]],
@@ -392,11 +405,7 @@ def _merged(
         mapping["soils"] = changes.pop("soils")
     if "soils" in asked:
         mapping["belief"] = told = told | {"soils": asked["soils"]}
-    elif told.get("soils") and (idle := [name for name in asked if name in _PRIOR]):
-        raise ParameterError(
-            f"{where}: belief.{idle[0]}: without effect beside belief.soils, whose mean and covariance are the prior; "
-            "expected soils: {} with it"
-        )
+    refuse_idle_prior(told | asked, where, asked)
     if "wheel" in changes and not isinstance(changes["wheel"], dict):
         mapping["wheel"] = changes.pop("wheel")
     if isinstance(mapping.get("wheel"), str):

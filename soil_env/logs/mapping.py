@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, read_yaml, to_dict, unknown_key
 from soil_env.measurement.setup import LARGEST_WHEEL, setup_of
-from soil_env.parameters import Belief, Noise, Wheel, wheels
+from soil_env.parameters import Belief, Noise, Wheel, refuse_idle_prior, wheels
 
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6}
@@ -238,6 +238,8 @@ def read_map(path: str | Path) -> LogMap:
         if wheel["preset"] not in wheels():
             raise unknown_key(wheel["preset"], wheels(), f"{where}: wheel")
         wheel = merge(to_dict(wheels()[wheel["preset"]]), {k: v for k, v in wheel.items() if k != "preset"})
+    if isinstance(mapping.get("belief"), dict):
+        refuse_idle_prior(mapping["belief"], where)
     found: LogMap = load(LogMap, {**mapping, "wheel": wheel}, where)
     if "border" not in (mapping.get("belief") or {}):
         border = min(_BORDER * found.wheel.radius, 10.0)

@@ -5,7 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
+from soil_env._io.loading import to_dict
 from soil_env._numba.compiling import root
 from soil_env._numba.random_streams import seed_stream
 from soil_env.identification.soil_prior import (
@@ -25,9 +27,11 @@ from soil_env.identification.soil_prior import (
     soil_prior,
     widths,
 )
+from soil_env.logs.mapping import read_map
 from soil_env.parameters import Belief, ParameterError, SoilSpread, load_scenario, scenario_names
 from soil_env.simulation.courses import course_numbers, draw_soil
 from soil_env.vehicle import load_rover, rover_names
+from tests.logs.bags import write_map
 
 
 def believing(**belief):
@@ -156,6 +160,18 @@ def test_soils_are_weighed():
     even = prior_of_belief(believing(soils={"dry_sand": 2.0, "quartz_sand": 2.0}))[0]
     alone = [prior_of_belief(believing(soils={name: 1.0}))[0] for name in ("dry_sand", "quartz_sand")]
     np.testing.assert_allclose(even, np.mean(alone, axis=0), rtol=1e-12)
+
+
+def test_numbers_of_the_prior_beside_a_library_are_refused(tmp_path):
+    """As a change, in a file of a scenario and in the map of a log; a saved belief with the defaults is taken."""
+    belief, path = {"soils": {"dry_sand": 1.0}, "cohesion_sd": 9.0}, tmp_path / "own.yaml"
+    path.write_text(yaml.safe_dump({"soils": {"dry_sand": 1.0}, "belief": belief}))
+    for read in (lambda: load_scenario(path), lambda: load_scenario("mixed", {"belief": {"friction_sd_deg": 5.0}}),
+                 lambda: read_map(write_map(tmp_path, {"belief": belief}))):  # fmt: skip
+        with pytest.raises(ParameterError, match=r"belief\.\w+: without effect beside belief.soils"):
+            read()
+    saved = to_dict(load_scenario("mixed").belief)
+    assert read_map(write_map(tmp_path, {"belief": saved})).belief == load_scenario("mixed").belief
 
 
 def test_an_unknown_soil_of_the_belief_is_refused():
