@@ -20,7 +20,7 @@ import math
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp, larger, log
 from soil_env._numba.lanes import COUNT, fill, from_array, smallest, to_array, total
-from soil_env.identification.curve_fit import fit_off_border
+from soil_env.identification.curve_fit import drop_border, fit_behind_border
 from soil_env.identification.filter_bank import CANDIDATES
 from soil_env.identification.sinkage_filter import begin_next_sinkage, keep_old_sinkage
 from soil_env.identification.soil_nodes import begin_next_soil, leave_old_soil
@@ -31,7 +31,7 @@ _AHEAD = 0.1  # [border lengths] ahead of a point at which the share of a next s
 _HAZARD = 0.5  # [1/m] of borders, as believed
 _KEPT = 60.0  # readings that the grade of a soil is the mean of, at most
 _KNOWN = 5.0  # readings that the grade of a new soil counts for when its border, on which it was estimated, ends
-_BETWEEN = 0.4  # [squared distances of the places tested] variance of a place between two of them
+_BETWEEN = 0.4  # [squared distances of the places tested] least variance of a place, ampler than that between two
 _KEPT_ERROR = 0.25  # of the form error, that the next soil begins with
 _FOUND = 1.0 / 6.0  # [border lengths] ahead of its middle at which forces show a border, and the sd of that
 _UNSURE = 0.08  # [border lengths] sd of a border's place beyond which readings on it do not count behind it
@@ -194,5 +194,6 @@ def end(banks, k, numbers):
         keep_old_sinkage(banks, k)
         p.same[k] = 1.0
     if p.told[k] > 0.0 or p.border_variance[k] > (_UNSURE * numbers.border) ** 2:
-        fit_off_border(banks, k, numbers)
+        drop_border(banks, k)
+    fit_behind_border(banks, k, numbers)
     search(banks, k, numbers)

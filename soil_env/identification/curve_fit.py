@@ -68,12 +68,13 @@ _LOWEST_SLIP, _HIGHEST_SLIP = -0.8, 0.97
 _STEP_TANGENT, _STEP_EXPONENT, _STEP_COHESION = 0.25, 0.3, 0.3  # longest steps; cohesion: of load over r b
 _LEAST_TANGENT, _LEAST_EXPONENT, _MOST_EXPONENT = 0.05, 0.2, 2.0
 _STALE = 2.0  # squared length of a step, in standard deviations, after which all bins are linearised anew
+_MOST_STEPS, _STAYS_THERE = 6, 0.05  # of the fit behind a border; squared length of a step below which it ends
 _UNLIKELY = -7.0  # ln weight below which a node is not followed closely
 _FEW = 3.0  # points of a soil up to which all bins are linearised at each
 _LEAST_SHARE = 1e-4  # of either soil on a border
 _PLACE_DOUBT = 1.0  # how much more the variance of a border's place is to the fit than the grade tells
-_OF_VOLUME = 0.25  # share of the ln of the determinant that counts, errors by slip and sinkage in it
 _OLD_DOUBT = 3.0  # the same of the old soil, whose error is one for all bins of a border
+_OF_VOLUME = 0.25  # share of the ln of the determinant that counts, errors by slip and sinkage in it
 _matrix, _matrix2, _vector = scratch(TRIANGLE * COUNT), scratch(TRIANGLE * COUNT), scratch(UNKNOWNS * COUNT)
 
 
@@ -368,8 +369,19 @@ def fit_anew(banks, k, numbers):
 
 
 @part
-def fit_off_border(banks, k, numbers):
-    """Drop the bins on a border from the curve of wheel k, and fit the others from the prior on."""
+def fit_behind_border(banks, k, numbers):
+    """Fit the nodes, which have all moved, until they stay where they are."""
+    set_priors(banks, k)
+    for _ in range(_MOST_STEPS):
+        _linearise_all(banks, k, numbers)
+        if solve(banks, k, numbers) < _STAYS_THERE:
+            break
+    gather(banks, k)
+
+
+@part
+def drop_border(banks, k):
+    """Drop the bins on a border from the curve of wheel k, and begin its fit from the prior on."""
     p, bins, fits, kept = banks.point, banks.bins[k], banks.fits[k], 0
     for b in range(int(p.bins[k])):
         if bins[b * FIELDS + ON_BORDER] == 0.0:
@@ -379,4 +391,3 @@ def fit_off_border(banks, k, numbers):
             kept += 1
     begin_again(banks, k)
     p.bins[k], p.points[k] = kept, min(p.points[k], _FEW - 1.0)
-    fit_anew(banks, k, numbers)

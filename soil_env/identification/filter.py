@@ -62,7 +62,8 @@ _ON_BORDER = 0.6  # of the readings and the length where the soil changes
 _SPINNING, _LOCKED = 0.9, -0.4  # slips beyond which they are
 _THROWN = 0.115  # [of gravity] acceleration of the rim above which they are
 _TURNED = 8.0  # 1-sigma error of a motor torque, of the mean torque that turns the wheel faster in the period
-_MASS_DOUBT = 0.05  # relative, of a load that is not measured
+_MASS_DOUBT = 0.05  # relative, of the mass by the first point
+_LIFTED = 0.05  # [of the weight] load below which readings are passed over before the first point
 _SINKAGE_DOUBT = 0.1  # [wheel radii] of the first sinkage: reached where none is measured
 _SINKAGE_SHARE = 2.0  # variance of the sinkage in the fit over that of the sinkage filter, whose errors go on
 _KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip, of the load
@@ -156,6 +157,7 @@ def take(banks, k, reading, numbers):
     if numbers.grade_change > 0.0:
         note_grade(banks, k, reading.pitch, numbers)
     useless = reading.rim_speed < SLOWEST or reading.sinkage < 1e-3 * numbers.radius
+    useless = useless or (p.mass[k] == 0.0 and reading.load < _LIFTED * numbers.weight)
     useless = useless or reading.slip > _SPINNING or reading.slip < _LOCKED
     useless = useless or turned > _THROWN * numbers.gravity * numbers.period
     if p.readings[k] > 0.0:

@@ -44,7 +44,7 @@ FilterPoint: type[Rows] = rows(
     "next_share", "next_square",  # mean and mean square of the share of a soil that may begin here
     "grade", "grades",  # [rad] of this soil; readings of it
     "nearest",  # [m] first of the places of a border that are tested
-    "same",  # probability that the soil stayed the same on the last border
+    "same",  # 1 where the soil stayed the same on the last border
 )  # fmt: skip
 
 
@@ -53,11 +53,11 @@ class FilterBanks(NamedTuple):
     side."""
 
     point: Rows  # FilterPoint
-    nodes: np.ndarray  # [wheels, NODE_ROWS x 8] `curve_fit`
+    nodes: np.ndarray  # [wheels, NODE_ROWS x 8] `soil_nodes`
     bins: np.ndarray  # [wheels, (BINS + 1) x FIELDS] `curve`
     fits: np.ndarray  # [wheels, BINS x FIT_ROWS x 8] `curve_fit`
     known: np.ndarray  # [wheels, 2 x GAUSSIAN] what the forces tell of the new and the old soil
-    prior: np.ndarray  # [wheels, PRIOR_SIZE] `curve_fit`
+    prior: np.ndarray  # [wheels, PRIOR_SIZE] `soil_nodes`
     old_prior: np.ndarray  # [wheels, PRIOR_SIZE]
     sinkage: np.ndarray  # [wheels, SINKAGE_ROWS x 8] `sinkage_filter`
     steady: np.ndarray  # [wheels, 8] `best_pull`
@@ -71,6 +71,7 @@ class FilterNumbers(NamedTuple):
     width: float
     inertia: float
     gravity: float
+    weight: float  # [N] of the scenario's body
     exponent: float  # of the belief
     dig_gain: float
     dig_recovery: float
@@ -95,7 +96,7 @@ def filter_numbers(scenario: Scenario) -> FilterNumbers:
     floor = [1e-3, 1e-4 * w.radius, 1e-3 * weight, 1e-3 * weight, 1e-3 * twist, 1e-3 * top, 1e-4 * top, 1e-4,
              1e-3 * twist, 1e-3 * scenario.gravity]  # fmt: skip
     return FilterNumbers(
-        w.radius, w.width, w.inertia, scenario.gravity, b.sinkage_exponent, b.dig_gain, b.dig_recovery,
+        w.radius, w.width, w.inertia, scenario.gravity, weight, b.sinkage_exponent, b.dig_gain, b.dig_recovery,
         scenario.relaxation * w.radius, scenario.control.period, depth_of(scenario), b.model_error,
         soil_prior(scenario), np.maximum(sensor_noise(scenario), floor), b.border,
         math.radians(b.grade_change_deg), 0.0,

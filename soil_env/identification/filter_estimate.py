@@ -20,11 +20,11 @@ _TANGENT, _C, _N, _LN_K = range(SOIL)
 _LEAST_VARIANCE = 1e-18
 _LEAST_TANGENT = 0.01  # of the friction angle that is published
 # Standard deviations as published are those of the filter times `SoilPrior.widths`. The best pull has its own factor,
-# `_OF_PULL`; laws that are contradicted err by `_AWAY` times as much at other slips. Pressure and gain (their ln) have
+# `OF_PULL`; laws that are contradicted err by `_AWAY` times as much at other slips. Pressure and gain (their ln) have
 # an error of their own and one by the exponent, which the filter of the sinkage holds known. Where readings begin to
 # contradict the soil so far, all grow by the misfit over `_DOUBTED`, at most `_MOST`, and by `_CONTRADICTED` where they
 # contradict the laws.
-_OF_PULL, _AWAY, _DOUBTED, _MOST, _CONTRADICTED = 0.86, 2.0, 6.0, 12.0, 1.7
+OF_PULL, _AWAY, _DOUBTED, _MOST, _CONTRADICTED = 0.83, 2.0, 6.0, 12.0, 1.7
 _OF_PRESSURE, _OF_GAIN = (0.03, 0.65), (0.2, 1.5)
 
 
@@ -132,7 +132,7 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
         )
         p.pull_share[k] = share
         away = _AWAY * p.form_error[k]
-        pull[1] = _OF_PULL * doubt * math.sqrt(max(of_pull + away * away, _LEAST_VARIANCE))
+        pull[1] = OF_PULL * doubt * math.sqrt(max(of_pull + away * away, _LEAST_VARIANCE))
     elif share < 1.0:
         pull[0] += p.pull_by_share[k] * (share - p.pull_share[k])
         p.pull_share[k] = share

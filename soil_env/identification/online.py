@@ -11,7 +11,7 @@ from soil_env._numba.compiling import inlined, part, root
 from soil_env.identification.best_pull import prior_pull
 from soil_env.identification.filter import CONTRADICTION_OF_POINTS, take
 from soil_env.identification.filter_bank import FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
-from soil_env.identification.filter_estimate import PUBLISHED as SIZE, publish
+from soil_env.identification.filter_estimate import OF_PULL, PUBLISHED as SIZE, publish
 from soil_env.identification.readings import SensorReading
 from soil_env.identification.soil_prior import depth_of, prior_of_belief, published_prior
 from soil_env.identification.solver import Status
@@ -72,8 +72,9 @@ def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
     b = scenario.belief
     prior, covariance = published_prior(scenario)
     pull, variance = prior_pull(*prior_of_belief(scenario), depth_of(scenario), scenario)
+    pull_sd = OF_PULL * math.sqrt(variance)
     return IdentifierNumbers(
-        prior, covariance, np.array([pull, math.sqrt(variance)]), 1.0 / np.diag(covariance), b.dig_gain,
+        prior, covariance, np.array([pull, pull_sd]), 1.0 / np.diag(covariance), b.dig_gain,
         b.dig_recovery, b.sinkage_exponent, b.method == "none", filter_numbers(scenario),
     )  # fmt: skip
 

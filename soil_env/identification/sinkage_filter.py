@@ -33,6 +33,7 @@ _LAG = 0.5  # share of the change in bearing sinkage since the last point that h
 # 1-sigma of the law of sinkage: of the radius, of the change, of the sinkage, of the change of the bearing sinkage, of
 # what the place of the border makes of it
 _LEAST_MOVE, _MOVE, _JOLT, _CHANGE, _MISPLACED = 0.02, 0.1, 0.9, 0.5, 2.0
+_SPREAD = 0.9984  # variance by which they are weighed, so that all have that of the prior together
 _LARGEST_GAIN = 3.0  # |ln| of it
 _row, _row2, _row3 = scratch(STATES * COUNT), scratch(STATES * COUNT), scratch(STATES * COUNT)
 
@@ -77,7 +78,7 @@ def new_soil(banks, k, numbers):
         at = _REACH * (2.0 * j / (COUNT - 1) - 1.0)
         s[PRESSURE * COUNT + j] = prior.sinkage[0] + both / sd * at
         s[GAIN * COUNT + j] = prior.sinkage[1] + sd * at
-        s[LOG_WEIGHT * COUNT + j] = -0.5 * at * at / kept
+        s[LOG_WEIGHT * COUNT + j] = -0.5 * at * at / _SPREAD
     for i in range(STATES):
         to_array(fill(0.0), s, cell(i, PRESSURE))
         to_array(fill(0.0), s, cell(i, GAIN))

@@ -18,9 +18,7 @@ from soil_env.parameters import Scenario
 SIZE = 6
 TANGENT, COHESION, EXPONENT, LN_K, PRESSURE, GAIN = range(SIZE)
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
-# Standard deviations as published are wider than those of the filter by the widths of the prior's intervals, at least
-# `_LEAST_WIDTH`, times this for (phi, ln K, ln S, c, l); chosen on courses of seeds 777 to 781.
-_LEAST_WIDTH, _OF_FILTER = 0.95, np.array([0.97, 1.02, 0.93, 1.0, 1.0])
+_LEAST_WIDTH = 0.95  # of `widths` that counts
 _PUBLISHED = [TANGENT, LN_K, PRESSURE, COHESION, GAIN]
 _ONE_SIGMA = math.erf(math.sqrt(0.5))
 _DEPTH = 0.2  # [wheel radii] at which pressures are compared
@@ -128,10 +126,9 @@ def soil_prior(scenario: Scenario) -> SoilPrior:
     triangle = covariance[:PRESSURE, :PRESSURE][np.tril_indices(PRESSURE)]
     of_sinkage = covariance[PRESSURE:, PRESSURE:]
     regression = np.linalg.solve(of_sinkage, covariance[PRESSURE:, :PRESSURE]).T
-    published = _OF_FILTER * _published_widths(scenario)
     return SoilPrior(
         np.concatenate([mean[:PRESSURE], triangle]), mean[PRESSURE:].copy(), of_sinkage.ravel().copy(),
-        np.ascontiguousarray(regression).ravel(), published,
+        np.ascontiguousarray(regression).ravel(), _published_widths(scenario),
     )  # fmt: skip
 
 
