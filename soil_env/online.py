@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from numbers import Real
 from typing import NamedTuple
@@ -192,6 +193,10 @@ class OnlineIdentifier:
             if not isinstance(value, kind):
                 known = " such as wheels()['planetary_rover']" if kind is Wheel else ""
                 raise TypeError(f"{name} = {value!r}: expected a {kind.__name__} of soil_env.parameters{known}")
+        if not isinstance(belief.soils, Mapping):
+            raise TypeError(f"belief.soils = {belief.soils!r}: expected a mapping of names to weights")
+        if period is None:
+            raise ParameterError("period = None: expected a number [s]")
         any_soil = Soil(30.0, 0.0, 0.01, 1.0, sinkage_coefficient=1e6)  # a scenario has one; nothing here reads it
         try:
             control = replace(Control(period=period), substep=min(period, 0.05))
@@ -276,12 +281,17 @@ class OnlineIdentifier:
             outcome = self._done.outcome.item()
         elif refusal := _refusal(r, self._largest):
             raise refusal
-        self._time = r.time
+        self._time = r.time if r.time == r.time else self._time + period
         if outcome != HELD:
             self._estimate = self._published(True)
         elif self._estimate.renewed:
             self._estimate = self._published(False)
         return self._estimate
+
+    @property
+    def on_border(self) -> bool:
+        """True where the ground under the wheel passes from one soil into the next, so far as is known."""
+        return bool(self._ids.banks.point.crossing[0] > 0.0)
 
     def soil(self) -> Soil:
         """The identified soil, with the belief's exponent and recovery of digging; each number within its bounds."""
@@ -311,6 +321,8 @@ class OnlineIdentifier:
 
     def _period(self, time: float) -> float:
         """Time [s] since the last update."""
+        if abs(time) == math.inf:
+            raise ValueError(f"time = {time!r} s: expected a finite number, or NaN for one period after the last")
         passed = time - self._time
         if 0.0 < passed < math.inf:
             return passed

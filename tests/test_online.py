@@ -63,7 +63,7 @@ def test_it_is_the_identifier_of_the_environment(drive):
         seen.add(e.status)
         assert e.status.name == expected.pop("status")
         for name, value in expected.items():
-            assert getattr(e, name) == pytest.approx(value, rel=1e-4), name
+            assert getattr(e, name) == pytest.approx(value, rel=1e-4, abs=1e-6), name
         if e.renewed:
             way, told = identifier.traversability(r.load, r.pitch), info["traversability"]
             assert way.best_slip == told["best_slip"] and way.passable == told["passable"]
@@ -357,3 +357,31 @@ def test_reset_and_copy():
     identifier.reset()
     assert identifier.estimate == fresh and fresh.friction_angle_deg == pytest.approx(35.0)
     assert identifier.soil().dig_recovery == identifier.scenario.belief.dig_recovery
+
+
+@pytest.mark.parametrize("time", [math.inf, -math.inf])
+def test_an_infinite_time_is_refused_and_not_kept(time):
+    own = OnlineIdentifier(wheels()["planetary_rover"])
+    with pytest.raises(ValueError, match="expected a finite number"):
+        own.update(Readings(wheel_speed=2.0, speed=0.27, time=time))
+    own.update(Readings(wheel_speed=2.0, speed=0.27, time=5.0))
+    own.update(Readings(wheel_speed=2.0, speed=0.27))  # one period after
+    with pytest.raises(ValueError, match=r"expected later than that of the last readings, 5\.1"):
+        own.update(Readings(wheel_speed=2.0, speed=0.27, time=5.05))
+
+
+def test_a_period_and_a_library_of_other_types_are_refused():
+    with pytest.raises(ParameterError, match="period = None: expected a number"):
+        OnlineIdentifier(wheels()["planetary_rover"], period=None)
+    with pytest.raises(TypeError, match=r"belief.soils = \['dry_sand'\]: expected a mapping"):
+        OnlineIdentifier(wheels()["planetary_rover"], Belief(soils=["dry_sand"]))
+
+
+def test_a_wheel_that_is_lifted_at_first_does_not_begin_its_mass(drive):
+    """Loads of nothing in the first periods: the wheel has its weight afterwards, not next to none for ever."""
+    scenario, readings, _ = drive
+    own = OnlineIdentifier.of_scenario(scenario)
+    for k, reading in enumerate(readings):
+        own.update(reading._replace(load=0.0) if k < 8 else reading)
+    assert 0.9 < own._ids.banks.point.mass[0] * scenario.gravity / scenario.weight < 1.2
+    assert own.estimate.best_pull < 1.0

@@ -49,6 +49,7 @@ class Replay:
     differs: list[float]  # probability, by ground, that its soil is not that of the last; NaN of the first after a gap
     borders: int  # that the identifier found, whatever lies behind them
     prior: Estimate
+    on_border: np.ndarray  # [N] bool: the ground is a blend of two soils, better known than either
     measured: frozenset[str]  # readings that the identifier was given
     restarts: int  # because of gaps
     warnings: list[str]
@@ -71,10 +72,10 @@ class Replay:
     def learnt(self, current: bool = False) -> dict[str, float]:
         """Least standard deviation over that of the prior, for each parameter: 1 where nothing was learnt.
 
-        Of the estimates that the readings do not contradict; `current`: of those with status CONVERGED.
+        Of the estimates away from borders that the readings do not contradict; `current`: with status CONVERGED.
         """
         kept = self.status == Status.CONVERGED
-        kept = kept if current else kept | (self.status == Status.NOT_EXCITED)
+        kept = ~self.on_border & (kept if current else kept | (self.status == Status.NOT_EXCITED))
         return {
             name: float(np.min(self.values[sd], where=kept, initial=getattr(self.prior, sd))) / getattr(self.prior, sd)
             for name, sd in {
@@ -105,6 +106,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     identifier = identifier_of(log_map)
     prior, size = identifier.estimate, len(log)
     status, renewed, found = np.zeros(size, np.int64), np.zeros(size, bool), np.zeros(size, np.int64)
+    on_border = np.zeros(size, bool)
     blind = log_map.wheel.inertia is None and "motor_torque" in log.readings
     names = [n for n in Readings._fields if n in log.readings and not (blind and n == "motor_torque")]
     rows = np.column_stack([log.readings[n] for n in names]).tolist()
@@ -119,7 +121,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
             ahead = (math.nan,) * 3
         reading = Readings(**dict(zip(names, row, strict=True)), time=t)
         e = identifier.update(reading)
-        found[k] = before + e.borders
+        found[k], on_border[k] = before + e.borders, identifier.on_border
         if e.renewed:
             load, pitch = loads[k], pitches[k] if pitches[k] == pitches[k] else 0.0
             way = identifier.traversability(None if load != load else max(load, _LEAST_LOAD), pitch)
@@ -133,7 +135,18 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     warnings += _impassable(log, log_map, ground, values, status)
     borders = int(found[-1]) if size else 0
     return Replay(
-        log.time, values, status, renewed, ground, differs, borders, prior, frozenset(names), restarts, warnings
+        log.time,
+        values,
+        status,
+        renewed,
+        ground,
+        differs,
+        borders,
+        prior,
+        on_border,
+        frozenset(names),
+        restarts,
+        warnings,
     )
 
 
