@@ -232,6 +232,7 @@ def test_a_next_soil_may_begin_before_it_is_believed():
 def on_bins(told, sd):
     """What is left of a curve of two bins on a border and two behind it, at the end of it."""
     wheel = Wheel()
+    _cross_here(wheel.banks, wheel.numbers)
     wheel.p.points[0] = wheel.p.bins[0] = 4.0
     wheel.p.crossing[0], wheel.p.told[0], wheel.p.border_variance[0] = 1.0, told, (sd * LENGTH) ** 2
     wheel.p.mass[0] = 15.0

@@ -144,7 +144,10 @@ def test_errors_are_those_that_it_states_and_small(action):
 
 
 def test_what_is_known_grows_along_a_soil():
-    """The median standard deviations of friction and K of eight wheels fall from metre to metre."""
+    """The median standard deviations of friction and K of eight wheels fall from metre to metre.
+
+    As far as the belief lets them, which expects a border every two metres: a next soil may always have begun.
+    """
     course = {"length": 40.0, "patch_length": [40.0, 40.0], "halt_interval": [1e5, 1e6], "margin": [0.05, 0.1]}
     changes = {"course": course, "control": {"action": "wheel_speed"}}
     sim = Simulation(8, load_scenario("mixed", changes), "identified", threads=1)
@@ -157,7 +160,7 @@ def test_what_is_known_grows_along_a_soil():
         if step % 60 == 59:
             sds.append(np.median(sim.worlds.ids.sd[:, :2], axis=0))
     sds = np.array(sds)
-    assert np.all(sds[-1] < [0.8, 0.4] * sds[0]) and np.all(sds[1:] < 1.15 * sds[:-1]), sds
+    assert np.all(sds[-1] < [0.8, 0.4] * sds[0]) and np.all(sds[1:] < 1.25 * sds[:-1]), sds
 
 
 # --- what enters ------------------------------------------------------------------------------------------------------
