@@ -79,14 +79,16 @@ def derivatives(log: dict, scenario: Scenario) -> np.ndarray:
 
 
 def _pull_slopes(centre: np.ndarray, recovery: np.ndarray, load: float, scenario: Scenario) -> np.ndarray:
-    """Derivatives [patches, 6] of the best drawbar pull."""
+    """Derivatives [patches, 6] of the best drawbar pull; it jumps where the motor begins to stall, beside which they are
+    those of the other side."""
     sd = np.sqrt(np.diag(prior_of_belief(scenario)[1])) * 0.02
     found = []
-    for sign in (1.0, -1.0):
+    for sign in (1.0, 0.0, -1.0):
         soils = soils_of(centre[:, None] + sign * np.diag(sd), recovery[:, None], scenario).reshape(-1, 7)
         n = len(soils)
         found.append(truth(soils, np.full(n, 0.01), np.full(n, load), scenario)[:, 5].reshape(-1, SOIL))
-    return (found[0] - found[1]) / (2.0 * sd)
+    after, before = (found[0] - found[1]) / sd, (found[1] - found[2]) / sd
+    return np.where(np.abs(after) < np.abs(before), after, before)
 
 
 def bound(log: dict, scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
