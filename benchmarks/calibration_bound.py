@@ -79,8 +79,7 @@ def derivatives(log: dict, scenario: Scenario) -> np.ndarray:
 
 
 def _pull_slopes(centre: np.ndarray, recovery: np.ndarray, load: float, scenario: Scenario) -> np.ndarray:
-    """Derivatives [patches, 6] of the best drawbar pull; it jumps where the motor begins to stall, beside which they are
-    those of the other side."""
+    """Derivatives [patches, 6] of the best drawbar pull; beside the jump where the motor stalls, of the other side."""
     sd = np.sqrt(np.diag(prior_of_belief(scenario)[1])) * 0.02
     found = []
     for sign in (1.0, 0.0, -1.0):
