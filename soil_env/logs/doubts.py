@@ -53,12 +53,28 @@ def doubts(log: Aligned, log_map: LogMap) -> list[str]:
     slowest = _STANDS * wheel.radius
     drives = (np.abs(rim) > slowest) | (np.abs(np.nan_to_num(speed)) > slowest)
     of_acceleration = _of_acceleration(log, log_map)
-    lines = _of_speeds(log, log_map, rim, speed, drives) + of_acceleration
+    of_speeds = _of_speeds(log, log_map, rim, speed, drives)
+    lines = of_speeds + of_acceleration
     lines += _of_forces(log, log_map, drives, sound=not of_acceleration)
     for name in ("load", "sinkage"):
         if _middle(read.get(name, np.zeros(1))) < 0.0:
             lines.append(_line(log_map, name, "negative", "positive", "another sign or offset"))
-    return lines + _of_sinkage(log, log_map) + _of_pitch(log, log_map, speed)
+    for name in ("torque", "motor_torque"):
+        if not of_speeds and _middle(np.sign(rim[drives]) * read.get(name, np.zeros(len(log)))[drives]) < 0.0:
+            lines.append(_line(log_map, name, "against the wheel speed", "with it", "another sign"))
+    return lines + _of_stuck_sensors(log, log_map, drives) + _of_sinkage(log, log_map) + _of_pitch(log, log_map, speed)
+
+
+def _of_stuck_sensors(log: Aligned, log_map: LogMap, drives: np.ndarray) -> list[str]:
+    """A line for each reading but the load that has one value in all steps that drive."""
+    lines = []
+    for name in ("wheel_speed", "speed", "sinkage", "drawbar_pull", "torque", "motor_torque"):
+        values = log.readings[name][drives] if name in log.readings else np.zeros(0)
+        values = values[~np.isnan(values)]
+        if values.size >= _LEAST and np.ptp(values) == 0.0:
+            said = f"{values[0]:.3g} in all {values.size} steps that drive"
+            lines.append(_line(log_map, name, said, "values with the noise of a sensor", "a sensor that is stuck"))
+    return lines
 
 
 # --- speeds -----------------------------------------------------------------------------------------------------------

@@ -43,6 +43,7 @@ WRONG = {  # readings left out, factors of others, mass in the map over that of 
     "m/s as km/h, no slip": (("slip",), {"speed": 1.0 / 3.6}, 1.0, "column speed", "another unit"),
     "mN m": ((), {"torque": 90.0}, 1.0, "column torque", "another unit|unit mN m"),
     "kN m": ((), {"torque": 1e-3}, 1.0, "column torque", "unit kN m"),
+    "torque": ((), {"torque": -1.0}, 1.0, "column torque", "sign"),
     "kN": ((), {"load": 1e-3}, 1.0, "column load", "unit kN"),
     "downward load": ((), {"load": -1.0}, 1.0, "column load", "sign"),
     "kN pull": ((), {"drawbar_pull": 1e-3}, 1.0, "column drawbar_pull", "unit kN"),
@@ -55,6 +56,16 @@ WRONG = {  # readings left out, factors of others, mass in the map over that of 
     "a tenth, no acceleration": (("acceleration", *FORCES[2:]), {}, 0.1, "column load", "body_mass 1[4-9]"),
     "a tenth, no load": (("load", *FORCES[2:]), {}, 0.1, "column drawbar_pull", "body_mass 1[4-9]"),
 }
+
+
+@pytest.mark.parametrize("name", ["speed", "sinkage", "torque"])
+def test_a_sensor_that_is_stuck_is_doubted(logs, name):
+    log, log_map = logs["mixed"][0]
+    readings = log.readings | {name: np.full(len(log), np.median(log.readings[name]))}
+    lines = [line for line in doubts(dataclasses.replace(log, readings=readings), log_map) if "stuck" in line]
+    assert (
+        len(lines) == 1 and f"column {name}" in lines[0] and not any("stuck" in line for line in doubts(log, log_map))
+    )
 
 
 @pytest.mark.parametrize("wrong", WRONG)
