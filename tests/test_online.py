@@ -385,3 +385,10 @@ def test_a_wheel_that_is_lifted_at_first_does_not_begin_its_mass(drive):
         own.update(reading._replace(load=0.0) if k < 8 else reading)
     assert 0.9 < own._ids.banks.point.mass[0] * scenario.gravity / scenario.weight < 1.2
     assert own.estimate.best_pull < 1.0
+
+
+def test_ground_on_which_the_motor_stalls_is_not_passable():
+    """Under a load under which it can turn the wheel at no slip."""
+    own = OnlineIdentifier(wheels()["planetary_rover"])
+    way = own.traversability(load=600.0)
+    assert own.traversability().passable and not way.passable and way.drawbar_margin == -1.0

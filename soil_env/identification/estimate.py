@@ -65,7 +65,8 @@ def traversability(
     wheel = scenario.wheel
     soil = soil_as_identified(estimate, scenario.belief)
     best = best_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
-    margin, sd = max(float(pull[0]) - math.tan(pitch), -1.0), float(pull[1])
+    turns = best.drawbar_pull > -math.inf  # at some slip the motor has the torque
+    margin, sd = max(float(pull[0]) - math.tan(pitch), -1.0) if turns else -1.0, float(pull[1])
     return best.slip, margin, sd, best.torque, wheel.stall_torque, margin > 0.0
 
 
