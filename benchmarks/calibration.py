@@ -1,4 +1,4 @@
-"""Whether the estimates of the identifier are as good as it says, in every drive that ships: docs/identification.md.
+"""Calibration of the online identifier in every drive that ships: docs/identification.md.
 
     python -m benchmarks.calibration                       all rows; half an hour; goes on where it was interrupted
     python -m benchmarks.calibration --smoke --out X       a few courses, numbers without meaning
@@ -52,6 +52,7 @@ FEW = ("soft_start", "best_slip_identified", "extremum_seeking", "swinging_speed
 _NOT_TUNED = "best_slip_true"  # a reference that no user drives
 #: What a row may be by the issue of calibration: share in 68 %, in 95 %, beyond 3 sd [%], bias over the mean sd.
 HOLDS_68, HOLDS_95, MOST_FAR, MOST_BIAS = (63.0, 73.0), (92.0, 97.0), 1.0, 0.25
+_JUDGED = ("holds_68", "holds_95", "far", "farthest", "bias_over_sd", "rms", "prior_rms")
 
 
 class Case(NamedTuple):
@@ -98,6 +99,7 @@ def statistics(error: np.ndarray, sd: np.ndarray, prior: np.ndarray, course: np.
         "holds_68_error": 100.0 * 1.96 * spread,
         "holds_95": 100.0 * (z < 1.96).mean(0),
         "far": 100.0 * (z > 3.0).mean(0),
+        "farthest": z.max(0),
     }
 
 
@@ -206,20 +208,19 @@ def table(rows: list[dict]) -> Table:
     ])  # fmt: skip
 
 
-def verdict(rows: list[dict], quantity: int) -> dict[str, int]:
-    """How many of these rows are as asked in one of `QUANTITIES`."""
-
-    def count(test) -> int:
-        return sum(bool(test(row)) for row in rows)
-
-    return {
-        "rows": len(rows),
-        "holds_68": count(lambda row: HOLDS_68[0] <= row["holds_68"][quantity] <= HOLDS_68[1]),
-        "holds_95": count(lambda row: HOLDS_95[0] <= row["holds_95"][quantity] <= HOLDS_95[1]),
-        "far": count(lambda row: row["far"][quantity] <= MOST_FAR),
-        "bias": count(lambda row: abs(row["bias_over_sd"][quantity]) <= MOST_BIAS),
-        "better": count(lambda row: row["rms"][quantity] < row["prior_rms"][quantity]),
-    }  # fmt: skip
+def verdict(rows: list[dict], quantity: int) -> dict[str, float]:
+    """Numbers of these rows that are as asked in one of `QUANTITIES`, and the farthest error of all [sd]."""
+    of = {name: np.array([row[name][quantity] for row in rows]) for name in _JUDGED}
+    held = {
+        "holds_68": (of["holds_68"] >= HOLDS_68[0]) & (of["holds_68"] <= HOLDS_68[1]),
+        "holds_95": (of["holds_95"] >= HOLDS_95[0]) & (of["holds_95"] <= HOLDS_95[1]),
+        "far": of["far"] <= MOST_FAR,
+        "bias": np.abs(of["bias_over_sd"]) <= MOST_BIAS,
+        "better": of["rms"] < of["prior_rms"],
+    }
+    counts = {name: int(rows_held.sum()) for name, rows_held in held.items()}
+    every = int(np.all(list(held.values()), axis=0).sum())
+    return {"rows": len(rows), **counts, "every": every, "farthest": of["farthest"].max(initial=0.0)}
 
 
 def page(result: dict) -> str:

@@ -111,7 +111,7 @@ class Estimate:
 
     @property
     def valid(self) -> bool:
-        """Whether phi and ln K are known much better than before, by readings that agree: the status is CONVERGED."""
+        """True where readings that agree tell much of phi and ln K: the status is CONVERGED."""
         return self.status == Status.CONVERGED
 
 

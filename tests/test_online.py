@@ -63,7 +63,8 @@ def test_it_is_the_identifier_of_the_environment(drive):
         seen.add(e.status)
         assert e.status.name == expected.pop("status")
         for name, value in expected.items():
-            assert getattr(e, name) == pytest.approx(value, rel=1e-4, abs=1e-6), name
+            near_zero = 1e-7 if name == "best_pull" else None  # readings are of single precision
+            assert getattr(e, name) == pytest.approx(value, rel=1e-4, abs=near_zero), name
         if e.renewed:
             way, told = identifier.traversability(r.load, r.pitch), info["traversability"]
             assert way.best_slip == told["best_slip"] and way.passable == told["passable"]

@@ -72,8 +72,7 @@ _MOST_STEPS, _STAYS_THERE = 6, 0.05  # of the fit behind a border; squared lengt
 _UNLIKELY = -7.0  # ln weight below which a node is not followed closely
 _FEW = 3.0  # points of a soil up to which all bins are linearised at each
 _LEAST_SHARE = 1e-4  # of either soil on a border
-_PLACE_DOUBT = 1.0  # how much more the variance of a border's place is to the fit than the grade tells
-_OLD_DOUBT = 3.0  # the same of the old soil, whose error is one for all bins of a border
+_OLD_DOUBT = 3.0  # how much more the covariance of the old soil counts: its error is one for all bins of a border
 _OF_VOLUME = 0.25  # share of the ln of the determinant that counts, errors by slip and sinkage in it
 _matrix, _matrix2, _vector = scratch(TRIANGLE * COUNT), scratch(TRIANGLE * COUNT), scratch(UNKNOWNS * COUNT)
 
@@ -179,7 +178,7 @@ def solve(banks, k, numbers):
     A, g, away = _matrix(), _vector(), _vector()
     cost, volumes = fill(0.0), fill(1.0)
     place, form_error = banks.point.border[k], banks.point.form_error[k]
-    of_place = 1.0 / max(_PLACE_DOUBT * banks.point.border_variance[k], 1e-8)
+    of_place = 1.0 / max(banks.point.border_variance[k], 1e-8)
     for i in range(3):
         to_array(from_array(nodes, i * COUNT) - from_array(nodes, (PRIOR_MEAN + i) * COUNT), away, i * COUNT)
     to_array(from_array(nodes, BORDER_PLACE * COUNT) - place, away, 3 * COUNT)

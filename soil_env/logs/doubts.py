@@ -73,7 +73,9 @@ def _of_stuck_sensors(log: Aligned, log_map: LogMap, drives: np.ndarray) -> list
         values = values[~np.isnan(values)]
         if values.size >= _LEAST and np.ptp(values) == 0.0:
             said = f"{values[0]:.3g} in all {values.size} steps that drive"
-            lines.append(_line(log_map, name, said, "values with the noise of a sensor", "a sensor that is stuck"))
+            lines.append(
+                _line(log_map, name, said, "values with the noise of a sensor", "a sensor that is stuck, or a command")
+            )
     return lines
 
 

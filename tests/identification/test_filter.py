@@ -143,11 +143,9 @@ def test_errors_are_those_that_it_states_and_small(action):
     assert np.all((scaled > 0.5) & (scaled < 1.6)), scaled
 
 
-def test_what_is_known_grows_along_a_soil():
-    """The median standard deviations of friction and K of eight wheels fall from metre to metre.
-
-    As far as the belief lets them, which expects a border every two metres: a next soil may always have begun.
-    """
+@pytest.fixture(scope="module")
+def known_along_a_soil():
+    """Median standard deviations [5, 2] of friction and K of eight wheels, a quarter of the drive apart."""
     course = {"length": 40.0, "patch_length": [40.0, 40.0], "halt_interval": [1e5, 1e6], "margin": [0.05, 0.1]}
     changes = {"course": course, "control": {"action": "wheel_speed"}}
     sim = Simulation(8, load_scenario("mixed", changes), "identified", threads=1)
@@ -159,8 +157,21 @@ def test_what_is_known_grows_along_a_soil():
         sim.step_all(np.full(8, 0.4 + 0.2 * math.sin(0.1 * step)), np.zeros(8, np.int8))
         if step % 60 == 59:
             sds.append(np.median(sim.worlds.ids.sd[:, :2], axis=0))
-    sds = np.array(sds)
+    return np.array(sds)
+
+
+def test_what_is_known_grows_along_a_soil(known_along_a_soil):
+    """As far as the belief lets it, which expects a border every two metres: a next soil may always have begun."""
+    sds = known_along_a_soil
     assert np.all(sds[-1] < [0.8, 0.4] * sds[0]) and np.all(sds[1:] < 1.25 * sds[:-1]), sds
+
+
+@pytest.mark.xfail(
+    strict=True, reason="a next soil that may begin is part of the estimate: ln K is less sure for a while"
+)
+def test_what_is_known_hardly_ever_shrinks_along_a_soil(known_along_a_soil):
+    sds = known_along_a_soil
+    assert np.all(sds[-1] < [0.8, 0.4] * sds[0]) and np.all(sds[1:] < 1.15 * sds[:-1]), sds
 
 
 # --- what enters ------------------------------------------------------------------------------------------------------

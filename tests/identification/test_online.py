@@ -228,8 +228,9 @@ def test_the_best_pull_follows_the_ground_between_the_points_on_a_border():
 SCATTER = NO_SPREAD | {"friction": 0.14, "shear_modulus": 0.7, "stiffness": 0.6}
 
 
-def test_reported_errors_are_calibrated_where_soils_scatter_as_believed():
-    """120 courses of soils of the belief's library: 68 and 95 % intervals of a current estimate hold about as often."""
+@pytest.fixture(scope="module")
+def errors_of_one_library():
+    """Errors [n, 2] of friction and ln K over their standard deviations, of current estimates on 120 courses."""
     belief = Belief(soils={"lunar_nominal": 1.0})
     sim, truth = simulate(None, 120, "torque", SCATTER, (-10.0, 10.0), belief)
     what, errors = np.zeros(120, dtype=np.int8), []
@@ -239,12 +240,22 @@ def test_reported_errors_are_calibrated_where_soils_scatter_as_believed():
             ids = sim.worlds.ids
             good = (ids.status == Status.CONVERGED) & (sim.worlds.cause == 0)
             errors.append(((ids.estimate[:, :2] - truth[:, :2]) / ids.sd[:, :2])[good])
-    errors = np.concatenate(errors)
+    return np.concatenate(errors)
+
+
+def test_reported_errors_are_calibrated_where_soils_scatter_as_believed(errors_of_one_library):
+    """68 and 95 % intervals hold about as often, or more: a border is expected every two metres, and none comes."""
+    errors = errors_of_one_library
     assert len(errors) > 150
     inside = [np.mean(np.abs(errors) < z, axis=0) for z in (1.0, 1.96)]
-    # wide: the belief expects a border every two metres, these courses have none of soils
     assert np.all((inside[0] > 0.5) & (inside[0] < 0.92)) and np.all(inside[1] > 0.85), inside
     assert np.all(np.abs(errors.mean(axis=0)) < 0.6)
+
+
+@pytest.mark.xfail(strict=True, reason="a next soil that may begin is part of the estimate: 68 % of ln K hold 87 %")
+def test_intervals_are_not_wide_on_one_soil(errors_of_one_library):
+    inside = np.mean(np.abs(errors_of_one_library) < 1.0, axis=0)
+    assert np.all((inside > 0.5) & (inside < 0.85)), inside
 
 
 def test_an_estimate_that_is_no_soil_is_forgotten():
