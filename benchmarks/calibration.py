@@ -49,6 +49,13 @@ EVERY = (*CONTROLLERS, "swinging_speed", "ramp")
 #: Drives in other actions than that of the scenario.
 ACTIONS = (("swinging_speed", "torque"), ("soft_start", "torque"), ("soft_start", "wheel_speed"))
 FEW = ("soft_start", "best_slip_identified", "extremum_seeking", "swinging_speed")
+#: Sensors of less noise, for what limits the estimate: the factor, and of which sensors.
+QUIET = {
+    "slip and speeds at a quarter": (0.25, ("slip", "speed", "wheel_speed")),
+    "all at a tenth": (0.1, (
+        "slip", "speed", "wheel_speed", "sinkage", "drawbar_pull", "load", "torque", "motor_torque", "acceleration",
+    )),
+}  # fmt: skip
 _NOT_TUNED = "best_slip_true"  # a reference that no user drives
 #: What a row may be by the issue of calibration: share in 68 %, in 95 %, beyond 3 sd [%], bias over the mean sd.
 HOLDS_68, HOLDS_95, MOST_FAR, MOST_BIAS = (63.0, 73.0), (92.0, 97.0), 1.0, 0.25
@@ -62,11 +69,22 @@ class Case(NamedTuple):
     world: str  # of configs/worlds; "" for the laws of the filter
     drive: str
     action: str  # "" for that of the scenario
+    noise: str = ""  # of `QUIET`; "" for that of the scenario
 
     @property
     def name(self) -> str:
         """Its key in calibration.json."""
-        return "/".join(part or "-" for part in self)
+        return "/".join(part or "-" for part in (self[:4] if not self.noise else self))
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """Parameters that differ from those of the scenario."""
+        found: dict[str, Any] = {"control": {"action": self.action}} if self.action else {}
+        if self.noise:
+            factor, sensors = QUIET[self.noise]
+            noise = load_scenario(self.scenario).noise
+            found["noise"] = {name: factor * getattr(noise, name) for name in sensors}
+        return found
 
 
 def cases(agent: str = "") -> list[Case]:
@@ -76,7 +94,8 @@ def cases(agent: str = "") -> list[Case]:
         found += [Case(scenario, "", drive, "") for drive in EVERY if drive != _NOT_TUNED]
         found += [Case(scenario, "", drive, action) for drive, action in ACTIONS]
         found += [Case(scenario, "", "agent", "")] * (agent != "" and scenario in ("two_lines",))
-    return found + [Case(scenario, world, drive, "") for scenario, world in OTHERS for drive in FEW]
+    found += [Case(scenario, world, drive, "") for scenario, world in OTHERS for drive in FEW]
+    return found + [Case(name, "", "best_slip_identified", "", noise) for name in OWN for noise in QUIET]
 
 
 # --- measure ----------------------------------------------------------------------------------------------------------
@@ -105,7 +124,7 @@ def statistics(error: np.ndarray, sd: np.ndarray, prior: np.ndarray, course: np.
 
 def measure(case: Case, courses: int, bounds: int, seed: int, agent: str = "") -> dict[str, Any]:
     """A row."""
-    scenario = load_scenario(case.scenario, {"control": {"action": case.action}} if case.action else {})
+    scenario = load_scenario(case.scenario, case.changes)
     model = load_model(config_dir() / "worlds" / f"{case.world}.yaml") if case.world else None
     controller = controller_of(case.drive, scenario) if case.drive != "agent" else _agent(agent, scenario)
     logs = record(controller, scenario, courses, seed, model)
@@ -118,7 +137,7 @@ def measure(case: Case, courses: int, bounds: int, seed: int, agent: str = "") -
     )
     course = np.concatenate([np.full(int(d.sum()), k) for k, d in enumerate(driven)])
     found = case._asdict() | {"courses": courses} | statistics(error, sd, prior, course)
-    if not case.world and case.scenario in OWN and bounds:
+    if not case.world and case.scenario in OWN and bounds and not case.noise:
         best = np.concatenate([bound(log, scenario)[1] for log in logs[:bounds]])
         first = course < bounds
         found["bound"] = np.sqrt((best**2).mean(0)) * UNITS
@@ -208,6 +227,17 @@ def table(rows: list[dict]) -> Table:
     ])  # fmt: skip
 
 
+def quiet_table(rows: dict[str, dict]) -> Table:
+    """RMS of the estimate under `best_slip_identified` with the sensors of the scenario and with those of `QUIET`."""
+    kept = [
+        [rows.get(Case(name, "", "best_slip_identified", "", noise).name, {}) for noise in ("", *QUIET)] for name in OWN
+    ]
+    return Table(
+        ("scenario", "as configured", *QUIET),
+        [(f"`{name}`", *(_rms(row.get("rms")) for row in found)) for name, found in zip(OWN, kept, strict=True)],
+    )
+
+
 def verdict(rows: list[dict], quantity: int) -> dict[str, float]:
     """Numbers of these rows that are as asked in one of `QUANTITIES`, and the farthest error of all [sd]."""
     of = {name: np.array([row[name][quantity] for row in rows]) for name in _JUDGED}
@@ -226,7 +256,7 @@ def verdict(rows: list[dict], quantity: int) -> dict[str, float]:
 def page(result: dict) -> str:
     """docs/identification.md."""
     rows = list(result["rows"].values())
-    own = [row for row in rows if row["scenario"] in OWN and not row["world"]]
+    own = [row for row in rows if row["scenario"] in OWN and not row["world"] and not row.get("noise")]
     groups = {f"`{name}`": table([row for row in own if row["scenario"] == name]) for name in OWN}
     others = {
         f"`{scenario}`" + (f" with `{world}`" if world else ""):
@@ -237,6 +267,7 @@ def page(result: dict) -> str:
     ratios = np.array([np.divide(row["rms_there"], row["bound"]) for row in own if "bound" in row])
     return wrapped(render(
         "benchmarks:identification.md", r=result, own=groups, others=others, rovers=rovers,
+        quiet=quiet_table(result["rows"]),
         verdicts=[(name, verdict(own, q)) for q, name in enumerate(QUANTITIES)], quantities=", ".join(QUANTITIES),
         ratios=np.median(ratios, axis=0).tolist() if len(ratios) else None,
         default=result["rows"].get("two_lines/-/best_slip_identified/-"), smoke=result["courses"] < 10,
