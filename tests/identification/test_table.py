@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.stats import linregress, t
 
 from soil_env._io.loading import ParameterError
-from soil_env.identification.__main__ import text_of
+from soil_env.identification.report import text_of
 from soil_env.identification.priors import BROAD
 from soil_env.identification.scatter import Scatter
 from soil_env.identification.table import identify_table

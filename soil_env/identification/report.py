@@ -1,60 +1,17 @@
-"""Identify a soil from the measurements of a wheel.
-
-Reads a table of steady points (slip, load, sinkage and drawbar pull or torque) and what is known beforehand about
-wheel, soil and sensors; fits friction angle, shear deformation modulus K, sinkage coefficient S, sinkage exponent n and
-cohesion, as far as they are not known; prints the estimates with 95 % intervals, their correlations, and in words what
-the data cannot tell.
-
-DATA.csv (SI units; a cell is left empty where nothing was measured):
-
-    slip,load,sinkage,drawbar_pull,torque
-    0.10,120,0.0211,2.35,4.02
-    0.25,120,0.0204,11.9,5.86
-    0.45,120,0.0203,21.4,7.41
-
-  slip          (r w - V)/(r w) when driving, (r w - V)/V when braking, in [-1, 1]; required
-  load          [N] normal to the ground, or vertical where the setup says so; required
-  sinkage       [m] of the lowest point of the rim; where it was not measured it follows from the load
-  drawbar_pull  [N]    } one of the two in a row with sinkage, both in a row without; with torque, cohesion and
-  torque        [N m]  } exponent can be told too
-  grade_deg     [deg] uphill positive; a wheel that climbs by itself has drawbar_pull 0 and load: vertical
-  speed [m/s], pass, run, time [s]: optional
-
-setup.yaml:
-
-    wheel: {radius: 0.15, width: 0.12}             # m
-    soil:
-      cohesion: 1500                               # Pa; a number is known and not fitted
-      friction_angle_deg: {value: 30, sd: 3}       # a prior: fitted, and held to this as far as the data allow
-      # dig_gain: 1.5                              # slip-sinkage that is known; 0 where left out
-      # left out: shear_modulus [m], sinkage_exponent, sinkage_coefficient [N/m^(n+2)] (or k_c and k_phi): fitted
-    noise: {sinkage: 0.0003, drawbar_pull: 0.7, torque: 0.1}   # 1-sigma; left out = estimated from the scatter
-
-noise may name slip and load too; left out, these two count as exact, and if they are not, the intervals are too narrow.
-"""
+"""Identified soil of a table as text, plain values and a picture."""
 
 from __future__ import annotations
 
-import argparse
 import io
-import json
 import math
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.text import Text
 
-from soil_env._io.commands import command_line, folder, leave, table_parser
 from soil_env._io.document import Table
-from soil_env._io.files import check_outputs, plain, replace_files
-from soil_env.identification.table import SYMBOLS, TableEstimate, identify_table
-from soil_env.measurement.table import read_setup, read_table
+from soil_env._io.files import plain
+from soil_env.identification.table import SYMBOLS, TableEstimate
 
-NAME = "soil_env.identification"
-FILES = ("identification.json", "identification.png")
 LABELS = {
     "friction_angle_deg": "friction angle",
     "shear_modulus": "shear deformation modulus K",
@@ -63,40 +20,6 @@ LABELS = {
     "cohesion": "cohesion c",
     "tilt_deg": "tilt of the rig",
 }
-
-
-@command_line(NAME)
-def main(arguments: list[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    options = _parser().parse_args(arguments)
-    setup = read_setup(options.setup)
-    table = read_table(options.data, setup.wheel, setup.ignore_columns)
-    if options.out is not None:
-        check_outputs(options.out, FILES)
-    estimate = identify_table(table, setup)
-    if options.out is not None:
-        contents = (json.dumps(report_of(estimate), indent=2, allow_nan=False) + "\n", picture(estimate))
-        replace_files(options.out, dict(zip(FILES, contents, strict=True)))
-    Console(width=None if sys.stdout.isatty() else 110).print(Text(text_of(estimate)))
-    for name in FILES if options.out is not None else ():
-        print(f"written: {Path(options.out) / name}")
-    sys.stdout.flush()
-    return 0
-
-
-_WRITTEN = """DIR/identification.json (all that is printed, and the fitted values), DIR/identification.png (measured
-against fitted)"""
-_EXAMPLES = """    python -m soil_env.identification examples/data/single_wheel.csv --setup examples/data/setup.yaml
-    python -m soil_env.identification rig.csv --setup rig.setup.yaml --out runs/identified"""
-
-
-def _parser() -> argparse.ArgumentParser:
-    p = table_parser(NAME, __doc__, _WRITTEN, _EXAMPLES)
-    p.add_argument(
-        "--out", type=folder, metavar="DIR",
-        help="write identification.json and identification.png there; made if need be (default: print only)",
-    )  # fmt: skip
-    return p
 
 
 # --- on the terminal --------------------------------------------------------------------------------------------------
@@ -224,7 +147,3 @@ def load_groups(load: np.ndarray) -> list[tuple[str, np.ndarray]]:
     order = np.argsort(load, kind="stable")
     cuts = np.flatnonzero(np.diff(np.log(load[order])) > 0.1) + 1
     return [(f"{np.mean(load[members]):.0f} N", members) for members in np.split(order, cuts)]
-
-
-if __name__ == "__main__":
-    leave(main())
