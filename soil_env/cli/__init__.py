@@ -15,12 +15,12 @@ from soil_env.cli.running import ending_at_once, leave, run
 _AGENTS = "soil_env_agents" if find_spec("soil_env_agents") else "agents"  # its name in a clone without installation
 #: Module of each subcommand, with the summary that `soil-env --help` shows without importing it.
 _COMMANDS = {
-    "drive": (f"{_AGENTS}.cli.drive", "Drive one course and save a picture or a video."),
-    "train": (f"{_AGENTS}.cli.train", "Train a PPO agent and compare it with the classical controllers."),
-    "evaluate": (f"{_AGENTS}.cli.evaluate", "Compare controllers and agents on held-out courses."),
-    "tune": (f"{_AGENTS}.cli.tune", "Tune the classical controllers."),
-    "study": (f"{_AGENTS}.cli.study", "Train and compare arms over seeds and scenarios."),
-    "export": (f"{_AGENTS}.cli.export", "Export a trained agent as ONNX with its policy file."),
+    "drive": (f"{_AGENTS}.drive", "Drive one course and save a picture or a video."),
+    "train": (f"{_AGENTS}.train", "Train a PPO agent and compare it with the classical controllers."),
+    "evaluate": (f"{_AGENTS}.evaluate.command", "Compare controllers and agents on held-out courses."),
+    "tune": (f"{_AGENTS}.tune", "Tune the classical controllers."),
+    "study": (f"{_AGENTS}.study", "Train and compare arms over seeds and scenarios."),
+    "export": (f"{_AGENTS}.export.command", "Export a trained agent as ONNX with its policy file."),
     "identify": ("soil_env.cli.identify", "Identify a soil from a table of wheel measurements."),
     "discover": ("soil_env.cli.discover", "Name the effect that a wheel-soil model lacks."),
     "logs": ("soil_env.cli.logs", "Identify the soil along the log of a rover."),
