@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from soil_env._io.loading import Checked, FieldError, ParameterError, quantity
+from soil_env._io.loading import Checked, FieldError, quantity
 
 MOST_CLASSES = 6  # terrain classes of a course
 
