@@ -11,7 +11,7 @@ import pytest
 
 import soil_env  # noqa: F401  (registers SoilWheel-v0)
 from soil_env._io.loading import ParameterError
-from soil_env.identification.online import HELD
+from soil_env.identification.online.identifier import HELD
 from soil_env.online import OnlineIdentifier, Readings, Status, largest_readings, slips
 from soil_env.parameters import Belief, Noise, load_scenario, wheels
 from soil_env.simulation.dynamics import STEP, advance

@@ -50,7 +50,7 @@ from rich.text import Text
 from soil_env._io.commands import command_line, folder, leave, table_parser
 from soil_env._io.document import Table
 from soil_env._io.files import check_outputs, plain, replace_files
-from soil_env.identification.table import SYMBOLS, TableEstimate, identify_table
+from soil_env.identification.table.fit import SYMBOLS, TableEstimate, identify_table
 from soil_env.measurement.table import read_setup, read_table
 
 NAME = "soil_env.identification"

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from soil_env._io.document import Table, html_image, html_page, render
 from soil_env._io.files import plain
-from soil_env.identification.solver import Status
+from soil_env.identification.online.status import Status
 from soil_env.logs import grounds as by_ground
 from soil_env.logs.align import Aligned
 from soil_env.logs.grounds import Ground

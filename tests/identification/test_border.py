@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from soil_env._numba.compiling import root
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.border import (
+from soil_env.identification.online.border import (
     begin,
     cross_here,
     cross_where_the_grade_changes,
@@ -18,7 +18,7 @@ from soil_env.identification.border import (
     note_grade,
     share_here,
 )
-from soil_env.identification.curve import (
+from soil_env.identification.online.curve import (
     FIELDS,
     LOAD,
     ON_BORDER,
@@ -32,8 +32,8 @@ from soil_env.identification.curve import (
     TORQUE,
     TORQUE_WEIGHT,
 )
-from soil_env.identification.filter_bank import CANDIDATES, filter_numbers, new_banks, restart
-from soil_env.identification.soil_nodes import GAUSSIAN, LOG_WEIGHT, NODE_ROWS, OLD, SAME_SOIL, STAYS
+from soil_env.identification.online.filter_bank import CANDIDATES, filter_numbers, new_banks, restart
+from soil_env.identification.online.soil_nodes import GAUSSIAN, LOG_WEIGHT, NODE_ROWS, OLD, SAME_SOIL, STAYS
 from soil_env.parameters import Belief, load_scenario
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.ground import share_of_next

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from soil_env.identification import class_memory as memory
-from soil_env.identification.online import forget, identifier_numbers, new_identifiers
+from soil_env.identification.online import class_memory as memory
+from soil_env.identification.online.identifier import forget, identifier_numbers, new_identifiers
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.traversability import best_working_point

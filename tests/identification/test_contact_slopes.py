@@ -7,7 +7,7 @@ import pytest
 
 from soil_env._numba.compiling import inlined, root
 from soil_env._numba.lanes import COUNT, from_array, to_array
-from soil_env.identification.contact_slopes import GroundSoil, Slopes, reaction
+from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
 from soil_env.parameters import soils
 from soil_env.terramechanics.model import steady_state
 from tests.terramechanics import reference

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from soil_env.identification.curve import (
+from soil_env.identification.online.curve import (
     BINS,
     FIELDS,
     KEY,

@@ -9,8 +9,8 @@ from scipy.optimize import least_squares
 
 from soil_env._numba.compiling import root
 from soil_env._numba.lanes import COUNT, fill, to_array
-from soil_env.identification.contact_slopes import Slopes
-from soil_env.identification.curve import (
+from soil_env.identification.online.contact_slopes import Slopes
+from soil_env.identification.online.curve import (
     FIELDS,
     KEY,
     LOAD,
@@ -28,9 +28,9 @@ from soil_env.identification.curve import (
     TORQUE_WEIGHT,
     add,
 )
-from soil_env.identification.curve_fit import begin_bin, fit, quadratic_form, share_on_border
-from soil_env.identification.filter_bank import filter_numbers, new_banks, restart
-from soil_env.identification.soil_nodes import (
+from soil_env.identification.online.curve_fit import begin_bin, fit, quadratic_form, share_on_border
+from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
+from soil_env.identification.online.soil_nodes import (
     COST,
     COVARIANCE,
     GAUSSIAN,

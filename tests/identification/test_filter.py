@@ -8,8 +8,9 @@ import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
 from soil_env._numba.lanes import COUNT
-from soil_env.identification import Status, online as identifier
-from soil_env.identification.curve import (
+from soil_env.identification import Status
+from soil_env.identification.online import identifier
+from soil_env.identification.online.curve import (
     BINS,
     FIELDS,
     PULL,
@@ -20,10 +21,10 @@ from soil_env.identification.curve import (
     TORQUE,
     TORQUE_WEIGHT,
 )
-from soil_env.identification.filter_bank import filter_numbers
-from soil_env.identification.online import HELD, RENEWED, SensorReading
-from soil_env.identification.sinkage_filter import DEPTH
-from soil_env.identification.soil_prior import published_prior
+from soil_env.identification.online.filter_bank import filter_numbers
+from soil_env.identification.online.identifier import HELD, RENEWED, SensorReading
+from soil_env.identification.online.sinkage_filter import DEPTH
+from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import Belief, load_scenario
 from soil_env.simulation.worlds import Simulation
 from tests.identification.observing import observe

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from soil_env.env import SoilWheelEnv
-from soil_env.identification import immobilisation as im
-from soil_env.identification.online import SensorReading
+from soil_env.identification.online import immobilisation as im
+from soil_env.identification.online.identifier import SensorReading
 from soil_env.parameters import ParameterError, load_scenario
 from soil_env.simulation.task import layout
 

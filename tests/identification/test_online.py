@@ -8,9 +8,10 @@ import pytest
 
 from soil_env._numba.compiling import root
 from soil_env._numba.rows import Rows
-from soil_env.identification import Status, online as identifier
-from soil_env.identification.filter_estimate import publish
-from soil_env.identification.online import FARTHEST
+from soil_env.identification import Status
+from soil_env.identification.online import identifier
+from soil_env.identification.online.filter_estimate import publish
+from soil_env.identification.online.identifier import FARTHEST
 from soil_env.online import OnlineIdentifier
 from soil_env.parameters import Belief, ParameterError, SoilSpread, load_scenario, soils, wheels
 from soil_env.simulation.dynamics import STEP, advance

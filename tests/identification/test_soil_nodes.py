@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.filter_bank import filter_numbers, new_banks, restart
-from soil_env.identification.sinkage_filter import GAIN as SINKAGE_GAIN, PRESSURE as SINKAGE_PRESSURE, cell
-from soil_env.identification.soil_nodes import (
+from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
+from soil_env.identification.online.sinkage_filter import GAIN as SINKAGE_GAIN, PRESSURE as SINKAGE_PRESSURE, cell
+from soil_env.identification.online.soil_nodes import (
     BORDER_PLACE,
     COVARIANCE,
     GAUSSIAN,
@@ -36,7 +36,7 @@ from soil_env.identification.soil_nodes import (
     set_priors,
     spread_anew,
 )
-from soil_env.identification.soil_prior import prior_of_belief
+from soil_env.identification.online.soil_prior import prior_of_belief
 from soil_env.parameters import Belief, load_scenario
 
 SCENARIOS = {"library": load_scenario("mixed"), "plain": replace(load_scenario("mixed"), belief=Belief())}

@@ -10,7 +10,7 @@ import yaml
 from soil_env._io.loading import to_dict
 from soil_env._numba.compiling import root
 from soil_env._numba.random_streams import seed_stream
-from soil_env.identification.soil_prior import (
+from soil_env.identification.online.soil_prior import (
     COHESION,
     EXPONENT,
     GAIN,

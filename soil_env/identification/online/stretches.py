@@ -14,10 +14,10 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.border import begin_told
-from soil_env.identification.online import RENEWED, IdentifierNumbers, identifier_numbers
-from soil_env.identification.sinkage_filter import PRESSURE, cell
-from soil_env.identification.solver import Status
+from soil_env.identification.online.border import begin_told
+from soil_env.identification.online.identifier import RENEWED, IdentifierNumbers, identifier_numbers
+from soil_env.identification.online.sinkage_filter import PRESSURE, cell
+from soil_env.identification.online.status import Status
 from soil_env.parameters import Scenario
 
 UNKNOWNS = 5  # (phi, ln K, ln S, c, ln g), as `Identifiers.estimate`

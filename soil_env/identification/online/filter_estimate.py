@@ -7,10 +7,10 @@ import math
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp, log
 from soil_env._numba.lanes import COUNT, from_array, scratch, total
-from soil_env.identification.best_pull import best_pull
-from soil_env.identification.border import share_here
-from soil_env.identification.sinkage_filter import GAIN, OLD_GAIN, OLD_PRESSURE, PRESSURE, cell, mean, weights
-from soil_env.identification.soil_nodes import GAUSSIAN, OLD, SOIL, below_diagonal
+from soil_env.identification.online.best_pull import best_pull
+from soil_env.identification.online.border import share_here
+from soil_env.identification.online.sinkage_filter import GAIN, OLD_GAIN, OLD_PRESSURE, PRESSURE, cell, mean, weights
+from soil_env.identification.online.soil_nodes import GAUSSIAN, OLD, SOIL, below_diagonal
 
 PUBLISHED = 5  # (phi, ln K, ln S, c, ln g)
 PHI, LN_K, LN_S, COHESION, LN_GAIN = range(PUBLISHED)

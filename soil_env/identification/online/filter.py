@@ -20,7 +20,7 @@ from typing import NamedTuple
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import larger, smaller
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
-from soil_env.identification.border import (
+from soil_env.identification.online.border import (
     cross_here,
     cross_where_the_grade_changes,
     end,
@@ -28,8 +28,8 @@ from soil_env.identification.border import (
     note_grade,
     share_here,
 )
-from soil_env.identification.contact_slopes import GroundSoil, Slopes, reaction
-from soil_env.identification.curve import (
+from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
+from soil_env.identification.online.curve import (
     KEY,
     LOAD,
     ON_BORDER,
@@ -47,10 +47,10 @@ from soil_env.identification.curve import (
     add,
     new_point,
 )
-from soil_env.identification.curve_fit import begin_bin, fit, quadratic_form
-from soil_env.identification.filter_bank import fetch_bank, restart
-from soil_env.identification.sinkage_filter import DEPTH, Ground, Motion, follow, mean, spread, start
-from soil_env.identification.soil_nodes import OLD, SOIL, fit_is_sound, renew_prior
+from soil_env.identification.online.curve_fit import begin_bin, fit, quadratic_form
+from soil_env.identification.online.filter_bank import fetch_bank, restart
+from soil_env.identification.online.sinkage_filter import DEPTH, Ground, Motion, follow, mean, spread, start
+from soil_env.identification.online.soil_nodes import OLD, SOIL, fit_is_sound, renew_prior
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.effects import onto_fresh
 from soil_env.terramechanics.reaction import REST_SPEED

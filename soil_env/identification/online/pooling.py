@@ -28,9 +28,9 @@ import math
 
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.lanes import COUNT, scratch
-from soil_env.identification.online import HELD, RENEWED
-from soil_env.identification.solver import Status
-from soil_env.identification.stretches import (
+from soil_env.identification.online.identifier import HELD, RENEWED
+from soil_env.identification.online.status import Status
+from soil_env.identification.online.stretches import (
     AT_START,
     BELIEF,
     COHESION,

@@ -20,10 +20,10 @@ import math
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp, larger, log
 from soil_env._numba.lanes import COUNT, fill, from_array, smallest, to_array, total
-from soil_env.identification.curve_fit import drop_border, fit_behind_border
-from soil_env.identification.filter_bank import CANDIDATES
-from soil_env.identification.sinkage_filter import begin_next_sinkage, keep_old_sinkage
-from soil_env.identification.soil_nodes import begin_next_soil, leave_old_soil
+from soil_env.identification.online.curve_fit import drop_border, fit_behind_border
+from soil_env.identification.online.filter_bank import CANDIDATES
+from soil_env.identification.online.sinkage_filter import begin_next_sinkage, keep_old_sinkage
+from soil_env.identification.online.soil_nodes import begin_next_soil, leave_old_soil
 from soil_env.terramechanics.ground import share_of_next
 
 _ODDS = 2.5  # ln odds at which a change of the grade is a border
