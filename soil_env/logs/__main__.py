@@ -16,7 +16,7 @@ map.yaml says which reading is where:
       pitch:        {topic: /imu, field: orientation, unit: quaternion}  # uphill positive
 
   wheel_speed, and speed or slip, are required; sinkage, drawbar_pull or acceleration, torque or motor_torque, load and
-  pitch as far as they are measured: the report says what can be told without. A table has column: NAME in place of
+  pitch as far as they are measured: the report says what is missing. A table has column: NAME in place of
   topic and field, and at the top time: {column: t, unit: s} (or ms, us, ns, iso). constant: 147 is a reading that
   never changes. unit, sign (1 or -1), offset (SI, added last), gear (turns of the motor to one of the wheel) and sd
   (1-sigma, in unit) may be left out. A motor_torque counts only where inertia (rotor and gear included) is known.
@@ -36,7 +36,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeR
 
 from soil_env._io.commands import command_line, command_parser, file_path, folder, leave
 from soil_env._io.files import check_outputs, replace_files
-from soil_env.logs.grounds import FILES, advice, commands, grounds, how_found
+from soil_env.logs.grounds import FILES, advice, commands, grounds
 from soil_env.logs.mapping import read_map
 from soil_env.logs.recordings import read_recording
 from soil_env.logs.replay import replay, what_can_be_told
@@ -47,13 +47,13 @@ NAME = "soil_env.logs"
 _WRITTEN = """\
 files written into DIR: report.html (self-contained, with plots), log.json (the same as data), estimates.csv (the
 soil, its standard deviations, drawbar margin and status at each step), estimates.png, readings.png, and, where
-there are steady stretches, steady.csv and setup.yaml for soil_env.identification and soil_env.discrepancy; where the
-soil changes on the way, ground1.csv, ground1.yaml and so on, one pair for each ground that has points of two slips
+there are steady stretches, steady.csv and setup.yaml for soil-env identify and discover; where the soil
+changes on the way, ground1.csv, ground1.yaml and so on, one pair for each ground that has points of two slips
 
 examples:
 
-    python -m soil_env.logs drive.mcap --map map.yaml --out runs/drive
-    python -m soil_env.identification runs/drive/steady.csv --setup runs/drive/setup.yaml"""
+    soil-env logs drive.mcap --map map.yaml --out runs/drive
+    soil-env identify runs/drive/steady.csv --setup runs/drive/setup.yaml"""
 
 
 @command_line(NAME)
@@ -77,11 +77,9 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"check first: {line}")
     print(channel_table(log).text(2))
     print(soil_table(found).text(2))
-    for line in what_can_be_told(found, log):
-        print(f"- {line}")
     if len(parts) > 1:
         print(ground_table(parts).text(2))
-    for line in (how_found(found), *advice(parts, steady)):
+    for line in (*what_can_be_told(found, log), *advice(found, parts, steady)):
         print(f"- {line}")
     for line in (*log.notes, *found.warnings):
         print(f"! {line}")
