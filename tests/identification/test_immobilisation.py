@@ -127,13 +127,6 @@ def test_margins_of_a_view_are_over_the_grade_of_their_line():
     assert seen(VIEW._replace(since=1.5, left=0.9), 0.45) == pytest.approx(found)  # lengths by the radius
 
 
-def test_a_patch_out_of_sight_tells_nothing():
-    found = seen(VIEW._replace(seen=False, chosen=True))
-    for name in ("ahead_seen", "line_chosen", "grade_change", "line_margin", "line_met", "beside_margin", "beside_met"):
-        assert found[name] == 0.0
-    assert found["here_margin"] == seen(VIEW)["here_margin"]
-
-
 def views(scenario, steps):
     """(inputs of the view by name, observation by name) after each of `steps` steps to the line with more margin."""
     env = SoilWheelEnv(scenario, observation="identified", action="torque", repeat=1)
