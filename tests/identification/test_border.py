@@ -210,7 +210,7 @@ def on_bins(told, sd):
     wheel = Wheel()
     _cross_here(wheel.banks, wheel.numbers)
     wheel.p.points[0] = wheel.p.bins[0] = 4.0
-    wheel.p.crossing[0], wheel.p.told[0], wheel.p.border_variance[0] = 1.0, told, (sd * LENGTH) ** 2
+    wheel.p.crossing[0], wheel.p.fixed[0], wheel.p.border_variance[0] = 1.0, told, (sd * LENGTH) ** 2
     wheel.p.mass[0] = 15.0
     bins = wheel.banks.bins[0].reshape(-1, FIELDS)
     for b in range(4):

@@ -101,9 +101,9 @@ def test_a_jolt_of_the_rim_is_passed_over():
     fed = Fed()
     fed.feed(STEADY._replace(rim_speed=0.2, speed=0.15))
     fed.feed(STEADY._replace(rim_speed=0.2, speed=0.15), 3)
-    before = fed.p.readings[0]
+    before = fed.ids.banks.open.readings[0]
     fed.feed(STEADY._replace(rim_speed=0.4, speed=0.3))
-    assert fed.p.readings[0] == 0.0 < before
+    assert fed.ids.banks.open.readings[0] == 0.0 < before
 
 
 # --- on courses -------------------------------------------------------------------------------------------------------

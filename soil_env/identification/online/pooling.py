@@ -4,7 +4,7 @@ Each wheel has a filter of its own (`filter`), which finds borders by itself; he
 between two borders is a stretch (`stretches`). Of each a wheel keeps what it knew of (phi, ln K, c) when it left it, so
 that one further ahead tells those behind
 
-- where a border is: their filters begin with the new soil there (`border.begin_told`), and do not take it for the old;
+- where a border is: their filters begin with the new soil there (`border.begin_known_border`), and do not take it for the old;
 - what the soil is. With the posterior (m_o, P_o) of another wheel on the same stretch and the prior (m_p, P_p), which
   both have counted, the own posterior (m, P) becomes
 

@@ -2,7 +2,7 @@
 
 The soil between two borders is a stretch. Of each a wheel keeps what it knew of (phi, ln K, c) when it left it, for the
 wheels that come after it (`pooling`), and these are told where the wheel ahead has found a border: their filters begin
-with the new soil there (`border.begin_told`), and do not first take it for the old.
+with the new soil there (`border.begin_known_border`), and do not first take it for the old.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.online.border import begin_told
+from soil_env.identification.online.border import begin_known_border
 from soil_env.identification.online.identifier import RENEWED, IdentifierNumbers, identifier_numbers
 from soil_env.identification.online.sinkage_filter import PRESSURE, cell
 from soil_env.identification.online.status import Status
@@ -181,7 +181,7 @@ def tell(pools, ids, k, first, numbers, identifier):
         border = pools.ends[first, s]
         if border > pools.start[k] + length and x > border - 0.5 * length:
             sd = _PLACE_SD * length
-            begin_told(ids.banks, k, identifier.filter, p.place[k] + border - x, sd * sd)
+            begin_known_border(ids.banks, k, identifier.filter, p.place[k] + border - x, sd * sd)
             return
 
 
