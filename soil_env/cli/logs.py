@@ -13,7 +13,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeR
 
 from soil_env._io.files import check_outputs, replace_files
 from soil_env.cli.running import PATH, out_option
-from soil_env.logs.grounds import FILES, advice, commands, grounds, how_found
+from soil_env.logs.grounds import FILES, advice, commands, grounds
 from soil_env.logs.mapping import read_map
 from soil_env.logs.recordings import read_recording
 from soil_env.logs.replay import replay, what_can_be_told
@@ -60,11 +60,9 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
         print(f"check first: {line}")
     print(channel_table(log).text(2))
     print(soil_table(found).text(2))
-    for line in what_can_be_told(found, log):
-        print(f"- {line}")
     if len(parts) > 1:
         print(ground_table(parts).text(2))
-    for line in (how_found(found), *advice(parts, steady)):
+    for line in (*what_can_be_told(found, log), *advice(found, parts, steady)):
         print(f"- {line}")
     for line in (*log.notes, *found.warnings):
         print(f"! {line}")

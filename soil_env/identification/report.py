@@ -10,7 +10,7 @@ import numpy as np
 
 from soil_env._io.document import Table
 from soil_env._io.files import plain
-from soil_env.identification.table import SYMBOLS, TableEstimate
+from soil_env.identification.table.fit import SYMBOLS, TableEstimate
 
 LABELS = {
     "friction_angle_deg": "friction angle",

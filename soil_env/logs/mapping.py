@@ -1,6 +1,6 @@
-"""map.yaml: which topic and field, or which column, of a recording is which reading, in which unit and with which sign.
+"""map.yaml: topic and field, or column, of each reading of a recording, with its unit and sign.
 
-Everything is checked when the file is read; what cannot be right is refused with one line (`ParameterError`).
+Everything is checked when the file is read; `ParameterError` has one line.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _BORDER = 2.0  # [wheel radii] length of a border between soils, where the belie
 
 @dataclass(frozen=True)
 class Source(Checked):
-    """Where a reading is in the recording: `topic` and `field` of a bag, or `column` of a table, or a `constant`.
+    """Source of a reading: `topic` and `field` of a bag, or `column` of a table, or a `constant`.
 
     The reading is sign x number x unit (x motor_constant of a current) + offset. `gear` is turns of the motor to one
     turn of the wheel, for a speed, a torque or a current measured at the motor; a torque also gets `efficiency`.
@@ -134,7 +134,7 @@ def factor(name: str, source: Source) -> float:
 
 @dataclass(frozen=True)
 class RoverWheel(Checked):
-    """The wheel of the rover. What is left out of its motor is not limited by it."""
+    """The wheel of the rover; a motor that is left out limits nothing."""
 
     radius: float = quantity("m", 0.01, LARGEST_WHEEL)
     width: float = quantity("m", 0.005, LARGEST_WHEEL)
@@ -151,9 +151,9 @@ class RoverWheel(Checked):
         self.wheel()
 
     def wheel(self) -> Wheel:
-        """As the identifier takes it; an inertia that is not known is the least that a `Wheel` may have.
+        """As the identifier takes it; an unknown inertia is the least that a `Wheel` may have.
 
-        `replay` then leaves the motor torque out, the only reading whose meaning hangs on it.
+        `replay` then leaves out the motor torque, the only reading that depends on it.
         """
         inertia = 0.02 * self.body_mass * self.radius**2 * (1.0 + 1e-12) if self.inertia is None else self.inertia
         return Wheel(self.radius, self.width, inertia, self.stall_torque, self.no_load_speed, self.body_mass)
@@ -169,9 +169,9 @@ class TimeColumn(Checked):
 
 @dataclass(frozen=True)
 class Windows(Checked):
-    """What counts as a steady stretch of a log. The changes are those of the means from its first to its second half.
+    """Limits of a steady stretch of a log: changes of the means from its first to its second half.
 
-    Sinkage follows the slip over a distance: what counts is how far it still has to go, after the law of slip-sinkage.
+    Sinkage follows the slip over a distance: its limit is how far it still has to go by the law of slip-sinkage.
     """
 
     duration: float = quantity("s", 0.1, 600.0, default=1.0)
@@ -186,7 +186,7 @@ class Windows(Checked):
 
 @dataclass(frozen=True)
 class LogMap(Checked):
-    """What a recording holds, and how it is to be read."""
+    """Contents of a recording, and how it is read."""
 
     wheel: RoverWheel
     channels: Channels

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq, least_squares, linprog
 
-from soil_env.identification import Reading, newton_raphson as safeguarded
 from soil_env.paper.model import (
     AS_PRINTED,
     WONG_REECE,
@@ -26,6 +25,7 @@ from soil_env.paper.model import (
     roots,
 )
 from soil_env.paper.printed import WONG_REECE_LOAD, Sand, printed
+from soil_env.paper.safeguarded import safeguarded
 from soil_env.parameters import Soil, lumped_coefficient, soils
 from soil_env.terramechanics.model import steady_state
 
@@ -249,15 +249,9 @@ def converges(e: Equations, guesses: np.ndarray) -> np.ndarray:
 
 
 def package_converges(guesses: np.ndarray) -> np.ndarray:
-    """The same of `soil_env.identification.newton_raphson`, on the equations as printed."""
-    e = HELD[0]
-    reading = Reading(e.cohesion, e.exponent, e.radius, e.width, e.simpson, paper_resistance=True)
-    out = np.empty(guesses.shape[:-1], dtype=bool)
-    for k, g in enumerate(guesses.reshape(-1, 3)):
-        start = Soil(g[0], e.cohesion, g[1], e.exponent, sinkage_coefficient=g[2])
-        found = safeguarded(*MEASURED, reading=reading, guess=start)
-        out.flat[k] = found.converged and abs(found.soil.shear_modulus / root(e)[1] - 1.0) < 1e-4
-    return out
+    """[phi, K, S] of whether the safeguarded iteration reaches the root, on the equations as printed."""
+    found = np.array([safeguarded(MEASURED, g, HELD[0]) for g in guesses.reshape(-1, 3)])
+    return (np.abs(found[:, 1] / root(HELD[0])[1] - 1.0) < 1e-4).reshape(guesses.shape[:-1])
 
 
 class Noisy(NamedTuple):

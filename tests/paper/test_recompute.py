@@ -11,10 +11,9 @@ import pytest
 import yaml
 
 from soil_env._io.loading import ParameterError, load, read_yaml
-from soil_env.identification import Reading, Status, newton_raphson as safeguarded
 from soil_env.paper import __main__ as command, compare, model, page, printed
 from soil_env.paper.compare import HELD, MEASURED, MODELS, PRINTED_SET, P
-from soil_env.parameters import Soil
+from soil_env.paper.safeguarded import safeguarded
 from tests.terramechanics import reference
 
 AS_PRINTED, WONG_REECE = MODELS
@@ -53,15 +52,9 @@ def test_derivatives_against_central_differences(e, soil):
         np.testing.assert_allclose(at[:, 3 + k] * unit, (ahead - behind) / (2.0 * step[k]), rtol=1e-5)
 
 
-def test_equations_as_printed_are_those_of_the_package():
-    e = HELD[0]
-    reading = Reading(e.cohesion, e.exponent, e.radius, e.width, e.simpson, paper_resistance=True)
-    guess = Soil(30.0, e.cohesion, 0.03, e.exponent, sinkage_coefficient=5e5)
-    found = safeguarded(*MEASURED, reading=reading, guess=guess)
-    assert found.status == Status.CONVERGED  # not AMBIGUOUS: one root
-    soil = found.soil
-    solution = soil.friction_angle_deg, soil.shear_modulus, soil.sinkage_coefficient
-    np.testing.assert_allclose(compare.root(e), solution, rtol=1e-8)
+def test_the_safeguarded_iteration_ends_on_the_same_root():
+    found = safeguarded(MEASURED, (30.0, 0.03, 5e5), HELD[0])
+    np.testing.assert_allclose(compare.root(HELD[0]), found, rtol=1e-8)
 
 
 # --- printed numbers --------------------------------------------------------------------------------------------------

@@ -29,7 +29,7 @@ from scipy.optimize import least_squares
 from scipy.special import logsumexp
 
 from soil_env._io.loading import ParameterError
-from soil_env.identification.form_error import (
+from soil_env.identification.table.form_error import (
     LAW_LENGTHS,
     SIZES,
     Compression,
@@ -41,8 +41,8 @@ from soil_env.identification.form_error import (
     stress_changes,
     whitened,
 )
-from soil_env.identification.priors import USUAL_SINKAGE, Unknown, soil_unknowns
-from soil_env.identification.rig import predict_table
+from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, soil_unknowns
+from soil_env.identification.table.rig import predict_table
 from soil_env.measurement.table import MEASURED, Setup, Table
 from soil_env.terramechanics.effects import NO_EFFECTS
 from soil_env.terramechanics.model import Rows

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2, f as f_distribution, t
 
-from soil_env.identification.form_error import mixed
-from soil_env.identification.scatter import FEW, Scatter
-from soil_env.identification.weighted import LAW_ERRORS, SOURCES, TableProblem
+from soil_env.identification.table.form_error import mixed
+from soil_env.identification.table.problem import LAW_ERRORS, SOURCES, TableProblem
+from soil_env.identification.table.unknown_noise import FEW, Scatter
 from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.table import UNITS, Setup, Table
 

@@ -17,8 +17,8 @@ import math
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp, fma, larger, log, smaller, sqrt, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
-from soil_env.identification.contact_slopes import GroundSoil, reaction
-from soil_env.identification.curve import (
+from soil_env.identification.online.contact_slopes import GroundSoil, reaction
+from soil_env.identification.online.curve import (
     FIELDS,
     LOAD,
     ON_BORDER,
@@ -33,7 +33,7 @@ from soil_env.identification.curve import (
     TORQUE,
     TORQUE_WEIGHT,
 )
-from soil_env.identification.soil_nodes import (
+from soil_env.identification.online.soil_nodes import (
     BORDER_PLACE,
     COHESION,
     COST,

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import inlined, part
-from soil_env.identification.online import identifier_numbers
+from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import Scenario
 
 UNKNOWNS = 6  # those of `online.IdentifierNumbers.prior` and, last, the best drawbar pull [of load]

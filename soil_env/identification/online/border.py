@@ -20,10 +20,10 @@ import math
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp, larger, log
 from soil_env._numba.lanes import COUNT, fill, from_array, smallest, to_array, total
-from soil_env.identification.curve_fit import drop_border, fit_behind_border
-from soil_env.identification.filter_bank import CANDIDATES
-from soil_env.identification.sinkage_filter import begin_next_sinkage, keep_old_sinkage
-from soil_env.identification.soil_nodes import begin_next_soil, leave_old_soil
+from soil_env.identification.online.curve_fit import drop_border, fit_behind_border
+from soil_env.identification.online.filter_bank import CANDIDATES
+from soil_env.identification.online.sinkage_filter import begin_next_sinkage, keep_old_sinkage
+from soil_env.identification.online.soil_nodes import begin_next_soil, leave_old_soil
 from soil_env.terramechanics.ground import share_of_next
 
 _ODDS = 2.5  # ln odds at which a change of the grade is a border
@@ -75,7 +75,7 @@ def note_grade(banks, k, pitch, numbers):
     p, found, x = banks.point, banks.candidates[k], banks.point.place[k]
     y = pitch - p.grade[k]
     if p.crossing[k] > 0.0:
-        if p.told[k] == 0.0:
+        if p.fixed[k] == 0.0:
             _add_pitch(banks, k, y, numbers)
         return
     if p.grades[k] == 0.0 or abs(x - p.nearest[k]) > 2.0 * numbers.border:
@@ -148,7 +148,7 @@ def cross_where_the_grade_changes(banks, k, numbers):
 def follow_border(banks, k, numbers):
     """Renew place and rise of the border under wheel k, if the grade tells of it."""
     p = banks.point
-    if p.told[k] == 0.0 and numbers.grade_change > 0.0:
+    if p.fixed[k] == 0.0 and numbers.grade_change > 0.0:
         _, p.border[k], p.border_variance[k], p.rise[k], _, _ = _locate(banks, k, numbers)
 
 
@@ -156,7 +156,7 @@ def follow_border(banks, k, numbers):
 def cross_here(banks, k, numbers):
     """`begin` where the forces tell of a border."""
     ahead, misfit = _FOUND * numbers.border, banks.point.misfit[k]
-    begin_told(banks, k, numbers, banks.point.place[k] + ahead, ahead * ahead)
+    begin_known_border(banks, k, numbers, banks.point.place[k] + ahead, ahead * ahead)
     banks.point.misfit[k], banks.point.by_forces[k] = misfit, 1.0  # the misfit until the next point
 
 
@@ -167,7 +167,7 @@ def begin(banks, k, numbers, place, place_variance, rise):
     The soil so far becomes the old one, the new one is that of the prior.
     """
     p = banks.point
-    p.crossing[k], p.by_forces[k], p.told[k], p.same[k] = 1.0, 0.0, 0.0, 0.0
+    p.crossing[k], p.by_forces[k], p.fixed[k], p.same[k] = 1.0, 0.0, 0.0, 0.0
     p.next_share[k] = p.next_square[k] = 0.0
     p.border[k], p.border_variance[k], p.rise[k] = place, place_variance, rise
     p.form_error[k] = max(_KEPT_ERROR * p.form_error[k], numbers.model_error)
@@ -177,10 +177,10 @@ def begin(banks, k, numbers, place, place_variance, rise):
 
 
 @inlined
-def begin_told(banks, k, numbers, place, place_variance):
+def begin_known_border(banks, k, numbers, place, place_variance):
     """`begin` at a place that the grade has not told; what contradicted the laws so far was the border."""
     begin(banks, k, numbers, place, place_variance, 0.0)
-    banks.point.told[k], banks.point.form_error[k], banks.point.flagged[k] = 1.0, numbers.model_error, 0.0
+    banks.point.fixed[k], banks.point.form_error[k], banks.point.flagged[k] = 1.0, numbers.model_error, 0.0
 
 
 @inlined
@@ -193,7 +193,7 @@ def end(banks, k, numbers):
     if leave_old_soil(banks, k):
         keep_old_sinkage(banks, k)
         p.same[k] = 1.0
-    if p.told[k] > 0.0 or p.border_variance[k] > (_UNSURE * numbers.border) ** 2:
+    if p.fixed[k] > 0.0 or p.border_variance[k] > (_UNSURE * numbers.border) ** 2:
         drop_border(banks, k)
     fit_behind_border(banks, k, numbers)
     search(banks, k, numbers)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from soil_env.identification.weighted import TableProblem
+from soil_env.identification.table.problem import TableProblem
 
 _ROUNDS = (1500, 1500, 3000)  # samples of ln sigma, each round drawn from what the last has found
 _TAIL = 4.0  # degrees of freedom of the Student t they are drawn from

@@ -13,7 +13,7 @@ import math
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
-from soil_env.identification.sinkage_filter import DEPTH, GAIN, PRESSURE, mean, spread
+from soil_env.identification.online.sinkage_filter import DEPTH, GAIN, PRESSURE, mean, spread
 
 #: Rows of `nodes`, COUNT numbers each: the unknowns, ln K ...
 TANGENT, COHESION, EXPONENT, BORDER_PLACE, LN_K = range(5)

@@ -16,8 +16,8 @@ import numpy as np
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import exp, larger, log, smaller
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
-from soil_env.identification.contact_slopes import GroundSoil, reaction
-from soil_env.identification.soil_nodes import SOIL, below_diagonal
+from soil_env.identification.online.contact_slopes import GroundSoil, reaction
+from soil_env.identification.online.soil_nodes import SOIL, below_diagonal
 from soil_env.parameters import Scenario, SoilState
 from soil_env.terramechanics.effects import digging_ratio
 from soil_env.terramechanics.traversability import best_points
