@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.calibration_bound import SOIL, soils_of
 from benchmarks.open_loop import BEARING, PLACE, OpenLoop, commands_of
 from soil_env.identification.online.filter import SLOWEST
-from soil_env.identification.online.readings import sensor_noise
+from soil_env.readings import sensor_noise
 from soil_env.identification.online.soil_prior import depth_of, prior_of_belief
 from soil_env.parameters import Scenario
 

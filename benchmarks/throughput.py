@@ -34,7 +34,7 @@ from soil_env._io.loading import read_json
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.simulation.task import Cause
-from soil_env.simulation.worlds import IDLE, STEP
+from soil_env.driving.wheels import IDLE, STEP
 from soil_env.vector_env import SoilWheelVectorEnv
 
 HELD = 8  # steps that a random command is held

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soil_env.driving.rovers import RoverSimulation
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import (
     AMBER,
@@ -44,10 +45,9 @@ from soil_env.rendering.ground import (
 from soil_env.rendering.stresses import Stresses, contact_stresses
 from soil_env.rendering.view import CourseView
 from soil_env.rendering.wheels import draw_cause, draw_stress_key, draw_stresses, draw_wheel, hub_of
-from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
-from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.vehicle import RoverScenario, Vehicle
 

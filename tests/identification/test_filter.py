@@ -26,7 +26,7 @@ from soil_env.identification.online.identifier import HELD, RENEWED, SensorReadi
 from soil_env.identification.online.sinkage_filter import DEPTH
 from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import Belief, load_scenario
-from soil_env.simulation.worlds import Simulation
+from soil_env.driving.wheels import Simulation
 from tests.identification.observing import observe
 
 SCENARIO = load_scenario("mixed")

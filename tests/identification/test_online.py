@@ -14,9 +14,9 @@ from soil_env.identification.online.filter_estimate import publish
 from soil_env.identification.online.identifier import FARTHEST
 from soil_env.online import OnlineIdentifier
 from soil_env.parameters import Belief, ParameterError, SoilSpread, load_scenario, soils, wheels
-from soil_env.simulation.dynamics import STEP, advance
-from soil_env.simulation.sensors import sense
-from soil_env.simulation.worlds import Simulation
+from soil_env.simulation.world.dynamics import STEP, advance
+from soil_env.simulation.world.sensors import sense
+from soil_env.driving.wheels import Simulation
 from tests.identification.observing import observe
 
 SAND = soils()["lunar_nominal"].state(0.15)

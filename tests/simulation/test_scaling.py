@@ -9,7 +9,7 @@ from hypothesis import given, strategies as st
 
 from soil_env.env import SoilWheelEnv, observation_space
 from soil_env.parameters import Belief, ParameterError, load_scenario
-from soil_env.simulation.scaling import CENTRE_AND_SCALE, Scaling
+from soil_env.simulation.task.scaling import CENTRE_AND_SCALE, Scaling
 from soil_env.simulation.task import VARIANTS, layout
 from soil_env.vector_env import SoilWheelVectorEnv
 

@@ -11,9 +11,9 @@ from soil_env.identification import Status
 from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation import sensors, task
-from soil_env.simulation.camera import Sight
+from soil_env.simulation.world.camera import Sight
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
-from soil_env.simulation.worlds import Simulation
+from soil_env.driving.wheels import Simulation
 
 SENSORS = len(task.layout("blind"))  # entries that every variant has
 NOTHING_SEEN = Sight(0, 0.0, 0.0)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from benchmarks.rover_identification import SwingingSlip, errors, record, scenario_of
-from soil_env.simulation.rover.simulation import RoverSimulation
-from soil_env.simulation.rover.worlds import rover_numbers
-from soil_env.simulation.worlds import STEP
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.simulation.rover.rovers import rover_numbers
+from soil_env.driving.wheels import STEP
 from soil_env.vehicle import load_rover
 
 FRICTION_AND_COHESION = [0, 3]

@@ -9,7 +9,7 @@ import pytest
 from soil_env.identification import Status
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.task import axle_names, rover_layout
-from soil_env.simulation.scaling import CENTRE_AND_SCALE
+from soil_env.simulation.task.scaling import CENTRE_AND_SCALE
 from soil_env.simulation.task import VARIANTS
 from soil_env.vehicle import rover_names
 

@@ -17,8 +17,8 @@ import numpy as np
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.random_streams import between, word
 from soil_env.parameters import Scenario
-from soil_env.simulation.lines import draw_classes, draw_patch, repeat_patch
-from soil_env.simulation.passability import (
+from soil_env.simulation.world.lines import draw_classes, draw_patch, repeat_patch
+from soil_env.simulation.world.passability import (
     ClassDistribution,
     CourseDistribution,
     CourseNumbers,
@@ -27,8 +27,8 @@ from soil_env.simulation.passability import (
     margin_between,
     steepest,
 )
-from soil_env.simulation.terrain import cell_at
-from soil_env.simulation.wheel import interaction_of
+from soil_env.simulation.world.terrain import cell_at
+from soil_env.simulation.world.wheel import interaction_of
 from soil_env.terramechanics.ground import row_soil
 from soil_env.terramechanics.model import WheelSoilModel
 

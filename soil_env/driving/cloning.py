@@ -14,7 +14,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.rows import Rows
-from soil_env.simulation.worlds import Simulation, Worlds
+from soil_env.driving.wheels import Simulation, Worlds
 
 
 def clone(
