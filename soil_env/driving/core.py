@@ -13,9 +13,11 @@ from soil_env._numba.random_streams import seed_stream
 from soil_env._numba.threads import threads
 from soil_env.driving.estimator import Results
 from soil_env.parameters import Scenario
-from soil_env.simulation.wheels import COMPLETE, IDLE, RESTART, STEP, TRY
+from soil_env.simulation.wheels import AHEAD, COMPLETE, IDLE, RESTART, STEP, TRY
 
 _TRIAL_COURSES = 8
+_COURSES = 8  # that a thread draws, at least
+_ONLY = np.zeros(1, dtype=np.int64)
 
 
 def processors() -> int:
@@ -38,6 +40,7 @@ class Vehicles:
     numbers: Any
     worlds: Any  # all arrays, overwritten by each step
     _vehicle = "wheel"
+    _ahead: float  # [m] final ground that a vehicle needs before it
 
     def __init__(self, count: int, scenario: Any, threads: int | None, least: int) -> None:
         self.scenario = scenario
@@ -47,24 +50,25 @@ class Vehicles:
         self._what = np.full(count, IDLE)
         self._counter = np.ones(2, dtype=np.int64)
 
-    def _begin(self, step, world, trial, commands: int, estimate, estimator, belief) -> None:
-        """Take the compiled functions with their arrays, and try the scenario on a `trial` world of one vehicle."""
+    def _begin(self, lay, step, world, trial, commands: int, estimate, estimator, belief) -> None:
+        """Take the compiled functions with their arrays, and try the scenario on a `trial` world of one vehicle.
+
+        Functions that are not in the cache yet are compiled side by side.
+        """
         self._world, self._commands = world, np.zeros(commands)
-        self._step, self._estimate = FastCall(step), FastCall(estimate)
+        self._lay, self._step, self._estimate = FastCall(lay), FastCall(step), FastCall(estimate)
         self._estimator, self.belief = estimator, belief
         self._results = Results(world.observation, world.terms, world.reward, world.cause)
-        if estimator is not None:
-            known = (estimator, belief, world.record, self._results, self._what, self._counter)
-            compile_aside(estimate, known)
+        calls = self._calls(self._what)
+        for function, (_, arguments) in zip((step, estimate), calls, strict=False):
+            compile_aside(function, arguments)
         self._check_passable(trial)
 
     def _check_passable(self, trial: Any) -> None:
         """Refuse a scenario whose soils this vehicle cannot pass, before it shows in the middle of a training."""
-        what, counter = np.array([TRY]), self._counter.copy()
         trial.streams[0] = 1
         for _ in range(_TRIAL_COURSES):
-            counter[:] = 0, 1
-            self._step(trial, self.numbers, np.zeros(self._commands.size), what, counter)
+            self._lay(trial, self.numbers, _ONLY, TRY, np.array([0, 1]))
             if trial.reward[0] < 0.0:
                 raise ParameterError(
                     f"scenario {self.scenario.name!r}: no passable course found for this {self._vehicle} on these "
@@ -77,15 +81,18 @@ class Vehicles:
 
     def restart(self, k: int) -> None:
         """New course and fresh start for vehicle k."""
+        self._draw(k, RESTART)
         self._do(k, RESTART)
 
     def complete(self, k: int) -> None:
         """Draw the rest of the course of vehicle k; it goes on as it would have."""
-        self._do(k, COMPLETE)
+        self._draw(k, COMPLETE)
 
     def step(self, k: int, command: Any) -> None:
         """One step of vehicle k: the control periods of an action."""
         self._commands[self._rows_of(k)] = command
+        if self._world.courses.ready.item(k) < self._x().item(k) + self._ahead:
+            self._draw(k, AHEAD)
         self._do(k, STEP)
 
     def step_all(self, commands: np.ndarray, what: np.ndarray) -> None:
@@ -102,9 +109,17 @@ class Vehicles:
         """Rows of the motors of vehicle k."""
         return k
 
+    def _x(self) -> np.ndarray:
+        """Places [m] of the vehicles along their courses [vehicles]."""
+        return self._world.state["x"]
+
     def _first(self, k: int) -> int:
         """Value of the counter that leads to vehicle k."""
         return 0
+
+    def _draw(self, k: int, order: np.int8) -> None:
+        self._counter[:] = 0, 1
+        self._lay(self._world, self.numbers, np.array([k]), order, self._counter)
 
     def _do(self, k: int, order: np.int8) -> None:
         self._what[k] = order
@@ -116,14 +131,24 @@ class Vehicles:
             self._what[k] = IDLE
 
     def _all(self, what: np.ndarray) -> None:
-        """Follow the orders in several threads, which share no row; the compiled functions hold no lock."""
-        at_work = min(self._threads, -(-self.count // self._least))
+        """Follow the orders, in several threads if there are many vehicles."""
+        short = (what == STEP) & (self._world.courses.ready < self._x() + self._ahead)
+        for which, order in ((what == RESTART, RESTART), (short, AHEAD)):
+            rows = np.flatnonzero(which)
+            if rows.size:
+                arguments = self._world, self.numbers, rows, order, self._counter
+                self._in_parallel(self._lay, arguments, -(-rows.size // _COURSES))
         for kernel, arguments in self._calls(what):
-            self._counter[:] = 0, at_work
-            if at_work == 1:
-                kernel(*arguments)
-            else:
-                threads(self._threads).run(kernel, arguments, at_work - 1)
+            self._in_parallel(kernel, arguments, -(-self.count // self._least))
+
+    def _in_parallel(self, kernel: FastCall, arguments: tuple, most: int) -> None:
+        """Run a compiled function in up to `most` threads, which share no row; it holds no lock."""
+        at_work = min(self._threads, most)
+        self._counter[:] = 0, at_work
+        if at_work == 1:
+            kernel(*arguments)
+        else:
+            threads(self._threads).run(kernel, arguments, at_work - 1)
 
     def _calls(self, what: np.ndarray):
         """Compiled functions with their arguments: the world, then what is on board."""

@@ -158,7 +158,8 @@ class Infos:
         """
         info = self.many(worlds)
         info["reward_terms"] = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
-        info |= {"x": worlds.state["x"].copy()} | self._groups(worlds, ended, worlds.recent is not None and len(worlds.recent) > 0)
+        identified = worlds.recent is not None and len(worlds.recent) > 0
+        info |= {"x": worlds.state["x"].copy()} | self._groups(worlds, ended, identified)
         return masked(info, ended)
 
     def _groups(self, worlds: Worlds, which: np.ndarray, identified: bool) -> dict[str, dict[str, np.ndarray]]:

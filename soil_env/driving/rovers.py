@@ -20,6 +20,7 @@ from soil_env.simulation.rover.dynamics import Rovers
 from soil_env.simulation.rover.rovers import (
     RoverNumbers,
     RoverRecord,
+    lay_rovers,
     new_rover_worlds,
     rover_numbers,
     step_rovers,
@@ -80,11 +81,15 @@ class RoverSimulation(Vehicles):
             estimator, belief = new_rover_estimator(wheels), rover_estimator_numbers(scenario, task)
         self.worlds = RoverWorlds(*world, *(estimator or (None, None)))
         trial = new_rover_worlds(1, scenario, task, False)
-        self._begin(step_rovers, world, trial, wheels, estimate_rovers, estimator, belief)
+        self._ahead = self.numbers.drawn.ahead + scenario.vehicle.base
+        self._begin(lay_rovers, step_rovers, world, trial, wheels, estimate_rovers, estimator, belief)
 
     def _rows_of(self, k: Any) -> np.ndarray:
         """Rows of the wheels of rover k."""
         return self.wheels[k]
+
+    def _x(self) -> np.ndarray:
+        return self._world.rovers.body["x"]
 
     def _first(self, k: int) -> int:
         """Block of rover k."""

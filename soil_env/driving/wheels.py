@@ -15,14 +15,13 @@ from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS, truth
 from soil_env.simulation.task.rules import task_numbers
 from soil_env.simulation.wheels import (
-    COMPLETE,
     IDLE,
     LEAST,
     RESTART,
     STEP,
-    TRY,
     Record,
     WheelNumbers,
+    lay_wheels,
     new_wheel_worlds,
     step_wheels,
     write_true_soils,
@@ -32,7 +31,7 @@ from soil_env.simulation.world.terrain import Courses
 from soil_env.simulation.world.wheel import world_numbers
 from soil_env.terramechanics.model import WheelSoilModel
 
-__all__ = ["COMPLETE", "IDLE", "RESTART", "STEP", "TRY", "Simulation", "Worlds", "processors"]
+__all__ = ["IDLE", "RESTART", "STEP", "Simulation", "Worlds", "processors"]
 
 
 class Worlds(NamedTuple):
@@ -85,7 +84,8 @@ class Simulation(Vehicles):
         world = new_wheel_worlds(wheels, scenario, task, estimator is not None)
         self.worlds = Worlds(*world, *(estimator or (None,) * 4))
         trial = new_wheel_worlds(1, scenario, task, False)
-        self._begin(step_wheels, world, trial, wheels, estimate_wheels, estimator, belief)
+        self._ahead = drawn.ahead
+        self._begin(lay_wheels, step_wheels, world, trial, wheels, estimate_wheels, estimator, belief)
 
     def wheel(self, k: int) -> dict[str, float]:
         """State and counts of wheel k by name, as they are now."""

@@ -1,4 +1,7 @@
-"""Compiled step of many wheels: course, motion, sensors, camera, rules of the task. Nothing is identified here."""
+"""Compiled functions of many wheels: `lay_wheels` draws courses and places wheels at their starts, `step_wheels` drives.
+
+Nothing is identified here. The two are compiled by themselves, side by side where a second processor is there.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,6 @@ from soil_env.simulation.world.camera import Image, Sight, look, write_image
 from soil_env.simulation.world.courses import (
     CourseDistribution,
     CourseNumbers,
-    draw_ahead,
     draw_course,
     extend_course,
     start_course,
@@ -28,9 +30,11 @@ from soil_env.simulation.world.wheel import WheelCounts, WheelState, WorldNumber
 
 _RESTARTS = 100  # attempts at a course in the middle of a run, where nobody can change the scenario
 LEAST = 32  # wheels that a thread takes at a time, at least; at most MANY
-#: Order for a wheel: a step (the control periods of an action), a new course, nothing, a whole course drawn as a trial
-#: (`reward` is then the mass on the wheel, or -1 if no passable course was found), the rest of its course drawn.
-STEP, RESTART, IDLE, TRY, COMPLETE = np.int8(0), np.int8(1), np.int8(2), np.int8(3), np.int8(4)
+#: Orders for a wheel: a step (the control periods of an action), a new course, nothing.
+STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
+#: Orders for a course: a whole one drawn as a trial (`reward` is then the mass on the wheel, or -1 if no passable course
+#: was found), the rest of it drawn, the ground ahead drawn.
+TRY, COMPLETE, AHEAD = np.int8(3), np.int8(4), np.int8(5)
 RUNNING = Cause.RUNNING.value
 READINGS = 10  # numbers of a `SensorReading`
 
@@ -98,12 +102,6 @@ def new_wheel_worlds(wheels: int, scenario: Scenario, task: TaskNumbers, recorde
 
 
 @inlined
-def course_of_numbers(numbers):
-    """`CourseNumbers` of a scenario."""
-    return CourseNumbers(numbers.drawn, numbers.world.wheel)
-
-
-@inlined
 def clear_reward(worlds, k):
     """Set the sums of a step of wheel k to zero."""
     worlds.reward[k] = 0.0
@@ -118,16 +116,49 @@ def store_reading(readings, reading):
         readings[i] = reading[i]
 
 
-@part
-def _restart(worlds, numbers, k):
-    """Start a new course for wheel k, put the wheel at its start, and observe."""
+# --- courses ----------------------------------------------------------------------------------------------------------
+
+
+@inlined
+def start_passable(k, courses, streams, numbers):
+    """Start a new course k; the mass [kg] on the wheel with payload."""
     mass, attempts = -1.0, 0
     while mass < 0.0 and attempts < _RESTARTS:
-        mass = start_course(k, worlds.courses, worlds.streams, course_of_numbers(numbers))
+        mass = start_course(k, courses, streams, numbers)
         attempts += 1
     if mass < 0.0:
-        raise RuntimeError("no passable course found: the soils are too weak for this wheel")
-    settle(worlds.state, worlds.counts, k, mass, worlds.courses, worlds.streams, numbers.world)
+        raise RuntimeError("no passable course found: the soils are too weak for this vehicle")
+    return mass
+
+
+@root(nogil=True)
+def lay_wheels(worlds, numbers, rows, order, counter):
+    """Follow an `order` for the courses `rows` [n]; `counter`: [next of them, threads at work].
+
+    RESTART starts a new course and puts the wheel at rest at its start.
+    """
+    courses, streams = worlds.courses, worlds.streams
+    course = CourseNumbers(numbers.drawn, numbers.world.wheel)
+    i = take(counter, 1)
+    while i < rows.size:
+        k = rows[i]
+        if order == RESTART:
+            mass = start_passable(k, courses, streams, course)
+            settle(worlds.state, worlds.counts, k, mass, courses, streams, numbers.world)
+        elif order == TRY:
+            worlds.reward[k] = draw_course(k, courses, streams, course)
+        else:
+            x = np.inf if order == COMPLETE else worlds.state.x[k] + course.drawn.ahead
+            extend_course(k, courses, worlds.state.mass[k], x, course)
+        i = take(counter, 1)
+
+
+# --- driving ----------------------------------------------------------------------------------------------------------
+
+
+@part
+def _restart(worlds, numbers, k):
+    """Observe wheel k at the start of its course."""
     worlds.cause[k] = RUNNING
     clear_reward(worlds, k)
     start_odometry(worlds.state, k, worlds.streams, numbers.task.sensors)
@@ -167,8 +198,7 @@ def _observation(worlds, numbers, k, reading, sight):
 
 @inlined
 def _after_period(worlds, numbers, k, period):
-    """End of a control period of wheel k: draw the course ahead, sense, judge, reward, observe."""
-    draw_ahead(k, worlds.courses, worlds.state.x[k], worlds.state.mass[k], course_of_numbers(numbers))
+    """End of a control period of wheel k: sense, judge, reward, observe."""
     reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
     roll_odometer(worlds.state, k, reading.speed, numbers.task.sensors)
     sight = _look(worlds, numbers, k)
@@ -209,7 +239,10 @@ def portion_of(counter, wheels):
 
 @root(nogil=True)
 def step_wheels(worlds, numbers, commands, what, counter):
-    """Execute the orders `what` [wheels], chunk by chunk; `counter`: [next wheel, threads at work]."""
+    """Step or observe wheels as `what` [wheels] says, chunk by chunk; `counter`: [next wheel, threads at work].
+
+    The ground ahead is there (`lay_wheels`).
+    """
     wheels = what.size
     portion = portion_of(counter, wheels)
     start = take(counter, portion)
@@ -222,10 +255,6 @@ def step_wheels(worlds, numbers, commands, what, counter):
                 steps += 1
             elif what[k] == RESTART:
                 _restart(worlds, numbers, k)
-            elif what[k] == TRY:
-                worlds.reward[k] = draw_course(k, worlds.courses, worlds.streams, course_of_numbers(numbers))
-            elif what[k] == COMPLETE:
-                extend_course(k, worlds.courses, worlds.state.mass[k], np.inf, course_of_numbers(numbers))
         _step(worlds, numbers, commands, start, count, steps)
         portion = portion_of(counter, wheels)
         start = take(counter, portion)

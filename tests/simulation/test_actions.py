@@ -120,7 +120,7 @@ def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
 def test_information_is_discounted_once_a_step():
     """Not once a control period: over a course that goes on it is worth what was known at its end."""
     sim = simulation("rim_acceleration", 5, reward={"information": 2.0, "information_discount": 0.9}, **FLAT)
-    prior = np.sqrt(1.0 / sim.numbers.identifier.precision)
+    prior = np.sqrt(1.0 / sim.belief.identifier.precision)
 
     def known():
         return float(np.log(np.maximum(prior / sim.worlds.ids.sd[0], 1.0)).sum())

@@ -1,4 +1,7 @@
-"""Compiled step of many rovers: course, motion, sensors, rules of the task. Nothing is identified here."""
+"""Compiled functions of many rovers: `lay_rovers` draws courses and places rovers at their starts, `step_rovers` drives.
+
+Nothing is identified here.
+"""
 
 from __future__ import annotations
 
@@ -34,13 +37,13 @@ from soil_env.simulation.wheels import (
     STEP,
     TRY,
     clear_reward,
-    course_of_numbers,
+    start_passable,
     store_reading,
 )
 from soil_env.simulation.world.courses import (
     CourseDistribution,
+    CourseNumbers,
     course_numbers,
-    draw_ahead,
     extend_course,
     start_course,
 )
@@ -57,7 +60,6 @@ from soil_env.simulation.world.wheel import (
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
-_RESTARTS = 100  # attempts at a course in the middle of a run, where nobody can change the scenario
 _MOST_BLOCKS = 8  # of eight rovers, that a thread takes at a time
 _DEEPEST_ALONE = 0.5  # of the limit of sinkage, of a wheel by itself on the ground of a course
 
@@ -154,17 +156,10 @@ def _drawn(scenario: RoverScenario, model: WheelSoilModel | None) -> CourseDistr
 
 
 @part
-def _restart(worlds, numbers, j):
-    """Start a new course for rover j, put it at its start, and observe."""
+def _settle(worlds, numbers, j, mass):
+    """Put rover j at rest at the start of its course."""
     rovers, s = worlds.rovers, numbers.suspension
     body, wheels = rovers.body, rovers.wheels
-    mass, attempts = -1.0, 0
-    while mass < 0.0 and attempts < _RESTARTS:
-        mass = start_course(j, worlds.courses, worlds.streams, course_of_numbers(numbers))
-        attempts += 1
-    if mass < 0.0:
-        raise RuntimeError("no passable course found: the soils are too weak for this rover")
-    draw_ahead(j, worlds.courses, s.base, mass, course_of_numbers(numbers))
     zero_column(body, j)
     zero_column(rovers.body_counts, j)
     body.mass[j] = mass * s.axles
@@ -177,11 +172,39 @@ def _restart(worlds, numbers, j):
         rovers.axles.floor[k] = 0.0
         clear_ruts(worlds.ruts, k)
     body.next_halt[j] = between(worlds.streams, j, numbers.world.halt_low, numbers.world.halt_high)
-    take_pitch(rovers, j, s)
     rovers.body_counts.converged[j] = 1
+
+
+@root(nogil=True)
+def lay_rovers(worlds, numbers, rows, order, counter):
+    """Follow an `order` for the courses `rows` [n]; `counter`: [next of them, threads at work].
+
+    RESTART starts a new course and puts the rover at rest at its start.
+    """
+    courses, s, body = worlds.courses, numbers.suspension, worlds.rovers.body
+    course = CourseNumbers(numbers.drawn, numbers.world.wheel)
+    i = take(counter, 1)
+    while i < rows.size:
+        j = rows[i]
+        if order == RESTART:
+            mass = start_passable(j, courses, worlds.streams, course)
+            extend_course(j, courses, mass, s.base + course.drawn.ahead, course)
+            _settle(worlds, numbers, j, mass)
+        elif order == TRY:
+            worlds.reward[j] = start_course(j, courses, worlds.streams, course)
+        else:
+            x = np.inf if order == COMPLETE else body.x[j] + s.base + course.drawn.ahead
+            extend_course(j, courses, body.mass[j] / s.axles, x, course)
+        i = take(counter, 1)
+
+
+@part
+def _restart(worlds, numbers, j):
+    """Observe rover j at the start of its course."""
+    take_pitch(worlds.rovers, j, numbers.suspension)
     worlds.cause[j] = RUNNING
     clear_reward(worlds, j)
-    start_odometry(body, j, worlds.streams, numbers.task.sensors)
+    start_odometry(worlds.rovers.body, j, worlds.streams, numbers.task.sensors)
     _observe(worlds, numbers, j, 0, _sense_body(worlds, numbers, j))
 
 
@@ -226,9 +249,8 @@ def _observe(worlds, numbers, j, period, reading):
 
 @inlined
 def _after_period(worlds, numbers, j, period):
-    """End of a control period of rover j: draw the course ahead, sense, judge, reward, observe."""
-    s, task, body = numbers.suspension, numbers.task, worlds.rovers.body
-    draw_ahead(j, worlds.courses, body.x[j] + s.base, body.mass[j] / s.axles, course_of_numbers(numbers))
+    """End of a control period of rover j: sense, judge, reward, observe."""
+    task, body = numbers.task, worlds.rovers.body
     reading = _sense_body(worlds, numbers, j)
     roll_odometer(body, j, reading.speed, task.sensors)
     _observe(worlds, numbers, j, period, reading)
@@ -287,11 +309,6 @@ def step_rovers(worlds, numbers, commands, what, counter):
                     steps += 1
                 elif what[j] == RESTART:
                     _restart(worlds, numbers, j)
-                elif what[j] == TRY:
-                    worlds.reward[j] = start_course(j, worlds.courses, worlds.streams, course_of_numbers(numbers))
-                elif what[j] == COMPLETE:
-                    mass = worlds.rovers.body.mass[j] / numbers.suspension.axles
-                    extend_course(j, worlds.courses, mass, np.inf, course_of_numbers(numbers))
             if steps > 0:
                 _step_block(worlds, numbers, commands, b * COUNT)
         block = take(counter, portion)
