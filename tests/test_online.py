@@ -11,12 +11,12 @@ import pytest
 
 import soil_env  # noqa: F401  (registers SoilWheel-v0)
 from soil_env._io.loading import ParameterError
+from soil_env.driving.wheels import Simulation
 from soil_env.identification.online.identifier import HELD
 from soil_env.online import OnlineIdentifier, Readings, Status, largest_readings, slips
 from soil_env.parameters import Belief, Noise, load_scenario, wheels
 from soil_env.simulation.world.dynamics import STEP, advance
 from soil_env.simulation.world.sensors import sense
-from soil_env.driving.wheels import Simulation
 from tests.identification.observing import observe
 
 WHEEL, BELIEF = wheels()["planetary_rover"], Belief()

@@ -157,7 +157,7 @@ def _restart(estimator, numbers, record, results, k):
         begin(estimator.recent, k, reading_of(record.readings[k, 0]), numbers.warning)
     if numbers.task.camera.classes > 0:
         _look_ahead(estimator, numbers, record, k, 0)
-    _show(estimator, numbers, record, results, k, 0)
+    show_estimate(estimator, numbers, record, results, k, 0)
 
 
 @inlined
@@ -189,11 +189,11 @@ def _step(estimator, numbers, record, results, k):
         _after_period(estimator, numbers, record, results, k, period)
     if numbers.task.reward_information > 0.0:
         results.reward[k] = total_of(results.terms[k])
-    _show(estimator, numbers, record, results, k, record.periods[k] - 1)
+    show_estimate(estimator, numbers, record, results, k, record.periods[k] - 1)
 
 
 @inlined
-def _show(estimator, numbers, record, results, k, period):
+def show_estimate(estimator, numbers, record, results, k, period):
     """Fill what is identified into the observation of wheel k, if its variant has it."""
     task, ids, out = numbers.task, estimator.ids, results.observation[k]
     if task.variant != 1:

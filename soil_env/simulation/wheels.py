@@ -1,6 +1,6 @@
-"""Compiled functions of many wheels: `lay_wheels` draws courses and places wheels at their starts, `step_wheels` drives.
+"""Compiled functions of many wheels: `lay_wheels` draws courses and places wheels at rest, `step_wheels` drives.
 
-Nothing is identified here. The two are compiled by themselves, side by side where a second processor is there.
+Nothing is identified here. The two are compiled by themselves, side by side if there is a second processor.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _RESTARTS = 100  # attempts at a course in the middle of a run, where nobody can
 LEAST = 32  # wheels that a thread takes at a time, at least; at most MANY
 #: Orders for a wheel: a step (the control periods of an action), a new course, nothing.
 STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
-#: Orders for a course: a whole one drawn as a trial (`reward` is then the mass on the wheel, or -1 if no passable course
+#: Orders for a course: a whole one drawn as a trial (`reward` is then the mass on the wheel, or -1 if no passable one
 #: was found), the rest of it drawn, the ground ahead drawn.
 TRY, COMPLETE, AHEAD = np.int8(3), np.int8(4), np.int8(5)
 RUNNING = Cause.RUNNING.value

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import HELD, Control, ParameterError, load_scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.world.wheel import REVERSE
-from soil_env.driving.wheels import Simulation
 
 COLUMN = {entry.name: i for i, entry in enumerate(layout("blind"))}
 FLAT = {"course": {"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]}, "noise": {"wheel_speed": 0.0}}

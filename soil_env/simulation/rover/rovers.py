@@ -1,4 +1,4 @@
-"""Compiled functions of many rovers: `lay_rovers` draws courses and places rovers at their starts, `step_rovers` drives.
+"""Compiled functions of many rovers: `lay_rovers` draws courses and places rovers at rest, `step_rovers` drives.
 
 Nothing is identified here.
 """
