@@ -27,7 +27,7 @@ from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.mistakes import examine
 from soil_env.measurement.table import MEASURED, NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_table
 from soil_env.parameters import Soil, soils
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 GRAVITY = 9.81

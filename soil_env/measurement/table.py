@@ -97,6 +97,11 @@ class Table:
     def __len__(self) -> int:
         return self.slip.size
 
+    def conditions(self) -> dict[str, np.ndarray]:
+        """Conditions [N] of the rows by column, as `WheelSoilModel.predict` takes them."""
+        names = (*REQUIRED, "speed", "grade_deg", "wheel_radius", "wheel_width", "grouser_height")
+        return {name: getattr(self, name) for name in names} | {"pass": self.passes}
+
     def only(self, rows: np.ndarray) -> Table:
         """The table with these rows only: indices, or [N] bool."""
         columns = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}

@@ -19,7 +19,7 @@ from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import larger, power, smaller, where_less
 from soil_env._numba.lanes import alike
-from soil_env.measurement.table import MEASURED as CHANNELS, Channel
+from soil_env.terramechanics.effects.entry import CHANNELS, Channel
 
 #: Dimensionless groups: |slip|, 1 - |slip|, z/r, W/(S b r^(n+1)), V/sqrt(g r), pass number, sin(grade).
 GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")

@@ -16,8 +16,7 @@ from soil_env.simulation.task import VARIANTS, task_numbers
 from soil_env.simulation.terrain import rut_factor
 from soil_env.simulation.wheel import WheelState
 from soil_env.simulation.worlds import Simulation
-from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.effects import acting, pack_effects
+from soil_env.terramechanics.effects import CATALOGUE, acting, pack_effects
 from soil_env.terramechanics.model import Conditions, Rim, WheelSoilModel, steady_with
 from soil_env.terramechanics.reaction import ground_under
 from soil_env.terramechanics.residual import ResidualTerm

@@ -13,8 +13,7 @@ from soil_env.parameters import SoilState, soils
 from soil_env.simulation import dynamics
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import effects, model, reaction
-from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.effects import NO_EFFECTS, pack_effects
+from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, pack_effects
 
 R, B, LOAD, LENGTH = 0.15, 0.15, 150.0, 0.3
 TAN_30 = 1.0 / math.sqrt(3.0)

@@ -7,8 +7,7 @@ import pytest
 
 from soil_env.parameters import SoilState, soils
 from soil_env.terramechanics import contact, effects, reaction
-from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.effects import NO_EFFECTS, acting, pack_effects
+from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, acting, pack_effects
 from soil_env.terramechanics.residual import ResidualTerm, residual_law
 from soil_env.terramechanics.steady import Rim
 from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER

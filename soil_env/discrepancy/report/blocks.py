@@ -12,7 +12,7 @@ from soil_env.discrepancy.report import equations
 from soil_env.discrepancy.report.equations import SYMBOLS, plain
 from soil_env.discrepancy.report.words import TITLES, UNITS
 from soil_env.discrepancy.result import EffectFound, Report
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 
 _SOIL = {"phi": ("friction_angle_deg", "deg"), "c": ("cohesion", "Pa"), "K": ("shear_modulus", "m"),
          "S": ("sinkage_coefficient", "N/m^(n+2)"), "n": ("sinkage_exponent", "")}  # fmt: skip

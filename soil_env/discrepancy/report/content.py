@@ -15,7 +15,7 @@ from soil_env.discrepancy.report import cautions, words
 from soil_env.discrepancy.report.blocks import blocks
 from soil_env.discrepancy.report.equations import SYMBOLS
 from soil_env.discrepancy.result import Report
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 
 LEAST = 1e-3  # probability below which a hypothesis is not listed
 

@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from soil_env.discrepancy.report.words import TITLES
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.residual import ResidualTerm
 
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from soil_env.discrepancy.data import CHANNELS, WHEEL
 from soil_env.discrepancy.report.words import TITLES, UNITS, fixed, title
 from soil_env.discrepancy.result import Report
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 
 BEFORE, AFTER, MEASURED = "#c2571a", "#1f6f8b", "#222222"
 LIGHT = "#7fb2c2"

@@ -8,7 +8,7 @@ from soil_env.discrepancy.report.cautions import not_tiny
 from soil_env.discrepancy.report.numbers import figures, fixed, times
 from soil_env.discrepancy.report.words import SOIL, TITLES, amount, title
 from soil_env.discrepancy.result import Report
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 
 
 def effects(report: Report) -> Table:

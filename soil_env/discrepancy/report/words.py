@@ -12,7 +12,7 @@ from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.report.numbers import figure, figures, fixed
 from soil_env.discrepancy.result import LEFT, WORSE, Report
 from soil_env.discrepancy.search import NAMED, ODDS, TOLD, UNLISTED_ODDS
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.validity import in_words
 
 MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned

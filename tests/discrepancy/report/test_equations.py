@@ -8,7 +8,7 @@ import pytest
 from soil_env.discrepancy.report import equations
 from soil_env.parameters import SoilState
 from soil_env.terramechanics import effects as laws
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.contact import (
     mobilised,
 )

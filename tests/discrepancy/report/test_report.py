@@ -13,7 +13,7 @@ from soil_env.discrepancy import judgement, report as drawn, run
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.judgement import Gap
 from soil_env.discrepancy.report import blocks, cautions, content, numbers, tables, text, words
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 from tests.discrepancy.files import SETUP, table_text, write_files
 
 KEYS = ("verdict", "effects", "where", "ranking", "gap", "closed", "untestable", "next_tests", "remainder",
