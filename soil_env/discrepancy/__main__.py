@@ -48,8 +48,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from soil_env._io.commands import command_line, folder, label, leave, table_parser, whole_number
 from soil_env.discrepancy.report import FILES, show
-from soil_env.discrepancy.report.cautions import check_first
-from soil_env.discrepancy.report.words import summary
+from soil_env.discrepancy.report.sentences import summary
 from soil_env.discrepancy.workflow import run
 
 NAME = "soil_env.discrepancy"
@@ -62,10 +61,10 @@ def main(arguments: list[str] | None = None) -> int:
     with _progress(options.quiet) as say:
         report = run(options.data, options.setup, options.out, seed=options.seed, progress=say)
     if options.quiet:
-        first = check_first(report)
-        print(f"{report.verdict}: {'CHECK FIRST: ' + ' '.join(first) + ' ' if first else ''}{summary(report)}")
+        first = f"CHECK FIRST: {' '.join(report.doubts)} " if report.doubts else ""
+        print(f"{report.verdict}: {first}{summary(report)}")
     else:
-        show(report, Console(width=None if sys.stdout.isatty() else 110))
+        show(report, Console(width=None if sys.stdout.isatty() else 100))
         for name in FILES:
             print(f"written: {Path(options.out) / name}")
     sys.stdout.flush()

@@ -38,6 +38,7 @@ from soil_env.identification.rig import predict_table
 from soil_env.identification.weighted import differences, finite, most_probable
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects, sliding_speed
+from soil_env.terramechanics.effects.entry import Bench
 from soil_env.terramechanics.model import Rows
 
 PRIOR_WIDTH = 1.5
