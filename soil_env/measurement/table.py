@@ -21,7 +21,6 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError, nearest
 from soil_env.measurement.setup import (
-    LARGEST_WHEEL,
     REQUIRED,
     NoiseLevels,
     Prior,
@@ -30,10 +29,10 @@ from soil_env.measurement.setup import (
     SoilPriors,
     read_setup,
 )
+from soil_env.parameters import LARGEST_WHEEL
 from soil_env.slip import slips_of_radius
 
 __all__ = [
-    "LARGEST_WHEEL",
     "REQUIRED",
     "NoiseLevels",
     "Prior",

@@ -12,7 +12,7 @@ from benchmarks import clients, cmu, fuzz, memory, table_fits, throughput, train
 from benchmarks.blind import __main__ as blind
 from soil_env._io import examples
 from soil_env._io.loading import shipped_dir
-from soil_env.discrepancy import __main__ as discrepancy, cmu as cmu_tables
+from soil_env.discrepancy import __main__ as discrepancy
 from soil_env.identification import __main__ as identification_command
 from soil_env.logs import __main__ as logs
 from soil_env.paper import __main__ as paper
@@ -35,7 +35,7 @@ COMMANDS = {
 
 
 NAMED = {name: module for name, (module, *_) in COMMANDS.items() if name in ("cmu", "paper", "sim2real")} | {
-    "ablation": ablation, "cmu_tables": cmu_tables, "discrepancy": discrepancy, "evaluate": evaluate,
+    "ablation": ablation, "discrepancy": discrepancy, "evaluate": evaluate,
     "identification": identification_command, "logs": logs, "seeds": seeds, "tune": tune,
 }  # fmt: skip
 

@@ -5,9 +5,8 @@ import math
 import pytest
 
 from soil_env.parameters import SoilState, soils
-from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects, pack_effects
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE
-from soil_env.terramechanics.effects import NO_EFFECTS, Effects, pack_effects
 from soil_env.terramechanics.model import LEVEL, Conditions, Rim, steady_state, steady_with
 
 SOIL = SoilState(math.tan(math.radians(30.0)), 1000.0, 0.02, 8e5, 0.8, 0.0, 0.5)

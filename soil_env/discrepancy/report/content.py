@@ -30,7 +30,8 @@ def content(report: Report) -> dict[str, Any]:
         "effects": [
             {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
              "in_model": report.model.effects[e.name], "probability": e.probability, "share": e.share,
-             "alternatives": e.alternatives, "symbols": {p.name: p.symbol for p in CATALOGUE[e.name].parameters if p.symbol}, **block}
+             "alternatives": e.alternatives,
+             "symbols": {p.name: p.symbol for p in CATALOGUE[e.name].parameters if p.symbol}, **block}
             for e, block in zip(report.effects, shown, strict=False)
         ],
         "where": [

@@ -8,7 +8,6 @@ from html import escape
 from typing import Any, NamedTuple
 
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.judgement import Interval
 from soil_env.discrepancy.report.sentences import TITLES, UNITS
 from soil_env.discrepancy.result import EffectFound, Report
 from soil_env.terramechanics.effects import CATALOGUE

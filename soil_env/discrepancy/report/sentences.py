@@ -15,7 +15,7 @@ from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.result import LEFT, WORSE, Report
 from soil_env.discrepancy.search import NAMED, ODDS, TOLD, UNLISTED_ODDS
 from soil_env.terramechanics.effects import CATALOGUE
-from soil_env.terramechanics.model import DEEPEST
+from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
 MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
@@ -208,7 +208,9 @@ def cautions(report: Report) -> list[str]:
     dropped = problem.data.measured & ~problem.used
     worse_with = []
     for j in np.flatnonzero(dropped.any(axis=0)):
-        kept, whole = (math.sqrt(float(np.mean(far[rows[:, j], j] ** 2))) for rows in (problem.used, problem.data.measured))
+        kept, whole = (
+            math.sqrt(float(np.mean(far[rows[:, j], j] ** 2))) for rows in (problem.used, problem.data.measured)
+        )
         worse_with += [(TITLES[CHANNELS[j]], whole, kept)] if whole > 1.2 * kept else []
     outside = []
     for e in report.effects:
@@ -224,7 +226,9 @@ def cautions(report: Report) -> list[str]:
         values=int(problem.used.sum()),
         unknowns=len(fit.unknowns),
         missing=[TITLES[name] for name in CHANNELS if name not in report.channels],
-        from_scatter=[(TITLES[n], amount(n, noise.sd[j])) for j, n in enumerate(CHANNELS) if noise.origin[j] == "scatter"],
+        from_scatter=[
+            (TITLES[n], amount(n, noise.sd[j])) for j, n in enumerate(CHANNELS) if noise.origin[j] == "scatter"
+        ],
         left_out=[f"{TITLES[name]} in row {row}" for row, name in report.left_out],
         ordinary=int(np.sum(far[dropped] <= 3.0)),
         worse_with=worse_with,

@@ -8,11 +8,10 @@ import pytest
 from soil_env.discrepancy.report import equations
 from soil_env.parameters import SoilState
 from soil_env.terramechanics import effects as laws
-from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.contact import (
     mobilised,
 )
-from soil_env.terramechanics.effects import NO_EFFECTS, pack_effects
+from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, pack_effects
 
 FORMS = [(e.name, f) for e in CATALOGUE.values() for f in e.forms]
 SOIL = SoilState(0.6, 900.0, 0.02, 3e5, 0.8, 0.0, 0.5)
