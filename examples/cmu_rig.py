@@ -8,8 +8,8 @@ Writes smooth.csv, grouser.csv and beside each its setup. A row is one straight 
 travel speed of 10 mm/s; the rim speed sets the slip. Signs are those of the repository's average_data_to_model.m.
 
 Cautions: radius and width are uncertain by 4 and 10 mm, and the zero of the sinkage by a few mm, the same for all
-slips. There is no torque, one load (about 24 N) and one travel speed. Cohesion and K of set_soil_params.m were tuned to these
-runs, so they are no prior knowledge and are not in the setup.
+slips. There is no torque, one load (about 24 N) and one travel speed. Cohesion and K of set_soil_params.m were tuned to
+these runs, so they are no prior knowledge and are not in the setup.
 """
 
 import argparse

@@ -3,7 +3,7 @@
 Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; its numbers are in printed.yaml of this
 package. Tables 1 to 5, the drawbar pull and the sentences on cohesion, Figs. 6, 7 and 9, each by the equations as
 printed and with the angle of maximum stress of Wong & Reece (1967), from whom the paper takes wheel, sand and measured
-points. Takes seconds; with --full, which scans initial guesses and roots finely, half a minute.
+points.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _EPILOG = """files:
 
 examples:
   python -m soil_env.paper
-  python -m soil_env.paper --full --out docs"""
+  python -m soil_env.paper --out docs"""
 
 
 @command_line("soil_env.paper")
@@ -34,7 +34,9 @@ def main(arguments: list[str] | None = None) -> int:
     p.add_argument(
         "--out", type=folder, metavar="DIR", help="write the page and its figures there (default: print only)"
     )
-    p.add_argument("--full", action="store_true", help="scan initial guesses and roots finely, draw more noise")
+    p.add_argument(
+        "--draws", type=whole_number(1), metavar="N", default=1000, help="of the noise in Table 5 (default 1000)"
+    )
     p.add_argument(
         "--seed", type=whole_number(), metavar="N", default=0, help="of the noise in Table 5, >= 0 (default 0)"
     )
@@ -42,8 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
     if options.out is not None:
         check_outputs(options.out, ["paper.md", *(f"paper/{name}.png" for name in page.FIGURES)])
         make_folder(options.out)
-    results = compute(options.seed, options.full)
-    asked = "python -m soil_env.paper" + " --full" * options.full + f" --seed {options.seed}" * (options.seed > 0)
+    results = compute(options.seed, options.draws)
+    asked = f"soil-env paper --draws {options.draws} --seed {options.seed}"
     if options.out is not None:
         page.write(results, options.out, f"{asked} --out docs")
         print(f"written: {options.out / 'paper.md'}, figures in {options.out / 'paper'}")

@@ -99,7 +99,7 @@ def test_sigterm_that_is_ignored_stays_ignored():
 def test_a_command_ends_in_one_line(tmp_path, name, status):
     """While it works: one line, and nothing is written."""
     folder = tmp_path / "out"
-    command = [sys.executable, "-m", "soil_env.paper", "--full", "--out", str(folder)]
+    command = [sys.executable, "-m", "soil_env.paper", "--draws", "1e6", "--out", str(folder)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while not folder.exists() and process.poll() is None:  # made when the work begins
         time.sleep(0.02)
