@@ -13,7 +13,16 @@ from soil_env.parameters import SoilState, soils
 from soil_env.simulation import dynamics
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import effects, model, reaction
-from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, pack_effects
+from soil_env.terramechanics.effects import (
+    CATALOGUE,
+    NO_EFFECTS,
+    bulldozing,
+    grade,
+    grousers,
+    multipass,
+    pack_effects,
+    penetration_rate,
+)
 
 R, B, LOAD, LENGTH = 0.15, 0.15, 150.0, 0.3
 TAN_30 = 1.0 / math.sqrt(3.0)
@@ -117,9 +126,9 @@ def test_exponent_grows_with_slip():
 
 
 def test_rate_factors():
-    assert effects.rate_factor(0.5, 0.05, 0.1, 0.0) == pytest.approx(1.2589254)  # 10^0.1
-    assert effects.rate_factor(0.5, 0.05, 0.0, 0.1) == pytest.approx(1.2302585)  # 1 + 0.1 ln 10
-    assert effects.rate_factor(0.05, 0.5, 0.0, 0.1) == pytest.approx(0.7697415)
+    assert penetration_rate.rate_factor(0.5, 0.05, 0.1, 0.0) == pytest.approx(1.2589254)  # 10^0.1
+    assert penetration_rate.rate_factor(0.5, 0.05, 0.0, 0.1) == pytest.approx(1.2302585)  # 1 + 0.1 ln 10
+    assert penetration_rate.rate_factor(0.05, 0.5, 0.0, 0.1) == pytest.approx(0.7697415)
 
 
 rates = st.floats(-0.3, 0.6)
@@ -128,20 +137,20 @@ rates = st.floats(-0.3, 0.6)
 @settings(deadline=None)
 @given(v0=st.floats(1e-3, 1.0), ratio=st.floats(0.03, 30.0), power=rates, slope=rates)
 def test_rate_factor_symmetry_and_limits(v0, ratio, power, slope):
-    assert effects.rate_factor(v0, v0, power, slope) == pytest.approx(1.0)
-    assert effects.rate_factor(ratio * v0, v0, 0.0, 0.0) == 1.0
-    faster, slower = (effects.rate_factor(v0 * q, v0, power, 0.0) for q in (ratio, 1.0 / ratio))
+    assert penetration_rate.rate_factor(v0, v0, power, slope) == pytest.approx(1.0)
+    assert penetration_rate.rate_factor(ratio * v0, v0, 0.0, 0.0) == 1.0
+    faster, slower = (penetration_rate.rate_factor(v0 * q, v0, power, 0.0) for q in (ratio, 1.0 / ratio))
     assert faster * slower == pytest.approx(1.0)
-    faster, slower = (effects.rate_factor(v0 * q, v0, 0.0, slope) for q in (ratio, 1.0 / ratio))
+    faster, slower = (penetration_rate.rate_factor(v0 * q, v0, 0.0, slope) for q in (ratio, 1.0 / ratio))
     assume(min(faster, slower) > 0.1)
     assert faster + slower == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(("power", "slope"), [(0.5, 0.0), (0.0, 0.2), (-0.3, 0.0)])
 def test_soil_counts_as_loaded_at_rest_below_a_fiftieth(power, slope):
-    at_rest = effects.rate_factor(0.0, 0.05, power, slope)
-    assert at_rest == effects.rate_factor(0.0009, 0.05, power, slope) >= 0.1
-    assert at_rest != effects.rate_factor(0.0011, 0.05, power, slope)
+    at_rest = penetration_rate.rate_factor(0.0, 0.05, power, slope)
+    assert at_rest == penetration_rate.rate_factor(0.0009, 0.05, power, slope) >= 0.1
+    assert at_rest != penetration_rate.rate_factor(0.0011, 0.05, power, slope)
 
 
 def test_rates_act_on_their_own_parameters():
@@ -172,9 +181,9 @@ def test_sliding_speed(slip, sliding):
 )
 def test_pass_factor_of_the_fourth_pass(parameters, factor):
     fx = on("multipass", **parameters)
-    assert effects.pass_factor(4.0, 0.4, fx) == pytest.approx(factor)
-    assert effects.pass_factor(4.0, -0.4, fx) == pytest.approx(factor)
-    assert effects.pass_factor(1.0, 0.4, fx) == 1.0
+    assert multipass.pass_factor(4.0, 0.4, fx) == pytest.approx(factor)
+    assert multipass.pass_factor(4.0, -0.4, fx) == pytest.approx(factor)
+    assert multipass.pass_factor(1.0, 0.4, fx) == 1.0
 
 
 def test_passes_stiffen_and_strengthen():
@@ -190,31 +199,31 @@ def test_passes_stiffen_and_strengthen():
 def test_slope_factor_of_meyerhof():
     """(1 - b/phi)^2 at 10 deg and phi = 30 deg: 4/9."""
     fx, sine = on("grade", weakening=1.0), math.sin(math.radians(10.0))
-    assert effects.slope_factor(SOIL, sine, fx) == effects.slope_factor(SOIL, -sine, fx) == pytest.approx(4.0 / 9.0)
-    assert effects.slope_factor(SOIL, sine, on("grade", weakening=0.5)) == pytest.approx(2.0 / 3.0)
-    assert effects.slope_factor(SOIL, 0.0, fx) == effects.slope_factor(SOIL, sine, NO_EFFECTS) == 1.0
-    assert effects.slope_factor(SOIL, math.sin(math.radians(40.0)), fx) > 0.0  # steeper than phi
+    assert grade.slope_factor(SOIL, sine, fx) == grade.slope_factor(SOIL, -sine, fx) == pytest.approx(4.0 / 9.0)
+    assert grade.slope_factor(SOIL, sine, on("grade", weakening=0.5)) == pytest.approx(2.0 / 3.0)
+    assert grade.slope_factor(SOIL, 0.0, fx) == grade.slope_factor(SOIL, sine, NO_EFFECTS) == 1.0
+    assert grade.slope_factor(SOIL, math.sin(math.radians(40.0)), fx) > 0.0  # steeper than phi
 
 
 # --- added forces -----------------------------------------------------------------------------------------------------
 
 
 def test_passive_pressure_of_rankine():
-    assert effects.passive_coefficient(TAN_30) == pytest.approx(3.0)
-    assert effects.passive_coefficient(0.0) == pytest.approx(1.0)
+    assert bulldozing.passive_coefficient(TAN_30) == pytest.approx(3.0)
+    assert bulldozing.passive_coefficient(0.0) == pytest.approx(1.0)
 
 
 @settings(deadline=None)
 @given(phi=st.floats(0.0, 1.2))
 def test_passive_times_active_pressure_is_1(phi):
-    kp = effects.passive_coefficient(math.tan(phi))
+    kp = bulldozing.passive_coefficient(math.tan(phi))
     assert kp == pytest.approx((1.0 + math.sin(phi)) / (1.0 - math.sin(phi)))
-    assert kp * effects.passive_coefficient(-math.tan(phi)) == pytest.approx(1.0)
+    assert kp * bulldozing.passive_coefficient(-math.tan(phi)) == pytest.approx(1.0)
 
 
 def test_bulldozing_of_rankine():
     """0.12 m wide, 0.05 m deep, c = 1000 Pa: 0.12 (0.5 x 16000 x 0.0025 x 3 + 2 x 1000 x 0.05 x 1.7320508) N."""
-    found = effects.bulldozing_resistance(0.05, SOIL, WEIGHT, 0.12, on("bulldozing", rankine=1.0))
+    found = bulldozing.bulldozing_resistance(0.05, SOIL, WEIGHT, 0.12, on("bulldozing", rankine=1.0))
     assert found == pytest.approx(27.984610)
 
 
@@ -223,7 +232,7 @@ def test_bulldozing_of_hegedus():
 
     b D1 (c z + D2 gamma z^2/2) = 0.12 x 3.4641016 (50 + 3.4641016 x 20) = 49.584610 N.
     """
-    found = effects.bulldozing_resistance(0.05, SOIL, WEIGHT, 0.12, on("bulldozing", hegedus=1.0))
+    found = bulldozing.bulldozing_resistance(0.05, SOIL, WEIGHT, 0.12, on("bulldozing", hegedus=1.0))
     assert found == pytest.approx(49.584610)
 
 
@@ -239,7 +248,7 @@ def test_bulldozing_scales(z, tan_phi, c, form):
     fx, soil = on("bulldozing", **{form: 1.0}), SOIL._replace(tan_phi=tan_phi, cohesion=c)
 
     def push(z, soil=soil, weight=WEIGHT, b=0.12, fx=fx):
-        return effects.bulldozing_resistance(z, soil, weight, b, fx)
+        return bulldozing.bulldozing_resistance(z, soil, weight, b, fx)
 
     loose = soil._replace(cohesion=0.0)
     assert push(2.0 * z, loose) == pytest.approx(4.0 * push(z, loose))
@@ -258,7 +267,7 @@ def test_force_of_the_lugs():
     lugs = on("grousers", blades=5.0)
 
     def thrust(slip, theta1=0.6, height=0.01, fx=lugs):
-        return effects.blade_force(theta1, 0.02, slip, SOIL, WEIGHT, 0.12, height, fx)
+        return grousers.blade_force(theta1, 0.02, slip, SOIL, WEIGHT, 0.12, height, fx)
 
     assert thrust(1.0) == pytest.approx(3.0 * 5.0209219, rel=2e-5)
     assert thrust(-1.0) == -thrust(1.0)

@@ -157,7 +157,7 @@ _speed_dependent = any_of(effect.speed_dependent for effect in _LIST)
 @part
 def soil_in_contact(soil, fx, slip, speed, slide, passes, sin_grade):
     """`SoilState` that the wheel meets at this slip, travel speed, sliding speed [m/s], pass and grade."""
-    return _soil(soil, Passage(slip, speed, slide, passes, sin_grade), fx)
+    return _soil(soil, Passage(soil, slip, speed, slide, passes, sin_grade), fx)
 
 
 @part

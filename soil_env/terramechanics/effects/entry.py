@@ -107,8 +107,9 @@ class Effect:
 
 
 class Passage(NamedTuple):
-    """Motion of the wheel over the soil."""
+    """Motion of the wheel over the soil, and that soil before any effect."""
 
+    undisturbed: NamedTuple  # `SoilState`
     slip: float
     speed: float  # [m/s] travel, >= 0
     slide: float  # [m/s] |r w - V|

@@ -33,7 +33,7 @@ def _soil(soil, at, fx):
     """Soil with S by the `slope_factor`."""
     return SoilState(
         soil.tan_phi, soil.cohesion, soil.shear_modulus,
-        soil.sinkage_coefficient * slope_factor(soil, at.sin_grade, fx), soil.sinkage_exponent, soil.dig_gain,
+        soil.sinkage_coefficient * slope_factor(at.undisturbed, at.sin_grade, fx), soil.sinkage_exponent, soil.dig_gain,
         soil.dig_recovery,
     )  # fmt: skip
 

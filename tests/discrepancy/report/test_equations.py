@@ -11,7 +11,15 @@ from soil_env.terramechanics import effects as laws
 from soil_env.terramechanics.contact import (
     mobilised,
 )
-from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, pack_effects
+from soil_env.terramechanics.effects import (
+    CATALOGUE,
+    NO_EFFECTS,
+    bulldozing,
+    grade,
+    grousers,
+    pack_effects,
+    shear_softening,
+)
 
 FORMS = [(e.name, f) for e in CATALOGUE.values() for f in e.forms]
 SOIL = SoilState(0.6, 900.0, 0.02, 3e5, 0.8, 0.0, 0.5)
@@ -66,13 +74,13 @@ def model(name, form, values):
         return ends if name == "rear_contact" else {"thetam": ends["thetam"]}
     if name == "grousers":
         if form == "blades":
-            force = laws.blade_force(at["theta1"], at["z"], at["i"], SOIL, GAMMA, WIDTH, HEIGHT, fx)
+            force = grousers.blade_force(at["theta1"], at["z"], at["i"], SOIL, GAMMA, WIDTH, HEIGHT, fx)
             return {"F": force, "DP": force, "T": force * (RADIUS + HEIGHT / 2)}
         if form.startswith("shear"):
-            return {"r_s": RADIUS * laws.shear_radius_ratio(RADIUS, HEIGHT, fx)}
+            return {"r_s": RADIUS * grousers.shear_radius_ratio(RADIUS, HEIGHT, fx)}
         return {"r_w": RADIUS + fx.grousers_radius_share * HEIGHT}
     if name == "bulldozing":
-        return {"DP": -laws.bulldozing_resistance(at["z"], SOIL, GAMMA, WIDTH, fx)}
+        return {"DP": -bulldozing.bulldozing_resistance(at["z"], SOIL, GAMMA, WIDTH, fx)}
     if name == "multipass":
         out = {"S_N": ground.sinkage_coefficient, "K_N": ground.shear_modulus}
         out |= {"tan(phi_N)": ground.tan_phi} if fx.multipass_strength else {}
@@ -82,11 +90,11 @@ def model(name, form, values):
     if name == "shear_rate":
         return {"c_v": ground.cohesion, "tan(phi_v)": ground.tan_phi}
     if name == "shear_softening":
-        return {"tau": mobilised(at["j"], at["K"] * laws.shear_length_ratio(fx), laws.shear_law(fx))[0]}
+        return {"tau": mobilised(at["j"], at["K"] * shear_softening.shear_length_ratio(fx), shear_softening.shear_law(fx))[0]}
     if name == "grade":
         sine = math.sin(0.1)
         out = {"W_n": at["W"] * (1 - fx.grade_share * (1 - math.cos(0.1))), "DP": -fx.grade_share * at["W"] * sine}
-        return out | ({"S_b": at["S"] * laws.slope_factor(SOIL, sine, fx)} if fx.grade_weakening else {})
+        return out | ({"S_b": at["S"] * grade.slope_factor(SOIL, sine, fx)} if fx.grade_weakening else {})
     if name == "drivetrain_friction":
         return {"T_measured": laws.drive_torque(at["T"], at["w"], 1e-15, fx)}
     if name == "slip_bias":
