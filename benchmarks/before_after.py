@@ -29,7 +29,7 @@ WORLDS = {
 #: What a round runs in a process of its own: {case: (program, arguments)}; each prints one number.
 _STEPS = """
 import json, sys, time, gymnasium, numpy as np, soil_env
-from soil_env.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 wheels, seconds, effects = int(sys.argv[1]), float(sys.argv[2]), json.loads(sys.argv[3])
 world = {"scenario": "mixed"}
 if effects:

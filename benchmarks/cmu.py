@@ -17,11 +17,12 @@ import os
 import tempfile
 from pathlib import Path
 
+from examples import cmu_rig as cmu
 from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.document import Table, render
 from soil_env._io.files import make_folder, replace_files
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy import cmu, run
+from soil_env.discrepancy import run
 from soil_env.discrepancy.report import content
 from soil_env.measurement.table import Prior, Setup, SetupWheel, read_setup
 

@@ -26,7 +26,7 @@ from soil_env.parameters import (
     wheels,
 )
 from soil_env.simulation.task import VARIANTS
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import GROUPS, ResidualTerm
 

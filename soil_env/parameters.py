@@ -38,6 +38,7 @@ from soil_env.soil_parameters import (
 )
 
 _HEAVIEST = 1e9  # weight of a soil
+LARGEST_WHEEL = 3.0  # [m]
 
 # --- wheel ------------------------------------------------------------------------------------------------------------
 
@@ -51,8 +52,8 @@ class Wheel(Checked):
     of body_mass radius^2 is refused: no geared drive is that light, and the wheel would spin up within a step.
     """
 
-    radius: float = quantity("m", 0.01, 3.0)
-    width: float = quantity("m", 0.005, 3.0)
+    radius: float = quantity("m", 0.01, LARGEST_WHEEL)
+    width: float = quantity("m", 0.005, LARGEST_WHEEL)
     inertia: float = quantity("kg m2", 1e-6, 1e5, doc="at least 2 % of body_mass radius^2")
     stall_torque: float = quantity("N m", 1e-3, 1e6)
     no_load_speed: float = quantity("rad/s", 1e-3, 1e3)
@@ -66,6 +67,12 @@ class Wheel(Checked):
             raise FieldError(
                 self, "inertia", f" = {self.inertia:g}: expected at least {least:g} kg m2, 2 % of body_mass radius^2"
             )
+
+
+def check_lugs(height: float, radius: float) -> None:
+    """Raise `ParameterError` for lugs [m] that are no shorter than the radius [m] of their wheel."""
+    if height >= radius:
+        raise ParameterError(f"grouser_height = {height:g}: expected metres, less than the wheel radius {radius:g} m")
 
 
 # --- sensors, belief, task --------------------------------------------------------------------------------------------

@@ -13,8 +13,7 @@ from rich.console import Console
 from soil_env.cli.running import out_option, seed_option
 from soil_env.cli.table_files import table_arguments
 from soil_env.discrepancy.report import FILES, show
-from soil_env.discrepancy.report.cautions import check_first
-from soil_env.discrepancy.report.words import summary
+from soil_env.discrepancy.report.sentences import summary
 from soil_env.discrepancy.workflow import run
 
 
@@ -32,10 +31,10 @@ def command(data: Path, setup: Path, out: Path, seed: int, quiet: bool) -> None:
     with _progress(quiet) as progress:
         report = run(data, setup, out, seed=seed, progress=progress)
     if quiet:
-        first = check_first(report)
-        print(f"{report.verdict}: {'CHECK FIRST: ' + ' '.join(first) + ' ' if first else ''}{summary(report)}")
+        first = f"CHECK FIRST: {' '.join(report.doubts)} " if report.doubts else ""
+        print(f"{report.verdict}: {first}{summary(report)}")
         return
-    show(report, Console(width=None if sys.stdout.isatty() else 110))
+    show(report, Console(width=None if sys.stdout.isatty() else 100))
     for name in FILES:
         print(f"written: {out / name}")
 

@@ -22,8 +22,8 @@ from soil_env._io.loading import (
     to_dict,
     unknown_key,
 )
-from soil_env.measurement.setup import LARGEST_WHEEL, setup_of
-from soil_env.parameters import Belief, Noise, Wheel, refuse_idle_prior, wheels
+from soil_env.measurement.setup import setup_of
+from soil_env.parameters import LARGEST_WHEEL, Belief, Noise, Wheel, refuse_idle_prior, wheels
 
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6}

@@ -26,7 +26,7 @@ from benchmarks.blind.unlisted import UNLISTED
 from benchmarks.blind.world import Arc, Contact, Ground, Rows, Wheel, predict
 from soil_env.measurement.table import read_setup, read_table
 from soil_env.parameters import Soil
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 GROUND = Ground(30.0, 1500.0, 0.018, 770000.0, 0.85, 1600.0)

@@ -188,7 +188,8 @@ def test_first_use_where_nothing_can_be_written(wheel, tmp_path):
     env = {name: v for name, v in os.environ.items() if not name.startswith(("NUMBA", "XDG", "PYTEST"))}
     env |= {"PYTHONPATH": str(home), "HOME": str(nowhere), "USERPROFILE": str(nowhere), "LOCALAPPDATA": str(nowhere)}
     program = (
-        "import soil_env; from soil_env.model import ModelWheel, WheelSoilModel; from soil_env.parameters import soils;"
+        "import soil_env; from soil_env.terramechanics.model import ModelWheel, WheelSoilModel;"
+        "from soil_env.parameters import soils;"
         "model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()['lete_sand'], {});"
         "print(model.predict({'slip': [0.2], 'load': 100.0}).drawbar_pull[0] > 0.0, soil_env.__file__)"
     )

@@ -16,7 +16,8 @@ from scipy.optimize import least_squares
 
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
 from soil_env.parameters import Soil
-from soil_env.terramechanics.catalogue import CATALOGUE, Form
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.effects.entry import Form
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 CHANNELS = ("sinkage", "drawbar_pull", "torque")
