@@ -1,10 +1,9 @@
-"""The hidden truth of the blind cases: a rigid wheel on loose soil, written apart from `soil_env`.
+"""Hidden truth of the cases: a rigid wheel on loose soil, written apart from `soil_env`.
 
 Steady driving of one wheel, Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), Eqs. (1)-(10): normal stress of Wong
 & Reece (1967), shear stress of Janosi & Hanamoto (1961), theta2 = 0, thetam = theta1/2, the sinkage from the vertical
 balance, the drawbar pull by Eq. (2). Nothing here comes from `soil_env`: own quadrature (trapezoidal rule after a
-smoothing change of variable, Sidi 1993), own root search, numpy only. An effect alters a `Contact` before it is solved
-(the forms of effects).
+smoothing change of variable, Sidi 1993), own root search, numpy only.
 
 SI units, angles in rad unless a name says `deg`. N rows, one a steady point; stresses have shape [N, nodes].
 """
@@ -81,7 +80,7 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Arc:
-    """Where the stresses of an arc are: angles [N, 1] or [N, nodes] in rad, stresses in Pa."""
+    """Stresses along an arc: angles [N, 1] or [N, nodes] in rad, stresses in Pa."""
 
     entry: np.ndarray  # theta1
     middle: np.ndarray  # thetam
@@ -92,8 +91,10 @@ class Arc:
     limit: np.ndarray | None = None  # shear strength
 
 
-def _column(value, count: int) -> np.ndarray:
-    return np.array(np.broadcast_to(np.asarray(value, float), (count,)))[:, None]
+def column(values, count: int | None = None) -> np.ndarray:
+    """Values of the rows [N], or one value for `count` rows, as an array [N, 1]."""
+    values = np.asarray(values, float)
+    return (values if count is None else np.array(np.broadcast_to(values, (count,))))[:, None]
 
 
 def _quadrature(intervals: int) -> tuple[np.ndarray, np.ndarray]:
@@ -110,7 +111,7 @@ X, WEIGHT = _quadrature(NODES)
 
 @dataclass(eq=False)
 class Contact:
-    """Wheel on soil for N rows, before it is solved: what an effect may alter.
+    """Wheel on soil for N rows, before it is solved; effects alter it.
 
     Arrays named here have shape [N, 1]. The hooks in lists are all applied, in their order.
     """
@@ -143,17 +144,32 @@ class Contact:
 
     def __post_init__(self):
         n, ground = len(self.rows), self.ground
-        self.radius = _column(self.wheel.radius, n)
-        self.width = _column(self.wheel.width, n)
+        self.radius = column(self.wheel.radius, n)
+        self.width = column(self.wheel.width, n)
         self.shear_radius = self.radius.copy()
-        self.slip = _column(self.rows.slip, n)
-        self.load = _column(self.rows.load, n)
-        self.stiffness = _column(ground.sinkage_coefficient, n)
-        self.exponent = _column(ground.sinkage_exponent, n)
-        self.cohesion = _column(ground.cohesion, n)
-        self.tan_phi = np.tan(np.radians(_column(ground.friction_angle_deg, n)))
-        self.shear_modulus = _column(ground.shear_modulus, n)
+        self.slip = column(self.rows.slip, n)
+        self.load = column(self.rows.load, n)
+        self.stiffness = column(ground.sinkage_coefficient, n)
+        self.exponent = column(ground.sinkage_exponent, n)
+        self.cohesion = column(ground.cohesion, n)
+        self.tan_phi = np.tan(np.radians(column(ground.friction_angle_deg, n)))
+        self.shear_modulus = column(ground.shear_modulus, n)
         self.peak_shift = np.zeros((n, 1))
+
+    @property
+    def passes(self) -> np.ndarray:
+        """Pass numbers, shape [N, 1]."""
+        return column(self.rows.passes)
+
+    @property
+    def speed(self) -> np.ndarray:
+        """Travel speeds [m/s], shape [N, 1]."""
+        return column(self.rows.speed)
+
+    @property
+    def grade(self) -> np.ndarray:
+        """Grades, uphill positive [rad], shape [N, 1]."""
+        return np.radians(column(self.rows.grade_deg))
 
     @property
     def phi(self) -> np.ndarray:

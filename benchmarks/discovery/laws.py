@@ -1,4 +1,4 @@
-"""Base laws that are not those of the fit: smooth random errors in the stresses, and published laws of another form.
+"""Base laws that are not those of the fit: random errors in the stresses, and published laws of another form.
 
 Every law alters a `world.Contact` before the effects do. `StressError` multiplies the normal and the shear stress by
 exp(e), e a Gaussian random function of where and how the soil is loaded, so that it acts inside the integrals (1)-(3).
@@ -12,22 +12,41 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.blind.effect import column
-from benchmarks.blind.world import Arc, Contact
+from benchmarks.discovery.world import Arc, Contact, column
 
 #: Scales of the coordinates of `coordinates` over which a law error changes: nominal, and drawn within a factor of 1.6.
 LENGTHS = np.array([0.5, 0.8, 0.35, 0.8])
 LENGTH_SPREAD = 1.6
 FEATURES = 16  # cosines of a random function
+OfSlip = Callable[[np.ndarray], np.ndarray]  # slip -> the coordinate that takes its place
 
 
-def coordinates(arc: Arc, contact: Contact, pressure: float, load: float) -> tuple[np.ndarray, ...]:
-    """What a law error depends on: theta/theta1, ln(1 + sigma/pressure), slip, ln(load/`load`); [N, 1 or nodes].
+def smooth(rng: np.random.Generator) -> OfSlip:
+    """Errors that are smooth in slip."""
+    return lambda slip: slip
+
+
+def log_slip(rng: np.random.Generator) -> OfSlip:
+    """Errors that are smooth in ln(1 + slip/0.05): fast at small slip and slow at large, length 0.8."""
+    return lambda slip: LENGTHS[2] / 0.8 * np.log1p(np.maximum(slip, 0.0) / 0.05)
+
+
+def regimes(rng: np.random.Generator) -> OfSlip:
+    """Errors on both sides of a slip that is drawn, as where soil begins to fail in another way.
+
+    Both sides are two correlation lengths apart, so that their errors correlate by exp(-2).
+    """
+    border = rng.uniform(0.1, 0.5)
+    return lambda slip: slip + LENGTHS[2] * np.tanh((slip - border) / 0.03)
+
+
+def coordinates(arc: Arc, contact: Contact, pressure: float, load: float, of_slip: OfSlip) -> tuple[np.ndarray, ...]:
+    """Coordinates of a law error: theta/theta1, ln(1 + sigma/pressure), slip, ln(load/`load`); [N, 1 or nodes].
 
     Neither pass, speed, time nor grade: an error that changed with those would be an effect of its own.
     """
     level = np.log1p(np.maximum(arc.sigma, 0.0) / pressure)
-    return arc.theta / arc.entry, level, column(contact.rows.slip), np.log(column(contact.rows.load) / load)
+    return arc.theta / arc.entry, level, column(of_slip(contact.rows.slip)), np.log(column(contact.rows.load) / load)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,20 +87,22 @@ class StressError:
     load: float  # [N]
     normal: RandomFunction
     shear: RandomFunction
+    of_slip: OfSlip = lambda slip: slip
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, size: float, pressure: float, load: float) -> StressError:
-        """Errors with correlation lengths of their own."""
+    def draw(cls, rng: np.random.Generator, size: float, pressure: float, load: float, kind=smooth) -> StressError:
+        """Draw errors with correlation lengths of their own; `kind`: `smooth`, `log_slip` or `regimes`."""
+        of_slip = kind(rng)
         spread = LENGTH_SPREAD ** rng.uniform(-1.0, 1.0, (2, LENGTHS.size))
         normal, shear = (RandomFunction.draw(rng, LENGTHS * s) for s in spread)
-        return cls(size, pressure, load, normal, shear)
+        return cls(size, pressure, load, normal, shear, of_slip)
 
     def __call__(self, contact: Contact) -> None:
         if self.size == 0.0:
             return
 
         def factor(arc, function):
-            return np.exp(self.size * function(coordinates(arc, contact, self.pressure, self.load)))
+            return np.exp(self.size * function(coordinates(arc, contact, self.pressure, self.load, self.of_slip)))
 
         contact.normal.append(lambda sigma, arc: sigma * factor(arc, self.normal))
         contact.tangential.append(lambda tau, arc: tau * factor(arc, self.shear))
@@ -108,7 +129,7 @@ def covariance(contact: Contact, entry: np.ndarray, pressure: float, load: float
     pairs = zip(contact.integrals(entry - step), contact.integrals(entry + step), strict=True)
     slope = [(above - below) / (2.0 * step) for below, above in pairs]
     frequency = np.random.default_rng(0).standard_normal((features, LENGTHS.size)) / LENGTHS
-    angle = angles(coordinates(arc, contact, pressure, load), frequency)
+    angle = angles(coordinates(arc, contact, pressure, load, lambda slip: slip), frequency)
     basis = np.concatenate([np.cos(angle), np.sin(angle)], axis=-1) / np.sqrt(features)  # [N, nodes, 2 features]
     out = 0.0
     for parts in (by_normal, by_shear):

@@ -1,4 +1,4 @@
-"""Soil, wheels, test plan and base law of a case: all of it but the effects."""
+"""Soil, wheels, test plan and base law of a case, without effects."""
 
 from __future__ import annotations
 
@@ -8,21 +8,32 @@ from functools import cached_property
 
 import numpy as np
 
-from benchmarks.blind.easy.plan import PRIOR_SD, SOILS, stiffness_for
-from benchmarks.blind.effect import Context, Hidden
-from benchmarks.blind.laws import BASE_LAWS, StressError, altered
-from benchmarks.blind.world import Contact, Ground, Rows, Wheel
+from benchmarks.discovery.forms import Context, Hidden
+from benchmarks.discovery.laws import BASE_LAWS, StressError, altered
+from benchmarks.discovery.world import Contact, Ground, Rows, Wheel, predict
 
-CHANNELS = ("sinkage", "drawbar_pull", "torque")
 SOIL = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
-DESIGNS = ("rich", "wheels", "poor", "few")
+PRIOR_SD = {  # standard deviation of a prior from its value
+    "friction_angle_deg": lambda value: 1.5,
+    "cohesion": lambda value: max(0.2 * value, 30.0),
+    "shear_modulus": lambda value: 0.2 * value,
+    "sinkage_coefficient": lambda value: 0.12 * value,
+    "sinkage_exponent": lambda value: 0.025,
+}
+#: Ranges: friction angle [deg], cohesion [Pa], K [m], n [-], mean pressure W/(b r) [Pa].
+SOILS = {
+    "dry sand": ((28, 38), (50, 500), (0.008, 0.025), (0.7, 1.1), (2500, 6000)),
+    "lunar simulant": ((32, 40), (150, 1200), (0.01, 0.03), (0.8, 1.3), (2500, 6000)),
+    "sandy loam": ((25, 33), (1000, 3500), (0.01, 0.04), (0.5, 0.9), (4000, 10000)),
+    "clayey loam": ((22, 28), (2500, 5000), (0.005, 0.03), (0.5, 0.8), (7000, 14000)),
+}
 WIDE = 2.5  # sd of the priors of a table as in papers, over the usual one
 SHALLOWEST, DEEPEST = 0.03, 0.35  # sinkage of the base world over the radius
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """Conditions, true soil and base law of a table, and what is known about them."""
+    """Conditions, true soil and base law of a table, its noise and the priors of the soil."""
 
     wheel: Wheel  # arrays [N] where there are two
     ground: Ground
@@ -49,7 +60,7 @@ class Bench:
 
     @property
     def context(self) -> Context:
-        """What forms look at; of two wheels the mean one."""
+        """Context of the forms; of two wheels the mean one."""
         mean = Wheel(float(np.mean(self.wheel.radius)), float(np.mean(self.wheel.width)))
         return Context(mean, self.ground, self.conditions())
 
@@ -113,6 +124,22 @@ def draw_bench(rng: np.random.Generator, design: str, size: float, law: str | No
     if design == "few" and rng.random() < 0.4:
         bench.measured[rng.integers(1, 3)] = False  # as in papers: torque or pull is missing
     return bench
+
+
+def stiffness_for(wheel: Wheel, ground: Ground, load: float, depth: float) -> float:
+    """S [N/m^(n+2)] by which the wheel sinks `depth` radii at the load and slip 0.3."""
+    one = np.ones(1)
+    rows = Rows(0.3 * one, load * one, one, one, 0.0 * one, one)
+    s = load / (wheel.width * wheel.radius * (depth * wheel.radius) ** ground.sinkage_exponent)
+    for _ in range(30):
+        z = predict(replace(ground, sinkage_coefficient=s), wheel, rows).sinkage[0] / wheel.radius
+        if not np.isfinite(z):
+            s *= 3.0
+            continue
+        s *= (z / depth) ** (ground.sinkage_exponent + 0.5)
+        if abs(z / depth - 1.0) < 1e-3:
+            break
+    return float(s)
 
 
 def _noise(rng, radius: float, load: float) -> tuple[float, float, float]:

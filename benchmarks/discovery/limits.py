@@ -1,11 +1,11 @@
-"""How large an effect is in units of its detection limit, with the errors of the base law in the covariance.
+"""Size of an effect in units of its detection limit, with the errors of the base law in the covariance.
 
 What an effect adds to a table, d, is judged against V = noise^2 + (law error)^2 C + J P J' + D D': the noise, the
 covariance of the table by law errors (`laws.covariance`), the tangent space J of the soil with the covariance P of its
 priors, and what a base law of another form changes, D, as a direction of which nothing is known. d' V^-1 d is the
 noncentrality of the likelihood ratio of a method that knows the form of the effect and the size of all of these. The
 *size* is its root over that of the noncentrality at which a test at the 1 % level has a power of 95 %
-(`easy.limits.noncentrality`): 1 is the detection limit. Sizes grow with the strength, in proportion where the effect is
+(`noncentrality`): 1 is the detection limit. Sizes grow with the strength, in proportion where the effect is
 small. What an effect adds is computed without the law errors, whose change by the effect is of second order.
 """
 
@@ -13,18 +13,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.optimize import brentq
+from scipy.stats import chi2, ncx2
 
-from benchmarks.blind.easy.forms import FORMS as LISTED
-from benchmarks.blind.easy.limits import noncentrality
-from benchmarks.blind.effect import Hidden
-from benchmarks.blind.laws import covariance
-from benchmarks.blind.plan import SOIL, Bench
-from benchmarks.blind.world import Wheel, predict, with_soil
+from benchmarks.discovery.forms import Hidden
+from benchmarks.discovery.laws import covariance
+from benchmarks.discovery.listed import LISTED
+from benchmarks.discovery.plan import SOIL, Bench
+from benchmarks.discovery.world import Wheel, predict, with_soil
 
+LEVEL, POWER = 0.01, 0.95
 FREE = 10.0  # standard deviation of the strength of another effect that is refitted, over its strength
+
+
+@cache
+def noncentrality(freedom: int) -> float:
+    """Noncentrality at which a chi-square test of `freedom` degrees at `LEVEL` has the power `POWER`."""
+    threshold = chi2.isf(LEVEL, freedom)
+    return float(brentq(lambda nc: ncx2.sf(threshold, freedom, nc) - POWER, 1e-3, 500.0))
 
 
 def soil_tangent(bench: Bench) -> np.ndarray:
@@ -102,7 +112,7 @@ class Measure:
         return sign * best[0], best[1]
 
     def left(self, vector: np.ndarray, free: Sequence[np.ndarray], freedom: int) -> dict[str, float]:
-        """What the best listed form of each mechanism leaves of a contribution: its size, the strengths fitted."""
+        """Size that the best listed form of each mechanism leaves of a contribution, the strengths fitted."""
         out = {}
         projected = without(vector, free)
         for name, strength_cap, signed, change in self.listed:
@@ -115,18 +125,17 @@ class Measure:
             out[name] = min(out.get(name, np.inf), value)
         return out
 
-    @property
+    @cached_property
     def listed(self) -> list[tuple[str, float, bool, np.ndarray]]:
-        """(mechanism, largest multiple, whether negative ones count, whitened change) of each form of the easy set."""
-        if not hasattr(self, "_listed"):
-            rng, context, self._listed = np.random.default_rng(0), self.bench.context, []
-            for form in LISTED:
-                cap = form.cap(context)
-                some = self.bench.grade if form.scales_grade else max(0.3 * cap, form.floor)
-                change = self.contribution(Hidden(form, some, form.side(rng, context)))
-                if np.all(np.isfinite(change)) and some > 0.0:
-                    self._listed.append((form.effect, cap / some, -1 in form.signs, change))
-        return self._listed
+        """(mechanism, largest multiple, negative ones count too, whitened change) of each listed form."""
+        rng, context, found = np.random.default_rng(0), self.bench.context, []
+        for form in LISTED:
+            cap = form.cap(context)
+            some = self.bench.grade if form.scales_grade else max(0.3 * cap, form.floor)
+            change = self.contribution(Hidden(form, some, form.side(rng, context)))
+            if np.all(np.isfinite(change)) and some > 0.0:
+                found.append((form.effect, cap / some, -1 in form.signs, change))
+        return found
 
 
 def without(vector: np.ndarray, free: Sequence[np.ndarray]) -> np.ndarray:
