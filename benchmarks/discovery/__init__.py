@@ -1,1 +1,1 @@
-"""A benchmark of discrepancy discovery: cases, scorer and entrants; `easy` is the set without law errors."""
+"""Blind benchmark of discrepancy discovery: a generator of cases, entrants and scores."""
