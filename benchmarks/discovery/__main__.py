@@ -22,6 +22,7 @@ import hashlib
 import os
 import re
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -105,7 +106,7 @@ def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None
             work(name)
             print(f"{done}/{len(names)} {name}", file=sys.stderr, flush=True)
         return
-    pool = ProcessPoolExecutor(jobs, get_context("spawn"))
+    pool = ProcessPoolExecutor(jobs, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN))
     try:
         waiting = {pool.submit(work, name): name for name in names}
         for done, future in enumerate(as_completed(waiting), start=1):
@@ -113,8 +114,11 @@ def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None
             print(f"{done}/{len(names)} {waiting[future]}", file=sys.stderr, flush=True)
     except BrokenProcessPool:
         raise ParameterError("a process died (memory?): expected fewer --jobs, with the same command") from None
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+    except BaseException:
+        for process in list((pool._processes or {}).values()):
+            process.kill()  # answers are written whole or not at all
+        raise
+    pool.shutdown()
 
 
 # --- commands ---------------------------------------------------------------------------------------------------------

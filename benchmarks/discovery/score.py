@@ -220,15 +220,13 @@ def tables(results: Mapping[str, dict]) -> dict[str, Table]:
                          *("-" if x is None else f"{100 * x:.1f}" for x in off)))  # fmt: skip
         found[f"Set {name}, seed {result['seed']}: asked and seen [%]"] = Table(("share", "asked", *entrants), rows)
     laws = results.get("laws", {"entrants": {}})["entrants"]
-    for label in [name for name in laws if name == "workflow"]:
-        f = laws[label]
-        rows = [
-            (f"{100 * float(size):g} %", *(percent(of[t.key]) for t in TARGETS)) for size, of in f["by_law"].items()
-        ]
-        found[f"{label} by law error [%]"] = Table(("law error", *(t.key for t in TARGETS)), rows)
+    if f := laws.get("workflow"):
+        shares = f["by_law"].items()
+        rows = [(f"{100 * float(size):g} %", *(percent(of[t.key]) for t in TARGETS)) for size, of in shares]
+        found["Workflow by law error [%]"] = Table(("law error", *(t.key for t in TARGETS)), rows)
         bins = [(f"{b['from']:g} to {b['to']:g}", f"{100 * b['stated']:.1f}", percent(b["seen"]))
                 for b in f["calibration"]["first"]["bins"]]  # fmt: skip
-        found[f"{label}: stated probability of the first name [%]"] = Table(("bin", "mean stated", "seen"), bins)
+        found["Workflow: stated probability of the first name [%]"] = Table(("bin", "mean stated", "seen"), bins)
     return found
 
 

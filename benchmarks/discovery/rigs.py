@@ -1,21 +1,16 @@
-"""Measured tables: the whole workflow repeated without one slip at a time, and what it then predicts there.
+"""Measured rigs: the whole workflow repeated without one slip at a time, and the errors of its models there.
 
-    python -m benchmarks.blind.measured [--data FOLDER] [--out docs]
+    python -m benchmarks.discovery.rigs [--data FOLDER] [--out docs/results]
 
 Tables: the CMU single-wheel rig (Pavlov & Johnson), smooth, lugged and both wheels in one table; and a lugged wheel in
-a discrete-element simulation (after Nakanishi 2020), whose physics nobody wrote in the terms of terramechanics. For
-each slip the workflow sees the other slips only: calibration, search, choice of the form and of the residual law are
-all repeated. Held-out errors of four models: the calibrated base model (base), the model with the named effects
-(named), an anonymous law (anonymous: a polynomial of slip added to the base model, its degree chosen within the fold by
-leaving out one slip at a time), and the model as the workflow gives it, with its residual law where it has one.
-
-Folder of the data: --data, else $SOIL_ENV_DATA, else ../shared/data. Writes blind_measured.json and .md.
+a discrete-element simulation (after Nakanishi 2020). Held-out errors are those of four models: the calibrated base
+model, the model with the named effects, an anonymous polynomial of slip added to the base model (its degree chosen
+within the fold), and the workflow's model with its residual law. Writes discovery_rigs.json and .md.
 """
 
 from __future__ import annotations
 
 import csv
-import json
 import os
 import tempfile
 import warnings
@@ -26,16 +21,17 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from soil_env._io.commands import command_line, command_parser, leave
-from soil_env._io.document import Table as Page
-from soil_env._io.files import make_folder, replace_files
+from benchmarks.common import RESULTS, ROOT, page, ready, short, write
+from soil_env._io.commands import command_line, command_parser, folder, leave
+from soil_env._io.document import Table as Shown
+from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import cmu, run
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.validity import OutsideValidity
 
-NAME = "benchmarks.blind.measured"
+NAME = "benchmarks.discovery.rigs"
 CHANNELS = ("sinkage", "drawbar_pull", "torque")
 MODELS = ("base", "named", "anonymous", "workflow")
 SHOWN = {"sinkage": ("mm", 1e3), "drawbar_pull": ("N", 1.0), "torque": ("N m", 1.0)}
@@ -163,16 +159,11 @@ def fold(table: Table, setup: Setup, out: np.ndarray, same: float) -> dict:
     truth = _measured(unseen)
     return {
         "slip": float(np.mean(unseen.slip)), "verdict": report.verdict, "named": [e.name for e in report.effects],
-        "errors": {name: _plain(p - truth) for name, p in predicted.items()},
+        "errors": {name: p - truth for name, p in predicted.items()},
     }  # fmt: skip
 
 
-def _plain(table: np.ndarray) -> list[list[float | None]]:
-    """Rows of five significant digits, None where there is no value."""
-    return [[float(f"{v:.5g}") if np.isfinite(v) else None for v in row] for row in table]
-
-
-def held_out(measured: Measured, say=print) -> dict:
+def held_out(measured: Measured) -> dict:
     """The workflow on the whole table, and without each slip in turn."""
     with tempfile.TemporaryDirectory() as place:
         table, setup = measured.read(Path(place))
@@ -181,14 +172,16 @@ def held_out(measured: Measured, say=print) -> dict:
     folds = []
     for out in slips_of(table, measured.same):
         folds.append(fold(table, setup, out, measured.same))
-        say(f"{measured.name}: without slip {folds[-1]['slip']:.3f}: {folds[-1]['verdict']} {folds[-1]['named']}")
-    ends = {folds[0]["slip"], folds[-1]["slip"]}
+        print(
+            f"{measured.name}: without slip {folds[-1]['slip']:.3f}: {folds[-1]['verdict']} {folds[-1]['named']}",
+            flush=True,
+        )
     return {
         "table": measured.name, "rows": len(table), "slips": len(folds), "verdict": whole.verdict,
         "named": [e.name for e in whole.effects], "reported": own,
         "verdicts": dict(Counter(f["verdict"] for f in folds)),
         "names": dict(Counter(name for f in folds for name in f["named"])),
-        "rms": _rms(folds), "rms_inside": _rms([f for f in folds if f["slip"] not in ends]), "folds": folds,
+        "rms": _rms(folds), "folds": folds,
     }  # fmt: skip
 
 
@@ -203,92 +196,41 @@ def _rms(folds: list[dict]) -> dict:
     return out
 
 
-# --- page -------------------------------------------------------------------------------------------------------------
+# --- report -----------------------------------------------------------------------------------------------------------
 
 
-def page(results: list[dict]) -> str:
-    """The results in Markdown."""
-    head = ("table", "rows", "slips", "whole table", "named without one slip (times)", "verdicts")
-    said = [
-        (r["table"], r["rows"], r["slips"], _said(r), _counted(r["names"]), _counted(r["verdicts"])) for r in results
-    ]
-    return f"""# Measured tables, the whole workflow left out
-
-{__doc__.split(chr(10) * 2)[2]}
-
-Made by `python -m {NAME}`.
-
-## What is said
-
-{Page(head, said).markdown()}
-
-## Held-out error, each slip left out in turn
-
-`reported`: the held-out error that the workflow itself states for the whole table; `best`: of base, named, anonymous.
-
-{_errors(results, "rms")}
-
-{_asked(results)}
-
-## The same without the two outermost slips, where every model has to extrapolate
-
-{_errors(results, "rms_inside")}
-"""
-
-
-def _asked(results: list[dict]) -> str:
-    """What is asked of the named model and where it is met, and how the stated errors compare with these."""
-    met, missed, below, stated = [], [], [], 0
+def tables_of(results: list[dict]) -> dict[str, Shown]:
+    """Verdicts, and held-out errors of the models beside the error that the workflow states."""
+    said = [(r["table"], r["rows"], r["slips"], r["verdict"], ", ".join(r["named"]) or "-",
+             ", ".join(f"{k} {n}" for k, n in r["names"].items()) or "-") for r in results]  # fmt: skip
+    errors = []
     for r in results:
-        for channel, v in r["rms"].items():
-            row, own = f"{r['table']}: {channel.replace('_', ' ')}", r["reported"].get(channel)
-            (met if v["named"] < min(v["base"], v["anonymous"]) else missed).append(row)
-            stated += own is not None
-            if own is not None and own < v["workflow"]:
-                below.append(f"{row} ({own / v['workflow']:.2f} of it)")
-    return (
-        "Asked: the named model predicts left-out slips better than the base model and than the anonymous law. "
-        f"Met in {len(met)} of {len(met) + len(missed)} rows ({'; '.join(met) or 'none'}), missed in the others "
-        f"({'; '.join(missed) or 'none'}). The error that the workflow states is below the one seen here in "
-        f"{len(below)} of {stated}: {'; '.join(below) or 'none'}."
-    )
-
-
-def _said(r: dict) -> str:
-    return f"{r['verdict']}: {', '.join(r['named'])}" if r["named"] else r["verdict"]
-
-
-def _counted(counts: dict[str, int]) -> str:
-    return ", ".join(f"{k} {n}" for k, n in sorted(counts.items(), key=lambda item: -item[1])) or "-"
-
-
-def _errors(results: list[dict], key: str) -> str:
-    head = ("table", "channel", *MODELS, "reported", "best")
-    rows = []
-    for r in results:
-        for channel, values in r[key].items():
+        for channel, values in r["rms"].items():
             unit, scale = SHOWN[channel]
             own = r["reported"].get(channel)
-            best = min(MODELS[:3], key=lambda m: values[m])
-            errors = [f"{scale * values[m]:.2f}" for m in MODELS]
+            cells = (f"{scale * values[m]:.2f}" for m in MODELS)
             stated = "-" if own is None else f"{scale * own:.2f}"
-            rows.append((r["table"], f"{channel.replace('_', ' ')} [{unit}]", *errors, stated, best))
-    return Page(head, rows).markdown()
+            errors.append((r["table"], f"{channel.replace('_', ' ')} [{unit}]", *cells, stated))
+    return {
+        "Verdicts": Shown(("table", "rows", "slips", "verdict", "named", "named without one slip (times)"), said),
+        "Held-out error, each slip left out in turn": Shown(("table", "channel", *MODELS, "stated"), errors),
+    }
 
 
 @command_line(NAME)
 def main(arguments: list[str] | None = None) -> int:
-    """The command line; returns the exit status."""
+    """Run the command; returns the exit status."""
     p = command_parser(f"python -m {NAME}", __doc__)
-    p.add_argument("--data", metavar="FOLDER", type=Path, help="folder with cmu_single_wheel and dem_kyoto")
-    p.add_argument("--out", metavar="OUT", type=Path, default=Path("docs"), help="folder of the page (default: docs)")
+    p.add_argument("--data", metavar="FOLDER", type=Path, help="with cmu_single_wheel and dem_kyoto; else "
+                   "$SOIL_ENV_DATA, else ../shared/data")  # fmt: skip
+    p.add_argument("--out", metavar="OUT", type=folder, default=RESULTS, help="of the results (default docs/results)")
     options = p.parse_args(arguments)
-    make_folder(options.out)
-    home = options.data or Path(os.environ.get("SOIL_ENV_DATA", Path(__file__).parents[3] / "shared" / "data"))
-    results = [held_out(table) for table in tables(home)]
-    files = {"blind_measured.json": json.dumps(results, allow_nan=False) + "\n", "blind_measured.md": page(results)}
-    replace_files(options.out, files)
-    print(f"written: {options.out / 'blind_measured.json'} and .md")
+    file = ready(options.out, "discovery_rigs")
+    home = options.data or Path(os.environ.get("SOIL_ENV_DATA", ROOT.parent / "shared" / "data"))
+    results = short([held_out(table) for table in tables(home)])
+    write_json(file, results)
+    text = "The discovery workflow on measured tables, by `python -m benchmarks.discovery.rigs`."
+    write(options.out, "discovery_rigs", page("Measured rigs", text, tables_of(results)))
     return 0
 
 
