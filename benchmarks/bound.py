@@ -1,25 +1,100 @@
-"""Posterior Cramer-Rao bound of the sensors along a drive: what no unbiased estimator is better than.
+"""Posterior Cramer-Rao bound of the sensors along a drive: the least error of an unbiased estimator.
 
-The motion is a state: the bound is told the commands and the laws of motion and of the soil, has the prior of the
-belief for the soil of every patch, and knows of slip by these and the sensors. Derivatives of all readings by soils,
-grades, borders and mass are central differences of the simulation itself (`open_loop`), so that no model of an
-identifier is in it. (Tichavsky, Muravchik & Nehorai 1998, IEEE Trans. Signal Processing 46:1386-1396.) Readings nearly
-at rest are left out: there the law of shear is regularised, which is no property of soil, and would tell much of K.
+The motion is a state: the bound has the commands, the laws of motion and of the soil, and the prior of the belief for
+the soil of every patch. Derivatives of all readings by soils, grades, borders and mass are central differences of the
+simulation itself (`OpenLoop`), so that no model of an identifier is in it (Tichavsky, Muravchik & Nehorai 1998, IEEE
+Trans. Signal Processing 46:1386-1396). Readings nearly at rest are left out: there the law of shear is regularised,
+which is no property of soil and would determine K.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from benchmarks.drives import truth
-from benchmarks.open_loop import OpenLoop, commands_of
+from soil_env._numba.compiling import root
 from soil_env.identification.filter import SLOWEST
 from soil_env.identification.readings import sensor_noise
 from soil_env.identification.soil_prior import depth_of, prior_of_belief
 from soil_env.parameters import Scenario
+from soil_env.simulation.dynamics import MANY, advance
+from soil_env.simulation.task import task_numbers
+from soil_env.simulation.wheel import settle_at, world_numbers
+from soil_env.simulation.worlds import new_worlds
 from soil_env.terramechanics.ground import share_of_next
+
+# --- readings under other hypotheses ----------------------------------------------------------------------------------
+
+
+@root(nogil=True)
+def _settle(state, counts, courses, mass, world):
+    for k in range(mass.size):
+        settle_at(state, counts, k, 0.0, mass[k], courses, world)
+        state.next_halt[k] = 1e18
+
+
+@root(nogil=True)
+def _run(state, counts, courses, streams, world, what, commands, action, halt, out):
+    n = what.size
+    for t in range(action.size):
+        for k in range(n):
+            commands[k], state.halt_left[k] = action[t], halt[t]
+        first = 0
+        while first < n:
+            count = min(MANY, n - first)
+            advance(state, counts, first, count, what, commands, courses, streams, world)
+            first += count
+        for k in range(n):
+            o = out[t, k]
+            o[0], o[1], o[2], o[3] = state.slip[k], state.sinkage[k], state.drawbar_pull[k], state.load[k]
+            o[4], o[5] = state.torque[k], state.speed[k]
+            o[6], o[7] = state.wheel_speed[k] * world.wheel.contact_radius, state.grade[k]
+            o[8], o[9] = state.motor_torque[k], state.drawbar_pull[k] / state.mass[k]
+
+
+class OpenLoop:
+    """Hypotheses of one course side by side, each with its own soils, grades, borders and mass.
+
+    The wheels drive under the commands of a log; their sensors read without noise.
+    """
+
+    def __init__(self, scenario: Scenario, count: int, patches: int) -> None:
+        course, length = scenario.course, scenario.course.length / (patches + 1)
+        plain = replace(
+            scenario,
+            course=replace(
+                course, classes=0, lines=1, patch_length=(length, length), border=min(course.border, length)
+            ),
+        )
+        self.worlds = new_worlds(count, plain, task_numbers(plain, "blind", None))
+        numbers = world_numbers(plain)
+        self.numbers = numbers._replace(lines=1, border=course.border, halt_low=1e9, halt_high=1e9)
+        self._what, self._commands = np.zeros(count, dtype=np.int8), np.zeros(count)
+
+    def lay(self, edges: np.ndarray, soils: np.ndarray, grades: np.ndarray) -> None:
+        """Lay courses: edges [n, p - 1], soils [n, p, 7], grades [n, p]."""
+        c, p = self.worlds.courses, soils.shape[1]
+        c.edges[:], c.edges[:, 0], c.edges[:, 1:p] = np.inf, -1e4, edges
+        c.soils[:, :p], c.grades[:, :p], c.patches[:], c.ready[:] = soils, grades, p, np.inf
+        c.rut[:], c.rut_factors[:] = 0.0, 1.0
+        self.worlds.streams[:] = 1
+
+    def start(self, mass: np.ndarray) -> None:
+        """Put the wheels, with these masses [n] on them, at the start."""
+        w = self.worlds
+        _settle(w.state, w.counts, w.courses, np.ascontiguousarray(mass, float), self.numbers)
+
+    def run(self, action: np.ndarray, halt: np.ndarray) -> np.ndarray:
+        """Return readings without noise [T, n, 10] under actions [T], each after `halt` [T] s left of a halt."""
+        w, out = self.worlds, np.empty((action.size, self._what.size, 10))
+        _run(w.state, w.counts, w.courses, w.streams, self.numbers, self._what, self._commands, action, halt, out)
+        return out
+
+
+# --- bound ------------------------------------------------------------------------------------------------------------
 
 SOIL = 6  # (tan phi, c, n, ln K, ln of the pressure at `depth_of`, ln of the gain), as `soil_prior`
 _STEP = np.array([1e-3, np.nan, 3e-3, 1e-2, 1e-2, 1e-2])  # of central differences; of c by its size
@@ -53,7 +128,7 @@ def shares(x: float, edges: np.ndarray, border: float) -> np.ndarray:
 
 
 def _used(log: dict, scenario: Scenario) -> int:
-    """Number of patches that the wheel has come to."""
+    """Number of patches that the wheel has reached."""
     return 1 + int(np.sum(log["edges"] < log["x"].max() + 0.5 * scenario.course.border))
 
 
@@ -74,7 +149,8 @@ def derivatives(log: dict, scenario: Scenario) -> np.ndarray:
         log["grades"][:p] + of_grade,
     )  # fmt: skip
     loop.start(mass + of_mass)
-    out = loop.run(*commands_of(log))[:, :, :10]
+    halt = np.concatenate([[0.0], log["halt_left"][:-1]])
+    out = loop.run(log["last_action"].astype(float), halt)
     return (out[:, :count] - out[:, count:]) / (2.0 * steps[:, None]) / sensor_noise(scenario)
 
 
@@ -91,7 +167,7 @@ def _pull_slopes(centre: np.ndarray, recovery: np.ndarray, load: float, scenario
 
 
 def bound(log: dict, scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
-    """(steps [n], standard deviations [n, 6] of `drives.QUANTITIES` there) along a log of `drives.record`."""
+    """(Steps [n], standard deviations [n, 6] of `drives.QUANTITIES` there) along a log of `drives.record`."""
     J, p = derivatives(log, scenario), _used(log, scenario)
     soils, edges = log["soils"][:p], log["edges"][: p - 1]
     centre = unknowns(soils, scenario)

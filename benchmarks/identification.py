@@ -1,22 +1,22 @@
-"""Calibration of the online identifier in every drive that ships: docs/identification.md.
+"""Calibration of the online identifier in every drive that ships: docs/results/identification.json and .md.
 
-    python -m benchmarks.calibration                       all rows; half an hour; goes on where it was interrupted
-    python -m benchmarks.calibration --smoke --out X       a few courses, numbers without meaning
-    python -m benchmarks.calibration --only two_lines      rows of these scenarios anew, the others as they are
-    python -m benchmarks.calibration --agent runs/NAME     adds drives of a trained agent that observes "blind"
-
-The page has the agent of `python train.py --observation blind --timesteps 400000 --name calibration_blind`.
+    python -m benchmarks.identification                       all rows; half an hour; goes on where it was interrupted
+    python -m benchmarks.identification --smoke --out X       a few courses, numbers without meaning
+    python -m benchmarks.identification --only two_lines      rows of these scenarios anew, the others as they are
+    python -m benchmarks.identification --agent runs/NAME     adds drives of a trained agent that observes "blind"
 
 A row is a scenario, perhaps with an effect that the identifier does not have (`configs/worlds`), and a drive: each
 controller as it ships and in the action of the scenario, a swinging speed, a ramp, other actions, wheels of the rovers.
-Courses are of a seed on which nothing was chosen; errors are those of the ground under the wheel at all steps but
-halts, not only of those called CONVERGED. Bounds (`calibration_bound`) are of the same drives, on the first courses.
+Nothing was chosen on the courses of the seed. Errors are those of the ground under the wheel at all steps but halts,
+whatever the status of the estimate. Bounds (`benchmarks.bound`) are of the same drives, on the first courses.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,18 +25,28 @@ import numpy as np
 from agents.controllers import CONTROLLERS
 from agents.evaluate.contestants import parse
 from agents.evaluate.loading import load
-from benchmarks.calibration_bound import bound
-from benchmarks.common import machine, study_parser
-from benchmarks.drives import QUANTITIES, UNITS, controller_of, record
-from benchmarks.rover_identification import ConstantSpeed, SwingingSlip, record as record_rover, scenario_of
+from benchmarks.bound import bound
+from benchmarks.common import machine, machine_text, page, ready, short, study_parser, write
+from benchmarks.drives import (
+    QUANTITIES,
+    SHARED,
+    UNITS,
+    ConstantSpeeds,
+    SwingingSlip,
+    controller_of,
+    record,
+    record_rover,
+    rover_scenario,
+)  # fmt: skip
 from soil_env._io.commands import command_line, leave, whole_number
-from soil_env._io.document import Table, render, wrapped
-from soil_env._io.files import check_outputs, make_folder, plain, replace_file, write_json
+from soil_env._io.document import Table
+from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError, read_json
 from soil_env.identification.online import identifier_numbers
-from soil_env.parameters import Scenario, config_dir, load_scenario
+from soil_env.parameters import config_dir, load_scenario
 from soil_env.terramechanics.model import load_model
 
+NAME = "identification"
 SEED = 20261126  # nothing was chosen on its courses, nor changed after they were seen
 OWN = ("two_lines", "mixed", "loose_slopes", "sticky", "field_vehicle")
 #: Worlds whose laws are not those of the filter: scenario, model.
@@ -45,67 +55,49 @@ OTHERS = (
     ("mixed", "law_errors"), ("mixed", "two_effects"),
 )  # fmt: skip
 ROVERS = ("field_rover", "mars_rover", "lunar_micro_rover")
-EVERY = (*CONTROLLERS, "swinging_speed", "ramp")
+ROVER_DRIVES = {"swinging slip": SwingingSlip, "constant speed": ConstantSpeeds}
+EVERY = (*(name for name in CONTROLLERS if name != "best_slip_true"), "swinging_speed", "ramp")
 #: Drives in other actions than that of the scenario.
 ACTIONS = (("swinging_speed", "torque"), ("soft_start", "torque"), ("soft_start", "wheel_speed"))
 FEW = ("soft_start", "best_slip_identified", "extremum_seeking", "swinging_speed")
-#: Sensors of less noise, for what limits the estimate: the factor, and of which sensors.
-QUIET = {
-    "slip and speeds at a quarter": (0.25, ("slip", "speed", "wheel_speed")),
-    "all at a tenth": (0.1, (
-        "slip", "speed", "wheel_speed", "sinkage", "drawbar_pull", "load", "torque", "motor_torque", "acceleration",
-    )),
-}  # fmt: skip
-_NOT_TUNED = "best_slip_true"  # a reference that no user drives
-#: What a row may be by the issue of calibration: share in 68 %, in 95 %, beyond 3 sd [%], bias over the mean sd.
+#: Asked of a row: shares in 68 % and 95 %, beyond 3 sd [%], bias over the mean sd.
 HOLDS_68, HOLDS_95, MOST_FAR, MOST_BIAS = (63.0, 73.0), (92.0, 97.0), 1.0, 0.25
-_JUDGED = ("holds_68", "holds_95", "far", "farthest", "bias_over_sd", "rms", "prior_rms")
+SHOWN = (0, 1, 5)  # of `QUANTITIES`: friction angle, ln K, best pull
 
 
 class Case(NamedTuple):
-    """A row: what is driven where."""
+    """Drive of a row."""
 
     scenario: str
     world: str  # of configs/worlds; "" for the laws of the filter
     drive: str
-    action: str  # "" for that of the scenario
-    noise: str = ""  # of `QUIET`; "" for that of the scenario
+    action: str = ""  # "" for that of the scenario
 
     @property
     def name(self) -> str:
-        """Its key in calibration.json."""
-        return "/".join(part or "-" for part in (self[:4] if not self.noise else self))
-
-    @property
-    def changes(self) -> dict[str, Any]:
-        """Parameters that differ from those of the scenario."""
-        found: dict[str, Any] = {"control": {"action": self.action}} if self.action else {}
-        if self.noise:
-            factor, sensors = QUIET[self.noise]
-            noise = load_scenario(self.scenario).noise
-            found["noise"] = {name: factor * getattr(noise, name) for name in sensors}
-        return found
+        """Key of the row in identification.json."""
+        return "/".join(part or "-" for part in self)
 
 
 def cases(agent: str = "") -> list[Case]:
-    """All rows but those of rovers."""
+    """Return all rows but those of rovers."""
     found = []
     for scenario in OWN:
-        found += [Case(scenario, "", drive, "") for drive in EVERY if drive != _NOT_TUNED]
+        found += [Case(scenario, "", drive) for drive in EVERY]
         found += [Case(scenario, "", drive, action) for drive, action in ACTIONS]
-        found += [Case(scenario, "", "agent", "")] * (agent != "" and scenario in ("two_lines",))
-    found += [Case(scenario, world, drive, "") for scenario, world in OTHERS for drive in FEW]
-    return found + [Case(name, "", "best_slip_identified", "", noise) for name in OWN for noise in QUIET]
+    found += [Case("two_lines", "", "agent")] * bool(agent)
+    return found + [Case(scenario, world, drive) for scenario, world in OTHERS for drive in FEW]
 
 
 # --- measure ----------------------------------------------------------------------------------------------------------
 
 
-def statistics(error: np.ndarray, sd: np.ndarray, prior: np.ndarray, course: np.ndarray) -> dict[str, Any]:
-    """Of errors, standard deviations and errors of the prior [N, q]; `course` [N] numbers the courses."""
-    z, units = np.abs(error) / sd, UNITS[: error.shape[1]]
-    per_course = np.array([(z[course == k] < 1.0).mean(0) for k in np.unique(course)])
-    weights = np.bincount(course)[np.unique(course)] / len(course)
+def statistics(error: np.ndarray, sd: np.ndarray, prior: np.ndarray, course: np.ndarray, units) -> dict[str, Any]:
+    """Statistics of errors, standard deviations and errors of the prior [N, q]; `course` [N] numbers the courses."""
+    z = np.abs(error) / sd
+    courses = np.unique(course)
+    per_course = np.array([(z[course == k] < 1.0).mean(0) for k in courses])
+    weights = np.bincount(course)[courses] / len(course)
     spread = np.sqrt(np.sum((weights[:, None] * (per_course - (z < 1.0).mean(0))) ** 2, axis=0))
     return {
         "steps": len(error),
@@ -122,125 +114,67 @@ def statistics(error: np.ndarray, sd: np.ndarray, prior: np.ndarray, course: np.
     }
 
 
-def measure(case: Case, courses: int, bounds: int, seed: int, agent: str = "") -> dict[str, Any]:
-    """A row."""
-    scenario = load_scenario(case.scenario, case.changes)
+def measure(case: Case, options: argparse.Namespace) -> dict[str, Any]:
+    """Drive and judge a row."""
+    scenario = load_scenario(case.scenario, {"control": {"action": case.action}} if case.action else {})
     model = load_model(config_dir() / "worlds" / f"{case.world}.yaml") if case.world else None
-    controller = controller_of(case.drive, scenario) if case.drive != "agent" else _agent(agent, scenario)
-    logs = record(controller, scenario, courses, seed, model)
+    if case.drive == "agent":
+        controller = load(next(iter(parse(f"agent={options.agent}").values())), scenario)
+    else:
+        controller = controller_of(case.drive, scenario)
+    logs = record(controller, scenario, options.courses, options.seed, model)
     numbers = identifier_numbers(scenario)
     before = np.append(numbers.prior, numbers.prior_pull[0])
     driven = [log["halt_left"] == 0.0 for log in logs]
-    error, sd, prior = (
-        np.concatenate([f(log)[d] for log, d in zip(logs, driven, strict=True)])
-        for f in (lambda log: log["estimate"] - log["truth"], lambda log: log["sd"], lambda log: before - log["truth"])
-    )
+    pairs = list(zip(logs, driven, strict=True))
+    error = np.concatenate([(log["estimate"] - log["truth"])[d] for log, d in pairs])
+    sd = np.concatenate([log["sd"][d] for log, d in pairs])
+    prior = np.concatenate([(before - log["truth"])[d] for log, d in pairs])
     course = np.concatenate([np.full(int(d.sum()), k) for k, d in enumerate(driven)])
-    found = case._asdict() | {"courses": courses} | statistics(error, sd, prior, course)
-    if not case.world and case.scenario in OWN and bounds and not case.noise:
-        best = np.concatenate([bound(log, scenario)[1] for log in logs[:bounds]])
-        first = course < bounds
+    found = case._asdict() | {"courses": options.courses} | statistics(error, sd, prior, course, UNITS)
+    if not case.world and case.scenario in OWN and options.bounds:
+        best = np.concatenate([bound(log, scenario)[1] for log in logs[: options.bounds]])
         found["bound"] = np.sqrt((best**2).mean(0)) * UNITS
-        found["rms_there"] = np.sqrt((error[first] ** 2).mean(0)) * UNITS
-    return _short(plain(found))
+        found["rms_there"] = np.sqrt((error[course < options.bounds] ** 2).mean(0)) * UNITS
+    return short(found)
 
 
-def _short(found: dict[str, Any]) -> dict[str, Any]:
-    """Five digits of each number of a row."""
-    return {
-        k: [float(f"{x:.5g}") for x in v] if isinstance(v, list) else v for k, v in found.items()
-    }  # fmt: skip
-
-
-def _agent(folder: str, scenario: Scenario) -> Any:
-    return load(next(iter(parse(f"agent={folder}").values())), scenario)
-
-
-def measure_rover(rover: str, drive: str, courses: int, seed: int) -> dict[str, Any]:
-    """A row of all wheels of a rover, pooled: phi, ln K and c, which wheels share."""
-    scenario = scenario_of(rover, "as configured")
-    control = (ConstantSpeed if drive == "constant speed" else SwingingSlip)(scenario)
-    log, _ = record_rover(scenario, courses, seed, control)
-    which, prior = np.array([0, 1, 3]), identifier_numbers(scenario).prior
+def measure_rover(case: Case, options: argparse.Namespace) -> dict[str, Any]:
+    """Drive and judge all wheels of a rover, pooled: phi, ln K and c, which wheels share."""
+    scenario = rover_scenario(case.scenario)
+    log = record_rover(scenario, options.courses, options.seed, ROVER_DRIVES[case.drive](scenario))
     here, true = log["driven"], log["soil"][..., :3]
-    course = np.broadcast_to(np.arange(courses)[:, None], here.shape)[here]
-    found = statistics(
-        (log["pooled"][..., which] - true)[here],
-        log["pooled_sd"][..., which][here],
-        (prior[which] - true)[here],
-        course,
-    )
-    for name in ("bias", "rms", "prior_rms", "sd"):  # `statistics` takes the third for ln S
-        found[name] = found[name] * np.array([1.0, 1.0, UNITS[3]])
-    return _short(plain({"scenario": rover, "world": "", "drive": drive, "action": "", "courses": courses} | found))
+    course = np.broadcast_to(np.arange(options.courses)[:, None], here.shape)[here]
+    estimate, sd = log["pooled"][..., SHARED], log["pooled_sd"][..., SHARED]
+    prior = identifier_numbers(scenario).prior[SHARED]
+    found = statistics((estimate - true)[here], sd[here], (prior - true)[here], course, UNITS[SHARED])
+    return short(case._asdict() | {"courses": options.courses} | found)
 
 
-def study(options: Any, file: Path) -> Iterator[dict]:
-    """All rows, those that `file` has already as they are; the result so far after each."""
-    courses, bounds = (2, 1) if options.smoke else (options.courses, options.bounds)
-    settings = {"seed": options.seed, "courses": courses, "bounds": bounds}
+def study(options: argparse.Namespace, file: Path) -> Iterator[dict]:
+    """Measure all rows that `file` does not have, or that --only names; yield the result so far after each."""
+    settings = {name: getattr(options, name) for name in ("seed", "courses", "bounds")}
     result = read_json(file) if file.exists() else {}
     if {name: result.get(name) for name in settings} != settings:
         result = settings | {"rows": {}}
-    wanted = [
-        (c.name, lambda c=c: measure(c, courses, bounds, options.seed, options.agent)) for c in cases(options.agent)
-    ]
-    for rover in ROVERS:
-        for drive in ("swinging slip", "constant speed"):
-            name = f"{rover}/-/{drive}/-"
-            wanted.append((name, lambda r=rover, d=drive: measure_rover(r, d, courses, options.seed)))
-    for number, (name, make) in enumerate(wanted):
-        anew = options.only and name.partition("/")[0] in options.only
-        if name in result["rows"] and not anew:
-            continue
-        if options.only and not anew:
-            continue
-        result["rows"][name] = make()
-        print(f"{number + 1} of {len(wanted)}: {name}", file=sys.stderr, flush=True)
-        yield result
-    result["machine"] = machine()
-    yield result
+    wanted = {case: partial(measure, case) for case in cases(options.agent)} | {
+        case: partial(measure_rover, case) for case in (Case(r, "", d) for r in ROVERS for d in ROVER_DRIVES)
+    }
+    for number, (case, make) in enumerate(wanted.items(), start=1):
+        if case.scenario in options.only or not options.only and case.name not in result["rows"]:
+            result["rows"][case.name] = make(options)
+            print(f"{number} of {len(wanted)}: {case.name}", file=sys.stderr, flush=True)
+            yield result
+    yield result | {"machine": machine()}
 
 
 # --- report -----------------------------------------------------------------------------------------------------------
 
 
-def _cells(values: list[float] | None, form: str) -> str:
-    return " / ".join(format(v, form) for v in values) if values else ""
-
-
-def _rms(values: list[float] | None) -> str:
-    forms = (".2f", ".3f", ".2f", ".2f", ".2f", ".3f") if values and len(values) == 6 else (".2f", ".3f", ".2f")
-    return " / ".join(format(v, f) for v, f in zip(values, forms, strict=True)) if values else ""
-
-
-def table(rows: list[dict]) -> Table:
-    """Rows of the page."""
-    header = ("drive", "prior RMS", "RMS", "bound", "bias over sd", "68 % hold", "95 % hold", "beyond 3 sd")
-    return Table(header, [
-        (
-            f"{row['drive']}" + (f", `{row['action']}`" if row["action"] else ""), _rms(row["prior_rms"]),
-            _rms(row["rms"]), _rms(row.get("bound")), _cells(row["bias_over_sd"], "+.1f"),
-            _cells(row["holds_68"], ".0f"), _cells(row["holds_95"], ".0f"), _cells(row["far"], ".1f"),
-        )
-        for row in rows
-    ])  # fmt: skip
-
-
-def quiet_table(rows: dict[str, dict]) -> Table:
-    """RMS of the estimate under `best_slip_identified` with the sensors of the scenario and with those of `QUIET`."""
-    kept = [
-        [rows.get(Case(name, "", "best_slip_identified", "", noise).name, {}) for noise in ("", *QUIET)] for name in OWN
-    ]
-    return Table(
-        ("scenario", "as configured", *QUIET),
-        [(f"`{name}`", *(_rms(row.get("rms")) for row in found)) for name, found in zip(OWN, kept, strict=True)],
-    )
-
-
 def verdict(rows: list[dict], quantity: int) -> dict[str, float]:
-    """Numbers of these rows that are as asked in one of `QUANTITIES`, and the farthest error of all [sd]."""
-    of = {name: np.array([row[name][quantity] for row in rows]) for name in _JUDGED}
+    """Number of these rows that are as asked in one of `QUANTITIES`, and the farthest error of all [sd]."""
+    of = {name: np.array([row[name][quantity] for row in rows]) for name in
+          ("holds_68", "holds_95", "far", "bias_over_sd", "rms", "prior_rms", "farthest")}  # fmt: skip
     held = {
         "holds_68": (of["holds_68"] >= HOLDS_68[0]) & (of["holds_68"] <= HOLDS_68[1]),
         "holds_95": (of["holds_95"] >= HOLDS_95[0]) & (of["holds_95"] <= HOLDS_95[1]),
@@ -249,35 +183,50 @@ def verdict(rows: list[dict], quantity: int) -> dict[str, float]:
         "better": of["rms"] < of["prior_rms"],
     }
     counts = {name: int(rows_held.sum()) for name, rows_held in held.items()}
-    every = int(np.all(list(held.values()), axis=0).sum())
-    return {"rows": len(rows), **counts, "every": every, "farthest": of["farthest"].max(initial=0.0)}
+    return {"rows": len(rows), **counts, "every": int(np.all(list(held.values()), axis=0).sum()),
+            "farthest": of["farthest"].max(initial=0.0)}  # fmt: skip
 
 
-def page(result: dict) -> str:
-    """docs/identification.md."""
-    rows = list(result["rows"].values())
-    own = [row for row in rows if row["scenario"] in OWN and not row["world"] and not row.get("noise")]
-    groups = {f"`{name}`": table([row for row in own if row["scenario"] == name]) for name in OWN}
-    others = {
-        f"`{scenario}`" + (f" with `{world}`" if world else ""):
-            table([row for row in rows if (row["scenario"], row["world"]) == (scenario, world)])
-        for scenario, world in OTHERS
-    }  # fmt: skip
-    rovers = {f"`{name}`": table([row for row in rows if row["scenario"] == name]) for name in ROVERS}
-    ratios = np.array([np.divide(row["rms_there"], row["bound"]) for row in own if "bound" in row])
-    return wrapped(render(
-        "benchmarks:identification.md", r=result, own=groups, others=others, rovers=rovers,
-        quiet=quiet_table(result["rows"]),
-        verdicts=[(name, verdict(own, q)) for q, name in enumerate(QUANTITIES)], quantities=", ".join(QUANTITIES),
-        ratios=np.median(ratios, axis=0).tolist() if len(ratios) else None,
-        default=result["rows"].get("two_lines/-/best_slip_identified/-"), smoke=result["courses"] < 10,
-    ))  # fmt: skip
+def _row(name: str, rows: list[dict]) -> tuple[str, ...]:
+    """Medians over the drives of a scenario, each cell with friction angle, ln K and best pull."""
+
+    def cell(key: str, form: str, over: str = "") -> str:
+        chosen = [row for row in rows if key in row]
+        shown = [j for j in SHOWN if chosen and j < len(chosen[0][key])]
+        values = [np.median([row[key][j] / (row[over][j] if over else 1.0) for row in chosen]) for j in shown]
+        return " / ".join(format(v, form) for v in values)
+
+    return (
+        name, str(len(rows)), cell("prior_rms", ".3g"), cell("rms", ".3g"), cell("rms_there", ".2f", "bound"),
+        cell("holds_68", ".0f"), cell("holds_95", ".0f"), cell("far", ".1f"),
+    )  # fmt: skip
 
 
-@command_line("benchmarks.calibration", interrupted="go on with the same command")
+def tables(result: dict) -> dict[str, Table]:
+    """Return the tables of the page: medians by scenario, and rows that hold what an interval promises."""
+    rows = [row for row in result["rows"].values() if not row.get("noise")]
+    own = [row for row in rows if row["scenario"] in OWN and not row["world"]]
+    groups = {name: [row for row in own if row["scenario"] == name] for name in OWN}
+    for scenario, world in OTHERS:
+        name = f"{scenario} with {world}" if world else scenario
+        groups[name] = [row for row in rows if (row["scenario"], row["world"]) == (scenario, world)]
+    groups |= {name: [row for row in rows if row["scenario"] == name] for name in ROVERS}
+    header = ("scenario", "drives", "prior RMS", "RMS", "RMS over bound", "68 % hold", "95 % hold", "beyond 3 sd [%]")
+    counts = [(name, *(f"{v:.0f}" for v in verdict(own, q).values())) for q, name in enumerate(QUANTITIES)]
+    asked = ("quantity", "rows", "68 % hold 63 to 73 %", "95 % hold 92 to 97 %", "at most 1 % beyond 3 sd",
+             "bias below 0.25 sd", "better than the prior", "all five", "farthest [sd]")  # fmt: skip
+    return {
+        "Medians over drives: friction angle [deg] / ln K / best pull [of load]": Table(
+            header, [_row(name, group) for name, group in groups.items() if group]
+        ),
+        "Rows of the filter's own laws that hold what an interval promises": Table(asked, counts),
+    }
+
+
+@command_line(f"benchmarks.{NAME}", interrupted="go on with the same command")
 def main(arguments: list[str] | None = None) -> int:
     """Run the study and write its page; returns the exit status."""
-    p = study_parser("python -m benchmarks.calibration", __doc__, "calibration.json and identification.md")
+    p = study_parser(NAME, __doc__)
     p.add_argument("--courses", metavar="N", type=whole_number(1), default=150, help="of each row (default 150)")
     p.add_argument("--bounds", metavar="N", type=whole_number(), default=20, help="of these with a bound (default 20)")
     p.add_argument("--seed", metavar="N", type=whole_number(), default=SEED, help=f"of the courses (default {SEED})")
@@ -287,13 +236,16 @@ def main(arguments: list[str] | None = None) -> int:
     known = {*OWN, *ROVERS, *(scenario for scenario, _ in OTHERS)}
     if unknown := set(options.only) - known:
         raise ParameterError(f"--only {' '.join(sorted(unknown))}: expected of {', '.join(sorted(known))}")
-    check_outputs(options.out, ("calibration.json", "identification.md"))
-    make_folder(options.out)
-    file = options.out / "calibration.json"
+    if options.smoke:
+        options.courses, options.bounds = 2, 1
+    file = ready(options.out, NAME)
     for result in study(options, file):
         write_json(file, result)
-    replace_file(options.out / "identification.md", page(result))
-    print(f"Written: {options.out / 'identification.md'}", flush=True)
+    text = (
+        f"Errors of the online identifier, {options.courses} courses a drive of seed {options.seed}, by `python -m "
+        f"benchmarks.{NAME}` on {machine_text(result['machine'])}. Rovers: friction angle and ln K, pooled."
+    )
+    write(options.out, NAME, page("Identification, measured", text, tables(result)))
     return 0
 
 
