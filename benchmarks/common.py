@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from soil_env._io.commands import command_parser, folder
 from soil_env._io.document import Table
@@ -29,6 +30,16 @@ def range_text(value: dict, digits: int = 2, scale: float = 1.0) -> str:
     """Text of a `spread`: the median with the lowest and the highest round."""
     median, low, high = (f"{value[k] * scale:,.{digits}f}" for k in ("median", "low", "high"))
     return f"{median} ({low}-{high})"
+
+
+def share(values: Iterable[bool]) -> dict | None:
+    """{count, of, value, low, high} with the 95 % interval of Wilson (1927); None of nothing."""
+    values = [bool(v) for v in values]
+    if not values:
+        return None
+    interval = binomtest(sum(values), len(values)).proportion_ci(method="wilson")
+    value = sum(values) / len(values)
+    return {"count": sum(values), "of": len(values), "value": value, "low": interval.low, "high": interval.high}
 
 
 def percent(value: dict | None) -> str:

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import binomtest
 
-from benchmarks.common import page, percent
+from benchmarks.common import page, percent, share
 from benchmarks.discovery.cases import SETS
 from benchmarks.discovery.entrants import Answer
 from benchmarks.discovery.forms import MECHANISMS
@@ -66,16 +65,6 @@ def contradicted(answer: Answer) -> bool:
     if answer.verdict in ASSERTED:
         return any(p[name] < MORE_LIKELY for name in answer.named)
     return answer.verdict in ("none", "unlisted", "undetermined") and max(p.values(), default=0.0) > MORE_LIKELY
-
-
-def share(values: Iterable[bool]) -> dict | None:
-    """{count, of, value, low, high} with the 95 % interval of Wilson (1927); None of nothing."""
-    values = [bool(v) for v in values]
-    if not values:
-        return None
-    interval = binomtest(sum(values), len(values)).proportion_ci(method="wilson")
-    value = sum(values) / len(values)
-    return {"count": sum(values), "of": len(values), "value": value, "low": interval.low, "high": interval.high}
 
 
 class Record(NamedTuple):
