@@ -1,6 +1,5 @@
-"""Random valid configurations of the environment, for benchmarks/fuzz.py and tests/test_fuzz.py.
+"""Random valid configurations of the environment for tests/test_fuzz.py.
 
-`draw_case` asks a `Choices` for every number, so that the same function serves a random generator and hypothesis.
 Everything the loaders accept can be drawn; sizes are related to each other (a wheel's load to its area, its torque to
 its load), since else no course would be passable. What the loaders refuse is refused here too (`ParameterError`).
 """
@@ -10,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -34,30 +32,20 @@ from soil_env.terramechanics.residual import GROUPS, ResidualTerm
 CONTRADICTING = ("friction_stiffness", "friction_shear_modulus", "stiffness_shear_modulus")
 
 
-class Choices(Protocol):
-    """Source of the numbers of a case."""
-
-    def number(self, low: float, high: float) -> float:
-        """A number in [low, high], the bounds included."""
-
-    def pick(self, options: list):
-        """One of the options."""
-
-
 class Random:
-    """`Choices` drawn by a random generator; one number in twenty is a bound."""
+    """Numbers by a random generator; one in twenty is a bound."""
 
     def __init__(self, rng: np.random.Generator):
         self.rng = rng
 
     def number(self, low: float, high: float) -> float:
-        """A number in [low, high]."""
+        """Draw a number in [low, high]."""
         if self.rng.random() < 0.05:
             return float(low if self.rng.random() < 0.5 else high)
         return min(max(float(self.rng.uniform(low, high)), low), high)
 
     def pick(self, options: list):
-        """One of the options."""
+        """Draw one of the options."""
         return options[int(self.rng.integers(len(options)))]
 
 
@@ -70,35 +58,35 @@ class Case:
     model: WheelSoilModel | None
 
 
-def draw_case(choices: Choices, most_substeps: int = 60) -> Case:
-    """A configuration of at most `most_substeps` integrator steps a control period; `ParameterError` if refused."""
+def draw_case(choices: Random, most_substeps: int = 60) -> Case:
+    """Draw a configuration of at most `most_substeps` steps a control period. Raises `ParameterError` if refused."""
     changes = _scenario(choices, most_substeps)
     scenario = load_scenario(choices.pick(scenario_names()), changes)
     model = _model(choices, scenario) if choices.pick([True, False]) else None
     return Case(scenario, choices.pick(list(VARIANTS)), model)
 
 
-def _log(choices: Choices, low: float, high: float) -> float:
+def _log(choices: Random, low: float, high: float) -> float:
     return min(max(math.exp(choices.number(math.log(low), math.log(high))), low), high)
 
 
-def _pair(choices: Choices, low: float, high: float) -> list[float]:
+def _pair(choices: Random, low: float, high: float) -> list[float]:
     return sorted(choices.number(low, high) for _ in range(2))
 
 
-def _within(c: Choices, f: dataclasses.Field) -> float:
+def _within(c: Random, f: dataclasses.Field) -> float:
     """A number within the bounds of a parameter, by ratio where they are more than a factor of 100 apart."""
     low, high = f.metadata["low"], f.metadata["high"]
     return _log(c, low, high) if low > 0.0 and high > 100.0 * low else c.number(low, high)
 
 
-def _half(c: Choices, cls: type, leave: tuple[str, ...] = ()) -> dict[str, float]:
+def _half(c: Random, cls: type, leave: tuple[str, ...] = ()) -> dict[str, float]:
     """About half of the parameters of a class that have bounds, each anywhere within them."""
     bounded = [f for f in dataclasses.fields(cls) if "low" in f.metadata and f.name not in leave]
     return {f.name: _within(c, f) for f in bounded if c.pick([True, False])}
 
 
-def _scenario(c: Choices, most_substeps: int) -> dict:
+def _scenario(c: Random, most_substeps: int) -> dict:
     gravity = c.pick([9.81, 9.81, 3.71, 1.62, _log(c, 0.1, 30.0)])
     out: dict = {"gravity": gravity, "relaxation": _log(c, 0.05, 50.0)}
     wheel = _wheel(c, gravity)
@@ -127,7 +115,7 @@ def _scenario(c: Choices, most_substeps: int) -> dict:
     return out
 
 
-def _belief(c: Choices) -> dict:
+def _belief(c: Random) -> dict:
     """A prior of the identifier, sometimes with a library of soils."""
     out = _half(c, Belief, CONTRADICTING)
     if c.pick([True, False, False]):
@@ -137,7 +125,7 @@ def _belief(c: Choices) -> dict:
     return out
 
 
-def _wheel(c: Choices, gravity: float):
+def _wheel(c: Random, gravity: float):
     """The name of a preset, a wheel of any size, or None for that of the scenario."""
     kind = c.pick(["scenario", "preset", "any", "any"])
     if kind == "scenario":
@@ -156,7 +144,7 @@ def _wheel(c: Choices, gravity: float):
     }  # fmt: skip
 
 
-def _course(c: Choices) -> dict:
+def _course(c: Random) -> dict:
     length = c.pick([2.0, 10.0, _log(c, 1.0, 60.0)])
     shortest = _log(c, 0.2, 10.0)
     course = {
@@ -172,7 +160,7 @@ def _course(c: Choices) -> dict:
     return course | {name: draw() for name, draw in others.items() if c.pick([True, False])}
 
 
-def _noise(c: Choices) -> dict:
+def _noise(c: Random) -> dict:
     high = {f.name: f.metadata["high"] for f in dataclasses.fields(Noise)}
     kind = c.pick(["default", "none", "small", "any"])
     if kind == "default":
@@ -185,7 +173,7 @@ def _noise(c: Choices) -> dict:
 # --- effects ----------------------------------------------------------------------------------------------------------
 
 
-def _model(c: Choices, scenario: Scenario) -> WheelSoilModel:
+def _model(c: Random, scenario: Scenario) -> WheelSoilModel:
     """One to four effects with parameters of the size of their prior, or anywhere in their bounds."""
     w = scenario.wheel
     wide = c.pick([False, False, False, True])
