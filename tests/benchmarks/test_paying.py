@@ -1,9 +1,9 @@
 """The benchmark of the reward term `information`."""
 
 import pytest
+from benchmarks.paying import Rocking, along
 
 from agents.controllers import make_controller
-from benchmarks.paying import Rocking, along
 from soil_env.parameters import load_scenario
 
 

@@ -1,11 +1,8 @@
-"""The benchmark of speed runs and writes its page; the work of a step does not depend on the course or its age."""
-
-import json
+"""Locality of a step: it reads nothing of the course but what is beside the wheel."""
 
 import numpy as np
 import pytest
 
-from benchmarks import throughput, throughput_page
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.curve import FIELDS
 from soil_env.identification.curve_fit import FIT_ROWS
@@ -13,23 +10,8 @@ from soil_env.parameters import load_scenario
 from soil_env.simulation.worlds import Simulation
 
 
-def test_smoke_run_measures_every_part(tmp_path):
-    assert throughput.main(["--smoke", "--out", str(tmp_path)]) == 0
-    result = json.loads((tmp_path / "performance.json").read_text(encoding="utf-8"))
-    for who in ("vector", "single"):
-        assert result["targets"][who]["ours"]["median"] > 0.0
-        assert "ratio" in result["targets"][who] or result["notes"]
-    parts = result["parts"]
-    assert all(v["low"] >= 0.0 for v in parts["us"].values())
-    assert 0.0 < parts["solves_a_step"] < 1.0 and 0.0 <= parts["resets_a_step"] < 0.2
-    assert {"dynamics", "sensors", "ground"} == set(result["limit"]["us"])
-    assert max(v["high"] for v in result["accuracy"].values()) < 1e-4
-    page = (tmp_path / "performance.md").read_text(encoding="utf-8")
-    assert all(f"<!-- {name} -->" in page for name in throughput_page.SECTIONS)
-
-
 def step_spoilt(sim, k, command):
-    """`sim.step` while all of course k but the patches and cells beside the wheel is NaN, and unused bins too.
+    """Step while all of course k but the patches and cells beside the wheel is NaN, and unused bins too.
 
     The last patch drawn stays as well: the next may be drawn in this step, and joins it.
     """
@@ -56,7 +38,7 @@ def step_spoilt(sim, k, command):
 
 
 @pytest.mark.parametrize("length", [10.0, 200.0])
-def test_a_step_reads_nothing_but_what_is_beside_the_wheel(length):
+def test_a_step_reads_only_the_course_beside_the_wheel(length):
     """So its cost can depend neither on the length of the course nor on how far the wheel has come."""
     changes = {
         "course": {"length": length, "margin": [0.2, 0.25], "grade_deg": [-6.0, 2.0]},
