@@ -34,8 +34,7 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")  # before numpy is loaded: the workers take the cores
+from threadpoolctl import threadpool_limits
 
 import soil_env
 from benchmarks.common import write
@@ -49,6 +48,7 @@ from soil_env._io.loading import ParameterError, read_json
 
 NAME = "benchmarks.discovery"
 REPORTED = 2027  # the seed that is reported
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 def begin(folder: Path, of: str, seed: int) -> None:
@@ -88,7 +88,8 @@ def ask(who: str, label: str, seed: int, folder: Path, name: str) -> None:
         shutil.copytree(folder / "cases" / name, place, dirs_exist_ok=True)
         begun = time.perf_counter()
         try:
-            answer = entrant(who)(Path(place) / "data.csv", Path(place) / "setup.yaml")
+            with threadpool_limits(1):
+                answer = entrant(who)(Path(place) / "data.csv", Path(place) / "setup.yaml")
             answer = answer if isinstance(answer, Answer) else Answer.of(answer)
         except Exception as error:
             answer = Answer("error", note=f"{type(error).__name__}: {error}"[:300])
@@ -106,6 +107,8 @@ def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None
             work(name)
             print(f"{done}/{len(names)} {name}", file=sys.stderr, flush=True)
         return
+    for name in THREADS:
+        os.environ.setdefault(name, "1")  # of the workers, which take the cores
     pool = ProcessPoolExecutor(jobs, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN))
     try:
         waiting = {pool.submit(work, name): name for name in names}

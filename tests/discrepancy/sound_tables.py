@@ -1,11 +1,8 @@
-"""How often `python -m soil_env.discrepancy` says "check first" of a sound table, and of one with a mistake.
+"""Sound tables of many wheels and soils, and mistakes that can be made in them.
 
-    python -m benchmarks.sound_tables                  66 tables, a few minutes
-    python -m benchmarks.sound_tables --tables 20      a look
-
-Tables of many wheels (radius 0.05 to 0.35 m) on the soils of configs/soils.yaml, with none, one or two effects that the
-base model lacks, smooth errors of 0, 5 or 10 % in what is measured, noise of 0.3 to 2 %, and priors that are tight,
-loose or absent. Each is examined as it is, and again with each mistake in turn: a unit, a sign, a diameter.
+Tables of wheels of 0.05 to 0.35 m on the soils of configs/soils.yaml, with none, one or two effects that the base model
+lacks, smooth errors of 0, 5 or 10 % in the measured values, noise of 0.3 to 2 %, and priors that are tight, loose or
+absent.
 """
 
 from __future__ import annotations
@@ -20,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.calibrate import calibrate
 from soil_env.discrepancy.data import prepare
@@ -49,7 +45,6 @@ class Sound:
 
     columns: dict[str, np.ndarray]
     setup: Setup
-    what: str
 
 
 def sound_tables(count: int, seed: int) -> Iterator[Sound]:
@@ -97,7 +92,7 @@ def _draw(rng: np.random.Generator, name: str) -> Sound | None:
     given = dict(zip(MEASURED, sd, strict=True)) if rng.random() < 0.6 else {}
     chosen = PRIORS[int(rng.integers(len(PRIORS)))]
     setup = Setup(SetupWheel(r, b, height), _priors(rng, soil, chosen), NoiseLevels(**given))
-    return Sound(columns, setup, f"{name}, r {r:.2f} m, {' and '.join(effects) or 'no effect'}, error {error:g}")
+    return Sound(columns, setup)
 
 
 def _effects(rng: np.random.Generator, torque: float, sinkage: float) -> dict[str, dict[str, float]]:
@@ -146,7 +141,7 @@ def _diameter(t: Sound) -> Sound:
     return replace(t, setup=replace(t.setup, wheel=replace(t.setup.wheel, radius=2.0 * t.setup.wheel.radius)))
 
 
-#: What is wrong with a table, by name; None where the table has no such column.
+#: Mistakes by name; None where the table has no such column.
 MISTAKES: dict[str, Callable[[Sound], Sound | None]] = {
     "load in kilograms": _times("load", 1.0 / GRAVITY),
     "pull in kilograms": _times("drawbar_pull", 1.0 / GRAVITY),
@@ -158,7 +153,7 @@ MISTAKES: dict[str, Callable[[Sound], Sound | None]] = {
 
 
 def check_first(t: Sound) -> tuple[str, ...]:
-    """What is said first of a table; a refusal counts."""
+    """Return the doubts about a table; a refusal counts."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "data.csv"
         names = list(t.columns)
@@ -168,29 +163,3 @@ def check_first(t: Sound) -> tuple[str, ...]:
             return examine(calibrate(prepare(read_table(path, t.setup.wheel), t.setup))[0])
         except ParameterError as error:
             return (str(error),)
-
-
-@command_line("benchmarks.sound_tables")
-def main(arguments: list[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    p = command_parser("python -m benchmarks.sound_tables", __doc__)
-    p.add_argument("--tables", type=whole_number(1), default=66, metavar="N", help="sound tables (default 66)")
-    p.add_argument("--seed", type=whole_number(), default=1, metavar="N", help="of everything random (default 1)")
-    p.add_argument("--sound-only", action="store_true", help="do not look at tables with mistakes")
-    options = p.parse_args(arguments)
-    tables, flagged = list(sound_tables(options.tables, options.seed)), 0
-    for t in tables:
-        said = check_first(t)
-        flagged += bool(said)
-        for text in said:
-            print(f"  {t.what}: {text}")
-    print(f"sound: {flagged} of {len(tables)} check first")
-    for name, change in MISTAKES.items() if not options.sound_only else ():
-        wrong = [x for x in map(change, tables) if x is not None]
-        told = sum(bool(check_first(x)) for x in wrong)
-        print(f"{name}: {told} of {len(wrong)} check first")
-    return 0
-
-
-if __name__ == "__main__":
-    leave(main())

@@ -8,8 +8,8 @@ from agents import seeds, tune
 from agents.ablation import __main__ as ablation
 from agents.evaluate import __main__ as evaluate
 from agents.sim2real import __main__ as sim2real
-from benchmarks import clients, cmu, fuzz, memory, table_fits, throughput, training
-from benchmarks.blind import __main__ as blind
+from benchmarks import identification, logs as log_study, throughput, value_of_soil
+from benchmarks.discovery import __main__ as discovery_study, rigs
 from soil_env._io import examples
 from soil_env._io.loading import shipped_dir
 from soil_env.discrepancy import __main__ as discrepancy, cmu as cmu_tables
@@ -18,23 +18,21 @@ from soil_env.logs import __main__ as logs
 from soil_env.paper import __main__ as paper
 from tests.agents.test_sim2real import WORLDS
 
-OUT, PAGE = ["--out", "{}"], ["--page", "{}/page.md"]
+OUT = ["--out", "{}"]
 #: command -> (module, its name in messages, arguments, what does the work)
 COMMANDS = {
-    "blind": (blind, "benchmarks.blind", ["draw", *OUT], "_names"),
-    "clients": (clients, "benchmarks.clients", ["zoo", *OUT], "environment"),
-    "cmu": (cmu, "benchmarks.cmu", OUT, "study"),
-    "fuzz": (fuzz, "benchmarks.fuzz", PAGE, "run"),
-    "memory": (memory, "benchmarks.memory", PAGE, "vector"),
+    "discovery": (discovery_study, "benchmarks.discovery", ["draw", *OUT], "_names"),
+    "identification": (identification, "benchmarks.identification", OUT, "study"),
+    "logs": (log_study, "benchmarks.logs", OUT, "record"),
     "paper": (paper, "soil_env.paper", OUT, "compute"),
     "sim2real": (sim2real, "agents.sim2real", ["--world", str(WORLDS / "bulldozing.yaml"), *OUT], "report"),
-    "table_fits": (table_fits, "benchmarks.table_fits", OUT, "study"),
-    "throughput": (throughput, "benchmarks.throughput", OUT, "run"),
-    "training": (training, "benchmarks.training", OUT, "measure"),
+    "rigs": (rigs, "benchmarks.discovery.rigs", OUT, "held_out"),
+    "throughput": (throughput, "benchmarks.throughput", OUT, "runners"),
+    "value_of_soil": (value_of_soil, "benchmarks.value_of_soil", OUT, "measure"),
 }
 
 
-NAMED = {name: module for name, (module, *_) in COMMANDS.items() if name in ("cmu", "paper", "sim2real")} | {
+NAMED = {name: module for name, (module, *_) in COMMANDS.items() if name in ("rigs", "paper", "sim2real")} | {
     "ablation": ablation, "cmu_tables": cmu_tables, "discrepancy": discrepancy, "evaluate": evaluate,
     "identification": identification_command, "logs": logs, "seeds": seeds, "tune": tune,
 }  # fmt: skip

@@ -38,7 +38,7 @@ def interrupted(folder, command, at):
     [
         (["-m", "soil_env.discrepancy"], "soil_env.discrepancy"),
         (["-m", "agents.evaluate"], "agents.evaluate"),
-        (["benchmarks/table_fits.py"], "benchmarks.table_fits"),
+        (["-m", "benchmarks.throughput"], "benchmarks.throughput"),
     ],
 )
 def test_ctrl_c_during_the_imports_is_one_line(tmp_path, command, name):
