@@ -1,7 +1,8 @@
-"""Sound tables of many wheels and soils, and mistakes of unit and sign in them, for the checks before the search.
+"""Sound tables of many wheels and soils, and mistakes that can be made in them.
 
-Wheels of 0.05 to 0.35 m radius on the soils of configs/soils.yaml; none, one or two effects that the base model lacks;
-smooth errors of 0, 5 or 10 % in what is measured; noise of 0.3 to 2 %; priors that are tight, loose or absent.
+Tables of wheels of 0.05 to 0.35 m on the soils of configs/soils.yaml, with none, one or two effects that the base model
+lacks, smooth errors of 0, 5 or 10 % in the measured values, noise of 0.3 to 2 %, and priors that are tight, loose or
+absent.
 """
 
 from __future__ import annotations
@@ -140,7 +141,7 @@ def _diameter(t: Sound) -> Sound:
     return replace(t, setup=replace(t.setup, wheel=replace(t.setup.wheel, radius=2.0 * t.setup.wheel.radius)))
 
 
-#: What is wrong with a table, by name; None where the table has no such column.
+#: Mistakes by name; None where the table has no such column.
 MISTAKES: dict[str, Callable[[Sound], Sound | None]] = {
     "load in kilograms": _times("load", 1.0 / GRAVITY),
     "pull in kilograms": _times("drawbar_pull", 1.0 / GRAVITY),
@@ -152,7 +153,7 @@ MISTAKES: dict[str, Callable[[Sound], Sound | None]] = {
 
 
 def check_first(t: Sound) -> tuple[str, ...]:
-    """Doubts of a table; a refusal counts."""
+    """Return the doubts about a table; a refusal counts."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "data.csv"
         names = list(t.columns)
