@@ -91,7 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 @command_line(*_STARTED_AS, memory="smaller ppo.num_envs or ppo.n_steps")
 def _run(options: argparse.Namespace, rest: list[str]) -> int:
-    from . import training
+    from . import comparison, training
 
     for option in ("config", "resume"):
         if getattr(options, option) == "":
@@ -116,7 +116,7 @@ def _run(options: argparse.Namespace, rest: list[str]) -> int:
             return 0
         agent = training.train(folder, config, scenario)
         training.compare(folder, config, scenario, {agent.name: agent})
-        training.show(f"Written to {folder}: {', '.join(training.written(config))}")
+        training.show(f"Written to {folder}: {', '.join(comparison.written(config))}")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"go on with: {command(*_STARTED_AS)} --resume {folder}") from None
     return 0

@@ -14,25 +14,14 @@ from stable_baselines3.common.callbacks import BaseCallback
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.parameters import Scenario, load_scenario
-from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import RoverScenario, load_rover
+from soil_env.vehicle import load_rover
 
-from . import evaluate, plots, ppo, recurrent
+from . import comparison, ppo, recurrent
 from .config import TrainConfig, load_config
-from .controllers import CONTROLLERS, make_controller
-from .controllers.oracle import Oracle
-from .evaluate import HELD_OUT_SET, METRICS, limit
 from .evaluate.models import load_model
-from .evaluate.tables import Column, legend, metric_table, percent, points
-from .evaluate.tuning import shown_on, tuned_settings
-from .progress import Bar, console, show
-from .rover import comparing
+from .progress import Bar, console, show  # noqa: F401
 from .timing import Times, Timing
 from .worlds import hidden_worlds
-
-_TUNING = "tuning.jsonl"  # trials of the tuning, until the run is finished
-#: What `compare` writes into a run folder.
-COMPARISON = ("comparison.json", "comparison.csv", "comparison.png", "course.png", "time.json")
 
 
 class _Watch(BaseCallback):
@@ -189,132 +178,10 @@ def trained(config: TrainConfig, scenario: Scenario, bar: Callable = Bar) -> Pat
 
 def finished(folder: Path, config: TrainConfig) -> bool:
     """Whether a run folder holds everything that `train` and `compare` write."""
-    return all((Path(folder) / name).is_file() for name in ("model.zip", *written(config)))
-
-
-def written(config: TrainConfig) -> tuple[str, ...]:
-    """What `compare` writes into a run folder: of a rover no course in detail."""
-    return tuple(name for name in COMPARISON if name != "course.png" or not config.rover)
-
-
-def tuned_controllers(
-    scenario: Scenario, courses: int, world: WheelSoilModel | None = None, log: Path | None = None
-) -> tuple[dict, dict]:
-    """({name: classical controller}, settings), each tuned to finish most courses of the tuning set.
-
-    With a `log` an interrupted tuning goes on.
-    """
-    chosen, tried = tuned_settings(scenario, courses, model=world, log=log)
-    settings = {"tuning_courses": courses, **{n: {**chosen[n], "tried": tried.get(n, [])} for n in chosen}}
-    return {name: make_controller(name, scenario, **chosen.get(name, {})) for name in CONTROLLERS}, settings
+    return all((Path(folder) / name).is_file() for name in ("model.zip", *comparison.written(config)))
 
 
 def compare(folder: Path, config: TrainConfig, scenario: Scenario, agents: dict[str, ppo.Agent]) -> dict:
-    """Every controller and agent on the same held-out courses; writes comparison.* and course.png, prints the table
-    and where the wall time of the run went."""
-    world, times, folder = config.world, Times(folder), Path(folder)
-    if isinstance(scenario, RoverScenario):
-        return _compare_rovers(folder, config, scenario, agents, times)
-    with times.part("tuning"):
-        controllers, settings = tuned_controllers(scenario, config.tuning_courses, world, folder / _TUNING)
-    contestants = {**controllers, **agents}
-    with times.part("comparison"):
-        hard = min(config.oracle_courses, config.courses)
-        with Bar("Comparing", config.courses * len(contestants) + hard, "courses") as bar:
-
-            def driven(name: str, contestant, courses: int, batch: int = 500) -> evaluate.Runs:
-                told = lambda count: bar.update(advance=count, note=name)  # noqa: E731
-                where = scenario, HELD_OUT_SET, courses
-                return evaluate.run_courses(contestant, *where, progress=told, batch=batch, model=world)
-
-            runs = {name: driven(name, contestant, config.courses) for name, contestant in contestants.items()}
-            oracle = driven(limit.ORACLE, Oracle(scenario), hard, limit.BLOCK) if hard else None
-        result = evaluate.comparison(scenario, HELD_OUT_SET, runs, settings, oracle)
-    if world is not None:
-        result["model"] = world.content()
-    evaluate.save(result, folder)
-    with times.part("figures"):
-        plots.comparison_figure(result, folder / "comparison.png")
-        classical = max(controllers, key=lambda n: result["controllers"][n]["finished"]["value"])
-        drivers = {n: contestants[n] for n in (classical, *agents)}
-        course = _telling_course(runs, list(agents))
-        plots.course_figure(scenario, HELD_OUT_SET, course, drivers, folder / "course.png", world)
-    times.save()
-    (folder / _TUNING).unlink(missing_ok=True)
-    print_table(result)
-    show(str(times))
-    return result
-
-
-def _compare_rovers(folder: Path, config: TrainConfig, scenario: RoverScenario, agents: dict, times: Times) -> dict:
-    """`compare` of rovers."""
-    world = config.world
-    with times.part("tuning"):
-        settings = comparing.tuned_settings(scenario, config.tuning_courses, world, folder / _TUNING)
-    with times.part("comparison"):
-        drivers = {name: [one] for name, one in (comparing.controllers(scenario, settings) | agents).items()}
-        with Bar("Comparing", config.courses * len(drivers), "courses") as bar:
-            runs = comparing.driven(drivers, scenario, HELD_OUT_SET, config.courses, shown_on(bar), world)
-        result = comparing.comparison(scenario, HELD_OUT_SET, runs, config.tuning_courses, settings)
-    if world is not None:
-        result["model"] = world.content()
-    comparing.save(result, folder)
-    with times.part("figures"):
-        plots.comparison_figure(result, folder / "comparison.png")
-    times.save()
-    (folder / _TUNING).unlink(missing_ok=True)
-    show(*comparing.table(result))
-    show(*(verdict(result, name) for name in result["controllers"] if name in ppo.NAMES.values()), str(times))
-    return result
-
-
-def _telling_course(runs: dict[str, evaluate.Runs], agents: list[str]) -> int:
-    """The first held-out course that full throttle does not finish and the agents do; else the first course."""
-    tells = runs["full_throttle"].metric("finished") < 0.5
-    for name in agents:
-        tells &= runs[name].metric("finished") > 0.5
-    return int(np.argmax(tells))
-
-
-_COLUMNS = (
-    Column("immobilised", "immobilised [%]", 100.0, 1),
-    Column("time_limit", "out of time [%]", 100.0, 1, bounds=False),
-    Column("finished", "finished [%]", 100.0, 1, bounds=False),
-    Column("distance", "distance [m]", bounds=False),
-    Column("time", "time [s]", digits=0, bounds=False),
-    Column("energy_per_metre", "energy [J/m]", digits=0, bounds=False),
-    Column("slip", "slip", bounds=False),
-    Column("sinkage", "sinkage [mm]", digits=0, bounds=False),
-    Column("return", "return", bounds=False),
-)
-
-
-def print_table(result: dict) -> None:
-    """The comparison as a table, and how PPO compares in courses finished; all intervals are in comparison.json."""
-    title = f"{result['courses']} held-out courses of scenario {result['scenario']!r}, the same for all; 95 % intervals"
-    table = metric_table(result["controllers"] | limit.rows(result), _COLUMNS, title)
-    show(table, legend(_COLUMNS, METRICS), *limit.lines(result))
-    show(*(verdict(result, name) for name in result["controllers"] if name in ppo.NAMES.values()))
-
-
-def verdict(result: dict, name: str) -> str:
-    """How many courses the agent finishes, against the best controller that does not know the true soil, and the
-    references that do: the difference on the same courses, and both alone. "More" and "fewer" are said only where the
-    intervals of the two alone do not overlap."""
-    rows = result["controllers"]
-    fair = [n for n in rows if n not in (name, "best_slip_true", "ppo_true")]
-    best = max(fair, key=lambda n: rows[n]["finished"]["value"])
-    agent, other = rows[name]["finished"], rows[best]["finished"]
-    known = {n: rows[n]["finished"] for n in ("best_slip_true",) if n in rows and n != name}
-    known |= {n: metrics["finished"] for n, metrics in limit.rows(result).items()}
-    difference = points(result["paired"][name][best]["finished"])
-    apart = "more" if agent["low"] > other["high"] else "fewer" if agent["high"] < other["low"] else ""
-    claim = f"finishes {apart} courses than" if apart else "against"
-    text = (
-        f"{name} {claim} {best}, the best of the others without the true soil: {difference} percentage points of "
-        f"courses finished, on the same courses; each alone {percent(agent)} and {percent(other)}"
-    )
-    text += "" if apart else ", intervals that overlap"
-    references = ", ".join(f"{n} {percent(m)}" for n, m in known.items())
-    text += f". With the true soil: {references}" if references else ""
-    return f"{text}. One training seed; the intervals are over courses."
+    """Compare the agent with the classical controllers (`agents.comparison`)."""
+    (agent,) = agents.values()
+    return comparison.compare(folder, config, scenario, agent)

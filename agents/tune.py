@@ -22,10 +22,10 @@ from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, quantity, unknown_value
 from soil_env.parameters import DEFAULT_SCENARIO, Control, load_scenario
 
-from . import studies
+from . import cells
+from .cells import code_version
 from .cli import as_options, manual_parser
 from .evaluate.driving import TUNING_SET
-from .evaluate.study import code_version
 from .evaluate.tuning import load_spaces, tuned_settings
 from .progress import show
 
@@ -73,8 +73,8 @@ def main(arguments: list[str] | None = None) -> int:
         raise ParameterError(f"--scenario {options.scenario}: expected the name of a scenario in configs/scenarios")
     with as_options():
         asked = Tuning(name, tuple(options.actions.split(",")), options.courses, code_version())
-    if not studies.is_begun(asked, options.out):
-        studies.save_study(asked, options.out)
+    if not cells.is_begun(asked, options.out):
+        cells.save_study(asked, options.out)
     settings, rows = {}, []
     for action in asked.actions:
         scenario = load_scenario(name, {"control": {"action": action}})
