@@ -184,7 +184,7 @@ def _untuned(controllers: dict[str, contestants.Contestant]) -> list[str]:
 
 
 def _begin(asked: Evaluation, folder: Path) -> Evaluation:
-    """The evaluation of `folder` if it is the same one, else `asked`, written there; tuned, or its tuning gone on with."""
+    """The evaluation of `folder` if it is the same one, else `asked`, written there; tuned."""
     if cells.is_begun(asked, folder, ignored=("tuned",)):
         asked = cells.load_study(Evaluation, folder)
     else:

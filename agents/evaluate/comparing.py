@@ -62,8 +62,8 @@ def comparison(
 ) -> dict:
     """The content of comparison.json; `runs`: for each controller its runs, or those of each training seed.
 
-    {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds}, "metrics": {metric: {"unit",
-    "meaning"}}, "controllers": {name: {metric: {"value", "low", "high"}}}, "by_seed": {name: {metric: [mean of each
+    {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds}, "metrics": {metric: {...}},
+    "controllers": {name: {metric: {"value", "low", "high"}}}, "by_seed": {name: {metric: [mean of each
     training seed]}}, "iqm": {name: interquartile mean of the return}, "paired": {a: {b: {metric: a - b on the same
     courses}}}, "improvement": {a: {b: probability of the higher return}}}; "limit" (`agents.evaluate.limit`) where the
     `oracle` has driven the first courses. Intervals are 95 % (`statistics`); None where a value is not defined.
