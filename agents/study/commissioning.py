@@ -78,23 +78,7 @@ class Commissioning(Checked):
 
     soil: str = "lunar_simulant_hit_lss1"  # preset of the bed
     scatter: float = quantity("of the scenario's spread, of the bed about its preset", 0.0, 3.0, default=0.5)
-    grades_deg: tuple[float, ...] = (
-        -16.0,
-        -12.0,
-        -9.0,
-        -6.0,
-        -4.0,
-        -2.0,
-        0.0,
-        2.0,
-        4.0,
-        6.0,
-        8.0,
-        10.0,
-        12.0,
-        14.0,
-        17.0,
-    )
+    grades_deg: tuple[float, ...] = (-16, -12, -9, -6, -4, -2, 0, 2, 4, 6, 8, 10, 12, 14, 17)
     payloads: tuple[float, ...] = (0.0, 5.0, 10.0)  # [kg]
     rim_speeds: tuple[float, ...] = (0.06, 0.13, 0.28)  # of the top rim speed
     repeats: int = quantity("drives of each grade and payload", 2, 100, default=2)
