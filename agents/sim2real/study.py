@@ -193,7 +193,7 @@ class Arm:
     def members(self, name: str) -> list:
         """The controllers of that name."""
         if name == PPO:
-            from ..ppo import load_agent
+            from ..agent import load_agent
 
             return [load_agent(self.folder / f"ppo_{k}") for k in range(self.study.training_seeds)]
         return [make_controller(name, self.study.scenario, **self._settings()[name])]

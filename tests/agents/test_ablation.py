@@ -175,9 +175,9 @@ def test_a_killed_study_goes_on_from_its_checkpoints(tmp_path):
 
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-    from agents.ppo import read_meta
+    from agents.agent import read_info
 
-    steps = read_meta(checkpoint)["timesteps"]
+    steps = read_info(checkpoint).timesteps
     shorter = {"ppo_true": {**agents["ppo_true"], "timesteps": steps + 64}}
     begun = yaml.safe_load((out / "study.yaml").read_text())
     begun["agents"]["ppo_true"]["timesteps"] = steps + 64
@@ -186,7 +186,7 @@ def test_a_killed_study_goes_on_from_its_checkpoints(tmp_path):
     asked = study.read_config(config(tmp_path, agents=shorter, seeds=1))
     told = []
     study.perform(asked, out, study.Step("mixed", "ppo_true", 0), told.append)
-    assert read_meta(run / "model.zip")["timesteps"] == steps + 64
+    assert read_info(run / "model.zip").timesteps == steps + 64
     assert sum(told) == steps + 64  # what the checkpoint had counts as done
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from agents import seeds, studies, training
-from agents.ppo import TrainConfig, load_agent
+from agents.agent import load_agent
+from agents.config import TrainConfig
 from soil_env.parameters import load_scenario
 
 TINY = (
@@ -22,7 +23,7 @@ def local(tmp_path_factory):
 
 def weights(folder):
     agent = load_agent(folder)
-    return [p.detach().numpy() for p in agent.model.policy.parameters()] + [agent.mean, agent.sd]
+    return [p.detach().numpy() for p in agent.policy.parameters()] + [agent.mean, agent.sd]
 
 
 def same(a, b, count=3):

@@ -12,7 +12,8 @@ from agents.controllers import make_controller
 from agents.evaluate import __main__ as evaluate_command, run_courses
 from agents.evaluate.statistics import draws
 from agents.evaluate.study import load_study
-from agents.ppo import PPOConfig, TrainConfig, load_agent, load_config, read_meta
+from agents.agent import load_agent, read_info
+from agents.config import PPOConfig, TrainConfig, load_config
 from agents.sb3 import SoilWheelVecEnv
 from agents.sim2real import __main__ as command, carried, drives as driving, report, study, table
 from agents.sim2real.drives import Commissioning
@@ -142,9 +143,9 @@ def test_study_finds_the_planted_effect_reports_and_resumes(tmp_path):
     # the corrected agent was trained in the corrected simulation, and its files say so
     found = WheelSoilModel.load(tmp_path / "worlds/bulldozing/corrected.yaml")
     trained = tmp_path / "worlds/bulldozing/corrected/ppo_0"
-    assert read_meta(trained / "model.zip")["model"] == found.content()
+    assert read_info(trained / "model.zip").model == found.content()
     assert "bulldozing" in (trained / "config.yaml").read_text()
-    assert "model" not in read_meta(tmp_path / "uncorrected/ppo_0/model.zip")
+    assert not read_info(tmp_path / "uncorrected/ppo_0/model.zip").model
     assert load_agent(trained).name == study.PPO
     # again: nothing is done twice, what is missing is done again with the same result
     times = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.zip")}
