@@ -54,7 +54,7 @@ def test_a_seed_gives_the_agent_of_train_py(local, tmp_path):
 
 def test_seeds_of_a_rover_are_rovers(tmp_path, capsys):
     assert seeds.main(["--seeds=1", f"--out={tmp_path}", "--rover=lunar_micro_rover", "--ppo.history=0", *TINY]) == 0
-    assert load_agent(tmp_path / "seed_0").model.action_space.shape == (2,)
+    assert load_agent(tmp_path / "seed_0").policy.action_space.shape == (2,)
     assert f"train --resume {tmp_path / 'seed_0'}" in capsys.readouterr().out.replace("\n", "")
 
 

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from agents.agent import load_agent, read_info
+from agents.config import PPOConfig, TrainConfig, load_config
 from agents.controllers import make_controller
 from agents.evaluate import __main__ as evaluate_command, run_courses
 from agents.evaluate.statistics import draws
 from agents.evaluate.study import load_study
-from agents.agent import load_agent, read_info
-from agents.config import PPOConfig, TrainConfig, load_config
 from agents.sb3 import SoilWheelVecEnv
 from agents.sim2real import __main__ as command, carried, drives as driving, report, study, table
 from agents.sim2real.drives import Commissioning

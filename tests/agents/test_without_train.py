@@ -16,8 +16,7 @@ COMMANDS = {
 }
 HELP = (
     "agents.train", "agents.ablation.__main__", "agents.sim2real.__main__", "agents.seeds", "agents.rover_study",
-    "agents.evaluate.__main__", "agents.export.__main__", "agents.warning.__main__", "agents.tune", "agents.oracle",
-    "agents.dataset", "agents.publish",
+    "agents.evaluate.__main__", "agents.export.__main__", "agents.warning.__main__", "agents.tune",
 )  # fmt: skip
 BARE = """
 import contextlib, importlib, io, json, sys
