@@ -10,6 +10,7 @@ from soil_env.parameters import Scenario
 from soil_env.vehicle import RoverScenario
 
 from . import plots
+from .agent import Agent
 from .config import NAMES, TrainConfig
 from .controllers.oracle import Oracle
 from .evaluate import HELD_OUT_SET, comparing, limit, run_courses
@@ -27,7 +28,7 @@ def written(config: TrainConfig) -> tuple[str, ...]:
     return names[:3] if config.rover else names
 
 
-def compare(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario, agent) -> dict:
+def compare(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario, agent: Agent) -> dict:
     """Drive the held-out courses with every controller and the agent, write the results, print the table."""
     folder, world = Path(folder), config.world
     chosen, tried = tuned_settings(scenario, config.tuning_courses, model=world, log=folder / _TUNING)

@@ -1,4 +1,4 @@
-"""What `predict` of a trained agent is given, checked: one line says what is wrong, where, and what was expected."""
+"""Checks of the arguments of a trained agent's `predict`; each error is one line with place and expectation."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.simulation.task import ObservedNumber
 
-_ROUNDING = 1e-5  # of the range of an entry: what scaling and back may add
+_ROUNDING = 1e-5  # of the range of an entry: added by scaling and back
 
 
 class Layout:
-    """The entries of an observation and their bounds, to which every environment cuts what it observes."""
+    """The entries of an observation with their bounds, to which every environment clips its observations."""
 
     def __init__(self, entries: Sequence[ObservedNumber], variant: str):
         self.entries, self.variant = tuple(entries), variant
@@ -32,9 +32,9 @@ class Layout:
                 f"observation of shape {seen.shape}: expected {count} numbers, those of observation {self.variant!r}, "
                 "or rows of them"
             )
-        right = (seen >= self._least) & (seen <= self._most)  # neither of NaN
-        if not right.all():
-            *row, k = np.argwhere(~right)[0].tolist()
+        inside = (seen >= self._least) & (seen <= self._most)  # False for NaN
+        if not inside.all():
+            *row, k = np.argwhere(~inside)[0].tolist()
             e = self.entries[k]
             raise ParameterError(
                 f"observation{row or ''}: {e.name} = {seen[*row, k]:g}: expected {e.low:g} to {e.high:g} ({e.unit}): "
@@ -44,25 +44,25 @@ class Layout:
 
 
 def starts(episode_start, count: int, default: bool) -> np.ndarray:
-    """Which of `count` courses begin [count] bool; ParameterError for another number of them, and for text."""
-    given = np.full(count, default) if episode_start is None else np.asarray(episode_start)
-    if given.dtype.kind not in "biuf":
+    """Mask of the courses that begin, [count] bool; ParameterError for another number of them, and for text."""
+    flags = np.full(count, default) if episode_start is None else np.asarray(episode_start)
+    if flags.dtype.kind not in "biuf":
         raise ParameterError(f"episode_start = {episode_start!r:.60}: expected True or False for each observation")
-    fresh = given.astype(bool).reshape(-1)
+    fresh = flags.astype(bool).reshape(-1)
     if len(fresh) != count:
         raise ParameterError(f"episode_start: {len(fresh)} values: expected {count}, one for each observation")
     return fresh
 
 
 def switch(deterministic) -> bool:
-    """Whether the likeliest action is asked for; ParameterError for what is neither True nor False."""
+    """`deterministic` as a bool; ParameterError for anything but True or False."""
     if not isinstance(deterministic, (bool, np.bool_)):
         raise ParameterError(f"deterministic = {deterministic!r:.60}: expected True or False")
     return bool(deterministic)
 
 
 def memory(state, shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
-    """The arrays of a memory with these `shapes`, float32; ParameterError where it is not what such a call returned."""
+    """The arrays of a memory with these `shapes`, float32; ParameterError for anything else."""
     expected = f"expected what the last predict of as many observations returned, arrays of shape {list(shapes)}"
     try:
         arrays = [np.asarray(one, dtype=np.float32) for one in state]
