@@ -97,7 +97,7 @@ def load_sim2real() -> None:
 
 def sim2real(folder: Path) -> None:
     """A tiny study of `agents.sim2real`, with checkpoints in the trainings."""
-    from agents.ppo import TrainConfig
+    from agents.config import TrainConfig
     from agents.sim2real import report, study
     from tests.agents.test_sim2real import WORLDS, tiny
 
