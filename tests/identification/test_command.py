@@ -1,4 +1,4 @@
-"""`python -m soil_env.identification`; the code of docs/identify.md."""
+"""`python -m soil_env.identification`; the code of docs/guide/identify.md."""
 
 import json
 import subprocess

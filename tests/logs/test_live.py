@@ -1,4 +1,4 @@
-"""The node of docs/logs.md against a stand-in for rclpy; the example behind stdin."""
+"""The node of docs/guide/online.md against a stand-in for rclpy; the example behind stdin."""
 
 import io
 import json
@@ -71,7 +71,7 @@ def test_the_node_of_the_page(monkeypatch):
         messages.Odometry = messages.JointState = messages.Range = object
         monkeypatch.setitem(sys.modules, package, ModuleType(package))
         monkeypatch.setitem(sys.modules, f"{package}.msg", messages)
-    exec(compile(code, "docs/logs.md", "exec"), {})
+    exec(compile(code, "docs/guide/online.md", "exec"), {})
     identifier = OnlineIdentifier(wheels()["planetary_rover"])
     for wheel_speed, torque, speed, distance in rows:
         e = identifier.update(Readings(wheel_speed, speed, 0.15 - distance, torque=torque))
