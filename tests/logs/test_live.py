@@ -61,7 +61,7 @@ class Rclpy(ModuleType):
 
 
 def test_the_node_of_the_page(monkeypatch):
-    page = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "guide" / "online.md").read_text(encoding="utf-8")
     code = next(c for c in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "rclpy" in c)
     rows = drive(120)
     rclpy = Rclpy(rows)
