@@ -4,7 +4,6 @@ Examples:
     python examples/drive.py                                         prints how the course went
     python examples/drive.py --frame 150 --out wheel.png             one frame as a picture
     python examples/drive.py --controller full_throttle --out a.mp4  the whole course as a-episode-0.mp4 (needs moviepy)
-    python examples/drive.py --seed 3 --frame 240 --out drive.gif    the first 240 periods as an animated picture
 """
 
 from __future__ import annotations
@@ -15,15 +14,10 @@ from pathlib import Path
 
 import gymnasium
 import numpy as np
-from PIL import Image  # comes with matplotlib
 
 from soil_env import ParameterError
 from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env_agents.controllers import CONTROLLERS, make_controller
-
-GIF_PERIODS = 4  # control periods a frame
-GIF_SCALE = 0.9
-GIF_COLOURS = 96
 
 
 def main() -> None:
@@ -32,29 +26,19 @@ def main() -> None:
     p.add_argument("--controller", choices=sorted(CONTROLLERS), default="best_slip_identified")
     p.add_argument("--scenario", default=DEFAULT_SCENARIO, help="name of a scenario or path of a YAML file")
     p.add_argument("--seed", type=int, default=0, help="seed of the course")
-    p.add_argument("--frame", type=int, help="last control period of the drive; the end of the course if left out")
-    p.add_argument("--out", type=Path, help=".png for the last frame, .gif for an animation, .mp4 for a video")
+    p.add_argument("--frame", type=int, help="control period of which to save a picture; the last one if left out")
+    p.add_argument("--out", type=Path, help=".png for a picture, .mp4 for a video")
     options = p.parse_args()
-    if options.out is not None and options.out.suffix not in (".png", ".gif", ".mp4"):
-        p.error(f"--out {options.out}: expected a .png, .gif or .mp4 file")
+    if options.out is not None and options.out.suffix not in (".png", ".mp4"):
+        p.error(f"--out {options.out}: expected a .png or an .mp4 file")
     if options.frame is not None and options.frame < 1:
         p.error(f"--frame {options.frame}: expected a control period, from 1 on")
     drive(options)
 
 
-def save_gif(frames: list[np.ndarray], path: Path) -> None:
-    """Save frames [height, width, 3] as an animated GIF of few colours, reduced in size."""
-    size = tuple(round(GIF_SCALE * n) for n in frames[0].shape[1::-1])
-    pictures = [Image.fromarray(frame).resize(size, Image.Resampling.LANCZOS) for frame in frames]
-    palette = pictures[-1].quantize(GIF_COLOURS)
-    first, *others = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    first.save(path, save_all=True, append_images=others, duration=100, loop=0, optimize=True)
-
-
 def drive(options) -> None:
     """Drive one course as the options say."""
     video = options.out is not None and options.out.suffix == ".mp4"
-    animated = options.out is not None and options.out.suffix == ".gif"
     variant = CONTROLLERS[options.controller].variant
     mode = "rgb_array" if options.out else None
     env = gymnasium.make(  # repeat=1: a frame every control period; controllers read physical values
@@ -71,22 +55,18 @@ def drive(options) -> None:
     controller = make_controller(options.controller, env.unwrapped.scenario)
     observation, info = env.reset(seed=options.seed)
     memory, start, over, total, steps = None, np.array([True]), False, 0.0, 0
-    frames: list[np.ndarray] = []
     while not over and (video or options.frame is None or steps < options.frame):
         action, memory = controller.predict(observation[None], memory, start)
         start = np.array([False])
         observation, reward, terminated, truncated, info = env.step(action[0])
         over, total, steps = terminated or truncated, total + reward, steps + 1
-        if animated and steps % GIF_PERIODS == 0:
-            frames.append(env.render())
     if options.frame is not None and steps < options.frame:
         print(f"--frame {options.frame}: the course ended before, after {steps} periods; the picture is of its end")
     if options.out is not None and not video:
+        import matplotlib.image
+
         options.out.parent.mkdir(parents=True, exist_ok=True)
-        if animated:
-            save_gif(frames or [env.render()], options.out)
-        else:
-            Image.fromarray(env.render()).save(options.out)
+        matplotlib.image.imsave(options.out, env.render())
     env.close()
     state = info["state"]
     print(f"{options.controller}: {info['cause']} at {state['x']:.2f} m after {steps} periods, return {total:.2f}")
