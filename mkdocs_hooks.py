@@ -27,6 +27,7 @@ PACKAGES = ("soil_env", "agents")
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL)
 _TAG = re.compile(r"\\tag\{(.*?)\}")
 _CODE_LINE = re.compile(r"^Code: .*$", re.MULTILINE)
+_NO_LINK = re.compile(r'<autoref identifier="([^".]*)"[^>]*>(.*?)</autoref>')
 _NAME = re.compile(r"`([\w.]+)`")
 
 
@@ -48,8 +49,8 @@ def on_page_markdown(markdown: str, page, **_: object) -> str:
 
 
 def on_page_content(content: str, **_: object) -> str:
-    """HTML of a page with formulas as MathML."""
-    return _FORMULA.sub(_mathml, content)
+    """HTML of a page with formulas as MathML; a shape after a unit, [m] [n, 3], is no link."""
+    return _NO_LINK.sub(r"[\2] [\1]", _FORMULA.sub(_mathml, content))
 
 
 def on_env(env: object, **_: object) -> None:
@@ -97,16 +98,12 @@ def api_pages() -> dict[str, tuple[str, str]]:
 
 @cache
 def definitions() -> dict[str, list[str]]:
-    """Modules of soil_env and agents that define each public name at their top level."""
+    """Modules of soil_env and agents that define a function or class of each name."""
     found = defaultdict(list)
     for module, path in modules().items():
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
-            names = [target.id for target in targets if isinstance(target, ast.Name)]
             if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-                names.append(node.name)
-            for name in names:
-                found[name].append(module)
+                found[node.name].append(module)
     return found
 
 
