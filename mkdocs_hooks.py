@@ -27,7 +27,7 @@ PACKAGES = ("soil_env", "agents")
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL)
 _TAG = re.compile(r"\\tag\{(.*?)\}")
 _CODE_LINE = re.compile(r"^Code: .*$", re.MULTILINE)
-_NO_LINK = re.compile(r'<autoref identifier="([^".]*)"[^>]*>(.*?)</autoref>')
+_NO_LINK = re.compile(r'<autoref (?![^>]*optional)[^>]*identifier="([^".]*)"[^>]*>(.*?)</autoref>')
 _NAME = re.compile(r"`([\w.]+)`")
 
 
