@@ -22,7 +22,14 @@ import soil_env
 from soil_env._io.commands import command, command_line, file_path, leave
 from soil_env._io.files import check_outputs, write_json
 from soil_env.env import IMMOBILISED
-from soil_env.identification.online.immobilisation import HORIZONS, INPUTS, LARGEST, SCALES, ImmobilisationWarning, Network
+from soil_env.identification.online.immobilisation import (
+    HORIZONS,
+    INPUTS,
+    LARGEST,
+    SCALES,
+    ImmobilisationWarning,
+    Network,
+)
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause
 from soil_env.slip import rim_speeds

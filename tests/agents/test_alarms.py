@@ -9,7 +9,6 @@ import pytest
 from agents.controllers import make_controller
 from agents.evaluate import course_rng
 from agents.evaluate.warning import HOLD, RELEASE, Foresight, Warnings
-from soil_env.driving.wheels import Simulation
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import layout
