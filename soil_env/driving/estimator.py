@@ -44,11 +44,9 @@ from soil_env.identification.online.immobilisation import (
 )
 from soil_env.identification.online.status import Status
 from soil_env.parameters import Scenario
-from soil_env.readings import SensorReading
 from soil_env.simulation.task.observation import SENSORS, clip, write_estimate, write_moments
 from soil_env.simulation.task.rules import TaskNumbers, information_term, total_of
-from soil_env.simulation.wheels import RESTART, RUNNING, STEP, portion_of
-from soil_env.simulation.world.camera import Image
+from soil_env.simulation.wheels import RESTART, RUNNING, STEP, load_image, load_reading, portion_of
 
 _CONVERGED = Status.CONVERGED.value
 _AHEAD = 13  # entries of what is identified of a line ahead
@@ -99,18 +97,6 @@ def estimator_numbers(scenario: Scenario, task: TaskNumbers) -> EstimatorNumbers
 
 
 @inlined
-def reading_of(r):
-    """`SensorReading` of a row [10] of a record."""
-    return SensorReading(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9])
-
-
-@inlined
-def _image_of(r):
-    """`Image` of a row [12] of a record."""
-    return Image(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11])
-
-
-@inlined
 def knowledge(ids, k, precision):
     """Knowledge of identifier k beyond its prior of that `precision` [nat].
 
@@ -143,7 +129,7 @@ def _view_of(image, memory, k, sight):
 def _look_ahead(estimator, numbers, record, k, period):
     """Note the view of wheel k for the warning, where it is asked for."""
     if estimator.recent.shape[0] > 0:
-        image = _image_of(record.images[k, period])
+        image = load_image(record.images[k, period])
         see(estimator.recent, k, _view_of(image, estimator.memory, k, numbers.task.camera.sight), numbers.warning)
 
 
@@ -154,7 +140,7 @@ def _restart(estimator, numbers, record, results, k):
     forget_classes(estimator.memory, k, numbers.memory)
     estimator.changed[k] = False
     if estimator.recent.shape[0] > 0:
-        begin(estimator.recent, k, reading_of(record.readings[k, 0]), numbers.warning)
+        begin(estimator.recent, k, load_reading(record.readings[k, 0]), numbers.warning)
     if numbers.task.camera.classes > 0:
         _look_ahead(estimator, numbers, record, k, 0)
     show_estimate(estimator, numbers, record, results, k, 0)
@@ -163,7 +149,7 @@ def _restart(estimator, numbers, record, results, k):
 @inlined
 def _after_period(estimator, numbers, record, results, k, period):
     """Take the record of a control period of wheel k."""
-    reading, task = reading_of(record.readings[k, period]), numbers.task
+    reading, task = load_reading(record.readings[k, period]), numbers.task
     if estimator.recent.shape[0] > 0:
         follow(estimator.recent, k, reading, record.halted[k, period], numbers.warning)
     paid, prior = task.reward_information > 0.0, numbers.identifier.precision
@@ -171,7 +157,7 @@ def _after_period(estimator, numbers, record, results, k, period):
     outcome = observe(estimator.ids, k, reading, numbers.identifier)
     estimator.changed[k] = estimator.changed[k] or outcome != HELD
     if task.camera.classes > 0:
-        image = _image_of(record.images[k, period])
+        image = load_image(record.images[k, period])
         if outcome == RENEWED and clear_of_borders(image.since, image.left, numbers.memory):
             remember(estimator.memory, k, int(image.here), int(image.patch), estimator.ids, numbers.memory)
         _look_ahead(estimator, numbers, record, k, period)
@@ -201,7 +187,7 @@ def show_estimate(estimator, numbers, record, results, k, period):
     converged = ids.status[k] == _CONVERGED
     write_estimate(out[SENSORS:], ids.estimate[k], ids.sd[k], ids.best_pull[k], converged, task)
     if task.camera.classes > 0:
-        image = _image_of(record.images[k, period])
+        image = load_image(record.images[k, period])
         first = out.size - task.camera.lines * _AHEAD
         for line in range(task.camera.lines):
             label, grade = (image.label_0, image.grade_0) if line == 0 else (image.label_1, image.grade_1)

@@ -11,7 +11,7 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part, root, take
 from soil_env._numba.lanes import COUNT
-from soil_env.driving.estimator import knowledge, reading_of
+from soil_env.driving.estimator import knowledge
 from soil_env.identification.online.identifier import (
     HELD,
     IdentifierNumbers,
@@ -35,7 +35,7 @@ from soil_env.simulation.rover.rovers import blocks_of
 from soil_env.simulation.rover.task import first_soil
 from soil_env.simulation.task.observation import clip, write_estimate
 from soil_env.simulation.task.rules import TaskNumbers, information_term, total_of
-from soil_env.simulation.wheels import RESTART, RUNNING, STEP
+from soil_env.simulation.wheels import RESTART, RUNNING, STEP, load_reading
 from soil_env.simulation.world.wheel import wheel_of
 from soil_env.vehicle import RoverScenario
 
@@ -115,7 +115,7 @@ def _after_period(estimator, numbers, record, results, j, period):
     before = _knowledge(estimator, numbers, j) if paid and period == 0 else 0.0
     for a in range(axles):
         k = wheel_of(j, a, axles)
-        outcome = observe(estimator.ids, k, reading_of(record.readings[k, period]), numbers.identifier)
+        outcome = observe(estimator.ids, k, load_reading(record.readings[k, period]), numbers.identifier)
         place = record.places[j, period] - numbers.places[a]
         note(estimator.known, estimator.ids, k, place, outcome, a > 0, numbers.pool)
         furthest = max(furthest, outcome)

@@ -11,11 +11,13 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part, root, take
 from soil_env._numba.lanes import COUNT
+from soil_env._numba.records import row_record
 from soil_env._numba.rows import Rows
 from soil_env.parameters import Scenario
+from soil_env.readings import SensorReading
 from soil_env.simulation.task.observation import write_observation, write_truth
 from soil_env.simulation.task.rules import REWARD_TERMS, Cause, TaskNumbers, judge, reward_terms, total_of
-from soil_env.simulation.world.camera import Image, Sight, look, write_image
+from soil_env.simulation.world.camera import Image, Sight, image_of, look
 from soil_env.simulation.world.courses import (
     CourseDistribution,
     CourseNumbers,
@@ -36,7 +38,8 @@ STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
 #: was found), the rest of it drawn, the ground ahead drawn.
 TRY, COMPLETE, AHEAD = np.int8(3), np.int8(4), np.int8(5)
 RUNNING = Cause.RUNNING.value
-READINGS = 10  # numbers of a `SensorReading`
+load_reading, store_reading = row_record(SensorReading)
+load_image, _store_image = row_record(Image)
 
 
 class Record(NamedTuple):
@@ -56,7 +59,7 @@ def new_record(wheels: int, scenario: Scenario, images: bool) -> Record:
     repeat = scenario.control.held
     return Record(
         np.zeros(wheels, dtype=np.int64),
-        np.zeros((wheels, repeat, READINGS)),
+        np.zeros((wheels, repeat, len(SensorReading._fields))),
         np.zeros((wheels, repeat), dtype=np.bool_),
         np.zeros((wheels if images else 0, repeat, len(Image._fields))),
     )
@@ -107,13 +110,6 @@ def clear_reward(worlds, k):
     worlds.reward[k] = 0.0
     for i in range(worlds.terms.shape[1]):
         worlds.terms[k, i] = 0.0
-
-
-@inlined
-def store_reading(readings, reading):
-    """Store a `SensorReading` into `readings` [10]."""
-    for i in range(READINGS):
-        readings[i] = reading[i]
 
 
 # --- courses ----------------------------------------------------------------------------------------------------------
@@ -183,10 +179,11 @@ def _record(worlds, numbers, k, period, reading, sight):
     if record.periods.size == 0:
         return
     record.periods[k] = period + 1
-    store_reading(record.readings[k, period], reading)
+    store_reading(reading, record.readings[k, period])
     record.halted[k, period] = worlds.state.halt_left[k] > 0.0
     if numbers.task.camera.classes > 0:
-        write_image(record.images[k, period], worlds.state, k, worlds.courses, sight, numbers.task.camera)
+        image = image_of(worlds.state, k, worlds.courses, sight, numbers.task.camera)
+        _store_image(image, record.images[k, period])
 
 
 @part

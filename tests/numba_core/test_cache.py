@@ -82,7 +82,7 @@ def test_a_process_waits_for_another_that_compiles_the_same(tmp_path, monkeypatc
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "kernel_of_a_test", raising=False)
     f = importlib.import_module("kernel_of_a_test").f
-    with cache._alone(f._cache._cache_path):
+    with cache._alone(cache._lock_of(f)):
         other = call(folder)
         assert other.stderr.readline()  # that it waits
         type(f).compile(f, (types.float64,))

@@ -73,11 +73,11 @@ def take_pitch(rovers, j, s):
 
 
 @part
-def _drive(rovers, block, period, courses, ruts, world, s, left, longest, anyhow):
+def _drive(rovers, block, period, courses, ruts, world, s, left, longest, force):
     """Steps of at most `longest` seconds for `left` seconds, of those of eight rovers that are alive in `period`.
 
     A rover for which Newton's method fails stays as it was before that stage, with the rest of its time in
-    `period.left`; with `anyhow` = 1 it goes on.
+    `period.left`; with `force` = 1 it goes on.
     """
     body, wheels, axles, counts = rovers.body, rovers.wheels, rovers.axles, rovers.counts
     sub, trial = Substep(new_footing(), new_equations(), new_nodes(), new_newton()), new_newton()
@@ -95,7 +95,7 @@ def _drive(rovers, block, period, courses, ruts, world, s, left, longest, anyhow
             for a in range(s.axles):
                 i = a * COUNT
                 before = from_array(wheels.x, first + i)
-                move(wheels, first, i, period, sub, world, stage, anyhow)
+                move(wheels, first, i, period, sub, world, stage, force)
                 _climb(wheels, axles, ruts, first + i, before, from_array(sub.footing.grade, i))
             take_pitch(rovers, block, s)
             for i in range(s.axles * COUNT):

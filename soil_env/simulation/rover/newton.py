@@ -11,20 +11,22 @@ from __future__ import annotations
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import below, chosen, larger, sine_of, sqrt
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
+from soil_env._numba.records import keep_where
 from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear
 from soil_env.simulation.world.newton import HUGE, PASSES, TOLERANCE, compare, near_enough
 from soil_env.simulation.world.stage import (
     SHORT,
     behind,
-    chosen_reaction,
+    choose_reaction,
     foreseen_rim,
     load_reaction,
     reaction_at,
+    same_reaction,
     stand,
     store_reaction,
 )
 from soil_env.terramechanics.motor import motor
-from soil_env.terramechanics.reaction import REST_SPEED, Reaction
+from soil_env.terramechanics.reaction import REST_SPEED
 
 _LEAST_PIVOT = 1e-12
 _TURNS = 4  # solutions of a stage at most, each with the loads of the one before; the last is kept
@@ -153,16 +155,16 @@ def _evaluate(sub, trial, cu, world, s):
 
 @inlined
 def _keep_better(sub, trial, better, s):
-    """Take over what was tried in lanes where it is better."""
+    """Take over speeds, residuals and reaction of the trial in lanes where it is better."""
     n = sub.newton
-    to_array(chosen(better, from_array(sub.equations.try_v, 0), from_array(n.v, 0)), n.v, 0)
-    to_array(chosen(better, from_array(trial.f1, 0), from_array(n.f1, 0)), n.f1, 0)
+    keep_where(better, from_array(sub.equations.try_v, 0), n.v, 0)
+    keep_where(better, from_array(trial.f1, 0), n.f1, 0)
     for a in range(s.axles):
         i = a * COUNT
-        to_array(chosen(better, from_array(trial.u, i), from_array(n.u, i)), n.u, i)
-        to_array(chosen(better, from_array(trial.f2, i), from_array(n.f2, i)), n.f2, i)
-        to_array(chosen(better, from_array(trial.motor_slope, i), from_array(n.motor_slope, i)), n.motor_slope, i)
-        store_reaction(chosen_reaction(better, load_reaction(trial, i), load_reaction(n, i)), n, i)
+        keep_where(better, from_array(trial.u, i), n.u, i)
+        keep_where(better, from_array(trial.f2, i), n.f2, i)
+        keep_where(better, from_array(trial.motor_slope, i), n.motor_slope, i)
+        store_reaction(choose_reaction(better, load_reaction(trial, i), load_reaction(n, i)), n, i)
 
 
 @inlined
@@ -196,7 +198,7 @@ def _begin(sub, s):
         i = a * COUNT
         to_array(from_array(sub.equations.speed0, i), n.v, i)
         to_array(from_array(sub.equations.rim0, i), n.u, i)
-        store_reaction(Reaction(zero, zero, zero, zero, zero, zero, zero, zero, zero, zero), n, i)
+        store_reaction(same_reaction(zero), n, i)
         to_array(zero, n.f2, i)
         to_array(zero, n.motor_slope, i)
     to_array(zero, n.f1, 0)
@@ -214,18 +216,18 @@ def _largest_change(sub, s):
 
 @part
 def _iterate(sub, trial, alive, world, s, h):
-    """Newton's method for those of eight rovers that are `alive`, at the loads as they are; who has converged.
+    """Newton's method for those of eight rovers that are `alive`, at the present loads; 1 where it has converged.
 
-    As in `simulation.newton`, a step that does not reduce the largest residual is shortened. Rovers that have ended
-    stay as they are while others go on.
+    As in `world.newton`, a step that does not reduce the largest residual is shortened. Rovers that have ended stay as
+    they are while others go on.
     """
     cu = h * world.wheel.radius / world.inertia
     going, converged = alive, fill(0.0)
     norm, share, tries = fill(HUGE), fill(1.0), fill(0.0)
     for _ in range(PASSES):
         reached = _evaluate(sub, trial, cu, world, s)
-        better, failed, share, tries = compare(reached, norm, share, tries)
-        better, failed = going * better, going * failed
+        found = compare(reached, norm, share, tries)
+        better, failed, share, tries = going * found.better, going * found.failed, found.share, found.tries
         _keep_better(sub, trial, better, s)
         norm = chosen(better, reached, norm)
         there = going * better * below(norm, TOLERANCE)

@@ -31,7 +31,6 @@ from soil_env.simulation.task.rules import REWARD_TERMS, TaskNumbers, judge, rew
 from soil_env.simulation.wheels import (
     COMPLETE,
     IDLE,
-    READINGS,
     RESTART,
     RUNNING,
     STEP,
@@ -79,7 +78,9 @@ def new_rover_record(rovers: int, wheels: int, scenario: RoverScenario) -> Rover
     """Empty record of so many rovers with their wheels."""
     repeat = scenario.control.held
     return RoverRecord(
-        np.zeros(rovers, dtype=np.int64), np.zeros((wheels, repeat, READINGS)), np.zeros((rovers, repeat))
+        np.zeros(rovers, dtype=np.int64),
+        np.zeros((wheels, repeat, len(SensorReading._fields))),
+        np.zeros((rovers, repeat)),
     )
 
 
@@ -238,7 +239,7 @@ def _observe(worlds, numbers, j, period, reading):
         of_wheel = _sense_wheel(worlds, numbers, k, reading)
         write_axle(out, rovers.wheels, k, a, of_wheel, numbers.task)
         if recorded:
-            store_reading(record.readings[k, period], of_wheel)
+            store_reading(of_wheel, record.readings[k, period])
     if recorded:
         record.periods[j], record.places[j, period] = period + 1, rovers.body.odometer[j]
     write_body(out, rovers.body, j, reading, numbers.task)

@@ -33,7 +33,7 @@ class Sight(NamedTuple):
 
 
 class Image(NamedTuple):
-    """Numbers of an image, as `write_image` stores them; those of the lines mean something only if `seen`."""
+    """Numbers of an image, in this order in a record; those of the lines mean something only if `seen`."""
 
     patch: float  # as in `Sight`
     since: float
@@ -88,17 +88,16 @@ def seen_grade(courses, k, patch, line):
 
 
 @inlined
-def write_image(out, state, k, courses, sight, camera):
-    """Fill `out` with the `Image` of wheel k, for what identifies the ground on board."""
+def image_of(state, k, courses, sight, camera):
+    """`Image` of wheel k, for what identifies the ground on board."""
     lines, ahead = courses.lines, patch_ahead(courses, k, sight, camera)
     patch = max(ahead, 0)
-    out[0], out[1], out[2] = sight.patch, sight.since, sight.left
-    out[3] = label_here(courses, k, sight)
-    out[4] = 1.0 if ahead >= 0 else 0.0
-    out[5] = 1.0 if settled(state, k, courses, patch) else 0.0
-    out[6], out[7] = lines.count[k, patch], lines.taken[k, patch]
-    out[8], out[9] = lines.labels[k, patch, 0], lines.labels[k, patch, 1]
-    out[10], out[11] = seen_grade(courses, k, patch, 0), seen_grade(courses, k, patch, 1)
+    return Image(
+        sight.patch, sight.since, sight.left, label_here(courses, k, sight),
+        1.0 if ahead >= 0 else 0.0, 1.0 if settled(state, k, courses, patch) else 0.0,
+        lines.count[k, patch], lines.taken[k, patch], lines.labels[k, patch, 0], lines.labels[k, patch, 1],
+        seen_grade(courses, k, patch, 0), seen_grade(courses, k, patch, 1),
+    )  # fmt: skip
 
 
 @inlined
