@@ -1,6 +1,6 @@
 """Classical drive controllers with the interface of a Stable-Baselines3 model: `predict(observation, state, ...)`.
 
-They work on batches of observations [n, D] in the layout of `soil_env.task` and know the scenario's wheel (radius,
+They work on batches of observations [n, D] in the layout of `soil_env.simulation.task` and know the scenario's wheel (radius,
 motor, weight), as an engineer would; the soil they know only where the name says so. All but `full_throttle` and
 `constant_torque` set a rim speed, which the drive follows whatever the action of the scenario is.
 

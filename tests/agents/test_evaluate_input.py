@@ -6,7 +6,7 @@ import pytest
 
 from agents.evaluate.__main__ import main
 from soil_env.parameters import load_scenario
-from soil_env.task import layout
+from soil_env.simulation.task import layout
 from tests.agents.evaluating import SHORT, evaluate
 from tests.agents.saved import edit, rewrite
 

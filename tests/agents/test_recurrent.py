@@ -9,7 +9,7 @@ from agents.evaluate.models import load_model
 from agents.ppo import PPOConfig, TrainConfig
 from agents.training import make_run_folder, open_run, train
 from soil_env.parameters import load_scenario
-from soil_env.task import layout
+from soil_env.simulation.task import layout
 
 TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=4, history=2)
 
