@@ -10,7 +10,7 @@ import numpy as np
 from agents.controllers import CONTROLLERS, ConstantSpeed, SoftStart, make_controller
 from agents.evaluate import drive
 from agents.evaluate.tuning import shipped_settings
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import compiled_root
 from soil_env.parameters import Scenario
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel
@@ -52,7 +52,7 @@ def controller_of(name: str, scenario: Scenario) -> Any:
     return make_controller(name, scenario, **shipped_settings(scenario, 1).get(name, {}))
 
 
-@root
+@compiled_root
 def _grounds(state, counts, courses, border, out):
     for k in range(len(out)):
         soil, _, patch = ground_at(courses, k, state.x[k], counts.patch[k], border)

@@ -6,24 +6,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from soil_env._numba.compiling import root
-from soil_env.parameters import Scenario
-from soil_env.simulation.world.dynamics import MANY, advance
-from soil_env.simulation.task import task_numbers
-from soil_env.simulation.world.wheel import settle_at, world_numbers
+from soil_env._numba.compiling import compiled_root
 from soil_env.driving.wheels import new_worlds
+from soil_env.parameters import Scenario
+from soil_env.simulation.task import task_numbers
+from soil_env.simulation.world.dynamics import MANY, advance
+from soil_env.simulation.world.wheel import settle_at, world_numbers
 
 PLACE, BEARING, COLUMNS = 10, 11, 12  # columns behind the readings: x [m], bearing sinkage [m]
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def _settle(state, counts, courses, mass, world):
     for k in range(mass.size):
         settle_at(state, counts, k, 0.0, mass[k], courses, world)
         state.next_halt[k] = 1e18
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def _run(state, counts, courses, streams, world, what, commands, action, halt, out):
     n = what.size
     for t in range(action.size):

@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.calibration_bound import SOIL
 from benchmarks.open_loop import BEARING, COLUMNS, PLACE
 from benchmarks.reference_particles import BEGIN, END, GRADE, HERE, MASS, NEXT, NEXT_GRADE, Particles
-from soil_env._numba.compiling import inlined, root
+from soil_env._numba.compiling import compiled_inline, compiled_root
 from soil_env._numba.elementary import exp, larger, log, smaller, sqrt, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env.identification.online.contact_slopes import GroundSoil, reaction
@@ -37,14 +37,14 @@ _SINKAGE_DOUBT = 0.1  # [wheel radii] of the first sinkage
 _PULL, _PULL_SLOPE, _TORQUE, _TORQUE_SLOPE, _OF_SINKAGE, _PULL_DOUBT, _TORQUE_DOUBT, _GRADE, _LOAD = range(9)
 
 
-@inlined
+@compiled_inline
 def _relaxed(z, bearing, a, b, kept):
     """Sinkage after a period of dz/dt = b bearing - a z, over which `kept` of a difference is kept."""
     goal = (b * bearing + 1e-9 * z) / a
     return goal + (z - goal) * kept
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def _follow(soils, share, mass, sinking, motion, numbers, out):
     """Sinkages and forces of wheels [n] of soils [3, 6, n] that move as `motion` [T, 7] says, in `out` [columns, T, n].
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from benchmarks.common import ROOT
 from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, read_yaml, unknown_value
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import IDLE, STEP
 from soil_env.parameters import Soil
 from soil_env.simulation.rover.dynamics import take_pitch
-from soil_env.driving.rovers import RoverSimulation
 from soil_env.simulation.world.wheel import settle_at
-from soil_env.driving.wheels import IDLE, STEP
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import RoverScenario, load_rover
 

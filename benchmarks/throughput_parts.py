@@ -9,16 +9,16 @@ import numpy as np
 
 from benchmarks.common import TORQUE, spread
 from soil_env._numba import elementary, lanes
-from soil_env._numba.compiling import FastCall, inlined, root
+from soil_env._numba.compiling import FastCall, compiled_inline, compiled_root
 from soil_env._numba.rows import Rows
+from soil_env.driving.wheels import RESTART, STEP, Simulation
 from soil_env.identification.online.identifier import HELD, SensorReading, new_replay, observe_rows
 from soil_env.parameters import load_scenario
+from soil_env.simulation.task import Cause, judge, reward_terms, write_observation
 from soil_env.simulation.world.camera import Sight
 from soil_env.simulation.world.courses import CourseNumbers, draw_ahead
 from soil_env.simulation.world.dynamics import MANY, advance
 from soil_env.simulation.world.sensors import sense
-from soil_env.simulation.task import Cause, judge, reward_terms, write_observation
-from soil_env.driving.wheels import RESTART, STEP, Simulation
 from soil_env.terramechanics import arc_integrals as quadrature, contact
 from soil_env.vector_env import SoilWheelVectorEnv
 
@@ -45,7 +45,7 @@ def _identify(worlds, numbers, what, readings):
     worlds.changed[wheels] = replay.outcome != HELD
 
 
-@root
+@compiled_root
 def _sense(worlds, numbers, what, readings):
     for k in range(what.size):
         if what[k] == STEP:
@@ -54,14 +54,14 @@ def _sense(worlds, numbers, what, readings):
                 readings[k, i] = r[i]
 
 
-@inlined
+@compiled_inline
 def _reading(a, k):
     return SensorReading(
         a[k, 0], a[k, 1], a[k, 2], a[k, 3], a[k, 4], a[k, 5], a[k, 6], a[k, 7], a[k, 8], a[k, 9]
     )  # fmt: skip
 
 
-@root
+@compiled_root
 def _report(worlds, numbers, what, readings):
     for k in range(what.size):
         if what[k] == STEP:
@@ -74,7 +74,7 @@ def _report(worlds, numbers, what, readings):
             )  # fmt: skip
 
 
-@root
+@compiled_root
 def _draw_ahead(worlds, numbers, what):
     for k in range(what.size):
         if what[k] != RESTART:
@@ -157,7 +157,7 @@ def _python(wheels: int, rounds: int) -> list[float]:
 # --- the limit --------------------------------------------------------------------------------------------------------
 
 
-@root
+@compiled_root
 def _many_exp(n):
     a = b = c = d = lanes.fill(0.0)
     for i in range(n):
@@ -167,7 +167,7 @@ def _many_exp(n):
     return lanes.total(a + b + c + d)
 
 
-@root
+@compiled_root
 def _many_log(n):
     a = b = c = d = lanes.fill(0.0)
     for i in range(n):
@@ -177,7 +177,7 @@ def _many_log(n):
     return lanes.total(a + b + c + d)
 
 
-@root
+@compiled_root
 def _many_sin_cos(n):
     a = b = c = d = lanes.fill(0.0)
     for i in range(n):
@@ -191,7 +191,7 @@ def _many_sin_cos(n):
     return lanes.total(a + b + c + d)
 
 
-@root
+@compiled_root
 def _many_fma(n):
     a = b = c = d = e = f = g = h = lanes.fill(1e-3 * n)
     x, y = lanes.fill(0.999 - 1e-9 * n), lanes.fill(1e-3 + 1e-9 * n)
@@ -201,7 +201,7 @@ def _many_fma(n):
     return lanes.total(a + b + c + d + e + f + g + h)
 
 
-@root
+@compiled_root
 def _many_scalar(n):
     a = b = c = d = 0.0
     for i in range(n):

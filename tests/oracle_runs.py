@@ -8,8 +8,8 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.parameters import Soil
+from soil_env.terramechanics.model import WheelSoilModel
 
 ROOT = Path(__file__).resolve().parent.parent
 NUDGE = 0.0  # relative change of the inputs, to see what rounding does

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.parameters import Scenario
 from soil_env.driving.cloning import clone
-from soil_env.simulation.task import Cause
 from soil_env.driving.wheels import IDLE, STEP, Simulation
+from soil_env.parameters import Scenario
+from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .base import Ramped

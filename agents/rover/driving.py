@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from soil_env.driving.rovers import RoverSimulation
-from soil_env.simulation.task import Cause
 from soil_env.driving.wheels import IDLE, STEP
+from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 

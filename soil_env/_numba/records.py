@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import chosen
 from soil_env._numba.lanes import from_array, to_array
 
@@ -58,10 +58,10 @@ def _compiled(record: type, head: str, parts: list[str], returns: bool = True):
     names = {"record": record, "from_array": from_array, "to_array": to_array, "chosen": chosen}
     names["__name__"] = record.__module__
     exec(f"def {head}:\n{body}\n", names)  # as `typing.NamedTuple` itself does
-    return inlined(names[head.partition("(")[0]])
+    return compiled_inline(names[head.partition("(")[0]])
 
 
-@inlined
+@compiled_inline
 def keep_where(mask, value, row, i):
     """Store `value` into lanes i ... i + 7 of a row where the mask is 1."""
     to_array(chosen(mask, value, from_array(row, i)), row, i)

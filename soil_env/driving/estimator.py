@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part, root, take
+from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root, take
 from soil_env.identification.online.class_memory import (
     PULL,
     ClassMemory,
@@ -91,12 +91,10 @@ def new_estimator(wheels: int, scenario: Scenario, warnings: bool) -> Estimator:
 
 def estimator_numbers(scenario: Scenario, task: TaskNumbers) -> EstimatorNumbers:
     """Pack the beliefs of a scenario."""
-    return EstimatorNumbers(
-        identifier_numbers(scenario), memory_numbers(scenario), warning_numbers(scenario), task
-    )
+    return EstimatorNumbers(identifier_numbers(scenario), memory_numbers(scenario), warning_numbers(scenario), task)
 
 
-@inlined
+@compiled_inline
 def knowledge(ids, k, precision):
     """Knowledge of identifier k beyond its prior of that `precision` [nat].
 
@@ -109,7 +107,7 @@ def knowledge(ids, k, precision):
     return -math.log(left)
 
 
-@inlined
+@compiled_inline
 def _view_of(image, memory, k, sight):
     """`View` of the ground for the warning, from an image and the memory of terrain classes."""
     here = int(image.here)
@@ -125,7 +123,7 @@ def _view_of(image, memory, k, sight):
     )  # fmt: skip
 
 
-@inlined
+@compiled_inline
 def _look_ahead(estimator, numbers, record, k, period):
     """Note the view of wheel k for the warning, where it is asked for."""
     if estimator.recent.shape[0] > 0:
@@ -133,7 +131,7 @@ def _look_ahead(estimator, numbers, record, k, period):
         see(estimator.recent, k, _view_of(image, estimator.memory, k, numbers.task.camera.sight), numbers.warning)
 
 
-@part
+@compiled_part
 def _restart(estimator, numbers, record, results, k):
     """Set estimator k to its prior, at the start of a course."""
     forget(estimator.ids, k, numbers.identifier)
@@ -146,7 +144,7 @@ def _restart(estimator, numbers, record, results, k):
     show_estimate(estimator, numbers, record, results, k, 0)
 
 
-@inlined
+@compiled_inline
 def _after_period(estimator, numbers, record, results, k, period):
     """Take the record of a control period of wheel k."""
     reading, task = load_reading(record.readings[k, period]), numbers.task
@@ -167,7 +165,7 @@ def _after_period(estimator, numbers, record, results, k, period):
         results.terms[k, 3] += information_term(cause, before, after, task)
 
 
-@part
+@compiled_part
 def _step(estimator, numbers, record, results, k):
     """Take the record of a step of wheel k."""
     estimator.changed[k] = False
@@ -178,7 +176,7 @@ def _step(estimator, numbers, record, results, k):
     show_estimate(estimator, numbers, record, results, k, record.periods[k] - 1)
 
 
-@inlined
+@compiled_inline
 def show_estimate(estimator, numbers, record, results, k, period):
     """Fill what is identified into the observation of wheel k, if its variant has it."""
     task, ids, out = numbers.task, estimator.ids, results.observation[k]
@@ -196,7 +194,7 @@ def show_estimate(estimator, numbers, record, results, k, period):
     clip(out, task)
 
 
-@inlined
+@compiled_inline
 def _write_line(out, memory, k, there, label, grade, task):
     """Fill `out` [13] with what is known of the soil of a line ahead; 0 if it is out of sight.
 
@@ -211,7 +209,7 @@ def _write_line(out, memory, k, there, label, grade, task):
         out[12] = memory.sd[k, label, PULL]
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def estimate_wheels(estimator, numbers, record, results, what, counter):
     """Follow the orders `what` [wheels] that the world has executed; `counter`: [next wheel, threads at work]."""
     wheels = what.size

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
 
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import asin_root, exp, larger, log, power, smaller, sqrt, tanh, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
@@ -90,7 +90,7 @@ def acting(fx: Effects) -> Effects:
 # --- slip-sinkage -----------------------------------------------------------------------------------------------------
 
 
-@part
+@compiled_part
 def slip_sinkage_ratio(slip, gain, recovery):
     """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i| + recovery |i|).
 
@@ -103,19 +103,19 @@ def slip_sinkage_ratio(slip, gain, recovery):
     return digging_ratio(abs(slip), where_less(slip, 0.0, 1.0, 1.0 - slip), gain, recovery)
 
 
-@inlined
+@compiled_inline
 def digging_ratio(slid, way, gain, recovery):
     """Steady sinkage over that without slip, at least 1, where the rim slides by `slid` on a `way` of the same unit."""
     return 1.0 + gain * slid / larger(way + recovery * slid, 1e-6)
 
 
-@inlined
+@compiled_inline
 def onto_fresh(x, low, high):
     """How far [m] a wheel at x that had been between `low` and `high` has come onto ground that it had not touched."""
     return larger(x - high, 0.0) + larger(low - x, 0.0)
 
 
-@inlined
+@compiled_inline
 def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z.
 
@@ -130,7 +130,7 @@ def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     return a, b
 
 
-@part
+@compiled_part
 def digging(soil, fx):
     """(gain, recovery) of `slip_sinkage_ratio`: the effect's where it is on, else those of the soil."""
     if fx.slip_sinkage_gain != 0.0:
@@ -138,7 +138,7 @@ def digging(soil, fx):
     return soil.dig_gain, soil.dig_recovery
 
 
-@part
+@compiled_part
 def excavated_depth(slip, fx):
     """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), Reece's law with its length l."""
     i = smaller(abs(slip), 0.95)
@@ -148,13 +148,13 @@ def excavated_depth(slip, fx):
 # --- soil under the wheel ---------------------------------------------------------------------------------------------
 
 
-@part
+@compiled_part
 def sliding_speed(slip, travel_speed):
     """|r w - V| [m/s] of a wheel that travels at V with the given slip."""
     return travel_speed * abs(slip) / where_less(slip, 0.0, 1.0, larger(1.0 - slip, 0.02))
 
 
-@part
+@compiled_part
 def rate_factor(speed, reference, exponent, slope):
     """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m, or 1 + a ln(v/v0) where the power m is 0.
 
@@ -166,7 +166,7 @@ def rate_factor(speed, reference, exponent, slope):
     return larger(exp(exponent * x) + slope * x, 0.1)
 
 
-@part
+@compiled_part
 def depends_on_speed(fx):
     """Whether a rate law is on."""
     penetration = fx.penetration_rate_exponent != 0.0 or fx.penetration_rate_slope != 0.0
@@ -174,7 +174,7 @@ def depends_on_speed(fx):
     return penetration or shear
 
 
-@inlined
+@compiled_inline
 def depends_on_passes(fx):
     """Whether earlier passes change the soil."""
     bearing = fx.multipass_gain != 0.0 or fx.multipass_per_pass != 0.0 or fx.multipass_slip_gain != 0.0
@@ -182,7 +182,7 @@ def depends_on_passes(fx):
     return bearing or strength or fx.multipass_hardening != 0.0
 
 
-@part
+@compiled_part
 def pass_factor(passes, slip, fx):
     """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at the same slip.
 
@@ -196,7 +196,7 @@ def pass_factor(passes, slip, fx):
     return where_less(1.0, passes, factor, 1.0)
 
 
-@part
+@compiled_part
 def slope_factor(soil, sin_grade, fx):
     """Bearing on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 to the power w."""
     if fx.grade_weakening == 0.0:
@@ -206,7 +206,7 @@ def slope_factor(soil, sin_grade, fx):
     return power(larger(left, 0.02), 2.0 * fx.grade_weakening)
 
 
-@part
+@compiled_part
 def soil_in_contact(soil, fx, slip, speed, slide, passes, sin_grade):
     """`SoilState` that the wheel meets at this slip, travel speed, sliding speed [m/s], pass and grade."""
     s = soil.sinkage_coefficient * rate_factor(
@@ -232,7 +232,7 @@ def soil_in_contact(soil, fx, slip, speed, slide, passes, sin_grade):
 # --- contact arc and shear law ----------------------------------------------------------------------------------------
 
 
-@part
+@compiled_part
 def arc_ends(theta1, slip, fx):
     """(theta2, thetam) [rad]: exit angle -l theta1, and the peak (9) moved by (a + c |i|) theta1.
 
@@ -246,7 +246,7 @@ def arc_ends(theta1, slip, fx):
     return theta2, smaller(larger(peak, theta2 + 0.05 * span), theta1 - 0.05 * span)
 
 
-@part
+@compiled_part
 def shear_law(fx):
     """`ShearLaw` with a peak and a residual strength.
 
@@ -262,7 +262,7 @@ def shear_law(fx):
     return ShearLaw((1.0 - drop) / peak, s / peak, drop, fx.shear_softening_length, fx.shear_softening_onset)
 
 
-@part
+@compiled_part
 def shear_length_ratio(fx):
     """Length of the shear law over K: 4 s/(1 + s) where K is that of the first slope, else 1."""
     s = fx.shear_softening_sharpness
@@ -271,13 +271,13 @@ def shear_length_ratio(fx):
     return 1.0
 
 
-@part
+@compiled_part
 def shear_radius_ratio(r, height, fx):
     """Radius at which the soil between lugs of `height` [m] is sheared, over the rim radius."""
     return 1.0 + fx.grousers_shear_share * height / r
 
 
-@inlined
+@compiled_inline
 def at_shear_radius(soil, q, shear_modulus):
     """The soil whose forces at the rim are those of `soil` at q times its radius: strength times q; K as given [m]."""
     return SoilState(
@@ -289,14 +289,14 @@ def at_shear_radius(soil, q, shear_modulus):
 # --- added forces -----------------------------------------------------------------------------------------------------
 
 
-@part
+@compiled_part
 def passive_coefficient(tan_phi):
     """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2) = (1 + sin phi)/(1 - sin phi)."""
     secant = sqrt(1.0 + tan_phi * tan_phi)
     return (secant + tan_phi) / (secant - tan_phi)
 
 
-@part
+@compiled_part
 def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
     """Resistance [N] of the soil pushed ahead of the wheel to the depth of its sinkage.
 
@@ -315,7 +315,7 @@ def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
 BLADE_SLIP = 0.015  # slip over which the thrust of the lugs comes in
 
 
-@part
+@compiled_part
 def blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx):
     """Thrust [N] of the lugs in the ground along the rim of a slipping wheel: lugs a radian x theta1 x thrust of one.
 
@@ -329,14 +329,14 @@ def blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx):
     return fx.grousers_blades * theta1 * b * (weight + 2.0 * soil.cohesion * height * sqrt(kp))
 
 
-@inlined
+@compiled_inline
 def blades_at(thrust, slip):
     """(what acts of the `blade_thrust` [N] at this slip, its derivative): none where the wheel rolls freely."""
     share = tanh(slip / BLADE_SLIP)
     return thrust * share, thrust * (1.0 - share * share) / BLADE_SLIP
 
 
-@part
+@compiled_part
 def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
     """`blade_thrust` [N] at this slip."""
     return blades_at(blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx), slip)[0]
@@ -345,7 +345,7 @@ def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
 # --- what is measured -------------------------------------------------------------------------------------------------
 
 
-@part
+@compiled_part
 def true_slip(measured, fx):
     """Slip of the wheel where the measured one has an offset d, or comes from a rolling radius r (1 - e).
 
@@ -355,13 +355,13 @@ def true_slip(measured, fx):
     return min(max(i, -1.0), 1.0)
 
 
-@part
+@compiled_part
 def measured_slip(slip, fx):
     """Inverse of `true_slip`."""
     return slip_of_radius(slip - fx.slip_bias_offset, 1.0 / (1.0 - fx.slip_bias_radius_error))
 
 
-@inlined
+@compiled_inline
 def drive_friction(torque, wheel_speed, floor, fx):
     """(friction of the drivetrain [N m], its derivatives by the torque at the axle and by the wheel speed).
 
@@ -377,7 +377,7 @@ def drive_friction(torque, wheel_speed, floor, fx):
     )
 
 
-@part
+@compiled_part
 def drive_torque(torque, wheel_speed, floor, fx):
     """Torque [N m] at the motor for a torque at the axle, with `drive_friction`."""
     return torque + drive_friction(torque, wheel_speed, floor, fx)[0]

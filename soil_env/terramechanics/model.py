@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, check, load, quantity, read_yaml, to_dict, unknown_key
-from soil_env._numba.compiling import part
+from soil_env._numba.compiling import compiled_part
 from soil_env.measurement.setup import LARGEST_WHEEL, check_lugs
 from soil_env.measurement.table import STEEPEST, Table
 from soil_env.parameters import Soil
@@ -274,7 +274,7 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     )
 
 
-@part
+@compiled_part
 def add_residual(law, slip, load, wheels, conditions, soil, gravity, out):
     """Add a `ResidualLaw` to predictions `out` [N, 3]."""
     for k in range(slip.size):

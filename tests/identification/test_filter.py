@@ -8,6 +8,7 @@ import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
 from soil_env._numba.lanes import COUNT
+from soil_env.driving.wheels import Simulation
 from soil_env.identification import Status
 from soil_env.identification.online import identifier
 from soil_env.identification.online.curve import (
@@ -26,7 +27,6 @@ from soil_env.identification.online.identifier import HELD, RENEWED, SensorReadi
 from soil_env.identification.online.sinkage_filter import DEPTH
 from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import Belief, load_scenario
-from soil_env.driving.wheels import Simulation
 from tests.identification.observing import observe
 
 SCENARIO = load_scenario("mixed")

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import compiled_root
 from soil_env._numba.rows import Rows
+from soil_env.driving.wheels import Simulation
 from soil_env.identification import Status
 from soil_env.identification.online import identifier
 from soil_env.identification.online.filter_estimate import publish
@@ -16,7 +17,6 @@ from soil_env.online import OnlineIdentifier
 from soil_env.parameters import Belief, ParameterError, SoilSpread, load_scenario, soils, wheels
 from soil_env.simulation.world.dynamics import STEP, advance
 from soil_env.simulation.world.sensors import sense
-from soil_env.driving.wheels import Simulation
 from tests.identification.observing import observe
 
 SAND = soils()["lunar_nominal"].state(0.15)
@@ -198,7 +198,7 @@ def test_a_change_of_the_sinkage_coefficient_alone_is_noticed():
     assert 5.3 < state.x[0] < 5.6 and ids.borders[0] >= 1
 
 
-@root
+@compiled_root
 def _published(ids, numbers, anew):
     publish(ids.banks, 0, numbers.filter, ids.estimate[0], ids.sd[0], ids.covariance[0], ids.best_pull[0], anew)
 

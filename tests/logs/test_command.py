@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env.identification.table.priors import soil_unknowns
 from soil_env.identification.table import identify_table
+from soil_env.identification.table.priors import soil_unknowns
 from soil_env.logs import read_map, replay, steady_windows
 from soil_env.logs.__main__ import main
 from soil_env.logs.align import Aligned, ChannelCount

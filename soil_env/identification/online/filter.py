@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, smaller
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
 from soil_env.identification.online.border import (
@@ -86,7 +86,7 @@ _slopes = scratch(3 * len(Slopes._fields) * COUNT)
 # --- readings to points -----------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def _advance_clocks(p, k, reading, numbers):
     """Integrals over the last period, of the readings' mean over it."""
     u, i = reading.rim_speed, min(max(reading.slip, -0.9), 0.98)
@@ -103,7 +103,7 @@ def _advance_clocks(p, k, reading, numbers):
     p.last_speed[k], p.last_rim[k] = v, u
 
 
-@inlined
+@compiled_inline
 def _collect(p, k, r, turned, numbers):
     """Add a reading to the open point; `turned`: change of the rim speed [m/s] in its period."""
     sd, u = numbers.noise, r.rim_speed
@@ -142,7 +142,7 @@ def _collect(p, k, r, turned, numbers):
     p.readings[k] += 1.0
 
 
-@inlined
+@compiled_inline
 def take(banks, k, reading, numbers):
     """Take one set of readings; True if it completed a point, with which bank k was renewed."""
     p, done = banks.point, False
@@ -202,7 +202,7 @@ class Point(NamedTuple):
     time: float  # [s]
 
 
-@inlined
+@compiled_inline
 def _close(p, k, numbers):
     """The open point of bank k as `Point`; the next is empty."""
     n = p.readings[k]
@@ -224,7 +224,7 @@ def _close(p, k, numbers):
     return point
 
 
-@inlined
+@compiled_inline
 def _weigh(p, k, point, numbers):
     """Renew the mass on wheel k by a point; the load on it [N]."""
     gravity = numbers.gravity * point.cos_pitch
@@ -239,13 +239,13 @@ def _weigh(p, k, point, numbers):
     return p.mass[k] * gravity
 
 
-@inlined
+@compiled_inline
 def _short(numbers):
     """Points of a soil up to which contradictions are of the laws."""
     return _SHORT if numbers.grade_change > 0.0 else _SHORTER
 
 
-@inlined
+@compiled_inline
 def _complete(banks, k, numbers):
     """Close the open point, see whether a border begins or ends with it, and renew bank k by it."""
     p = banks.point
@@ -276,7 +276,7 @@ def _complete(banks, k, numbers):
 # --- renewal by a point -----------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def ground_of(banks, k, share):
     """`GroundSoil`, as means, where the new soil has this share."""
     known, w, v = banks.known[k], share, 1.0 - share
@@ -288,7 +288,7 @@ def ground_of(banks, k, share):
     )  # fmt: skip
 
 
-@inlined
+@compiled_inline
 def _keep(slopes, into, row):
     to_array(slopes.value, into, row * COUNT)
     to_array(slopes.by_tangent, into, (row + 1) * COUNT)
@@ -299,7 +299,7 @@ def _keep(slopes, into, row):
     to_array(slopes.by_slip, into, (row + 6) * COUNT)
 
 
-@inlined
+@compiled_inline
 def _one(rows, row, lane):
     """`Slopes` of one lane."""
     i = row * COUNT + lane
@@ -313,7 +313,7 @@ _PULL, _TORQUE, _LN_S = 0, 7, 14  # rows of `_slopes`
 _HERE = 3  # the lane at the slip of the point
 
 
-@inlined
+@compiled_inline
 def _slips(point):
     """Slips at which the forces of a point are predicted, a value a lane; that of the point is in lane `_HERE`."""
     lanes = _lane_numbers()
@@ -326,7 +326,7 @@ def _slips(point):
 _lane_numbers = scratch(COUNT)
 
 
-@inlined
+@compiled_inline
 def _key(rows, point, load, numbers):
     """The slip that slip, pull and torque of a point tell together under the soil so far."""
     error = _KEY_ERROR * load
@@ -349,7 +349,7 @@ def _key(rows, point, load, numbers):
     return lanes[best]
 
 
-@inlined
+@compiled_inline
 def _surprise(banks, k, rows, point, load, moved, variance, numbers):
     """Chi-squared of pull and torque under the soil so far; the sinkage has `moved` [m] and has this variance."""
     p, t = _one(rows, _PULL, _HERE), _one(rows, _TORQUE, _HERE)
@@ -365,7 +365,7 @@ def _surprise(banks, k, rows, point, load, moved, variance, numbers):
     return (tt * a * a - 2.0 * pt * a * b + pp * b * b) / (pp * tt - pt * pt)
 
 
-@part
+@compiled_part
 def _renew(banks, k, point, load, numbers):
     """Renew what is known of the soil and the sinkage of wheel k by a point."""
     p, s, rows, r = banks.point, banks.sinkage[k], _slopes(), numbers.radius
@@ -406,7 +406,7 @@ def _renew(banks, k, point, load, numbers):
     _adapt(p, k, fit(banks, k, changed, replaced, numbers), numbers)
 
 
-@inlined
+@compiled_inline
 def _adapt(p, k, misfit, numbers):
     """Renew the form error by the least chi-squared of a fit."""
     if p.bins[k] < 3.0 or p.crossing[k] > 0.0 or p.misfit[k] > _EXPECTED:  # it may be another soil

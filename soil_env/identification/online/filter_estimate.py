@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, log
 from soil_env._numba.lanes import COUNT, from_array, scratch, total
 from soil_env.identification.online.best_pull import best_pull
@@ -28,7 +28,7 @@ OF_PULL, _AWAY, _DOUBTED, _MOST, _CONTRADICTED = 0.83, 2.0, 6.0, 12.0, 1.7
 _OF_PRESSURE, _OF_GAIN = (0.03, 0.65), (0.2, 1.5)
 
 
-@part
+@compiled_part
 def _of_forces(banks, k, share, by_place, prior, out):
     """Gaussian [GAUSSIAN] of the ground under the wheel by the forces: a blend of two soils on a border.
 
@@ -59,7 +59,7 @@ def _of_forces(banks, k, share, by_place, prior, out):
             out[n] = w * w * known[n] + v * v * known[OLD + n] + spread * apart * (known[j] - known[OLD + j])
 
 
-@part
+@compiled_part
 def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
     """Of the soil under the wheel: mean [5], standard deviations [5], covariance [5, 5] of (phi, ln K, ln S, c, ln g).
 
@@ -138,7 +138,7 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
         p.pull_share[k] = share
 
 
-@inlined
+@compiled_inline
 def _across(banks, k, share, out):
     """`out` [6]: change of (tan phi, c, n, ln K, y, ln gain) from the old soil to the new one; 0 away from borders."""
     known, s = banks.known[k], banks.sinkage[k]
@@ -151,7 +151,7 @@ def _across(banks, k, share, out):
             out[i] = 0.0
 
 
-@part
+@compiled_part
 def _of_sinkage(s, share, place):
     """(mean of y, of the ln of the gain; their variances and covariance: yy, yg, gg) of the ground."""
     w, own = share, weights(s)

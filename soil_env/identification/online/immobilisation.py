@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.compiling import FastCall, inlined, root
+from soil_env._numba.compiling import FastCall, compiled_inline, compiled_root
 from soil_env._numba.elementary import exp, fma
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env.parameters import Scenario
@@ -143,7 +143,7 @@ def warning_numbers(scenario: Scenario) -> WarningNumbers:
     )
 
 
-@inlined
+@compiled_inline
 def _channels(reading, numbers):
     load = max(reading.load, _LEAST_LOAD * numbers.weight)
     rim, pitch = reading.rim_speed / numbers.radius, math.sin(reading.pitch)
@@ -163,7 +163,7 @@ def _channels(reading, numbers):
     )
 
 
-@inlined
+@compiled_inline
 def begin(recent, k, reading, numbers):
     """Start the averages of wheel k, at rest at the start of a course, with its first readings."""
     values = _channels(reading, numbers)
@@ -173,7 +173,7 @@ def begin(recent, k, reading, numbers):
     recent[k, _AVERAGES] = 0.0
 
 
-@inlined
+@compiled_inline
 def follow(recent, k, reading, halted, numbers):
     """Take the readings of a control period of wheel k into its averages, which stand still in halts."""
     if halted:
@@ -188,7 +188,7 @@ def follow(recent, k, reading, halted, numbers):
     recent[k, _AVERAGES] += numbers.period
 
 
-@inlined
+@compiled_inline
 def see(recent, k, view, numbers):
     """Note the `View` of a control period of wheel k."""
     out, sine = recent[k, _SEEN:], recent[k, _PITCH]
@@ -205,7 +205,7 @@ def see(recent, k, view, numbers):
     out[11] = seen * min(view.beside_count, _OFTEN)
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def write_inputs(rows, recent, estimate, sd, numbers, out):
     """Write `INPUTS` of the wheels `rows` [n] into `out` [n, inputs].
 
@@ -229,7 +229,7 @@ def write_inputs(rows, recent, estimate, sd, numbers, out):
             soil[i - _SEEN + len(_SOIL)] = recent[k, i]
 
 
-@inlined
+@compiled_inline
 def _layer(x, weights, bias, out):
     whole = out.size - out.size % COUNT
     for j in range(0, whole, COUNT):
@@ -243,7 +243,7 @@ def _layer(x, weights, bias, out):
             out[j] += x[i] * weights[i, j]
 
 
-@inlined
+@compiled_inline
 def _squash(x):
     """tanh of each, eight at a time."""
     whole = x.size - x.size % COUNT
@@ -253,7 +253,7 @@ def _squash(x):
         x[i] = math.tanh(x[i])
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def run_network(inputs, net, work, out):
     """Probabilities [n, 2] for `inputs` [n, inputs], written into `out`; `work` [at least inputs + both layers]."""
     a, b = net.first_bias.size, net.second_bias.size

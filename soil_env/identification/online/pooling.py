@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.lanes import COUNT, scratch
 from soil_env.identification.online.identifier import HELD, RENEWED
 from soil_env.identification.online.status import Status
@@ -58,7 +58,7 @@ _gain, _prior = scratch(BELIEF), scratch(BELIEF)
 _posterior, _product = scratch(UNKNOWNS * UNKNOWNS), scratch(UNKNOWNS)
 
 
-@inlined
+@compiled_inline
 def _soil_at(pools, first, x):
     """From where to where [m] the ground is of the soil at x [m], by the borders that wheel `first` has found."""
     low = AT_START
@@ -69,7 +69,7 @@ def _soil_at(pools, first, x):
     return low, _FAR
 
 
-@inlined
+@compiled_inline
 def _find(pools, o, k, soil, numbers, belief):
     """What wheel o knows of the soil that lies from soil[0] to soil[1] [m], by its newest stretch there."""
     low, high = soil[0] - numbers.border, soil[1] + numbers.border
@@ -86,7 +86,7 @@ def _find(pools, o, k, soil, numbers, belief):
     return False
 
 
-@inlined
+@compiled_inline
 def _information(belief, shrunk, out):
     """Inverse of the covariance of a belief times `shrunk`, and that times its mean, into out [12]; False if none."""
     a, b, c = shrunk * belief[3], shrunk * belief[4], shrunk * belief[5]
@@ -104,7 +104,7 @@ def _information(belief, shrunk, out):
     return True
 
 
-@inlined
+@compiled_inline
 def _read(mean, P, first, column1, column2, value, precision):
     """Kalman update of mean [5] and P [25] by a reading of shared unknown `first` and, times columns, of the next."""
     if precision * P[(UNKNOWNS + 1) * WHICH[first]] < _LEAST:
@@ -122,7 +122,7 @@ def _read(mean, P, first, column1, column2, value, precision):
             P[UNKNOWNS * m + n] -= v[m] * v[n] / expected
 
 
-@inlined
+@compiled_inline
 def _is_positive(g, prior, share):
     """Whether information g [12] less a share of the prior's is positive definite."""
     a, b, c = g[3] - share * prior[3], g[4] - share * prior[4], g[5] - share * prior[5]
@@ -131,7 +131,7 @@ def _is_positive(g, prior, share):
     return a > 0.0 and minor > 0.0 and f * minor - a * e * e + 2.0 * b * c * e - c * c * d > 0.0
 
 
-@inlined
+@compiled_inline
 def _less_the_prior(g, prior):
     """Take the prior's information out of g [12]; half, a quarter ... of it, where a posterior is wider than the prior
     in some direction, as those of mixtures and of nonlinear models may be."""
@@ -143,7 +143,7 @@ def _less_the_prior(g, prior):
         g[i] -= share * prior[i]
 
 
-@inlined
+@compiled_inline
 def _absorb(mean, P, g):
     """Take information g [12] into mean [5] and P [25]; g is L D L', each column of L a reading of variance 1/D."""
     d, e, f = g[7], g[8], g[11]
@@ -161,7 +161,7 @@ def _absorb(mean, P, g):
         _read(mean, P, 2, 0.0, 0.0, y2 / f, f)
 
 
-@inlined
+@compiled_inline
 def _known_by(pools, o, k, first, numbers, ground):
     """Into `ground` what wheel o knows of the ground under wheel k; whether that is anything, and by how much more the
     prior knows of the ground than of one soil: on a border it is a blend of two."""
@@ -184,7 +184,7 @@ def _known_by(pools, o, k, first, numbers, ground):
     return _find(pools, o, k, here, numbers, ground), 1.0
 
 
-@inlined
+@compiled_inline
 def _disagreement(mean, P, belief, both):
     """Chi-squared over its three degrees of freedom between an estimate and another one's belief (Birge ratio)."""
     for i in range(SHARED):
@@ -198,7 +198,7 @@ def _disagreement(mean, P, belief, both):
     return (d0 * inverse[0] + d1 * inverse[1] + d2 * inverse[2]) / SHARED
 
 
-@part
+@compiled_part
 def pool(pools, ids, k, first, axles, numbers):
     """Renew what is pooled of the ground under wheel k of a rover whose front wheel is in row `first`."""
     take_own(pools, ids, k)
@@ -234,7 +234,7 @@ def pool(pools, ids, k, first, axles, numbers):
         pools.status[k] = _CONVERGED if learnt <= _LEARNT else _NOT_EXCITED
 
 
-@inlined
+@compiled_inline
 def share(pools, ids, first, axles, outcome, numbers, identifier):
     """After a set of readings of each wheel of a rover, and `note` of each: let them tell each other what they know.
 

@@ -8,7 +8,7 @@ that is linear in the axles. Stages and reaction are those of `simulation.stage`
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import below, chosen, larger, sine_of, sqrt
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
 from soil_env._numba.records import keep_where
@@ -32,26 +32,26 @@ _LEAST_PIVOT = 1e-12
 _TURNS = 4  # solutions of a stage at most, each with the loads of the one before; the last is kept
 
 
-@inlined
+@compiled_inline
 def _apart(x):
     """`x` away from 0, where it is divided by."""
     return chosen(below(_LEAST_PIVOT, abs(x)), x, _LEAST_PIVOT)
 
 
-@inlined
+@compiled_inline
 def _eliminate(pull_by_u, torque_by_v, net_by_u, f2, cu):
     """What the equation of an axle's rotation adds to that of travel: (slope, residual), of V and times h/M."""
     pivot = _apart(1.0 + cu * net_by_u)
     return pull_by_u * cu * torque_by_v / pivot, pull_by_u * f2 / pivot
 
 
-@inlined
+@compiled_inline
 def _turned(dv, torque_by_v, net_by_u, f2, cu):
     """Change of the rim speed of an axle with a change `dv` of travel."""
     return -(f2 + cu * torque_by_v * dv) / _apart(1.0 + cu * net_by_u)
 
 
-@inlined
+@compiled_inline
 def foresee(wheels, first, period, world, s, h, mass, lead, changes):
     """Change of V [m/s] of eight rovers in h seconds by the reaction of the last stage to first order, and those of the
     rim speeds into `changes`, eight an axle; the stage begins at speeds as `newton.behind` says."""
@@ -77,14 +77,14 @@ def foresee(wheels, first, period, world, s, h, mass, lead, changes):
     return dv
 
 
-@inlined
+@compiled_inline
 def weight_of(body, block, world):
     """Weight [N] of one side of eight rovers, normal to their bodies."""
     sine = sine_of(from_array(body.pitch, block))
     return world.wheel.gravity * from_array(body.mass, block) * sqrt(1.0 - sine * sine)
 
 
-@inlined
+@compiled_inline
 def _bear_ahead(wheels, first, sub, short, dv, weight, s):
     """Loads by the forces of the last stage and, where that is a `short` way, how they change to first order with `dv`
     and the changes of the rim speeds that are in `try_u`."""
@@ -99,7 +99,7 @@ def _bear_ahead(wheels, first, sub, short, dv, weight, s):
     bear(n, weight, s, e.load)
 
 
-@inlined
+@compiled_inline
 def set_up(wheels, body, block, first, period, sub, world, s, h, lead, duration):
     """The equations of a stage of eight rovers, and where Newton's method starts."""
     e, mass = sub.equations, from_array(body.mass, block)
@@ -129,7 +129,7 @@ def set_up(wheels, body, block, first, period, sub, world, s, h, lead, duration)
 # --- the iteration ----------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def _evaluate(sub, trial, cu, world, s):
     """The reaction to the speeds to try, into `trial`; the largest residual [m/s]."""
     e, along, largest = sub.equations, fill(0.0), fill(0.0)
@@ -153,7 +153,7 @@ def _evaluate(sub, trial, cu, world, s):
     return larger(largest, abs(residual))
 
 
-@inlined
+@compiled_inline
 def _keep_better(sub, trial, better, s):
     """Take over speeds, residuals and reaction of the trial in lanes where it is better."""
     n = sub.newton
@@ -167,7 +167,7 @@ def _keep_better(sub, trial, better, s):
         store_reaction(choose_reaction(better, load_reaction(trial, i), load_reaction(n, i)), n, i)
 
 
-@inlined
+@compiled_inline
 def _try_next(sub, share, cu, world, s):
     """The speeds to try next: a share of the step of Newton's method from the best so far."""
     e, n, r = sub.equations, sub.newton, world.wheel.radius
@@ -190,7 +190,7 @@ def _try_next(sub, share, cu, world, s):
         to_array(from_array(n.u, i) + share * du, e.try_u, i)
 
 
-@inlined
+@compiled_inline
 def _begin(sub, s):
     """State of the iteration at its start."""
     n, zero = sub.newton, fill(0.0)
@@ -204,7 +204,7 @@ def _begin(sub, s):
     to_array(zero, n.f1, 0)
 
 
-@inlined
+@compiled_inline
 def _largest_change(sub, s):
     """Of all speeds of eight rovers since the start of the stage [m/s]."""
     e, n = sub.equations, sub.newton
@@ -214,7 +214,7 @@ def _largest_change(sub, s):
     return change
 
 
-@part
+@compiled_part
 def _iterate(sub, trial, alive, world, s, h):
     """Newton's method for those of eight rovers that are `alive`, at the present loads; 1 where it has converged.
 
@@ -240,7 +240,7 @@ def _iterate(sub, trial, alive, world, s, h):
     return converged
 
 
-@inlined
+@compiled_inline
 def _bear_anew(sub, trial, weight, alive, s):
     """Loads by the forces that were found, and the speeds to begin with again, where a load has changed: 1 there."""
     e, n = sub.equations, sub.newton
@@ -258,7 +258,7 @@ def _bear_anew(sub, trial, weight, alive, s):
     return changed
 
 
-@part
+@compiled_part
 def solve_speeds(sub, trial, period, weight, world, s, h):
     """The speeds and reactions at the end of a stage of eight rovers, into `sub.newton`, with `converged` for each.
 

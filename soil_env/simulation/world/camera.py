@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.random_streams import normal_pair
 from soil_env.parameters import Scenario
 from soil_env.simulation.world.lines import choosing, settled
@@ -55,7 +55,7 @@ def camera_numbers(scenario: Scenario) -> CameraNumbers:
     return CameraNumbers(c.classes, c.lines, scenario.camera.range, c.border, scenario.camera.border_noise)
 
 
-@inlined
+@compiled_inline
 def look(state, counts, k, courses, streams, camera):
     """`Sight` of a new image of wheel k."""
     errors, edges, last = courses.lines.border_errors, courses.edges, courses.patches[k] - 1
@@ -68,26 +68,26 @@ def look(state, counts, k, courses, streams, camera):
     return Sight(patch, x - edges[k, patch] - errors[k, patch], end - x)
 
 
-@inlined
+@compiled_inline
 def label_here(courses, k, sight):
     """The class of the ground under wheel k as the camera sees it."""
     return courses.lines.labels[k, sight.patch, courses.lines.taken[k, sight.patch]]
 
 
-@inlined
+@compiled_inline
 def patch_ahead(courses, k, sight, camera):
     """The patch whose lines are in sight, or -1."""
     ahead = sight.patch + 1
     return ahead if ahead < courses.patches[k] and sight.left <= camera.sight else -1
 
 
-@inlined
+@compiled_inline
 def seen_grade(courses, k, patch, line):
     """Grade [rad] of a line as the camera sees it."""
     return courses.lines.grades[k, patch, line] + courses.lines.grade_errors[k, patch, line]
 
 
-@inlined
+@compiled_inline
 def image_of(state, k, courses, sight, camera):
     """`Image` of wheel k, for what identifies the ground on board."""
     lines, ahead = courses.lines, patch_ahead(courses, k, sight, camera)
@@ -100,7 +100,7 @@ def image_of(state, k, courses, sight, camera):
     )  # fmt: skip
 
 
-@inlined
+@compiled_inline
 def write_view(out, state, counts, k, courses, sight, camera):
     """Fill `out` with distance, class here, and grade and class of each line ahead; return the count of numbers."""
     n, ahead = camera.classes, patch_ahead(courses, k, sight, camera)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import below, larger, smaller, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.records import keep_where
@@ -73,14 +73,14 @@ class Stage(NamedTuple):
     lead: float  # as `stage.set_up` takes it
 
 
-@inlined
+@compiled_inline
 def stage_of(number, h):
     """`Stage` 0 or 1 of a step of h seconds."""
     g = GAMMA * h
     return Stage(g, 0.0, g, 0.0) if number == 0 else Stage(h - g, h - 2.0 * g, g, LEAD)
 
 
-@inlined
+@compiled_inline
 def move(state, first, i, period, sub, world, stage, force):
     """Move eight wheels to the end of a stage.
 
@@ -121,7 +121,7 @@ def move(state, first, i, period, sub, world, stage, force):
     keep_where(alive, from_array(period.left, i) - stage.duration, period.left, i)
 
 
-@inlined
+@compiled_inline
 def _taken(state, period, k, i, v, u, stage, world):
     """Energy [J] that a stage to speeds v, u takes from eight wheels beside the work of the forces on them.
 
@@ -138,7 +138,7 @@ def _taken(state, period, k, i, v, u, stage, world):
     return 0.5 * (from_array(state.mass, k) * (d * d - e * e) + world.inertia / (r * r) * (d2 * d2 - e2 * e2))
 
 
-@inlined
+@compiled_inline
 def _sink(state, k, i, alive, sub, world, mobilised, moved, slid, duration):
     """Place and sinkage of eight wheels that move by `moved` [m] while the rim slides by `slid` [m] over the ground.
 
@@ -165,7 +165,7 @@ def _sink(state, k, i, alive, sub, world, mobilised, moved, slid, duration):
     keep_where(alive, bearing, state.bearing_sinkage, k)
 
 
-@part
+@compiled_part
 def _drive(state, counts, first, begin, end, period, courses, world, left, longest, force):
     """Steps of at most `longest` seconds for `left` seconds, of the wheels in columns begin .. end - 1 of `period`.
 
@@ -190,7 +190,7 @@ def _drive(state, counts, first, begin, end, period, courses, world, left, longe
         left -= h
 
 
-@inlined
+@compiled_inline
 def leave_ruts(state, counts, k, ruts, gain, recovery, compaction):
     """Mark the cells that wheel k has passed in this stage."""
     cell, after = counts.cell[k], cell_after(ruts, counts.cell[k], state.x[k])
@@ -206,7 +206,7 @@ def leave_ruts(state, counts, k, ruts, gain, recovery, compaction):
     counts.cell[k], state.slid[k], state.cell_x[k] = cell, 0.0, state.x[k]
 
 
-@part
+@compiled_part
 def _drive_together(state, counts, first, end, period, courses, world, steps):
     """The control period of the wheels that take `steps` steps where others take one."""
     longest, begin = world.period / (world.substeps * steps), 0
@@ -222,7 +222,7 @@ def _drive_together(state, counts, first, end, period, courses, world, steps):
             begin = block + COUNT
 
 
-@part
+@compiled_part
 def _drive_alone(state, counts, first, i, period, courses, world):
     """The rest of the control period of the wheel in column i, by steps halved while Newton's method fails."""
     block, longest = i // COUNT * COUNT, world.period / (world.substeps * period.steps[i])
@@ -240,7 +240,7 @@ def _drive_alone(state, counts, first, i, period, courses, world):
     period.left[i] = 0.0
 
 
-@inlined
+@compiled_inline
 def begin_period(state, k, i, period, commands, going, halted, world):
     """Column i of `period` for wheel k, which is `going` or of no concern, at the beginning of a control period."""
     period.left[i], period.clean[i] = (world.period, 1.0) if going else (0.0, 1.0)
@@ -253,7 +253,7 @@ def begin_period(state, k, i, period, commands, going, halted, world):
         state.motor_work[k] = state.soil_work[k] = state.numerical_work[k] = 0.0
 
 
-@inlined
+@compiled_inline
 def steps_for(change, halt_left):
     """Steps that eight wheels take where others take one, for a change of speeds ahead [of the top rim speed]."""
     steps, driven = fill(1.0), below(halt_left, 1e-9)  # a halt has its speed loop
@@ -262,7 +262,7 @@ def steps_for(change, halt_left):
     return steps
 
 
-@inlined
+@compiled_inline
 def arrive(period, end):
     """Set the time left to zero for the columns up to `end` that are alive; others have failed a step."""
     for i in range(end):
@@ -270,7 +270,7 @@ def arrive(period, end):
             period.left[i] = 0.0
 
 
-@inlined
+@compiled_inline
 def _at_fork(state, counts, k, command, courses, world):
     """Before the halts of a control period are reckoned: what its action chooses, and the halt to come."""
     fork = choosing(state, counts, k, courses, world)
@@ -279,7 +279,7 @@ def _at_fork(state, counts, k, command, courses, world):
     plan_halt(state, counts, k, courses, world)
 
 
-@part
+@compiled_part
 def advance(state, counts, first, count, what, commands, courses, streams, world):
     """One control period of those of the wheels first .. first + count - 1 with what[k] = STEP.
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import below, chosen, larger, smaller
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
 from soil_env._numba.records import keep_where
@@ -45,7 +45,7 @@ _Queue: type[Rows] = rows("_Queue", "wheel", kind=np.int64)
 _queue, _occupants = scratch_rows(_Queue, MANY), scratch_rows(_Queue, COUNT)
 
 
-@inlined
+@compiled_inline
 def _residual(v, u, f, e, i, cu, world):
     """(f1, f2, d motor torque/dw): the residuals of implicit Euler [m/s] at speeds v, u with the `Reaction` f."""
     torque, slope, _ = motor(from_array(e.command, i), from_array(e.by_speed, i), u / world.wheel.radius, world)
@@ -54,7 +54,7 @@ def _residual(v, u, f, e, i, cu, world):
     return f1, u - from_array(e.rim0, i) - cu * (torque - f.torque), slope
 
 
-@inlined
+@compiled_inline
 def _begin(e, n, i):
     """Newton's state of the eight wheels from column i on, at the start of a substep."""
     zero, huge = fill(0.0), fill(HUGE)
@@ -81,7 +81,7 @@ class Comparison(NamedTuple):
     tries: float  # made along that step
 
 
-@inlined
+@compiled_inline
 def compare(reached, norm, share, tries):
     """`Comparison` of a residual `reached` [m/s] with the least so far, `norm`, after a `share` of Newton's step.
 
@@ -95,13 +95,13 @@ def compare(reached, norm, share, tries):
     )
 
 
-@inlined
+@compiled_inline
 def near_enough(norm, change):
     """1 where a residual that no shorter step reduces is small enough; `change` of speed in the stage [m/s]."""
     return below(norm, NEARLY) * below(norm, TOLERANCE + OF_CHANGE * change)
 
 
-@inlined
+@compiled_inline
 def _accept(sub, i, cu, world):
     """Evaluate the trial speeds and keep them where they are better; (better, failed), 1 or 0 in each lane."""
     e, n = sub.equations, sub.newton
@@ -125,7 +125,7 @@ def _accept(sub, i, cu, world):
     return better, found.failed
 
 
-@inlined
+@compiled_inline
 def _predicted_residual(norm, before, dv, du, u, theta1, shear_modulus, r):
     """Residual [m/s] after Newton's step (dv, du), from its quadratic convergence.
 
@@ -136,7 +136,7 @@ def _predicted_residual(norm, before, dv, du, u, theta1, shear_modulus, r):
     return norm * smaller(norm / before, by_shear)
 
 
-@inlined
+@compiled_inline
 def _iterate(sub, i, world, h):
     """One pass of Newton's method on the eight wheels from column i on; 1 where it has ended.
 
@@ -172,7 +172,7 @@ def _iterate(sub, i, world, h):
     return larger(larger(failed, converged), below(PASSES - 0.5, passes))
 
 
-@inlined
+@compiled_inline
 def _copy_wheel(sub, source, target):
     """A wheel with its state of Newton's method from one column to another."""
     copy_column(sub.equations, source, sub.equations, target)
@@ -182,7 +182,7 @@ def _copy_wheel(sub, source, target):
         copy_column(sub.nodes, a + node, sub.nodes, b + node)
 
 
-@inlined
+@compiled_inline
 def solve_speeds(sub, period, begin, end, world, h):
     """The speeds and reactions at the end of a substep of the wheels in columns begin .. end - 1, into `sub.newton`.
 

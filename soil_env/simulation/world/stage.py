@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import below, chosen, half_sin_cos, larger, sine_of, smaller, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.records import lane_record
@@ -82,7 +82,7 @@ _load_frame, _store_frame, _, _ = lane_record(ArcFrame)
 # --- ground and equations ---------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
     """(dV, du) of Newton's method for the residuals of implicit Euler; `net_u` = d(T - T_motor)/du."""
     a11, a12 = 1.0 - cv * dp_v, -cv * dp_u
@@ -92,7 +92,7 @@ def newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
     return -(a22 * f1 - a12 * f2) / det, -(a11 * f2 - a21 * f1) / det
 
 
-@inlined
+@compiled_inline
 def gather_ground(state, counts, first, block, period, g, courses, ruts, world, h):
     """The ground under eight wheels in the middle of a stage of h seconds, with what has been left in `ruts`."""
     for i in range(block, block + COUNT):
@@ -112,7 +112,7 @@ def gather_ground(state, counts, first, block, period, g, courses, ruts, world, 
         g.passes[i] = 1.0 + axle_of(k, world.axles) + again
 
 
-@inlined
+@compiled_inline
 def foreseen_rim(state, k, i, period, back_u, cu, world):
     """(residual [m/s], d(T - T_motor)/du) of the rotation of eight wheels, by the reaction of the last stage."""
     command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
@@ -121,7 +121,7 @@ def foreseen_rim(state, k, i, period, back_u, cu, world):
     return back_u - cu * (torque - from_array(state.torque, k)), net
 
 
-@inlined
+@compiled_inline
 def _foreseen(state, k, i, period, back_v, back_u, cv, cu, weight_along, world):
     """Change of the speeds [m/s] of eight wheels in a stage, by the reaction of the last one to first order.
 
@@ -134,7 +134,7 @@ def _foreseen(state, k, i, period, back_v, back_u, cv, cu, weight_along, world):
     )  # fmt: skip
 
 
-@inlined
+@compiled_inline
 def held_change(du, state, k, i, period, world):
     """Size of a foreseen change `du` [m/s] of the rim speeds of eight wheels: a speed loop stops at its command."""
     r = world.wheel.radius
@@ -142,7 +142,7 @@ def held_change(du, state, k, i, period, world):
     return where_less(0.5, from_array(period.by_speed, i), smaller(abs(du), follow), abs(du))
 
 
-@inlined
+@compiled_inline
 def change_ahead(state, k, i, period, world, h):
     """Foreseen change of the speeds [of the top rim speed] of eight wheels in h seconds under their commands."""
     r, mass = world.wheel.radius, from_array(state.mass, k)
@@ -151,7 +151,7 @@ def change_ahead(state, k, i, period, world, h):
     return larger(abs(dv), held_change(du, state, k, i, period, world)) / (r * world.no_load_speed)
 
 
-@inlined
+@compiled_inline
 def set_up(state, first, i, period, sub, world, h, lead, duration):
     """The equations of a stage of the eight wheels from column i on, and where Newton's method starts.
 
@@ -173,7 +173,7 @@ def set_up(state, first, i, period, sub, world, h, lead, duration):
     to_array(u0 + short * du, e.try_u, i)
 
 
-@inlined
+@compiled_inline
 def behind(state, k, i, period, world, lead):
     """Differences [m/s] from the speeds that a stage begins with to the present ones, of eight wheels."""
     if lead == 0.0:
@@ -185,7 +185,7 @@ def behind(state, k, i, period, world, lead):
     )
 
 
-@inlined
+@compiled_inline
 def stand(state, first, i, sub, world, duration):
     """Set arc, soil and load under eight wheels in a stage, with the weight that pulls along the grade.
 
@@ -221,7 +221,7 @@ def stand(state, first, i, sub, world, duration):
         to_array(soil.dig_recovery, g.dig_recovery, i)
 
 
-@inlined
+@compiled_inline
 def reaction_at(v, u, sub, i, wheel):
     """`Reaction` at the axle of eight wheels at travel speeds v and rim speeds u [m/s]."""
     e, rim = sub.equations, wheel.rim_ratio * u
