@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from soil_env._io.loading import ParameterError
-from soil_env.course_env import CourseEnv, View, scenario_changes
+from soil_env.course_env import CourseEnv, scenario_changes
 from soil_env.driving.infos import IMMOBILISED, Infos, asks, checked
 from soil_env.driving.wheels import Simulation
 from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec, Scenario, Soil, SoilState, load_scenario
@@ -20,10 +19,12 @@ from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 
+if TYPE_CHECKING:
+    from soil_env.rendering.view import CourseView
+
 __all__ = ["IMMOBILISED", "SoilWheelEnv", "action_space", "build_scenario", "observation_space"]
 #: Keywords that are no part of a scenario.
 _OWN = ("scenario", "observation", "action", "repeat", "render_mode", "model", "info", "scaled")
-_ONLY = np.ones(1, dtype=np.bool_)
 
 
 def build_scenario(
@@ -298,22 +299,10 @@ class SoilWheelEnv(CourseEnv):
         super().__init__(scenario, entries, observation, action_space(), render_mode, scaled)
         self.model: WheelSoilModel | None = load_model(model)
         info = checked(info, observation)
-        self.infos: Infos = Infos(self.scenario, info, 1)
         self.simulation: Simulation = Simulation(1, self.scenario, observation, 1, self.model, asks(info))
+        self.infos: Infos = Infos(self.simulation, info)
 
-    def _act(self, action: NDArray[np.float64]) -> None:
-        self.simulation.step(0, action.item(0))
-        changed = self.simulation.worlds.changed
-        if changed is not None and changed[0]:
-            self._begun()
-
-    def _begun(self) -> None:
-        self.infos.renew(self.simulation.worlds, _ONLY)
-
-    def _info(self) -> dict[str, Any]:
-        return self.infos.one(self.simulation.worlds, 0)
-
-    def _new_view(self, mode: str) -> View:
+    def _new_view(self, mode: str) -> CourseView:
         from soil_env.rendering.side_view import Renderer
 
         return Renderer(self.scenario, mode)

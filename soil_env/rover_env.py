@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
-from soil_env.course_env import CourseEnv, View, scenario_changes
+from soil_env.course_env import CourseEnv, scenario_changes
 from soil_env.driving.core import asks_for_estimates
 from soil_env.driving.infos import asks, checked
 from soil_env.driving.rover_infos import RoverInfos
@@ -21,6 +20,9 @@ from soil_env.terramechanics.model import WheelSoilModel, load_model
 from soil_env.vehicle import DEFAULT_ROVER, RoverScenario, load_rover
 
 __all__ = ["SoilRoverEnv", "build_rover", "rover_action_space"]
+
+if TYPE_CHECKING:
+    from soil_env.rendering.view import CourseView
 
 _OWN = ("rover", "observation", "action", "repeat", "render_mode", "model", "info", "scaled")
 
@@ -223,13 +225,7 @@ class SoilRoverEnv(CourseEnv):
         self.simulation: RoverSimulation = RoverSimulation(1, scenario, observation, 1, self.model, wanted)
         self.infos: RoverInfos = RoverInfos(self.simulation, info)
 
-    def _act(self, action: NDArray[np.float64]) -> None:
-        self.simulation.step(0, action)
-
-    def _info(self) -> dict[str, Any]:
-        return self.infos.one(0)
-
-    def _new_view(self, mode: str) -> View:
+    def _new_view(self, mode: str) -> CourseView:
         from soil_env.rendering.rover_view import RoverRenderer
 
         return RoverRenderer(self.scenario, mode)
