@@ -121,11 +121,11 @@ class SoilWheelEnv(CourseEnv):
     | 10 | halted | 0 or 1 | 0 | 1 |
     | 11 | motor_torque | of weight x radius | -10 | 10 |
     | 12 | acceleration | of gravity, accelerometer along the course: of travel, and sin(grade) | -10 | 10 |
-    | 13 | rim_command | of top rim speed, what the drive is told to follow; 0 with "torque" | -1 | 1 |
+    | 13 | rim_command | of top rim speed, which the drive follows; 0 with "torque" | -1 | 1 |
 
     Odometry integrates the readings of the speed sensor, noise and all, times a scale drawn once an episode
     (`noise={"odometry_scale": ...}`, 1.5 %): its difference over an action is the mean of the readings in it, of which
-    `speed` is the last. With `repeat` 1 both are the same reading, which tells the scale.
+    `speed` is the last. With `repeat` 1 both are the same reading, which gives the scale away.
 
     `observation="blind"` ends here. `"identified"` (default) adds the identifier's estimate from those readings:
 
@@ -240,8 +240,8 @@ class SoilWheelEnv(CourseEnv):
     | TIME_LIMIT | neither finished nor immobilised in `control={"time_limit": ...}` (90 s) |
 
     No progress: 10 s, halts left out, without getting 0.1 m further than ever before, whatever the wheel does (spin,
-    stand, rock, creep back); or 0.5 m behind the start. Never truncated, but by a wrapper of yours: being late costs
-    what being stuck costs.
+    stand, rock, creep back); or 0.5 m behind the start. Episodes are never truncated. Running out of time costs as
+    much as getting stuck.
 
     ## Info
     | key | content |

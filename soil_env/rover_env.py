@@ -100,7 +100,7 @@ class SoilRoverEnv(CourseEnv):
     | 10 | front_rim_speed | of top rim speed | -5 | 5 |
     | 11 | front_motor_torque | of weight x radius | -10 | 10 |
     | 12 | front_last_action | - | -1 | 1 |
-    | 13 | front_rim_command | of top rim speed, what the drive is told to follow; 0 with "torque" | -1 | 1 |
+    | 13 | front_rim_command | of top rim speed, which the drive follows; 0 with "torque" | -1 | 1 |
 
     With two axles the same of the rear one follow as 14 to 22, `rear_slip` to `rear_rim_command`. With three they are
     those of the middle one, `middle_slip` to `middle_rim_command`, and those of the rear one are 23 to 31.
@@ -172,7 +172,7 @@ class SoilRoverEnv(CourseEnv):
 
     No progress: 10 s, halts left out, in which x gets not `no_progress_distance` further than ever before; or 0.5 m
     behind the start. A wheel that is stuck is no end as long as the others get the rover on. Distances and times that
-    are not named here are in the rover's file. Never truncated, but by a wrapper of yours.
+    are not named here are in the rover's file. Episodes are never truncated.
 
     ## Info
     | key | content |

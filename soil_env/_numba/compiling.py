@@ -55,7 +55,7 @@ def _uninterrupted(function, arguments, keywords):
     """Call compiled code that returns a tuple; Ctrl-C waits until it is done.
 
     Numba makes a named tuple by Python code, in which an interrupt may be raised, and takes what that returns without
-    looking whether there is anything: a crash.
+    checking it for an error: a crash.
     """
     if _mask is None:
         return function(*arguments, **keywords)
@@ -78,7 +78,7 @@ class Part:
         update_wrapper(self, function)
         self.py_func = function
         self._root = None
-        # Whether the root gives tuples for arguments of these types; none where it was not called with them yet.
+        # True if the root gives tuples for arguments of these types; no entry before its first call with them.
         self._given: dict[tuple[type, ...], bool] = {}
         compiled = njit(_nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=PART, **_OPTIONS)
         self.dispatcher = compiled(function)
@@ -169,7 +169,7 @@ class FastCall:
         return _uninterrupted(self._code, arguments, {}) if self._tuples else self._code(*arguments)
 
     def __reduce__(self):
-        """By name: numba would pickle the source of the function, and compile it anew in another process."""
+        """Pickle by name: numba would pickle the source of the function, and compile it anew in another process."""
         function = getattr(self._function, "py_func", self._function)
         return _fast_call, (function.__module__, function.__name__)
 

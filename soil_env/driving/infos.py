@@ -47,7 +47,7 @@ def asks(kind: str) -> bool:
 
 
 def flat(nested: Mapping[str, Any]) -> dict[str, Any]:
-    """The numbers of a full info without nesting: `reward_NAME`, `estimate_NAME`, and all other names as they are."""
+    """Flat numbers of a full info: `reward_NAME`, `estimate_NAME`, and all other names as they are."""
     out: dict[str, Any] = {}
     prefixes = {"reward_terms": "reward_", "estimate": "estimate_"}
     for key, value in nested.items():
@@ -188,9 +188,10 @@ class Infos:
 
 
 def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
-    """What is identified of the soil under each wheel, arrays [wheels], by those of `known`."""
-    told = published(known.estimate.T.copy(), known.sd.T.copy(), known.best_pull.T.copy(), scenario.belief.dig_gain, np)
-    return told | {"status": known.status.copy()}
+    """Estimates of the soil under each wheel, arrays [wheels], from the arrays of `known`."""
+    mean, sd, pull = (array.T.copy() for array in (known.estimate, known.sd, known.best_pull))
+    found = published(mean, sd, pull, scenario.belief.dig_gain, np)
+    return found | {"status": known.status.copy()}
 
 
 def masked(info: dict[str, Any], which: np.ndarray) -> dict[str, Any]:
