@@ -2,8 +2,8 @@
 
 Reads a table of steady points (slip, load, sinkage and drawbar pull or torque) and what is known beforehand about
 wheel, soil and sensors; fits friction angle, shear deformation modulus K, sinkage coefficient S, sinkage exponent n and
-cohesion, as far as they are not known; prints the estimates with 95 % intervals, their correlations, and in words what
-the data cannot tell.
+cohesion, as far as they are not known; prints the estimates with 95 % intervals, their correlations, and warnings of
+what the data do not determine.
 
 DATA.csv (SI units; a cell is left empty where nothing was measured):
 
@@ -16,7 +16,7 @@ DATA.csv (SI units; a cell is left empty where nothing was measured):
   load          [N] normal to the ground, or vertical where the setup says so; required
   sinkage       [m] of the lowest point of the rim; where it was not measured it follows from the load
   drawbar_pull  [N]    } one of the two in a row with sinkage, both in a row without; with torque, cohesion and
-  torque        [N m]  } exponent can be told too
+  torque        [N m]  } exponent can be identified too
   grade_deg     [deg] uphill positive; a wheel that climbs by itself has drawbar_pull 0 and load: vertical
   speed [m/s], pass, run, time [s]: optional
 
@@ -86,8 +86,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 _WRITTEN = """DIR/identification.json (all that is printed, and the fitted values), DIR/identification.png (measured
 against fitted)"""
-_EXAMPLES = """    python -m soil_env.identification examples/data/single_wheel.csv --setup examples/data/setup.yaml
-    python -m soil_env.identification rig.csv --setup rig.setup.yaml --out runs/identified"""
+_EXAMPLES = """    soil-env identify examples/data/single_wheel.csv --setup examples/data/setup.yaml
+    soil-env identify rig.csv --setup rig.setup.yaml --out runs/identified"""
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -103,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def text_of(estimate: TableEstimate) -> str:
-    """What to check first, estimates, channels, correlations and the other warnings."""
+    """Text of the estimate: what to check first, parameters, channels, correlations and other warnings."""
     parts = [*(f"CHECK FIRST: {doubt}" for doubt in estimate.check_first), *([""] if estimate.check_first else [])]
     parts += ["Soil", _soil(estimate).text(2), "", "Fit", _channels(estimate).text(2)]
     if estimate.exact:
@@ -116,7 +116,7 @@ def text_of(estimate: TableEstimate) -> str:
             [(label, *(f"{c:+.3f}" for c in line)) for label, line in rows],
         )
         parts += ["", "Correlation", grid.text(2)]
-    hardly = " (hardly told apart)" if estimate.condition > 1e3 else ""
+    hardly = " (hardly separable)" if estimate.condition > 1e3 else ""
     parts += ["", f"{estimate.values} measured values, condition number {estimate.condition:.3g}{hardly}"]
     rest = (warning for warning in estimate.warnings if warning not in estimate.check_first)
     return "\n".join([*parts, *(f"! {warning}" for warning in rest)])

@@ -316,7 +316,7 @@ def _within(share, step, longest):
 
 @inlined
 def _above(share, room, step):
-    """The same for a step that uses up `room`: at most nine tenths of it."""
+    """The largest share of a step that uses up nine tenths of `room` at most."""
     room = larger(room, 0.0)
     return where_less(room, share * step, larger(0.9 * room / larger(step, 1e-12), 0.02), share)
 

@@ -39,7 +39,7 @@ _row, _row2, _row3 = scratch(STATES * COUNT), scratch(STATES * COUNT), scratch(S
 
 
 class Ground(NamedTuple):
-    """What a point of the sinkage filter takes from the forces and the border."""
+    """Ground under the wheel at a point, by the forces and the border."""
 
     ln_s: float  # ln of the mobilised sinkage coefficient
     depth: float  # [m] at this sinkage
@@ -51,7 +51,7 @@ class Ground(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What happened since the last point."""
+    """Motion since the last point."""
 
     path: float  # integral of A dt
     sliding: float  # integral of |r w - V| dt / l
@@ -110,7 +110,7 @@ def spread(s, i, j):
 
 @part
 def begin_next_sinkage(banks, k, numbers):
-    """The soil so far becomes the old one, and a new one begins, of which the sinkage has told nothing."""
+    """The soil so far becomes the old one, and a new one begins, with the prior of its sinkage."""
     s = banks.sinkage[k]
     z, y, g = mean(s, DEPTH), mean(s, PRESSURE), mean(s, GAIN)
     zz, zy, zg = spread(s, DEPTH, DEPTH), spread(s, DEPTH, PRESSURE), spread(s, DEPTH, GAIN)
