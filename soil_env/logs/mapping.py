@@ -85,7 +85,7 @@ class Channels:
     acceleration: Source | None = None
 
     def __post_init__(self) -> None:
-        for name, source in self.given().items():
+        for name, source in self.sources().items():
             try:
                 _check_source(name, source)
             except ParameterError as error:
@@ -95,12 +95,13 @@ class Channels:
         if self.wheel_speed.constant is not None:
             raise ParameterError("Channels: wheel_speed: expected readings, which make the time axis; no constant")
 
-    def given(self) -> dict[str, Source]:
+    def sources(self) -> dict[str, Source]:
         """The sources by the name of the reading."""
         return {name: s for name in QUANTITIES if (s := getattr(self, name)) is not None}
 
 
 def _check_source(name: str, s: Source) -> None:
+    """Raise `ParameterError` for a source whose fields do not go together."""
     kinds = bool(s.topic or s.field) + bool(s.column) + (s.constant is not None)
     if kinds != 1 or bool(s.topic) != bool(s.field):
         raise ParameterError(f"{name}: expected topic and field, or column, or constant")
@@ -211,7 +212,7 @@ class LogMap(Checked):
         weight, twist, most = self.weight, self.weight * self.wheel.radius, {f.name: f.metadata for f in fields(Noise)}
         scale = {"drawbar_pull": weight, "load": weight, "torque": twist, "motor_torque": twist}
         sd = {}
-        for name, source in self.channels.given().items():
+        for name, source in self.channels.sources().items():
             if source.sd is not None:
                 unit = scale.get(name, 1.0) / abs(factor(name, source))
                 sd[name] = source.sd / unit

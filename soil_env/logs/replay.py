@@ -277,8 +277,8 @@ def what_can_be_told(found: Replay, log: Aligned) -> list[str]:
     forces = measured & {"drawbar_pull", "acceleration", "torque", "motor_torque"}
     if not forces:
         lines.append(_NO_FORCE if "sinkage" in measured else _NOTHING)
-    for names, text in _WITHOUT.items():
-        if measured.isdisjoint(names) and (forces or names[0] in ("load", "slip")):
+    for readings, text in _WITHOUT.items():
+        if measured.isdisjoint(readings) and (forces or readings[0] in ("load", "slip")):
             lines.append(text)
     lines += [text for (one, other), text in _INSTEAD.items() if one in measured and other not in measured]
     names = {"friction_angle_deg": "friction angle", "shear_modulus": "K", "sinkage_coefficient": "S"}

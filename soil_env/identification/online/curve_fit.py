@@ -276,6 +276,7 @@ def _inverse(L, out, at):
 
 @inlined
 def _step(banks, k, A, g, cost, volume, numbers):
+    """Take the step A^-1 g of all nodes within the limits, and renew their covariances and weights; as `solve`."""
     nodes, L, step = banks.nodes[k], _matrix2(), _vector()
     log_det = _factor(A, L)
     _inverse(L, nodes, COVARIANCE)

@@ -241,6 +241,7 @@ def _parameters(
 
 
 def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
+    """`ChannelFit` of each channel, and of the load if it has noise, at the solution u."""
     (errors, left), variances = problem.errors(u), problem.variances
     out, fits = problem.predict(u), {}
     for j, name in enumerate(SOURCES):
