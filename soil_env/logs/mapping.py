@@ -225,23 +225,17 @@ class LogMap(Checked):
 def read_map(path: str | Path) -> LogMap:
     """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
     mapping, where = read_yaml(Path(path)), str(path)
-    names = [f.name for f in fields(LogMap)]
-    for key in mapping:
-        if key not in names:
-            raise unknown_key(key, names, where)
-    for section in ("wheel", "channels"):
-        if section not in mapping:
-            raise ParameterError(f"{where}: missing {section}: expected wheel and channels")
-    wheel = mapping["wheel"]
+    wheel = mapping.get("wheel")
     if isinstance(wheel, str):
         wheel = {"preset": wheel}
     if isinstance(wheel, dict) and "preset" in wheel:
         if wheel["preset"] not in wheels():
             raise unknown_key(wheel["preset"], wheels(), f"{where}: wheel")
-        wheel = merge(to_dict(wheels()[wheel["preset"]]), {k: v for k, v in wheel.items() if k != "preset"})
+        own = {k: v for k, v in wheel.items() if k != "preset"}
+        mapping = mapping | {"wheel": merge(to_dict(wheels()[wheel["preset"]]), own)}
     if isinstance(mapping.get("belief"), dict):
         refuse_idle_prior(mapping["belief"], where)
-    found: LogMap = load(LogMap, {**mapping, "wheel": wheel}, where)
+    found: LogMap = load(LogMap, mapping, where)
     if "border" not in (mapping.get("belief") or {}):
         border = min(_BORDER * found.wheel.radius, 10.0)
         found = dataclasses.replace(found, belief=dataclasses.replace(found.belief, border=border))
