@@ -131,18 +131,6 @@ def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
 
 
 @root(nogil=True)
-def _ready(values: np.ndarray, limits: np.ndarray) -> bool:
-    """True if `values` [10], in the order of `SensorReading`, are within the limits; a missing slip is filled in."""
-    for i in range(values.size):
-        if not abs(values[i]) <= limits[i] and not (i == 0 and np.isnan(values[0])):
-            return False
-    if np.isnan(values[0]):
-        values[0] = slip_ratio(values[6], values[5], REST_SPEED)
-    values[0] = min(max(values[0], -1.0), 1.0)
-    return True
-
-
-@root(nogil=True)
 def _fill_slips(rim_speed: np.ndarray, speed: np.ndarray, out: np.ndarray) -> None:
     for i in range(out.size):
         out[i] = slip_ratio(rim_speed[i], speed[i], REST_SPEED)
@@ -219,19 +207,13 @@ class OnlineIdentifier:
         twist = self._weight * wheel.radius
         if scenario.belief.method == "none":
             raise ParameterError("belief.method = 'none': expected 'filter'")
-        self._ready, self._observe = FastCall(_ready), FastCall(observe_rows)
-        self._start, self._best = FastCall(_start), FastCall(best_working_point)
+        self._start, self._observe, self._best = FastCall(_start), FastCall(observe_rows), FastCall(best_working_point)
         self._numbers = identifier_numbers(scenario)
         self._sd = self._numbers.filter.noise.tolist()  # of `SensorReading` where it is measured
         top = wheel.radius * wheel.no_load_speed
         units = (1.0, wheel.radius, self._weight, self._weight, twist, top, top, 1.0, twist, scenario.gravity)
         self._unknown = [_UNKNOWN * unit for unit in units]
-        most = self._largest = largest_readings(wheel, scenario.gravity)
-        rim = most.wheel_speed * wheel.radius
-        self._limits = np.array(
-            [most.slip, most.sinkage, most.drawbar_pull, most.load, most.torque, most.speed, rim, most.pitch,
-             most.motor_torque, most.acceleration]
-        )  # fmt: skip
+        self._largest = largest_readings(wheel, scenario.gravity)
         self._sinkage = _bearing_sinkage(scenario)  # where none is measured
         self._ids, self._values, self._done = new_identifiers(1), np.zeros(len(SensorReading._fields)), new_replay(1)
         self.reset()
@@ -256,31 +238,18 @@ class OnlineIdentifier:
         """
         if not isinstance(readings, Readings):
             raise TypeError(f"{readings!r}: expected Readings(...), of a mapping Readings(**mapping)")
-        try:
-            return self._updated(readings)
-        except (TypeError, ValueError) as error:
-            raise _refusal(readings, self._largest) or error from None
-
-    def _updated(self, r: Readings) -> Estimate:
-        sum(r)  # TypeError where one is no number: numpy would take text for one
-        period = self._period(r.time)
-        rim, speed = r.wheel_speed * self._radius, r.speed
-        if rim != rim or speed != speed:
-            rim, speed = _completed(rim, speed, r.slip)
+        if refusal := _refusal(readings, self._largest):
+            raise refusal
+        period = self._period(readings.time)
+        rim, speed = self._speeds(readings)
         outcome = HELD
         if rim == rim and speed == speed:
-            self._put(r, rim, speed)
-            if not self._ready(self._values, self._limits):
-                raise ValueError(f"{r}: expected the speeds and forces of a wheel; these lead beyond {self._largest}")
+            self._put(readings, rim, speed)
             self._observe(self._ids, _ONE, self._values[None], self._numbers_of(period), self._done)
             outcome = self._done.outcome.item()
-        elif refusal := _refusal(r, self._largest):
-            raise refusal
-        self._time = r.time if r.time == r.time else self._time + period
-        if outcome != HELD:
-            self._estimate = self._published(True)
-        elif self._estimate.renewed:
-            self._estimate = self._published(False)
+        self._time = readings.time if readings.time == readings.time else self._time + period
+        if outcome != HELD or self._estimate.renewed:
+            self._estimate = self._published(outcome != HELD)
         return self._estimate
 
     @property
@@ -333,13 +302,26 @@ class OnlineIdentifier:
             return numbers
         return numbers._replace(filter=numbers.filter._replace(period=period))
 
+    def _speeds(self, r: Readings) -> tuple[float, float]:
+        """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip; NaN without it."""
+        rim, speed = r.wheel_speed * self._radius, r.speed
+        if speed != speed:
+            speed = float(travel_speeds(rim, r.slip))
+        elif rim != rim and r.slip < 1.0:
+            rim = float(rim_speeds(speed, r.slip))
+        if abs(rim) > self._largest.wheel_speed * self._radius or abs(speed) > self._largest.speed:
+            raise ValueError(f"{r}: expected the speeds of a wheel; the slip leads beyond {self._largest}")
+        return rim, speed
+
     def _put(self, r: Readings, rim: float, speed: float) -> None:
         """Store readings and their standard deviations for the compiled code; missing ones have no weight."""
         pitch = 0.0 if r.pitch != r.pitch else r.pitch
-        load = self._weight * math.cos(pitch)
+        load, slip = self._weight * math.cos(pitch), r.slip
+        if slip != slip:
+            slip = float(slips(np.array([rim]), np.array([speed]))[0])
         given = (r.slip, r.sinkage, r.drawbar_pull, r.load, r.torque, r.speed, r.wheel_speed, 0.0, r.motor_torque,
                  r.acceleration)  # fmt: skip
-        instead = r.slip, self._sinkage, 0.0, load, 0.0, speed, rim, pitch, 0.0, 0.0
+        instead = min(max(slip, -1.0), 1.0), self._sinkage, 0.0, load, 0.0, speed, rim, pitch, 0.0, 0.0
         noise, values = self._numbers.filter.noise, self._values
         for i, measured in enumerate(given):
             missing = measured != measured
@@ -368,13 +350,6 @@ def _bearing_sinkage(scenario: Scenario) -> float:
 
 
 _BOUNDS = {f.name: f.metadata for f in fields(Soil)}
-_DERIVED = (5, 6, 7)  # of `SensorReading`: speed, rim speed, pitch
+_DERIVED = (0, 5, 6, 7)  # of `SensorReading`: slip, speed, rim speed, pitch
 _ONE = np.zeros(1, dtype=np.int64)  # the one wheel of an `OnlineIdentifier`
 _STATUS = {status.value: status for status in Status}
-
-
-def _completed(rim: float, speed: float, slip: float) -> tuple[float, float]:
-    """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip; NaN without it."""
-    if speed != speed:
-        return rim, float(travel_speeds(rim, slip))
-    return (float(rim_speeds(speed, slip)) if slip < 1.0 else _NAN), speed
