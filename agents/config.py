@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from soil_env._io.loading import Checked, ParameterError, load, quantity
+from soil_env._io.loading import Checked, FieldError, ParameterError, load, quantity
 from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -46,8 +46,8 @@ class PPOConfig(Checked):
         super().__post_init__()
         rollout = self.num_envs * self.n_steps
         if rollout % self.batch_size:
-            raise ParameterError(
-                f"PPOConfig.batch_size = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
+            raise FieldError(
+                self, "batch_size", f" = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
             )
 
 
@@ -103,7 +103,7 @@ class TrainConfig(OfWorld):
                 f"ppo.critic = {self.ppo.critic!r}: expected only with algorithm ppo, not recurrent_ppo"
             )
         if self.hidden_worlds >= self.ppo.num_envs:
-            raise ParameterError(f"hidden_worlds = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
+            raise FieldError(self, "hidden_worlds", f" = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
 
     def _resolve(self) -> None:
         """Set what was left out and depends on whether a rover is trained; ParameterError for what only a wheel has."""
@@ -116,7 +116,7 @@ class TrainConfig(OfWorld):
                 object.__setattr__(self, name, of_a_rover if self.rover else of_a_wheel)
             elif self.rover and value:
                 beside = f"expected none beside rover = {self.rover!r}: {reason}"
-                raise ParameterError(f"TrainConfig.{name} = {value!r}: {beside}")
+                raise FieldError(self, name, f" = {value!r}: {beside}")
 
 
 def load_config(mapping: dict, where: str) -> TrainConfig:

@@ -33,7 +33,7 @@ from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.document import Table, render, wrapped
 from soil_env._io.files import check_outputs, make_folder, plain, replace_file, write_json
 from soil_env._io.loading import ParameterError, read_json
-from soil_env.identification.online import identifier_numbers
+from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import Scenario, config_dir, load_scenario
 from soil_env.terramechanics.model import load_model
 

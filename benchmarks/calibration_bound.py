@@ -15,9 +15,9 @@ import numpy as np
 
 from benchmarks.drives import truth
 from benchmarks.open_loop import OpenLoop, commands_of
-from soil_env.identification.filter import SLOWEST
-from soil_env.identification.readings import sensor_noise
-from soil_env.identification.soil_prior import depth_of, prior_of_belief
+from soil_env.identification.online.filter import SLOWEST
+from soil_env.identification.online.readings import sensor_noise
+from soil_env.identification.online.soil_prior import depth_of, prior_of_belief
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.ground import share_of_next
 

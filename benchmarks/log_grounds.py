@@ -46,7 +46,7 @@ def judge(driven: dict[str, np.ndarray], scenario: Scenario, folder: Path) -> di
     borders = [int(np.sum(edges < places.max())), found.borders, len(near), sum(near)]
     steps = round(log_map.windows.duration / log.period)
     soil_of, out = {}, {"points": [], "one": [], "all": [], "borders": [borders]}
-    for ground, start in zip(steady.ground, steady.start, strict=True):
+    for ground, start in ((row["ground"], row["start"]) for row in steady.rows):
         first = int(np.searchsorted(log.time, start - 1e-9))
         ends = {int(np.sum(edges <= places[min(k, places.size - 1)])) for k in (first, first + steps - 1)}
         main = soil_of.setdefault(ground, min(ends))

@@ -18,7 +18,7 @@ from agents.evaluate.loading import load
 from benchmarks.common import TORQUE
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env._io.document import Table
-from soil_env.identification.online import identifier_numbers
+from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import knowledge
 

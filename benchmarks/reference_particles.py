@@ -14,9 +14,9 @@ import numpy as np
 
 from benchmarks.calibration_bound import SOIL, soils_of
 from benchmarks.open_loop import BEARING, PLACE, OpenLoop, commands_of
-from soil_env.identification.filter import SLOWEST
-from soil_env.identification.readings import sensor_noise
-from soil_env.identification.soil_prior import depth_of, prior_of_belief
+from soil_env.identification.online.filter import SLOWEST
+from soil_env.identification.online.readings import sensor_noise
+from soil_env.identification.online.soil_prior import depth_of, prior_of_belief
 from soil_env.parameters import Scenario
 
 EVERY = 6  # control periods from one posterior to the next

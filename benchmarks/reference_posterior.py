@@ -32,7 +32,13 @@ from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.document import Table, wrapped
 from soil_env._io.files import check_outputs, make_folder, plain, replace_file
 from soil_env._io.loading import read_json
-from soil_env.identification.online import forget, identifier_numbers, new_identifiers, new_replay, observe_rows
+from soil_env.identification.online.identifier import (
+    forget,
+    identifier_numbers,
+    new_identifiers,
+    new_replay,
+    observe_rows,
+)
 from soil_env.parameters import Scenario, load_scenario
 
 SEED = 20261123

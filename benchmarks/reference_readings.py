@@ -19,10 +19,10 @@ from benchmarks.reference_particles import BEGIN, END, GRADE, HERE, MASS, NEXT, 
 from soil_env._numba.compiling import inlined, root
 from soil_env._numba.elementary import exp, larger, log, smaller, sqrt, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
-from soil_env.identification.contact_slopes import GroundSoil, reaction
-from soil_env.identification.filter import SLOWEST
-from soil_env.identification.sinkage_filter import _JOLT as _OF_JOLT, _LEAST_MOVE, _MOVE
-from soil_env.identification.soil_prior import depth_of
+from soil_env.identification.online.contact_slopes import GroundSoil, reaction
+from soil_env.identification.online.filter import SLOWEST
+from soil_env.identification.online.sinkage_filter import _JOLT as _OF_JOLT, _LEAST_MOVE, _MOVE
+from soil_env.identification.online.soil_prior import depth_of
 from soil_env.parameters import Scenario
 from soil_env.simulation.wheel import SETTLING_TIME
 from soil_env.slip import motion_from_slip

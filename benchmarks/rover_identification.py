@@ -28,7 +28,7 @@ from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.document import Table
 from soil_env._io.files import make_folder, plain, write_json
 from soil_env._numba.compiling import root
-from soil_env.identification.soil_prior import published_prior
+from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import Belief
 from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.rover.task import axle_names

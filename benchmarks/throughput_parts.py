@@ -11,7 +11,7 @@ from benchmarks.common import TORQUE, spread
 from soil_env._numba import elementary, lanes
 from soil_env._numba.compiling import FastCall, inlined, root
 from soil_env._numba.rows import Rows
-from soil_env.identification.online import HELD, SensorReading, new_replay, observe_rows
+from soil_env.identification.online.identifier import HELD, SensorReading, new_replay, observe_rows
 from soil_env.parameters import load_scenario
 from soil_env.simulation.camera import Sight
 from soil_env.simulation.courses import CourseNumbers, draw_ahead

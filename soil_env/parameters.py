@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from soil_env._io.loading import (
     Checked,
+    FieldError,
     ParameterError,
     config_dir as config_dir,  # a public name here
     load,
@@ -63,8 +64,8 @@ class Wheel(Checked):
         super().__post_init__()
         least = 0.02 * self.body_mass * self.radius**2
         if self.inertia < least:
-            raise ParameterError(
-                f"Wheel.inertia = {self.inertia:g}: expected at least {least:g} kg m2, 2 % of body_mass radius^2"
+            raise FieldError(
+                self, "inertia", f" = {self.inertia:g}: expected at least {least:g} kg m2, 2 % of body_mass radius^2"
             )
 
 
@@ -189,7 +190,7 @@ class Control(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.repeat is not None and self.repeat != int(self.repeat):
-            raise ParameterError(f"Control.repeat = {self.repeat!r}: expected a whole number")
+            raise FieldError(self, "repeat", f" = {self.repeat!r}: expected a whole number")
 
     @property
     def held(self) -> int:

@@ -390,7 +390,7 @@ def test_traversability_never_uses_the_true_soil(monkeypatch):
 
 def test_extreme_estimates_do_not_stop_the_episode():
     """The box of the identifier's unknowns is wider than anything drawn: each corner must still give a warning."""
-    from soil_env.identification import LOWER, UPPER
+    from soil_env.paper.safeguarded import LOWER, UPPER
 
     env = SoilWheelEnv()
     env.reset(seed=0)

@@ -10,7 +10,7 @@ import yaml
 
 from soil_env import parameters
 from soil_env._io.loading import check, config_dir, load, merge, read_yaml, to_dict
-from soil_env.identification.rig import predict_table
+from soil_env.identification.table.rig import predict_table
 from soil_env.measurement import Setup, SetupWheel
 from soil_env.parameters import Belief, Control, ParameterError, Scenario, Soil, SoilSpread, load_scenario, wheels
 from soil_env.terramechanics.effects import NO_EFFECTS

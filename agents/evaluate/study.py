@@ -16,7 +16,7 @@ from pathlib import Path
 
 import soil_env
 from soil_env._io.loading import ParameterError, quantity
-from soil_env.identification import immobilisation
+from soil_env.identification.online import immobilisation
 from soil_env.parameters import Scenario
 
 from .. import studies

@@ -6,7 +6,7 @@ their card (immobilisation.json), what was found (warning.json), and docs/warnin
 
 Examples:
   python -m agents.warning --smoke --out /tmp/w                    every part in a minute, numbers without meaning
-  python -m agents.warning --out docs --weights soil_env/identification/immobilisation.json
+  python -m agents.warning --out docs --weights soil_env/identification/online/immobilisation.json
   python -m agents.warning --out docs --models two_lines=runs/NAME mixed=runs/OTHER
   python -m agents.warning --out docs --others                     only what it is compared with again, and the page
   python -m agents.warning --out docs --draw                       page and figure again, from warning.json
@@ -25,7 +25,7 @@ import soil_env
 from soil_env._io.commands import command, command_line, folder, leave
 from soil_env._io.files import make_folder, plain, write_json
 from soil_env._io.loading import ParameterError
-from soil_env.identification.immobilisation import HORIZONS, INPUTS, SCALES, Network
+from soil_env.identification.online.immobilisation import HORIZONS, INPUTS, SCALES, Network
 
 from ..cli import manual_parser
 from ..evaluate.contestants import parse
@@ -96,7 +96,7 @@ def train_and_judge(out: Path, weights: Path, sizes: study.Sizes, smoke: bool, m
     ours = found["rivals"][study.NETWORK]
     card = {
         "what": f"Probability that the wheel stops for good within {HORIZONS[0]:g} and {HORIZONS[1]:g} s of driving",
-        "command": "python -m agents.warning --out docs --weights soil_env/identification/immobilisation.json",
+        "command": "python -m agents.warning --out docs --weights soil_env/identification/online/immobilisation.json",
         "scales": list(SCALES),
         **settings,
         "alarm": "probability within 5 s at which the alarm is false for 5 % of the driving time on finished courses",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soil_env.env import IMMOBILISED
-from soil_env.identification.immobilisation import ImmobilisationWarning
+from soil_env.identification.online.immobilisation import ImmobilisationWarning
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause, layout
 from soil_env.simulation.terrain import Courses

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from soil_env.identification.immobilisation import HORIZONS, LARGEST, Network
+from soil_env.identification.online.immobilisation import HORIZONS, LARGEST, Network
 
 from .drives import Drives
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soil_env.identification.immobilisation import HORIZONS
+from soil_env.identification.online.immobilisation import HORIZONS
 
 from ..evaluate.warning import KEPT, RELEASE
 from .drives import Drives

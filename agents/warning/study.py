@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soil_env.identification.immobilisation import BLIND, HORIZONS, INPUTS, Network, score_inputs
+from soil_env.identification.online.immobilisation import BLIND, HORIZONS, INPUTS, Network, score_inputs
 from soil_env.parameters import Scenario
 
 from ..evaluate.models import load_model

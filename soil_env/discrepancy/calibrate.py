@@ -1,11 +1,11 @@
 """Fit of the model, with or without effects, to a measurement table: the most probable parameters under the priors.
 
-Priors of the soil and the least squares are those of `soil_env.identification` (`priors`, `weighted`), with slip and
+Priors of the soil and the least squares are those of `soil_env.identification.table`, with slip and
 load exact. The whitened unknowns u minimise
 
     J(u) = e'C^-1 e + |u|^2,    e = (y - f(u)) / sigma,    C = I + B B'
 
-with the form errors B of `soil_env.identification.form_error`: of the base law, in the stresses, and of each effect, a
+with the form errors B of `identification.table.form_error`: of the base law, in the stresses, and of each effect, a
 smooth factor on what it adds to each channel. Priors of the setup are widened (`PRIOR_WIDTH`), since a soil a little
 off its prior must not be taken for a missing effect.
 """
@@ -24,7 +24,7 @@ import numpy as np
 from soil_env.discrepancy.data import CHANNELS, Data
 from soil_env.discrepancy.fits import EXACT, Choice, Fit, Sizes
 from soil_env.discrepancy.noise import NoiseEstimate, find_noise, with_noise_of_conditions
-from soil_env.identification.form_error import (
+from soil_env.identification.table.form_error import (
     INPUTS,
     LAW_LENGTHS,
     LENGTHS,
@@ -33,9 +33,9 @@ from soil_env.identification.form_error import (
     stress_changes,
     whitened,
 )
-from soil_env.identification.priors import USUAL_SINKAGE, Unknown, known_digging, soil_state, soil_unknowns
-from soil_env.identification.rig import predict_table
-from soil_env.identification.weighted import differences, finite, most_probable
+from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, known_digging, soil_state, soil_unknowns
+from soil_env.identification.table.problem import differences, finite, most_probable
+from soil_env.identification.table.rig import predict_table
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects, sliding_speed
 from soil_env.terramechanics.effects.entry import Bench

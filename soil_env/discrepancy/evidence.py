@@ -20,9 +20,9 @@ from scipy.stats import chi2
 
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.fits import Choice, Fit, Sizes
-from soil_env.identification.form_error import LAW_LENGTHS, SIZES, marginals, mixed, size_prior
-from soil_env.identification.priors import Unknown
-from soil_env.identification.weighted import finite
+from soil_env.identification.table.form_error import LAW_LENGTHS, SIZES, marginals, mixed, size_prior
+from soil_env.identification.table.priors import Unknown
+from soil_env.identification.table.problem import finite
 from soil_env.terramechanics.effects import CATALOGUE
 
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to 30 % of it.

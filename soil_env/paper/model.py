@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soil_env._numba.compiling import part, root
-from soil_env.identification.point import channels
+from soil_env.paper.channels import channels
 from soil_env.paper.printed import WONG_REECE_PEAK, WONG_REECE_RADIUS, printed
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.arc_integrals import arc_integrals, shear_modulus_rates, simpson_integrals

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined
 from soil_env._numba.random_streams import normal_pair
-from soil_env.identification.class_memory import PULL
-from soil_env.identification.immobilisation import View
+from soil_env.identification.online.class_memory import PULL
+from soil_env.identification.online.immobilisation import View
 from soil_env.parameters import Scenario
 from soil_env.simulation.lines import choosing, settled
 

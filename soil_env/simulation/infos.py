@@ -10,8 +10,8 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall
 from soil_env.identification import Status
-from soil_env.identification.estimate import LEAST_LOAD, published, traversability
-from soil_env.identification.immobilisation import HORIZONS, ImmobilisationWarning
+from soil_env.identification.online.estimate import LEAST_LOAD, published, traversability
+from soil_env.identification.online.immobilisation import HORIZONS, ImmobilisationWarning
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.wheel import WheelState

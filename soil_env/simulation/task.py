@@ -16,7 +16,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError, unknown_value
 from soil_env._numba.compiling import inlined
 from soil_env.identification import Status
-from soil_env.identification.class_memory import PULL
+from soil_env.identification.online.class_memory import PULL
 from soil_env.parameters import CourseSpec, Scenario
 from soil_env.simulation.camera import CameraNumbers, Sight, camera_numbers, patch_ahead, seen_grade, write_view
 from soil_env.simulation.sensors import SensorNumbers, sensor_numbers

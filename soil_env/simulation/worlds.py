@@ -13,7 +13,7 @@ from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import seed_stream
 from soil_env._numba.rows import Rows
 from soil_env._numba.threads import threads
-from soil_env.identification.class_memory import (
+from soil_env.identification.online.class_memory import (
     ClassMemory,
     MemoryNumbers,
     clear_of_borders,
@@ -22,8 +22,7 @@ from soil_env.identification.class_memory import (
     new_memory,
     remember,
 )
-from soil_env.identification.immobilisation import MEMORY, WarningNumbers, begin, follow, see, warning_numbers
-from soil_env.identification.online import (
+from soil_env.identification.online.identifier import (
     HELD,
     RENEWED,
     IdentifierNumbers,
@@ -33,6 +32,7 @@ from soil_env.identification.online import (
     new_identifiers,
     observe,
 )
+from soil_env.identification.online.immobilisation import MEMORY, WarningNumbers, begin, follow, see, warning_numbers
 from soil_env.parameters import Scenario
 from soil_env.simulation.camera import Sight, label_here, look, way_ahead
 from soil_env.simulation.courses import (

@@ -17,7 +17,17 @@ import yaml
 from numpy.typing import ArrayLike
 
 from soil_env._io.files import replace_file
-from soil_env._io.loading import Checked, ParameterError, check, load, quantity, read_yaml, to_dict, unknown_key
+from soil_env._io.loading import (
+    Checked,
+    FieldError,
+    ParameterError,
+    check,
+    load,
+    quantity,
+    read_yaml,
+    to_dict,
+    unknown_key,
+)
 from soil_env._numba.compiling import part
 from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs
 from soil_env.terramechanics.effects import Effects, pack_effects
@@ -97,7 +107,7 @@ class WheelSoilModel:
     def __post_init__(self) -> None:
         for name, kind in (("wheel", ModelWheel), ("soil", (Soil, type(None))), ("residual", (tuple, list))):
             if not isinstance(getattr(self, name), kind):
-                raise ParameterError(f"WheelSoilModel: {name} = {getattr(self, name)!r}: expected {_EXPECTED[name]}")
+                raise FieldError(self, name, f" = {getattr(self, name)!r}: expected {_EXPECTED[name]}")
         check(self)
         pack_effects(self.effects)  # refuses what is unknown or out of range
         object.__setattr__(self, "validity", checked(self.validity))

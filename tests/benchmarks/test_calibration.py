@@ -7,8 +7,8 @@ from benchmarks.calibration import Case, cases, measure, page, statistics
 from benchmarks.calibration_bound import bound
 from benchmarks.drives import QUANTITIES, controller_of, record
 from benchmarks.open_loop import OpenLoop, commands_of
-from soil_env.identification.online import identifier_numbers
-from soil_env.identification.readings import sensor_noise
+from soil_env.identification.online.identifier import identifier_numbers
+from soil_env.identification.online.readings import sensor_noise
 from soil_env.parameters import load_scenario
 
 

@@ -8,7 +8,7 @@ import pytest
 from benchmarks import reference_posterior as study
 from benchmarks.drives import controller_of, record
 from benchmarks.reference_particles import END, HERE, useful
-from soil_env.identification.soil_prior import published_prior
+from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import load_scenario
 
 STEPS = 60

@@ -16,7 +16,7 @@ from soil_env.discrepancy.locate import boxes
 from soil_env.discrepancy.noise import smooth_basis
 from soil_env.discrepancy.report.pictures import groups
 from soil_env.discrepancy.workflow import model_of
-from soil_env.identification.weighted import TableProblem
+from soil_env.identification.table.problem import TableProblem
 from soil_env.measurement.table import read_setup, read_table
 from tests.discrepancy.files import NOISE, SETUP, SLIPS, world, write_files
 

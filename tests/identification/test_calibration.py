@@ -9,7 +9,7 @@ from agents.controllers import make_controller
 from agents.evaluate import drive
 from soil_env._numba.compiling import root
 from soil_env.identification import Status
-from soil_env.identification.online import identifier_numbers
+from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import load_scenario, scenario_names
 from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.task import Cause

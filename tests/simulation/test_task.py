@@ -8,7 +8,7 @@ import pytest
 
 from soil_env.env import SoilWheelEnv
 from soil_env.identification import Status
-from soil_env.identification.soil_prior import published_prior
+from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation import sensors, task
 from soil_env.simulation.camera import Sight

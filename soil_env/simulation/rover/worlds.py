@@ -12,7 +12,7 @@ from soil_env._numba.compiling import inlined, part, root, take
 from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import between, four_normals, word
 from soil_env._numba.rows import zero_column
-from soil_env.identification.online import (
+from soil_env.identification.online.identifier import (
     HELD,
     IdentifierNumbers,
     Identifiers,
@@ -22,8 +22,8 @@ from soil_env.identification.online import (
     new_identifiers,
     observe,
 )
-from soil_env.identification.pooling import share
-from soil_env.identification.stretches import PoolNumbers, Pools, forget_stretches, new_pools, note, pool_numbers
+from soil_env.identification.online.pooling import share
+from soil_env.identification.online.stretches import PoolNumbers, Pools, forget_stretches, new_pools, note, pool_numbers
 from soil_env.simulation.courses import (
     CourseDistribution,
     CourseNumbers,
