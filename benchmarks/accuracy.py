@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from soil_env._io.commands import command_line, command_parser, leave
-from soil_env.simulation.terrain import cell_at
+from soil_env.simulation.world.terrain import cell_at
 from soil_env.slip import travel_speeds
 from soil_env.terramechanics.arc_integrals import arc_integrals, simpson_integrals
 from soil_env.terramechanics.contact import forces

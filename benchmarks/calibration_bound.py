@@ -16,9 +16,9 @@ import numpy as np
 from benchmarks.drives import truth
 from benchmarks.open_loop import OpenLoop, commands_of
 from soil_env.identification.online.filter import SLOWEST
-from soil_env.identification.online.readings import sensor_noise
 from soil_env.identification.online.soil_prior import depth_of, prior_of_belief
 from soil_env.parameters import Scenario
+from soil_env.readings import sensor_noise
 from soil_env.terramechanics.ground import share_of_next
 
 SOIL = 6  # (tan phi, c, n, ln K, ln of the pressure at `depth_of`, ln of the gain), as `soil_prior`

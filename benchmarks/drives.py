@@ -12,7 +12,7 @@ from agents.evaluate import drive
 from agents.evaluate.tuning import shipped_settings
 from soil_env._numba.compiling import root
 from soil_env.parameters import Scenario
-from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.traversability import best_points
 

@@ -19,8 +19,8 @@ import soil_env  # noqa: F401  registers SoilWheel-v0
 from benchmarks.common import ROOT
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
-from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import LINES, layout
+from soil_env.simulation.task.scaling import Scaling
 
 CLEANRL = "cleanrl.ppo_continuous_action"
 SKRL_WHEELS = 64

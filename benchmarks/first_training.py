@@ -25,8 +25,8 @@ from agents.evaluate.statistics import wilson
 from benchmarks.first_learners import Trained, learner, shown, trained
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env.parameters import DEFAULT_SCENARIO, HELD, Scenario, load_scenario
-from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import REWARD_TERMS, layout
+from soil_env.simulation.task.scaling import Scaling
 
 LEVELS = (0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0)
 

@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import root
-from soil_env.simulation.dynamics import MOST_STEPS
 from soil_env.simulation.task import REWARD_TERMS
-from soil_env.simulation.terrain import ground_at
-from soil_env.simulation.wheel import WheelState
+from soil_env.simulation.world.dynamics import MOST_STEPS
+from soil_env.simulation.world.terrain import ground_at
+from soil_env.simulation.world.wheel import WheelState
 from soil_env.terramechanics.reaction import REST_SPEED
 
 _x, _w = np.polynomial.legendre.leggauss(8)

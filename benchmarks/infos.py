@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.common import check_page, range_text, renew_page, spread
 from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env._io.document import Table
-from soil_env.simulation.infos import INFOS
+from soil_env.driving.infos import INFOS
 
 KINDS = (("8 single wheels in gymnasium's SyncVectorEnv", "sync", 8), ("64 wheels in the native vector environment",
          "vector_entry_point", 64))  # fmt: skip

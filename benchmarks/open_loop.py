@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from soil_env._numba.compiling import root
+from soil_env.driving.wheels import new_worlds
 from soil_env.parameters import Scenario
-from soil_env.simulation.dynamics import MANY, advance
 from soil_env.simulation.task import task_numbers
-from soil_env.simulation.wheel import settle_at, world_numbers
-from soil_env.simulation.worlds import new_worlds
+from soil_env.simulation.world.dynamics import MANY, advance
+from soil_env.simulation.world.wheel import settle_at, world_numbers
 
 PLACE, BEARING, COLUMNS = 10, 11, 12  # columns behind the readings: x [m], bearing sinkage [m]
 

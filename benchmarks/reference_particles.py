@@ -15,9 +15,9 @@ import numpy as np
 from benchmarks.calibration_bound import SOIL, soils_of
 from benchmarks.open_loop import BEARING, PLACE, OpenLoop, commands_of
 from soil_env.identification.online.filter import SLOWEST
-from soil_env.identification.online.readings import sensor_noise
 from soil_env.identification.online.soil_prior import depth_of, prior_of_belief
 from soil_env.parameters import Scenario
+from soil_env.readings import sensor_noise
 
 EVERY = 6  # control periods from one posterior to the next
 _LEAST_TANGENT, _LEAST_EXPONENT = 0.05, 0.15  # below which no soil is

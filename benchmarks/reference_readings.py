@@ -24,7 +24,7 @@ from soil_env.identification.online.filter import SLOWEST
 from soil_env.identification.online.sinkage_filter import _JOLT as _OF_JOLT, _LEAST_MOVE, _MOVE
 from soil_env.identification.online.soil_prior import depth_of
 from soil_env.parameters import Scenario
-from soil_env.simulation.wheel import SETTLING_TIME
+from soil_env.simulation.world.wheel import SETTLING_TIME
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.effects import excavation_rate
 

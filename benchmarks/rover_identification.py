@@ -28,13 +28,13 @@ from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.document import Table
 from soil_env._io.files import make_folder, plain, write_json
 from soil_env._numba.compiling import root
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import IDLE, STEP
 from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import Belief
-from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
-from soil_env.simulation.terrain import ground_at
-from soil_env.simulation.worlds import IDLE, STEP
+from soil_env.simulation.world.terrain import ground_at
 from soil_env.vehicle import RoverScenario, load_rover
 
 _PAGE = ROOT / "docs" / "rover_identification.md"

@@ -12,11 +12,11 @@ import numpy as np
 
 from benchmarks.common import ROOT
 from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, read_yaml, unknown_value
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import IDLE, STEP
 from soil_env.parameters import Soil
 from soil_env.simulation.rover.dynamics import take_pitch
-from soil_env.simulation.rover.simulation import RoverSimulation
-from soil_env.simulation.wheel import settle_at
-from soil_env.simulation.worlds import IDLE, STEP
+from soil_env.simulation.world.wheel import settle_at
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import RoverScenario, load_rover
 
@@ -156,7 +156,7 @@ class Rig:
     def _place(self, soils: Sequence[Soil], slopes: np.ndarray) -> None:
         """Put each rover at rest on its own uniform soil and slope [rad]."""
         simulation = self.simulation
-        simulation.restart_where(np.ones(simulation.rovers, dtype=bool))
+        simulation.restart_where(np.ones(simulation.count, dtype=bool))
         w, s, world = simulation.worlds, simulation.numbers.suspension, simulation.numbers.world
         courses, rovers, width = w.courses, w.rovers, self.scenario.wheel.width
         courses.edges[:, :2], courses.edges[:, 2:], courses.patches[:], courses.ready[:] = (0.0, 1e4), np.inf, 1, np.inf
@@ -172,7 +172,7 @@ class Rig:
 
     def drive(self, soils: Sequence[Soil], slopes_deg: Sequence[float], longest: float = LONGEST) -> Driven:
         """Each rover on its own soil up its own slope until it drives steadily, or for so many metres of the rims."""
-        simulation, count = self.simulation, self.simulation.rovers
+        simulation, count = self.simulation, self.simulation.count
         if not len(soils) == len(slopes_deg) == count:
             raise ParameterError(f"expected {count} soils and slopes, got {len(soils)} and {len(slopes_deg)}")
         self._place(soils, np.radians(slopes_deg))

@@ -31,10 +31,10 @@ from benchmarks.common import ROOT, machine, renew_page, spread, study_parser
 from soil_env._io.commands import command_line, leave
 from soil_env._io.files import make_folder, write_json
 from soil_env._io.loading import read_json
+from soil_env.driving.wheels import IDLE, STEP
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.simulation.task import Cause
-from soil_env.simulation.worlds import IDLE, STEP
 from soil_env.vector_env import SoilWheelVectorEnv
 
 HELD = 8  # steps that a random command is held

@@ -11,14 +11,14 @@ from benchmarks.common import TORQUE, spread
 from soil_env._numba import elementary, lanes
 from soil_env._numba.compiling import FastCall, inlined, root
 from soil_env._numba.rows import Rows
+from soil_env.driving.wheels import RESTART, STEP, Simulation
 from soil_env.identification.online.identifier import HELD, SensorReading, new_replay, observe_rows
 from soil_env.parameters import load_scenario
-from soil_env.simulation.camera import Sight
-from soil_env.simulation.courses import CourseNumbers, draw_ahead
-from soil_env.simulation.dynamics import MANY, advance
-from soil_env.simulation.sensors import sense
 from soil_env.simulation.task import Cause, judge, reward_terms, write_observation
-from soil_env.simulation.worlds import RESTART, STEP, Simulation
+from soil_env.simulation.world.camera import Sight
+from soil_env.simulation.world.courses import CourseNumbers, draw_ahead
+from soil_env.simulation.world.dynamics import MANY, advance
+from soil_env.simulation.world.sensors import sense
 from soil_env.terramechanics import arc_integrals as quadrature, contact
 from soil_env.vector_env import SoilWheelVectorEnv
 

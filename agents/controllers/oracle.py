@@ -1,6 +1,6 @@
 """A planner that tries out what will happen, on clones of the true world: the limit of the task, not a rival.
 
-Every half second each wheel is cloned (`soil_env.simulation.cloning`) some dozens of times, and every clone drives
+Every half second each wheel is cloned (`soil_env.driving.cloning`) some dozens of times, and every clone drives
 by a plan of its own to a horizon of many seconds, halts and ruts included: back away, then ramp the rim speed up to a
 top speed, after a while by another ramp to another speed. The wheel goes on by the plan whose clone has come furthest,
 less what sitting deep costs. Plans are the one it follows, variations of that, soft starts of fixed settings, and plans
@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError
+from soil_env.driving.cloning import clone
+from soil_env.driving.wheels import IDLE, STEP, Simulation
 from soil_env.parameters import Scenario
-from soil_env.simulation.cloning import clone
 from soil_env.simulation.task import Cause
-from soil_env.simulation.worlds import IDLE, STEP, Simulation
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .base import Ramped

@@ -8,10 +8,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from soil_env._io.loading import ParameterError
+from soil_env.driving.wheels import IDLE, STEP, Simulation, Worlds
 from soil_env.env import IMMOBILISED
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
-from soil_env.simulation.worlds import IDLE, STEP, Simulation, Worlds
 from soil_env.terramechanics.model import WheelSoilModel
 
 #: Course sets (`course_rng`), disjoint from each other and from all courses of training.

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from soil_env._io.loading import ParameterError, nearest
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS
-from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..controllers import checked_settings, make_controller

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soil_env.simulation.rover.simulation import RoverSimulation
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import IDLE, STEP
 from soil_env.simulation.task import Cause
-from soil_env.simulation.worlds import IDLE, STEP
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
@@ -46,7 +46,7 @@ class _Totals:
 
     def __init__(self, simulation: RoverSimulation):
         self.simulation = simulation
-        count = simulation.rovers
+        count = simulation.count
         self.energy, self.slip, self.driving, self.sinkage, self.returns, self.steps = np.zeros((6, count))
         self.fighting, self.force = np.zeros((2, count))
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env.driving.wheels import IDLE, STEP, Simulation
 from soil_env.parameters import Scenario, Soil, load_scenario, soils
 from soil_env.simulation.task import Cause
-from soil_env.simulation.worlds import IDLE, STEP, Simulation
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..controllers import ConstantSpeed

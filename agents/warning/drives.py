@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from soil_env.driving.wheels import Worlds
 from soil_env.env import IMMOBILISED
 from soil_env.identification.online.immobilisation import ImmobilisationWarning
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause, layout
-from soil_env.simulation.terrain import Courses
-from soil_env.simulation.worlds import Worlds
+from soil_env.simulation.world.terrain import Courses
 
 from ..evaluate.driving import drive
 from ..evaluate.warning import Warnings

@@ -8,9 +8,9 @@ from scipy.stats import binomtest
 from agents import plots
 from agents.controllers import CONTROLLERS, make_controller
 from agents.evaluate import Runs, course_rng, run_courses, summary, wilson
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
-from soil_env.simulation.worlds import Simulation
 
 SEED = 12345
 SHORT = {"control": {"time_limit": 25.0, "action": "torque"}}

@@ -11,11 +11,11 @@ from agents.controllers import make_controller
 from agents.evaluate import ControllerError, Runs, course_rng, run_courses
 from agents.evaluate.records import METRICS, Records, record
 from agents.evaluate.warning import HOLD, RELEASE, Foresight, Warnings
+from soil_env.driving.wheels import Simulation
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
-from soil_env.simulation.wheel import WheelState
-from soil_env.simulation.worlds import Simulation
+from soil_env.simulation.world.wheel import WheelState
 from tests.agents import drivers
 
 SEED = 4242

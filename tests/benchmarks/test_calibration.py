@@ -8,8 +8,8 @@ from benchmarks.calibration_bound import bound
 from benchmarks.drives import QUANTITIES, controller_of, record
 from benchmarks.open_loop import OpenLoop, commands_of
 from soil_env.identification.online.identifier import identifier_numbers
-from soil_env.identification.online.readings import sensor_noise
 from soil_env.parameters import load_scenario
+from soil_env.readings import sensor_noise
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import pytest
 
 from benchmarks import throughput, throughput_page
 from soil_env._numba.lanes import COUNT
+from soil_env.driving.wheels import Simulation
 from soil_env.identification.online.curve import FIELDS
 from soil_env.identification.online.curve_fit import FIT_ROWS
 from soil_env.parameters import load_scenario
-from soil_env.simulation.worlds import Simulation
 
 
 def test_smoke_run_measures_every_part(tmp_path):

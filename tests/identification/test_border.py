@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal
 
 from soil_env._numba.compiling import root
 from soil_env._numba.lanes import COUNT
+from soil_env.driving.wheels import Simulation
 from soil_env.identification.online.border import (
     begin,
     cross_here,
@@ -35,7 +36,6 @@ from soil_env.identification.online.curve import (
 from soil_env.identification.online.filter_bank import CANDIDATES, filter_numbers, new_banks, restart
 from soil_env.identification.online.soil_nodes import GAUSSIAN, LOG_WEIGHT, NODE_ROWS, OLD, SAME_SOIL, STAYS
 from soil_env.parameters import Belief, load_scenario
-from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.ground import share_of_next
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())

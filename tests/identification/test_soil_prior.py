@@ -23,7 +23,7 @@ from soil_env.identification.online.soil_prior import (
 )
 from soil_env.logs.mapping import read_map
 from soil_env.parameters import Belief, ParameterError, load_scenario, scenario_names
-from soil_env.simulation.courses import course_numbers, draw_soil
+from soil_env.simulation.world.courses import course_numbers, draw_soil
 from soil_env.vehicle import load_rover, rover_names
 from tests.logs.bags import write_map
 

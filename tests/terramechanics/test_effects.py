@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings, strategies as st
 
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import SoilState, soils
-from soil_env.simulation import dynamics
+from soil_env.simulation.world import dynamics
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import arc_integrals, contact, effects, model, reaction
 from soil_env.terramechanics.effects import (

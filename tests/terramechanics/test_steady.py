@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from soil_env.parameters import SoilState, soils
-from soil_env.simulation import dynamics
+from soil_env.simulation.world import dynamics
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import model, reaction
 from soil_env.terramechanics.effects import slip_sinkage_ratio

@@ -12,10 +12,10 @@ from soil_env.identification.online.best_pull import prior_pull
 from soil_env.identification.online.filter import CONTRADICTION_OF_POINTS, take
 from soil_env.identification.online.filter_bank import FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
 from soil_env.identification.online.filter_estimate import OF_PULL, PUBLISHED as SIZE, publish
-from soil_env.identification.online.readings import SensorReading
 from soil_env.identification.online.soil_prior import depth_of, prior_of_belief, published_prior
 from soil_env.identification.online.status import Status
 from soil_env.parameters import Scenario
+from soil_env.readings import SensorReading
 
 #: What a set of readings did to the estimate: nothing; the wheel is elsewhere on a border, and so on other ground; it
 #: completed a point.

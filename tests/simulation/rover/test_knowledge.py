@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.rover_identification import SwingingSlip, errors, record, scenario_of
-from soil_env.simulation.rover.simulation import RoverSimulation
-from soil_env.simulation.rover.worlds import rover_numbers
-from soil_env.simulation.worlds import STEP
+from soil_env.driving.rover_estimator import rover_estimator_numbers
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import STEP
+from soil_env.simulation.rover.task import rover_task_numbers
 from soil_env.vehicle import load_rover
 
 FRICTION_AND_COHESION = [0, 3]
@@ -71,5 +72,6 @@ def test_one_rover_and_many_know_the_same():
 @pytest.mark.parametrize(("action", "read"), [("torque", True), ("wheel_speed", False), ("rim_acceleration", False)])
 def test_the_torque_of_a_speed_loop_is_no_reading_of_the_soil(action, read):
     scenario = load_rover("mars_rover", {"control": {"action": action}})
-    noise = rover_numbers(scenario, "blind").identifier.filter.noise[8]
+    task = rover_task_numbers(scenario, "identified")
+    noise = rover_estimator_numbers(scenario, task).identifier.filter.noise[8]
     assert (noise < scenario.weight * scenario.wheel.radius) == read

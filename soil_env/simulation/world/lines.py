@@ -14,7 +14,7 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.random_streams import between, normal_pair, uniform
-from soil_env.simulation.passability import draw_soil, margin_between, scattered, steepest
+from soil_env.simulation.world.passability import draw_soil, margin_between, scattered, steepest
 from soil_env.terramechanics.ground import row_soil
 
 _REDRAWS = 30

@@ -1,4 +1,4 @@
-"""What the rover's environments tell beside the observation: `info`, for one rover and for many."""
+"""Info of the environments of a rover, for one rover and for many."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from soil_env.driving.infos import IMMOBILISED, STATUS, STUCK, asks, estimates, masked
+from soil_env.driving.rovers import RoverSimulation
 from soil_env.identification import Status
-from soil_env.simulation.infos import IMMOBILISED, STATUS, STUCK, checked, estimates, masked
-from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import REWARD_TERMS, Cause
 
@@ -21,7 +21,7 @@ class RoverInfos:
     """Infos of the rovers of one `RoverSimulation`, of a `kind` of `infos.INFOS`."""
 
     def __init__(self, simulation: RoverSimulation, kind: str) -> None:
-        self.kind: str = checked(kind)
+        self.kind: str = kind
         self._simulation = simulation
         self._axles = axle_names(simulation.scenario.axles)
 
@@ -40,12 +40,18 @@ class RoverInfos:
             "reward_terms": dict(zip(REWARD_TERMS, terms, strict=True)),
             "state": {name: w.rovers.body[name].item(j) for name in _OF_BODY},
         }
-        identified = estimates(w.known, self._simulation.scenario)
+        identified = self._estimates()
         for axle, k in zip(self._axles, self._simulation.wheels[j].tolist(), strict=True):
-            state = {name: w.rovers.wheels[name].item(k) for name in _OF_WHEEL}
-            known = {name: values.item(k) for name, values in identified.items()}
-            full[axle] = {"state": state, "estimate": known | {"status": STATUS[int(known["status"])]}}
-        return full if self.kind == "full" else _numeric(full)
+            full[axle] = {"state": {name: w.rovers.wheels[name].item(k) for name in _OF_WHEEL}}
+            if identified:
+                known = {name: values.item(k) for name, values in identified.items()}
+                full[axle]["estimate"] = known | {"status": STATUS[int(known["status"])]}
+        return full if self.kind != "numeric" else _numeric(full)
+
+    def _estimates(self) -> dict[str, np.ndarray]:
+        """Estimates of the soil under each wheel, arrays [wheels]; empty if this kind of info does not ask for them."""
+        w = self._simulation.worlds
+        return estimates(w.known, self._simulation.scenario) if asks(self.kind) and w.known is not None else {}
 
     def many(self) -> dict[str, Any]:
         """Info of all rovers, arrays [rovers]; causes and statuses are numbers."""
@@ -58,13 +64,12 @@ class RoverInfos:
             return info | {"x": w.rovers.body["x"].copy()} | {f"reward_{n}": v for n, v in terms.items()}
         info["reward_terms"] = terms
         info["state"] = {name: w.rovers.body[name].copy() for name in _OF_BODY}
-        known = estimates(w.known, self._simulation.scenario)
+        known = self._estimates()
         for axle, rows in zip(self._axles, self._simulation.wheels.T, strict=True):
-            info[axle] = {
-                "state": {name: w.rovers.wheels[name][rows] for name in _OF_WHEEL},
-                "estimate": {name: values[rows] for name, values in known.items()},
-            }
-        return info if self.kind == "full" else _flat(info)
+            info[axle] = {"state": {name: w.rovers.wheels[name][rows] for name in _OF_WHEEL}}
+            if known:
+                info[axle]["estimate"] = {name: values[rows] for name, values in known.items()}
+        return info if self.kind != "numeric" else _flat(info)
 
     def final(self, ended: np.ndarray) -> dict[str, Any]:
         """Info of the rovers that have `ended` [rovers], 0 for all others, and beside each key `_key` with them."""

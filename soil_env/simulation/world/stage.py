@@ -15,8 +15,8 @@ from soil_env._numba.elementary import below, chosen, half_sin_cos, larger, sine
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import Rows, rows, scratch_rows
 from soil_env.parameters import SoilState
-from soil_env.simulation.terrain import ground_at, rut_factor
-from soil_env.simulation.wheel import axle_of, course_of
+from soil_env.simulation.world.terrain import ground_at, rut_factor
+from soil_env.simulation.world.wheel import axle_of, course_of
 from soil_env.terramechanics.arc_integrals import (
     NODE_COLUMNS,
     ArcFrame,

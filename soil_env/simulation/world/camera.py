@@ -1,7 +1,7 @@
-"""The camera: which terrain class the wheel is on, and class, grade and distance of the lines of the patch ahead.
+"""Camera: terrain class under the wheel, and class, grade and distance of the lines of the patch ahead.
 
-Label and grade of a line are wrong in the same way in every image (`lines._draw_looks`), so that looking longer tells
-no more of them. The distance of a border has an error of that kind and one that is new in every image.
+Label and grade of a line are wrong in the same way in every image (`lines._draw_looks`), so that they do not average
+out. The distance of a border has an error of that kind and one that is new in every image.
 """
 
 from __future__ import annotations
@@ -10,10 +10,8 @@ from typing import NamedTuple
 
 from soil_env._numba.compiling import inlined
 from soil_env._numba.random_streams import normal_pair
-from soil_env.identification.online.class_memory import PULL
-from soil_env.identification.online.immobilisation import View
 from soil_env.parameters import Scenario
-from soil_env.simulation.lines import choosing, settled
+from soil_env.simulation.world.lines import choosing, settled
 
 
 class CameraNumbers(NamedTuple):
@@ -32,6 +30,23 @@ class Sight(NamedTuple):
     patch: int  # that the wheel seems to be on
     since: float  # [m] from the beginning of it
     left: float  # [m] to its end
+
+
+class Image(NamedTuple):
+    """Numbers of an image, as `write_image` stores them; those of the lines mean something only if `seen`."""
+
+    patch: float  # as in `Sight`
+    since: float
+    left: float
+    here: float  # label of the ground under the wheel
+    seen: float  # 1 if the patch ahead is in sight
+    chosen: float  # 1 if there is no choice of a line any more
+    count: float  # lines over the patch ahead
+    taken: float  # line that the wheel is on the way to
+    label_0: float
+    label_1: float
+    grade_0: float  # [rad]
+    grade_1: float
 
 
 def camera_numbers(scenario: Scenario) -> CameraNumbers:
@@ -73,23 +88,22 @@ def seen_grade(courses, k, patch, line):
 
 
 @inlined
-def way_ahead(state, k, courses, memory, sight, camera):
-    """The `View` of wheel k, for the warning of immobilisation: of its class here, and of the lines ahead."""
-    here, ahead = label_here(courses, k, sight), patch_ahead(courses, k, sight, camera)
+def write_image(out, state, k, courses, sight, camera):
+    """Fill `out` with the `Image` of wheel k, for what identifies the ground on board."""
+    lines, ahead = courses.lines, patch_ahead(courses, k, sight, camera)
     patch = max(ahead, 0)
-    line = courses.lines.taken[k, patch]
-    a, b = courses.lines.labels[k, patch, line], courses.lines.labels[k, patch, 1 - line]
-    return View(
-        sight.since, min(sight.left, camera.sight), memory.estimate[k, here, PULL], float(memory.patches[k, here]),
-        ahead >= 0, settled(state, k, courses, patch),
-        seen_grade(courses, k, patch, line), memory.estimate[k, a, PULL], float(memory.patches[k, a]),
-        seen_grade(courses, k, patch, 1 - line), memory.estimate[k, b, PULL], float(memory.patches[k, b]),
-    )  # fmt: skip
+    out[0], out[1], out[2] = sight.patch, sight.since, sight.left
+    out[3] = label_here(courses, k, sight)
+    out[4] = 1.0 if ahead >= 0 else 0.0
+    out[5] = 1.0 if settled(state, k, courses, patch) else 0.0
+    out[6], out[7] = lines.count[k, patch], lines.taken[k, patch]
+    out[8], out[9] = lines.labels[k, patch, 0], lines.labels[k, patch, 1]
+    out[10], out[11] = seen_grade(courses, k, patch, 0), seen_grade(courses, k, patch, 1)
 
 
 @inlined
 def write_view(out, state, counts, k, courses, sight, camera):
-    """Fill `out` with what is seen: distance, class here, and grade and class of each line ahead; how many numbers."""
+    """Fill `out` with distance, class here, and grade and class of each line ahead; return the count of numbers."""
     n, ahead = camera.classes, patch_ahead(courses, k, sight, camera)
     out[0] = max(sight.left, 0.0) if ahead >= 0 else camera.sight
     for c in range(n):

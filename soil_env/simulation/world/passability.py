@@ -45,7 +45,7 @@ class CourseDistribution(NamedTuple):
     patch_low: float
     patch_high: float
     border: float
-    ahead: float  # [m] final ground before a wheel: more than it travels in a control period
+    ahead: float  # [m] final ground before a wheel: more than it travels in an action
     grade_low: float  # tangent
     grade_high: float  # tangent
     margin_low: float

@@ -14,11 +14,11 @@ import math
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import part
 from soil_env._numba.random_streams import between, word
 from soil_env.parameters import Scenario
-from soil_env.simulation.lines import draw_classes, draw_patch, repeat_patch
-from soil_env.simulation.passability import (
+from soil_env.simulation.world.lines import draw_classes, draw_patch, repeat_patch
+from soil_env.simulation.world.passability import (
     ClassDistribution,
     CourseDistribution,
     CourseNumbers,
@@ -27,19 +27,19 @@ from soil_env.simulation.passability import (
     margin_between,
     steepest,
 )
-from soil_env.simulation.terrain import cell_at
-from soil_env.simulation.wheel import interaction_of
+from soil_env.simulation.world.terrain import cell_at
+from soil_env.simulation.world.wheel import interaction_of
 from soil_env.terramechanics.ground import row_soil
 from soil_env.terramechanics.model import WheelSoilModel
 
 _MAX_REDRAWS = 30
-_PERIODS_AHEAD = 3.0  # control periods of travel at top rim speed before a wheel within which ground is drawn
+_ACTIONS_AHEAD = 3.0  # actions of travel at top rim speed before a wheel within which ground is drawn
 
 
 def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> CourseNumbers:
     """Pack what `draw_course` needs; `model` brings the effects that are on in this world."""
     c, s, w, camera = scenario.course, scenario.spread, scenario.wheel, scenario.camera
-    ahead = _PERIODS_AHEAD * w.radius * w.no_load_speed * scenario.control.period
+    ahead = _ACTIONS_AHEAD * w.radius * w.no_load_speed * scenario.control.duration
     if c.classes:  # the patch after one in sight is drawn, so that what is seen is final
         ahead += camera.range + c.patch_length[1] + c.border
     if model is not None and model.soil is not None:
@@ -113,13 +113,6 @@ def start_course(k, courses, streams, numbers):
             extend_course(k, courses, mass, numbers.drawn.ahead, numbers)
             return mass
     return -1.0
-
-
-@inlined
-def draw_ahead(k, courses, x, mass, numbers):
-    """Draw what a wheel of `mass` [kg] at x [m] may reach in the next control period, unless it is there already."""
-    if courses.ready[k] < x + numbers.drawn.ahead:
-        extend_course(k, courses, mass, x + numbers.drawn.ahead, numbers)
 
 
 @part

@@ -27,7 +27,7 @@ from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import between
 from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.parameters import Scenario
-from soil_env.simulation.terrain import cell_at, ground_at
+from soil_env.simulation.world.terrain import cell_at, ground_at
 from soil_env.slip import slip_ratio
 from soil_env.terramechanics.effects import NO_EFFECTS, acting, excavation_rate
 from soil_env.terramechanics.model import WheelSoilModel

@@ -17,7 +17,7 @@ from soil_env._numba.compiling import inlined
 from soil_env._numba.elementary import below, chosen, larger, smaller
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
 from soil_env._numba.rows import Rows, copy_column, rows, scratch_rows
-from soil_env.simulation.stage import (
+from soil_env.simulation.world.stage import (
     MANY,
     chosen_reaction,
     load_reaction,

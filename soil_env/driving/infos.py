@@ -1,4 +1,4 @@
-"""What the environments tell beside the observation: `info`, in the same words for one wheel and for many."""
+"""Info of the environments of a wheel, in the same words for one wheel and for many."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall
+from soil_env.driving.wheels import Worlds
 from soil_env.identification import Status
 from soil_env.identification.online.estimate import LEAST_LOAD, published, traversability
 from soil_env.identification.online.immobilisation import HORIZONS, ImmobilisationWarning
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
-from soil_env.simulation.wheel import WheelState
-from soil_env.simulation.worlds import Worlds
+from soil_env.simulation.world.wheel import WheelState
 from soil_env.terramechanics.traversability import best_working_point
 
-#: Values of the keyword `info`: nested, or flat and numbers only; of those all, or what costs next to nothing; nothing.
-INFOS = ("full", "numeric", "short", "none")
+#: Values of the keyword `info`: all groups nested; those that need no estimate; all as flat numbers; what costs next to
+#: nothing; nothing. "full" and "numeric" ask for an estimate of the soil.
+INFOS = ("full", "state", "numeric", "short", "none")
 IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
 STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # by its number
 _TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
@@ -31,11 +32,18 @@ _FORESEEN = tuple(f"immobilised_within_{horizon:g}_s" for horizon in HORIZONS)
 _SEEN = [[e.name for e in layout("blind")].index(name) for name in ("load", "pitch")]
 
 
-def checked(kind: object) -> str:
-    """`kind` if it is one of `INFOS`; ParameterError otherwise."""
+def checked(kind: object, observation: str = "identified") -> str:
+    """`kind` if it is one of `INFOS`, "full" or "state" for None; ParameterError otherwise."""
+    if kind is None:
+        return "full" if observation == "identified" else "state"
     if kind not in INFOS:
         raise ParameterError(f"info = {kind!r}: expected one of {', '.join(map(repr, INFOS))}")
     return str(kind)
+
+
+def asks(kind: str) -> bool:
+    """True if this kind of info asks for an estimate of the soil."""
+    return kind in ("full", "numeric")
 
 
 def flat(nested: Mapping[str, Any]) -> dict[str, Any]:
@@ -72,7 +80,7 @@ class Infos:
         self.scenario: Scenario = scenario
         self.kind: str = checked(kind)
         self._best: Callable[..., Any] = FastCall(best_working_point)
-        self._foresight = ImmobilisationWarning(scenario) if kind != "none" else None
+        self._foresight = ImmobilisationWarning(scenario)
         self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate last changed
         self._stale = np.ones(wheels, dtype=np.bool_)
         self._warnings = np.zeros((wheels, len(_WARNING)))
@@ -97,28 +105,21 @@ class Infos:
                 **dict(zip(_TERMS, worlds.terms[k].copy(), strict=True)),
             }
         state = worlds.state.data[:, k].tolist()
-        warning = dict(zip(_WARNING, self._warning(worlds, k).tolist(), strict=True))
-        full = {
+        info = {
             "cause": cause.name,
             "immobilised": cause in IMMOBILISED,
             "reward_terms": dict(zip(REWARD_TERMS, worlds.terms[k].tolist(), strict=True)),
-            "estimate": {
-                **published(
-                    worlds.ids.estimate[k].tolist(),
-                    worlds.ids.sd[k].tolist(),
-                    worlds.ids.best_pull[k].tolist(),
-                    self.scenario.belief.dig_gain,
-                ),
-                "status": STATUS[worlds.ids.status.item(k)],
-            },
-            "traversability": {
-                **warning,
-                "passable": warning["passable"] > 0.0,
-                **dict(zip(_FORESEEN, self._foreseen(worlds, np.array([k], dtype=np.intp))[0].tolist(), strict=True)),
-            },
-            "state": {name: state[row] for name, row in zip(_STATE, _ROWS, strict=True)},
         }
-        return full if self.kind == "full" else _numbers(flat(full))
+        if asks(self.kind):
+            ids, gain = worlds.ids, self.scenario.belief.dig_gain
+            known = published(ids.estimate[k].tolist(), ids.sd[k].tolist(), ids.best_pull[k].tolist(), gain)
+            info["estimate"] = known | {"status": STATUS[ids.status.item(k)]}
+            warning = dict(zip(_WARNING, self._warning(worlds, k).tolist(), strict=True))
+            foreseen = self._foreseen(worlds, np.array([k], dtype=np.intp))[0].tolist()
+            info["traversability"] = warning | {"passable": warning["passable"] > 0.0}
+            info["traversability"] |= dict(zip(_FORESEEN, foreseen, strict=True))
+        info["state"] = {name: state[row] for name, row in zip(_STATE, _ROWS, strict=True)}
+        return info if self.kind != "numeric" else _numbers(flat(info))
 
     def _foreseen(self, worlds: Worlds, rows: np.ndarray) -> np.ndarray:
         """Probabilities [n, 2] of immobilisation within `HORIZONS` of the wheels `rows` [n]."""
@@ -146,32 +147,34 @@ class Infos:
         info = {"cause": worlds.cause.copy(), "immobilised": STUCK[worlds.cause]}
         if self.kind == "short":
             return info | {"x": worlds.state["x"].copy()} | dict(zip(_TERMS, terms.values(), strict=True))
-        full = info | {"reward_terms": terms} | self._groups(worlds, np.ones(worlds.cause.size, dtype=np.bool_))
-        return full if self.kind == "full" else flat(full)
+        full = info | {"reward_terms": terms}
+        full |= self._groups(worlds, np.ones(worlds.cause.size, dtype=np.bool_), asks(self.kind))
+        return full if self.kind != "numeric" else flat(full)
 
     def final(self, worlds: Worlds, ended: np.ndarray) -> dict[str, Any]:
-        """Info of the wheels that have `ended` [wheels] bool before they are reset, 0 for all others: that of `kind`,
-        and the groups of "full"."""
+        """Info of the wheels that have `ended` [wheels] bool before they are reset, 0 for all others.
+
+        It is that of `kind`, with the groups of "full" if something is identified, else of "state".
+        """
         info = self.many(worlds)
         info["reward_terms"] = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
-        info |= {"x": worlds.state["x"].copy()} | self._groups(worlds, ended)
+        identified = worlds.recent is not None and len(worlds.recent) > 0
+        info |= {"x": worlds.state["x"].copy()} | self._groups(worlds, ended, identified)
         return masked(info, ended)
 
-    def _groups(self, worlds: Worlds, which: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
-        """estimate, traversability and state, arrays [wheels]; traversability only of `which`."""
+    def _groups(self, worlds: Worlds, which: np.ndarray, identified: bool) -> dict[str, dict[str, np.ndarray]]:
+        """estimate and traversability, if `identified`, and state, arrays [wheels]; traversability only of `which`."""
+        groups = {"state": {name: worlds.state[name].copy() for name in _STATE}}
+        if not identified:
+            return groups
         for k in np.flatnonzero(which & self._stale):
             self._warning(worlds, int(k))
-        estimate = estimates(worlds.ids, self.scenario)
         warning = dict(zip(_WARNING, self._warnings.T.copy(), strict=True))
         warning["passable"] = warning["passable"] > 0.0
         foreseen, rows = np.zeros((which.size, len(HORIZONS))), np.flatnonzero(which)
         foreseen[rows] = self._foreseen(worlds, rows)
         warning |= dict(zip(_FORESEEN, foreseen.T.copy(), strict=True))
-        return {
-            "estimate": estimate,
-            "traversability": warning,
-            "state": {name: worlds.state[name].copy() for name in _STATE},
-        }
+        return {"estimate": estimates(worlds.ids, self.scenario), "traversability": warning, **groups}
 
 
 def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:

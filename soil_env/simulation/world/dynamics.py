@@ -23,9 +23,9 @@ from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import below, chosen, larger, smaller, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import scratch_rows
-from soil_env.simulation.lines import choosing, plan_halt, take_line
-from soil_env.simulation.newton import TOLERANCE, solve_speeds
-from soil_env.simulation.stage import (
+from soil_env.simulation.world.lines import choosing, plan_halt, take_line
+from soil_env.simulation.world.newton import TOLERANCE, solve_speeds
+from soil_env.simulation.world.stage import (
     GAMMA,
     LEAD,
     MANY,
@@ -41,8 +41,8 @@ from soil_env.simulation.stage import (
     set_up,
     soil_in_lanes,
 )
-from soil_env.simulation.terrain import COMPACTION, cell_after, leave_rut
-from soil_env.simulation.wheel import (
+from soil_env.simulation.world.terrain import COMPACTION, cell_after, leave_rut
+from soil_env.simulation.world.wheel import (
     SHALLOWEST,
     bearing_sinkage,
     commanded,
