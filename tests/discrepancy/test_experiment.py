@@ -12,7 +12,6 @@ from soil_env.discrepancy.experiment import (
     DEEPEST,
     LEAST,
     SLIPS,
-    conditions,
     next_tests,
     separating,
 )
@@ -149,35 +148,6 @@ def test_a_buried_wheel_is_no_test(case):
             assert plain.sinkage[0] < DEEPEST * WHEEL.radius
     heavy = WheelSoilModel(WHEEL, model(soft[0]).soil).predict({"slip": 0.1, "load": 300.0})
     assert heavy.sinkage[0] > DEEPEST * WHEEL.radius
-
-
-def test_grid_has_what_a_candidate_knows():
-    p, candidates = rivals({}, ("penetration_rate", "multipass", "grade", "bulldozing"))
-    known = {c.names[0]: conditions(p, [c]).value for c in candidates}
-    assert np.unique(known["penetration_rate"]["speed"]) == pytest.approx([0.018, 0.06, 0.18])
-    assert set(known["multipass"]["pass"]) == {1.0, 2.0, 3.0}
-    assert set(known["grade"]["grade_deg"]) == {-10.0, 0.0, 10.0}
-    assert set(np.unique(known["bulldozing"]["load"])) == {50.0, 100.0, 150.0, 220.0, 440.0}
-    for name in ("speed", "pass", "grade_deg"):
-        assert len(set(known["bulldozing"][name])) == 1
-
-
-def test_speed_that_is_not_known_is_not_asked_for(case):
-    p, candidates = case
-    p = copy.copy(p)
-    rows = p.data.rows
-    p.data = dataclasses.replace(p.data, rows=rows._replace(conditions=rows.conditions * [0.0, 1.0, 1.0]))
-    assert all("speed" not in t.conditions for t in separating(p, candidates))
-
-
-def test_channel_that_was_not_measured_is_not_asked_for(case):
-    p, candidates = case
-    first = separating(p, candidates)[0].channel
-    p = copy.copy(p)
-    p.used = p.used.copy()
-    p.used[:, CHANNELS.index(first)] = False
-    tests = separating(p, [settle(p, c.fit.choices) for c in candidates])
-    assert all(t.channel != first for t in tests)
 
 
 def test_who_is_left():

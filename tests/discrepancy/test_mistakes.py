@@ -2,7 +2,6 @@
 
 import csv
 import dataclasses
-import json
 import re
 
 import numpy as np
@@ -94,26 +93,11 @@ def test_a_channel_that_is_dead_or_in_kilonewtons_is_said_and_nothing_else_of_it
     assert words in said
 
 
-def test_a_wheel_that_climbs_freely_has_no_dead_pull(tmp_path):
-    text = table_text({}, grade_deg=(5.0, 12.0))
-    lines = list(csv.reader(text.splitlines()))
-    k = lines[0].index("drawbar_pull")
-    free = "\n".join(",".join("0.0" if i == k else x for i, x in enumerate(line)) for line in lines[1:]) + "\n"
-    assert not any("in every row" in said for said in examined(tmp_path, ",".join(lines[0]) + "\n" + free))
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_sinkage_alone_does_not_tell_the_sign_of_the_slip(tmp_path, seed):
     """Slip-sinkage may raise it with slip, and the base model lets it fall."""
     text = table_text({"slip_sinkage": {"gain": 4.0, "apparent": 1.0}}, channels=("sinkage",), seed=seed)
     assert examined(tmp_path, text, SETUP.replace(", drawbar_pull: 0.8, torque: 0.1", "")) == ()
-
-
-def test_one_grade_that_could_be_radians_is_doubted(tmp_path):
-    lines = table_text({}).splitlines()
-    for grade, doubts in ((0.6458, ("grade_deg = 0.6458 is 37 degrees in radians: expected degrees.",)), (0.65, ())):
-        rows = [f"{row},{grade if k % 2 else 0}" for k, row in enumerate(lines[1:])]
-        assert examined(tmp_path, "\n".join([lines[0] + ",grade_deg", *rows]) + "\n") == doubts
 
 
 def test_a_diameter_for_the_radius_is_told(tmp_path):
@@ -140,19 +124,6 @@ def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
     assert re.match("drawbar_pull falls with slip in every group of rows that differ", mistakes._pull_falls(problem))
     problem.data.rows.slip[:] = slip * 0.5 + 0.3  # nothing is known of low slip
     assert mistakes._pull_falls(problem) == ""
-
-
-def test_doubts_come_first_everywhere(tmp_path, capsys):
-    from soil_env.discrepancy.__main__ import main
-
-    data, setup = write_files(tmp_path, changed(table_text({}, loads=(100, 200)), "torque", 1 / 9.81))
-    out = tmp_path / "out"
-    assert main([str(data), "--setup", str(setup), "--out", str(out)]) == 0
-    shown = capsys.readouterr().out
-    assert shown.index("With torque as") < re.search(r"\b(unlisted|named|ambiguous|none)\b", shown).start()
-    report = json.loads((out / "report.json").read_text())
-    assert report["cautions"][: len(report["check_first"])] == report["check_first"] != []
-    assert "kilogram metres" in report["check_first"][0]
 
 
 def test_a_load_in_kilograms_is_doubted_whatever_the_soil(tmp_path):

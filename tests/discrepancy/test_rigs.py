@@ -158,12 +158,6 @@ def test_both_commands_fit_the_same_rig(tmp_path):
     assert np.ptp(width) > 0.0 and np.ptp(b) > 0.0
 
 
-def test_the_number_of_lugs_sets_the_scale_of_their_blades(tmp_path):
-    count = SETUP.replace("grouser_height: 0.01", "grouser_height: 0.01, grouser_count: 18")
-    sd, low, high = calibrate(data_of(tmp_path, two_wheels(), count))[0].scales["grousers_blades"]
-    assert sd == pytest.approx(18 / (2.0 * math.pi)) and low == 0.0 and high == pytest.approx(2.0 * sd)
-
-
 def test_slip_by_the_lug_tips_is_that_of_the_rim_in_the_fit(tmp_path):
     setup = SETUP + "slip_reference: tip\n"
     data = data_of(tmp_path, two_wheels(), setup)

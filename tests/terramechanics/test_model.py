@@ -61,15 +61,6 @@ def test_prediction_is_row_by_row():
         assert tuple(stacked(found)[k]) == pytest.approx(expected[:3], rel=1e-12)
 
 
-def test_scalars_count_for_every_row():
-    found = MODEL.predict(conditions(4, **{"pass": 2}))
-    assert found.sinkage.shape == found.drawbar_pull.shape == found.torque.shape == (4,)
-    full = MODEL.predict(conditions(4, load=np.full(4, 90.0), speed=[0.1] * 4, **{"pass": [2] * 4}))
-    np.testing.assert_array_equal(stacked(found), stacked(full))
-    one = MODEL.predict({"slip": 0.2, "load": 90.0, "speed": 0.1, "pass": 2})
-    assert one.sinkage == pytest.approx(found.sinkage[1]) and one.sinkage.shape == (1,)
-
-
 def test_what_is_not_given_is_level_fresh_soil_and_the_wheel_of_the_model():
     plain = WheelSoilModel(WHEEL, SOIL)
     found = plain.predict({"slip": 0.3, "load": 90.0})
@@ -92,13 +83,6 @@ def test_a_row_may_have_another_wheel(soil):
     for k, wheel in enumerate((WHEEL, ModelWheel(0.2, 0.06, 0.01))):
         assert tuple(stacked(found)[k]) == pytest.approx(single(model, 0.3, 90.0, wheel)[:3], rel=1e-12)
     assert found.sinkage[1] > found.sinkage[0]
-
-
-def test_lugs_of_the_row():
-    model = WheelSoilModel(WHEEL, SOIL, {"grousers": {"blades": 4.0}})
-    pull = model.predict({"slip": 0.3, "load": 90.0, "grouser_height": [0.0, 0.01, 0.02]}).drawbar_pull
-    assert pull[0] == pytest.approx(WheelSoilModel(WHEEL, SOIL).predict({"slip": 0.3, "load": 90.0}).drawbar_pull[0])
-    assert pull[2] > pull[1] > pull[0]
 
 
 def test_a_table_and_a_mapping_predict_the_same(tmp_path):
@@ -169,13 +153,6 @@ def test_residual_terms_are_added():
     bearing = 9e5 * 0.12 * 0.15**1.9
     assert found.drawbar_pull == pytest.approx(plain.drawbar_pull - 90.0 * 0.05 * 2.0 * 90.0 / bearing)
     assert found.torque == pytest.approx(plain.torque + 90.0 * 0.15 * 0.02)
-
-
-def test_the_sinkage_of_a_term_is_that_of_the_model():
-    term = ResidualTerm("drawbar_pull", 0.1, {"sinkage": 1.0})
-    plain = MODEL.predict(conditions())
-    found = WheelSoilModel(WHEEL, SOIL, EFFECTS, (term,)).predict(conditions())
-    assert found.drawbar_pull == pytest.approx(plain.drawbar_pull + 90.0 * 0.1 * plain.sinkage / 0.15)
 
 
 # --- model.yaml -------------------------------------------------------------------------------------------------------

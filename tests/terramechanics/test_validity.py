@@ -10,7 +10,7 @@ import pytest
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Soil
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, load_model
-from soil_env.terramechanics.validity import OutsideValidity, checked, seen
+from soil_env.terramechanics.validity import OutsideValidity, checked
 
 SOIL = Soil(friction_angle_deg=31.0, cohesion=3500.0, shear_modulus=0.028, sinkage_coefficient=740000.0,
             sinkage_exponent=0.6)  # fmt: skip
@@ -35,16 +35,6 @@ def test_it_survives_saving_and_loading(tmp_path, model):
     again.save(tmp_path / "again.yaml")
     assert (tmp_path / "again.yaml").read_bytes() == (tmp_path / "model.yaml").read_bytes()
     assert pickle.loads(pickle.dumps(model)) == model
-
-
-def test_files_without_it_still_load(tmp_path, model):
-    replace(model, validity={}).save(tmp_path / "old.yaml")
-    assert "validity" not in (tmp_path / "old.yaml").read_text()
-    old = WheelSoilModel.load(tmp_path / "old.yaml")
-    assert old.validity == {}
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        old.predict({"slip": 0.9, "load": 900})
 
 
 @pytest.mark.parametrize(
@@ -86,15 +76,6 @@ def test_what_is_no_range_is_refused(validity, message):
         checked(validity)
     with pytest.raises(ParameterError, match=message):
         WheelSoilModel.from_content({"wheel": {"radius": 0.15, "width": 0.1}, "validity": validity})
-
-
-def test_the_range_of_rows():
-    rows = np.array([[0.05, 1, np.sin(np.radians(-5))], [0.1, 2, np.sin(np.radians(5))]])
-    found = seen(np.array([0.1, 0.3]), np.array([100.0, 150.0]), rows)
-    assert found["grade_deg"] == (-5.0, 5.0) and found["pass"] == (1.0, 2.0)
-
-    rows[:, 0] = 0.0  # not given
-    assert "speed" not in seen(np.array([0.1, 0.3]), np.array([100.0, 150.0]), rows)
 
 
 @pytest.mark.parametrize("path", [3, ""])
