@@ -19,7 +19,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.calibrate import calibrate
 from soil_env.discrepancy.data import prepare
-from soil_env.discrepancy.mistakes import examine
+from soil_env.discrepancy.doubts import of_table
 from soil_env.measurement.table import MEASURED, NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_table
 from soil_env.parameters import Soil, soils
 from soil_env.terramechanics.effects import CATALOGUE
@@ -159,6 +159,6 @@ def check_first(t: Sound) -> tuple[str, ...]:
         rows = np.stack([t.columns[name] for name in names], axis=1)
         np.savetxt(path, rows, delimiter=",", header=",".join(names), comments="", fmt="%.7g")
         try:
-            return examine(calibrate(prepare(read_table(path, t.setup.wheel), t.setup))[0])
+            return of_table(calibrate(prepare(read_table(path, t.setup.wheel), t.setup))[0])
         except ParameterError as error:
             return (str(error),)

@@ -66,7 +66,7 @@ BAD = {
     "too few to tell the noise": (
         table_text({}, loads=(100,), slips=(0.1, 0.3, 0.5)),
         SETUP.split("noise:")[0],
-        r"noise of sinkage: cannot be told from 3 values",
+        r"noise of sinkage: cannot be estimated from 3 values",
     ),
 }
 

@@ -11,8 +11,8 @@ from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import run
 from soil_env.discrepancy.calibrate import calibrate
 from soil_env.discrepancy.data import WHEEL, folds, prepare
-from soil_env.discrepancy.experiment import conditions
 from soil_env.discrepancy.locate import boxes
+from soil_env.discrepancy.next_tests import conditions
 from soil_env.discrepancy.noise import smooth_basis
 from soil_env.discrepancy.report.pictures import groups
 from soil_env.discrepancy.workflow import model_of
@@ -63,7 +63,7 @@ def test_wheels_are_a_condition(tmp_path):
     assert any(set(limit) == {"grouser_height"} for limit in boxes(problem).limits)
     grid = conditions(problem, ())
     wheels = np.unique(np.stack([grid.value[name] for name in WHEEL], axis=1), axis=0)
-    assert np.array_equal(wheels, np.unique(data.rows.wheels, axis=0)) and "grouser_height" in grid.told
+    assert np.array_equal(wheels, np.unique(data.rows.wheels, axis=0)) and "grouser_height" in grid.asked
 
 
 def test_sizes_that_change_together_are_one_condition(tmp_path):

@@ -1,4 +1,4 @@
-"""Signs and units: a table that is read wrongly is refused or said to be so before anything else."""
+"""Signs, units and lone rows: a table that is read wrongly is refused, or doubted before anything else."""
 
 import csv
 import dataclasses
@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy import calibrate, mistakes
+from soil_env.discrepancy import calibrate, doubts
 from soil_env.discrepancy.data import prepare
+from soil_env.discrepancy.search import search
 from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.table import Prior, Setup, SetupWheel, SoilPriors, read_setup, read_table
-from tests.discrepancy.files import SETUP, table_text, write_files
+from tests.discrepancy.files import PLANTED, SETUP, table_text, write_files
 from tests.discrepancy.sound_tables import MISTAKES, check_first, sound_tables
 
 WEAK = SETUP.replace("{value: 3700, sd: 700}", "{value: 3500, sd: 100}")
@@ -30,7 +31,7 @@ def changed(text: str, name: str, factor: float) -> str:
 def examined(folder, text, setup=SETUP):
     data, setup = write_files(folder, text, setup)
     setup = read_setup(setup)
-    return mistakes.examine(calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))[0])
+    return doubts.of_table(calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))[0])
 
 
 @pytest.mark.parametrize("effects", [{}, {"slip_sinkage": {"gain": 1.5}}, {"grousers": {"shear_share": 1.0}}])
@@ -116,14 +117,14 @@ def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
     data, setup = write_files(tmp_path, table_text({}), SETUP)
     setup = read_setup(setup)
     problem = calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))[0]
-    assert mistakes._pull_falls(problem) == "" and mistakes._beyond_strength(problem) == ""
+    assert doubts._pull_falls(problem) == "" and doubts._beyond_strength(problem) == ""
     pull, slip = problem.data.y[:, 1], problem.data.rows.slip
     pull[:] = 40.0 - 200.0 * (slip - 0.2) ** 2  # rises, then falls, above 0
-    assert mistakes._pull_falls(problem) == ""
+    assert doubts._pull_falls(problem) == ""
     pull[:] = 20.0 - 100.0 * slip
-    assert re.match("drawbar_pull falls with slip in every group of rows that differ", mistakes._pull_falls(problem))
+    assert re.match("drawbar_pull falls with slip in every group of rows that differ", doubts._pull_falls(problem))
     problem.data.rows.slip[:] = slip * 0.5 + 0.3  # nothing is known of low slip
-    assert mistakes._pull_falls(problem) == ""
+    assert doubts._pull_falls(problem) == ""
 
 
 def test_a_load_in_kilograms_is_doubted_whatever_the_soil(tmp_path):
@@ -162,3 +163,43 @@ def test_sound_tables_are_rarely_doubted():
     assert sum(bool(check_first(t)) for t in tables) < 8
     wrong = [MISTAKES["load in kilograms"](t) for t in tables[:20]]
     assert sum(bool(check_first(t)) for t in wrong) >= 17
+
+
+# --- rows that stand alone --------------------------------------------------------------------------------------------
+
+LOADS = (100, 120, 150, 180, 220)
+
+
+def said(folder, text):
+    data, setup = write_files(folder, text)
+    setup = read_setup(setup)
+    problem, noise = calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))
+    return doubts.of_lone_rows(problem, noise, search(problem), lambda text: None), noise
+
+
+def with_slip(text: str, line: int, slip: str) -> str:
+    """The table with another slip in a line of the file; the second column is slip."""
+    lines = text.splitlines()
+    cells = lines[line - 1].split(",")
+    lines[line - 1] = ",".join([cells[0], slip, *cells[2:]])
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("effects", [{}, PLANTED])
+def test_a_table_whose_rows_check_each_other_raises_no_doubt(tmp_path, effects):
+    found, noise = said(tmp_path, table_text(effects, LOADS))
+    assert found == () and not noise.alone.any()
+
+
+def test_a_mistyped_slip_that_decides_is_told(tmp_path):
+    found, noise = said(tmp_path, with_slip(table_text(PLANTED, LOADS), 5, "1.0"))
+    assert noise.alone.tolist().count(True) == 1 and noise.alone[3]
+    (doubt,) = found
+    assert doubt.startswith("Line 5 (slip 1, load 100 N) stands alone") and "without it that is slip-sinkage." in doubt
+
+
+def test_a_row_that_stands_alone_and_is_right_raises_no_doubt(tmp_path):
+    """A run at a slip of its own, of the same wheel."""
+    rows, alone = table_text(PLANTED, LOADS), table_text(PLANTED, (150,), (0.95,), seed=1).splitlines()[1]
+    found, noise = said(tmp_path, rows + alone + "\n")
+    assert noise.alone[-1] and found == ()
