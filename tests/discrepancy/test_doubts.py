@@ -13,8 +13,8 @@ from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.search import search
 from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.table import Prior, Setup, SetupWheel, SoilPriors, read_setup, read_table
+from tests.discrepancy import sound_tables as sound
 from tests.discrepancy.files import PLANTED, SETUP, table_text, write_files
-from tests.discrepancy.sound_tables import MISTAKES, check_first, sound_tables
 
 WEAK = SETUP.replace("{value: 3700, sd: 700}", "{value: 3500, sd: 100}")
 
@@ -159,10 +159,9 @@ def kilograms(table):
 
 def test_sound_tables_are_rarely_doubted():
     """Of 60 sound tables of many wheels and soils at most 1 in 20 (8 of 60 has probability 0.01 at 1 in 20)."""
-    tables = list(sound_tables(60, 11))
-    assert sum(bool(check_first(t)) for t in tables) < 8
-    wrong = [MISTAKES["load in kilograms"](t) for t in tables[:20]]
-    assert sum(bool(check_first(t)) for t in wrong) >= 17
+    tables = list(sound.sound_tables(60, 11))
+    assert sum(bool(sound.doubts(t)) for t in tables) < 8
+    assert sum(bool(sound.doubts(sound.in_kilograms(t))) for t in tables[:20]) >= 17
 
 
 # --- rows that stand alone --------------------------------------------------------------------------------------------
