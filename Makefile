@@ -31,7 +31,7 @@ TEST_READY := $(VENV)/.installed-test
 DOCS_READY := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
-.PHONY: help train test checks lint types format environment kernels docs dist clean
+.PHONY: help train test checks lint types format environment kernels docs dist bench clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
@@ -66,7 +66,7 @@ types: $(TEST_READY)  ## whether every public name of soil_env has a complete ty
 environment: $(TEST_READY)  ## only .venv with the pinned versions, for tests one by one
 
 kernels: $(BASE_READY)  ## compile what most tests use, once for all test processes
-	$(PY) -m soil_env.cli warmup
+	$(PY) -m soil_env.warmup
 
 docs: $(DOCS_READY)  ## build the documentation into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
@@ -74,6 +74,10 @@ docs: $(DOCS_READY)  ## build the documentation into site/; a warning is an erro
 dist: $(TEST_READY)  ## wheel and sdist into dist/
 	$(PIP) install -q --no-compile -c constraints.txt build
 	$(PY) -m build
+
+bench: $(TRAIN_READY)  ## measure speed and calibration of the identifier, renew docs/results
+	$(PY) -m benchmarks.throughput $(ARGS)
+	$(PY) -m benchmarks.identification $(ARGS)
 
 clean:  ## remove .venv, build products and caches; runs/ stays
 	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .import_linter_cache .hypothesis

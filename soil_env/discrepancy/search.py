@@ -30,7 +30,7 @@ ODDS = 0.08
 UNLISTED_ODDS = ODDS * len(CATALOGUE) / 19.0
 #: Log evidences are divided by this. The form errors have assumed shapes and lengths, which no soil keeps to, so that
 #: evidence is less certain than it says (generalised Bayes: Grunwald & van Ommen 2017, Bayesian Anal. 12:1069-1103).
-#: Chosen on cases of the development seed 100901 of `benchmarks.blind`; no command compares temperatures.
+#: Chosen on cases of the development seed 100901 of `benchmarks.discovery`; no command compares temperatures.
 TEMPERATURE = 2.0
 NAMED = 0.5  # probability from which a hypothesis, or a name, is stated
 TOLD = 0.05  # least probability of an alternative

@@ -242,9 +242,8 @@ class Results:
     torques: dict[str, tuple[np.ndarray, np.ndarray]]  # by the load balance, and at a held sinkage
 
 
-def compute(seed: int = 0, full: bool = False) -> Results:
-    """Recompute everything; `full` draws more noise."""
-    draws = 10_000 if full else 1000
+def compute(seed: int = 0, draws: int = 1000) -> Results:
+    """Recompute everything; `draws` of the noise in Table 5."""
     return Results(
         seed,
         draws,

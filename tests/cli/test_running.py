@@ -86,7 +86,7 @@ def test_an_ignored_sigterm_stays_ignored():
 @pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
 def test_a_command_that_is_stopped_writes_nothing(tmp_path, name, status):
     folder = tmp_path / "out"
-    command = [sys.executable, "-m", "soil_env.cli", "paper", "--full", "--out", str(folder)]
+    command = [sys.executable, "-m", "soil_env.cli", "paper", "--draws", "20000", "--out", str(folder)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while not folder.exists() and process.poll() is None:  # made when the work begins
         time.sleep(0.02)

@@ -1,7 +1,8 @@
-"""Sound tables of many wheels and soils, and mistakes of unit and sign in them, for the checks before the search.
+"""Sound tables of many wheels and soils, and mistakes that can be made in them.
 
-Wheels of 0.05 to 0.35 m radius on the soils of configs/soils.yaml; none, one or two effects that the base model lacks;
-smooth errors of 0, 5 or 10 % in what is measured; noise of 0.3 to 2 %; priors that are tight, loose or absent.
+Tables of wheels of 0.05 to 0.35 m on the soils of configs/soils.yaml, with none, one or two effects that the base model
+lacks, smooth errors of 0, 5 or 10 % in the measured values, noise of 0.3 to 2 %, and priors that are tight, loose or
+absent.
 """
 
 import dataclasses
