@@ -91,7 +91,7 @@ def test_load_of_what_is_no_path_is_one_line(path):
     "make, message",
     [
         (lambda m: m.predict(None), "conditions = None: expected a Table or a mapping"),
-        (lambda m: WheelSoilModel(None), "WheelSoilModel: wheel = None: expected a ModelWheel"),
+        (lambda m: WheelSoilModel(None), "WheelSoilModel.wheel = None: expected a ModelWheel"),
         (lambda m: WheelSoilModel(m.wheel, m.soil, {}, None), "residual = None: expected a sequence"),
     ],
 )
