@@ -87,17 +87,6 @@ def refused(folder, capsys, message, *more, out="out"):
     assert names(folder) == before
 
 
-@pytest.mark.parametrize(
-    "out, message", [("data.csv", "is a file: expected a folder"), ("held", r"model\.yaml: is a folder")]
-)
-def test_what_cannot_end_well_is_refused_before_the_work(tmp_path, capsys, monkeypatch, out, message):
-    write_files(tmp_path, TABLE)
-    (tmp_path / "held" / "model.yaml").mkdir(parents=True)
-    monkeypatch.setattr("soil_env.discrepancy.workflow.read_setup", pytest.fail)
-    refused(tmp_path, capsys, message, out=out)
-    assert names(tmp_path / "held") == ["model.yaml"]
-
-
 @pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize(
     "step, error, status",
