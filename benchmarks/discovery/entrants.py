@@ -270,7 +270,7 @@ def bic(data: Path, setup: Path) -> Answer:
 
 
 def best_of(bank: Bank, criterion: Callable[[Fitted], float]) -> Answer:
-    """Return the answer by a criterion: base model, every effect in its best form, and pairs of these with the best effect."""
+    """Return the answer by a criterion: base model, every effect in its best form, and pairs with the best effect."""
     base = bank.fit()
     singles: dict[str, tuple[float, Fitted]] = {}
     for chosen in bank.candidates:
