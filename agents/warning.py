@@ -1,4 +1,4 @@
-"""Train the probability of immobilisation that is shipped in soil_env/identification/immobilisation.json.
+"""Train the probability of immobilisation that is shipped in soil_env/identification/online/immobilisation.json.
 
 Drives of several families of drivers over the scenarios are recorded, and a network learns two hazards from them: to be
 immobilised within 3 s, and within 5 s if not before (discrete hazards, Gensheimer & Narasimhan 2019, PeerJ 7:e6257).
@@ -7,7 +7,7 @@ docs/results/warning.json has what it is worth: area under the ROC curve 0.92, a
 
 Examples:
   python -m agents.warning --out /tmp/w.json --smoke                  a minute, weights without meaning
-  python -m agents.warning --out soil_env/identification/immobilisation.json
+  python -m agents.warning --out soil_env/identification/online/immobilisation.json
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import soil_env
 from soil_env._io.commands import command, command_line, file_path, leave
 from soil_env._io.files import check_outputs, write_json
 from soil_env.env import IMMOBILISED
-from soil_env.identification.immobilisation import (
+from soil_env.identification.online.immobilisation import (
     HORIZONS,
     INPUTS,
     LARGEST,
@@ -249,7 +249,7 @@ def train(courses: int, tuning: int, share: float, epochs: int) -> dict:
     alarm = round(threshold([probabilities(network, found) for found in tests], tests), 4)
     card = {
         "what": f"Probability that the wheel stops for good within {HORIZONS[0]:g} and {HORIZONS[1]:g} s of driving",
-        "command": "python -m agents.warning --out soil_env/identification/immobilisation.json",
+        "command": "python -m agents.warning --out soil_env/identification/online/immobilisation.json",
         "scales": list(SCALES),
         "version": soil_env.__version__,
         "scenarios": list(SCENARIOS),
