@@ -107,9 +107,7 @@ class TrainConfig(OfWorld):
         if self.rover and self.scenario:
             raise FieldError(self, "scenario", f" = {self.scenario!r}: {beside}: the rover's file has its own")
         if self.rover and self.oracle_courses:
-            raise FieldError(
-                self, "oracle_courses", f" = {self.oracle_courses!r}: {beside}: the oracle drives a wheel"
-            )
+            raise FieldError(self, "oracle_courses", f" = {self.oracle_courses!r}: {beside}: the oracle drives a wheel")
         if not self.rover and not self.scenario:
             object.__setattr__(self, "scenario", DEFAULT_SCENARIO)
         if self.oracle_courses is None:

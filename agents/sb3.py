@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from .extras import advice, lacks
+from .cli import lacks_training
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ModuleNotFoundError as error:
-    if lacks(error, "train"):
-        raise ModuleNotFoundError(f"{__name__} needs {advice('train')}", name=error.name) from None
+    if lacks_training(error):
+        raise ModuleNotFoundError(
+            f"{__name__} needs Stable-Baselines3: pip install 'soil_env[train]'", name=error.name
+        ) from None
     raise
 
 from soil_env._io.loading import unknown_value

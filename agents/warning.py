@@ -16,11 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import click
 import numpy as np
 
 import soil_env
-from soil_env._io.commands import command, command_line, file_path, leave
 from soil_env._io.files import check_outputs, write_json
+from soil_env.cli.running import PATH, leave, run
 from soil_env.env import IMMOBILISED
 from soil_env.identification.online.immobilisation import (
     HORIZONS,
@@ -34,7 +35,7 @@ from soil_env.identification.online.immobilisation import (
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause
 
-from .cli import manual_parser
+from .cli import needing_training
 from .controllers import (
     BestSlipIdentified,
     ConstantSpeed,
@@ -46,10 +47,8 @@ from .controllers import (
 )
 from .evaluate.driving import drive
 from .evaluate.warning import KEPT, RELEASE
-from .extras import needing
 from .progress import show
 
-_NAME = f"{__package__}.warning"
 #: Course sets, disjoint from each other and from those of `agents.evaluate`.
 TRAINING_SET, TUNING_SET, TEST_SET = 5_000_011, 6_000_011, 7_000_003
 SCENARIOS = ("two_lines", "mixed", "sticky", "loose_slopes", "field_vehicle")
@@ -263,24 +262,20 @@ def train(courses: int, tuning: int, share: float, epochs: int) -> dict:
     return {"card": card, "alarm": alarm, "inputs": list(INPUTS), **arrays}
 
 
-@command_line(_NAME)
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
-    p = manual_parser(command(_NAME), __doc__)
-    p.add_argument("--out", metavar="FILE", type=file_path, required=True, help="where the weights go")
-    p.add_argument("--smoke", action="store_true", help="every part in a minute, weights without meaning")
-    options = p.parse_args(arguments)
-    path = Path(options.out)
-    check_outputs(path.parent, (path.name,))
-    with needing("train", _NAME):
+@click.command("warning")
+@click.option("--out", type=PATH, metavar="FILE", required=True, help="File of the weights.")
+@click.option("--smoke", is_flag=True, help="Run every part in a minute; the weights mean nothing.")
+def command(out: Path, smoke: bool) -> None:
+    """Train the probability of immobilisation that the package ships."""
+    check_outputs(out.parent, (out.name,))
+    with needing_training():
         import torch
     torch.set_num_threads(1)
-    sizes = {"courses": 12, "tuning": 12, "share": 0.5, "epochs": 2} if options.smoke else {
+    sizes = {"courses": 12, "tuning": 12, "share": 0.5, "epochs": 2} if smoke else {
         "courses": 2400, "tuning": 300, "share": 0.06, "epochs": 10}  # fmt: skip
-    write_json(path, train(**sizes), indent=None)
-    show(f"Written: {path}")
-    return 0
+    write_json(out, train(**sizes), indent=None)
+    show(f"Written: {out}")
 
 
 if __name__ == "__main__":
-    leave(main())
+    leave(run(command, None, "agents.warning"))

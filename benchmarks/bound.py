@@ -20,7 +20,7 @@ from soil_env.identification.online.filter import SLOWEST
 from soil_env.identification.online.soil_prior import depth_of, prior_of_belief
 from soil_env.parameters import Scenario
 from soil_env.readings import sensor_noise
-from soil_env.simulation.task import task_numbers
+from soil_env.simulation.task.rules import task_numbers
 from soil_env.simulation.wheels import new_wheel_worlds
 from soil_env.simulation.world.dynamics import MANY, advance
 from soil_env.simulation.world.wheel import settle_at, world_numbers

@@ -19,7 +19,7 @@ _COMMANDS = {
     "train": (f"{_AGENTS}.train", "Train a PPO agent and compare it with the classical controllers."),
     "evaluate": (f"{_AGENTS}.evaluate.command", "Compare controllers and agents on held-out courses."),
     "tune": (f"{_AGENTS}.tune", "Tune the classical controllers."),
-    "study": (f"{_AGENTS}.study", "Train and compare arms over seeds and scenarios."),
+    "study": (f"{_AGENTS}.study.command", "Train and compare arms over seeds and scenarios."),
     "export": (f"{_AGENTS}.export.command", "Export a trained agent as ONNX with its policy file."),
     "identify": ("soil_env.cli.identify", "Identify a soil from a table of wheel measurements."),
     "discover": ("soil_env.cli.discover", "Name the effect that a wheel-soil model lacks."),

@@ -177,12 +177,12 @@ def _inside_llvm(frame: FrameType | None) -> bool:
 
 
 class WholeNumber(click.ParamType):
-    """A whole number of at least `least`, also written as 1e6."""
+    """A whole number from `least` to `most`, also written as 1e6."""
 
     name = "N"
 
-    def __init__(self, least: int = 0) -> None:
-        self.least = least
+    def __init__(self, least: int = 0, most: int = 10**15) -> None:
+        self.least, self.most = least, most
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
         """Convert text; `click.BadParameter` for anything else."""
@@ -190,8 +190,8 @@ class WholeNumber(click.ParamType):
             number = float(value)
         except ValueError:
             number = -1.0
-        if not (self.least <= number < 1e15 and number == int(number)):
-            self.fail(f"{value!r}: expected a whole number >= {self.least}, below 1e15", param, ctx)
+        if not (self.least <= number <= self.most and number == int(number)):
+            self.fail(f"{value!r}: expected a whole number >= {self.least}, at most {self.most:.0e}", param, ctx)
         return int(number)
 
 

@@ -92,8 +92,8 @@ class _Clock:
         if not self._back:
             return []
         return [
-            f"{self._source}: time goes back {self._back} times, first in {self._first}: {self._left_out} of them, more "
-            f"than {self._gap * 1e-9:g} s (max_gap) late, left out"
+            f"{self._source}: time goes back {self._back} times, first in {self._first}: {self._left_out} of them, "
+            f"more than {self._gap * 1e-9:g} s (max_gap) late, left out"
         ]
 
 
