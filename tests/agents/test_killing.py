@@ -28,7 +28,7 @@ def killed(name, folder, least):
 
 def test_study(tmp_path):
     """TensorBoard's logs and Optuna's journals apart; of a model the weights."""
-    calm, again = killed("study", tmp_path, 10)
+    calm, again = killed("study", tmp_path, 8)
     calm, again = (
         {f: c for f, c in files.items() if "/tensorboard/" not in f and not f.startswith("tuned/")}
         for files in (calm, again)
