@@ -197,7 +197,8 @@ def processes(work: Callable, cells: Iterable, *, workers: int) -> Iterator[tupl
         try:
             while left or running:
                 while left and len(running) < workers:
-                    running[pool.submit(_call, left[0])] = left.popleft()
+                    future = pool.submit(_call, left[0])
+                    running[future] = left.popleft()
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     result = future.result()
                     yield running.pop(future), result

@@ -41,7 +41,7 @@ from ..progress import Bar, show
 from . import contestants, evaluation, report
 from .driving import HELD_OUT_SET, TUNING_SET
 from .evaluation import Evaluation
-from .tuning import trials_in_all, tuned_settings
+from .tuning import tuned_settings
 
 _EPILOG = """further options:
   --changes.KEY VALUE        any key of the scenario, in SI units, as --changes.course.length 20 [m]
@@ -110,31 +110,24 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _evaluation(options, rest: list[str], folder: Path | None) -> Evaluation:
-    """The evaluation of the command line or of a folder, its controllers checked."""
+    """The evaluation of the command line or of a folder, its controllers checked and tuned."""
     if options.resume is None:
         asked = _asked(options, rest)
-        evaluation.check_controllers(asked)
-        return _begin(asked, folder)
-    given = [k for k in _OPTIONS if getattr(options, k) != parser().get_default(k)]
-    if given or rest:
+    elif rest or any(getattr(options, key) != parser().get_default(key) for key in _OPTIONS):
         raise ParameterError(f"--resume takes only the engine; {options.resume} has the rest")
-    asked = cells.load_study(Evaluation, folder)
+    else:
+        asked = cells.load_study(Evaluation, folder)
     evaluation.check_controllers(asked)
-    return _tuned(asked, folder)
+    if options.resume is None:
+        if cells.is_begun(asked, folder, ignored=("tuned",)):
+            asked = cells.load_study(Evaluation, folder)
+        else:
+            cells.save_study(asked, folder)
+    return asked if asked.tuned or not asked.tuning_courses else _tuned(asked, folder)
 
 
-_OPTIONS = (
-    "controllers",
-    "out",
-    "scenario",
-    "model",
-    "courses",
-    "seed",
-    "tuning_courses",
-    "oracle_courses",
-    "block",
-    "resamples",
-)
+_OPTIONS = ("controllers", "out", "scenario", "model", "courses", "seed", "tuning_courses", "oracle_courses", "block",
+            "resamples")  # fmt: skip
 
 
 def _asked(options, rest: list[str]) -> Evaluation:
@@ -142,8 +135,8 @@ def _asked(options, rest: list[str]) -> Evaluation:
     extra = overrides(rest)
     for key in extra:
         if key not in ("changes", "settings"):
-            raise unknown_key(key, [*_OPTIONS, "resume", "engine", "workers", "address", "changes", "settings"],
-                              "command line")  # fmt: skip
+            known = [*_OPTIONS, "resume", "engine", "workers", "address", "changes", "settings"]
+            raise unknown_key(key, known, "command line")
     if options.controllers is None or options.out is None:
         raise ParameterError("expected --controllers and --out, or --resume (see --help)")
     for key in ("changes", "settings"):
@@ -155,6 +148,9 @@ def _asked(options, rest: list[str]) -> Evaluation:
             raise ParameterError(f"--settings.{name}: expected --settings.{name}.KEY VALUE")
     if options.tuning_courses and options.seed == TUNING_SET:
         raise ParameterError(f"--seed {TUNING_SET}: these courses are those that controllers are tuned on")
+    tuning = options.tuning_courses
+    if tuning is None:
+        tuning = min(_TUNING_COURSES, options.courses) if options.seed != TUNING_SET else 0
     scenario = load_scenario(options.scenario, extra.get("changes"), "--changes")
     controllers = contestants.parse(options.controllers, settings)
     with as_options():
@@ -165,40 +161,19 @@ def _asked(options, rest: list[str]) -> Evaluation:
             seed=options.seed,
             block=options.block,
             resamples=options.resamples,
-            tuning_courses=_tuning_courses(options),
+            tuning_courses=tuning,
             oracle_courses=options.oracle_courses,
             model=WheelSoilModel.load(options.model).content() if options.model else {},
         )
 
 
-def _tuning_courses(options) -> int:
-    """The option, else its default."""
-    if options.tuning_courses is not None:
-        return options.tuning_courses
-    return min(_TUNING_COURSES, options.courses) if options.seed != TUNING_SET else 0
-
-
-def _untuned(controllers: dict[str, contestants.Contestant]) -> list[str]:
-    """Names of the classical controllers that tuning is for: those without --settings and under their own name."""
-    return [c.name for c in controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings]
-
-
-def _begin(asked: Evaluation, folder: Path) -> Evaluation:
-    """The evaluation of `folder` if it is the same one, else `asked`, written there; tuned."""
-    if cells.is_begun(asked, folder, ignored=("tuned",)):
-        asked = cells.load_study(Evaluation, folder)
-    else:
-        cells.save_study(asked, folder)
-    return _tuned(asked, folder)
-
-
 def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
-    """`asked` with the settings of its classical controllers, found before the first course of the comparison."""
-    untuned = _untuned(asked.controllers)
-    if asked.tuned or not (asked.tuning_courses and trials_in_all(untuned, 1)):
-        return asked
+    """`asked` with settings of the classical controllers that have none by --settings or another name."""
+    own = [c for c in asked.controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings]
     log = folder / _TUNING
-    tuned, _ = tuned_settings(asked.scenario, asked.tuning_courses, untuned, None, asked.world, log)
+    tuned, _ = tuned_settings(
+        asked.scenario, asked.tuning_courses, [c.name for c in own], model=asked.world, log=log
+    )  # fmt: skip
     asked = dataclasses.replace(asked, tuned=tuned)
     cells.save_study(asked, folder)
     log.unlink(missing_ok=True)

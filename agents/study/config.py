@@ -244,12 +244,10 @@ def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:
         raise ParameterError(f"{file}: no effects; expected a world with at least one")
     if model.soil is not None:
         raise ParameterError(f"{file}: expected no soil: the courses have the soils of the scenario")
-    if scenario is not None and (model.wheel.radius, model.wheel.width) != (
-        scenario.wheel.radius,
-        scenario.wheel.width,
-    ):
+    own, wheel = model.wheel, scenario.wheel if scenario else model.wheel
+    if (own.radius, own.width) != (wheel.radius, wheel.width):
         raise ParameterError(
-            f"{file}: wheel of radius {model.wheel.radius:g} m and width {model.wheel.width:g} m: expected that of "
-            f"scenario {scenario.name!r}, {scenario.wheel.radius:g} m and {scenario.wheel.width:g} m"
+            f"{file}: wheel of radius {own.radius:g} m and width {own.width:g} m: expected that of scenario "
+            f"{scenario.name!r}, {wheel.radius:g} m and {wheel.width:g} m"
         )
     return model.content()

@@ -69,9 +69,8 @@ def write(content: dict, folder: Path) -> list[str]:
     folder = Path(folder)
     write_json(folder / FILES[0], content)
     found = [f"World `{name}`: {effects or 'no effects'}." for name, effects in content["worlds"].items()]
-    replace_file(
-        folder / FILES[1], "\n\n".join(["# Study", *found, table(content).markdown(), "![Study](study.png)"]) + "\n"
-    )
+    page = ["# Study", *found, table(content).markdown(), "![Study](study.png)"]
+    replace_file(folder / FILES[1], "\n\n".join(page) + "\n")
     rows = {name: entry["controllers"] for name, entry in content["scenarios"].items()}
     replace_file(folder / FILES[2], png(draw_metrics(rows, _PANELS)))
     return list(FILES)

@@ -150,11 +150,8 @@ def driven(study: Study, folder: Path) -> tuple[dict[str, dict[str, list[Runs]]]
         for target, own in content["driven"].items():
             if own.cause.size != study.courses:
                 raise ParameterError(f"{cells.cell_file(folder, cell)}: {own.cause.size} courses; delete it")
-            runs.setdefault(target, {}).setdefault(cell.arm, []).append(own)
-    order = list(study.arms)
-    return {
-        t: dict(sorted(runs[t].items(), key=lambda x: order.index(x[0]))) for t in study.targets if t in runs
-    }, settings
+            runs[target].setdefault(cell.arm, []).append(own)
+    return {t: {arm: own[arm] for arm in study.arms if arm in own} for t, own in runs.items() if own}, settings
 
 
 def _parse(content: dict) -> dict:

@@ -4,10 +4,9 @@ import os
 
 import pytest
 
-from agents import seeds, tune
-from agents.ablation import __main__ as ablation
+from agents import tune
 from agents.evaluate import __main__ as evaluate
-from agents.sim2real import __main__ as sim2real
+from agents.study import __main__ as study
 from benchmarks import clients, cmu, fuzz, memory, table_fits, throughput, training
 from benchmarks.blind import __main__ as blind
 from soil_env._io import examples
@@ -16,7 +15,6 @@ from soil_env.discrepancy import __main__ as discrepancy, cmu as cmu_tables
 from soil_env.identification import __main__ as identification_command
 from soil_env.logs import __main__ as logs
 from soil_env.paper import __main__ as paper
-from tests.agents.test_sim2real import WORLDS
 
 OUT, PAGE = ["--out", "{}"], ["--page", "{}/page.md"]
 #: command -> (module, its name in messages, arguments, what does the work)
@@ -27,21 +25,21 @@ COMMANDS = {
     "fuzz": (fuzz, "benchmarks.fuzz", PAGE, "run"),
     "memory": (memory, "benchmarks.memory", PAGE, "vector"),
     "paper": (paper, "soil_env.paper", OUT, "compute"),
-    "sim2real": (sim2real, "agents.sim2real", ["--world", str(WORLDS / "bulldozing.yaml"), *OUT], "report"),
+    "study": (study, "agents.study", ["--config", "study_smoke.yaml", *OUT], "results"),
     "table_fits": (table_fits, "benchmarks.table_fits", OUT, "study"),
     "throughput": (throughput, "benchmarks.throughput", OUT, "run"),
     "training": (training, "benchmarks.training", OUT, "measure"),
 }
 
 
-NAMED = {name: module for name, (module, *_) in COMMANDS.items() if name in ("cmu", "paper", "sim2real")} | {
-    "ablation": ablation, "cmu_tables": cmu_tables, "discrepancy": discrepancy, "evaluate": evaluate,
-    "identification": identification_command, "logs": logs, "seeds": seeds, "tune": tune,
+NAMED = {name: module for name, (module, *_) in COMMANDS.items() if name in ("cmu", "paper", "study")} | {
+    "cmu_tables": cmu_tables, "discrepancy": discrepancy, "evaluate": evaluate,
+    "identification": identification_command, "logs": logs, "tune": tune,
 }  # fmt: skip
 
 
 FOLDERS = [(name, "--out") for name in NAMED] + [
-    ("ablation", "--resume"), ("ablation", "--report"), ("evaluate", "--resume"),
+    ("evaluate", "--resume"),
 ]  # fmt: skip
 
 
@@ -55,7 +53,7 @@ def test_an_empty_folder_name_is_refused(command, option, capsys):
 
 
 FILES = [
-    ("ablation", "--config"), ("ablation", "--page"), ("seeds", "--config"), ("logs", "--map"), ("logs", "recording"),
+    ("study", "--config"), ("logs", "--map"), ("logs", "recording"),
     *((name, option) for name in ("discrepancy", "identification") for option in ("--setup", "data")),
 ]  # fmt: skip
 
@@ -82,9 +80,9 @@ def test_the_examples_of_a_clone_are_said_to_be_there(capsys, monkeypatch, tmp_p
     assert capsys.readouterr().err.endswith(f": {tmp_path}: is not empty: expected a folder to be made\n")
 
 
-NUMBERS = [(name, option) for name in ("ablation", "evaluate", "seeds") for option in ("--workers", "--seeds")] + [
-    ("ablation", "--courses"), ("evaluate", "--courses"), ("evaluate", "--seed"), ("evaluate", "--tuning-courses"),
-    ("evaluate", "--oracle-courses"), ("evaluate", "--block"), ("evaluate", "--resamples"), ("seeds", "--first"),
+NUMBERS = [(name, option) for name in ("evaluate", "study") for option in ("--workers", "--seeds")] + [
+    ("evaluate", "--courses"), ("evaluate", "--seed"), ("evaluate", "--tuning-courses"),
+    ("evaluate", "--oracle-courses"), ("evaluate", "--block"), ("evaluate", "--resamples"),
     ("tune", "--courses"),
 ]  # fmt: skip
 NUMBERS.remove(("evaluate", "--seeds"))

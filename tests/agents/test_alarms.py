@@ -1,6 +1,5 @@
-"""What is kept of a course: metrics against plain loops, warnings against a script and against the environment."""
+"""Warnings of immobilisation in an evaluation: against a script, and against what the environment gives."""
 
-import json
 import math
 from types import SimpleNamespace
 
@@ -8,15 +7,12 @@ import numpy as np
 import pytest
 
 from agents.controllers import make_controller
-from agents.evaluate import ControllerError, Runs, course_rng, run_courses
-from agents.evaluate.records import METRICS, Records, record
+from agents.evaluate import course_rng
 from agents.evaluate.warning import HOLD, RELEASE, Foresight, Warnings
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import load_scenario
-from soil_env.simulation.task import Cause, layout
+from soil_env.simulation.task import layout
 from soil_env.simulation.wheel import WheelState
-from soil_env.simulation.worlds import Simulation
-from tests.agents import drivers
 
 SEED = 4242
 
@@ -25,97 +21,6 @@ SEED = 4242
 def scenario():
     return load_scenario("mixed", {"control": {"action": "torque", "time_limit": 20.0}})
 
-
-@pytest.fixture(scope="module")
-def full(scenario):
-    return record(make_controller("full_throttle", scenario), scenario, SEED, 0, 10)
-
-
-def test_what_runs_and_records_share_is_equal(scenario, full):
-    runs = run_courses(make_controller("full_throttle", scenario), scenario, SEED, 10)
-    for name in Runs.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(runs, name), getattr(full, name), err_msg=name)
-
-
-def test_records_depend_neither_on_threads_nor_on_blocks(scenario, full):
-    controller = make_controller("full_throttle", scenario)
-    parts = [record(controller, scenario, SEED, first, 5, threads=1) for first in (0, 5)]
-    for name, values in Records.join(parts).columns().items():
-        assert values == full.columns()[name], name
-
-
-def test_metrics_equal_a_loop_over_one_wheel(scenario):
-    controller = make_controller("fixed_slip", scenario, slip=0.45, start=0.15)
-    got, pulled = record(controller, scenario, SEED, 0, 6), 0
-    for course in range(6):
-        sim = Simulation(1, scenario, "blind", threads=1)
-        sim.seed(0, course_rng(SEED, course))
-        sim.restart(0)
-        w, slips, depths, drawbar, motor, state = sim.worlds, [], [], 0.0, 0.0, None
-        while w.cause[0] == Cause.RUNNING.value:
-            action, state = controller.predict(w.observation.copy(), state)
-            sim.step(0, float(action[0, 0]))
-            s = w.state[0]
-            if s["halt_left"] == 0.0:
-                slips.append(float(s["slip"]))
-                depths.append(1000.0 * float(s["sinkage"]))
-                if s["drawbar_pull"] > 0.0 and s["motor_work"] > 0.0:
-                    drawbar += max(float(s["drawbar_pull"] * s["travel"]), 0.0)
-                    motor += float(s["motor_work"])
-        one = {name: got.metric(name)[course] for name in METRICS}
-        assert one["slip_p50"] == pytest.approx(np.median(slips))
-        assert one["slip_p95"] == pytest.approx(np.quantile(slips, 0.95))
-        assert one["sinkage_p50"] == pytest.approx(np.median(depths))
-        assert one["sinkage_p95"] == pytest.approx(np.quantile(depths, 0.95))
-        if motor == 0.0:  # downhill all the way
-            assert np.isnan(one["tractive_efficiency"])
-            continue
-        assert one["tractive_efficiency"] == pytest.approx(drawbar / motor)
-        assert 0.0 < one["tractive_efficiency"] < 1.0
-        pulled += 1
-    assert pulled > 2
-
-
-def test_columns_go_through_json_and_back(full):
-    text = json.dumps(full.columns(), allow_nan=False)
-    back = Records.from_columns(json.loads(text))
-    for name in Records.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(back, name), getattr(full, name), err_msg=name)
-        assert getattr(back, name).dtype == getattr(full, name).dtype
-    columns = json.loads(text)
-    columns["slip"].pop()
-    with pytest.raises(ValueError, match="slip: 9 values, expected 10"):
-        Records.from_columns(columns)
-
-
-@pytest.mark.parametrize(
-    "controller, words",
-    [(drivers.WrongShape(), "action of shape (4,): expected (4, 1)"), (drivers.LateNaN(), "step 3 of course 10")],
-)
-def test_actions_that_drive_no_wheel_are_refused(scenario, controller, words):
-    with pytest.raises(ControllerError) as error:
-        record(controller, scenario, SEED, 7, 4)
-    assert words in str(error.value)
-
-
-def test_nan_for_a_course_that_has_ended_is_nobody_s_business(scenario):
-    """A controller may give anything for wheels that stand."""
-
-    class Careless(drivers.Half):
-        def __init__(self, careless):
-            self.careless = careless
-
-        def predict(self, obs, state=None, episode_start=None, deterministic=True):
-            action = np.ones((len(obs), 1))
-            if state is not None:  # the readings of a wheel that drives are noisy: they never repeat
-                action[(obs == state).all(axis=1)] = np.nan if self.careless else 1.0
-            return action, obs.copy()
-
-    a, b = (record(Careless(flag), scenario, SEED, 0, 6) for flag in (True, False))
-    assert a.columns() == b.columns()
-
-
-# --- warnings ---------------------------------------------------------------------------------------------------------
 
 FIRM, WEAK = (math.radians(35.0), math.log(0.02), math.log(8e5)), (math.radians(12.0), math.log(0.03), math.log(8e4))
 NAMES = [entry.name for entry in layout("blind")]
@@ -219,7 +124,7 @@ def test_impassable_is_what_the_environment_calls_impassable(scenario):
             over = over or truncated
             env.infos.renew(env.simulation.worlds, alive)  # every step here
             warning = env.infos.one(env.simulation.worlds, 0)["traversability"]
-            looks = bool(warnings._looks_impassable(env.simulation.worlds, alive)[0])
+            looks = bool(warnings.signs(env.simulation.worlds, alive)[0])
             slip, best = env.simulation.worlds.observation[0, 0], warning["best_slip"]
             expected = warning["drawbar_margin"] <= 0.0 or slip > best + 0.5 * (1.0 - best)
             same.append(looks == expected)
