@@ -3,8 +3,8 @@
     python examples/find_missing_effect.py                            examples/data/rig.csv
     python examples/find_missing_effect.py my.csv --setup my.yaml --out gap.png
 
-Prints the named effect, the probabilities of it and its rivals, and the gap before and after. Writes the corrected model,
-model.yaml, beside the picture. `soil-env discover` does the same with a whole report.
+Prints the named effect, the probabilities of it and its rivals, and the gap before and after. Writes the corrected
+model, model.yaml, beside the picture. `soil-env discover` does the same with a whole report.
 """
 
 import argparse

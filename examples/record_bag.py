@@ -1,7 +1,7 @@
 """Record a drive of SoilWheel-v0 into a ROS 2 bag (MCAP) with standard messages, read it back, and identify the soil.
 
-The bag has the messages of a rover: JointState (wheel speed and torque), Odometry (travel speed), WrenchStamped (drawbar
-pull and load), Imu (orientation, acceleration), Range (hub to ground) and Float64 (slip, motor torque). The
+The bag has the messages of a rover: JointState (wheel speed, torque), Odometry (travel speed), WrenchStamped (drawbar
+pull, load), Imu (orientation, acceleration), Range (hub to ground) and Float64 (slip, motor torque). The
 estimates from the bag equal those of the drive. `soil-env logs BAG --map MAP --out DIR` reads it too and writes a
 report. Needs `pip install "soil_env[logs]"`, no ROS.
 
