@@ -9,7 +9,6 @@ once. A worker that dies loses its cell, which is done again.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import functools
 import hashlib
@@ -28,7 +27,6 @@ from pathlib import Path
 import yaml
 
 import soil_env
-from soil_env._io.commands import whole_number
 from soil_env._io.files import is_unused, make_folder, replace_file
 from soil_env._io.loading import ParameterError, load, read_yaml, to_dict, unknown_value
 
@@ -120,22 +118,8 @@ def fill(work: Callable, cells: Iterable, folder: Path, engine: Engine, progress
 # --- engines ----------------------------------------------------------------------------------------------------------
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add --engine, --workers and --address."""
-    parser.add_argument(
-        "--engine", metavar="ENGINE", default="local", help="local or ray (default: local); the results are the same"
-    )
-    parser.add_argument(
-        "--workers", metavar="N", type=whole_number(),
-        help="processes of this machine (default: this process alone; with ray: all processors)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--address", metavar="ADDRESS", help="of a Ray cluster (default: RAY_ADDRESS, else this machine)"
-    )
-
-
 def choose(engine: str, workers: int | None = None, address: str | None = None) -> Engine:
-    """The engine of the options of `add_options`; without `workers`, "local" is this process.
+    """The engine of the options of `cli.engine_options`; without `workers`, "local" is this process.
 
     ParameterError where the options do not fit together, or where there is no Ray or no cluster.
     """

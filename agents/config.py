@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from soil_env._io.loading import Checked, ParameterError, load, quantity
+from soil_env._io.loading import Checked, FieldError, ParameterError, load, quantity
 from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -46,8 +46,8 @@ class PPOConfig(Checked):
         super().__post_init__()
         rollout = self.num_envs * self.n_steps
         if rollout % self.batch_size:
-            raise ParameterError(
-                f"PPOConfig.batch_size = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
+            raise FieldError(
+                self, "batch_size", f" = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
             )
 
 
@@ -99,17 +99,15 @@ class TrainConfig(OfWorld):
                 f"ppo.critic = {self.ppo.critic!r}: expected only with algorithm ppo, not recurrent_ppo"
             )
         if self.hidden_worlds >= self.ppo.num_envs:
-            raise ParameterError(f"hidden_worlds = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
+            raise FieldError(self, "hidden_worlds", f" = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
 
     def _resolve(self) -> None:
         """Fill in the scenario and the oracle's courses, of which a rover has none."""
         beside = f"expected none beside rover = {self.rover!r}"
         if self.rover and self.scenario:
-            raise ParameterError(f"TrainConfig.scenario = {self.scenario!r}: {beside}: the rover's file has its own")
+            raise FieldError(self, "scenario", f" = {self.scenario!r}: {beside}: the rover's file has its own")
         if self.rover and self.oracle_courses:
-            raise ParameterError(
-                f"TrainConfig.oracle_courses = {self.oracle_courses!r}: {beside}: the oracle drives a wheel"
-            )
+            raise FieldError(self, "oracle_courses", f" = {self.oracle_courses!r}: {beside}: the oracle drives a wheel")
         if not self.rover and not self.scenario:
             object.__setattr__(self, "scenario", DEFAULT_SCENARIO)
         if self.oracle_courses is None:

@@ -14,7 +14,7 @@ import numpy as np
 from soil_env._io.files import replace_file, save_figure
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
-from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel, sinkage_coefficient_at
 
 from .evaluate import drive, limit
@@ -41,7 +41,7 @@ def trace(
 ) -> tuple[dict[str, np.ndarray], str]:
     """One course driven by `controller`: arrays over time, and the cause of its end."""
     rows = []
-    for w, _ in drive(controller, scenario, seed, course, 1, threads=1, model=model):
+    for w, _ in drive(controller, scenario, seed, course, 1, threads=1, model=model, warnings=True):
         s = {name: float(w.state[name][0]) for name in ("x", "slip", "sinkage", "bearing_sinkage")}
         soil, grade, _ = ground_at(w.courses, 0, s["x"], 0, scenario.course.border)
         same = sinkage_coefficient_at(soil, scenario.belief.sinkage_exponent, s["bearing_sinkage"])

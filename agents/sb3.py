@@ -8,25 +8,27 @@ from typing import Any
 
 import numpy as np
 
-from .extras import advice, lacks
+from .cli import lacks_training
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ModuleNotFoundError as error:
-    if lacks(error, "train"):
-        raise ModuleNotFoundError(f"{__name__} needs {advice('train')}", name=error.name) from None
+    if lacks_training(error):
+        raise ModuleNotFoundError(
+            f"{__name__} needs Stable-Baselines3: pip install 'soil_env[train]'", name=error.name
+        ) from None
     raise
 
 from soil_env._io.loading import unknown_value
 from soil_env.course_env import actions_of, check_count
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import STEP, Simulation
 from soil_env.env import action_space, build_scenario
 from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec
 from soil_env.rover_env import build_rover, rover_action_space
-from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.rover.task import rover_layout
-from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import Cause, ObservedNumber, layout, truth
-from soil_env.simulation.worlds import STEP, Simulation
+from soil_env.simulation.task.scaling import Scaling
 from soil_env.terramechanics.model import load_model
 from soil_env.vehicle import DEFAULT_ROVER
 

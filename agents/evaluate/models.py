@@ -14,8 +14,8 @@ from pathlib import Path
 from soil_env._io.loading import ParameterError
 from soil_env.env import observation_space
 from soil_env.parameters import Control, CourseSpec, Scenario
-from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import VARIANTS, layout
+from soil_env.simulation.task.scaling import Scaling
 
 from .. import PACKAGE_NAMES
 from ..exported import ExportedAgent

@@ -29,11 +29,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from soil_env.identification.estimate import LEAST_LOAD, soil_as_identified
-from soil_env.identification.immobilisation import ImmobilisationWarning, shipped
+from soil_env.driving.wheels import Worlds
+from soil_env.identification.online.estimate import LEAST_LOAD, soil_as_identified
+from soil_env.identification.online.immobilisation import ImmobilisationWarning, shipped
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
-from soil_env.simulation.worlds import Worlds
 from soil_env.terramechanics.traversability import best_points
 
 SLIP_MARGIN = 0.5  # [-]
@@ -105,7 +105,7 @@ class Alarm:
 
 
 class Foresight(Alarm):
-    """Alarms by the probability of immobilisation within 5 s (`soil_env.identification.immobilisation`)."""
+    """Alarms by the probability of immobilisation within 5 s (`soil_env.identification.online.immobilisation`)."""
 
     def __init__(self, scenario: Scenario, count: int):
         super().__init__(scenario, count)

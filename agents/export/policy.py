@@ -14,7 +14,7 @@ from soil_env._io.loading import ParameterError, to_dict
 from soil_env.env import action_space
 from soil_env.parameters import Control, Scenario, Wheel
 from soil_env.simulation.task import layout
-from soil_env.simulation.wheel import REVERSE
+from soil_env.simulation.world.wheel import REVERSE
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..evaluate.driving import HELD_OUT_SET, drive

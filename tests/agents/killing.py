@@ -93,18 +93,17 @@ def small_study(folder: Path) -> None:
 
 def load_blind() -> None:
     """Import what the benchmark imports."""
-    import benchmarks.blind.__main__
-    import benchmarks.blind.entrants.bic  # noqa: F401
+    import benchmarks.discovery.__main__  # noqa: F401
 
 
 def blind_cases(folder: Path) -> None:
-    """Three small cases of `benchmarks.blind`, drawn, answered and scored."""
-    from benchmarks.blind.__main__ import main as blind
+    """Three small cases of `benchmarks.discovery`, drawn, answered and scored."""
+    from benchmarks.discovery.__main__ import main as discovery
 
     groups = (word for name in ("none-few-10", "one-few-10", "one-poor-10") for word in ("--group", name))
     asked = ["--entrant", "bic", "--seed", "100007", "--limit", "30", *groups]
-    if blind(["run", *asked, "--out", str(folder)]) != 0:
-        raise RuntimeError("benchmarks.blind failed")
+    if discovery(["run", *asked, "--out", str(folder)]) != 0:
+        raise RuntimeError("benchmarks.discovery failed")
 
 
 def main(name: str, folder: Path) -> None:

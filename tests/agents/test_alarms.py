@@ -12,7 +12,7 @@ from agents.evaluate.warning import HOLD, RELEASE, Foresight, Warnings
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import layout
-from soil_env.simulation.wheel import WheelState
+from soil_env.simulation.world.wheel import WheelState
 
 SEED = 4242
 

@@ -10,9 +10,9 @@ from agents import plots
 from agents.controllers import CONTROLLERS, make_controller
 from agents.evaluate import ControllerError, Runs, course_rng, run_courses
 from agents.evaluate.driving import MEANINGS, METRICS
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
-from soil_env.simulation.worlds import Simulation
 from tests.agents import drivers
 
 SEED = 12345

@@ -9,9 +9,9 @@ from agents.evaluate import Runs, driving, run_courses
 from agents.evaluate.limit import avoidable
 from agents.evaluate.statistics import wilson
 from soil_env._io.loading import ParameterError
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
-from soil_env.simulation.worlds import Simulation
 from tests.simulation.test_cloning import memory
 
 SEED = 2_000_029

@@ -9,7 +9,7 @@ from scipy import stats
 from agents import warning
 from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET
 from agents.warning import DRIVERS, FAMILIES, Drives, drives, make_driver, probabilities
-from soil_env.identification.immobilisation import FILE, HORIZONS, INPUTS, shipped, shipped_network
+from soil_env.identification.online.immobilisation import FILE, HORIZONS, INPUTS, shipped, shipped_network
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
 
@@ -74,7 +74,7 @@ def test_the_fit_learns_both_hazards():
     x = rng.normal(size=(60_000, 3)).astype(np.float32)
     rate = np.exp(x[:, 0] - 2.0)
     net = warning.fit(x, rng.exponential(1.0 / rate).astype(np.float32), epochs=4)
-    from soil_env.identification.immobilisation import score_inputs
+    from soil_env.identification.online.immobilisation import score_inputs
 
     found = score_inputs(x[:2000], net)
     for column, horizon in enumerate(HORIZONS):

@@ -1,0 +1,97 @@
+"""Drawbar pull, torque and mobilised sinkage coefficient at a slip and a sinkage, with their derivatives by the soil.
+
+The load is known, so by Eq. (1) it mobilises the sinkage coefficient s at a given sinkage
+(`contact.mobilised_sinkage_coefficient`), and pull and torque follow from s: they do not depend on the sinkage
+coefficient S of the soil, which shows in how the sinkage changes only (`sinkage_filter`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from soil_env._numba.compiling import compiled_inline
+from soil_env._numba.elementary import exp, half_sin_cos, larger, log
+from soil_env._numba.rows import scratch_rows
+from soil_env.slip import motion_from_slip, travel_rate
+from soil_env.terramechanics.arc_integrals import (
+    NODE_COLUMNS,
+    Nodes,
+    shear_modulus_rates,
+    smooth_integrals,
+    store_nodes,
+)
+from soil_env.terramechanics.contact import (
+    JANOSI,
+    forces,
+    mobilised_sinkage_coefficient,
+    shear_forces,
+    smooth_arc,
+)
+
+_LEAST_RISE = 1e-3  # lower bound of sin(entry angle), by which is divided: no contact, or a buried wheel
+_nodes = scratch_rows(Nodes, NODE_COLUMNS)
+
+
+class GroundSoil(NamedTuple):
+    """The soil under the wheel as the forces show it; a value a lane."""
+
+    tangent: float  # of the friction angle
+    cohesion: float  # [Pa]
+    exponent: float  # n
+    ln_K: float  # K the shear deformation modulus [m]
+
+
+class Slopes(NamedTuple):
+    """A quantity and its derivatives."""
+
+    value: float
+    by_tangent: float
+    by_cohesion: float
+    by_exponent: float
+    by_ln_K: float
+    by_sinkage: float
+    by_slip: float
+
+
+class Reaction(NamedTuple):
+    """What the wheel gets from the ground."""
+
+    pull: Slopes  # [N]
+    torque: Slopes  # [N m]
+    ln_s: Slopes  # ln of the mobilised sinkage coefficient
+
+
+@compiled_inline
+def _slope(partial, of_s, s):
+    """(d pull, d torque, d ln s) from the `Forces` that change at a given s, which the load then moves."""
+    ds = -partial.load / of_s.load
+    return partial.drawbar_pull + ds * of_s.drawbar_pull, partial.torque + ds * of_s.torque, ds / s
+
+
+@compiled_inline
+def reaction(soil, sinkage, slip, load, r, b):
+    """`Reaction` of eight soils at sinkages [m] and slips under a load [N]; wheel of radius r and width b [m]."""
+    c, n, tan_phi, K, nodes = soil.cohesion, soil.exponent, soil.tangent, exp(soil.ln_K), _nodes()
+    rim, travel = motion_from_slip(slip)
+    arc = smooth_arc(sinkage, r)
+    frame = store_nodes(arc, n, nodes, 0)
+    q, by_rim, by_travel, by_angle, by_n = smooth_integrals(frame, nodes, rim, travel, K, n, r, JANOSI)
+    s = larger(mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, 1.0), 1.0)
+    f = forces(q, s, tan_phi, c, r, b, 1.0)
+    none = 0.0 * c
+    of_s = forces(q, none + 1.0, tan_phi, none, r, b, 1.0)
+    st, rate = s * tan_phi, travel_rate(travel)
+    by_K = shear_modulus_rates(by_rim, by_travel, rim, travel, K)
+    tangent = _slope(shear_forces(q, s, none, r, b, 1.0), of_s, s)
+    cohesion = _slope(shear_forces(q, none, none + 1.0, r, b, 1.0), of_s, s)
+    exponent = _slope(forces(by_n, s, tan_phi, none, r, b, 1.0), of_s, s)
+    ln_K = _slope(shear_forces(by_K, st * K, c * K, r, b, 1.0), of_s, s)
+    sin_half, cos_half = half_sin_cos(arc.theta1)
+    rise = 1.0 / larger((2.0 * r) * sin_half * cos_half, _LEAST_RISE * r)  # d theta1/dz of z = r (1 - cos theta1)
+    angle = _slope(forces(by_angle, s, tan_phi, c, r, b, 1.0), of_s, s)
+    slipping = _slope(shear_forces(by_travel, rate * st, rate * c, r, b, 1.0), of_s, s)
+    return Reaction(
+        Slopes(f.drawbar_pull, tangent[0], cohesion[0], exponent[0], ln_K[0], rise * angle[0], slipping[0]),
+        Slopes(f.torque, tangent[1], cohesion[1], exponent[1], ln_K[1], rise * angle[1], slipping[1]),
+        Slopes(log(s), tangent[2], cohesion[2], exponent[2], ln_K[2], rise * angle[2], slipping[2]),
+    )

@@ -1,0 +1,103 @@
+"""Traction curve of the ground under a wheel: readings of pull and torque, gathered by slip and sinkage.
+
+Readings are averaged to points first, over times in which little changes. Points that tell of the same slip and sinkage
+are averaged into one bin of the curve. A bin of many readings has little noise left in its slip, so a fit to the bins
+does not take that noise for excitation: a filter that takes each noisy slip as new is drawn to a low K and a low
+friction angle, and is sure of both (regression dilution: Fuller 1987, Measurement Error Models, ch. 1).
+
+Points are grouped by the slip that their slip, pull and torque tell together under the soil so far, which hardly
+depends on the noise in slip: groups by the slip reading itself would select its noise (Wald 1940, Annals of
+Mathematical Statistics 11:284-300).
+"""
+
+from __future__ import annotations
+
+import math
+
+from soil_env._numba.compiling import compiled_inline, compiled_part
+from soil_env._numba.lanes import scratch
+
+BINS = 8  # of a curve
+#: Of a bin: readings; mean slip, sinkage [m], pull [N] and torque [N m], each with its weight (inverse variance); load
+#: [N]; slip by which it is grouped; mean and spread [m] of its places; 1 where the soil passes into the next there.
+READINGS, SLIP, SLIP_WEIGHT, SINKAGE, SINKAGE_WEIGHT, PULL, PULL_WEIGHT, TORQUE, TORQUE_WEIGHT = range(9)
+LOAD, KEY, PLACE, SPREAD, ON_BORDER, FIELDS = range(9, 15)
+# Differences that count as one: of slip, of its size, relative of the sinkage; squared, within which bins are merged.
+_SLIP, _SLIP_SHARE, _SINKAGE, _SAME = 0.012, 0.1, 0.17, 0.25
+_BORDER = 0.1  # [lengths of the border] the same for places on one
+_APART = 4.0  # how unlike bins on a border are at least, so that others are merged before them
+_new = scratch(FIELDS)
+
+new_point = _new  # scratch for a point that is not in a curve yet
+
+
+@compiled_inline
+def _weighted(bins, a, b, value, weight):
+    """The mean of a quantity over two bins, into the first."""
+    w = bins[a + weight] + bins[b + weight]
+    if w > 0.0:
+        bins[a + value] = (bins[a + value] * bins[a + weight] + bins[b + value] * bins[b + weight]) / w
+    bins[a + weight] = w
+
+
+@compiled_inline
+def _merge(bins, a, b):
+    """Average bin b into bin a; both are offsets."""
+    _weighted(bins, a, b, SLIP, SLIP_WEIGHT)
+    _weighted(bins, a, b, SINKAGE, SINKAGE_WEIGHT)
+    _weighted(bins, a, b, PULL, PULL_WEIGHT)
+    _weighted(bins, a, b, TORQUE, TORQUE_WEIGHT)
+    m, n, x, y = bins[a + READINGS], bins[b + READINGS], bins[a + PLACE], bins[b + PLACE]
+    share = n / (m + n)
+    middle = x + share * (y - x)
+    square = (1.0 - share) * (bins[a + SPREAD] ** 2 + (x - middle) ** 2) + share * (
+        bins[b + SPREAD] ** 2 + (y - middle) ** 2
+    )
+    bins[a + LOAD] += share * (bins[b + LOAD] - bins[a + LOAD])
+    bins[a + KEY] += share * (bins[b + KEY] - bins[a + KEY])
+    bins[a + PLACE], bins[a + SPREAD], bins[a + READINGS] = middle, math.sqrt(square), m + n
+
+
+@compiled_inline
+def _unlike(bins, a, b, border):
+    """How unlike two bins are, squared; those on a border differ by their places."""
+    if bins[a + ON_BORDER] > 0.0:
+        apart = (bins[a + PLACE] - bins[b + PLACE]) / (_BORDER * border)
+        return apart * apart + _APART
+    one = _SLIP + _SLIP_SHARE * 0.5 * (abs(bins[a + KEY]) + abs(bins[b + KEY]))
+    slip = (bins[a + KEY] - bins[b + KEY]) / one
+    sinkage = (bins[a + SINKAGE] - bins[b + SINKAGE]) / (_SINKAGE * 0.5 * (bins[a + SINKAGE] + bins[b + SINKAGE]))
+    return slip * slip + sinkage * sinkage
+
+
+@compiled_part
+def add(bins, count, point, border):
+    """Add a point [FIELDS] to a curve of `count` bins: (bins then, the bin that changed, the bin that the last one took
+    the place of, or -1)."""
+    last = count * FIELDS
+    for i in range(FIELDS):
+        bins[last + i] = point[i]
+    if point[ON_BORDER] > 0.0 and count < BINS:
+        return count + 1, count, -1
+    least, into, out = math.inf, -1, -1
+    for b in range(1, count + 1):
+        for a in range(b):
+            if bins[a * FIELDS + ON_BORDER] != bins[b * FIELDS + ON_BORDER]:
+                continue
+            if b < count and count < BINS:  # only where the new point goes
+                continue
+            unlike = _unlike(bins, a * FIELDS, b * FIELDS, border)
+            if count < BINS and unlike > _SAME:
+                continue
+            cost = unlike * min(bins[a * FIELDS + READINGS], bins[b * FIELDS + READINGS])
+            if cost < least:
+                least, into, out = cost, a, b
+    if into < 0 and count < BINS:
+        return count + 1, count, -1
+    into, out = (into, out) if into >= 0 else (0, count)
+    _merge(bins, into * FIELDS, out * FIELDS)
+    if out == count:
+        return count, into, -1
+    for i in range(FIELDS):
+        bins[out * FIELDS + i] = bins[last + i]
+    return count, into, out

@@ -1,0 +1,33 @@
+"""Sensor readings of a driven wheel in a control period, and their noise."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env.parameters import Scenario
+
+
+class SensorReading(NamedTuple):
+    """One set of sensor readings."""
+
+    slip: float
+    sinkage: float  # [m]
+    drawbar_pull: float  # [N]
+    load: float  # [N]
+    torque: float  # [N m]
+    speed: float  # [m/s]
+    rim_speed: float  # [m/s]
+    pitch: float  # [rad], uphill positive
+    motor_torque: float  # [N m]
+    acceleration: float  # [m/s2] of an accelerometer along the course: that of travel, and g sin(grade)
+
+
+def sensor_noise(scenario: Scenario) -> np.ndarray:
+    """Standard deviations of a `SensorReading` [10], in its units."""
+    n, r, weight = scenario.noise, scenario.wheel.radius, scenario.weight
+    return np.array([
+        n.slip, n.sinkage, n.drawbar_pull * weight, n.load * weight, n.torque * weight * r, n.speed,
+        n.wheel_speed * r, n.pitch, n.motor_torque * weight * r, n.acceleration,
+    ])  # fmt: skip
