@@ -15,18 +15,18 @@ from soil_env._io.loading import ParameterError, config_dir, merge, parse_yaml, 
 
 
 def manual(text: str) -> str:
-    """The text of --help, with this package under the name that it has here."""
+    """Text of --help with the present name of this package."""
     return text.replace("python -m agents.", f"python -m {__package__}.")
 
 
 def manual_parser(prog: str, description: str, epilog: str = "", **options) -> argparse.ArgumentParser:
-    """`command_parser` whose texts name this package as it is named here; options are not abbreviated."""
+    """`command_parser` with the present name of this package in its texts; options are not abbreviated."""
     return command_parser(prog, manual(description), manual(epilog), allow_abbrev=False, **options)
 
 
 @contextmanager
 def go_on_with(module: str, folder: Path | None) -> Iterator[None]:
-    """Around the work of a command: an interrupt says how to go on, once `folder` holds a study."""
+    """Add the command for going on to an interrupt, once `folder` holds a study."""
     try:
         yield
     except KeyboardInterrupt:
@@ -34,13 +34,13 @@ def go_on_with(module: str, folder: Path | None) -> Iterator[None]:
         raise KeyboardInterrupt(f"go on with: {command(module)} --resume {folder}" if known else "") from None
 
 
-_TEXT = ("scenario", "name", "runs", "observation", "model")  # keys whose value is text, whatever YAML makes of it
+_TEXT = ("scenario", "name", "runs", "observation", "model")  # keys whose value is always text
 
 
 def overrides(arguments: list[str], file_option: str = "") -> dict:
     """['--ppo.gamma', '0.9'] or ['--ppo.gamma=0.9'] -> {'ppo': {'gamma': 0.9}}; values are read as YAML.
 
-    ParameterError for a key given twice and for what is no key; `file_option`, if any, is the option of a YAML file.
+    ParameterError for a key given twice and for anything else; `file_option`, if any, is the option of a YAML file.
     """
     out: dict = {}
     rest = list(arguments)
@@ -88,7 +88,7 @@ def as_options(**names: str) -> Iterator[None]:
 
 
 def config_mapping(name: str | Path) -> dict:
-    """The keys in the file of --config; ParameterError where it has none, which would be a long run of the defaults."""
+    """The keys in the file of --config; ParameterError if it has none, because the defaults are a long run."""
     path = config_file(name)
     mapping = read_yaml(path)
     if not mapping:
@@ -97,7 +97,7 @@ def config_mapping(name: str | Path) -> dict:
 
 
 def config_file(name: str | Path) -> Path:
-    """The file of --config; a bare name that is no file here is one of the configs that come with the package."""
+    """The file of --config; a bare name of no local file is a config that comes with the package."""
     path = Path(name)
     shipped = config_dir() / path.name
     return shipped if not path.exists() and path.name == str(path) and shipped.is_file() else path

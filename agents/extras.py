@@ -1,4 +1,4 @@
-"""Missing optional dependencies: one line that says what to install."""
+"""Missing optional dependencies, reported in one line with the package to install."""
 
 from __future__ import annotations
 
@@ -6,22 +6,20 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-#: Extra of soil_env: what it is wanted for, and the modules that it brings.
+#: Extra of soil_env: (name for the user, its modules).
 _EXTRAS = {
     "train": ("Stable-Baselines3", ("stable_baselines3", "tensorboard", "torch", "tqdm")),
-    "rllib": ("Ray RLlib", ("ray", "torch")),
-    "minari": ("Minari", ("minari",)),
     "logs": ("rosbags", ("rosbags", "mcap")),
 }
 
 
 def advice(extra: str) -> str:
-    """What to install for an extra."""
+    """Installation line of an extra."""
     return f"{_EXTRAS[extra][0]}: pip install 'soil_env[{extra}]'"
 
 
 def lacks(error: ImportError, extra: str) -> bool:
-    """Whether an import failed for want of a package of an extra."""
+    """True if an import failed because a package of an extra is missing."""
     return isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in _EXTRAS[extra][1]
 
 

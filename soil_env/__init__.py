@@ -5,13 +5,9 @@ without an import. The physics is in `terramechanics`, the world in time in `sim
 `identification`, the search for missing effects in `discrepancy`, the environments in `env` and `vector_env`.
 """
 
-from soil_env._io.signals import arm
+from gymnasium.envs.registration import register, registry
 
-arm()  # before the imports that take time
-
-from gymnasium.envs.registration import register, registry  # noqa: E402
-
-from soil_env._io.loading import ParameterError  # noqa: E402
+from soil_env._io.loading import ParameterError
 
 __version__ = "0.1.0"
 __all__ = ["ParameterError", "__version__"]

@@ -20,8 +20,8 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, root
-from soil_env.identification.estimate import LEAST_LOAD, published, traversability
-from soil_env.identification.online import (
+from soil_env.identification.online.estimate import LEAST_LOAD, published, traversability
+from soil_env.identification.online.identifier import (
     HELD,
     IdentifierNumbers,
     Identifiers,
@@ -32,8 +32,8 @@ from soil_env.identification.online import (
     new_replay,
     observe_rows,
 )
-from soil_env.identification.priors import soil_state
-from soil_env.identification.solver import Status
+from soil_env.identification.online.status import Status
+from soil_env.identification.table.priors import soil_state
 from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, Wheel
 from soil_env.slip import rim_speeds, slip_ratio, travel_speeds
 from soil_env.terramechanics.model import steady_state

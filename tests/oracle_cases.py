@@ -11,13 +11,11 @@ from tests.oracle_runs import (
     SLIPS,
     SOFT,
     SOIL,
-    contact,
     discrepancy,
     drive,
     drive_many,
     drive_rover,
     identify,
-    newton,
     predict,
     soil_content,
     world,
@@ -106,20 +104,11 @@ CASES["prediction/soils"] = lambda: predict({k: world({}, **soil_content(s)) for
 CASES["prediction/effects"] = lambda: predict({k: world(e, **SOIL) for k, e in (EFFECTS | PAIRS).items()})
 CASES["prediction/effects_soft"] = lambda: predict({k: world(e, **SOFT) for k, e in (EFFECTS | PAIRS).items()})
 CASES["prediction/residual_law"] = lambda: predict({"law": world({}, LAW, **SOIL), "soft": world({}, LAW, **SOFT)}, 40)
-CASES["prediction/contact"] = contact
-CASES["prediction/contact_as_in_the_paper"] = partial(contact, simpson=4, paper_resistance=True)
 
 CASES["identification/rig"] = partial(identify, "examples/data/rig.csv", "examples/data/rig.setup.yaml")
 CASES["identification/single_wheel"] = partial(identify, "examples/data/single_wheel.csv", "examples/data/setup.yaml")
 CASES["identification/priors"] = partial(identify, effects={})
 CASES["identification/noise_unknown"] = partial(identify, effects=EFFECTS["slip_sinkage"], setup=LOOSE)
-CASES["identification/three_points"] = partial(newton, 3, 1)
-CASES["identification/ambiguous"] = partial(
-    newton, 3, 1, points=([0.04, 0.28, 0.39], [0.011, 0.035, 0.034]), soil=(0.61, -3.8, 16.11)
-)
-CASES["identification/six_points"] = partial(newton, 6, 3, sd=(2.0, 2.0, 0.3))
-CASES["identification/noise_of_slip"] = partial(newton, 12, 3, sd=(2.0, 2.0, 0.3), slip_sd=0.01, sinkage_sd=0.0005)
-CASES["identification/as_in_the_paper"] = partial(newton, 9, 1, reading={"simpson": 4, "paper_resistance": True})
 
 for _name, _design in {
     "none": {"effects": {}},

@@ -8,8 +8,8 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from soil_env.model import WheelSoilModel
 from soil_env.parameters import Soil
+from soil_env.terramechanics.model import WheelSoilModel
 
 ROOT = Path(__file__).resolve().parent.parent
 NUDGE = 0.0  # relative change of the inputs, to see what rounding does
@@ -46,7 +46,7 @@ _LEFT_OUT = ("torque_available", "immobilised_within")
 
 def drive(level: float, steps: int = 252, seed: int = 3, **options) -> dict:
     """What a wheel sees and does, every `EVERY` control periods; it starts again where an episode ends."""
-    env = make(disable_env_checker=True, **options)
+    env = make(disable_env_checker=True, info="full", **options)
     observation, info = env.reset(seed=seed)
     out, total, ends = {"period": [], "observation": [], "return": []}, 0.0, []
     for k in range(steps):
@@ -171,50 +171,6 @@ def identify(csv=None, setup=None, **design) -> dict:
     out |= {f"fitted.{name}": np.array([*f.fitted, f.noise]) for name, f in found.fits.items()}
     out |= {"covariance": found.covariance, "condition": np.array([found.condition])}
     return out | {"free": ", ".join(found.free), "converged": str(found.converged)}
-
-
-def contact(**options) -> dict:
-    """Drawbar pull, load and torque of points, with their derivatives: the integrals over the contact arc."""
-    from soil_env import identification as idn
-
-    out = {}
-    for n, cohesion, soil in ((1.0, 400.0, (0.55, -4.2, 13.9)), (0.6, 3000.0, (0.4, -3.5, 13.0))):
-        reading = idn.Reading(cohesion, n, 0.15, 0.12, **options)
-        rows = list(itertools.product((-1.0, -0.3, 0.0, 0.1, 0.45, 0.9), (0.002, 0.02, 0.08), (1.0, 1.7)))
-        y, slopes = np.empty((len(rows), 3)), np.empty((len(rows), 3, 4))
-        for k, (slip, sinkage, deeper) in enumerate(rows):
-            idn.predict(np.array(soil), slip, sinkage * (1.0 + NUDGE), deeper, reading, y[k], slopes[k])
-        out |= {f"{n}.forces": y, f"{n}.slopes": slopes}
-    return out
-
-
-def newton(count: int, channels: int, points=None, soil=(0.55, -4.2, 13.9), **options) -> dict:
-    """Soils from points by the methods of the paper, from three guesses."""
-    from soil_env import identification as idn
-
-    rng = np.random.default_rng(count)
-    reading = idn.Reading(400.0, 1.0, 0.15, 0.12, **options.pop("reading", {}))
-    slip, sinkage = points or (np.linspace(0.05, 0.7, count), np.linspace(0.008, 0.03, count))
-    deeper = 1.0 + (0.0 if points else 0.1) * np.arange(count)
-    y, slopes = np.empty((count, 3)), np.empty((count, 3, 4))
-    for k in range(count):
-        idn.predict(np.array(soil), slip[k], sinkage[k], deeper[k], reading, y[k], slopes[k])
-    if count > 3:
-        y *= 1.0 + 0.01 * rng.normal(size=y.shape)
-    y *= 1.0 + NUDGE
-    out = {}
-    for i, guess in enumerate(((25.0, 0.03, 4e5), (35.0, 0.01, 2e6), (45.0, 0.004, 1e5))):
-        start = Soil(guess[0], 400.0, guess[1], 1.0, sinkage_coefficient=guess[2])
-        e = idn.generalized_newton_raphson(
-            slip, sinkage, *y.T[:channels], reading=reading, guess=start, dig_ratio=deeper, **options
-        )
-        for name, s in (("soil", e.soil), ("other", e.other)):
-            if s is not None:
-                values = [s.friction_angle_deg, math.log(s.shear_modulus), math.log(s.sinkage_coefficient)]
-                out[f"{i}.{name}"] = np.array(values)
-        out |= {f"{i}.covariance": e.covariance, f"{i}.status": e.status.name}
-        out[f"{i}.residual"] = np.array([e.residual])
-    return out
 
 
 WORDS = ("summary", "words", "settings", "versions", "check_first", "cautions", "symbols", "terms", "row", "rows")

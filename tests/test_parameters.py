@@ -10,7 +10,7 @@ import yaml
 
 from soil_env import parameters
 from soil_env._io.loading import check, config_dir, load, merge, read_yaml, to_dict
-from soil_env.identification.rig import predict_table
+from soil_env.identification.table.rig import predict_table
 from soil_env.measurement import Setup, SetupWheel
 from soil_env.parameters import Belief, Control, ParameterError, Scenario, Soil, SoilSpread, load_scenario, wheels
 from soil_env.terramechanics.effects import NO_EFFECTS
@@ -191,7 +191,7 @@ def test_scenario_round_trip(name):
 
 
 def test_own_soils_stand_beside_the_presets_and_before_them():
-    from soil_env.simulation.courses import course_numbers
+    from soil_env.simulation.world.courses import course_numbers
 
     beach, sand = Soil(**SOIL_S), Soil(**SOIL_S | {"cohesion": 900})
     scenario = load_scenario(

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
+from soil_env.driving.infos import flat
 from soil_env.env import SoilWheelEnv
 from soil_env.identification import Status
 from soil_env.parameters import ParameterError
-from soil_env.simulation.infos import flat
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.vector_env import SoilWheelVectorEnv
 

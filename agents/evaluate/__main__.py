@@ -13,15 +13,15 @@ Models that train.py did not write are unpickled in part, and modules are import
 Name only what you trust.
 
 Examples:
-  python -m agents.evaluate --controllers full_throttle,soft_start,best_slip_identified --out evaluation
-  python -m agents.evaluate --controllers 'soft_start,ppo=runs/seed_*' --workers 8 --out evaluation
-  python -m agents.evaluate --controllers my.module:Controller --scenario my.yaml --changes.course.length 20 --out e2
-  python -m agents.evaluate --controllers fixed_slip --settings.fixed_slip.slip 0.2 --out e3
-  python -m agents.evaluate --resume evaluation
+  soil-env evaluate --controllers full_throttle,soft_start,best_slip_identified --out evaluation
+  soil-env evaluate --controllers 'soft_start,ppo=runs/seed_*' --workers 8 --out evaluation
+  soil-env evaluate --controllers my.module:Controller --scenario my.yaml --changes.course.length 20 --out e2
+  soil-env evaluate --controllers fixed_slip --settings.fixed_slip.slip 0.2 --out e3
+  soil-env evaluate --resume evaluation
 
 Interrupted or killed, it goes on where it was with --resume OUT or with the same command again. OUT then holds
-report.html (everything in one file), evaluation.json, evaluation.csv (a row a controller), courses.csv (a row a
-course), figures, study.yaml (what was asked) and courses.jsonl (what was driven).
+evaluation.md (tables), evaluation.json, evaluation.csv (a row for each controller), courses.csv (a row for each
+course), metrics.png, study.yaml (the task) and cells/ (the courses driven).
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ from soil_env._io.loading import ParameterError, unknown_key
 from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
-from .. import studies
+from .. import cells
 from ..cli import as_options, go_on_with, manual_parser, overrides
 from ..progress import Bar, show
-from . import contestants, report, results, study
+from . import contestants, evaluation, report
 from .driving import HELD_OUT_SET, TUNING_SET
+from .evaluation import Evaluation
 from .tuning import trials_in_all, tuned_settings
 
 _EPILOG = """further options:
@@ -49,12 +50,12 @@ _EPILOG = """further options:
 
 _NAME = __package__
 _TUNING_COURSES = 200  # as train.py
-_TUNING = "tuning.jsonl"  # trials of a tuning that is not finished
+_TUNING = "tuning.log"  # trials of a tuning that is not finished
 
 
-def parser(name: str = _NAME) -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
     """Options of the command."""
-    p = manual_parser(command(name), __doc__, _EPILOG)
+    p = manual_parser(command(_NAME), __doc__, _EPILOG)
     p.add_argument("--controllers", metavar="CONTROLLERS", help="what is compared, with commas (see above)")
     p.add_argument("--out", metavar="OUT", type=folder, help="folder of the results, made where it does not exist")
     p.add_argument(
@@ -71,9 +72,8 @@ def parser(name: str = _NAME) -> argparse.ArgumentParser:
     )  # fmt: skip
     p.add_argument(
         "--tuning-courses", metavar="N", type=whole_number(),
-        help="tune the classical controllers on N other courses first, those with --settings excepted; 0: not at all "
-        f"(default: 0 among classical ones alone, else as many as --courses, at most {_TUNING_COURSES}; each then "
-        "drives them as often as configs/tuning.yaml says, unless settings come with the package)",
+        help="tune the classical controllers on N other courses first, those with --settings excepted, unless settings "
+        f"come with the package; 0: not at all (default: as many as --courses, at most {_TUNING_COURSES})",
     )  # fmt: skip
     p.add_argument(
         "--oracle-courses", metavar="N", type=whole_number(), default=0,
@@ -86,52 +86,44 @@ def parser(name: str = _NAME) -> argparse.ArgumentParser:
     p.add_argument(
         "--resamples", metavar="N", type=whole_number(), default=2000, help="redraws of the bootstrap (default: 2000)"
     )
-    studies.add_options(p, "one, threaded")
+    cells.add_options(p)
     return p
 
 
-MEMORY = "fewer --courses or a smaller --block"  # what would need less
-
-
-@command_line(_NAME, memory=MEMORY)
+@command_line(_NAME, memory="fewer --courses or a smaller --block")
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0 done, 2 bad input, 130 interrupted."""
-    return compare(arguments, _NAME)
-
-
-def compare(arguments: list[str] | None, name: str) -> int:
-    """Compare as the `arguments` say, on behalf of the command `name`."""
-    options, rest = parser(name).parse_known_args(arguments)
+    options, rest = parser().parse_known_args(arguments)
     folder = options.resume or options.out
-    with go_on_with(name, folder):
-        engine = studies.choose(options.engine, options.workers, options.address)
-        asked = _study(options, rest, folder)
-        threads = None if engine is studies.in_process else 1
-        job = study.Job(asked, threads, ship=options.engine == "ray")
+    with go_on_with(_NAME, folder):
+        engine = cells.choose(options.engine, options.workers, options.address)
+        asked = _evaluation(options, rest, folder)
+        threads = None if engine is cells.in_process else 1
+        job = evaluation.Job(asked, threads, ship=options.engine == "ray")
         with Bar("Driving", asked.courses * len(asked.controllers) + asked.oracle_courses, "courses") as bar:
-            records = study.run(asked, folder, engine, job, lambda count: bar.update(advance=count))
-        result = results.result(asked, records)
-        written = report.write(records, result, folder)
+            runs = evaluation.run(asked, folder, engine, job, lambda count: bar.update(advance=count))
+        result = evaluation.result(asked, runs)
+        written = report.write(result, runs, folder)
         report.print_table(result)
         show(f"Written to {folder}: {', '.join(written)}")
     return 0
 
 
-def _study(options, rest: list[str], folder: Path | None) -> study.Study:
-    """The study of the command line or of a folder, its controllers checked."""
+def _evaluation(options, rest: list[str], folder: Path | None) -> Evaluation:
+    """The evaluation of the command line or of a folder, its controllers checked."""
     if options.resume is None:
         asked = _asked(options, rest)
-        study.check_controllers(asked)
+        evaluation.check_controllers(asked)
         return _begin(asked, folder)
-    given = [k for k in _STUDY_OPTIONS if getattr(options, k) != parser().get_default(k)]
+    given = [k for k in _OPTIONS if getattr(options, k) != parser().get_default(k)]
     if given or rest:
         raise ParameterError(f"--resume takes only the engine; {options.resume} has the rest")
-    asked = study.load_study(folder)
-    study.check_controllers(asked)
+    asked = cells.load_study(Evaluation, folder)
+    evaluation.check_controllers(asked)
     return _tuned(asked, folder)
 
 
-_STUDY_OPTIONS = (
+_OPTIONS = (
     "controllers",
     "out",
     "scenario",
@@ -145,12 +137,12 @@ _STUDY_OPTIONS = (
 )
 
 
-def _asked(options, rest: list[str]) -> study.Study:
-    """The study of the command line."""
+def _asked(options, rest: list[str]) -> Evaluation:
+    """The evaluation of the command line."""
     extra = overrides(rest)
     for key in extra:
         if key not in ("changes", "settings"):
-            raise unknown_key(key, [*_STUDY_OPTIONS, "resume", "engine", "workers", "address", "changes", "settings"],
+            raise unknown_key(key, [*_OPTIONS, "resume", "engine", "workers", "address", "changes", "settings"],
                               "command line")  # fmt: skip
     if options.controllers is None or options.out is None:
         raise ParameterError("expected --controllers and --out, or --resume (see --help)")
@@ -166,26 +158,24 @@ def _asked(options, rest: list[str]) -> study.Study:
     scenario = load_scenario(options.scenario, extra.get("changes"), "--changes")
     controllers = contestants.parse(options.controllers, settings)
     with as_options():
-        return study.Study(
+        return Evaluation(
             scenario=scenario,
             controllers=controllers,
             courses=options.courses,
             seed=options.seed,
             block=options.block,
             resamples=options.resamples,
-            tuning_courses=_tuning_courses(options, controllers),
+            tuning_courses=_tuning_courses(options),
             oracle_courses=options.oracle_courses,
             model=WheelSoilModel.load(options.model).content() if options.model else {},
         )
 
 
-def _tuning_courses(options, controllers: dict[str, contestants.Contestant]) -> int:
-    """The option, else its default: none where only classical controllers are compared."""
+def _tuning_courses(options) -> int:
+    """The option, else its default."""
     if options.tuning_courses is not None:
         return options.tuning_courses
-    if all(c.kind == "classical" for c in controllers.values()) or not trials_in_all(_untuned(controllers), 1):
-        return 0
-    return max(0, min(_TUNING_COURSES, options.courses)) if options.seed != TUNING_SET else 0
+    return min(_TUNING_COURSES, options.courses) if options.seed != TUNING_SET else 0
 
 
 def _untuned(controllers: dict[str, contestants.Contestant]) -> list[str]:
@@ -193,16 +183,16 @@ def _untuned(controllers: dict[str, contestants.Contestant]) -> list[str]:
     return [c.name for c in controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings]
 
 
-def _begin(asked: study.Study, folder: Path) -> study.Study:
-    """The study of `folder` if it is the same one, else `asked`, written there; tuned, or its tuning gone on with."""
-    if studies.is_begun(asked, folder, ignored=("tuned",)):
-        asked = study.load_study(folder)
+def _begin(asked: Evaluation, folder: Path) -> Evaluation:
+    """The evaluation of `folder` if it is the same one, else `asked`, written there; tuned."""
+    if cells.is_begun(asked, folder, ignored=("tuned",)):
+        asked = cells.load_study(Evaluation, folder)
     else:
-        studies.save_study(asked, folder)
+        cells.save_study(asked, folder)
     return _tuned(asked, folder)
 
 
-def _tuned(asked: study.Study, folder: Path) -> study.Study:
+def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
     """`asked` with the settings of its classical controllers, found before the first course of the comparison."""
     untuned = _untuned(asked.controllers)
     if asked.tuned or not (asked.tuning_courses and trials_in_all(untuned, 1)):
@@ -210,7 +200,7 @@ def _tuned(asked: study.Study, folder: Path) -> study.Study:
     log = folder / _TUNING
     tuned, _ = tuned_settings(asked.scenario, asked.tuning_courses, untuned, None, asked.world, log)
     asked = dataclasses.replace(asked, tuned=tuned)
-    studies.save_study(asked, folder)
+    cells.save_study(asked, folder)
     log.unlink(missing_ok=True)
     return asked
 

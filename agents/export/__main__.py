@@ -9,59 +9,53 @@ hidden states are inputs and outputs with names. It is compared with the agent o
 before anything is written; where an action differs by more than 1e-5 nothing is.
 
 Examples:
-  python -m agents.export runs/NAME --out policy
+  soil-env export runs/NAME --out policy
   python policy/run_policy.py
-  python -m agents.evaluate --controllers soft_start,mine=policy --out evaluation
+  soil-env evaluate --controllers soft_start,mine=policy --out evaluation
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.resources
-import json
+import io
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import yaml
 
-from soil_env._io.commands import command, command_line, folder, leave, whole_number
-from soil_env._io.files import check_outputs, plain, replace_files, write_json
-from soil_env._io.loading import ParameterError, load
+from soil_env._io.commands import command, command_line, command_parser, folder, leave, whole_number
+from soil_env._io.files import check_outputs, plain, replace_files
+from soil_env._io.loading import ParameterError
 from soil_env.parameters import DEFAULT_SCENARIO, Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.vehicle import RoverScenario
 
-from ..cli import manual_parser
-from ..exported import POLICY, ExportedAgent
+from ..exported import POLICY
 from ..extras import needing
 from ..progress import show
-from . import CARD, COURSE, DESCRIPTION, RUNNER, zip_name
 
 _NAME = __package__
+DESCRIPTION, COURSE, RUNNER = "policy.yaml", "course.npz", "run_policy.py"
 _FILES = """
 OUT holds
   policy.onnx     the agent; its description is inside, too
   policy.yaml     names, units, bounds and order of the inputs, meaning and scale of the output, rate, versions,
-                  scenario, comparison, difference from the agent, latency
+                  scenario, difference from the agent, latency
   run_policy.py   runs it: numpy and onnxruntime only
   course.npz      the steps that both were compared on
-  NAME.zip        the agent of Stable-Baselines3, as huggingface_sb3 names it; config.json, results.json
-  README.md       model card for the Hugging Face Hub (python -m agents.publish)
 """
 
 
 def parser() -> argparse.ArgumentParser:
     """Options of the command."""
-    p = manual_parser(command(_NAME), __doc__, _FILES)
+    p = command_parser(command(_NAME), __doc__, _FILES, allow_abbrev=False)
     p.add_argument("run", metavar="RUN", type=Path, help="run folder, or a .zip of Stable-Baselines3")
     p.add_argument("--out", metavar="OUT", type=folder, required=True, help="folder of the export")
     p.add_argument(
         "--scenario", metavar="NAME", help=f"of a zip that does not say: scenario or YAML file ({DEFAULT_SCENARIO})"
     )
     p.add_argument("--steps", metavar="N", type=whole_number(1), default=1000, help="compared (default: 1000)")
-    p.add_argument(
-        "--courses", metavar="N", type=whole_number(2), default=100,
-        help="held-out courses for the mean return of the model card (default: 100)",
-    )  # fmt: skip
     return p
 
 
@@ -76,108 +70,68 @@ def main(arguments: list[str] | None = None) -> int:
 @command_line(_NAME)
 def _run(options: argparse.Namespace) -> int:
     try:
-        import onnx  # noqa: F401
+        import onnx
         import onnxruntime  # noqa: F401
     except ImportError as error:
         raise ParameterError(f"needs {error.name}: pip install 'soil_env[export]'") from None
-    from . import card, policy
+    from ..evaluate.models import load_model
+    from ..run_policy import Policy, compared
+    from . import policy
 
     path, scenario, world = _asked(options)
-    check_outputs(options.out, (POLICY, DESCRIPTION, COURSE, RUNNER, CARD))
-    agent = _agent(path, scenario)
+    check_outputs(options.out, (POLICY, DESCRIPTION, COURSE, RUNNER))
+    try:
+        agent = load_model(path, scenario)
+    except ParameterError as error:
+        raise ParameterError(str(error).removeprefix("controllers: ")) from None
     name = path.resolve().parent.name if path.stem == "model" else path.stem
     description = policy.describe(agent, name, scenario, world)
     course = policy.recorded(agent, scenario, options.steps, world)
-    content, proof = _compared(policy, agent, description, course)
-    if proof["largest_difference"] > policy.TOLERANCE:
+    model = policy.onnx_model(agent, description)
+    onnx.checker.check_model(model, full_check=True)
+    content = model.SerializeToString()
+    with tempfile.TemporaryDirectory() as there:
+        (Path(there) / POLICY).write_bytes(content)
+        worst, times = compared(Policy(Path(there) / POLICY), course)
+    if worst > policy.TOLERANCE:
         raise ParameterError(
-            f"{path}: the exported action differs by {proof['largest_difference']:.1e} from the agent's: expected at "
-            f"most {policy.TOLERANCE:.0e}; nothing is written"
+            f"{path}: the exported action differs by {worst:.1e} from the agent's: expected at most "
+            f"{policy.TOLERANCE:.0e}; nothing is written"
         )
-    result = card.results(agent, scenario, options.courses, world)
-    description |= {"proof": proof, "comparison": _comparison(path.parent, agent)}
-    _write(options.out, path, content, plain(description), plain(result), policy.write_course, course)
-    latency = proof["latency_us"]
+    median, p99 = np.percentile(times, [50, 99]).tolist()
+    description["proof"] = {"steps": len(times), "largest_difference": worst, "tolerance": policy.TOLERANCE,
+                            "latency_us": {"median": median, "p99": p99}}  # fmt: skip
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **course)
+    replace_files(options.out, {
+        POLICY: content,
+        DESCRIPTION: yaml.safe_dump(plain(description), sort_keys=False, width=120),
+        RUNNER: Path(__file__).parent.with_name(RUNNER).read_text(encoding="utf-8"),
+        COURSE: stream.getvalue(),
+    })  # fmt: skip
     show(
-        f"Written to {options.out}: policy.onnx ({len(content) / 1024:.0f} KiB). {proof['steps']} steps: largest "
-        f"difference {proof['largest_difference']:.1e}, {latency['median']:.0f} us a step, 99 % within "
-        f"{latency['p99']:.0f} us."
+        f"Written to {options.out}: policy.onnx ({len(content) / 1024:.0f} KiB). {len(times)} steps: largest "
+        f"difference {worst:.1e}, {median:.0f} us a step, 99 % within {p99:.0f} us."
     )
     return 0
 
 
 def _asked(options) -> tuple[Path, Scenario, WheelSoilModel | None]:
     """(the zip, its scenario, the model of its world)."""
-    from .. import ppo, zips
+    from ..agent import INFO, read_info, read_member
 
     path = options.run / "model.zip" if options.run.is_dir() else options.run
     if not path.is_file():
         wrong = f"{options.run}: no model.zip in this folder" if options.run.is_dir() else f"{path}: is not there"
         raise ParameterError(f"{wrong}: expected a run folder of train.py, or a .zip of Stable-Baselines3")
-    if zips.read_bytes(path, ppo.META) is None:
+    if read_member(path, INFO) is None:
         return path, load_scenario(options.scenario or DEFAULT_SCENARIO), None
     if options.scenario is not None:
         raise ParameterError(f"--scenario {options.scenario}: {path} has its own")
-    meta = ppo.read_meta(path)
-    if "vehicle" in meta["scenario"]:
+    info = read_info(path)
+    if isinstance(info.task, RoverScenario):
         raise ParameterError(f"{path}: an agent of a rover; expected one of a wheel, others are not exported")
-    world = WheelSoilModel.from_content(meta["model"], str(path)) if "model" in meta else None
-    return path, load(Scenario, meta["scenario"], f"{path}: scenario"), world
-
-
-def _agent(path: Path, scenario: Scenario):
-    """The agent; what is wrong with it in one line."""
-    from ..evaluate.models import load_model
-
-    try:
-        return load_model(path, scenario)
-    except ParameterError as error:
-        raise ParameterError(str(error).removeprefix("controllers: ")) from None
-
-
-def _compared(policy, agent, description: dict, course) -> tuple[bytes, dict]:
-    """(the ONNX file, how it compares with the agent)."""
-    import onnx
-
-    model = policy.onnx_model(agent, description)
-    onnx.checker.check_model(model, full_check=True)
-    content = model.SerializeToString()
-    with tempfile.TemporaryDirectory() as there:
-        file = Path(there) / POLICY
-        file.write_bytes(content)
-        return content, policy.compared(ExportedAgent(file), course)
-
-
-_KEPT = ("immobilised", "time_limit", "finished", "time", "energy_per_metre", "slip", "return")
-
-
-def _comparison(run: Path, agent) -> dict | None:
-    """The metrics of comparison.json of the run folder, of every controller."""
-    file = run / "comparison.json"
-    if not file.is_file():
-        return None
-    found = json.loads(file.read_text(encoding="utf-8"))
-    rows = {name: {key: row[key] for key in _KEPT if key in row} for name, row in found["controllers"].items()}
-    return {"courses": found["courses"], "agent": getattr(agent, "name", None), "controllers": rows}
-
-
-def _write(out: Path, path: Path, content: bytes, description: dict, result: dict, write_course, course) -> None:
-    """All files of the export."""
-    from .. import zips
-    from . import card
-
-    runner = importlib.resources.files(_NAME).joinpath(RUNNER).read_text(encoding="utf-8")
-    name = zip_name(description)
-    replace_files(out, {
-        POLICY: content,
-        DESCRIPTION: yaml.safe_dump(description, sort_keys=False, width=120),
-        RUNNER: runner,
-        CARD: card.card(description, result),
-        name: path.read_bytes(),
-    })  # fmt: skip
-    write_course(course, out / COURSE)
-    write_json(out / "results.json", result)
-    write_json(out / "config.json", zips.read_member(path, "data"))
+    return path, info.task, WheelSoilModel.from_content(info.model, str(path)) if info.model else None
 
 
 if __name__ == "__main__":

@@ -16,11 +16,19 @@ allocate does not compile. Scratch memory is on the stack (`lanes.scratch`, `row
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import importlib
+import multiprocessing
+import os
+import pickle
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from functools import update_wrapper
+from pathlib import Path
 from typing import Any, TypeAlias, overload
 
 import numpy as np
@@ -28,7 +36,7 @@ from numba import config, njit, typeof, types
 from numba.extending import intrinsic, typeof_impl
 from numba.np.arrayobj import make_array
 
-from soil_env._numba.cache import keep
+from soil_env._numba.cache import CACHE, await_code_of, is_kept, keep
 from soil_env._numba.pipeline import ALLOCATING, PART, ROOT
 
 #: Whether functions are compiled at all.
@@ -168,6 +176,36 @@ class FastCall:
 
 def _fast_call(module: str, name: str) -> FastCall:
     return FastCall(_named(module, name))
+
+
+# --- two roots at once ------------------------------------------------------------------------------------------------
+
+
+def compile_aside(function, arguments: tuple) -> None:
+    """Start a process that compiles a root for such arguments, if the cache does not hold it yet.
+
+    Meanwhile this process compiles what it needs first; a call of the root waits for the other process and loads its
+    code. Without a cache, with one processor, and in workers of `multiprocessing` it does nothing.
+    """
+    if not COMPILED or not CACHE or multiprocessing.parent_process() is not None or (os.cpu_count() or 1) < 2:
+        return
+    signature = tuple(typeof(a) for a in arguments)
+    if signature in function.overloads or is_kept(function, signature):
+        return
+    path = [str(Path(__file__).resolve().parents[2]), *sys.path]
+    order = pickle.dumps((function.__module__, function.__name__)) + pickle.dumps(signature)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path)}
+    try:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "soil_env._numba.aside"],
+            env=environment, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+    except OSError:
+        return
+    with contextlib.suppress(OSError), child.stdin as orders:
+        orders.write(order)
+    atexit.register(child.kill)
+    await_code_of(function, signature, child.wait)
 
 
 @intrinsic

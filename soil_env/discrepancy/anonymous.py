@@ -18,7 +18,7 @@ from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import Evidence, Grid, plain_grid, weigh
 from soil_env.discrepancy.fits import Fit
-from soil_env.identification.form_error import INPUTS, LENGTHS, Process
+from soil_env.identification.table.form_error import INPUTS, LENGTHS, Process
 
 #: Sizes of a smooth contribution to a channel, relative to its root mean square; each as probable as another, and each
 #: set of channels as another.

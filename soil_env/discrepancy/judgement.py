@@ -15,7 +15,7 @@ from soil_env.discrepancy.data import CHANNELS, folds
 from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.fits import Fit
 from soil_env.discrepancy.search import Finding
-from soil_env.identification.priors import Unknown
+from soil_env.identification.table.priors import Unknown
 
 SURE = 1.959964  # [sd] of a 95 % interval
 _CLOSED_DRAWS = 2000  # of the groups, for the interval of `closed`

@@ -2,7 +2,7 @@
 
 The reference is a *smooth surface* through the data: the calibrated base model plus polynomials of the conditions in
 every channel. Whatever effect is missing, it is smooth in the conditions; single values that leave the surface are not
-an effect. (`soil_env.identification.weighted` estimates noise from what its own fit leaves: there the model is taken to
+an effect. (`identification.table.problem` estimates noise from what its own fit leaves: there the model is taken to
 be right, here it is in question.)
 """
 

@@ -17,11 +17,11 @@ _LISTS_OF_NAMES = ("name", "joint_names", "names")
 
 
 class NotHere(LookupError):
-    """This one message lacks the value; others may have it."""
+    """The value is missing in this one message; others may have it."""
 
 
 def parse(field: str, where: str) -> tuple[str | int, ...]:
-    """The steps of a path: names of attributes, "[name]" for the place of a name, numbers for places."""
+    """Steps of a path: names of attributes, "[name]" for the index of a name, numbers for indices."""
     steps: list[str | int] = []
     for part in field.split("."):
         found = _STEP.match(part)

@@ -12,7 +12,7 @@ from soil_env._numba.compiling import root
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import GRAINS, GREY, INK, RIM, WHITE, Box, Canvas, soil_colour
 from soil_env.rendering.charts import nice, ticks
-from soil_env.simulation.terrain import CELL, CELLS_BEHIND, Courses, ground_at
+from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND, Courses, ground_at
 
 #: Box of the strip of the whole course: left, top, width, height
 COURSE = (32, 448, 512, 66)

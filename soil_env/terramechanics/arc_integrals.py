@@ -290,7 +290,7 @@ def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
     """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
 
     Rule and nodes: `store_nodes`. Relative error about 1e-5 when driving; when braking j changes sign within the arc
-    and it reaches 5.5e-3 of the load for K/r of 0.02 to 0.05 (`python -m benchmarks.accuracy`). The derivative by K
+    and it reaches 5.5e-3 of the load for K/r of 0.02 to 0.05 (docs/results/README.md). The derivative by K
     needs no further integrals: see `shear_modulus_rates`.
     """
     return integrals_of(Arc(theta1, theta2, thetam, theta1, r), rim, travel, K, n, law)

@@ -97,7 +97,7 @@ def load_sim2real() -> None:
 
 def sim2real(folder: Path) -> None:
     """A tiny study of `agents.sim2real`, with checkpoints in the trainings."""
-    from agents.ppo import TrainConfig
+    from agents.config import TrainConfig
     from agents.sim2real import report, study
     from tests.agents.test_sim2real import WORLDS, tiny
 
@@ -110,18 +110,17 @@ def sim2real(folder: Path) -> None:
 
 def load_blind() -> None:
     """Import what the benchmark imports."""
-    import benchmarks.blind.__main__
-    import benchmarks.blind.entrants.bic  # noqa: F401
+    import benchmarks.discovery.__main__  # noqa: F401
 
 
 def blind_cases(folder: Path) -> None:
-    """Three small cases of `benchmarks.blind`, drawn, answered and scored."""
-    from benchmarks.blind.__main__ import main as blind
+    """Three small cases of `benchmarks.discovery`, drawn, answered and scored."""
+    from benchmarks.discovery.__main__ import main as discovery
 
     groups = (word for name in ("none-few-10", "one-few-10", "one-poor-10") for word in ("--group", name))
     asked = ["--entrant", "bic", "--seed", "100007", "--limit", "30", *groups]
-    if blind(["run", *asked, "--out", str(folder)]) != 0:
-        raise RuntimeError("benchmarks.blind failed")
+    if discovery(["run", *asked, "--out", str(folder)]) != 0:
+        raise RuntimeError("benchmarks.discovery failed")
 
 
 def main(name: str, folder: Path) -> None:

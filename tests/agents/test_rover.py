@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 from agents import rover_study, train, training
+from agents.agent import load_agent
 from agents.config import TrainConfig
 from agents.evaluate.driving import ControllerError
-from agents.ppo import load_agent
 from agents.rover import comparing
 from agents.rover.controllers import ROVER_CONTROLLERS, VelocitySync, make_rover_controller
 from agents.rover.driving import ROVER_METRICS, RoverRuns, run_courses

@@ -10,7 +10,7 @@ from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET
 from agents.warning import judging, study
 from agents.warning.drivers import DRIVERS, FAMILIES, make_driver
 from agents.warning.drives import Drives, drives, held_minimum
-from soil_env.identification.immobilisation import FILE, INPUTS, shipped, shipped_network
+from soil_env.identification.online.immobilisation import FILE, INPUTS, shipped, shipped_network
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
 

@@ -12,7 +12,7 @@ from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import folds
 from soil_env.discrepancy.judgement import closed_interval
 from soil_env.discrepancy.search import Finding, Hypothesis
-from soil_env.identification.priors import Unknown
+from soil_env.identification.table.priors import Unknown
 from tests.discrepancy.files import PLANTED, world
 from tests.discrepancy.tables import NOISE, table
 

@@ -8,13 +8,13 @@ import re
 import numpy as np
 import pytest
 
-from benchmarks.sound_tables import MISTAKES, check_first, sound_tables
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import calibrate, mistakes
 from soil_env.discrepancy.data import prepare
 from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.table import Prior, Setup, SetupWheel, SoilPriors, read_setup, read_table
 from tests.discrepancy.files import SETUP, table_text, write_files
+from tests.discrepancy.sound_tables import MISTAKES, check_first, sound_tables
 
 WEAK = SETUP.replace("{value: 3700, sd: 700}", "{value: 3500, sd: 100}")
 

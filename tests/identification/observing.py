@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from soil_env.identification.online import new_replay, observe_rows
+from soil_env.identification.online.identifier import new_replay, observe_rows
 
 
 def observe(ids, wheel, reading, numbers):

@@ -8,13 +8,13 @@ import pytest
 from agents.controllers import make_controller
 from agents.evaluate import drive
 from soil_env._numba.compiling import root
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import IDLE, STEP
 from soil_env.identification import Status
-from soil_env.identification.online import identifier_numbers
+from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import load_scenario, scenario_names
-from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.task import Cause
-from soil_env.simulation.terrain import ground_at
-from soil_env.simulation.worlds import IDLE, STEP
+from soil_env.simulation.world.terrain import ground_at
 from soil_env.vehicle import load_rover, rover_names
 
 SEED, COURSES = 5, 40

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from soil_env.identification import form_error
-from soil_env.identification.form_error import INPUTS, Process
+from soil_env.identification.table import form_error
+from soil_env.identification.table.form_error import INPUTS, Process
 
 RNG = np.random.default_rng(0)
 CONDITIONS = {"slip": RNG.uniform(0.0, 0.6, 60), "load": np.exp(RNG.uniform(4.0, 5.5, 60)),

@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.online import RENEWED, SensorReading, forget, identifier_numbers, new_identifiers
-from soil_env.identification.pooling import pool, share
-from soil_env.identification.solver import Status
-from soil_env.identification.stretches import ERROR_OF_MODEL, forget_stretches, new_pools, note, pool_numbers
+from soil_env.identification.online.identifier import (
+    RENEWED,
+    SensorReading,
+    forget,
+    identifier_numbers,
+    new_identifiers,
+)
+from soil_env.identification.online.pooling import pool, share
+from soil_env.identification.online.status import Status
+from soil_env.identification.online.stretches import ERROR_OF_MODEL, forget_stretches, new_pools, note, pool_numbers
 from soil_env.parameters import load_scenario
 from tests.identification.observing import observe
 

@@ -9,8 +9,8 @@ from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.filter_bank import filter_numbers, new_banks, restart
-from soil_env.identification.sinkage_filter import (
+from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
+from soil_env.identification.online.sinkage_filter import (
     DEPTH,
     GAIN,
     HERE,

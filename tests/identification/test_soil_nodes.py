@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.filter_bank import filter_numbers, new_banks, restart
-from soil_env.identification.sinkage_filter import GAIN as SINKAGE_GAIN, PRESSURE as SINKAGE_PRESSURE, cell
-from soil_env.identification.soil_nodes import (
+from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
+from soil_env.identification.online.sinkage_filter import GAIN as SINKAGE_GAIN, PRESSURE as SINKAGE_PRESSURE, cell
+from soil_env.identification.online.soil_nodes import (
     BORDER_PLACE,
     COVARIANCE,
     GAUSSIAN,
@@ -27,7 +27,6 @@ from soil_env.identification.soil_nodes import (
     TRIANGLE,
     UNKNOWNS,
     begin_next_soil,
-    begin_soil,
     below_diagonal,
     fit_is_sound,
     gather,
@@ -36,7 +35,7 @@ from soil_env.identification.soil_nodes import (
     set_priors,
     spread_anew,
 )
-from soil_env.identification.soil_prior import prior_of_belief
+from soil_env.identification.online.soil_prior import prior_of_belief
 from soil_env.parameters import Belief, load_scenario
 
 SCENARIOS = {"library": load_scenario("mixed"), "plain": replace(load_scenario("mixed"), belief=Belief())}
@@ -263,14 +262,3 @@ def test_behind_a_border_the_likelier_soil_is_taken(filled, same, stays):
         mean = (w @ new[:STAYS]) / w.sum()
         sd = math.sqrt((w @ (new[:STAYS] - mean) ** 2) / w.sum())
         assert centre == pytest.approx(mean) and half == pytest.approx(REACH * sd, rel=1e-6)
-
-
-def test_a_fit_that_is_not_finite_is_not_sound():
-    banks, numbers = new_banks(1), filter_numbers(SCENARIOS["plain"])
-    restart(banks, 0, numbers)
-    for place in range(GAUSSIAN):
-        begin_soil(banks, 0, numbers)
-        assert fit_is_sound(banks, 0)
-        banks.known[0, place] = math.nan if place % 2 else math.inf
-        assert not fit_is_sound(banks, 0)
-    assert below_diagonal(3, 1) == 7

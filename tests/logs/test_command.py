@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env.identification.priors import soil_unknowns
 from soil_env.identification.table import identify_table
+from soil_env.identification.table.priors import soil_unknowns
 from soil_env.logs import read_map, replay, steady_windows
 from soil_env.logs.__main__ import main
-from soil_env.logs.align import Aligned, ChannelCount
-from soil_env.logs.grounds import advice, commands, files, grounds, how_found, setup_text
+from soil_env.logs.align import Aligned, Channel
+from soil_env.logs.grounds import advice, commands, files, grounds, setup_text
 from soil_env.logs.replay import COLUMNS, ESTIMATED, _grounds, _impassable, what_can_be_told
 from soil_env.logs.report import contents
 from soil_env.measurement.table import read_setup, read_table
@@ -158,7 +158,7 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
         return dataclasses.replace(estimate, **{name: value}) if far else estimate
 
     monkeypatch.setattr(OnlineIdentifier, "update", absurd)
-    log.counts.update({n: ChannelCount(n) for n in log.readings})
+    log.channels.update({n: Channel(n) for n in log.readings})
     found = replay(log, log_map)
     written = contents("a.csv", log, log_map, found, steady_windows(log, log_map, found.ground))
     refused = [line for line in found.warnings if "refused" in line]
@@ -171,18 +171,18 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
 @pytest.mark.xfail(strict=True, reason="a sinkage without the digging that is believed in is taken for another soil")
 def test_a_short_log_of_a_sand_without_slip_sinkage_tells_something(log_map):
     log = made(log_map, [(s, 2.0) for s in (0.1, 0.4, 0.2, 0.6)], noise=1.0)
-    assert sum(": told" in line for line in what_can_be_told(replay(log, log_map), log)) >= 2
+    assert sum(": identified" in line for line in what_can_be_told(replay(log, log_map), log)) >= 2
 
 
 def test_nothing_is_told_by_readings_that_contradict(log_map):
     """A wheel speed in rpm that is taken for rad/s: no estimate is current, and no parameter is said to be told."""
     log = made(log_map, [(s, 4.0) for s in (0.1, 0.4, 0.2, 0.6)], noise=1.0)
-    assert sum(": told" in line for line in what_can_be_told(replay(log, log_map), log)) >= 2
+    assert sum(": identified" in line for line in what_can_be_told(replay(log, log_map), log)) >= 2
     log.readings["wheel_speed"] = log.readings["wheel_speed"] * 30.0 / math.pi
     wrong = replay(log, log_map)
     assert not np.any(wrong.status == wrong.prior.status.CONVERGED)
     said = what_can_be_told(wrong, log)
-    assert not any(": told" in line for line in said) and any("0 % of the steps" in line for line in said)
+    assert not any(": identified" in line for line in said) and any("0% of the steps" in line for line in said)
 
 
 def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
@@ -233,8 +233,8 @@ def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
     assert [fits["ground1"].value, fits["ground2"].value] == pytest.approx(truth, rel=0.4)
     run = commands(parts, steady, tmp_path)
     assert len(run) == 4 and not any("steady.csv" in line for line in run)
-    assert parts[1].differs > 0.8 and "Grounds found: 2, of" in how_found(found)
-    assert any("16." in line and "one ground at a time" in line for line in advice(parts, steady))
+    assert parts[1].differs > 0.8 and "Grounds found: 2, of" in advice(found, parts, steady)[0]
+    assert any("16." in line and "one ground at a time" in line for line in advice(found, parts, steady))
 
 
 def test_borders_without_another_soil_are_no_grounds(log_map):
@@ -290,7 +290,7 @@ def test_a_ground_with_one_slip_has_no_table(without_digging):
     steady = steady_windows(log, log_map, found.ground)
     parts = grounds(found, steady)
     assert len(steady.rows) > 3 and not files(parts, steady, log_map, found.prior) and not commands(parts, steady)
-    assert "two slips" in advice(parts, steady)[0]
+    assert "two slips" in advice(found, parts, steady)[1]
 
 
 def test_command(tmp_path, capsys):

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soil_env.identification import Reading, newton_raphson
-from soil_env.parameters import Soil, load_scenario, soils
-from soil_env.simulation.rover.simulation import RoverSimulation
-from soil_env.simulation.worlds import Simulation
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import Simulation
+from soil_env.parameters import load_scenario, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, steady_state
 from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.vehicle import load_rover
@@ -67,22 +66,15 @@ def drive_rover(name):
     }  # fmt: skip
 
 
-def identify():
-    """Three points of a steady wheel, and the soil that is identified from them."""
-    reading, slip = Reading(690.0, 0.47, 0.6274, 0.1524), (0.08, 0.22, 0.45)
+def steady():
+    """Three steady points of a wheel."""
     sand = soils()["compact_sand"].state(0.1524)
-    points = np.array([steady_state(i, w, sand, 0.6274, 0.1524) for i, w in zip(slip, (7e3, 9e3, 11e3), strict=True)])
-    guess = Soil(30.0, 690.0, 0.03, 0.47, sinkage_coefficient=5e5)
-    paper = reading._replace(simpson=2, paper_resistance=True)
-    found = [
-        newton_raphson(slip, points[:, 0], points[:, 1], reading=how, guess=guess).covariance
-        for how in (reading, paper)
-    ]
-    return {"points": points, "covariance": np.array(found)}
+    at = zip((0.08, 0.22, 0.45), (7e3, 9e3, 11e3), strict=True)
+    return {"points": np.array([steady_state(slip, load, sand, 0.6274, 0.1524) for slip, load in at])}
 
 
 ROVERS = {name: (drive_rover, name) for name in ("lunar_micro_rover", "mars_rover")}
-RUNS = {**{name: (drive, name) for name in MODELS}, **ROVERS, "identification": (identify,)}
+RUNS = {**{name: (drive, name) for name in MODELS}, **ROVERS, "steady": (steady,)}
 
 
 #: What scratch memory holds before it is written, in the interpreted runs.

@@ -6,14 +6,14 @@ import gymnasium
 import numpy as np
 import pytest
 
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.rendering import canvas, charts, rover_view as rendering
 from soil_env.rendering.rover_view import RoverRenderer, posture_of, rover_stresses
 from soil_env.rendering.side_view import Renderer
 from soil_env.rover_env import SoilRoverEnv
-from soil_env.simulation.rover.simulation import RoverSimulation
-from soil_env.simulation.terrain import cell_at
-from soil_env.simulation.worlds import Simulation
+from soil_env.simulation.world.terrain import cell_at
 from soil_env.vehicle import load_rover, rover_names
 from tests.rendering.test_side_view import dummy_display, integral, near  # noqa: F401
 

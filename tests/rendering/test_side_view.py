@@ -8,11 +8,11 @@ import sys
 import numpy as np
 import pytest
 
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.rendering import canvas, charts, side_view as rendering
 from soil_env.rendering.side_view import Renderer, stresses_under
-from soil_env.simulation.terrain import cell_at
-from soil_env.simulation.worlds import Simulation
+from soil_env.simulation.world.terrain import cell_at
 
 SCALE = rendering.SCENE[2] / rendering._VIEW  # units of the design per wheel radius
 

@@ -13,7 +13,10 @@ from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import larger, sine_of
 from soil_env._numba.lanes import COUNT, from_array, scratch, to_array
 from soil_env._numba.rows import Rows, scratch_rows
-from soil_env.simulation.dynamics import (
+from soil_env.simulation.rover.body import angle_of, rise_of_body
+from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds, weight_of
+from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
+from soil_env.simulation.world.dynamics import (
     FINEST,
     MOST_STEPS,
     STEP,
@@ -24,10 +27,7 @@ from soil_env.simulation.dynamics import (
     stage_of,
     steps_for,
 )
-from soil_env.simulation.rover.body import angle_of, rise_of_body
-from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds, weight_of
-from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
-from soil_env.simulation.stage import (
+from soil_env.simulation.world.stage import (
     GAMMA,
     Period,
     Substep,
@@ -38,7 +38,7 @@ from soil_env.simulation.stage import (
     new_newton,
     new_nodes,
 )
-from soil_env.simulation.wheel import finish, wheel_of
+from soil_env.simulation.world.wheel import finish, wheel_of
 from soil_env.slip import slip_ratio
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.vehicle import MOST_AXLES

@@ -11,9 +11,9 @@ from __future__ import annotations
 from soil_env._numba.compiling import inlined, part
 from soil_env._numba.elementary import below, chosen, larger, sine_of, sqrt
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
-from soil_env.simulation.newton import HUGE, PASSES, TOLERANCE, compare, near_enough
 from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear
-from soil_env.simulation.stage import (
+from soil_env.simulation.world.newton import HUGE, PASSES, TOLERANCE, compare, near_enough
+from soil_env.simulation.world.stage import (
     SHORT,
     behind,
     chosen_reaction,

@@ -19,7 +19,7 @@ import numpy as np
 
 from soil_env._numba.compiling import inlined
 from soil_env._numba.lanes import COUNT
-from soil_env.simulation.terrain import between_cells
+from soil_env.simulation.world.terrain import between_cells
 
 COMPACTION_OF_RUT = 5.0
 

@@ -9,8 +9,8 @@ import pytest
 from soil_env.identification import Status
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.task import axle_names, rover_layout
-from soil_env.simulation.scaling import CENTRE_AND_SCALE
 from soil_env.simulation.task import VARIANTS
+from soil_env.simulation.task.scaling import CENTRE_AND_SCALE
 from soil_env.vehicle import rover_names
 
 ROW = re.compile(r"^\s*\| (\d+) \| (\w+) \| (.+?) \| (\S+) \| (\S+) \|$", re.MULTILINE)
@@ -191,7 +191,7 @@ def test_the_information_term_is_the_mean_over_the_axles():
     env.reset(seed=0)
     paid = sum(env.step([0.4, 0.5, 0.6])[4]["reward_terms"]["information"] for _ in range(25))
     w = env.simulation.worlds
-    precision = env.simulation.numbers.identifier.precision
+    precision = env.simulation.belief.identifier.precision
     sd = w.known.sd[env.simulation.wheels[0]][:, : precision.size]
     known = -np.log(np.clip(sd * np.sqrt(precision), 1e-6, 1.0)).sum(axis=1)
     assert paid == pytest.approx(known.mean(), abs=1e-9) and paid > 0.5

@@ -1,0 +1,392 @@
+"""Fit of the soil to the traction curve (`curve`), for the eight nodes of ln K (`soil_nodes`) side by side.
+
+Slip and sinkage of a bin are measured too (errors in variables). Linearised, their errors add to those of pull and
+torque, b b'/w with the slopes b = d(pull, torque)/d(slip) and the weight w of the slip. The ln of the determinant of
+that sum counts by a quarter: without it the slips of the bins are estimated beside the soil (profile likelihood), with
+all of it they are as probable anywhere, and low slopes are preferred by as much as there are bins (Neyman & Scott 1948,
+Econometrica 16:1-32).
+
+Each node has a maximum a posteriori with a covariance (Laplace); the posterior is their mixture, weighted by the
+evidence. A bin is linearised at the slip that is most likely under the node.
+"""
+
+from __future__ import annotations
+
+import math
+
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import exp, fma, larger, log, smaller, sqrt, where_less
+from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
+from soil_env.identification.online.contact_slopes import GroundSoil, reaction
+from soil_env.identification.online.curve import (
+    FIELDS,
+    LOAD,
+    ON_BORDER,
+    PLACE,
+    PULL,
+    PULL_WEIGHT,
+    SINKAGE,
+    SINKAGE_WEIGHT,
+    SLIP,
+    SLIP_WEIGHT,
+    SPREAD,
+    TORQUE,
+    TORQUE_WEIGHT,
+)
+from soil_env.identification.online.soil_nodes import (
+    BORDER_PLACE,
+    COHESION,
+    COST,
+    COVARIANCE,
+    EXPONENT,
+    LN_K,
+    LOG_PRIOR,
+    LOG_WEIGHT,
+    OLD,
+    PRECISION,
+    PRIOR_MEAN,
+    SAME_SOIL,
+    SOIL,
+    TANGENT,
+    TRIANGLE,
+    UNKNOWNS,
+    begin_again,
+    below_diagonal,
+    gather,
+    set_priors,
+    spread_anew,
+)
+from soil_env.terramechanics.ground import share_of_next
+
+# Rows of `fits`, COUNT numbers each, of one bin: the slip at which it is linearised next; pull and torque as affine
+# functions of the unknowns and the slip: constant, slopes; their covariance beside that of the sensors.
+NEXT_SLIP, OF_PULL, OF_TORQUE, BESIDE, FIT_ROWS = 0, 1, 7, 13, 16
+BY_SLIP = UNKNOWNS + 1  # of OF_PULL and OF_TORQUE: the constant, by the four unknowns, by the slip
+
+_SLIP_RANGE = 0.05  # that the slip of a bin may be off its reading
+_LOWEST_SLIP, _HIGHEST_SLIP = -0.8, 0.97
+_STEP_TANGENT, _STEP_EXPONENT, _STEP_COHESION = 0.25, 0.3, 0.3  # longest steps; cohesion: of load over r b
+_LEAST_TANGENT, _LEAST_EXPONENT, _MOST_EXPONENT = 0.05, 0.2, 2.0
+_STALE = 2.0  # squared length of a step, in standard deviations, after which all bins are linearised anew
+_MOST_STEPS, _STAYS_THERE = 6, 0.05  # of the fit behind a border; squared length of a step below which it ends
+_UNLIKELY = -7.0  # ln weight below which a node is not followed closely
+_FEW = 3.0  # points of a soil up to which all bins are linearised at each
+_LEAST_SHARE = 1e-4  # of either soil on a border
+_OLD_DOUBT = 3.0  # how much more the covariance of the old soil counts: its error is one for all bins of a border
+_OF_VOLUME = 0.25  # share of the ln of the determinant that counts, errors by slip and sinkage in it
+_matrix, _matrix2, _vector = scratch(TRIANGLE * COUNT), scratch(TRIANGLE * COUNT), scratch(UNKNOWNS * COUNT)
+
+
+# --- linearised bins --------------------------------------------------------------------------------------------------
+
+
+@inlined
+def share_on_border(x, spread, place, length):
+    """(share of the new soil, its derivative by the place of the border) of a wheel at x +- spread [m]; lanes."""
+    low, by_low = share_of_next((x - spread - place) * (1.0 / length))
+    high, by_high = share_of_next((x + spread - place) * (1.0 / length))
+    return smaller(larger(0.5 * (low + high), _LEAST_SHARE), 1.0 - _LEAST_SHARE), (-0.5 / length) * (by_low + by_high)
+
+
+@inlined
+def quadratic_form(c, g, a, b):
+    """a' C b of `Slopes` a, b with the lower triangle of C from c[g] on."""
+    a0, a1, a2, a3 = a.by_tangent, a.by_cohesion, a.by_exponent, a.by_ln_K
+    b0, b1, b2, b3 = b.by_tangent, b.by_cohesion, b.by_exponent, b.by_ln_K
+    v = a0 * (c[g] * b0 + c[g + 1] * b1 + c[g + 3] * b2 + c[g + 6] * b3)
+    v = v + a1 * (c[g + 1] * b0 + c[g + 2] * b1 + c[g + 4] * b2 + c[g + 7] * b3)
+    v = v + a2 * (c[g + 3] * b0 + c[g + 4] * b1 + c[g + 5] * b2 + c[g + 8] * b3)
+    return v + a3 * (c[g + 6] * b0 + c[g + 7] * b1 + c[g + 8] * b2 + c[g + 9] * b3)
+
+
+@part
+def linearise(banks, k, b, numbers):
+    """Linearise bin b of wheel k at the unknowns of its nodes."""
+    nodes, bins, at = banks.nodes[k], banks.bins[k], b * FIELDS
+    fits, f = banks.fits[k], b * FIT_ROWS * COUNT
+    tangent, cohesion = from_array(nodes, TANGENT * COUNT), from_array(nodes, COHESION * COUNT)
+    exponent, ln_K = from_array(nodes, EXPONENT * COUNT), from_array(nodes, LN_K * COUNT)
+    w, by_place, slip = fill(1.0), fill(0.0), from_array(fits, f + NEXT_SLIP * COUNT)
+    known, soil, on_border = banks.known[k], GroundSoil(tangent, cohesion, exponent, ln_K), bins[at + ON_BORDER] > 0.0
+    away = GroundSoil(tangent - known[OLD], cohesion - known[OLD + 1], exponent - known[OLD + 2], ln_K - known[OLD + 3])
+    if on_border:
+        place, same = from_array(nodes, BORDER_PLACE * COUNT), from_array(nodes, SAME_SOIL * COUNT)
+        w, by_place = share_on_border(fill(bins[at + PLACE]), bins[at + SPREAD], place, numbers.border)
+        w, by_place = larger(w, same), (1.0 - same) * by_place
+        v = 1.0 - w
+        soil = GroundSoil(
+            tangent - v * away.tangent, cohesion - v * away.cohesion, exponent - v * away.exponent, ln_K - v * away.ln_K
+        )
+    found = reaction(soil, fill(bins[at + SINKAGE]), slip, bins[at + LOAD], numbers.radius, numbers.width)
+    p, t, of_sinkage = found.pull, found.torque, 1.0 / bins[at + SINKAGE_WEIGHT]
+    _store(nodes, fits, f + OF_PULL * COUNT, p, w, by_place, away, slip)
+    _store(nodes, fits, f + OF_TORQUE * COUNT, t, w, by_place, away, slip)
+    pp = of_sinkage * p.by_sinkage * p.by_sinkage
+    pt = of_sinkage * p.by_sinkage * t.by_sinkage
+    tt = of_sinkage * t.by_sinkage * t.by_sinkage
+    if on_border:  # what is not known of the old soil
+        rest, c = _OLD_DOUBT * (1.0 - w) * (1.0 - w), OLD + SOIL
+        pp = pp + rest * quadratic_form(known, c, p, p)
+        pt = pt + rest * quadratic_form(known, c, p, t)
+        tt = tt + rest * quadratic_form(known, c, t, t)
+    to_array(pp, fits, f + BESIDE * COUNT)
+    to_array(pt, fits, f + (BESIDE + 1) * COUNT)
+    to_array(tt, fits, f + (BESIDE + 2) * COUNT)
+
+
+@inlined
+def _store(nodes, fits, f, q, w, by_place, away, slip):
+    """A quantity at a bin as an affine function of the unknowns and the slip."""
+    change = q.by_tangent * away.tangent + q.by_cohesion * away.cohesion + q.by_exponent * away.exponent
+    to_array(w * q.by_tangent, fits, f + COUNT)
+    to_array(w * q.by_cohesion, fits, f + 2 * COUNT)
+    to_array(w * q.by_exponent, fits, f + 3 * COUNT)
+    to_array(by_place * (change + q.by_ln_K * away.ln_K), fits, f + 4 * COUNT)
+    to_array(q.by_slip, fits, f + BY_SLIP * COUNT)
+    constant = q.value - q.by_slip * slip
+    for i in range(UNKNOWNS):
+        constant = constant - from_array(fits, f + (1 + i) * COUNT) * from_array(nodes, i * COUNT)
+    to_array(constant, fits, f)
+
+
+@inlined
+def begin_bin(banks, k, b, slip):
+    """Linearise bin b at this slip from now on."""
+    to_array(fill(slip), banks.fits[k], (b * FIT_ROWS + NEXT_SLIP) * COUNT)
+
+
+# --- least squares ----------------------------------------------------------------------------------------------------
+
+
+@inlined
+def _residual(nodes, fits, f, q, value, slip):
+    """Residual of pull or torque (rows from q on) at a slip under the linearised bin."""
+    e = value - from_array(fits, f + q * COUNT) - from_array(fits, f + (q + BY_SLIP) * COUNT) * slip
+    for i in range(UNKNOWNS):
+        e = e - from_array(fits, f + (q + 1 + i) * COUNT) * from_array(nodes, i * COUNT)
+    return e
+
+
+@part
+def solve(banks, k, numbers):
+    """One Gauss-Newton step of all nodes on the linearised bins; the largest squared length of the step of a likely
+    one in standard deviations.
+
+    Renews unknowns, posterior covariances and weights of the nodes, and the slips at which bins are linearised next.
+    """
+    nodes, bins, fits = banks.nodes[k], banks.bins[k], banks.fits[k]
+    A, g, away = _matrix(), _vector(), _vector()
+    cost, volumes = fill(0.0), fill(1.0)
+    place, form_error = banks.point.border[k], banks.point.form_error[k]
+    of_place = 1.0 / max(banks.point.border_variance[k], 1e-8)
+    for i in range(3):
+        to_array(from_array(nodes, i * COUNT) - from_array(nodes, (PRIOR_MEAN + i) * COUNT), away, i * COUNT)
+    to_array(from_array(nodes, BORDER_PLACE * COUNT) - place, away, 3 * COUNT)
+    for i in range(3):
+        v = fill(0.0)
+        for j in range(3):
+            n = below_diagonal(max(i, j), min(i, j))
+            p = from_array(nodes, (PRECISION + n) * COUNT)
+            if j <= i:
+                to_array(p, A, n * COUNT)
+            v = fma(p, from_array(away, j * COUNT), v)
+        to_array(-1.0 * v, g, i * COUNT)
+        cost = fma(v, from_array(away, i * COUNT), cost)
+    place_away = from_array(away, 3 * COUNT)
+    to_array((-of_place) * place_away, g, 3 * COUNT)
+    cost = cost + of_place * place_away * place_away
+    for j in range(3):
+        to_array(fill(0.0), A, below_diagonal(3, j) * COUNT)
+    to_array(fill(of_place), A, below_diagonal(3, 3) * COUNT)
+    for b in range(int(banks.point.bins[k])):
+        chi, volume = _add_bin(nodes, bins, b * FIELDS, fits, b * FIT_ROWS * COUNT, A, g, form_error, numbers)
+        cost, volumes = cost + chi, volumes * volume
+    return _step(banks, k, A, g, cost, _OF_VOLUME * log(volumes), numbers)
+
+
+@inlined
+def _add_bin(nodes, bins, at, fits, f, A, g, form_error, numbers):
+    """Add a bin to normal matrix and gradient: (its chi-squared, determinant of its covariance over the sensors')."""
+    slip, of_slip, error = bins[at + SLIP], 1.0 / bins[at + SLIP_WEIGHT], form_error * bins[at + LOAD]
+    p = _residual(nodes, fits, f, OF_PULL, bins[at + PULL], slip)
+    t = _residual(nodes, fits, f, OF_TORQUE, bins[at + TORQUE], slip)
+    p_slip = from_array(fits, f + (OF_PULL + BY_SLIP) * COUNT)
+    t_slip = from_array(fits, f + (OF_TORQUE + BY_SLIP) * COUNT)
+    twist = error * numbers.radius
+    of_pull, of_torque = 1.0 / bins[at + PULL_WEIGHT] + error * error, 1.0 / bins[at + TORQUE_WEIGHT] + twist * twist
+    pp = from_array(fits, f + BESIDE * COUNT) + of_slip * p_slip * p_slip + of_pull
+    pt = from_array(fits, f + (BESIDE + 1) * COUNT) + of_slip * p_slip * t_slip
+    tt = from_array(fits, f + (BESIDE + 2) * COUNT) + of_slip * t_slip * t_slip
+    tt = tt + of_torque
+    det = 1.0 / (pp * tt - pt * pt)
+    ipp, itt, ipt = tt * det, pp * det, -1.0 * pt * det
+    fp, ft = ipp * p + ipt * t, ipt * p + itt * t
+    best = smaller(larger(slip + of_slip * (p_slip * fp + t_slip * ft), slip - _SLIP_RANGE), slip + _SLIP_RANGE)
+    to_array(smaller(larger(best, _LOWEST_SLIP), _HIGHEST_SLIP), fits, f + NEXT_SLIP * COUNT)
+    for i in range(UNKNOWNS):
+        jp, jt = from_array(fits, f + (OF_PULL + 1 + i) * COUNT), from_array(fits, f + (OF_TORQUE + 1 + i) * COUNT)
+        up, ut = ipp * jp + ipt * jt, ipt * jp + itt * jt
+        to_array(fma(up, p, fma(ut, t, from_array(g, i * COUNT))), g, i * COUNT)
+        for j in range(i + 1):
+            n = below_diagonal(i, j) * COUNT
+            v = fma(up, from_array(fits, f + (OF_PULL + 1 + j) * COUNT), from_array(A, n))
+            to_array(fma(ut, from_array(fits, f + (OF_TORQUE + 1 + j) * COUNT), v), A, n)
+    return fp * p + ft * t, (pp * tt - pt * pt) * (1.0 / (of_pull * of_torque))
+
+
+@inlined
+def _factor(A, L):
+    """Cholesky factor of A [4 x 4], packed, with the reciprocals of its diagonal; (ln det A)."""
+    log_det = fill(0.0)
+    for i in range(UNKNOWNS):
+        for j in range(i + 1):
+            v = from_array(A, below_diagonal(i, j) * COUNT)
+            for m in range(j):
+                x = from_array(L, below_diagonal(i, m) * COUNT)
+                v = fma(-1.0 * x, from_array(L, below_diagonal(j, m) * COUNT), v)
+            if i == j:
+                v = larger(v, 1e-300)
+                log_det = log_det + log(v)
+                to_array(1.0 / sqrt(v), L, below_diagonal(i, i) * COUNT)
+            else:
+                to_array(v * from_array(L, below_diagonal(j, j) * COUNT), L, below_diagonal(i, j) * COUNT)
+    return log_det
+
+
+@inlined
+def _inverse(L, out, at):
+    """Inverse of A from its factor, the lower triangle, into rows from `at` on."""
+    M = _matrix2()
+    for j in range(UNKNOWNS):  # M = inverse of L
+        to_array(from_array(L, below_diagonal(j, j) * COUNT), M, below_diagonal(j, j) * COUNT)
+        for i in range(j + 1, UNKNOWNS):
+            v = fill(0.0)
+            for m in range(j, i):
+                x = from_array(L, below_diagonal(i, m) * COUNT)
+                v = fma(x, from_array(M, below_diagonal(m, j) * COUNT), v)
+            to_array(-1.0 * v * from_array(L, below_diagonal(i, i) * COUNT), M, below_diagonal(i, j) * COUNT)
+    for i in range(UNKNOWNS):
+        for j in range(i + 1):
+            v = fill(0.0)
+            for m in range(i, UNKNOWNS):
+                x = from_array(M, below_diagonal(m, i) * COUNT)
+                v = fma(x, from_array(M, below_diagonal(m, j) * COUNT), v)
+            to_array(v, out, (at + below_diagonal(i, j)) * COUNT)
+
+
+@inlined
+def _step(banks, k, A, g, cost, volume, numbers):
+    nodes, L, step = banks.nodes[k], _matrix2(), _vector()
+    log_det = _factor(A, L)
+    _inverse(L, nodes, COVARIANCE)
+    gain = fill(0.0)
+    for i in range(UNKNOWNS):
+        v = fill(0.0)
+        for j in range(UNKNOWNS):
+            n = below_diagonal(max(i, j), min(i, j))
+            v = fma(from_array(nodes, (COVARIANCE + n) * COUNT), from_array(g, j * COUNT), v)
+        to_array(v, step, i * COUNT)
+        gain = fma(v, from_array(g, i * COUNT), gain)
+    tangent, exponent = from_array(nodes, TANGENT * COUNT), from_array(nodes, EXPONENT * COUNT)
+    d_tangent, d_exponent = from_array(step, TANGENT * COUNT), from_array(step, EXPONENT * COUNT)
+    longest = _STEP_COHESION * banks.bins[k, LOAD] / (numbers.radius * numbers.width)
+    share = _within(fill(1.0), d_tangent, _STEP_TANGENT)
+    share = _within(share, from_array(step, COHESION * COUNT), longest)
+    share = _within(share, d_exponent, _STEP_EXPONENT)
+    share = _above(share, tangent - _LEAST_TANGENT, -1.0 * d_tangent)
+    share = _above(share, exponent - _LEAST_EXPONENT, -1.0 * d_exponent)
+    share = _above(share, _MOST_EXPONENT - exponent, d_exponent)
+    for i in range(UNKNOWNS):
+        to_array(fma(share, from_array(step, i * COUNT), from_array(nodes, i * COUNT)), nodes, i * COUNT)
+    cost = cost - share * (2.0 - share) * gain
+    to_array(cost, nodes, COST * COUNT)
+    weight = from_array(nodes, LOG_PRIOR * COUNT) - 0.5 * (cost + volume + log_det)
+    highest = -smallest(-1.0 * weight)
+    weight = larger(weight - highest, -700.0)
+    weight = weight - math.log(total(exp(weight)))
+    to_array(weight, nodes, LOG_WEIGHT * COUNT)
+    return -smallest(where_less(weight, _UNLIKELY, 0.0 * gain, -1.0 * gain))
+
+
+@inlined
+def _within(share, step, longest):
+    """The largest share of a step, at most `share`, that is not longer than `longest`."""
+    return smaller(share, longest / larger(abs(step), 1e-12))
+
+
+@inlined
+def _above(share, room, step):
+    """The same for a step that uses up `room`: at most nine tenths of it."""
+    room = larger(room, 0.0)
+    return where_less(room, share * step, larger(0.9 * room / larger(step, 1e-12), 0.02), share)
+
+
+# --- renewal ----------------------------------------------------------------------------------------------------------
+
+
+@inlined
+def _linearise_all(banks, k, numbers):
+    for b in range(int(banks.point.bins[k])):
+        linearise(banks, k, b, numbers)
+
+
+@part
+def fit(banks, k, changed, replaced, numbers):
+    """Renew what is known of the soil of wheel k after bins `changed` and `replaced` (or -1) have become others; the
+    least chi-squared.
+
+    These and one other are linearised anew; all where much has changed.
+    """
+    p = banks.point
+    set_priors(banks, k)
+    if p.points[k] <= _FEW:
+        _linearise_all(banks, k, numbers)
+    else:
+        p.stale[k] = p.stale[k] + 1.0 if p.stale[k] + 1.0 < p.bins[k] else 0.0
+        stale = int(p.stale[k])
+        linearise(banks, k, changed, numbers)
+        if replaced >= 0:
+            linearise(banks, k, replaced, numbers)
+        if stale != changed and stale != replaced:
+            linearise(banks, k, stale, numbers)
+    if solve(banks, k, numbers) > _STALE:
+        _linearise_all(banks, k, numbers)
+        solve(banks, k, numbers)
+    misfit = gather(banks, k)
+    if banks.nodes[k, SAME_SOIL * COUNT + COUNT - 1] == 0.0 and spread_anew(banks, k):
+        misfit = fit_anew(banks, k, numbers)
+    return misfit
+
+
+@inlined
+def fit_anew(banks, k, numbers):
+    """Fit nodes that have moved; the least chi-squared."""
+    set_priors(banks, k)
+    _linearise_all(banks, k, numbers)
+    solve(banks, k, numbers)
+    return gather(banks, k)
+
+
+@part
+def fit_behind_border(banks, k, numbers):
+    """Fit the nodes, which have all moved, until they stay where they are."""
+    set_priors(banks, k)
+    for _ in range(_MOST_STEPS):
+        _linearise_all(banks, k, numbers)
+        if solve(banks, k, numbers) < _STAYS_THERE:
+            break
+    gather(banks, k)
+
+
+@part
+def drop_border(banks, k):
+    """Drop the bins on a border from the curve of wheel k, and begin its fit from the prior on."""
+    p, bins, fits, kept = banks.point, banks.bins[k], banks.fits[k], 0
+    for b in range(int(p.bins[k])):
+        if bins[b * FIELDS + ON_BORDER] == 0.0:
+            for i in range(FIELDS):
+                bins[kept * FIELDS + i] = bins[b * FIELDS + i]
+            begin_bin(banks, k, kept, fits[(b * FIT_ROWS + NEXT_SLIP) * COUNT])
+            kept += 1
+    begin_again(banks, k)
+    p.bins[k], p.points[k] = kept, min(p.points[k], _FEW - 1.0)

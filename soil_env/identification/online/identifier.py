@@ -1,0 +1,158 @@
+"""Online identification: estimate, standard deviations and status, by the filter."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._numba.compiling import inlined, part, root
+from soil_env.identification.online.best_pull import prior_pull
+from soil_env.identification.online.filter import CONTRADICTION_OF_POINTS, take
+from soil_env.identification.online.filter_bank import FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
+from soil_env.identification.online.filter_estimate import OF_PULL, PUBLISHED as SIZE, publish
+from soil_env.identification.online.soil_prior import depth_of, prior_of_belief, published_prior
+from soil_env.identification.online.status import Status
+from soil_env.parameters import Scenario
+from soil_env.readings import SensorReading
+
+#: What a set of readings did to the estimate: nothing; the wheel is elsewhere on a border, and so on other ground; it
+#: completed a point.
+HELD, MOVED, RENEWED = 0, 1, 2
+_MAY_BE_NEXT = 0.02  # `next_square` above which the pull is renewed with every point
+_OFTEN = 4.0  # points of a soil after which the best drawbar pull is renewed with every third one
+FARTHEST = 60.0  # |ln| of K, of S and of the gain over its prior, beyond which an estimate is that of no soil
+
+
+class Identifiers(NamedTuple):
+    """Memory of many identifiers: arrays with one row a wheel."""
+
+    estimate: np.ndarray  # [wheels, 5] the published estimate, in the order of `IdentifierNumbers.prior`
+    sd: np.ndarray  # [wheels, 5] its standard deviations
+    status: np.ndarray  # [wheels] `Status`
+    covariance: np.ndarray  # [wheels, 5, 5] of it
+    best_pull: np.ndarray  # [wheels, 2] best steady drawbar pull [of load] and its standard deviation
+    banks: FilterBanks
+    borders: np.ndarray  # [wheels] to another soil that the filter has found since `forget`
+
+
+class Replay(NamedTuple):
+    """What each of T sets of readings did, and what was known after it."""
+
+    outcome: np.ndarray  # [T] `HELD`, `MOVED` or `RENEWED`
+    estimate: np.ndarray  # [T, 5] as in `Identifiers`
+    sd: np.ndarray  # [T, 5]
+    status: np.ndarray  # [T] `Status`
+    best_pull: np.ndarray  # [T, 2]
+
+
+def new_replay(count: int) -> Replay:
+    """For `observe_rows` with `count` sets of readings."""
+    whole = np.zeros((2, count), dtype=np.int64)
+    return Replay(whole[0], np.zeros((count, 5)), np.zeros((count, 5)), whole[1], np.zeros((count, 2)))
+
+
+class IdentifierNumbers(NamedTuple):
+    """What the identifier takes from a `Scenario`."""
+
+    prior: np.ndarray  # [5] of (phi, ln K, ln S, cohesion, ln(gain of digging / dig_gain))
+    prior_covariance: np.ndarray  # [5, 5]
+    prior_pull: np.ndarray  # [2] best steady drawbar pull [of load], its standard deviation
+    precision: np.ndarray  # [5] of the prior, each on its own
+    dig_gain: float
+    dig_recovery: float
+    exponent: float
+    off: bool  # nothing is identified
+    filter: FilterNumbers
+
+
+def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
+    """Pack what `observe` needs."""
+    b = scenario.belief
+    prior, covariance = published_prior(scenario)
+    pull, variance = prior_pull(*prior_of_belief(scenario), depth_of(scenario), scenario)
+    pull_sd = OF_PULL * math.sqrt(variance)
+    return IdentifierNumbers(
+        prior, covariance, np.array([pull, pull_sd]), 1.0 / np.diag(covariance), b.dig_gain,
+        b.dig_recovery, b.sinkage_exponent, b.method == "none", filter_numbers(scenario),
+    )  # fmt: skip
+
+
+def new_identifiers(wheels: int) -> Identifiers:
+    """Empty identifiers; `forget` sets one to the prior."""
+    return Identifiers(
+        np.zeros((wheels, SIZE)),
+        np.zeros((wheels, SIZE)),
+        np.zeros(wheels, dtype=np.int64),
+        np.zeros((wheels, SIZE, SIZE)),
+        np.zeros((wheels, 2)),
+        new_banks(wheels),
+        np.zeros(wheels, dtype=np.int64),
+    )
+
+
+@part
+def forget(ids, k, numbers):
+    """Set identifier k back to its prior."""
+    ids.borders[k] = 0
+    for i in range(SIZE):
+        ids.estimate[k, i] = numbers.prior[i]
+        ids.sd[k, i] = 1.0 / math.sqrt(numbers.precision[i])
+        for j in range(SIZE):
+            ids.covariance[k, i, j] = numbers.prior_covariance[i, j]
+    ids.best_pull[k, 0], ids.best_pull[k, 1] = numbers.prior_pull[0], numbers.prior_pull[1]
+    ids.status[k] = Status.NO_DATA.value
+    restart(ids.banks, k, numbers.filter)
+
+
+@inlined
+def observe(ids, k, reading, numbers):
+    """Take one set of readings: `HELD`, `MOVED` or `RENEWED`."""
+    if numbers.off:
+        return HELD
+    p, crossed = ids.banks.point, ids.banks.point.crossing[k]
+    done = take(ids.banks, k, reading, numbers.filter)
+    if not done and p.crossing[k] == 0.0:
+        return HELD
+    if p.mass[k] == 0.0:  # readings that no wheel gives: the filter has started anew
+        forget(ids, k, numbers)
+        return RENEWED
+    if p.crossing[k] > crossed:
+        ids.borders[k] += int(p.by_forces[k])
+    elif p.crossing[k] < crossed and p.by_forces[k] == 0.0 and p.same[k] == 0.0:
+        ids.borders[k] += 1  # the grade told of a border, and it was one of soil
+    # on a border the soil under the wheel changes from reading to reading
+    often = p.crossing[k] > 0.0 or p.points[k] < _OFTEN or p.next_square[k] > _MAY_BE_NEXT
+    anew = done and (often or p.points[k] % 3.0 == 0.0)
+    publish(ids.banks, k, numbers.filter, ids.estimate[k], ids.sd[k], ids.covariance[k], ids.best_pull[k], anew)
+    if not max(abs(ids.estimate[k, 1]), abs(ids.estimate[k, 2]), abs(ids.estimate[k, 4])) < FARTHEST:
+        forget(ids, k, numbers)
+        return RENEWED
+    learnt = 0.0
+    for i in range(2):  # friction and shear deformation modulus need a range of slip
+        learnt = max(learnt, ids.sd[k, i] * math.sqrt(numbers.precision[i]))
+    if p.flagged[k] > 0.0 or p.misfit[k] > CONTRADICTION_OF_POINTS:
+        ids.status[k] = Status.MISFIT.value
+    else:
+        ids.status[k] = Status.CONVERGED.value if learnt <= 0.6 else Status.NOT_EXCITED.value
+    return RENEWED if done else MOVED
+
+
+@root(nogil=True)
+def observe_rows(
+    ids: Identifiers,
+    wheels: np.ndarray,
+    readings: np.ndarray,
+    numbers: IdentifierNumbers,
+    replay: Replay,
+) -> None:
+    """`observe` of `readings` [T, 10], in the order of `SensorReading`; row t is of wheel `wheels[t]`."""
+    for t in range(wheels.size):
+        k, r = wheels[t], readings[t]
+        reading = SensorReading(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9])
+        replay.outcome[t] = observe(ids, k, reading, numbers)
+        for i in range(replay.estimate.shape[1]):
+            replay.estimate[t, i], replay.sd[t, i] = ids.estimate[k, i], ids.sd[k, i]
+        replay.status[t] = ids.status[k]
+        replay.best_pull[t, 0], replay.best_pull[t, 1] = ids.best_pull[k, 0], ids.best_pull[k, 1]

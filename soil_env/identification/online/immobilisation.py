@@ -1,0 +1,292 @@
+"""Probability that a wheel will be immobilised within seconds, from its last readings and the soil as identified.
+
+A wheel is *immobilised* from the moment on which it makes no more progress: the last at which it got further than ever
+before at the least mean speed that the task asks for. The task declares it up to ten seconds later. Seconds are of
+driving: halts do not count.
+
+A small network reads moving averages of ten sensor channels over four time constants, the time since the last halt,
+eight numbers of the estimate, and with a camera twelve of the ground ahead (`View`; zeros without a camera). All are
+without dimension: forces by the measured load, lengths by the radius, speeds in radii a second. So one set of weights
+serves any wheel. The network was trained on simulated drives; weights and training are in immobilisation.json. Its two
+outputs are hazards, of the first of `HORIZONS` and of the time from there to the second, so that the probability of
+the longer one is never the lower. True soil and action are not used.
+
+The network is compiled: numpy would take 25 us a wheel, half the time of a step with full `info`.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from soil_env._numba.compiling import FastCall, inlined, root
+from soil_env.parameters import Scenario
+from soil_env.terramechanics.motor import full_voltage
+
+FILE = Path(__file__).with_suffix(".json")
+HORIZONS = (3.0, 5.0)  # [s] of driving
+SCALES = (0.2, 0.7, 2.0, 5.0)  # [s] time constants of the moving averages
+LARGEST = 6.0  # [standard deviations of the training drives] beyond which an input is cut
+_LEAST_LOAD = 0.05  # [of weight] least load that forces are divided by
+_LEAST_TORQUE = 0.05  # [of stall torque] least available torque that the motor torque is divided by
+_SPEED = 3.0  # [s/radius]: speeds enter as asinh of it times radii a second, so that a slow wheel is resolved
+_BEHIND = 7.0  # [radii] since the last border, beyond which the distance does not matter
+_OFTEN = 2.0  # patches of a class, beyond which more do not matter
+
+
+class Channels(NamedTuple):
+    """Channels that are averaged over time, of one set of readings."""
+
+    slip: float
+    sinkage: float  # [radii]
+    drawbar_pull: float  # [of load]
+    load: float  # [of weight]
+    torque: float  # [of load x radius]
+    speed: float  # asinh(3 s x radii a second)
+    rim_speed: float  # the same
+    pitch: float  # sine
+    motor: float  # share of the torque that the motor has at this speed
+    acceleration: float  # of travel [of gravity]
+
+
+class View(NamedTuple):
+    """The ground here and ahead, by the camera and the memory of terrain classes.
+
+    "line" is the route that the wheel is on the way to, "beside" the other one, or the same where there is one route.
+    A capacity is the best steady drawbar pull [of load] of a class; a count is the number of patches it was found on.
+    """
+
+    since: float  # [m] from the last border
+    left: float  # [m] to the next border, at most as far as the camera sees
+    capacity: float  # of the class here
+    count: float
+    seen: bool  # the patch ahead is in sight; without it what follows means nothing
+    chosen: bool  # no choice of a route is left
+    line_grade: float  # [rad]
+    line_capacity: float
+    line_count: float
+    beside_grade: float
+    beside_capacity: float
+    beside_count: float
+
+
+_VIEW = (
+    "camera", "border_behind", "border_ahead", "here_margin", "here_met", "ahead_seen", "line_chosen", "grade_change",
+    "line_margin", "line_met", "beside_margin", "beside_met",
+)  # fmt: skip
+_SOIL = ("strength", "log_modulus", "log_bearing", "log_digging", "phi_sd", "modulus_sd", "bearing_sd", "digging_sd")
+#: Inputs of the network, in this order.
+INPUTS = (*(f"{name}_{scale:g}s" for scale in SCALES for name in Channels._fields), "log_since_halt", *_SOIL, *_VIEW)
+BLIND = len(INPUTS) - len(_VIEW)  # of them need no camera
+_CHANNELS, _AVERAGES = len(Channels._fields), len(Channels._fields) * len(SCALES)
+_SEEN = _AVERAGES + 1
+#: Numbers kept of each wheel: moving averages, seconds of driving since the start or a halt, what is seen now.
+MEMORY = _SEEN + len(_VIEW)
+_PITCH, _LOAD = (2 * _CHANNELS + Channels._fields.index(name) for name in ("pitch", "load"))  # averages over 2 s
+
+
+class WarningNumbers(NamedTuple):
+    """Numbers of a `Scenario` that the inputs need."""
+
+    radius: float
+    weight: float
+    gravity: float
+    stall_torque: float
+    no_load_speed: float
+    period: float
+    shares: np.ndarray  # [4] of a new reading in each moving average
+    area: float  # radius x width [m2]
+    log_radius: float
+    sinkage_exponent: float
+    log_dig_gain: float
+
+
+class Network(NamedTuple):
+    """Weights: two hidden layers with tanh, two outputs (log-odds of the hazards)."""
+
+    mean: np.ndarray  # [inputs] of the training drives
+    scale: np.ndarray  # [inputs] 1 / standard deviation
+    first: np.ndarray  # [inputs, a]
+    first_bias: np.ndarray  # [a]
+    second: np.ndarray  # [a, b]
+    second_bias: np.ndarray
+    last: np.ndarray  # [b, 2]
+    last_bias: np.ndarray
+
+
+def warning_numbers(scenario: Scenario) -> WarningNumbers:
+    """Pack the numbers of a scenario."""
+    wheel, belief, period = scenario.wheel, scenario.belief, scenario.control.period
+    return WarningNumbers(
+        wheel.radius, scenario.weight, scenario.gravity, wheel.stall_torque, wheel.no_load_speed, period,
+        np.array([-math.expm1(-period / scale) for scale in SCALES]), wheel.radius * wheel.width,
+        math.log(wheel.radius), belief.sinkage_exponent, math.log(max(belief.dig_gain, 1e-3)),
+    )  # fmt: skip
+
+
+@inlined
+def _channels(reading, numbers):
+    """`Channels` of one set of readings."""
+    load = max(reading.load, _LEAST_LOAD * numbers.weight)
+    rim, pitch = reading.rim_speed / numbers.radius, math.sin(reading.pitch)
+    stall = numbers.stall_torque
+    available = max(full_voltage(stall, rim, numbers), _LEAST_TORQUE * stall)
+    return Channels(
+        reading.slip,
+        reading.sinkage / numbers.radius,
+        reading.drawbar_pull / load,
+        load / numbers.weight,
+        reading.torque / (load * numbers.radius),
+        math.asinh(_SPEED * reading.speed / numbers.radius),
+        math.asinh(_SPEED * rim),
+        pitch,
+        min(max(reading.motor_torque / available, -1.0), 1.5),
+        reading.acceleration / numbers.gravity - pitch,
+    )
+
+
+@inlined
+def begin(recent, k, reading, numbers):
+    """Start the averages of wheel k, at rest at the start of a course, with its first readings."""
+    values = _channels(reading, numbers)
+    for s in range(numbers.shares.size):
+        for c in range(_CHANNELS):
+            recent[k, s * _CHANNELS + c] = values[c]
+    recent[k, _AVERAGES] = 0.0
+
+
+@inlined
+def follow(recent, k, reading, halted, numbers):
+    """Take the readings of a control period of wheel k into its averages, which stand still in halts."""
+    if halted:
+        recent[k, _AVERAGES] = 0.0
+        return
+    values = _channels(reading, numbers)
+    for s in range(numbers.shares.size):
+        share = numbers.shares[s]
+        for c in range(_CHANNELS):
+            i = s * _CHANNELS + c
+            recent[k, i] += share * (values[c] - recent[k, i])
+    recent[k, _AVERAGES] += numbers.period
+
+
+@inlined
+def see(recent, k, view, numbers):
+    """Store the `View` of a control period of wheel k."""
+    out, sine = recent[k, _SEEN:], recent[k, _PITCH]
+    tangent = sine / math.sqrt(max(1.0 - sine * sine, 0.01))
+    seen = 1.0 if view.seen else 0.0
+    out[0] = 1.0
+    out[1] = min(max(view.since / numbers.radius, 0.0), _BEHIND)
+    out[2] = max(view.left / numbers.radius, 0.0)
+    out[3], out[4] = view.capacity - tangent, min(view.count, _OFTEN)
+    out[5], out[6] = seen, seen if view.chosen else 0.0
+    out[7] = seen * (math.sin(view.line_grade) - sine)
+    out[8], out[9] = seen * (view.line_capacity - math.tan(view.line_grade)), seen * min(view.line_count, _OFTEN)
+    out[10] = seen * (view.beside_capacity - math.tan(view.beside_grade))
+    out[11] = seen * min(view.beside_count, _OFTEN)
+
+
+@inlined
+def _write_inputs(recent, x, sd, numbers, out):
+    """Write `INPUTS` of a wheel: `recent` [MEMORY], its estimate and sd [5] of (phi, ln K, ln S, c, ln of the gain)."""
+    for i in range(_AVERAGES):
+        out[i] = recent[i]
+    out[_AVERAGES] = math.log(0.2 + recent[_AVERAGES])
+    load = recent[_LOAD] * numbers.weight
+    soil = out[_AVERAGES + 1 :]
+    soil[0] = math.tan(x[0]) + x[3] * numbers.area / load
+    soil[1] = x[1] - numbers.log_radius
+    soil[2] = x[2] + math.log(numbers.area / numbers.weight) + numbers.sinkage_exponent * numbers.log_radius
+    soil[3] = numbers.log_dig_gain + x[4]
+    soil[4], soil[5], soil[6], soil[7] = sd[0], sd[1], sd[2], sd[4]
+    for i in range(_SEEN, MEMORY):
+        soil[i - _SEEN + len(_SOIL)] = recent[i]
+
+
+@inlined
+def _layer(x, weights, bias, out):
+    """`out` = x weights + bias."""
+    for j in range(out.size):
+        out[j] = bias[j]
+    for i in range(x.size):
+        for j in range(out.size):
+            out[j] += x[i] * weights[i, j]
+
+
+@inlined
+def _squash(x):
+    for i in range(x.size):
+        x[i] = math.tanh(x[i])
+
+
+@root(nogil=True)
+def _assess(rows, recent, estimate, sd, numbers, net, inputs, hidden, out):
+    """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n]; `hidden` [inputs + both layers]."""
+    a, b = net.mean.size, net.mean.size + net.first_bias.size
+    x, first, second = hidden[:a], hidden[a:b], hidden[b:]
+    for n in range(rows.size):
+        k = rows[n]
+        _write_inputs(recent[k], estimate[k], sd[k], numbers, inputs[n])
+        for i in range(x.size):
+            x[i] = min(max((inputs[n, i] - net.mean[i]) * net.scale[i], -LARGEST), LARGEST)
+        _layer(x, net.first, net.first_bias, first)
+        _squash(first)
+        _layer(first, net.second, net.second_bias, second)
+        _squash(second)
+        _layer(second, net.last, net.last_bias, out[n])
+        early, late = 1.0 / (1.0 + math.exp(-out[n, 0])), 1.0 / (1.0 + math.exp(-out[n, 1]))
+        out[n, 0], out[n, 1] = early, early + (1.0 - early) * late
+
+
+def score_inputs(inputs: np.ndarray, net: Network) -> np.ndarray:
+    """Probabilities [n, 2] of rows `inputs` [n, inputs] by the network, in numpy."""
+    x = np.clip((inputs - net.mean) * net.scale, -LARGEST, LARGEST)
+    x = np.tanh(np.tanh(x @ net.first + net.first_bias) @ net.second + net.second_bias)
+    early, late = (0.5 + 0.5 * np.tanh(0.5 * (x @ net.last + net.last_bias))).T
+    return np.stack([early, early + (1.0 - early) * late], axis=1)
+
+
+@functools.cache
+def shipped() -> dict[str, Any]:
+    """Content of immobilisation.json: `inputs`, the arrays of `Network`, `alarm` and `card`."""
+    content: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
+    return content
+
+
+@functools.cache
+def shipped_network() -> Network:
+    """The network that comes with the package."""
+    assert tuple(shipped()["inputs"]) == INPUTS, "immobilisation.json is of other code"
+    return Network(*(np.ascontiguousarray(shipped()[name], dtype=np.float64) for name in Network._fields))
+
+
+class ImmobilisationWarning:
+    """Probabilities of immobilisation within `HORIZONS` of wheels whose averages a simulation keeps."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.numbers: WarningNumbers = warning_numbers(scenario)
+        self._net = shipped_network()
+        self._assess = FastCall(_assess)
+        self._hidden = np.zeros(self._net.mean.size + self._net.first_bias.size + self._net.second_bias.size)
+
+    def assess(
+        self, rows: np.ndarray, recent: np.ndarray, estimate: np.ndarray, sd: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n] int64."""
+        inputs, out = np.empty((len(rows), len(INPUTS))), np.empty((len(rows), len(HORIZONS)))
+        self._assess(rows, recent, estimate, sd, self.numbers, self._net, inputs, self._hidden, out)
+        return inputs, out
+
+    def inputs(self, rows: np.ndarray, recent: np.ndarray, estimate: np.ndarray, sd: np.ndarray) -> np.ndarray:
+        """`INPUTS` [n, inputs] of the wheels `rows` [n] int64."""
+        return self.assess(rows, recent, estimate, sd)[0]
+
+    def probabilities(self, rows: np.ndarray, recent: np.ndarray, estimate: np.ndarray, sd: np.ndarray) -> np.ndarray:
+        """Probabilities [n, 2] of the wheels `rows` [n] int64."""
+        return self.assess(rows, recent, estimate, sd)[1]

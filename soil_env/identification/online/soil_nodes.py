@@ -1,0 +1,275 @@
+"""Posterior of the soil under a wheel as eight nodes of ln K, each a Gaussian of the other unknowns.
+
+Unknowns of a node are tan phi, cohesion and the exponent n, and the place of the border where the soil passes into the
+next. Given the shear deformation modulus K the readings are nearly linear in them (`curve_fit`); friction angle and K
+hide each other along a curved ridge that the nodes follow. The readings are kept as a curve, so that nodes which lie
+closer together, where K becomes known, are fitted to all of them anew.
+"""
+
+from __future__ import annotations
+
+import math
+
+from soil_env._numba.compiling import inlined, part
+from soil_env._numba.elementary import exp
+from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
+from soil_env.identification.online.sinkage_filter import DEPTH, GAIN, PRESSURE, mean, spread
+
+#: Rows of `nodes`, COUNT numbers each: the unknowns, ln K ...
+TANGENT, COHESION, EXPONENT, BORDER_PLACE, LN_K = range(5)
+UNKNOWNS, SOIL = 4, 4
+TRIANGLE = UNKNOWNS * (UNKNOWNS + 1) // 2
+# ... ln weight, chi-squared, 1 for the node of a soil that stays the same, prior mean and precision, ln prior, and the
+# posterior covariance, lower triangles row by row.
+LOG_WEIGHT, COST, SAME_SOIL, PRIOR_MEAN, PRECISION, LOG_PRIOR, COVARIANCE = 5, 6, 7, 8, 11, 17, 18
+NODE_ROWS = COVARIANCE + TRIANGLE
+# A Gaussian of a soil: mean of (tan phi, cohesion, exponent, ln K), then the lower triangle of the covariance. `known`
+# has that of the newest soil, then that of the soil before.
+GAUSSIAN = SOIL + SOIL * (SOIL + 1) // 2
+OLD = GAUSSIAN
+# Conditional prior of a soil, `prior`: mean and variance of ln K, mean of the others and their slopes by it, precision
+# of the others given it, ln of the determinant of that.
+PRIOR_K, PRIOR_OTHERS, PRIOR_SLOPES, PRIOR_PRECISION, PRIOR_LOG, PRIOR_SIZE = 0, 2, 5, 8, 14, 15
+STAYS = COUNT - 1  # the node to which the soil stays the same on a border
+
+REACH = 3.0  # [sd of ln K] of the outermost nodes
+_CLOSER = 4.0  # [steps of the nodes] that the range of new ones has at least
+_LEAST_SD = 0.02  # of ln K, that the nodes resolve
+_BETWEEN = 0.4  # [steps of the nodes] least sd of ln K: nothing is told of what lies between two of them
+_WIDE, _OFF, _NARROW = 1.35, 0.25, 0.7  # of the range: where nodes are spread anew
+_SAME = 0.05  # probability that the soil stays the same where a border is found
+_SURELY = 0.85  # the probability at which it is said to have
+_LOOSER = 1e-4  # share of the prior variance by which a soil that stays the same may differ
+_rows, _gaussian = scratch(5 * COUNT), scratch(GAUSSIAN)
+_of_sinkage = scratch(8)
+
+
+@inlined
+def below_diagonal(i, j):
+    """Place of element (i, j), i >= j, in a lower triangle."""
+    return i * (i + 1) // 2 + j
+
+
+# --- prior ------------------------------------------------------------------------------------------------------------
+
+
+@inlined
+def _conditional(gaussian, g, prior):
+    """A Gaussian [GAUSSIAN] from offset g on, into a conditional `prior` [PRIOR_SIZE] given ln K."""
+    c = g + SOIL
+    v = max(gaussian[c + 9], 1e-6)
+    prior[PRIOR_K], prior[PRIOR_K + 1] = gaussian[g + 3], v
+    for i in range(3):
+        prior[PRIOR_OTHERS + i] = gaussian[g + i]
+        prior[PRIOR_SLOPES + i] = gaussian[c + 6 + i] / v
+    a = gaussian[c] - gaussian[c + 6] ** 2 / v
+    b = gaussian[c + 1] - gaussian[c + 7] * gaussian[c + 6] / v
+    d = gaussian[c + 2] - gaussian[c + 7] ** 2 / v
+    e = gaussian[c + 3] - gaussian[c + 8] * gaussian[c + 6] / v
+    f = gaussian[c + 4] - gaussian[c + 8] * gaussian[c + 7] / v
+    h = gaussian[c + 5] - gaussian[c + 8] ** 2 / v
+    a, d, h = 1.0001 * abs(a), 1.0001 * abs(d), 1.0001 * abs(h)
+    x, y, z = d * h - f * f, f * e - b * h, b * f - d * e
+    det = max(a * x + b * y + e * z, 1e-300)
+    p = PRIOR_PRECISION
+    prior[p], prior[p + 1], prior[p + 3] = x / det, y / det, z / det
+    prior[p + 2], prior[p + 4], prior[p + 5] = (a * h - e * e) / det, (b * e - a * f) / det, (a * d - b * b) / det
+    prior[PRIOR_LOG] = -math.log(det)
+
+
+@inlined
+def renew_prior(banks, k, numbers):
+    """The prior of the soil of wheel k, given what its sinkage has told of it."""
+    prior, s, g, covariance = numbers.prior, banks.sinkage[k], _gaussian(), numbers.prior.sinkage_covariance
+    a, b = mean(s, PRESSURE) - prior.sinkage[0], mean(s, GAIN) - prior.sinkage[1]
+    aa = covariance[0] - spread(s, PRESSURE, PRESSURE)
+    ab = covariance[1] - spread(s, PRESSURE, GAIN)
+    bb = covariance[3] - spread(s, GAIN, GAIN)
+    r = prior.regression
+    for i in range(SOIL):
+        g[i] = prior.forces[i] + r[2 * i] * a + r[2 * i + 1] * b
+        along, across = r[2 * i] * aa + r[2 * i + 1] * ab, r[2 * i] * ab + r[2 * i + 1] * bb
+        for j in range(i + 1):
+            n = SOIL + below_diagonal(i, j)
+            g[n] = prior.forces[n] - along * r[2 * j] - across * r[2 * j + 1]
+    _conditional(g, 0, banks.prior[k])
+
+
+@inlined
+def set_priors(banks, k):
+    """The prior of each node, given its ln K; that of the node of a soil that stays the same is the old soil."""
+    nodes, prior = banks.nodes[k], banks.prior[k]
+    away, v = from_array(nodes, LN_K * COUNT) - prior[PRIOR_K], prior[PRIOR_K + 1]
+    step = nodes[LN_K * COUNT + 1] - nodes[LN_K * COUNT]
+    for i in range(3):
+        to_array(prior[PRIOR_SLOPES + i] * away + prior[PRIOR_OTHERS + i], nodes, (PRIOR_MEAN + i) * COUNT)
+    for i in range(6):
+        to_array(fill(prior[PRIOR_PRECISION + i]), nodes, (PRECISION + i) * COUNT)
+    of_node = math.log(step) - 0.5 * math.log(2.0 * math.pi * v) + 0.5 * prior[PRIOR_LOG]
+    to_array(of_node - (0.5 / v) * away * away, nodes, LOG_PRIOR * COUNT)
+    if nodes[SAME_SOIL * COUNT + STAYS] > 0.0:
+        old = banks.old_prior[k]
+        to_array(from_array(nodes, LOG_PRIOR * COUNT) + math.log(1.0 - _SAME), nodes, LOG_PRIOR * COUNT)
+        for i in range(3):
+            nodes[(PRIOR_MEAN + i) * COUNT + STAYS] = old[PRIOR_OTHERS + i]
+        for i in range(6):
+            nodes[(PRECISION + i) * COUNT + STAYS] = old[PRIOR_PRECISION + i]
+        nodes[LOG_PRIOR * COUNT + STAYS] = math.log(_SAME) + 0.5 * old[PRIOR_LOG]
+
+
+# --- a new soil -------------------------------------------------------------------------------------------------------
+
+
+@inlined
+def _place_nodes(nodes, centre, half, count):
+    for j in range(count):
+        nodes[LN_K * COUNT + j] = centre + half * (2.0 * j / (count - 1) - 1.0)
+
+
+@inlined
+def _begin(banks, k, count):
+    """Nothing is known of a soil but its prior: `count` nodes."""
+    nodes, prior = banks.nodes[k], banks.prior[k]
+    banks.point.points[k] = banks.point.bins[k] = banks.point.misfit[k] = banks.point.stale[k] = 0.0
+    _place_nodes(nodes, prior[PRIOR_K], REACH * math.sqrt(prior[PRIOR_K + 1]), count)
+    for j in range(COUNT):
+        away = nodes[LN_K * COUNT + j] - prior[PRIOR_K]
+        for i in range(3):
+            nodes[i * COUNT + j] = prior[PRIOR_OTHERS + i] + prior[PRIOR_SLOPES + i] * away
+        nodes[BORDER_PLACE * COUNT + j] = banks.point.border[k]
+        nodes[SAME_SOIL * COUNT + j] = nodes[LOG_WEIGHT * COUNT + j] = 0.0
+
+
+@part
+def begin_soil(banks, k, numbers):
+    """Set what is known of the soil of wheel k to its prior."""
+    for i in range(GAUSSIAN):
+        banks.known[k, i] = numbers.prior.forces[i]
+    _conditional(numbers.prior.forces, 0, banks.prior[k])
+    _begin(banks, k, COUNT)
+
+
+@part
+def begin_next_soil(banks, k, numbers):
+    """What is known of the soil becomes that of the old one; a new one begins, which is the same with some
+    probability."""
+    nodes, known, old = banks.nodes[k], banks.known[k], banks.old_prior[k]
+    for i in range(GAUSSIAN):
+        known[OLD + i] = known[i]
+    for diagonal in (0, 2, 5):
+        known[SOIL + diagonal] += _LOOSER * numbers.prior.forces[SOIL + diagonal]
+    _conditional(known, 0, old)
+    _conditional(numbers.prior.forces, 0, banks.prior[k])
+    _begin(banks, k, STAYS)
+    nodes[LN_K * COUNT + STAYS] = known[OLD + 3]
+    for i in range(3):
+        nodes[i * COUNT + STAYS] = known[OLD + i]
+    nodes[SAME_SOIL * COUNT + STAYS] = 1.0
+    for i in range(GAUSSIAN):
+        known[i] = numbers.prior.forces[i]
+
+
+@part
+def leave_old_soil(banks, k):
+    """Behind a border: spread all nodes over the new soil; True if that is the old one."""
+    nodes, prior, p = banks.nodes[k], banks.prior[k], LN_K * COUNT
+    same = math.exp(nodes[LOG_WEIGHT * COUNT + STAYS])
+    if same > _SURELY:
+        for i in range(PRIOR_SIZE):
+            prior[i] = banks.old_prior[k, i]
+        begin_again(banks, k)
+        return True
+    centre = square = 0.0
+    for j in range(STAYS):
+        w = math.exp(nodes[LOG_WEIGHT * COUNT + j]) / max(1.0 - same, 1e-12)
+        centre += w * nodes[p + j]
+        square += w * nodes[p + j] * nodes[p + j]
+    _respread(nodes, centre, REACH * max(math.sqrt(max(square - centre * centre, 0.0)), 0.05), STAYS)
+    return False
+
+
+@inlined
+def begin_again(banks, k):
+    """Nodes at their prior, fitted to the bins so far."""
+    p = banks.point
+    points, bins = p.points[k], p.bins[k]
+    _begin(banks, k, COUNT)
+    p.points[k], p.bins[k] = points, bins
+
+
+# --- posterior --------------------------------------------------------------------------------------------------------
+
+
+@inlined
+def _row(i):
+    """Row of `nodes` of unknown i of a soil."""
+    return LN_K if i == 3 else i
+
+
+@part
+def gather(banks, k):
+    """Mean and covariance of (tan phi, cohesion, exponent, ln K) over all nodes into `known`; the least chi-squared."""
+    nodes, known = banks.nodes[k], banks.known[k]
+    w = exp(from_array(nodes, LOG_WEIGHT * COUNT))
+    for i in range(SOIL):
+        known[i] = total(w * from_array(nodes, _row(i) * COUNT))
+    for i in range(SOIL):
+        away = from_array(nodes, _row(i) * COUNT) - known[i]
+        for j in range(i + 1):
+            v = away * (from_array(nodes, _row(j) * COUNT) - known[j])
+            if i < 3:
+                v = v + from_array(nodes, (COVARIANCE + below_diagonal(i, j)) * COUNT)
+            known[SOIL + below_diagonal(i, j)] = total(w * v)
+    if nodes[SAME_SOIL * COUNT + STAYS] > 0.0:  # of its ln K that node has the mean only
+        slopes, v = banks.old_prior[k], math.exp(nodes[LOG_WEIGHT * COUNT + STAYS]) * known[OLD + SOIL + 9]
+        known[SOIL + 9] += v
+        for i in range(3):
+            known[SOIL + 6 + i] += v * slopes[PRIOR_SLOPES + i]
+            for j in range(i + 1):
+                known[SOIL + below_diagonal(i, j)] += v * slopes[PRIOR_SLOPES + i] * slopes[PRIOR_SLOPES + j]
+    between = _BETWEEN * (nodes[LN_K * COUNT + 1] - nodes[LN_K * COUNT])
+    known[SOIL + 9] = max(known[SOIL + 9], between * between)
+    return smallest(from_array(nodes, COST * COUNT))
+
+
+@part
+def spread_anew(banks, k):
+    """Spread the nodes over what is known of ln K now, if they lie too close or too far apart: True if they moved."""
+    nodes, known, p = banks.nodes[k], banks.known[k], LN_K * COUNT
+    first, last = nodes[p], nodes[p + COUNT - 1]
+    reach, middle = last - first, 0.5 * (first + last)
+    least = 0.5 * _CLOSER / REACH * reach / (COUNT - 1)
+    sd = max(math.sqrt(max(known[SOIL + 9], 0.0)), _LEAST_SD, least)
+    goal = 2.0 * REACH * sd
+    if reach <= _WIDE * goal and reach >= _NARROW * goal and abs(known[3] - middle) <= _OFF * reach:
+        return False
+    _respread(nodes, known[3], 0.5 * goal, COUNT)
+    return True
+
+
+@inlined
+def _respread(nodes, centre, half, before):
+    """All nodes, at centre +- half, with unknowns between those of the `before` first nodes so far."""
+    old = _rows()
+    for i in range(5 * COUNT):
+        old[i] = nodes[i]
+    _place_nodes(nodes, centre, half, COUNT)
+    for j in range(COUNT):
+        x, m = nodes[LN_K * COUNT + j], 0
+        while m < before - 2 and old[LN_K * COUNT + m + 1] < x:
+            m += 1
+        at = LN_K * COUNT + m
+        h = min(max((x - old[at]) / (old[at + 1] - old[at]), -0.5), 1.5)
+        for i in range(UNKNOWNS):
+            a = old[i * COUNT + m]
+            nodes[i * COUNT + j] = a + h * (old[i * COUNT + m + 1] - a)
+        nodes[SAME_SOIL * COUNT + j] = 0.0
+
+
+@inlined
+def fit_is_sound(banks, k):
+    """Whether what is known of the soil is finite."""
+    known, all_ = banks.known[k], total(from_array(banks.sinkage[k], DEPTH * COUNT))
+    for i in range(GAUSSIAN):
+        all_ += abs(known[i])
+    return abs(all_) < 1e18

@@ -1,0 +1,12 @@
+"""Status of an online estimate."""
+
+import enum
+
+
+class Status(enum.IntEnum):
+    """Status of an online estimate; 3 to 5 are unused, so that recorded numbers keep their meaning."""
+
+    NO_DATA = 0  # no point yet: the estimate is the prior
+    CONVERGED = 1
+    NOT_EXCITED = 2  # phi or ln K is hardly narrower than the prior
+    MISFIT = 6  # the last readings are further from their prediction than their errors explain

@@ -1,0 +1,393 @@
+"""Identification of a soil from a measurement table: the most probable parameters under the setup's priors.
+
+Of friction angle phi, shear deformation modulus K, sinkage coefficient S, exponent n and cohesion c, those are fitted
+that the setup does not give as known. `weighted.py` has the equations; here the solution is turned into intervals, and
+into words on what the data cannot tell.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2, f as f_distribution, t
+
+from soil_env.identification.table.form_error import mixed
+from soil_env.identification.table.problem import LAW_ERRORS, SOURCES, TableProblem
+from soil_env.identification.table.unknown_noise import FEW, Scatter
+from soil_env.measurement.doubts import load_doubt
+from soil_env.measurement.table import UNITS, Setup, Table
+
+NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "sinkage_exponent", "cohesion", "tilt_deg")
+PHI, LN_K, LN_S, EXPONENT, COHESION, TILT = range(6)  # in these coordinates, the angles in degrees
+LABELS = (
+    "friction angle", "shear deformation modulus", "stiffness S z^n", "sinkage exponent", "cohesion", "tilt of the rig",
+)  # fmt: skip
+SYMBOLS = dict(zip(LABELS, ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
+UNTOLD = 0.7  # share of the prior sd above which the data do not tell a parameter
+TIED = 0.98  # correlation above which two parameters are tied
+SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows
+SCARCE = 6.5  # degrees of freedom of an estimated noise below which that is said
+LIGHT, SOFT = 1.0, 1e3  # load [N] and S [N/m^(n+2)] below which kilonewtons are suspected
+_PASSES = 80  # of an iteration at most
+_FORM_PASSES = 2  # of the form error of the base law and the solution in turn
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """An identified parameter: estimate with the bounds of its 95 % interval; both equal `value` if it is known."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    known: bool
+    sd_over_prior: float  # sd after the data over that of the prior; nan if known
+
+
+@dataclass(frozen=True)
+class ChannelFit:
+    """One channel: measured and fitted values [N] at the most probable slip and load, and its noise."""
+
+    measured: np.ndarray  # nan where not measured
+    fitted: np.ndarray
+    noise: float  # 1-sigma
+    relative: np.ndarray  # [N] that of a row over it
+    estimated: bool  # the noise is estimated from the scatter
+    p_value: float  # of residuals so large by chance were the laws exact; nan if the noise is estimated
+    too_small: float  # the same of residuals so small
+    unit: str
+
+    @property
+    def residual(self) -> np.ndarray:
+        """(measured - fitted) / noise [N]; nan where not measured."""
+        residual: np.ndarray = (self.measured - self.fitted) / (self.noise * self.relative)
+        return residual
+
+
+@dataclass(frozen=True)
+class TableEstimate:
+    """Soil identified from a table. SI units, friction angle in degrees; matrices are of `free`."""
+
+    parameters: dict[str, Parameter]  # names as in the setup, and `reference_pressure`, S z_ref^n
+    free: tuple[str, ...]  # fitted parameters in words
+    covariance: np.ndarray  # [p, p] of the fitted among (phi [rad], ln K, ln S z_ref^n, n, c [Pa], tilt [deg])
+    correlation: np.ndarray  # [p, p]
+    condition: float  # of the whitened Jacobian in units of the prior sd
+    reference_sinkage: float  # z_ref [m], the median; of the fitted where none was measured
+    fits: dict[str, ChannelFit]  # sinkage, drawbar_pull, torque, and load if it has noise
+    row: np.ndarray  # [N] lines of the table
+    slip: np.ndarray  # [N]
+    load: np.ndarray  # [N]
+    values: int  # measured values
+    exact: tuple[str, ...]  # of slip and load, what the setup gives no noise for
+    converged: bool
+    law_error: float  # relative error of the stress laws that the table suggests, root mean square
+    check_first: tuple[str, ...]  # of `warnings`: what looks like a wrong unit in setup or table
+    warnings: tuple[str, ...]
+
+
+def identify_table(table: Table, setup: Setup) -> TableEstimate:
+    """The most probable soil under the setup's priors, with intervals and what the data cannot tell.
+
+    The stress laws may be wrong by a smooth error whose size the table decides (`form_error`): it enters the weights,
+    and the intervals are over its sizes. Base model: smooth rim on level, fresh soil, without slip-sinkage; a sinkage
+    that was not measured follows from the load. Raises `ParameterError` if no row tells enough, nothing is to fit, or
+    measured values are fewer than fitted parameters.
+    """
+    problem = TableProblem(table, setup)
+    u, converged = _settle(problem, problem.search())
+    plain = _Plain(u, _fits(problem, u))
+    for _ in range(_FORM_PASSES):
+        share = problem.by_size(u)[0]
+        problem.allow_form_error(u, LAW_ERRORS[int(np.argmax(share))])
+        u, converged = _settle(problem, u, False)
+    if not problem.measured[:, 0].any():
+        problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
+    if not (np.any(problem.estimated) and np.min(problem.freedom) < FEW):
+        return _summary(problem, u, converged, plain, None)
+    for _ in range(_PASSES):
+        scatter = Scatter(problem, u)
+        problem.noise[problem.estimated] = scatter.noise()
+        before, (u, converged) = u, _settle(problem, u, False)
+        if np.max(np.abs(u - before)) < 1e-3:
+            break
+    return _summary(problem, u, converged, plain, Scatter(problem, u))
+
+
+class _Plain(NamedTuple):
+    """The solution under noise alone, which says whether the base model is enough."""
+
+    u: np.ndarray
+    fits: dict[str, ChannelFit]
+
+
+def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[np.ndarray, bool]:
+    """The solution from u with conditions and, with `guess`, noise renewed until they no longer change; whether so."""
+    guessed, converged = problem.estimated & guess, False
+    share, last = 1.0, math.inf  # of each move; lessened where they go in circles, as when the model does not fit
+    problem.weigh(problem.by_conditions(u))
+    for count in range(_PASSES):
+        noise = problem.noise.copy()
+        move = problem.minimise(u)[0] - u
+        size = float(np.max(np.abs(move)))
+        share, last = max(0.2, 0.6 * share) if count > _PASSES // 4 and size > 0.9 * last else share, size
+        u = u + share * move
+        if guess:
+            problem.update_noise(u)
+        problem.correct(u)
+        converged = bool(size < 1e-4 and np.all(np.abs(problem.noise - noise)[guessed] < 1e-3 * noise[guessed]))
+        if converged:
+            break
+    return u, converged
+
+
+# --- what is told of the solution -------------------------------------------------------------------------------------
+
+
+def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
+    """(d(phi, ln K, ln S, n, c, tilt)/du [6, p], which of the six are free)."""
+    order = {name: k for k, name in enumerate(NAMES)}
+    out = np.zeros((len(NAMES), len(problem.unknowns)))
+    for j, unknown in enumerate(problem.unknowns):
+        out[order[unknown.name], j] = unknown.sd
+    return out, np.any(out > 0.0, axis=1)
+
+
+def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plain,
+             scatter: Scatter | None) -> TableEstimate:  # fmt: skip
+    scaling, free = _scaling(problem)
+    told = np.eye(len(NAMES))  # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt)
+    told[PHI, PHI], told[LN_S, EXPONENT] = math.radians(1.0), math.log(problem.z_ref)
+    by_u = (told @ scaling)[free]
+    share, mean, under = problem.by_size(u)
+    off = mean - u
+    whole = mixed(share, mean, under)[1] + np.outer(share @ off, share @ off)  # about u
+    covariance = by_u @ whole @ by_u.T
+    sd, prior_sd = np.sqrt(np.diag(covariance)), np.sqrt(np.sum(by_u**2, axis=1))
+    correlation = covariance / np.outer(sd, sd)
+    singular = np.linalg.svd(problem.derivatives(u) @ np.linalg.inv(by_u) * prior_sd, compute_uv=False)
+    fits = {
+        name: replace(fit, p_value=plain.fits[name].p_value, too_small=plain.fits[name].too_small)
+        for name, fit in _fits(problem, u).items()
+    }
+    labels = tuple(label for label, f in zip(LABELS, free, strict=True) if f)
+    parameters = _parameters(problem, u, whole, scaling, scatter)
+    first = _units(problem, parameters, plain.fits)
+    warnings = first + _untold(parameters, labels, correlation) + _doubts(problem, u, plain, fits, converged)
+    return TableEstimate(
+        parameters=parameters,
+        free=labels,
+        covariance=covariance,
+        correlation=correlation,
+        condition=float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf,
+        reference_sinkage=problem.z_ref,
+        fits=fits,
+        row=problem.table.row[problem.use],
+        slip=problem.rows.slip,
+        load=problem.rows.load,
+        values=int(problem.measured.sum()),
+        exact=_exact(problem),
+        converged=converged,
+        law_error=math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True))),
+        check_first=tuple(first),
+        warnings=tuple(warnings),
+    )
+
+
+def _parameters(
+    problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: np.ndarray, scatter: Scatter | None
+) -> dict[str, Parameter]:
+    """Estimates and 95 % intervals, within the bounds; those of K, S and p_ref are computed in the logarithm.
+
+    Where noise is estimated, Student's t with the degrees of freedom of the channel that has fewest; from few points
+    the noise is integrated out too (`scatter`), and the wider of the two taken on either side.
+    """
+    reach = t.ppf(0.975, max(1.0, float(np.min(problem.freedom))))
+    values, range_of = problem.values(u), {k.name: (k.low, k.high) for k in problem.unknowns}
+    to_pressure = scaling[LN_S] + math.log(problem.z_ref) * scaling[EXPONENT]
+    ln_s, n = math.log(values["sinkage_coefficient"]), values["sinkage_exponent"]
+    out = {}
+    for name, value, by_u, unit in (
+        ("friction_angle_deg", values["friction_angle_deg"], scaling[PHI], "deg"),
+        ("shear_modulus", math.log(values["shear_modulus"]), scaling[LN_K], "m"),
+        ("sinkage_coefficient", ln_s, scaling[LN_S], "N/m^(n+2)"),
+        ("sinkage_exponent", n, scaling[EXPONENT], ""),
+        ("cohesion", values["cohesion"], scaling[COHESION], "Pa"),
+        ("reference_pressure", ln_s + n * math.log(problem.z_ref), to_pressure, "Pa"),
+        ("tilt_deg", values.get("tilt_deg", 0.0), scaling[TILT], "deg"),
+    ):
+        if name == "tilt_deg" and problem.setup.tilt_deg is None:
+            continue
+        half = reach * math.sqrt(by_u @ covariance @ by_u)
+        below, above = (0.0, 0.0) if scatter is None else scatter.interval(by_u)
+        least, most = range_of.get(name, (-math.inf, math.inf))
+        bounds = [
+            float(value), max(float(value + min(below, -half)), least), min(float(value + max(above, half)), most)
+        ]  # fmt: skip
+        if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
+            bounds = [math.exp(min(b, 700.0)) for b in bounds]
+        elif name != "tilt_deg":
+            bounds[0] = 0.0 if abs(bounds[0]) < 1e-9 * half else bounds[0]
+        prior_sd = math.sqrt(by_u @ by_u)
+        known = prior_sd == 0.0
+        shrunk = math.nan if known else half / reach / prior_sd
+        out[name] = Parameter(bounds[0], bounds[1], bounds[2], unit=unit, known=known, sd_over_prior=shrunk)
+    return out
+
+
+def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
+    (errors, left), variances = problem.errors(u), problem.variances
+    out, fits = problem.predict(u), {}
+    for j, name in enumerate(SOURCES):
+        k = problem.measured[:, j - 2] if j >= 2 else np.full(len(out), name == "load" and problem.noise[1] > 0.0)
+        if not np.any(k):
+            continue
+        columns = (problem.y[:, j - 2], out[:, j - 2]) if j >= 2 else (problem.rows.load, problem.corrected.load)
+        noise, p, low = float(problem.noise[j]), math.nan, math.nan
+        if not problem.estimated[j]:
+            freedom = max(float(np.sum(np.maximum(left[k, j] / variances[k, j], 1e-3))), 0.5)
+            square = float(np.sum(errors[k, j] ** 2 / variances[k, j]))
+            p = float(chi2.sf(square, freedom))
+            low = float(chi2.cdf(square, freedom)) if square < SMALL**2 * freedom else 1.0
+        relative = problem.relative[:, j - 2] if j >= 2 else np.ones(len(out))
+        fits[name] = ChannelFit(*columns, noise, relative, bool(problem.estimated[j]), p, low, UNITS[name])
+    return {name: fits[name] for name in ("sinkage", "load", "drawbar_pull", "torque") if name in fits}
+
+
+# --- in words ---------------------------------------------------------------------------------------------------------
+
+
+def _exact(problem: TableProblem) -> tuple[str, ...]:
+    return tuple(name for name in ("slip", "load") if getattr(problem.setup.noise, name) is None)
+
+
+def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]) -> list[str]:
+    """What looks like a wrong unit in setup and table."""
+    words = problem.setup.doubts()
+    load, S = float(np.median(problem.rows.load)), parameters["sinkage_coefficient"]
+    if load < LIGHT:
+        words.append(
+            f"The median load is {load:.3g} N: expected newtons; if it is kN, multiply it by 1000, and forces and "
+            "torque where they are in kN too."
+        )
+    elif doubt := load_doubt(problem.table, problem.setup):
+        words.append(doubt)
+    elif S.high < SOFT and not S.known:
+        words.append(
+            f"The sinkage coefficient came out as {S.value:.3g} {S.unit}, softer than any soil: expected newtons and "
+            "metres in the table."
+        )
+    for name, fit in fits.items():
+        if fit.too_small < 1e-4 / len(fits):
+            words.append(
+                f"The residuals of {name.replace('_', ' ')} are far smaller than its given noise of {fit.noise:.3g} "
+                f"{fit.unit}: the noise or the unit of one of them is wrong, and the intervals are too wide."
+            )
+    return words
+
+
+def _untold(parameters: dict[str, Parameter], labels: Sequence[str], correlation: np.ndarray) -> list[str]:
+    named = ((label, parameters[name]) for name, label in zip(NAMES, LABELS, strict=True) if name in parameters)
+    words = [
+        f"The data cannot tell the {label}: its standard deviation is "
+        + (
+            f"{100 * p.sd_over_prior:.0f} % of that before the table."
+            if p.sd_over_prior <= 1.0
+            else f"{p.sd_over_prior:.2g} times that before the table."
+        )
+        for label, p in named
+        if p.sd_over_prior > UNTOLD
+    ]
+    for i in range(len(labels)):
+        for j in range(i):
+            if abs(correlation[i, j]) > TIED:
+                words.append(
+                    f"The data tie {labels[j]} and {labels[i]} together (correlation {correlation[i, j]:+.3f}): a "
+                    "combination of the two is determined, neither of them alone."
+                )
+    return words
+
+
+def _doubts(
+    problem: TableProblem, u: np.ndarray, plain: _Plain, fits: dict[str, ChannelFit], converged: bool
+) -> list[str]:
+    """Told of the solution u with its `fits`; whether the model fits, and agrees with its priors, by the plain one."""
+    words = []
+    (low, high), label = problem.bounds, dict(zip(NAMES, LABELS, strict=True))
+    edge = 1e-6 * np.minimum(1.0, high - low)
+    at_end = (u <= low + edge) | (u >= high - edge)
+    if np.any(at_end):
+        names = ", ".join(label[k.name] for k, at in zip(problem.unknowns, at_end, strict=True) if at)
+        words.append(f"At the end of its admissible range: {names}; its interval is not reliable.")
+    soil = problem.setup.soil
+    for unknown, d in zip(problem.unknowns, plain.u, strict=True):
+        s = unknown.name == "sinkage_coefficient"
+        tilt = unknown.name == "tilt_deg"
+        given = soil.lumped(problem.setup.wheel.width) if s else None if tilt else getattr(soil, unknown.name)
+        given = problem.setup.tilt_deg if tilt else given
+        if given is not None and abs(d) > 3.0:
+            words.append(
+                f"Were the stress laws exact, the {label[unknown.name]} would be {abs(d):.1f} standard deviations from "
+                "its prior: prior, table or laws are wrong."
+            )
+    exact = " and ".join(_exact(problem))
+    first = f"Check whether {exact} can be taken as exact (noise: in the setup), then" if exact else "Check"
+    first += " units and signs, and whether an effect is missing (python -m soil_env.discrepancy)."
+    for name, fit in fits.items():
+        if fit.p_value < 1e-3 / len(fits):
+            rms = math.sqrt(float(np.nanmean(fit.residual**2)))
+            words.append(
+                f"The base model does not fit the {name.replace('_', ' ')} to its noise: residuals are {rms:.3g} times "
+                f"the given standard deviation. The intervals allow for stress laws that are wrong, not for a wrong "
+                f"unit or sign or an effect that is missing. {first}"
+            )
+        elif fit.estimated and _follows(problem.rows.slip, problem.rows.load, plain.fits[name].residual):
+            words.append(
+                f"The residuals of {name.replace('_', ' ')} follow slip and load instead of scattering: the base model "
+                f"does not fit, and its error counts here as noise. {first}"
+            )
+    few = problem.freedom[problem.estimated]
+    if few.size and np.min(few) < SCARCE:
+        words.append(
+            f"The noise is estimated from {np.min(few):.1f} degrees of freedom: the intervals are wide and may still "
+            "be too narrow. Give the noise if it is known."
+        )
+    words += _not_modelled(problem)
+    if not converged:
+        words.append("The weights had not settled when the iteration stopped: take the intervals as rough.")
+    return words
+
+
+def _not_modelled(problem: TableProblem) -> list[str]:
+    """Rows left out or taken otherwise than the table has them, and what of the rig the base model lacks."""
+    words = []
+    table, used = problem.table, problem.use
+    left_out, unseen = int(np.sum(~used)), int(np.sum(np.isnan(table.sinkage[used])))
+    if left_out:
+        words.append(f"{left_out} of {len(table)} rows have one force alone and no sinkage, and were left out.")
+    if unseen:
+        words.append(f"{unseen} of {len(table)} rows have no sinkage: it follows from the load there.")
+    if np.any(table.passes[used] > 1):
+        words.append("Rows with pass > 1 are taken as fresh soil: the base model has no compaction by earlier passes.")
+    if problem.setup.load == "normal" and np.any(np.abs(table.grade_deg[used]) > 0.0):
+        words.append("Rows on a grade are taken as level: the base model has no effect of grade on the soil.")
+    if np.any(table.height(problem.setup.wheel)[used] > 0.0):
+        words.append("The grousers are not modelled: the rim is taken as smooth at wheel radius.")
+    if np.ptp(problem.rows.wheels[:, 1]) > 0.0 and problem.setup.soil.k_c is None:
+        words.append("Wheels of several widths share one S: give k_c and k_phi to tell them apart.")
+    return words
+
+
+def _follows(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
+    """Whether a smooth function of slip and load explains more of the residuals than chance does (F test, 5e-4)."""
+    kept = np.isfinite(residual)
+    e, i, w = residual[kept], slip[kept], np.log(load[kept])
+    w = w - np.mean(w) if np.ptp(w) > 0.1 else np.zeros_like(w)  # else the same load throughout
+    basis = np.stack([np.ones_like(i), i, i * i, w, i * w], axis=1)
+    solution, _, rank, _ = np.linalg.lstsq(basis, e, rcond=1e-9)
+    explained, rest, spare = np.sum((basis @ solution) ** 2), np.sum((e - basis @ solution) ** 2), e.size - rank
+    return bool(spare > 1 and f_distribution.sf(explained / rank * spare / max(rest, 1e-300), rank, spare) < 5e-4)

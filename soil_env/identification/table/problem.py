@@ -1,0 +1,400 @@
+"""Weighted least squares of the steady model to a measurement table: priors, errors in slip and load, unknown noise.
+
+With the unknowns whitened by their priors (`priors`), the most probable ones minimise
+
+    J(u) = e' V^-1 e + |u|^2,    e = y - f(u) - F (q - q^)
+
+over the measured sinkage, drawbar pull and torque y of all rows. f is the steady model at the slip and load q = (i, W)
+of a row. These are exact unless the setup gives them a noise; then a row has the covariance
+
+    V = F diag(var i, var W) F' + diag(var z, var DP, var T),    F = df/dq at q^ = q + diag(var i, var W) F' V^-1 e.
+
+The first pass, with q^ = q, is least squares with effective variance (Orear 1982, Am. J. Phys. 50:912-916); repeated,
+it converges to the solution that minimises over the true slips and loads too (Britt & Luecke 1973, Technometrics
+15:233-247).
+
+Noise that the setup leaves out is estimated with the soil: var = sum(residual^2) / (values - values spent on fitting),
+for each channel, until it no longer changes (MacKay 1992, Neural Computation 4:415-447).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import logsumexp
+
+from soil_env._io.loading import ParameterError
+from soil_env.identification.table.form_error import (
+    LAW_LENGTHS,
+    SIZES,
+    Compression,
+    Process,
+    StressChange,
+    compressed,
+    marginals,
+    size_prior,
+    stress_changes,
+    whitened,
+)
+from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, soil_unknowns
+from soil_env.identification.table.rig import predict_table
+from soil_env.measurement.table import MEASURED, Setup, Table
+from soil_env.terramechanics.effects import NO_EFFECTS
+from soil_env.terramechanics.model import Rows
+
+SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channels
+STEP = 1e-3  # of a whitened unknown, for differences
+_FAR = 1e3  # [sd] residual where the model has no value
+_STARTS = 8
+_STRESS_STEP = 1e-3  # relative change of a stress, for differences
+_FUNCTIONS = 24  # of the form error at most
+CHANNELS_OWN = (0.0, 1.0)  # relative error of each channel by itself over that of the stresses, equally probable
+
+
+class LawError(NamedTuple):
+    """A form error of the base law."""
+
+    span: int  # of `form_error.LAW_LENGTHS`
+    own: float  # of `CHANNELS_OWN`: whether the channels err beyond what stresses do
+    size: float
+
+
+#: Form errors that are marginalised.
+LAW_ERRORS = [LawError(*x) for x in product(range(len(LAW_LENGTHS)), CHANNELS_OWN, SIZES.tolist())]
+_NO_WEIGHT = 0.0  # [N/m3] unit weight of the soil: the base model does not use it
+
+
+# --- least squares in whitened unknowns -------------------------------------------------------------------------------
+
+
+def most_probable(
+    target: np.ndarray,
+    model: Callable[[np.ndarray], np.ndarray],
+    derivatives: Callable[[np.ndarray], np.ndarray],
+    start: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+    **options: Any,
+) -> tuple[np.ndarray, float, bool]:
+    """(u, J, whether it converged): the least |target - model(u)|^2 + |u|^2 within the bounds.
+
+    `target` [M] and the values [M] and derivatives [M, p] of the model are whitened. Trust-region reflective method;
+    `options` are those of `scipy.optimize.least_squares`.
+    """
+    if start.size == 0:
+        return start, float(np.sum((target - model(start)) ** 2)), True  # everything is known
+
+    def residual(u):
+        e = target - model(u)
+        return np.concatenate([np.where(np.isfinite(e), e, _FAR), u])
+
+    def jacobian(u):
+        return np.concatenate([-derivatives(u), np.eye(u.size)])
+
+    found = least_squares(residual, start, jacobian, bounds=bounds, x_scale=1.0, **options)
+    return found.x, 2.0 * found.cost, found.status > 0
+
+
+def differences(
+    model: Callable[[np.ndarray], np.ndarray], u: np.ndarray, unknowns: Sequence[Unknown], base: np.ndarray
+) -> list[np.ndarray]:
+    """Forward differences of the whitened values, `base` at u, by each unknown; backward at an upper bound."""
+    columns = []
+    for k, unknown in enumerate(unknowns):
+        step = STEP if unknown.mean + unknown.sd * (u[k] + STEP) < unknown.high else -STEP
+        moved = u.copy()
+        moved[k] += step
+        columns.append((model(moved) - base) / step)
+    return columns
+
+
+def finite(columns: list[np.ndarray], size: int) -> np.ndarray:
+    """[size, p] of the columns, 0 where the model has no value."""
+    j = np.stack(columns, axis=1) if columns else np.zeros((size, 0))
+    return np.where(np.isfinite(j), j, 0.0)
+
+
+# --- the soil of one table --------------------------------------------------------------------------------------------
+
+
+class TableProblem:
+    """The soil of one table as a weighted least-squares problem; `correct` and `update_noise` re-weight it."""
+
+    def __init__(self, table: Table, setup: Setup) -> None:
+        use = _usable(table, setup)
+        count = int(use.sum())
+        wheels = np.stack([table.radius(setup.wheel), table.width(setup.wheel), np.zeros(len(table))], axis=1)
+        level = np.zeros(len(table))  # no speed: the base model does not depend on it, nor on the pass
+        grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))
+        self.table: Table = table
+        self.setup: Setup = setup
+        self.use: np.ndarray = use
+        rows = (table.rim_slip(setup), table.load, wheels, np.stack([level, level + 1.0, grade], axis=1))
+        self.rows: Rows = Rows(*(column[use] for column in rows))
+        self.corrected: Rows = self.rows  # at the most probable slip and load
+        self.y: np.ndarray = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
+        self.measured: np.ndarray = np.isfinite(self.y)
+        self.relative: np.ndarray = np.broadcast_to(table.relative_sd(setup), table.slip.shape + (3,))[use]
+        seen = self.measured[:, 0]
+        self.z_ref: float = float(np.median(self.y[seen, 0])) if seen.any() else USUAL_SINKAGE * setup.wheel.radius
+        self.unknowns: tuple[Unknown, ...]
+        self.known: dict[str, float]
+        self.unknowns, self.known = soil_unknowns(setup, self.rows.load, self.y[:, 0])
+        if not self.unknowns:
+            raise ParameterError(
+                f"{setup.source}: soil: every parameter is known: expected at least one to identify, left out or as "
+                "{value: ..., sd: ...}"
+            )
+        self.bounds: tuple[np.ndarray, ...] = tuple(
+            np.array(b) for b in zip(*(k.bounds for k in self.unknowns), strict=True)
+        )
+        self._noise()
+        values, needed = int(self.measured.sum()), len(self.unknowns)
+        if values < needed + int(self.estimated.sum()):
+            unknown = "".join(f" + {s} noise" for s, e in zip(SOURCES, self.estimated, strict=True) if e)
+            raise ParameterError(
+                f"{table.source}: {values} measured values (sinkage, drawbar_pull, torque) for "
+                f"{needed} parameters{unknown}: expected at least {needed + int(self.estimated.sum())}"
+            )
+        wheel = dict(zip(("wheel_radius", "wheel_width"), wheels.T, strict=False))
+        at = {"slip": self.rows.slip, "load": self.rows.load, **wheel}
+        self.processes: list[Process] = [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS]
+        self.form_error: Compression | None = None  # of the base law, beside the noise; none as long as it is not known
+        self.weigh(np.zeros((count, 3, 2)))
+
+    def _noise(self) -> None:
+        size, r = float(np.median(self.rows.load)), float(self.rows.wheels[0, 0])
+        guess = {"sinkage": 0.05 * self.z_ref, "drawbar_pull": 0.03 * size, "torque": 0.03 * size * r}
+        self.noise: np.ndarray = np.zeros(5)
+        self.estimated: np.ndarray = np.zeros(5, dtype=bool)
+        self.floor: np.ndarray = np.zeros(5)
+        self.freedom: np.ndarray = np.full(5, math.inf)  # degrees of freedom behind an estimated noise
+        for k, name in enumerate(SOURCES):
+            given = getattr(self.setup.noise, name) if k < 2 else self.table.channel_sd(self.setup, name)
+            least = 1e-7 * guess.get(name, 0.03 * size if name == "load" else 0.03)
+            if given is not None and given < least:
+                raise ParameterError(
+                    f"{self.setup.source}: noise.{name} = {given:g}: expected at least {least:.2g}; leave it out where "
+                    + ("it counts as exact" if name in ("slip", "load") else "it is not known")
+                )
+            self.estimated[k] = given is None and k >= 2 and bool(np.any(self.measured[:, k - 2]))
+            self.noise[k] = given if given is not None else guess.get(name, 0.0)
+            self.floor[k] = 1e-4 * guess.get(name, 0.0)
+
+    # --- the model and its weights ---
+
+    def values(self, u: np.ndarray) -> dict[str, float]:
+        """Every soil parameter by name."""
+        return self.known | {k.name: k.value(x) for k, x in zip(self.unknowns, u, strict=True)}
+
+    def predict(self, u: np.ndarray, rows: Rows | None = None) -> np.ndarray:
+        """Sinkage, drawbar pull and torque [N, 3] at the corrected conditions, or at `rows`; 0 where not measured."""
+        return np.where(self.measured, self.steady(u, rows or self.corrected), 0.0)
+
+    def steady(self, u: np.ndarray, rows: Rows, changed: StressChange | None = None) -> np.ndarray:
+        """Sinkage, drawbar pull and torque [N, 3] at `rows`, measured or not; `changed`: with other stresses."""
+        soil, fx = self.values(u), NO_EFFECTS
+        if changed is not None:
+            soil, fx = {**soil, **changed.soil}, fx._replace(**changed.effects)
+        return predict_table(self.setup, rows, soil, _NO_WEIGHT, fx, np.zeros(rows.slip.size))
+
+    def by_conditions(self, u: np.ndarray) -> np.ndarray:
+        """Derivatives [N, 3, 2] of the model by slip and load at the corrected conditions; 0 where these are exact."""
+        out, at = np.zeros((*self.y.shape, 2)), self.corrected
+        for k, (name, step) in enumerate((("slip", np.full(at.slip.size, 1e-4)), ("load", 1e-4 * at.load))):
+            if self.noise[k] > 0.0:
+                column = getattr(at, name)
+                low, high = column - step, column + step
+                if name == "slip":
+                    low, high = np.maximum(low, -1.0), np.minimum(high, 1.0)
+                up, down = (self.predict(u, at._replace(**{name: x})) for x in (high, low))
+                out[:, :, k] = (up - down) / (high - low)[:, None]
+        return out
+
+    def weigh(self, by_conditions: np.ndarray) -> None:
+        """Fix the effect F [N, 3, 2] of the conditions' errors, and with it the covariance V [N, 3, 3] of the rows."""
+        self.F = by_conditions
+        self.V = np.einsum("kcj,j,kdj->kcd", self.F, self.noise[:2] ** 2, self.F)
+        for c in range(3):
+            self.V[:, c, c] += np.where(self.measured[:, c], self.variances[:, 2 + c], 1.0)
+        self._whitener = np.linalg.inv(np.linalg.cholesky(self.V))
+
+    @property
+    def variances(self) -> np.ndarray:
+        """[N, 5] of the errors of `SOURCES` in each row."""
+        sd = np.broadcast_to(self.noise, (len(self.y), 5)).copy()
+        sd[:, 2:] *= self.relative
+        return sd**2
+
+    def whiten(self, values: np.ndarray) -> np.ndarray:
+        """[3 N] of an array [N, 3], under noise and form error."""
+        return whitened(self.form_error, self._by_noise(values))
+
+    def _by_noise(self, values: np.ndarray) -> np.ndarray:
+        return np.einsum("kcd,kd->kc", self._whitener, values).ravel()
+
+    def target(self) -> np.ndarray:
+        """Measured values [N, 3], less what the errors of slip and load change in them; 0 where not measured."""
+        off = np.stack([self.rows.slip - self.corrected.slip, self.rows.load - self.corrected.load], axis=1)
+        return np.where(self.measured, self.y, 0.0) - np.einsum("kcj,kj->kc", self.F, off)
+
+    def residual(self, u: np.ndarray) -> np.ndarray:
+        """e [N, 3], 0 where not measured."""
+        return self.target() - self.predict(u)
+
+    def derivatives(self, u: np.ndarray) -> np.ndarray:
+        """[3 N, p] of the whitened model by the whitened unknowns."""
+
+        def model(x):
+            return self.whiten(self.predict(x))
+
+        base = model(u)
+        return finite(differences(model, u, self.unknowns, base), base.size)
+
+    def by_unknowns(self, u: np.ndarray) -> np.ndarray:
+        """[N, 3, p] of the model by the whitened unknowns."""
+        flat = differences(lambda x: self.predict(x).ravel(), u, self.unknowns, self.predict(u).ravel())
+        return finite(flat, self.y.size).reshape(*self.y.shape, -1)
+
+    def covariance(self, u: np.ndarray) -> np.ndarray:
+        """[p, p] of the whitened unknowns: inverse of the normal matrix with the priors."""
+        j = self.derivatives(u)
+        return np.linalg.inv(np.eye(u.size) + j.T @ j)
+
+    # --- form error of the base law ---
+
+    def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
+        """[3 N, R] form errors at the size 1 over one of the spans, whitened by the noise: of stresses, of channels.
+
+        Errors of the stresses reach the three channels together; channels that err by themselves stand for all else
+        that the model is not: the edges of the wheel, a rig that bends.
+        """
+        known, h, base = self.values(u), _STRESS_STEP, self.predict(u)
+        functions = self.processes[span].at_points
+        blocks = []
+        for change in stress_changes(known, h, float(np.median(self.steady(u, self.corrected)[:, 0]))):
+            moved = np.where(self.measured, self.steady(u, self.corrected, change) - base, 0.0) / h
+            blocks.append(np.where(np.isfinite(moved), moved, 0.0)[:, :, None] * functions[:, None, :])
+        own = [(base * unit)[:, :, None] * functions[:, None, :] for unit in np.eye(3)]
+        stresses, channels = (np.concatenate(errors, axis=2) for errors in (blocks, own))
+        return tuple(
+            np.stack([self._by_noise(errors[:, :, k]) for k in range(errors.shape[2])], axis=1)
+            for errors in (stresses, channels)
+        )
+
+    def by_size(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(probability, mean [p] and covariance [p, p] of the unknowns, by size and span), linearised at u.
+
+        The S are in the order of `LAW_ERRORS`.
+        """
+        kept, self.form_error = self.form_error, None
+        j, e = self.derivatives(u), self._by_noise(self.residual(u))
+        blocks = [block for span in range(len(LAW_LENGTHS)) for block in self.law_errors(u, span)]
+        sizes = np.zeros((len(LAW_ERRORS), len(blocks)))
+        for row, of in zip(sizes, LAW_ERRORS, strict=True):
+            row[2 * of.span : 2 * of.span + 2] = of.size, of.own * of.size
+        log, mean, covariance = marginals(j, blocks, sizes, np.where(np.isfinite(e), e, _FAR), u)
+        self.form_error = kept
+        log += np.log(np.tile(size_prior(), len(LAW_LENGTHS) * len(CHANNELS_OWN)))
+        return np.exp(log - logsumexp(log)), mean, covariance
+
+    def allow_form_error(self, u: np.ndarray, of: LawError) -> None:
+        """Take a form error, as it is at u, into the weights."""
+        stresses, channels = self.law_errors(u, of.span)
+        self.form_error = compressed(of.size * np.concatenate([stresses, of.own * channels], axis=1))
+
+    # --- solution ---
+
+    def minimise(self, u: np.ndarray) -> tuple[np.ndarray, float]:
+        """(u, J) of the least squares from u at the present weights."""
+        low, high = self.bounds
+        start = np.clip(u, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+        found = most_probable(
+            self.whiten(self.target()), lambda x: self.whiten(self.predict(x)), self.derivatives, start, self.bounds,
+            xtol=1e-9, ftol=1e-11, gtol=1e-9, max_nfev=100,
+        )  # fmt: skip
+        return found[:2]
+
+    def search(self) -> np.ndarray:
+        """The best of several starts over the priors, all with an S under which a plate bears the median load."""
+        rng = np.random.default_rng(0)
+        starts = [np.zeros(len(self.unknowns))]
+        names = [k.name for k in self.unknowns]
+        for _ in range(_STARTS - 1):
+            u = np.clip(rng.uniform(-1.0, 1.0, len(names)), *self.bounds)
+            if {"sinkage_coefficient", "sinkage_exponent"} <= set(names):
+                s, n = names.index("sinkage_coefficient"), names.index("sinkage_exponent")
+                n_off = self.unknowns[n].sd * u[n]
+                u[s] = (rng.uniform(-1.0, 1.0) - n_off * math.log(self.z_ref)) / self.unknowns[s].sd
+            starts.append(u)
+        best = min((self.minimise(u) for u in starts), key=lambda found: found[1])[0]
+        self.weigh(self.by_conditions(best))
+        return best
+
+    def errors(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Most probable errors [N, 5] of `SOURCES` under u, and the variance [N, 5] that the fit leaves them to show.
+
+        e = B eps - J du with eps the errors of a row; they are regressed on e with gain diag(var) B' V^-1.
+        """
+        e, j = self.residual(u), self.by_unknowns(u)
+        B = np.concatenate([self.F, np.broadcast_to(np.eye(3), (len(e), 3, 3))], axis=2)
+        gain = self.variances[:, :, None] * np.swapaxes(np.linalg.solve(self.V, B), 1, 2)
+        by_u = np.einsum("kjc,kcp->kjp", gain, j)
+        left = np.einsum("kjc,kcj->kj", gain, B) * self.variances
+        left -= np.einsum("kjp,pq,kjq->kj", by_u, self.covariance(u), by_u)
+        return np.einsum("kjc,kc->kj", gain, e), left
+
+    def correct(self, u: np.ndarray) -> None:
+        """Move slip and load to their most probable values under u, and weigh anew there."""
+        if np.any(self.noise[:2] > 0.0):
+            solved = np.linalg.solve(self.V, self.residual(u)[:, :, None])[:, :, 0]
+            slip, load = (self.noise[:2] ** 2 * np.einsum("kcj,kc->kj", self.F, solved)).T
+            load = np.clip(self.rows.load + load, 0.2 * self.rows.load, 5.0 * self.rows.load)
+            self.corrected = self.rows._replace(slip=np.clip(self.rows.slip + slip, -1.0, 1.0), load=load)
+        self.weigh(self.by_conditions(u))
+
+    def update_noise(self, u: np.ndarray) -> None:
+        """Noise of the channels that the setup leaves out, from their residuals and the values spent on fitting."""
+        if not np.any(self.estimated):
+            return
+        (errors, left), variances = self.errors(u), self.variances
+        for j in np.flatnonzero(self.estimated):
+            k = self.measured[:, j - 2]
+            self.freedom[j] = max(float(np.sum(left[k, j] / variances[k, j])), 0.5)
+            variance = float(np.sum(errors[k, j] ** 2)) / self.freedom[j]  # no row has an sd of its own here
+            self.noise[j] = max(math.sqrt(variance), self.floor[j])
+
+
+def _usable(table: Table, setup: Setup) -> np.ndarray:
+    """[N] rows with a sinkage or both forces; `ParameterError` where nothing could be identified from them."""
+    seen, pull, torque = (~np.isnan(getattr(table, name)) for name in MEASURED)
+    stiffness = setup.soil.lumped(setup.wheel.width) is not None
+    use = seen | (pull & torque) | ((pull | torque) & stiffness)
+    if not np.any(use):
+        raise ParameterError(
+            f"{table.source}: no row has a sinkage, or both drawbar_pull and torque: identification needs one of these "
+            "(without sinkage one force is enough where the setup has a prior of sinkage_coefficient)"
+        )
+    if not np.any(use & (pull | torque)):
+        raise ParameterError(
+            f"{table.source}: no row has drawbar_pull or torque beside its sinkage: identification needs one of them "
+            "at least"
+        )
+    radius = table.radius(setup.wheel)
+    for k in np.flatnonzero(seen):
+        if not 0.0 < table.sinkage[k] <= radius[k]:
+            raise ParameterError(
+                f"{table.source}: row {table.row[k]}, sinkage = {table.sinkage[k]:g}: expected metres in "
+                f"(0, {radius[k]:g}], the wheel radius"
+            )
+    slope = use & pull & (np.nan_to_num(table.grade_deg) != 0.0)
+    if setup.load == "normal" and slope.sum() > 1 and np.all(table.drawbar_pull[slope] == 0.0):
+        raise ParameterError(
+            f"{table.source}: drawbar_pull = 0 on every grade, as of a wheel that climbs by itself: expected "
+            "load: vertical in the setup, so that the weight along the slope counts"
+        )
+    return use
