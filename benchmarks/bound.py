@@ -15,13 +15,13 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.drives import truth
-from soil_env._numba.compiling import root
-from soil_env.driving.wheels import new_worlds
+from soil_env._numba.compiling import compiled_root
 from soil_env.identification.online.filter import SLOWEST
 from soil_env.identification.online.soil_prior import depth_of, prior_of_belief
 from soil_env.parameters import Scenario
 from soil_env.readings import sensor_noise
 from soil_env.simulation.task import task_numbers
+from soil_env.simulation.wheels import new_wheel_worlds
 from soil_env.simulation.world.dynamics import MANY, advance
 from soil_env.simulation.world.wheel import settle_at, world_numbers
 from soil_env.terramechanics.ground import share_of_next
@@ -29,14 +29,14 @@ from soil_env.terramechanics.ground import share_of_next
 # --- readings under other hypotheses ----------------------------------------------------------------------------------
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def _settle(state, counts, courses, mass, world):
     for k in range(mass.size):
         settle_at(state, counts, k, 0.0, mass[k], courses, world)
         state.next_halt[k] = 1e18
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def _run(state, counts, courses, streams, world, what, commands, action, halt, out):
     n = what.size
     for t in range(action.size):
@@ -69,7 +69,7 @@ class OpenLoop:
                 course, classes=0, lines=1, patch_length=(length, length), border=min(course.border, length)
             ),
         )
-        self.worlds = new_worlds(count, plain, task_numbers(plain, "blind", None))
+        self.worlds = new_wheel_worlds(count, plain, task_numbers(plain, "blind", None), False)
         numbers = world_numbers(plain)
         self.numbers = numbers._replace(lines=1, border=course.border, halt_low=1e9, halt_high=1e9)
         self._what, self._commands = np.zeros(count, dtype=np.int8), np.zeros(count)

@@ -10,7 +10,7 @@ import numpy as np
 from agents.controllers import CONTROLLERS, ConstantSpeed, SoftStart, make_controller
 from agents.evaluate import drive
 from agents.evaluate.tuning import shipped_settings
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import compiled_root
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.driving.wheels import IDLE, STEP
 from soil_env.parameters import Scenario
@@ -29,7 +29,7 @@ _STATE = ("x", "slip", "sinkage", "mass", "load", "grade", "wheel_speed", "beari
 _READ = [*range(8), 11, 12]  # entries of the observation in the order of `SensorReading`
 
 
-@root
+@compiled_root
 def _grounds(x, patch, course, courses, border, out):
     """Soil [7] under each wheel, number of its patch, distance behind its beginning [m]."""
     for k in range(x.size):

@@ -1,4 +1,4 @@
-"""What the sensors of a driven wheel read in a control period, and how exactly."""
+"""Sensor readings of a driven wheel in a control period, and their noise."""
 
 from __future__ import annotations
 

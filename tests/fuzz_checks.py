@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import compiled_root
 from soil_env.simulation.task import REWARD_TERMS
 from soil_env.simulation.world.dynamics import MOST_STEPS
 from soil_env.simulation.world.terrain import ground_at
@@ -32,7 +32,7 @@ _PIECES = 4
 NEWTON = 1e-4  # [m/s] largest residual of a stage that counts as converged
 
 
-@root
+@compiled_root
 def _climbs(courses, before, after, border, rise, low, high):
     """Height gained [m] by each wheel between two x, and the range of sin(grade) on the way."""
     for k in range(before.size):

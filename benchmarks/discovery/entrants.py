@@ -27,7 +27,8 @@ from soil_env.discrepancy import run
 from soil_env.discrepancy.report import content
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
 from soil_env.parameters import Soil
-from soil_env.terramechanics.effects import CATALOGUE, Form
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.effects.entry import Form
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 VERDICTS = ("named", "partly", "ambiguous", "unlisted", "none", "undetermined", "error")

@@ -22,11 +22,12 @@ import numpy as np
 import yaml
 
 from benchmarks.common import RESULTS, ROOT, page, ready, short, write
+from examples import cmu_rig as cmu
 from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.document import Table as Shown
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy import cmu, run
+from soil_env.discrepancy import run
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.validity import OutsideValidity

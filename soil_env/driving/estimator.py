@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part, root, take
+from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root, take
 from soil_env.identification.online.class_memory import (
     PULL,
     ClassMemory,
@@ -44,11 +44,9 @@ from soil_env.identification.online.immobilisation import (
 )
 from soil_env.identification.online.status import Status
 from soil_env.parameters import Scenario
-from soil_env.readings import SensorReading
 from soil_env.simulation.task.observation import SENSORS, clip, write_estimate, write_moments
 from soil_env.simulation.task.rules import TaskNumbers, information_term, total_of
-from soil_env.simulation.wheels import RESTART, RUNNING, STEP, portion_of
-from soil_env.simulation.world.camera import Image
+from soil_env.simulation.wheels import RESTART, RUNNING, STEP, load_image, load_reading, portion_of
 
 _CONVERGED = Status.CONVERGED.value
 _AHEAD = 13  # entries of what is identified of a line ahead
@@ -98,19 +96,7 @@ def estimator_numbers(scenario: Scenario, task: TaskNumbers) -> EstimatorNumbers
     )
 
 
-@inlined
-def reading_of(r):
-    """`SensorReading` of a row [10] of a record."""
-    return SensorReading(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9])
-
-
-@inlined
-def _image_of(r):
-    """`Image` of a row [12] of a record."""
-    return Image(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11])
-
-
-@inlined
+@compiled_inline
 def knowledge(ids, k, precision):
     """Knowledge of identifier k beyond its prior of that `precision` [nat].
 
@@ -123,7 +109,7 @@ def knowledge(ids, k, precision):
     return -math.log(left)
 
 
-@inlined
+@compiled_inline
 def _view_of(image, memory, k, sight):
     """`View` of the ground for the warning, from an image and the memory of terrain classes."""
     here = int(image.here)
@@ -139,31 +125,31 @@ def _view_of(image, memory, k, sight):
     )  # fmt: skip
 
 
-@inlined
+@compiled_inline
 def _look_ahead(estimator, numbers, record, k, period):
     """Note the view of wheel k for the warning, where it is asked for."""
     if estimator.recent.shape[0] > 0:
-        image = _image_of(record.images[k, period])
+        image = load_image(record.images[k, period])
         see(estimator.recent, k, _view_of(image, estimator.memory, k, numbers.task.camera.sight), numbers.warning)
 
 
-@part
+@compiled_part
 def _restart(estimator, numbers, record, results, k):
     """Set estimator k to its prior, at the start of a course."""
     forget(estimator.ids, k, numbers.identifier)
     forget_classes(estimator.memory, k, numbers.memory)
     estimator.changed[k] = False
     if estimator.recent.shape[0] > 0:
-        begin(estimator.recent, k, reading_of(record.readings[k, 0]), numbers.warning)
+        begin(estimator.recent, k, load_reading(record.readings[k, 0]), numbers.warning)
     if numbers.task.camera.classes > 0:
         _look_ahead(estimator, numbers, record, k, 0)
     show_estimate(estimator, numbers, record, results, k, 0)
 
 
-@inlined
+@compiled_inline
 def _after_period(estimator, numbers, record, results, k, period):
     """Take the record of a control period of wheel k."""
-    reading, task = reading_of(record.readings[k, period]), numbers.task
+    reading, task = load_reading(record.readings[k, period]), numbers.task
     if estimator.recent.shape[0] > 0:
         follow(estimator.recent, k, reading, record.halted[k, period], numbers.warning)
     paid, prior = task.reward_information > 0.0, numbers.identifier.precision
@@ -171,7 +157,7 @@ def _after_period(estimator, numbers, record, results, k, period):
     outcome = observe(estimator.ids, k, reading, numbers.identifier)
     estimator.changed[k] = estimator.changed[k] or outcome != HELD
     if task.camera.classes > 0:
-        image = _image_of(record.images[k, period])
+        image = load_image(record.images[k, period])
         if outcome == RENEWED and clear_of_borders(image.since, image.left, numbers.memory):
             remember(estimator.memory, k, int(image.here), int(image.patch), estimator.ids, numbers.memory)
         _look_ahead(estimator, numbers, record, k, period)
@@ -181,7 +167,7 @@ def _after_period(estimator, numbers, record, results, k, period):
         results.terms[k, 3] += information_term(cause, before, after, task)
 
 
-@part
+@compiled_part
 def _step(estimator, numbers, record, results, k):
     """Take the record of a step of wheel k."""
     estimator.changed[k] = False
@@ -192,7 +178,7 @@ def _step(estimator, numbers, record, results, k):
     show_estimate(estimator, numbers, record, results, k, record.periods[k] - 1)
 
 
-@inlined
+@compiled_inline
 def show_estimate(estimator, numbers, record, results, k, period):
     """Fill what is identified into the observation of wheel k, if its variant has it."""
     task, ids, out = numbers.task, estimator.ids, results.observation[k]
@@ -201,7 +187,7 @@ def show_estimate(estimator, numbers, record, results, k, period):
     converged = ids.status[k] == _CONVERGED
     write_estimate(out[SENSORS:], ids.estimate[k], ids.sd[k], ids.best_pull[k], converged, task)
     if task.camera.classes > 0:
-        image = _image_of(record.images[k, period])
+        image = load_image(record.images[k, period])
         first = out.size - task.camera.lines * _AHEAD
         for line in range(task.camera.lines):
             label, grade = (image.label_0, image.grade_0) if line == 0 else (image.label_1, image.grade_1)
@@ -210,7 +196,7 @@ def show_estimate(estimator, numbers, record, results, k, period):
     clip(out, task)
 
 
-@inlined
+@compiled_inline
 def _write_line(out, memory, k, there, label, grade, task):
     """Fill `out` [13] with what is known of the soil of a line ahead; 0 if it is out of sight.
 
@@ -225,7 +211,7 @@ def _write_line(out, memory, k, there, label, grade, task):
         out[12] = memory.sd[k, label, PULL]
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def estimate_wheels(estimator, numbers, record, results, what, counter):
     """Follow the orders `what` [wheels] that the world has executed; `counter`: [next wheel, threads at work]."""
     wheels = what.size

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part, root, take
+from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root, take
 from soil_env._numba.lanes import COUNT
-from soil_env.driving.estimator import knowledge, reading_of
+from soil_env.driving.estimator import knowledge
 from soil_env.identification.online.identifier import (
     HELD,
     IdentifierNumbers,
@@ -35,7 +35,7 @@ from soil_env.simulation.rover.rovers import blocks_of
 from soil_env.simulation.rover.task import first_soil
 from soil_env.simulation.task.observation import clip, write_estimate
 from soil_env.simulation.task.rules import TaskNumbers, information_term, total_of
-from soil_env.simulation.wheels import RESTART, RUNNING, STEP
+from soil_env.simulation.wheels import RESTART, RUNNING, STEP, load_reading
 from soil_env.simulation.world.wheel import wheel_of
 from soil_env.vehicle import RoverScenario
 
@@ -87,7 +87,7 @@ def _identifier_numbers(scenario: RoverScenario) -> IdentifierNumbers:
     return numbers._replace(filter=own)
 
 
-@part
+@compiled_part
 def _restart(estimator, numbers, results, j):
     """Set the estimators of rover j to their prior, at the start of a course."""
     axles = numbers.places.size
@@ -98,7 +98,7 @@ def _restart(estimator, numbers, results, j):
     _show(estimator, numbers, results, j)
 
 
-@inlined
+@compiled_inline
 def _knowledge(estimator, numbers, j):
     """Mean of `knowledge` over the axles of rover j."""
     axles, known = numbers.places.size, 0.0
@@ -107,7 +107,7 @@ def _knowledge(estimator, numbers, j):
     return known / axles
 
 
-@inlined
+@compiled_inline
 def _after_period(estimator, numbers, record, results, j, period):
     """Take the record of a control period of rover j."""
     axles, task, furthest = numbers.places.size, numbers.task, HELD
@@ -115,7 +115,7 @@ def _after_period(estimator, numbers, record, results, j, period):
     before = _knowledge(estimator, numbers, j) if paid and period == 0 else 0.0
     for a in range(axles):
         k = wheel_of(j, a, axles)
-        outcome = observe(estimator.ids, k, reading_of(record.readings[k, period]), numbers.identifier)
+        outcome = observe(estimator.ids, k, load_reading(record.readings[k, period]), numbers.identifier)
         place = record.places[j, period] - numbers.places[a]
         note(estimator.known, estimator.ids, k, place, outcome, a > 0, numbers.pool)
         furthest = max(furthest, outcome)
@@ -127,7 +127,7 @@ def _after_period(estimator, numbers, record, results, j, period):
         results.terms[j, 3] += information_term(cause, before, after, task)
 
 
-@part
+@compiled_part
 def _step(estimator, numbers, record, results, j):
     """Take the record of a step of rover j."""
     for period in range(record.periods[j]):
@@ -137,7 +137,7 @@ def _step(estimator, numbers, record, results, j):
     _show(estimator, numbers, results, j)
 
 
-@inlined
+@compiled_inline
 def _show(estimator, numbers, results, j):
     """Fill what is identified into the observation of rover j, if its variant has it."""
     known, task, out, axles = estimator.known, numbers.task, results.observation[j], numbers.places.size
@@ -151,7 +151,7 @@ def _show(estimator, numbers, results, j):
     clip(out, task)
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def estimate_rovers(estimator, numbers, record, results, what, counter):
     """Follow the orders `what` [rovers] that the world has executed; `counter`: [next block, threads at work]."""
     blocks, portion = blocks_of(what.size, counter)

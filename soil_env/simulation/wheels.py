@@ -9,13 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part, root, take
+from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root, take
 from soil_env._numba.lanes import COUNT
+from soil_env._numba.records import row_record
 from soil_env._numba.rows import Rows
 from soil_env.parameters import Scenario
+from soil_env.readings import SensorReading
 from soil_env.simulation.task.observation import write_observation, write_truth
 from soil_env.simulation.task.rules import REWARD_TERMS, Cause, TaskNumbers, judge, reward_terms, total_of
-from soil_env.simulation.world.camera import Image, Sight, look, write_image
+from soil_env.simulation.world.camera import Image, Sight, image_of, look
 from soil_env.simulation.world.courses import (
     CourseDistribution,
     CourseNumbers,
@@ -36,7 +38,8 @@ STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
 #: was found), the rest of it drawn, the ground ahead drawn.
 TRY, COMPLETE, AHEAD = np.int8(3), np.int8(4), np.int8(5)
 RUNNING = Cause.RUNNING.value
-READINGS = 10  # numbers of a `SensorReading`
+load_reading, store_reading = row_record(SensorReading)
+load_image, _store_image = row_record(Image)
 
 
 class Record(NamedTuple):
@@ -56,7 +59,7 @@ def new_record(wheels: int, scenario: Scenario, images: bool) -> Record:
     repeat = scenario.control.held
     return Record(
         np.zeros(wheels, dtype=np.int64),
-        np.zeros((wheels, repeat, READINGS)),
+        np.zeros((wheels, repeat, len(SensorReading._fields))),
         np.zeros((wheels, repeat), dtype=np.bool_),
         np.zeros((wheels if images else 0, repeat, len(Image._fields))),
     )
@@ -101,7 +104,7 @@ def new_wheel_worlds(wheels: int, scenario: Scenario, task: TaskNumbers, recorde
     )
 
 
-@inlined
+@compiled_inline
 def clear_reward(worlds, k):
     """Set the sums of a step of wheel k to zero."""
     worlds.reward[k] = 0.0
@@ -109,17 +112,10 @@ def clear_reward(worlds, k):
         worlds.terms[k, i] = 0.0
 
 
-@inlined
-def store_reading(readings, reading):
-    """Store a `SensorReading` into `readings` [10]."""
-    for i in range(READINGS):
-        readings[i] = reading[i]
-
-
 # --- courses ----------------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def start_passable(k, courses, streams, numbers):
     """Start a new course k; the mass [kg] on the wheel with payload."""
     mass, attempts = -1.0, 0
@@ -131,7 +127,7 @@ def start_passable(k, courses, streams, numbers):
     return mass
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def lay_wheels(worlds, numbers, rows, order, counter):
     """Follow an `order` for the courses `rows` [n]; `counter`: [next of them, threads at work].
 
@@ -156,7 +152,7 @@ def lay_wheels(worlds, numbers, rows, order, counter):
 # --- driving ----------------------------------------------------------------------------------------------------------
 
 
-@part
+@compiled_part
 def _restart(worlds, numbers, k):
     """Observe wheel k at the start of its course."""
     worlds.cause[k] = RUNNING
@@ -168,7 +164,7 @@ def _restart(worlds, numbers, k):
     _observation(worlds, numbers, k, reading, sight)
 
 
-@inlined
+@compiled_inline
 def _look(worlds, numbers, k):
     """`Sight` of the camera, if there is one."""
     if numbers.task.camera.classes == 0:
@@ -176,27 +172,28 @@ def _look(worlds, numbers, k):
     return look(worlds.state, worlds.counts, k, worlds.courses, worlds.streams, numbers.task.camera)
 
 
-@inlined
+@compiled_inline
 def _record(worlds, numbers, k, period, reading, sight):
     """Keep readings and image of wheel k in a control period, if anything on board asks for them."""
     record = worlds.record
     if record.periods.size == 0:
         return
     record.periods[k] = period + 1
-    store_reading(record.readings[k, period], reading)
+    store_reading(reading, record.readings[k, period])
     record.halted[k, period] = worlds.state.halt_left[k] > 0.0
     if numbers.task.camera.classes > 0:
-        write_image(record.images[k, period], worlds.state, k, worlds.courses, sight, numbers.task.camera)
+        image = image_of(worlds.state, k, worlds.courses, sight, numbers.task.camera)
+        _store_image(image, record.images[k, period])
 
 
-@part
+@compiled_part
 def _observation(worlds, numbers, k, reading, sight):
     write_observation(
         worlds.observation[k], worlds.state, worlds.counts, k, reading, worlds.courses, sight, numbers.task
     )
 
 
-@inlined
+@compiled_inline
 def _after_period(worlds, numbers, k, period):
     """End of a control period of wheel k: sense, judge, reward, observe."""
     reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
@@ -212,7 +209,7 @@ def _after_period(worlds, numbers, k, period):
         _observation(worlds, numbers, k, reading, sight)
 
 
-@inlined
+@compiled_inline
 def _step(worlds, numbers, commands, start, count, steps):
     """Step the `steps` wheels of start ... start + count - 1 that are `going`, until their episodes end."""
     for period in range(numbers.task.repeat):
@@ -230,14 +227,14 @@ def _step(worlds, numbers, commands, start, count, steps):
                     steps -= 1
 
 
-@inlined
+@compiled_inline
 def portion_of(counter, wheels):
     """Wheels to take next: many at first, and fewer towards the end, so that the threads end together."""
     share = (wheels - counter[0]) // (2 * counter[1]) // COUNT * COUNT
     return MANY if counter[1] == 1 else min(max(share, LEAST), MANY)
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def step_wheels(worlds, numbers, commands, what, counter):
     """Step or observe wheels as `what` [wheels] says, chunk by chunk; `counter`: [next wheel, threads at work].
 
@@ -260,7 +257,7 @@ def step_wheels(worlds, numbers, commands, what, counter):
         start = take(counter, portion)
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def write_true_soils(worlds, numbers, out):
     """Fill `out` [wheels, D] with the entries of `task.truth`; `numbers` are those of the variant `true_soil`."""
     for k in range(len(out)):

@@ -28,7 +28,7 @@ from soil_env._io.loading import (
     to_dict,
     unknown_key,
 )
-from soil_env._numba.compiling import part
+from soil_env._numba.compiling import compiled_part
 from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs
 from soil_env.terramechanics.effects import Effects, pack_effects
 from soil_env.terramechanics.residual import ResidualTerm, dimensionless_groups, residual_at, residual_law
@@ -288,7 +288,7 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     )
 
 
-@part
+@compiled_part
 def add_residual(law, slip, load, wheels, conditions, soil, gravity, out):
     """Add a `ResidualLaw` to predictions `out` [N, 3]."""
     for k in range(slip.size):

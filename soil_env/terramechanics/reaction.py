@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, part, uncompiled
+from soil_env._numba.compiling import compiled_inline, compiled_part, uncompiled
 from soil_env._numba.elementary import larger, sqrt, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
@@ -58,7 +58,7 @@ class Reaction(NamedTuple):
     sinkage_coefficient_u: float
 
 
-@inlined
+@compiled_inline
 def reaction_from(integrals, motion, speed, rim_speed, load, tan_phi, c, r, b):
     """`Reaction` to a wheel that carries `load`: Eqs. (1)-(3) with (1) solved for S, from its arc's integrals."""
     q, by_rim, by_travel = integrals
@@ -95,7 +95,7 @@ def reaction_from(integrals, motion, speed, rim_speed, load, tan_phi, c, r, b):
     )
 
 
-@part
+@compiled_part
 def reaction(speed, rim_speed, sinkage, load, soil, r, b):
     """`Reaction` of the base model to one wheel at a given sinkage [m] that carries `load` [N]."""
     motion = motion_from_speeds(rim_speed, speed, REST_SPEED)
@@ -148,7 +148,7 @@ class Ground(NamedTuple):
     torque: float  # [N m] of the residual law
 
 
-@inlined
+@compiled_inline
 def ground_under(sinkage, speed, rim_speed, weight, soil, sin_grade, passes, wheel):
     """`Ground` under a wheel (`Interaction`) of this weight [N] on undisturbed `soil`."""
     none = alike(0.0, sinkage)
@@ -185,7 +185,7 @@ class Added(NamedTuple):
     by_u: float
 
 
-@inlined
+@compiled_inline
 def _blades(thrust, speed, rim_speed):
     """`Added` thrust [N] of the lugs along the rim."""
     slip, by_u, by_v = signed_slip(rim_speed, speed, REST_SPEED)
@@ -193,14 +193,14 @@ def _blades(thrust, speed, rim_speed):
     return Added(force, slope * by_v, slope * by_u)
 
 
-@inlined
+@compiled_inline
 def _drive_friction(torque, rim_speed, r, fx):
     """`Added` torque [N m] of `drive_friction` for an `Added` torque at the axle."""
     friction, by_torque, by_wheel_speed = drive_friction(torque.value, rim_speed / r, REST_SPEED / r, fx)
     return Added(friction, by_torque * torque.by_v, by_torque * torque.by_u + by_wheel_speed / r)
 
 
-@inlined
+@compiled_inline
 def at_the_axle(f, bulldozing, blades, pull, torque, speed, rim_speed, wheel):
     """`Reaction` `f` at the shear radius as one at the axle, with what `Ground` and the drivetrain add."""
     q, p = wheel.shear_ratio, wheel.rim_ratio
@@ -227,7 +227,7 @@ def at_the_axle(f, bulldozing, blades, pull, torque, speed, rim_speed, wheel):
     )
 
 
-@inlined
+@compiled_inline
 def moved(f, dv, du):
     """`Reaction` `f` to first order after a change of V and of u; its derivatives stay."""
     return Reaction(

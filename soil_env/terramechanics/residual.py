@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, power, smaller, where_less
 from soil_env._numba.lanes import alike
 from soil_env.terramechanics.effects.entry import CHANNELS, Channel
@@ -121,7 +121,7 @@ def formulas(terms: Sequence[ResidualTerm], digits: int = 3) -> dict[str, str]:
     return out
 
 
-@part
+@compiled_part
 def dimensionless_groups(slip, sinkage, load, speed, passes, sin_grade, soil, r, b, gravity):
     """The seven `GROUPS` at one working point."""
     i = smaller(abs(slip), 1.0)
@@ -133,7 +133,7 @@ def dimensionless_groups(slip, sinkage, load, speed, passes, sin_grade, soil, r,
     )  # fmt: skip
 
 
-@part
+@compiled_part
 def residual_at(law, groups):
     """Sum of the terms for (sinkage / r, drawbar pull / W, torque / (W r)) at `groups`."""
     z = pull = torque = 0.0 * groups[0]
@@ -153,7 +153,7 @@ def residual_at(law, groups):
     return z, pull, torque
 
 
-@inlined
+@compiled_inline
 def _raised(x, p):
     """x^p; 0 where it is not a real number."""
     size = power(larger(abs(x), 1e-300), p)

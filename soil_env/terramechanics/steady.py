@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import asin_root
 from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip
@@ -69,7 +69,7 @@ class Conditions(NamedTuple):
 LEVEL = Conditions(0.0, 1.0, 0.0)
 
 
-@inlined
+@compiled_inline
 def arc_of(sinkage, slip, fx, wheel):
     """`Arc` of a wheel at a given sinkage [m] and slip, with the effects that shape it.
 
@@ -85,7 +85,7 @@ def arc_of(sinkage, slip, fx, wheel):
     return Arc(theta1, theta2, thetam, 2.0 * asin_root(rise), r)
 
 
-@inlined
+@compiled_inline
 def sheared(rim, soil, fx, wheel):
     """(rim, K) as the soil between the lug tips sees them: `rim` of motion and shear deformation modulus [m].
 
@@ -101,7 +101,7 @@ def sheared(rim, soil, fx, wheel):
     return rim, K / q
 
 
-@part
+@compiled_part
 def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
     """`Forces` of a smooth wheel at a given sinkage [m] with sinkage coefficient S, contact up to the lowest point."""
     arc = smooth_arc(sinkage, r)
@@ -109,7 +109,7 @@ def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
     return forces(q, S, soil.tan_phi, soil.cohesion, r, b, direction)
 
 
-@part
+@compiled_part
 def steady_state(slip, load, soil, r, b):
     """`steady_with` of the base model on level, fresh soil, with the digging of `soil`."""
     return steady_with(slip, load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, 0.0)
@@ -128,7 +128,7 @@ class _Balance(NamedTuple):
     law: ShearLaw
 
 
-@inlined
+@compiled_inline
 def _balance(slip, load, soil, wheel, conditions, fx):
     """(`_Balance`, soil in contact, sinkage that is seen over that which is felt)."""
     sine = conditions.sin_grade
@@ -147,7 +147,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     return _Balance(slip, rim, travel, normal, under, strength, lift, shear_law(fx)), ground, apparent
 
 
-@inlined
+@compiled_inline
 def _misfit(x, p, wheel, fx):
     """(ln of the mobilised over the available sinkage coefficient at the sinkage e^x [m], `Forces` there)."""
     z, soil, b = math.exp(x), p.soil, wheel.width
@@ -162,7 +162,7 @@ def _misfit(x, p, wheel, fx):
     return f, forces(q, math.exp(available), soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
 
 
-@inlined
+@compiled_inline
 def _first_guess(p, wheel, guess):
     """ln of the sinkage [m] to start from: of `guess` where there is one, else of a flat plate, sqrt(2 r z) long."""
     if guess > 0.0:
@@ -172,7 +172,7 @@ def _first_guess(p, wheel, guess):
     return math.log(math.exp(min(x, math.log(DEEPEST * wheel.radius))) + max(p.lift, 0.0))
 
 
-@part
+@compiled_part
 def _solve_balance(p, wheel, fx, guess):
     """(ln of the sinkage, `Forces` there, whether the soil carries the load): bracketed secant on `_misfit`."""
     deepest = math.log(DEEPEST * wheel.radius)
@@ -207,7 +207,7 @@ def _solve_balance(p, wheel, fx, guess):
     return x_old, w_old, supported
 
 
-@inlined
+@compiled_inline
 def _along(before, now, share):
     """`Forces` extrapolated beyond `now` by a share of the last change; the load stays."""
     return Forces(
@@ -217,7 +217,7 @@ def _along(before, now, share):
     )
 
 
-@part
+@compiled_part
 def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     """`Steady` sinkage, drawbar pull and torque as they are measured at a measured slip and weight `load` [N].
 
@@ -244,7 +244,7 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     return Steady(min(apparent * z, DEEPEST * r) + fx.sinkage_offset_offset, pull, torque, supported)
 
 
-@part
+@compiled_part
 def predict_rows(slip, load, wheels, conditions, soil, unit_weight, fx, guess, out):
     """`steady_with` of every row into `out` [N, 3] (sinkage, drawbar pull, torque), from `guess` [N], which it renews.
 

@@ -19,7 +19,6 @@ from agents.controllers import make_controller
 from agents.evaluate import HELD_OUT_SET, Runs, comparing, evaluation, run_courses
 from agents.evaluate.__main__ import main
 from agents.evaluate.driving import METRICS, RATES
-from agents.evaluate.limit import avoidable
 from agents.evaluate.statistics import wilson
 from agents.evaluate.tuning import tuned_settings
 from soil_env.parameters import load_scenario
@@ -86,15 +85,6 @@ def test_one_outcome_for_all_courses_gives_intervals_that_contain_it(n):
     found = comparing.comparison(load_scenario(), 0, {"a": runs_of(np.full(n, 0.1))}, resamples=20)
     for name, m in found["controllers"]["a"].items():
         assert m["low"] <= m["value"] <= m["high"], name
-
-
-def test_avoidable_failures_are_those_on_courses_that_the_oracle_finished():
-    oracle, one = runs_of(np.zeros(4), [1, 1, 0, 1]), runs_of(np.zeros(5), [1, 0, 0, 1, 0])
-    two = runs_of(np.zeros(5), [0, 1, 1, 1, 1])
-    found = avoidable(oracle, [one, two])  # the fifth course is not among the oracle's
-    assert found["failures"] == 3 and found["value"] == pytest.approx(2 / 3)
-    assert (found["low"], found["high"]) == wilson(2, 3)
-    assert avoidable(oracle, [runs_of(np.zeros(4))]) == {"failures": 0, "value": None, "low": None, "high": None}
 
 
 # --- what is written --------------------------------------------------------------------------------------------------

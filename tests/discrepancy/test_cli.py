@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from soil_env.cli import main
 from soil_env.discrepancy import report
-from soil_env.discrepancy.__main__ import main
 from tests.discrepancy.files import SETUP, table_text, write_files
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,7 +19,7 @@ TABLE = table_text({}, loads=(100, 200), slips=(0.1, 0.3, 0.5))
 def call(folder, *more, out="out"):
     """Exit status of the command on the files of a folder."""
     data, setup = folder / "data.csv", folder / "setup.yaml"
-    return main([str(data), "--setup", str(setup), "--out", str(folder / out), *more])
+    return main(["discover", str(data), "--setup", str(setup), "--out", str(folder / out), *more])
 
 
 def names(folder):

@@ -143,11 +143,11 @@ def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
 
 
 def test_doubts_come_first_everywhere(tmp_path, capsys):
-    from soil_env.discrepancy.__main__ import main
+    from soil_env.cli import main
 
     data, setup = write_files(tmp_path, changed(table_text({}, loads=(100, 200)), "torque", 1 / 9.81))
     out = tmp_path / "out"
-    assert main([str(data), "--setup", str(setup), "--out", str(out)]) == 0
+    assert main(["discover", str(data), "--setup", str(setup), "--out", str(out)]) == 0
     shown = capsys.readouterr().out
     assert shown.index("With torque as") < re.search(r"\b(unlisted|named|ambiguous|none)\b", shown).start()
     report = json.loads((out / "report.json").read_text())

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import compiled_root
 from soil_env._numba.rows import Rows
 from soil_env.driving.wheels import Simulation
 from soil_env.identification import Status
@@ -178,7 +178,7 @@ def test_a_change_of_the_sinkage_coefficient_alone_is_noticed():
     assert 5.3 < state.x[0] < 5.6 and ids.borders[0] >= 1
 
 
-@root
+@compiled_root
 def _published(ids, numbers, anew):
     publish(ids.banks, 0, numbers.filter, ids.estimate[0], ids.sd[0], ids.covariance[0], ids.best_pull[0], anew)
 

@@ -195,16 +195,16 @@ def test_every_axle_has_its_lines_in_the_charts():
     assert max(drawn) > 40
 
 
-@pytest.mark.parametrize("method", ["filter", "none"])
-def test_where_nothing_is_identified_no_estimate_is_drawn(method):
+@pytest.mark.parametrize("variant", ["identified", "blind"])
+def test_where_nothing_is_identified_no_estimate_is_drawn(variant):
     """Another prior then leaves the picture as it is."""
     pictures = []
     for prior in (30.0, 40.0):
-        belief = {"method": method, "soils": {}, "friction_angle_deg": prior}
-        simulation, view = started("lunar_micro_rover", changes={"belief": belief}, variant="blind")
+        belief = {"soils": {}, "friction_angle_deg": prior}
+        simulation, view = started("lunar_micro_rover", changes={"belief": belief}, variant=variant)
         drive(simulation, view, 20)
         pictures.append(view.draw(simulation, 0))
-    assert np.array_equal(*pictures) == (method == "none")
+    assert np.array_equal(*pictures) == (variant == "blind")
 
 
 @pytest.mark.parametrize("size", [(960, 540), (801, 500)])

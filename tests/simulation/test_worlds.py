@@ -11,7 +11,8 @@ from soil_env._numba.random_streams import seed_stream
 from soil_env.driving.wheels import Simulation
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import Soil, SoilState, load_scenario, soils
-from soil_env.simulation.task import VARIANTS, task_numbers
+from soil_env.simulation.task import VARIANTS
+from soil_env.simulation.task.rules import task_numbers
 from soil_env.simulation.world import courses as drawing, dynamics, terrain
 from soil_env.simulation.world.sensors import sense
 from soil_env.simulation.world.terrain import rut_factor

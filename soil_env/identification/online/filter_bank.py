@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.lanes import COUNT, fetch
 from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.identification.online.best_pull import SLIPS
@@ -127,7 +127,7 @@ def new_banks(wheels: int) -> FilterBanks:
     )
 
 
-@inlined
+@compiled_inline
 def fetch_bank(banks, k):
     """Bring the memory that a point needs into the cache: with many wheels it is elsewhere."""
     for i in range(0, NODE_ROWS * COUNT, COUNT):
@@ -138,7 +138,7 @@ def fetch_bank(banks, k):
         fetch(banks.sinkage[k], i)
 
 
-@part
+@compiled_part
 def restart(banks, k, numbers):
     """Set bank k back to its prior: nothing known of mass and sinkage either."""
     zero_column(banks.open, k)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part, root, take
+from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root, take
 from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import between, four_normals, word
 from soil_env._numba.rows import zero_column
@@ -31,7 +31,6 @@ from soil_env.simulation.task.rules import REWARD_TERMS, TaskNumbers, judge, rew
 from soil_env.simulation.wheels import (
     COMPLETE,
     IDLE,
-    READINGS,
     RESTART,
     RUNNING,
     STEP,
@@ -79,7 +78,9 @@ def new_rover_record(rovers: int, wheels: int, scenario: RoverScenario) -> Rover
     """Empty record of so many rovers with their wheels."""
     repeat = scenario.control.held
     return RoverRecord(
-        np.zeros(rovers, dtype=np.int64), np.zeros((wheels, repeat, READINGS)), np.zeros((rovers, repeat))
+        np.zeros(rovers, dtype=np.int64),
+        np.zeros((wheels, repeat, len(SensorReading._fields))),
+        np.zeros((rovers, repeat)),
     )
 
 
@@ -155,7 +156,7 @@ def _drawn(scenario: RoverScenario, model: WheelSoilModel | None) -> CourseDistr
 # --- one rover --------------------------------------------------------------------------------------------------------
 
 
-@part
+@compiled_part
 def _settle(worlds, numbers, j, mass):
     """Put rover j at rest at the start of its course."""
     rovers, s = worlds.rovers, numbers.suspension
@@ -175,7 +176,7 @@ def _settle(worlds, numbers, j, mass):
     rovers.body_counts.converged[j] = 1
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def lay_rovers(worlds, numbers, rows, order, counter):
     """Follow an `order` for the courses `rows` [n]; `counter`: [next of them, threads at work].
 
@@ -198,7 +199,7 @@ def lay_rovers(worlds, numbers, rows, order, counter):
         i = take(counter, 1)
 
 
-@part
+@compiled_part
 def _restart(worlds, numbers, j):
     """Observe rover j at the start of its course."""
     take_pitch(worlds.rovers, j, numbers.suspension)
@@ -208,7 +209,7 @@ def _restart(worlds, numbers, j):
     _observe(worlds, numbers, j, 0, _sense_body(worlds, numbers, j))
 
 
-@inlined
+@compiled_inline
 def _sense_body(worlds, numbers, j):
     """Readings of the body of rover j: speed, pitch, acceleration."""
     sd, body = numbers.task.sensors.noise, worlds.rovers.body
@@ -218,7 +219,7 @@ def _sense_body(worlds, numbers, j):
     )
 
 
-@inlined
+@compiled_inline
 def _sense_wheel(worlds, numbers, k, of_body):
     """Readings of wheel k; speed, pitch and acceleration are the body's, which has one sensor of each."""
     r = sense(worlds.rovers.wheels, k, worlds.wheel_streams, numbers.task.sensors)
@@ -228,7 +229,7 @@ def _sense_wheel(worlds, numbers, k, of_body):
     )  # fmt: skip
 
 
-@part
+@compiled_part
 def _observe(worlds, numbers, j, period, reading):
     """Sense the wheels of rover j after a control period, keep the record, and fill the observation."""
     rovers, axles, record = worlds.rovers, numbers.suspension.axles, worlds.record
@@ -238,7 +239,7 @@ def _observe(worlds, numbers, j, period, reading):
         of_wheel = _sense_wheel(worlds, numbers, k, reading)
         write_axle(out, rovers.wheels, k, a, of_wheel, numbers.task)
         if recorded:
-            store_reading(record.readings[k, period], of_wheel)
+            store_reading(of_wheel, record.readings[k, period])
     if recorded:
         record.periods[j], record.places[j, period] = period + 1, rovers.body.odometer[j]
     write_body(out, rovers.body, j, reading, numbers.task)
@@ -247,7 +248,7 @@ def _observe(worlds, numbers, j, period, reading):
     clip(out, numbers.task)
 
 
-@inlined
+@compiled_inline
 def _after_period(worlds, numbers, j, period):
     """End of a control period of rover j: sense, judge, reward, observe."""
     task, body = numbers.task, worlds.rovers.body
@@ -264,7 +265,7 @@ def _after_period(worlds, numbers, j, period):
 # --- many rovers ------------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def _step_block(worlds, numbers, commands, block):
     """A step of those of the rovers `block` ... `block` + 7 that are `going`: as many control periods as an action
     lasts, until the episode ends."""
@@ -286,14 +287,14 @@ def _step_block(worlds, numbers, commands, block):
             return
 
 
-@inlined
+@compiled_inline
 def blocks_of(rovers, counter):
     """(blocks of eight rovers, blocks that a thread takes at a time)."""
     blocks = (rovers + COUNT - 1) // COUNT
     return blocks, min(max(blocks // (4 * counter[1]), 1), _MOST_BLOCKS)
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def step_rovers(worlds, numbers, commands, what, counter):
     """Execute the orders `what` [rovers], block by block; `commands` [wheels]; `counter`: [next block, threads]."""
     rovers = what.size

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env.simulation.task import AXLES, ObservedNumber, layout
 from soil_env.simulation.task.observation import write_soil
 from soil_env.simulation.task.rules import TaskNumbers, task_numbers
@@ -56,7 +56,7 @@ class BodyReading(NamedTuple):
     acceleration: float  # [m/s2] of an accelerometer along the course: that of travel, and of gravity
 
 
-@inlined
+@compiled_inline
 def write_body(out, body, j, reading, task):
     """Fill the first entries of `out` with the readings of rover j as a whole."""
     out[0] = reading.speed / task.top_speed
@@ -66,7 +66,7 @@ def write_body(out, body, j, reading, task):
     out[4] = 1.0 if body.halt_left[j] > 0.0 else 0.0
 
 
-@inlined
+@compiled_inline
 def write_axle(out, wheels, k, axle, reading, task):
     """Fill the entries of an axle with the readings of its wheel k."""
     o = out[5 + 9 * axle :]
@@ -77,13 +77,13 @@ def write_axle(out, wheels, k, axle, reading, task):
     o[6], o[7], o[8] = reading.motor_torque / twist, wheels.last_action[k], wheels.rim_command[k]
 
 
-@inlined
+@compiled_inline
 def first_soil(axles):
     """Index of the first entry of the observation of so many axles that is no reading."""
     return 5 + 9 * axles
 
 
-@inlined
+@compiled_inline
 def write_true_soils(out, j, axles, wheels, counts, courses, task):
     """Fill the true soil under each axle of rover j."""
     for axle in range(axles):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env.simulation.world.camera import Sight, patch_ahead, seen_grade, write_view
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.ground import row_soil
@@ -13,14 +13,14 @@ SENSORS = 14  # entries that every variant has
 
 
 
-@inlined
+@compiled_inline
 def clip(out, task):
     """Cut the observation `out` [D] to the bounds of its layout."""
     for i in range(out.size):
         out[i] = min(max(out[i], task.low[i]), task.high[i])
 
 
-@inlined
+@compiled_inline
 def write_observation(out, state, counts, k, reading, courses, sight, task):
     """Fill the observation `out` [D] of wheel k but for what is identified, cut to the bounds of the layout."""
     out[0] = reading.slip
@@ -48,7 +48,7 @@ def write_observation(out, state, counts, k, reading, courses, sight, task):
     clip(out, task)
 
 
-@inlined
+@compiled_inline
 def write_soil(out, soil):
     """Fill `out` [7] with a true soil."""
     out[0] = math.atan(soil.tan_phi)
@@ -57,7 +57,7 @@ def write_soil(out, soil):
     out[5], out[6] = soil.dig_gain, soil.dig_recovery
 
 
-@inlined
+@compiled_inline
 def write_truth(out, state, counts, k, courses, task):
     """Fill `out` with the entries of `layout.truth` at the true place of wheel k; `task` is that of `true_soil`."""
     x, edges = state.x[k], courses.edges
@@ -68,7 +68,7 @@ def write_truth(out, state, counts, k, courses, task):
         write_soils_ahead(out[7:], k, courses, sight, task.camera)
 
 
-@inlined
+@compiled_inline
 def write_soils_ahead(out, k, courses, sight, camera):
     """Fill `out` [lines x 8] with the true soils of the lines ahead and their margins over the grade that is seen."""
     ahead, lines = patch_ahead(courses, k, sight, camera), courses.lines
@@ -82,7 +82,7 @@ def write_soils_ahead(out, k, courses, sight, camera):
                 o[i] = 0.0
 
 
-@inlined
+@compiled_inline
 def write_moments(out, six, four, mean, sd, task):
     """Mean and sd [5] of (phi, ln K, ln S, c, ln gain): of the first three from `six` on, of the rest from `four`."""
     out[six], out[six + 1], out[six + 2] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
@@ -91,7 +91,7 @@ def write_moments(out, six, four, mean, sd, task):
     out[four + 2], out[four + 3] = sd[3] / 1000.0, sd[4]
 
 
-@inlined
+@compiled_inline
 def write_estimate(out, mean, sd, pull, converged, task):
     """Fill `out` [13] with an estimate: mean and sd [5] of (phi, ln K, ln S, c, ln gain), best drawbar pull, its sd."""
     write_moments(out, 0, 7, mean, sd, task)

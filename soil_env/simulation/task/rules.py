@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env.parameters import Scenario
 from soil_env.simulation.task.layout import VARIANTS, layout
 from soil_env.simulation.world.camera import CameraNumbers, camera_numbers
@@ -101,7 +101,7 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
     )
 
 
-@inlined
+@compiled_inline
 def judge(state, counts, k, task):
     """`Cause` of wheel k after a control period; advances its clocks, which stand still in halts.
 
@@ -129,7 +129,7 @@ def judge(state, counts, k, task):
     return _RUNNING
 
 
-@inlined
+@compiled_inline
 def reward_terms(state, k, cause, task, terms):
     """Add the last control period of wheel k to the first three of `terms` [4] (see REWARD_TERMS).
 
@@ -142,7 +142,7 @@ def reward_terms(state, k, cause, task, terms):
     terms[2] -= task.reward_immobilisation if cause != _RUNNING and cause != _FINISHED else 0.0
 
 
-@inlined
+@compiled_inline
 def information_term(cause, before, after, task):
     """Reward for knowledge [nat] of a control period: weight x (discount x `after` - `before`).
 
@@ -154,7 +154,7 @@ def information_term(cause, before, after, task):
     return task.reward_information * (kept - before)
 
 
-@inlined
+@compiled_inline
 def total_of(terms):
     """Sum of the reward terms [4]."""
     return terms[0] + terms[1] + terms[2] + terms[3]

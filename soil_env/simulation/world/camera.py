@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.random_streams import normal_pair
 from soil_env.parameters import Scenario
 from soil_env.simulation.world.lines import choosing, settled
@@ -33,7 +33,7 @@ class Sight(NamedTuple):
 
 
 class Image(NamedTuple):
-    """Numbers of an image, as `write_image` stores them; those of the lines mean something only if `seen`."""
+    """Numbers of an image, in this order in a record; those of the lines mean something only if `seen`."""
 
     patch: float  # as in `Sight`
     since: float
@@ -55,7 +55,7 @@ def camera_numbers(scenario: Scenario) -> CameraNumbers:
     return CameraNumbers(c.classes, c.lines, scenario.camera.range, c.border, scenario.camera.border_noise)
 
 
-@inlined
+@compiled_inline
 def look(state, counts, k, courses, streams, camera):
     """`Sight` of a new image of wheel k."""
     errors, edges, last = courses.lines.border_errors, courses.edges, courses.patches[k] - 1
@@ -68,40 +68,39 @@ def look(state, counts, k, courses, streams, camera):
     return Sight(patch, x - edges[k, patch] - errors[k, patch], end - x)
 
 
-@inlined
+@compiled_inline
 def label_here(courses, k, sight):
     """The class of the ground under wheel k as the camera sees it."""
     return courses.lines.labels[k, sight.patch, courses.lines.taken[k, sight.patch]]
 
 
-@inlined
+@compiled_inline
 def patch_ahead(courses, k, sight, camera):
     """The patch whose lines are in sight, or -1."""
     ahead = sight.patch + 1
     return ahead if ahead < courses.patches[k] and sight.left <= camera.sight else -1
 
 
-@inlined
+@compiled_inline
 def seen_grade(courses, k, patch, line):
     """Grade [rad] of a line as the camera sees it."""
     return courses.lines.grades[k, patch, line] + courses.lines.grade_errors[k, patch, line]
 
 
-@inlined
-def write_image(out, state, k, courses, sight, camera):
-    """Fill `out` with the `Image` of wheel k, for what identifies the ground on board."""
+@compiled_inline
+def image_of(state, k, courses, sight, camera):
+    """`Image` of wheel k, for what identifies the ground on board."""
     lines, ahead = courses.lines, patch_ahead(courses, k, sight, camera)
     patch = max(ahead, 0)
-    out[0], out[1], out[2] = sight.patch, sight.since, sight.left
-    out[3] = label_here(courses, k, sight)
-    out[4] = 1.0 if ahead >= 0 else 0.0
-    out[5] = 1.0 if settled(state, k, courses, patch) else 0.0
-    out[6], out[7] = lines.count[k, patch], lines.taken[k, patch]
-    out[8], out[9] = lines.labels[k, patch, 0], lines.labels[k, patch, 1]
-    out[10], out[11] = seen_grade(courses, k, patch, 0), seen_grade(courses, k, patch, 1)
+    return Image(
+        sight.patch, sight.since, sight.left, label_here(courses, k, sight),
+        1.0 if ahead >= 0 else 0.0, 1.0 if settled(state, k, courses, patch) else 0.0,
+        lines.count[k, patch], lines.taken[k, patch], lines.labels[k, patch, 0], lines.labels[k, patch, 1],
+        seen_grade(courses, k, patch, 0), seen_grade(courses, k, patch, 1),
+    )  # fmt: skip
 
 
-@inlined
+@compiled_inline
 def write_view(out, state, counts, k, courses, sight, camera):
     """Fill `out` with distance, class here, and grade and class of each line ahead; return the count of numbers."""
     n, ahead = camera.classes, patch_ahead(courses, k, sight, camera)

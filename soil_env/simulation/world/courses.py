@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from soil_env._numba.compiling import part
+from soil_env._numba.compiling import compiled_part
 from soil_env._numba.random_streams import between, word
 from soil_env.parameters import Scenario
 from soil_env.simulation.world.lines import draw_classes, draw_patch, repeat_patch
@@ -73,14 +73,14 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
     return CourseNumbers(drawn, interaction_of(scenario, model))
 
 
-@part
+@compiled_part
 def _margin_at_border(k, courses, i, load, numbers):
     """Margin in the middle of the passage from patch i - 1 to patch i."""
     soils, grades = courses.soils[k], courses.grades[k]
     return margin_between(row_soil(soils[i - 1]), row_soil(soils[i]), grades[i - 1], grades[i], load, numbers)
 
 
-@part
+@compiled_part
 def draw_course(k, courses, streams, numbers):
     """`start_course` and all of its patches; the mass [kg] on the wheel with payload, or -1.
 
@@ -92,7 +92,7 @@ def draw_course(k, courses, streams, numbers):
     return mass
 
 
-@part
+@compiled_part
 def start_course(k, courses, streams, numbers):
     """Start course k afresh, with a seed from stream k; the mass [kg] on the wheel with payload, or -1 (`draw_course`).
 
@@ -115,7 +115,7 @@ def start_course(k, courses, streams, numbers):
     return -1.0
 
 
-@part
+@compiled_part
 def extend_course(k, courses, mass, x, numbers):
     """Draw patches of course k until the ground is final up to x [m] or the course ends.
 
@@ -141,7 +141,7 @@ def extend_course(k, courses, mass, x, numbers):
     return found
 
 
-@part
+@compiled_part
 def _try_patch(k, courses, load, numbers):
     """Draw the next patch of course k and add it; False, with the course as before, if it is not passable.
 
@@ -179,7 +179,7 @@ def _try_patch(k, courses, load, numbers):
     return True
 
 
-@part
+@compiled_part
 def _joined(k, courses, i, load, numbers):
     """Lower the grades of patches i - 1 and i until their border is passable; False if that cannot be."""
     short = numbers.drawn.margin_low - _margin_at_border(k, courses, i, load, numbers)
@@ -201,7 +201,7 @@ def _joined(k, courses, i, load, numbers):
     return numbers.drawn.margin_low - least <= 1e-6
 
 
-@part
+@compiled_part
 def _add_patch(k, courses, length, numbers):
     """Count the patch just written: its edges, the cells below it, and how far the ground is final now."""
     p = courses.patches[k]

@@ -19,9 +19,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, part
-from soil_env._numba.elementary import below, chosen, larger, smaller, where_less
+from soil_env._numba.compiling import compiled_inline, compiled_part
+from soil_env._numba.elementary import below, larger, smaller, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
+from soil_env._numba.records import keep_where
 from soil_env._numba.rows import scratch_rows
 from soil_env.simulation.world.lines import choosing, plan_halt, take_line
 from soil_env.simulation.world.newton import TOLERANCE, solve_speeds
@@ -34,12 +35,12 @@ from soil_env.simulation.world.stage import (
     change_ahead,
     gather_ground,
     load_reaction,
+    load_soil,
     new_equations,
     new_footing,
     new_newton,
     new_nodes,
     set_up,
-    soil_in_lanes,
 )
 from soil_env.simulation.world.terrain import COMPACTION, cell_after, leave_rut
 from soil_env.simulation.world.wheel import (
@@ -63,12 +64,6 @@ FINEST = 1024  # a step that fails is halved down to this fraction; softening so
 _period = scratch_rows(Period, MANY)
 
 
-@inlined
-def _keep(alive, row, k, value):
-    """Store `value` in lanes where `alive` is 1."""
-    to_array(chosen(alive, value, from_array(row, k)), row, k)
-
-
 class Stage(NamedTuple):
     """A stage of a step of h seconds: its own duration, and the weights [s] of its first and last speeds over it."""
 
@@ -78,22 +73,25 @@ class Stage(NamedTuple):
     lead: float  # as `stage.set_up` takes it
 
 
-@inlined
+@compiled_inline
 def stage_of(number, h):
     """`Stage` 0 or 1 of a step of h seconds."""
     g = GAMMA * h
     return Stage(g, 0.0, g, 0.0) if number == 0 else Stage(h - g, h - 2.0 * g, g, LEAD)
 
 
-@inlined
-def move(state, first, i, period, sub, world, stage, anyhow):
-    """Eight wheels to the end of a stage, but those not alive; who did not converge dies, unless `anyhow` is 1."""
+@compiled_inline
+def move(state, first, i, period, sub, world, stage, force):
+    """Move eight wheels to the end of a stage.
+
+    Lanes that are not alive stay as they are. Lanes that did not converge are masked out, unless `force` is 1.
+    """
     n, k, r = sub.newton, first + i, world.wheel.radius
     v, u, f = from_array(n.v, i), from_array(n.u, i), load_reaction(n, i)
     converged = from_array(n.converged, i)
-    alive = from_array(period.alive, i) * larger(converged, anyhow)
+    alive = from_array(period.alive, i) * larger(converged, force)
     to_array(alive, period.alive, i)
-    _keep(alive, period.clean, i, from_array(period.clean, i) * converged)
+    keep_where(alive, from_array(period.clean, i) * converged, period.clean, i)
     torque, _, available = motor(from_array(period.command, i), from_array(period.by_speed, i), u / r, world)
     speed, rim, turned = from_array(state.speed, k), r * from_array(state.wheel_speed, k), from_array(state.torque, k)
     pulled, drove = from_array(state.drawbar_pull, k), from_array(state.motor_torque, k)
@@ -101,33 +99,29 @@ def move(state, first, i, period, sub, world, stage, anyhow):
     slid = stage.first * abs(rim - speed) + stage.last * abs(u - v)
     _sink(state, k, i, alive, sub, world, f.sinkage_coefficient, moved, slid, stage.duration)
     work = (stage.first * (drove * rim) + stage.last * (torque * u)) / r
-    _keep(alive, state.motor_work, k, from_array(state.motor_work, k) + work)
+    keep_where(alive, from_array(state.motor_work, k) + work, state.motor_work, k)
     work = stage.first * (turned * rim / r - pulled * speed) + stage.last * (f.torque * u / r - f.drawbar_pull * v)
-    _keep(alive, state.soil_work, k, from_array(state.soil_work, k) + work)
-    _keep(
-        alive,
-        state.numerical_work,
-        k,
-        from_array(state.numerical_work, k) + _taken(state, period, k, i, v, u, stage, world),
-    )
-    _keep(alive, period.speed_before, i, speed)
-    _keep(alive, period.rim_before, i, rim)
-    _keep(alive, state.speed, k, v)
-    _keep(alive, state.wheel_speed, k, u / r)
-    _keep(alive, state.motor_torque, k, torque)
-    _keep(alive, state.available_torque, k, available)
-    _keep(alive, state.load, k, f.load)
-    _keep(alive, state.drawbar_pull, k, f.drawbar_pull)
-    _keep(alive, state.torque, k, f.torque)
-    _keep(alive, state.pull_by_speed, k, f.dp_v)
-    _keep(alive, state.pull_by_rim, k, f.dp_u)
-    _keep(alive, state.torque_by_speed, k, f.torque_v)
-    _keep(alive, state.torque_by_rim, k, f.torque_u)
-    _keep(alive, state.grade, k, from_array(sub.footing.grade, i))
-    _keep(alive, period.left, i, from_array(period.left, i) - stage.duration)
+    keep_where(alive, from_array(state.soil_work, k) + work, state.soil_work, k)
+    work = _taken(state, period, k, i, v, u, stage, world)
+    keep_where(alive, from_array(state.numerical_work, k) + work, state.numerical_work, k)
+    keep_where(alive, speed, period.speed_before, i)
+    keep_where(alive, rim, period.rim_before, i)
+    keep_where(alive, v, state.speed, k)
+    keep_where(alive, u / r, state.wheel_speed, k)
+    keep_where(alive, torque, state.motor_torque, k)
+    keep_where(alive, available, state.available_torque, k)
+    keep_where(alive, f.load, state.load, k)
+    keep_where(alive, f.drawbar_pull, state.drawbar_pull, k)
+    keep_where(alive, f.torque, state.torque, k)
+    keep_where(alive, f.dp_v, state.pull_by_speed, k)
+    keep_where(alive, f.dp_u, state.pull_by_rim, k)
+    keep_where(alive, f.torque_v, state.torque_by_speed, k)
+    keep_where(alive, f.torque_u, state.torque_by_rim, k)
+    keep_where(alive, from_array(sub.footing.grade, i), state.grade, k)
+    keep_where(alive, from_array(period.left, i) - stage.duration, period.left, i)
 
 
-@inlined
+@compiled_inline
 def _taken(state, period, k, i, v, u, stage, world):
     """Energy [J] that a stage to speeds v, u takes from eight wheels beside the work of the forces on them.
 
@@ -144,14 +138,14 @@ def _taken(state, period, k, i, v, u, stage, world):
     return 0.5 * (from_array(state.mass, k) * (d * d - e * e) + world.inertia / (r * r) * (d2 * d2 - e2 * e2))
 
 
-@inlined
+@compiled_inline
 def _sink(state, k, i, alive, sub, world, mobilised, moved, slid, duration):
     """Place and sinkage of eight wheels that move by `moved` [m] while the rim slides by `slid` [m] over the ground.
 
     Ground beyond the furthest places of a wheel is fresh. Where it has been the ground has the depth of the rut, which
     grows where the wheel digs and not where it climbs out of its hole.
     """
-    g, soil, sinkage, rut = sub.footing, soil_in_lanes(sub.footing, i), from_array(state.sinkage, k), state.rut_depth
+    g, soil, sinkage, rut = sub.footing, load_soil(sub.footing, i), from_array(state.sinkage, k), state.rut_depth
     bearing = bearing_sinkage(from_array(g.sinkage, i), mobilised, soil)
     if world.wheel.on:
         bearing = bearing + from_array(g.lift, i)
@@ -161,22 +155,22 @@ def _sink(state, k, i, alive, sub, world, mobilised, moved, slid, duration):
     over = 1.0 / duration
     relaxed = relax_sinkage(sinkage, bearing, onto, over * moved, over * slid, soil, world.relaxation, duration)
     depth = smaller(larger(relaxed, SHALLOWEST * world.wheel.radius), DEEPEST * world.wheel.radius)
-    _keep(alive, state.sinking, k, over * (depth - sinkage))
-    _keep(alive, rut, k, where_less(sinkage, depth, larger(from_array(rut, k), depth), from_array(rut, k)))
-    _keep(alive, state.x, k, x)
-    _keep(alive, state.best_x, k, larger(x, high))
-    _keep(alive, state.lowest_x, k, smaller(x, low))
-    _keep(alive, state.slid, k, from_array(state.slid, k) + slid)
-    _keep(alive, state.sinkage, k, depth)
-    _keep(alive, state.bearing_sinkage, k, bearing)
+    keep_where(alive, over * (depth - sinkage), state.sinking, k)
+    keep_where(alive, where_less(sinkage, depth, larger(from_array(rut, k), depth), from_array(rut, k)), rut, k)
+    keep_where(alive, x, state.x, k)
+    keep_where(alive, larger(x, high), state.best_x, k)
+    keep_where(alive, smaller(x, low), state.lowest_x, k)
+    keep_where(alive, from_array(state.slid, k) + slid, state.slid, k)
+    keep_where(alive, depth, state.sinkage, k)
+    keep_where(alive, bearing, state.bearing_sinkage, k)
 
 
-@part
-def _drive(state, counts, first, begin, end, period, courses, world, left, longest, anyhow):
+@compiled_part
+def _drive(state, counts, first, begin, end, period, courses, world, left, longest, force):
     """Steps of at most `longest` seconds for `left` seconds, of the wheels in columns begin .. end - 1 of `period`.
 
     A wheel for which Newton's method fails stays as it was before that stage, with the rest of its time in
-    `period.left`; with `anyhow` = 1 it goes on.
+    `period.left`; with `force` = 1 it goes on.
     """
     sub = Substep(new_footing(), new_equations(), new_nodes(), new_newton())
     while left > 1e-9 * longest:
@@ -188,7 +182,7 @@ def _drive(state, counts, first, begin, end, period, courses, world, left, longe
                 set_up(state, first, i, period, sub, world, GAMMA * h, stage.lead, stage.duration)
             solve_speeds(sub, period, begin, end, world, GAMMA * h)
             for i in range(begin, end, COUNT):
-                move(state, first, i, period, sub, world, stage, anyhow)
+                move(state, first, i, period, sub, world, stage, force)
             for i in range(begin, end):
                 if period.alive[i] > 0.0:
                     dug = sub.footing.dig_gain[i], sub.footing.dig_recovery[i]
@@ -196,7 +190,7 @@ def _drive(state, counts, first, begin, end, period, courses, world, left, longe
         left -= h
 
 
-@inlined
+@compiled_inline
 def leave_ruts(state, counts, k, ruts, gain, recovery, compaction):
     """Mark the cells that wheel k has passed in this stage."""
     cell, after = counts.cell[k], cell_after(ruts, counts.cell[k], state.x[k])
@@ -212,7 +206,7 @@ def leave_ruts(state, counts, k, ruts, gain, recovery, compaction):
     counts.cell[k], state.slid[k], state.cell_x[k] = cell, 0.0, state.x[k]
 
 
-@part
+@compiled_part
 def _drive_together(state, counts, first, end, period, courses, world, steps):
     """The control period of the wheels that take `steps` steps where others take one."""
     longest, begin = world.period / (world.substeps * steps), 0
@@ -228,7 +222,7 @@ def _drive_together(state, counts, first, end, period, courses, world, steps):
             begin = block + COUNT
 
 
-@part
+@compiled_part
 def _drive_alone(state, counts, first, i, period, courses, world):
     """The rest of the control period of the wheel in column i, by steps halved while Newton's method fails."""
     block, longest = i // COUNT * COUNT, world.period / (world.substeps * period.steps[i])
@@ -246,7 +240,7 @@ def _drive_alone(state, counts, first, i, period, courses, world):
     period.left[i] = 0.0
 
 
-@inlined
+@compiled_inline
 def begin_period(state, k, i, period, commands, going, halted, world):
     """Column i of `period` for wheel k, which is `going` or of no concern, at the beginning of a control period."""
     period.left[i], period.clean[i] = (world.period, 1.0) if going else (0.0, 1.0)
@@ -259,7 +253,7 @@ def begin_period(state, k, i, period, commands, going, halted, world):
         state.motor_work[k] = state.soil_work[k] = state.numerical_work[k] = 0.0
 
 
-@inlined
+@compiled_inline
 def steps_for(change, halt_left):
     """Steps that eight wheels take where others take one, for a change of speeds ahead [of the top rim speed]."""
     steps, driven = fill(1.0), below(halt_left, 1e-9)  # a halt has its speed loop
@@ -268,15 +262,15 @@ def steps_for(change, halt_left):
     return steps
 
 
-@inlined
+@compiled_inline
 def arrive(period, end):
-    """Who is alive has arrived; what others of the columns up to `end` have `left` is due to a failed step."""
+    """Set the time left to zero for the columns up to `end` that are alive; others have failed a step."""
     for i in range(end):
         if period.alive[i] > 0.0:
             period.left[i] = 0.0
 
 
-@inlined
+@compiled_inline
 def _at_fork(state, counts, k, command, courses, world):
     """Before the halts of a control period are reckoned: what its action chooses, and the halt to come."""
     fork = choosing(state, counts, k, courses, world)
@@ -285,7 +279,7 @@ def _at_fork(state, counts, k, command, courses, world):
     plan_halt(state, counts, k, courses, world)
 
 
-@part
+@compiled_part
 def advance(state, counts, first, count, what, commands, courses, streams, world):
     """One control period of those of the wheels first .. first + count - 1 with what[k] = STEP.
 

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.random_streams import between, normal_pair, uniform
 from soil_env.simulation.world.passability import draw_soil, margin_between, scattered, steepest
 from soil_env.terramechanics.ground import row_soil
@@ -20,7 +20,7 @@ from soil_env.terramechanics.ground import row_soil
 _REDRAWS = 30
 
 
-@part
+@compiled_part
 def draw_classes(k, courses, load, numbers):
     """Draw the soils of the classes of course k; False if none was found that leaves the highest margin."""
     drawn, streams, library = numbers.drawn, courses.streams, courses.lines.library
@@ -39,14 +39,14 @@ def draw_classes(k, courses, load, numbers):
     return True
 
 
-@inlined
+@compiled_inline
 def _another(streams, k, count, one):
     """A class other than `one`, of `count`."""
     other = int(uniform(streams, k) * (count - 1))
     return other + 1 if other >= one else other
 
 
-@inlined
+@compiled_inline
 def _introduced(k, courses, p, count):
     """Class of patch p < count of course k: one that no patch before it is of, by chance."""
     left = count - p
@@ -62,7 +62,7 @@ def _introduced(k, courses, p, count):
     return 0
 
 
-@part
+@compiled_part
 def _draw_line(k, courses, p, line, margin, load, numbers):
     """Draw soil and grade of a line of patch p whose class is known; False if its grade would be out of bounds.
 
@@ -84,7 +84,7 @@ def _draw_line(k, courses, p, line, margin, load, numbers):
     return True
 
 
-@inlined
+@compiled_inline
 def _copy_line(k, courses, p):
     """Line 1 of a patch with one line is line 0."""
     lines = courses.lines
@@ -94,7 +94,7 @@ def _copy_line(k, courses, p):
         lines.soils[k, p, 1, j] = lines.soils[k, p, 0, j]
 
 
-@part
+@compiled_part
 def draw_patch(k, courses, load, numbers):
     """Draw the next patch of course k into the row after its last one; False if it is not passable.
 
@@ -134,7 +134,7 @@ def draw_patch(k, courses, load, numbers):
     return True
 
 
-@part
+@compiled_part
 def repeat_patch(k, courses, p):
     """Patch p as the passable line of the patch before it: for want of another."""
     lines = courses.lines
@@ -152,7 +152,7 @@ def repeat_patch(k, courses, p):
     take_line(k, courses, p, 0)
 
 
-@inlined
+@compiled_inline
 def _draw_looks(k, courses, p, spec):
     """What the camera sees wrongly of patch p, and how far before it the wheel is halted."""
     lines, streams = courses.lines, courses.streams
@@ -170,13 +170,13 @@ def _draw_looks(k, courses, p, spec):
     lines.halts[k, p] = -between(streams, k, spec.halt_low, spec.halt_high)
 
 
-@inlined
+@compiled_inline
 def passable(k, courses, p, line):
     """Whether a line of patch p is passable: whether its grade is less than its capacity."""
     return courses.lines.capacities[k, p, line] > math.tan(courses.lines.grades[k, p, line])
 
 
-@part
+@compiled_part
 def _border_margin(k, courses, p, before, line, load, numbers):
     """Margin in the middle of the passage from line `before` of patch p - 1 to `line` of patch p."""
     soils, grades = courses.lines.soils[k], courses.lines.grades[k]
@@ -185,7 +185,7 @@ def _border_margin(k, courses, p, before, line, load, numbers):
     )
 
 
-@part
+@compiled_part
 def _joined(k, courses, p, load, numbers):
     """Lower grades until each border between passable lines of patches p - 1 and p is passable; False if that fails.
 
@@ -216,14 +216,14 @@ def _joined(k, courses, p, load, numbers):
     return True
 
 
-@inlined
+@compiled_inline
 def _lower(k, courses, p, line, short, lowest):
     """Lower the grade of a line by what a border falls `short` of, as far as the tangent `lowest`."""
     tangent = math.tan(courses.lines.grades[k, p, line])
     courses.lines.grades[k, p, line] = math.atan(max(tangent - 1.02 * short, lowest))
 
 
-@inlined
+@compiled_inline
 def take_line(k, courses, p, line):
     """Let course k lead along a line of patch p."""
     lines = courses.lines
@@ -237,7 +237,7 @@ def take_line(k, courses, p, line):
 # --- choosing ---------------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def next_fork(state, counts, k, courses, border):
     """The patch with two lines that wheel k comes to next and has not touched yet, or -1."""
     ahead = counts.patch[k] + 1
@@ -246,7 +246,7 @@ def next_fork(state, counts, k, courses, border):
     return ahead if state.best_x[k] < courses.edges[k, ahead] - 0.5 * border else -1
 
 
-@inlined
+@compiled_inline
 def plan_halt(state, counts, k, courses, world):
     """Let wheel k halt before the next fork; a halt that would be shortly before that one waits for it."""
     fork = next_fork(state, counts, k, courses, world.border)
@@ -256,14 +256,14 @@ def plan_halt(state, counts, k, courses, world):
             state.next_halt[k] = place
 
 
-@inlined
+@compiled_inline
 def choosing(state, counts, k, courses, numbers):
     """The patch whose line the action of wheel k chooses now, or -1: at a halt within `sight` of a fork."""
     fork = next_fork(state, counts, k, courses, numbers.border) if state.halt_left[k] > 0.0 else -1
     return fork if fork >= 0 and courses.edges[k, fork] - state.x[k] <= numbers.sight else -1
 
 
-@inlined
+@compiled_inline
 def settled(state, k, courses, patch):
     """Whether wheel k has no choice of a line over a patch any more, or never had: it has come to the halt before."""
     return (

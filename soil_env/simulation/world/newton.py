@@ -11,23 +11,27 @@ goes on with the next of up to `MANY`.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import below, chosen, larger, smaller
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
+from soil_env._numba.records import keep_where
 from soil_env._numba.rows import Rows, copy_column, rows, scratch_rows
 from soil_env.simulation.world.stage import (
     MANY,
-    chosen_reaction,
+    choose_reaction,
     load_reaction,
     newton_step,
     reaction_at,
+    same_reaction,
     store_reaction,
 )
 from soil_env.terramechanics.arc_integrals import NODE_COLUMNS
 from soil_env.terramechanics.motor import motor
-from soil_env.terramechanics.reaction import REST_SPEED, Reaction, moved
+from soil_env.terramechanics.reaction import REST_SPEED, moved
 
 TOLERANCE = 1e-5  # [m/s] of the Newton iteration, which converges quadratically
 _PREDICTED = 0.3  # predicted residual, as a share of the tolerance, up to which the last evaluation is skipped
@@ -41,7 +45,7 @@ _Queue: type[Rows] = rows("_Queue", "wheel", kind=np.int64)
 _queue, _occupants = scratch_rows(_Queue, MANY), scratch_rows(_Queue, COUNT)
 
 
-@inlined
+@compiled_inline
 def _residual(v, u, f, e, i, cu, world):
     """(f1, f2, d motor torque/dw): the residuals of implicit Euler [m/s] at speeds v, u with the `Reaction` f."""
     torque, slope, _ = motor(from_array(e.command, i), from_array(e.by_speed, i), u / world.wheel.radius, world)
@@ -50,13 +54,13 @@ def _residual(v, u, f, e, i, cu, world):
     return f1, u - from_array(e.rim0, i) - cu * (torque - f.torque), slope
 
 
-@inlined
+@compiled_inline
 def _begin(e, n, i):
     """Newton's state of the eight wheels from column i on, at the start of a substep."""
     zero, huge = fill(0.0), fill(HUGE)
     to_array(from_array(e.speed0, i), n.v, i)
     to_array(from_array(e.rim0, i), n.u, i)
-    store_reaction(Reaction(zero, zero, zero, zero, zero, zero, zero, zero, zero, zero), n, i)
+    store_reaction(same_reaction(zero), n, i)
     to_array(zero, n.converged, i)
     to_array(zero, n.f1, i)
     to_array(zero, n.f2, i)
@@ -68,55 +72,76 @@ def _begin(e, n, i):
     to_array(zero, n.passes, i)
 
 
-@inlined
-def compare(reached, norm, share, tries):
-    """(better, given up, the share of the step to take next, tries along it) of what was tried, 1 or 0 in each lane.
+class Comparison(NamedTuple):
+    """Outcome of a trial against the best so far, in lanes."""
 
-    A residual `reached` is better than the least so far, `norm`, if it is smaller by a tenth of the share of the step
-    that was taken, on the last try by anything. A step that is not better is shortened.
+    better: float  # 1 where the trial is the best so far
+    failed: float  # 1 where no further try is left
+    share: float  # of Newton's step to take next
+    tries: float  # made along that step
+
+
+@compiled_inline
+def compare(reached, norm, share, tries):
+    """`Comparison` of a residual `reached` [m/s] with the least so far, `norm`, after a `share` of Newton's step.
+
+    It is better if it is smaller by a tenth of that share, on the last try by anything. A step that is not better is
+    shortened.
     """
     last = below(TRIES - 1.5, tries)
     better = below(reached, norm * chosen(last, fill(1.0), 1.0 - 0.1 * share))
-    return better, last * (1.0 - better), chosen(better, fill(1.0), 0.4 * share), chosen(better, fill(0.0), tries + 1.0)
+    return Comparison(
+        better, last * (1.0 - better), chosen(better, fill(1.0), 0.4 * share), chosen(better, fill(0.0), tries + 1.0)
+    )
 
 
-@inlined
+@compiled_inline
 def near_enough(norm, change):
-    """1 where the residual may be let pass though no shorter step makes it smaller; `change` of speed [m/s]."""
+    """1 where a residual that no shorter step reduces is small enough; `change` of speed in the stage [m/s]."""
     return below(norm, NEARLY) * below(norm, TOLERANCE + OF_CHANGE * change)
 
 
-@inlined
+@compiled_inline
 def _accept(sub, i, cu, world):
-    """Evaluate the speeds to try and keep them where they are better: (better, failed), 1 or 0 in each lane."""
+    """Evaluate the trial speeds and keep them where they are better; (better, failed), 1 or 0 in each lane."""
     e, n = sub.equations, sub.newton
-    v1, u1 = from_array(e.try_v, i), from_array(e.try_u, i)
-    trial = reaction_at(v1, u1, sub, i, world.wheel)
-    g1, g2, slope = _residual(v1, u1, trial, e, i, cu, world)
-    reached = larger(abs(g1), abs(g2))
-    norm = from_array(n.norm, i)
-    better, failed, share, tries = compare(reached, norm, from_array(n.share, i), from_array(n.tries, i))
-    first_before = chosen(below(norm, 0.5 * HUGE), norm, 0.1 * reached)  # nothing is foretold by the first residual
-    to_array(chosen(better, first_before, from_array(n.before, i)), n.before, i)
-    to_array(chosen(better, reached, norm), n.norm, i)
-    to_array(chosen(better, v1, from_array(n.v, i)), n.v, i)
-    to_array(chosen(better, u1, from_array(n.u, i)), n.u, i)
-    to_array(chosen(better, g1, from_array(n.f1, i)), n.f1, i)
-    to_array(chosen(better, g2, from_array(n.f2, i)), n.f2, i)
-    to_array(chosen(better, slope, from_array(n.motor_slope, i)), n.motor_slope, i)
-    store_reaction(chosen_reaction(better, trial, load_reaction(n, i)), n, i)
-    to_array(share, n.share, i)
-    to_array(tries, n.tries, i)
-    return better, failed
+    v, u = from_array(e.try_v, i), from_array(e.try_u, i)
+    trial = reaction_at(v, u, sub, i, world.wheel)
+    f1, f2, slope = _residual(v, u, trial, e, i, cu, world)
+    reached, norm = larger(abs(f1), abs(f2)), from_array(n.norm, i)
+    found = compare(reached, norm, from_array(n.share, i), from_array(n.tries, i))
+    better = found.better
+    first_before = chosen(below(norm, 0.5 * HUGE), norm, 0.1 * reached)  # the first residual predicts nothing
+    keep_where(better, first_before, n.before, i)
+    keep_where(better, reached, n.norm, i)
+    keep_where(better, v, n.v, i)
+    keep_where(better, u, n.u, i)
+    keep_where(better, f1, n.f1, i)
+    keep_where(better, f2, n.f2, i)
+    keep_where(better, slope, n.motor_slope, i)
+    store_reaction(choose_reaction(better, trial, load_reaction(n, i)), n, i)
+    to_array(found.share, n.share, i)
+    to_array(found.tries, n.tries, i)
+    return better, found.failed
 
 
-@inlined
+@compiled_inline
+def _predicted_residual(norm, before, dv, du, u, theta1, shear_modulus, r):
+    """Residual [m/s] after Newton's step (dv, du), from its quadratic convergence.
+
+    The ratio to the present one is at most that of the last two, or the change of shear that the step makes.
+    """
+    curvature = 1.0 + r * theta1 / shear_modulus  # change of shear over that of speed
+    by_shear = larger(abs(dv), abs(du)) * curvature / (abs(u) + REST_SPEED)
+    return norm * smaller(norm / before, by_shear)
+
+
+@compiled_inline
 def _iterate(sub, i, world, h):
     """One pass of Newton's method on the eight wheels from column i on; 1 where it has ended.
 
-    Newton's residual falls quadratically: once it is foretold to fall far below the tolerance, by the last two
-    residuals or by the change of shear that the step makes, the step is taken with the reaction to first order instead
-    of being computed once more.
+    Once the residual is predicted to fall far below the tolerance, the step is taken with the reaction to first order
+    instead of being computed once more.
     """
     e, n, r = sub.equations, sub.newton, world.wheel.radius
     cu = h * r / world.inertia
@@ -126,28 +151,28 @@ def _iterate(sub, i, world, h):
         from_array(n.f1, i), from_array(n.f2, i), from_array(e.gain_v, i), cu, f.dp_v, f.dp_u, f.torque_v,
         f.torque_u - from_array(n.motor_slope, i) / r,
     )  # fmt: skip
-    curvature = 1.0 + r * from_array(e.theta1, i) / from_array(e.shear_modulus, i)  # change of shear over that of speed
-    by_shear = larger(abs(dv), abs(du)) * curvature / (abs(u) + REST_SPEED)
-    foretold = norm * smaller(norm / from_array(n.before, i), by_shear)
+    predicted = _predicted_residual(
+        norm, from_array(n.before, i), dv, du, u, from_array(e.theta1, i), from_array(e.shear_modulus, i), r
+    )
     ahead = moved(f, dv, du)
-    g1, g2, _ = _residual(v + dv, u + du, ahead, e, i, cu, world)
-    seen = below(foretold, _PREDICTED * TOLERANCE) * below(larger(abs(g1), abs(g2)), 0.1 * TOLERANCE)
-    seen = seen * below(0.0, ahead.sinkage_coefficient) * better
-    there = larger(seen, better * below(norm, TOLERANCE))
+    f1, f2, _ = _residual(v + dv, u + du, ahead, e, i, cu, world)
+    skip = below(predicted, _PREDICTED * TOLERANCE) * below(larger(abs(f1), abs(f2)), 0.1 * TOLERANCE)
+    skip = skip * below(0.0, ahead.sinkage_coefficient) * better
+    converged = larger(skip, better * below(norm, TOLERANCE))
     passes, share = from_array(n.passes, i) + 1.0, from_array(n.share, i)
     to_array(passes, n.passes, i)
     to_array(v + share * dv, e.try_v, i)
     to_array(u + share * du, e.try_u, i)
-    to_array(chosen(seen, v + dv, v), n.v, i)
-    to_array(chosen(seen, u + du, u), n.u, i)
-    store_reaction(chosen_reaction(seen, ahead, f), n, i)
+    to_array(chosen(skip, v + dv, v), n.v, i)
+    to_array(chosen(skip, u + du, u), n.u, i)
+    store_reaction(choose_reaction(skip, ahead, f), n, i)
     change = larger(abs(v - from_array(e.speed0, i)), abs(u - from_array(e.rim0, i)))
     settled = failed * near_enough(norm, change)
-    to_array(larger(settled, there), n.converged, i)
-    return larger(larger(failed, there), below(PASSES - 0.5, passes))
+    to_array(larger(settled, converged), n.converged, i)
+    return larger(larger(failed, converged), below(PASSES - 0.5, passes))
 
 
-@inlined
+@compiled_inline
 def _copy_wheel(sub, source, target):
     """A wheel with its state of Newton's method from one column to another."""
     copy_column(sub.equations, source, sub.equations, target)
@@ -157,7 +182,7 @@ def _copy_wheel(sub, source, target):
         copy_column(sub.nodes, a + node, sub.nodes, b + node)
 
 
-@inlined
+@compiled_inline
 def solve_speeds(sub, period, begin, end, world, h):
     """The speeds and reactions at the end of a substep of the wheels in columns begin .. end - 1, into `sub.newton`.
 

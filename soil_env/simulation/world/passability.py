@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import part
+from soil_env._numba.compiling import compiled_part
 from soil_env._numba.lanes import scratch
 from soil_env._numba.random_streams import normal_pair, uniform
 from soil_env.parameters import SoilState
@@ -71,7 +71,7 @@ class CourseNumbers(NamedTuple):
     wheel: Interaction
 
 
-@part
+@compiled_part
 def draw_soil(streams, k, numbers):
     """One soil: a preset by weight, scattered by `SoilSpread` (deviations cut at 2.5 sigma)."""
     pick = uniform(streams, k)
@@ -81,7 +81,7 @@ def draw_soil(streams, k, numbers):
     return scattered(row_soil(numbers.drawn.library[i]), 1.0, streams, k, numbers)
 
 
-@part
+@compiled_part
 def scattered(mean, share, streams, k, numbers):
     """A soil that scatters about `mean` by a share of `SoilSpread` (deviations cut at 2.5 sigma)."""
     spread, factor = numbers.drawn.spread, numbers.drawn.factor
@@ -111,7 +111,7 @@ def scattered(mean, share, streams, k, numbers):
     )
 
 
-@part
+@compiled_part
 def _best_pull(load, soil, speed, sin_grade, numbers):
     """Best steady drawbar pull over load at this travel speed [m/s], -inf where the wheel would be bogged at it."""
     wheel, drawn, at = numbers.wheel, numbers.drawn, Conditions(speed, 1.0, sin_grade)
@@ -126,7 +126,7 @@ def _best_pull(load, soil, speed, sin_grade, numbers):
     return best.drawbar_pull / load + pull
 
 
-@part
+@compiled_part
 def capacity(load, soil, tangent, numbers):
     """Best steady drawbar pull over load on a slope, -inf where the wheel would be bogged at rest or at its best.
 
@@ -145,14 +145,14 @@ def capacity(load, soil, tangent, numbers):
     return pull
 
 
-@part
+@compiled_part
 def margin_between(a, b, grade_a, grade_b, load, numbers):
     """Margin in the middle of the passage from soil a to soil b, with their grades [rad]."""
     tangent = math.tan(0.5 * (grade_a + grade_b))
     return capacity(load, blend(a, b, 0.5), tangent, numbers) - tangent
 
 
-@part
+@compiled_part
 def steepest(load, soil, margin, numbers):
     """(tangent of the steepest grade of the course that leaves `margin`, `capacity` there); -inf twice if none does.
 

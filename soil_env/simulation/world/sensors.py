@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.random_streams import normal_pair, ten_normals
 from soil_env.parameters import Scenario
 from soil_env.readings import SensorReading, sensor_noise
@@ -45,13 +45,13 @@ def sensor_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> S
     )
 
 
-@inlined
+@compiled_inline
 def start_odometry(state, k, streams, sensors):
     """Odometry of wheel k at the start of a course, with a scale that stays the same over it."""
     state.odometer[k], state.odometer_scale[k] = 0.0, 1.0 + sensors.odometry_scale * normal_pair(streams, k)[0]
 
 
-@inlined
+@compiled_inline
 def roll_odometer(state, k, speed, sensors):
     """Odometry of wheel k after a control period at whose end the sensor read this `speed` [m/s].
 
@@ -60,7 +60,7 @@ def roll_odometer(state, k, speed, sensors):
     state.odometer[k] += state.odometer_scale[k] * speed * sensors.period
 
 
-@inlined
+@compiled_inline
 def sense(state, k, streams, sensors):
     """Noisy `SensorReading` of wheel k."""
     sd, slip, depth = sensors.noise, state.slip[k], state.sinkage[k]

@@ -1,4 +1,4 @@
-"""A stage of a step of eight wheels in lanes: the ground that they stand on, its equations, and their reaction.
+"""Stage of a step of eight wheels in lanes: the ground under them, the equations of motion, the soil's reaction.
 
 The equations are those of `newton`, which solves them; the `Footing` is the ground in the middle of the stage, first
 undisturbed and then as the wheel meets it.
@@ -10,9 +10,10 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import below, chosen, half_sin_cos, larger, sine_of, smaller, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
+from soil_env._numba.records import lane_record
 from soil_env._numba.rows import Rows, rows, scratch_rows
 from soil_env.parameters import SoilState
 from soil_env.simulation.world.terrain import ground_at, rut_factor
@@ -73,46 +74,15 @@ class Substep(NamedTuple):
     newton: object
 
 
-@inlined
-def load_reaction(n, i):
-    """`Reaction` of the eight wheels that begin at column i."""
-    return Reaction(
-        from_array(n.load, i), from_array(n.drawbar_pull, i), from_array(n.torque, i),
-        from_array(n.sinkage_coefficient, i),
-        from_array(n.dp_v, i), from_array(n.dp_u, i), from_array(n.torque_v, i), from_array(n.torque_u, i),
-        from_array(n.sinkage_coefficient_v, i), from_array(n.sinkage_coefficient_u, i),
-    )  # fmt: skip
-
-
-@inlined
-def store_reaction(f, n, i):
-    to_array(f.load, n.load, i)
-    to_array(f.drawbar_pull, n.drawbar_pull, i)
-    to_array(f.torque, n.torque, i)
-    to_array(f.sinkage_coefficient, n.sinkage_coefficient, i)
-    to_array(f.dp_v, n.dp_v, i)
-    to_array(f.dp_u, n.dp_u, i)
-    to_array(f.torque_v, n.torque_v, i)
-    to_array(f.torque_u, n.torque_u, i)
-    to_array(f.sinkage_coefficient_v, n.sinkage_coefficient_v, i)
-    to_array(f.sinkage_coefficient_u, n.sinkage_coefficient_u, i)
-
-
-@inlined
-def chosen_reaction(mask, f, g):
-    return Reaction(
-        chosen(mask, f.load, g.load), chosen(mask, f.drawbar_pull, g.drawbar_pull), chosen(mask, f.torque, g.torque),
-        chosen(mask, f.sinkage_coefficient, g.sinkage_coefficient), chosen(mask, f.dp_v, g.dp_v),
-        chosen(mask, f.dp_u, g.dp_u), chosen(mask, f.torque_v, g.torque_v), chosen(mask, f.torque_u, g.torque_u),
-        chosen(mask, f.sinkage_coefficient_v, g.sinkage_coefficient_v),
-        chosen(mask, f.sinkage_coefficient_u, g.sinkage_coefficient_u),
-    )  # fmt: skip
+load_reaction, store_reaction, choose_reaction, same_reaction = lane_record(Reaction)
+load_soil = lane_record(SoilState).load
+_load_frame, _store_frame, _, _ = lane_record(ArcFrame)
 
 
 # --- ground and equations ---------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
     """(dV, du) of Newton's method for the residuals of implicit Euler; `net_u` = d(T - T_motor)/du."""
     a11, a12 = 1.0 - cv * dp_v, -cv * dp_u
@@ -122,7 +92,7 @@ def newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
     return -(a22 * f1 - a12 * f2) / det, -(a11 * f2 - a21 * f1) / det
 
 
-@inlined
+@compiled_inline
 def gather_ground(state, counts, first, block, period, g, courses, ruts, world, h):
     """The ground under eight wheels in the middle of a stage of h seconds, with what has been left in `ruts`."""
     for i in range(block, block + COUNT):
@@ -142,17 +112,7 @@ def gather_ground(state, counts, first, block, period, g, courses, ruts, world, 
         g.passes[i] = 1.0 + axle_of(k, world.axles) + again
 
 
-@inlined
-def soil_in_lanes(g, i):
-    """`SoilState` of eight wheels, in lanes."""
-    return SoilState(
-        from_array(g.tan_phi, i), from_array(g.cohesion, i), from_array(g.shear_modulus, i),
-        from_array(g.sinkage_coefficient, i), from_array(g.sinkage_exponent, i), from_array(g.dig_gain, i),
-        from_array(g.dig_recovery, i),
-    )  # fmt: skip
-
-
-@inlined
+@compiled_inline
 def foreseen_rim(state, k, i, period, back_u, cu, world):
     """(residual [m/s], d(T - T_motor)/du) of the rotation of eight wheels, by the reaction of the last stage."""
     command, by_speed = from_array(period.command, i), from_array(period.by_speed, i)
@@ -161,7 +121,7 @@ def foreseen_rim(state, k, i, period, back_u, cu, world):
     return back_u - cu * (torque - from_array(state.torque, k)), net
 
 
-@inlined
+@compiled_inline
 def _foreseen(state, k, i, period, back_v, back_u, cv, cu, weight_along, world):
     """Change of the speeds [m/s] of eight wheels in a stage, by the reaction of the last one to first order.
 
@@ -174,7 +134,7 @@ def _foreseen(state, k, i, period, back_v, back_u, cv, cu, weight_along, world):
     )  # fmt: skip
 
 
-@inlined
+@compiled_inline
 def held_change(du, state, k, i, period, world):
     """Size of a foreseen change `du` [m/s] of the rim speeds of eight wheels: a speed loop stops at its command."""
     r = world.wheel.radius
@@ -182,7 +142,7 @@ def held_change(du, state, k, i, period, world):
     return where_less(0.5, from_array(period.by_speed, i), smaller(abs(du), follow), abs(du))
 
 
-@inlined
+@compiled_inline
 def change_ahead(state, k, i, period, world, h):
     """Foreseen change of the speeds [of the top rim speed] of eight wheels in h seconds under their commands."""
     r, mass = world.wheel.radius, from_array(state.mass, k)
@@ -191,7 +151,7 @@ def change_ahead(state, k, i, period, world, h):
     return larger(abs(dv), held_change(du, state, k, i, period, world)) / (r * world.no_load_speed)
 
 
-@inlined
+@compiled_inline
 def set_up(state, first, i, period, sub, world, h, lead, duration):
     """The equations of a stage of the eight wheels from column i on, and where Newton's method starts.
 
@@ -213,9 +173,9 @@ def set_up(state, first, i, period, sub, world, h, lead, duration):
     to_array(u0 + short * du, e.try_u, i)
 
 
-@inlined
+@compiled_inline
 def behind(state, k, i, period, world, lead):
-    """By how much the speeds that a stage begins with lie behind the present ones, of the wheels in column i on."""
+    """Differences [m/s] from the speeds that a stage begins with to the present ones, of eight wheels."""
     if lead == 0.0:
         return fill(0.0), fill(0.0)
     rim = world.wheel.radius * from_array(state.wheel_speed, k)
@@ -225,9 +185,9 @@ def behind(state, k, i, period, world, lead):
     )
 
 
-@inlined
+@compiled_inline
 def stand(state, first, i, sub, world, duration):
-    """What eight wheels stand on in a stage: arc, soil and load, with the weight that pulls along the grade.
+    """Set arc, soil and load under eight wheels in a stage, with the weight that pulls along the grade.
 
     Sinkage is that at the end of the stage if it goes on as in the stage before, over the `duration` [s] of this one.
     """
@@ -240,7 +200,7 @@ def stand(state, first, i, sub, world, duration):
     ahead = duration * from_array(state.sinking, k)
     sinkage = sinkage + smaller(larger(ahead, -0.1 * sinkage), 0.1 * sinkage)
     to_array(sinkage, g.sinkage, i)
-    ground = ground_under(sinkage, speed0, u0, weight, soil_in_lanes(g, i), sine, from_array(g.passes, i), wheel)
+    ground = ground_under(sinkage, speed0, u0, weight, load_soil(g, i), sine, from_array(g.passes, i), wheel)
     soil = ground.soil
     frame = store_nodes(ground.arc, soil.sinkage_exponent, sub.nodes, (i // COUNT) * NODE_COLUMNS)
     _store_frame(frame, e, i)
@@ -261,27 +221,7 @@ def stand(state, first, i, sub, world, duration):
         to_array(soil.dig_recovery, g.dig_recovery, i)
 
 
-@inlined
-def _store_frame(frame, e, i):
-    to_array(frame.theta1, e.theta1, i)
-    to_array(frame.front, e.front, i)
-    to_array(frame.ratio, e.ratio, i)
-    to_array(frame.lever_front, e.lever_front, i)
-    to_array(frame.lever_rear, e.lever_rear, i)
-    to_array(frame.lever_sin, e.lever_sin, i)
-    to_array(frame.p_cos, e.p_cos, i)
-    to_array(frame.p_sin, e.p_sin, i)
-
-
-@inlined
-def _load_frame(e, i):
-    return ArcFrame(
-        from_array(e.theta1, i), from_array(e.front, i), from_array(e.ratio, i), from_array(e.lever_front, i),
-        from_array(e.lever_rear, i), from_array(e.lever_sin, i), from_array(e.p_cos, i), from_array(e.p_sin, i),
-    )  # fmt: skip
-
-
-@inlined
+@compiled_inline
 def reaction_at(v, u, sub, i, wheel):
     """`Reaction` at the axle of eight wheels at travel speeds v and rim speeds u [m/s]."""
     e, rim = sub.equations, wheel.rim_ratio * u

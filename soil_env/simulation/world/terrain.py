@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.ground import blend, row_soil, share_of_next
 
@@ -96,7 +96,7 @@ def new_courses(wheels: int, scenario: Scenario) -> Courses:
     )
 
 
-@inlined
+@compiled_inline
 def ground_at(courses, k, x, patch, border):
     """(soil, grade [rad], patch) of course k at x [m], undisturbed; `patch` is a first guess of the patch index.
 
@@ -115,13 +115,13 @@ def ground_at(courses, k, x, patch, border):
     return soil, (1.0 - w) * courses.grades[k, near - 1] + w * courses.grades[k, near], patch
 
 
-@inlined
+@compiled_inline
 def cell_at(courses, x):
     """Index of the rut cell at x [m]; the first begins `BEHIND` metres before the start."""
     return min(max(int(math.floor(x / CELL)) + CELLS_BEHIND, 0), courses.rut_factors.shape[1] - 1)
 
 
-@inlined
+@compiled_inline
 def between_cells(values, k, x):
     """Value of the rut cells [wheels, cells] of wheel k at x [m], linear between the middles of the cells."""
     place = min(max(x / CELL + (CELLS_BEHIND - 0.5), 0.0), values.shape[1] - 1.0)
@@ -130,13 +130,13 @@ def between_cells(values, k, x):
     return here + (place - cell) * (values[k, cell + 1] - here)
 
 
-@inlined
+@compiled_inline
 def rut_factor(courses, k, x):
     """Factor on S left by earlier passes at x [m]."""
     return between_cells(courses.rut_factors, k, x)
 
 
-@inlined
+@compiled_inline
 def cell_after(courses, cell, x):
     """The cell of a wheel that comes from `cell` and is at x [m]: the next one begins for it in its middle.
 
@@ -148,7 +148,7 @@ def cell_after(courses, cell, x):
     return int(min(max(after, 0.0), courses.rut_factors.shape[1] - 1.0))
 
 
-@inlined
+@compiled_inline
 def leave_rut(courses, k, cell, depth, dug, compaction):
     """Mark a cell as driven over: its rut, `depth` [m], and soil compacted by rolling or loosened by digging.
 

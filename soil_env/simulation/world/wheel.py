@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, larger, power, smaller, where_less
 from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import between
@@ -144,32 +144,32 @@ def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None, axles
     )
 
 
-@inlined
+@compiled_inline
 def course_of(k, axles):
     """Row of the course that wheel k is on. Each block of eight wheels is of eight rovers, axle by axle."""
     return k if axles == 1 else k // (COUNT * axles) * COUNT + k % COUNT
 
 
-@inlined
+@compiled_inline
 def axle_of(k, axles):
     """Axle of wheel k, from the front on."""
     return 0 if axles == 1 else k // COUNT % axles
 
 
-@inlined
+@compiled_inline
 def wheel_of(j, axle, axles):
     """The wheel of rover j on an axle: the reverse of `course_of` and `axle_of`."""
     return (j // COUNT * axles + axle) * COUNT + j % COUNT
 
 
-@inlined
+@compiled_inline
 def bearing_sinkage(sinkage, mobilised, soil):
     """z_w [m]: depth at which undisturbed soil bears the pressure `mobilised` z^n, at most 10 z."""
     n = larger(soil.sinkage_exponent, 0.05)
     return sinkage * smaller(power(mobilised / soil.sinkage_coefficient, 1.0 / n), 10.0)
 
 
-@inlined
+@compiled_inline
 def relax_sinkage(sinkage, bearing, onto, speed, slip_speed, soil, length, h):
     """Sinkage [m] after h seconds of dz/dt = B z_w - A z + |V| (onto - z_w) / length (`effects.excavation_rate`).
 
@@ -185,7 +185,7 @@ def relax_sinkage(sinkage, bearing, onto, speed, slip_speed, soil, length, h):
     return where_less(a * h, 1e-12, sinkage, goal + (sinkage - goal) * exp(-a * h))
 
 
-@inlined
+@compiled_inline
 def commanded(state, k, action, halted, world):
     """Command of wheel k for a control period, as `motor` takes it: the action itself, or the rim speed that it leads
     to where it is a rim acceleration. In a halt it is 0, and so is the action that counts as the last one."""
@@ -197,7 +197,7 @@ def commanded(state, k, action, halted, world):
     return command
 
 
-@inlined
+@compiled_inline
 def finish(state, counts, k, x_start, streams, world):
     """The end of a control period of wheel k, which began at `x_start` [m]: slip, travel and halts."""
     x = state.x[k]
@@ -211,14 +211,14 @@ def finish(state, counts, k, x_start, streams, world):
         state.next_halt[k] = x + between(streams, k, world.halt_low, world.halt_high)
 
 
-@part
+@compiled_part
 def settle(state, counts, k, mass, courses, streams, world):
     """Put wheel k at rest at the start of its course, sunk in under its own load."""
     settle_at(state, counts, k, 0.0, mass, courses, world)
     state.next_halt[k] = between(streams, k, world.halt_low, world.halt_high)
 
 
-@part
+@compiled_part
 def settle_at(state, counts, k, x, mass, courses, world):
     """Put wheel k at rest at x [m] of its course, sunk in under its own load."""
     wheel = world.wheel

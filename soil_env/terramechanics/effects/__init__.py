@@ -22,7 +22,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
 from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, smaller
 from soil_env._numba.lanes import alike
 from soil_env.terramechanics.effects import (
@@ -154,13 +154,13 @@ _drive = chained(effect.drive for effect in _LIST)
 _speed_dependent = any_of(effect.speed_dependent for effect in _LIST)
 
 
-@part
+@compiled_part
 def soil_in_contact(soil, fx, slip, speed, slide, passes, sin_grade):
     """`SoilState` that the wheel meets at this slip, travel speed, sliding speed [m/s], pass and grade."""
     return _soil(soil, Passage(soil, slip, speed, slide, passes, sin_grade), fx)
 
 
-@part
+@compiled_part
 def arc_ends(theta1, slip, fx):
     """(exit angle theta2, angle thetam of the stress peak) [rad]; the peak stays 5 % of the arc away from its ends."""
     theta2, peak = _arc((0.0 * theta1, 0.5 * theta1), Entry(theta1, slip), fx)
@@ -168,26 +168,26 @@ def arc_ends(theta1, slip, fx):
     return theta2, smaller(larger(peak, theta2 + 0.05 * span), theta1 - 0.05 * span)
 
 
-@part
+@compiled_part
 def soil_resistance(sinkage, soil, unit_weight, b, fx):
     """Force [N] of the soil against the travel, beside that in the contact."""
     return _resistance(alike(0.0, sinkage), Furrow(sinkage, soil, unit_weight, b), fx)
 
 
-@inlined
+@compiled_inline
 def drive_friction(torque, wheel_speed, floor, fx):
     """`Friction` between motor and axle; it fades out below the wheel speed `floor` [rad/s]."""
     none = alike(0.0, torque)
     return _drive(Friction(none, none, none), Axle(torque, wheel_speed, floor), fx)
 
 
-@part
+@compiled_part
 def drive_torque(torque, wheel_speed, floor, fx):
     """Torque [N m] at the motor for a torque at the axle, with `drive_friction`."""
     return torque + drive_friction(torque, wheel_speed, floor, fx).torque
 
 
-@part
+@compiled_part
 def depends_on_speed(fx):
     """True if the strength of the soil goes with the speed."""
     return _speed_dependent(fx)

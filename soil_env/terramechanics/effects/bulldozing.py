@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, sqrt
 from soil_env._numba.lanes import alike
 from soil_env.terramechanics.effects.entry import PULL, Effect, EffectParameter as P, Form
 
 
-@part
+@compiled_part
 def passive_coefficient(tan_phi):
     """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2) = (1 + sin phi)/(1 - sin phi)."""
     secant = sqrt(1.0 + tan_phi * tan_phi)
     return (secant + tan_phi) / (secant - tan_phi)
 
 
-@part
+@compiled_part
 def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
     """Resistance [N] of the soil pushed ahead of the wheel to the depth of its sinkage.
 
@@ -31,7 +31,7 @@ def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
     return fx.bulldozing_rankine * rankine + fx.bulldozing_hegedus * b * hegedus
 
 
-@inlined
+@compiled_inline
 def _resistance(force, at, fx):
     """Force with the `bulldozing_resistance` [N]."""
     return force + bulldozing_resistance(at.sinkage, at.soil, at.unit_weight, at.width, fx)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from soil_env._numba.compiling import Compiled, inlined
+from soil_env._numba.compiling import Compiled, compiled_inline
 
 
 def chained(laws: Iterable[Compiled | None]) -> Compiled:
@@ -24,7 +24,7 @@ def any_of(predicates: Iterable[Compiled | None]) -> Compiled:
 
 
 def _after(first: Compiled, second: Compiled) -> Compiled:
-    @inlined
+    @compiled_inline
     def both(x, at, fx):
         return second(first(x, at, fx), at, fx)
 
@@ -32,7 +32,7 @@ def _after(first: Compiled, second: Compiled) -> Compiled:
 
 
 def _either(first: Compiled, second: Compiled) -> Compiled:
-    @inlined
+    @compiled_inline
     def either(fx):
         return first(fx) or second(fx)
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import where_less
 from soil_env.terramechanics.contact import smoothed_sign
 from soil_env.terramechanics.effects.entry import TORQUE, Bench, Effect, EffectParameter as P, Form, Friction
 
 
-@inlined
+@compiled_inline
 def _drive(friction, at, fx):
     """`Friction` with Coulomb and viscous friction and a share of the torque; the floor smooths the sign."""
     turning, turn = smoothed_sign(at.wheel_speed, at.floor)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import asin_root, larger, power
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Effect, EffectParameter as P, Form
 
 
-@inlined
+@compiled_inline
 def weight_on_slope(load, sin_grade, fx):
     """(load normal to the ground, pull along the slope) [N] of a weight `load` [N]."""
     normal = load * (1.0 - fx.grade_share * (1.0 - math.sqrt(1.0 - sin_grade * sin_grade)))
     return normal, fx.grade_share * load * sin_grade
 
 
-@part
+@compiled_part
 def slope_factor(soil, sin_grade, fx):
     """Bearing on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 to the power w."""
     if fx.grade_weakening == 0.0:
@@ -28,7 +28,7 @@ def slope_factor(soil, sin_grade, fx):
     return power(larger(left, 0.02), 2.0 * fx.grade_weakening)
 
 
-@inlined
+@compiled_inline
 def _soil(soil, at, fx):
     """Soil with S by the `slope_factor`."""
     return SoilState(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, sqrt, tanh
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
@@ -14,19 +14,19 @@ from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, 
 BLADE_SLIP = 0.015  # slip over which the thrust of the lugs comes in
 
 
-@inlined
+@compiled_inline
 def contact_radius(fx, wheel):
     """Radius [m] that carries the normal stress: of the rim, or part of the way to the tips of the lugs."""
     return wheel.radius + fx.grousers_radius_share * wheel.grouser_height
 
 
-@part
+@compiled_part
 def shear_radius_ratio(r, height, fx):
     """Radius at which the soil between lugs of `height` [m] is sheared, over the rim radius."""
     return 1.0 + fx.grousers_shear_share * height / r
 
 
-@inlined
+@compiled_inline
 def at_shear_radius(soil, q, shear_modulus):
     """The soil whose forces at the rim are those of `soil` at q times its radius: strength times q; K as given [m]."""
     return SoilState(
@@ -35,7 +35,7 @@ def at_shear_radius(soil, q, shear_modulus):
     )  # fmt: skip
 
 
-@part
+@compiled_part
 def blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx):
     """Thrust [N] of the lugs in the ground along the rim of a slipping wheel: lugs a radian x theta1 x thrust of one.
 
@@ -49,14 +49,14 @@ def blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx):
     return fx.grousers_blades * theta1 * b * (weight + 2.0 * soil.cohesion * height * sqrt(kp))
 
 
-@inlined
+@compiled_inline
 def blades_at(thrust, slip):
     """(what acts of the `blade_thrust` [N] at this slip, its derivative): none where the wheel rolls freely."""
     share = tanh(slip / BLADE_SLIP)
     return thrust * share, thrust * (1.0 - share * share) / BLADE_SLIP
 
 
-@part
+@compiled_part
 def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
     """`blade_thrust` [N] at this slip."""
     return blades_at(blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx), slip)[0]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, larger, power, where_less
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Effect, EffectParameter as P, Form
 
 
-@inlined
+@compiled_inline
 def depends_on_passes(fx):
     """True if earlier passes change the soil."""
     bearing = fx.multipass_gain != 0.0 or fx.multipass_per_pass != 0.0 or fx.multipass_slip_gain != 0.0
@@ -16,7 +16,7 @@ def depends_on_passes(fx):
     return bearing or strength or fx.multipass_hardening != 0.0
 
 
-@part
+@compiled_part
 def pass_factor(passes, slip, fx):
     """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at the same slip.
 
@@ -30,7 +30,7 @@ def pass_factor(passes, slip, fx):
     return where_less(1.0, passes, factor, 1.0)
 
 
-@inlined
+@compiled_inline
 def _soil(soil, at, fx):
     """Soil in the track: bearing by `pass_factor`, strength and K by powers of the pass number."""
     s, tan_phi, c, K = soil.sinkage_coefficient, soil.tan_phi, soil.cohesion, soil.shear_modulus

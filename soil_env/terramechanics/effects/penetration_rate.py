@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, larger, log
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
 
 
-@part
+@compiled_part
 def rate_factor(speed, reference, exponent, slope):
     """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m, or 1 + a ln(v/v0) where the power m is 0.
 
@@ -21,13 +21,13 @@ def rate_factor(speed, reference, exponent, slope):
     return larger(exp(exponent * x) + slope * x, 0.1)
 
 
-@inlined
+@compiled_inline
 def _speed_dependent(fx):
     """True if the law is on."""
     return fx.penetration_rate_exponent != 0.0 or fx.penetration_rate_slope != 0.0
 
 
-@inlined
+@compiled_inline
 def _soil(soil, at, fx):
     """Soil with S by the `rate_factor` of the travel speed."""
     factor = rate_factor(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Effect, EffectParameter as P, Form
 
 
-@inlined
+@compiled_inline
 def _arc(ends, at, fx):
     """Exit angle -l theta1, with the stress peak midway between entry and exit or, if it is kept, at theta1/2."""
     theta2 = -fx.rear_contact_ratio * at.theta1

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, log, where_less
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
 from soil_env.terramechanics.effects.penetration_rate import rate_factor
 
 
-@part
+@compiled_part
 def sliding_speed(slip, travel_speed):
     """|r w - V| [m/s] of a wheel that travels at V with the given slip."""
     return travel_speed * abs(slip) / where_less(slip, 0.0, 1.0, larger(1.0 - slip, 0.02))
 
 
-@inlined
+@compiled_inline
 def _speed_dependent(fx):
     """True if the law is on."""
     return fx.shear_rate_exponent != 0.0 or fx.shear_rate_slope != 0.0 or fx.shear_rate_cohesion != 0.0
 
 
-@inlined
+@compiled_inline
 def _soil(soil, at, fx):
     """Soil with friction and cohesion by the `rate_factor` of the sliding speed, or cohesion by its own law."""
     c = soil.cohesion

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import part
+from soil_env._numba.compiling import compiled_part
 from soil_env.terramechanics.contact import ShearLaw
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
 
 
-@part
+@compiled_part
 def shear_law(fx):
     """`ShearLaw` with a peak and a residual strength.
 
@@ -22,7 +22,7 @@ def shear_law(fx):
     return ShearLaw((1.0 - drop) / peak, s / peak, drop, fx.shear_softening_length, fx.shear_softening_onset)
 
 
-@part
+@compiled_part
 def shear_length_ratio(fx):
     """Length of the shear law over K: 4 s/(1 + s) where K is that of the first slope, else 1."""
     s = fx.shear_softening_sharpness

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import part
+from soil_env._numba.compiling import compiled_part
 from soil_env.slip import slip_of_radius
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Effect, EffectParameter as P, Form
 
 
-@part
+@compiled_part
 def true_slip(measured, fx):
     """Slip of the wheel where the measured one has an offset d, or comes from a rolling radius r (1 - e).
 
@@ -17,7 +17,7 @@ def true_slip(measured, fx):
     return min(max(i, -1.0), 1.0)
 
 
-@part
+@compiled_part
 def measured_slip(slip, fx):
     """Inverse of `true_slip`."""
     return slip_of_radius(slip - fx.slip_bias_offset, 1.0 / (1.0 - fx.slip_bias_radius_error))

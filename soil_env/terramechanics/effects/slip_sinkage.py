@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, smaller, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
 
 
-@part
+@compiled_part
 def slip_sinkage_ratio(slip, gain, recovery):
     """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i| + recovery |i|).
 
@@ -22,19 +22,19 @@ def slip_sinkage_ratio(slip, gain, recovery):
     return digging_ratio(abs(slip), where_less(slip, 0.0, 1.0, 1.0 - slip), gain, recovery)
 
 
-@inlined
+@compiled_inline
 def digging_ratio(slid, way, gain, recovery):
     """Steady sinkage over that without slip, at least 1, where the rim slides by `slid` on a `way` of the same unit."""
     return 1.0 + gain * slid / larger(way + recovery * slid, 1e-6)
 
 
-@inlined
+@compiled_inline
 def onto_fresh(x, low, high):
     """Distance [m] by which a wheel at x has left the stretch from `low` to `high` that it had touched before."""
     return larger(x - high, 0.0) + larger(low - x, 0.0)
 
 
-@inlined
+@compiled_inline
 def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z.
 
@@ -49,7 +49,7 @@ def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     return a, b
 
 
-@part
+@compiled_part
 def digging(soil, fx):
     """(gain, recovery) of `slip_sinkage_ratio`: the effect's where it is on, else those of the soil."""
     if fx.slip_sinkage_gain != 0.0:
@@ -57,14 +57,14 @@ def digging(soil, fx):
     return soil.dig_gain, soil.dig_recovery
 
 
-@part
+@compiled_part
 def excavated_depth(slip, fx):
     """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), Reece's law with its length l."""
     i = smaller(abs(slip), 0.95)
     return fx.slip_sinkage_length * i / (1.0 - i)
 
 
-@inlined
+@compiled_inline
 def _soil(soil, at, fx):
     """Soil with the exponent n + n1 |i| and the digging of the effect."""
     n = larger(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(at.slip), 0.0)

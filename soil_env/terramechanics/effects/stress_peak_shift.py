@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
 
 
-@inlined
+@compiled_inline
 def _arc(ends, at, fx):
     """Stress peak moved by (a + c |i|) theta1."""
     return ends[0], ends[1] + (fx.stress_peak_shift_offset + fx.stress_peak_shift_slope * abs(at.slip)) * at.theta1
