@@ -1,8 +1,4 @@
-<<<<<<< HEAD
-"""Wrappers that other packages put around the environments."""
-=======
 """Wrappers of other libraries on the native vector environment."""
->>>>>>> r/train
 
 import gymnasium
 import pytest
