@@ -345,7 +345,11 @@ def test_bad_input_is_refused_in_one_line_and_nothing_is_written(capsys, tmp_pat
         command.append("--controllers=full_throttle")
     assert main([*command, *arguments]) == 2
     captured = capsys.readouterr()
-    assert captured.err.startswith("soil-env evaluate: error: ") and captured.err.count("\n") == 1 and len(captured.err) < 700
+    assert (
+        captured.err.startswith("soil-env evaluate: error: ")
+        and captured.err.count("\n") == 1
+        and len(captured.err) < 700
+    )
     for part in parts:
         assert part in captured.err
     assert not out.exists() and not list(tmp_path.iterdir())
