@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from soil_env._io.loading import ParameterError, unknown_key
 from soil_env.cli.running import PATH, WholeNumber
@@ -68,8 +69,8 @@ def command(
         asked = _asked(options, keys)
         evaluation.check_controllers(asked)
     else:
-        defaults = {p.name: p.get_default(click.get_current_context()) for p in command.params}
-        if keys or any(value != defaults[name] for name, value in given.items()):
+        source = click.get_current_context().get_parameter_source
+        if keys or any(source(name) != ParameterSource.DEFAULT for name in given):
             raise ParameterError(f"--resume takes only the engine; {resume} has the rest")
         asked = cells.load_study(Evaluation, resume)
         evaluation.check_controllers(asked)

@@ -131,7 +131,7 @@ def test_the_shipped_weights_tell_stops_ahead_on_a_sample():
 def test_the_command_writes_weights_that_can_be_read(tmp_path, monkeypatch):
     pytest.importorskip("torch")
     monkeypatch.setattr(warning, "SCENARIOS", ("mixed",))
-    assert warning.main(["--smoke", "--out", str(tmp_path / "w.json")]) == 0
+    warning.command.main(["--smoke", "--out", str(tmp_path / "w.json")], standalone_mode=False)
     content = json.loads((tmp_path / "w.json").read_text())
     assert content["inputs"] == list(INPUTS) and 0.0 < content["alarm"] <= 1.0
     assert np.array(content["first"]).shape == np.array(shipped()["first"]).shape
