@@ -9,7 +9,8 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
 from soil_env.parameters import Scenario
-from soil_env.terramechanics.catalogue import CATALOGUE, Effect, EffectParameter
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.effects.entry import Effect, EffectParameter
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 #: Effects that act in the simulated world on a course driven once; the others need a measuring rig or a second pass.

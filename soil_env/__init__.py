@@ -1,17 +1,14 @@
 """soil_env: a driven wheel on loose ground, with its soil identified while it drives.
 
-`import soil_env` registers the Gymnasium environment `SoilWheel-v0`; `gymnasium.make("soil_env:SoilWheel-v0")` does so
-without an import. The physics is in `terramechanics`, the world in time in `simulation`, the identification in
-`identification`, the search for missing effects in `discrepancy`, the environments in `env` and `vector_env`.
+`import soil_env` registers the Gymnasium environments `SoilWheel-v0` and `SoilRover-v0`, and does nothing else;
+`gymnasium.make("soil_env:SoilWheel-v0")` needs no import. Rooms: physics in `terramechanics`, world and task in
+`simulation`, identification in `identification`, both together in `driving`, the environments in `env`, `vector_env`,
+`rover_env` and `rover_vector_env`, the search for missing effects in `discrepancy`.
 """
 
-from soil_env._io.signals import arm
+from gymnasium.envs.registration import register, registry
 
-arm()  # before the imports that take time
-
-from gymnasium.envs.registration import register, registry  # noqa: E402
-
-from soil_env._io.loading import ParameterError  # noqa: E402
+from soil_env._io.loading import ParameterError
 
 __version__ = "0.1.0"
 __all__ = ["ParameterError", "__version__"]

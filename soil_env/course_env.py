@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, UnknownKeyword
 from soil_env.parameters import Scenario
-from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import Cause, ObservedNumber
+from soil_env.simulation.task.scaling import Scaling
 
 _RUNNING = Cause.RUNNING.value
 

@@ -10,13 +10,14 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from soil_env._io.loading import ParameterError
 from soil_env.course_env import CourseEnv, View, scenario_changes
+from soil_env.driving.infos import IMMOBILISED, Infos, asks, checked
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec, Scenario, Soil, SoilState, load_scenario
-from soil_env.simulation.infos import IMMOBILISED, Infos
-from soil_env.simulation.scaling import Scaling
 from soil_env.simulation.task import layout
-from soil_env.simulation.terrain import ground_at
-from soil_env.simulation.worlds import Simulation
+from soil_env.simulation.task.scaling import Scaling
+from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 
 __all__ = ["IMMOBILISED", "SoilWheelEnv", "action_space", "build_scenario", "observation_space"]
@@ -255,9 +256,13 @@ class SoilWheelEnv(CourseEnv):
     |                | within 5 s of driving |
     | state | dict of the true x, speed, wheel speed, slip, sinkage, load, drawbar pull, torques, grade, in SI units |
 
-    This is `info="full"`. `"numeric"` has the same numbers without nesting, `cause` and `estimate_status` as numbers of
-    `task.Cause` and `identification.Status`, True as 1: `reward_NAME`, `estimate_NAME`, all others by their name.
-    `"short"` has `cause`, `immobilised`, `x` and `reward_NAME` only, and `"none"` nothing.
+    This is `info="full"`, the default with observation "identified". `"state"`, the default with the others, has no
+    `estimate` and no `traversability`. `"numeric"` has the numbers of "full" without nesting, `cause` and
+    `estimate_status` as numbers of `task.Cause` and `identification.Status`, True as 1: `reward_NAME`, `estimate_NAME`,
+    all others by their name. `"short"` has `cause`, `immobilised`, `x` and `reward_NAME` only, and `"none"` nothing.
+
+    The identifier runs, and is compiled, only if the observation is "identified", if `info` is "full" or "numeric", or
+    if `reward={"information": ...}` is above 0.
 
     ## Arguments
     `scenario`: name, path of a YAML file, or `Scenario`; `observation`; `action`; `repeat`; `render_mode`: "rgb_array"
@@ -284,7 +289,7 @@ class SoilWheelEnv(CourseEnv):
         repeat: int | None = None,
         render_mode: str | None = None,
         model: str | Path | WheelSoilModel | None = None,
-        info: str = "full",
+        info: str | None = None,
         scaled: bool = True,
         **changes: Any,
     ):
@@ -292,13 +297,14 @@ class SoilWheelEnv(CourseEnv):
         entries = layout(observation, scenario.course)
         super().__init__(scenario, entries, observation, action_space(), render_mode, scaled)
         self.model: WheelSoilModel | None = load_model(model)
+        info = checked(info, observation)
         self.infos: Infos = Infos(self.scenario, info, 1)
-        warnings = info in ("full", "numeric")
-        self.simulation: Simulation = Simulation(1, self.scenario, observation, 1, self.model, warnings)
+        self.simulation: Simulation = Simulation(1, self.scenario, observation, 1, self.model, asks(info))
 
     def _act(self, action: NDArray[np.float64]) -> None:
         self.simulation.step(0, action.item(0))
-        if self.simulation.worlds.changed[0]:
+        changed = self.simulation.worlds.changed
+        if changed is not None and changed[0]:
             self._begun()
 
     def _begun(self) -> None:
@@ -314,6 +320,8 @@ class SoilWheelEnv(CourseEnv):
 
     def estimate(self) -> Soil:
         """The identified soil, with the belief's exponent and recovery of digging."""
+        if self.simulation.worlds.ids is None:
+            raise ParameterError("estimate: nothing is identified; expected observation='identified' or info='full'")
         x, belief = self.simulation.worlds.ids.estimate[0], self.scenario.belief
         return Soil(
             friction_angle_deg=math.degrees(x[0]),

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.compiling import FastCall, root
+from soil_env._numba.compiling import FastCall, compiled_root
 from soil_env.identification.online.estimate import LEAST_LOAD, published, traversability
 from soil_env.identification.online.identifier import (
     HELD,
@@ -125,12 +125,12 @@ class Traversability(NamedTuple):
     passable: bool
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
     forget(ids, 0, numbers)
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def _fill_slips(rim_speed: np.ndarray, speed: np.ndarray, out: np.ndarray) -> None:
     for i in range(out.size):
         out[i] = slip_ratio(rim_speed[i], speed[i], REST_SPEED)

@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soil_env.course_env import CourseEnv, View, scenario_changes
+from soil_env.driving.core import asks_for_estimates
+from soil_env.driving.infos import asks, checked
+from soil_env.driving.rover_infos import RoverInfos
+from soil_env.driving.rovers import RoverSimulation
 from soil_env.parameters import SoilState
-from soil_env.simulation.rover.infos import RoverInfos
-from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.rover.task import rover_layout
-from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 from soil_env.vehicle import DEFAULT_ROVER, RoverScenario, load_rover
 
@@ -181,10 +183,11 @@ class SoilRoverEnv(CourseEnv):
     | front, middle, rear | dict for each axle: `state`, of one wheel, as for SoilWheel-v0: x, wheel speed, slip, |
     |                     | sinkage, load, drawbar pull, torques, grade; `estimate` of the soil under it |
 
-    This is `info="full"`. `"numeric"` has the same numbers without nesting: `reward_NAME`, `NAME` of the rover,
-    `front_NAME` of an axle, `front_estimate_NAME`; `cause` and `front_estimate_status` as numbers of `task.Cause` and
+    This is `info="full"`, the default with observation "identified". `"state"`, the default with the others, has no
+    `estimate`. `"numeric"` has the numbers of "full" without nesting: `reward_NAME`, `NAME` of the rover, `front_NAME`
+    of an axle, `front_estimate_NAME`; `cause` and `front_estimate_status` as numbers of `task.Cause` and
     `identification.Status`, True as 1. `"short"` has `cause`, `immobilised`, `x` and `reward_NAME` only, and `"none"`
-    nothing.
+    nothing. The identifiers run, and are compiled, only if observation, `info` or reward asks for them.
 
     ## Arguments
     `rover`: name, path of a YAML file, or `vehicle.RoverScenario`; `observation`; `action`; `repeat`; `render_mode`:
@@ -207,7 +210,7 @@ class SoilRoverEnv(CourseEnv):
         repeat: int | None = None,
         render_mode: str | None = None,
         model: str | Path | WheelSoilModel | None = None,
-        info: str = "full",
+        info: str | None = None,
         scaled: bool = True,
         **changes: Any,
     ):
@@ -215,7 +218,9 @@ class SoilRoverEnv(CourseEnv):
         entries = rover_layout(observation, scenario.axles)
         super().__init__(scenario, entries, observation, rover_action_space(scenario.axles), render_mode, scaled)
         self.model: WheelSoilModel | None = load_model(model)
-        self.simulation: RoverSimulation = RoverSimulation(1, scenario, observation, 1, self.model)
+        info = checked(info, observation)
+        wanted = asks(info) or asks_for_estimates(scenario, observation)
+        self.simulation: RoverSimulation = RoverSimulation(1, scenario, observation, 1, self.model, wanted)
         self.infos: RoverInfos = RoverInfos(self.simulation, info)
 
     def _act(self, action: NDArray[np.float64]) -> None:

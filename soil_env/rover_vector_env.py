@@ -10,9 +10,11 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from soil_env.course_env import CourseVectorEnv
+from soil_env.driving.core import asks_for_estimates
+from soil_env.driving.infos import asks, checked
+from soil_env.driving.rover_infos import RoverInfos
+from soil_env.driving.rovers import RoverSimulation
 from soil_env.rover_env import build_rover, rover_action_space
-from soil_env.simulation.rover.infos import RoverInfos
-from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 from soil_env.vehicle import DEFAULT_ROVER, RoverScenario
@@ -52,8 +54,10 @@ class SoilRoverVectorEnv(CourseVectorEnv):
         self.scenario: RoverScenario = build_rover(rover, action, repeat, changes, _OWN)
         axles = self.scenario.axles
         self._set_spaces(rover_layout(observation, axles), rover_action_space(axles), scaled)
+        info = checked(info)
+        wanted = asks(info) or asks_for_estimates(self.scenario, observation)
         self.simulation: RoverSimulation = RoverSimulation(
-            self.num_envs, self.scenario, observation, threads, load_model(model)
+            self.num_envs, self.scenario, observation, threads, load_model(model), wanted
         )
         self.infos: RoverInfos = RoverInfos(self.simulation, info)
         self._tells = info != "none"

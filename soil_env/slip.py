@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part, root
+from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root
 from soil_env._numba.elementary import larger, smaller, where_less
 from soil_env._numba.lanes import alike
 
 
-@inlined
+@compiled_inline
 def signed_slip(rim_speed, travel_speed, floor):
     """(slip in [-1, 1], its derivatives by the two speeds [s/m]): (r w - V)/max(|r w|, |V|), of the sign of r w - V.
 
@@ -33,21 +33,21 @@ def signed_slip(rim_speed, travel_speed, floor):
     )
 
 
-@inlined
+@compiled_inline
 def slip_ratio(rim_speed, travel_speed, floor):
     """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse (`signed_slip`)."""
     slip, _, _ = signed_slip(rim_speed, travel_speed, floor)
     return where_less(rim_speed + travel_speed, 0.0, -slip, slip)
 
 
-@inlined
+@compiled_inline
 def motion_from_slip(slip):
     """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1 spins on the spot."""
     braking = larger(1.0 + slip, 1e-9)  # r w / V
     return alike(1.0, slip), where_less(slip, 0.0, 1.0 / braking, 1.0 - slip)
 
 
-@inlined
+@compiled_inline
 def travel_rate(travel):
     """Derivative of `travel` of `motion_from_slip` by the slip: -1 driving, -travel^2 braking."""
     braking = larger(travel, 1.0)
@@ -64,7 +64,7 @@ def rim_speeds(travel_speed: float | np.ndarray, slip: float | np.ndarray) -> np
     return np.where(slip < 0.0, travel_speed * (1.0 + slip), travel_speed / (1.0 - slip))
 
 
-@part
+@compiled_part
 def slip_of_radius(slip, scale):
     """Slip after V/(r w) is multiplied by `scale`, as by another radius; driving or braking."""
     if slip <= -1.0 or scale == 1.0:
@@ -73,7 +73,7 @@ def slip_of_radius(slip, scale):
     return 1.0 - ratio if ratio <= 1.0 else 1.0 / ratio - 1.0
 
 
-@root
+@compiled_root
 def _slips_of_radius(slip: np.ndarray, scale: np.ndarray, out: np.ndarray) -> None:
     for i in range(out.size):
         out[i] = slip_of_radius(slip[i], scale[i])

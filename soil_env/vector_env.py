@@ -10,11 +10,11 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from soil_env.course_env import CourseVectorEnv
+from soil_env.driving.infos import Infos, asks, checked
+from soil_env.driving.wheels import Simulation
 from soil_env.env import action_space, build_scenario
 from soil_env.parameters import DEFAULT_SCENARIO, Scenario
-from soil_env.simulation.infos import Infos
 from soil_env.simulation.task import layout
-from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 
 _OWN = (  # keywords that are no part of a scenario
@@ -61,17 +61,18 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
         self.scenario: Scenario = build_scenario(scenario, action, repeat, changes, _OWN)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
-        self.infos: Infos = Infos(self.scenario, info, self.num_envs)
+        self.infos: Infos = Infos(self.scenario, checked(info), self.num_envs)
         self._tells = info != "none"
-        finals = self.autoreset_mode == AutoresetMode.SAME_STEP and self._tells
-        self._follow = finals or info in ("full", "numeric")  # whether anybody asks for the traversability
+        finals = self.autoreset_mode == AutoresetMode.SAME_STEP and self._tells and observation == "identified"
+        self._follow = finals or asks(info)  # True if the traversability is asked for
         self.simulation: Simulation = Simulation(
             self.num_envs, self.scenario, observation, threads, load_model(model), self._follow
         )
 
     def _act(self, actions: NDArray[np.float64], what: NDArray[np.int8]) -> None:
         self.simulation.step_all(actions[:, 0], what)
-        self._renew(self.simulation.worlds.changed | self._done)
+        if self._follow:
+            self.infos.renew(self.simulation.worlds, self.simulation.worlds.changed | self._done)
 
     def _steps(self) -> NDArray[np.int64]:
         steps: NDArray[np.int64] = self.simulation.worlds.counts["steps"]

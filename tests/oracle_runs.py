@@ -8,8 +8,8 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from soil_env.model import WheelSoilModel
 from soil_env.parameters import Soil
+from soil_env.terramechanics.model import WheelSoilModel
 
 ROOT = Path(__file__).resolve().parent.parent
 NUDGE = 0.0  # relative change of the inputs, to see what rounding does
@@ -46,7 +46,7 @@ _LEFT_OUT = ("torque_available", "immobilised_within")
 
 def drive(level: float, steps: int = 252, seed: int = 3, **options) -> dict:
     """What a wheel sees and does, every `EVERY` control periods; it starts again where an episode ends."""
-    env = make(disable_env_checker=True, **options)
+    env = make(disable_env_checker=True, info="full", **options)
     observation, info = env.reset(seed=seed)
     out, total, ends = {"period": [], "observation": [], "return": []}, 0.0, []
     for k in range(steps):

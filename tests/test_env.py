@@ -1,5 +1,6 @@
-"""The environment as others use it: checkers, registration, determinism, actions, arguments, info, video."""
+"""Single environments of a wheel and of a rover: checkers, determinism, actions, arguments, info."""
 
+import copy
 import math
 import pickle
 import subprocess
@@ -13,11 +14,15 @@ import yaml
 import soil_env
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import ParameterError, load_scenario, soils
+from soil_env.rover_env import SoilRoverEnv
+from soil_env.rover_vector_env import SoilRoverVectorEnv
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.traversability import best_working_point
 from soil_env.vector_env import SoilWheelVectorEnv
 
 MODES = ("torque", "wheel_speed", "rim_acceleration")
+BOTH = pytest.mark.parametrize("make", [SoilWheelEnv, SoilRoverEnv], ids=["wheel", "rover"])
+ALL = pytest.mark.parametrize("make", [SoilWheelEnv, SoilRoverEnv, SoilWheelVectorEnv, SoilRoverVectorEnv])
 
 
 def act(value):
@@ -26,13 +31,14 @@ def act(value):
 
 def run(env, seed, steps, actions=None):
     """(observations, rewards, infos, ended) of one episode under random, held actions."""
-    rng = np.random.default_rng(0)
+    rng, motors = np.random.default_rng(0), env.action_space.shape[0]
     observation, info = env.reset(seed=seed)
     rows, rewards, infos = [observation], [], [info]
     for k in range(steps):
         if k % 5 == 0:
-            action = rng.uniform(0.1, 0.6)
-        observation, reward, terminated, truncated, info = env.step(act(action if actions is None else actions[k]))
+            action = rng.uniform(0.1, 0.6, motors)
+        given = action if actions is None else np.broadcast_to(actions[k], motors)
+        observation, reward, terminated, truncated, info = env.step(given.astype(np.float32))
         rows.append(observation)
         rewards.append(reward)
         infos.append(info)
@@ -41,59 +47,83 @@ def run(env, seed, steps, actions=None):
     return np.array(rows), np.array(rewards), infos, False
 
 
-# --- registration -----------------------------------------------------------------------------------------------------
+# --- registration, determinism, copies --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("code", [
-    "import soil_env, gymnasium; e = gymnasium.make('SoilWheel-v0')",
-])  # fmt: skip
-def test_registration_in_a_fresh_process(code):
+def test_registration_in_a_fresh_process():
+    code = "import soil_env, gymnasium; e = gymnasium.make('SoilWheel-v0')"
     code += "; print(type(e.unwrapped).__name__, e.observation_space.shape)"
     done = subprocess.run([sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "SoilWheelEnv (66,)"
 
 
-# --- determinism ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("mode", MODES)
-def test_same_seed_same_run(mode):
-    a, b = (run(SoilWheelEnv(action=mode), 7, 300) for _ in range(2))
-    np.testing.assert_array_equal(a[0], b[0])
-    np.testing.assert_array_equal(a[1], b[1])
-    assert a[2] == b[2]
-    other = run(SoilWheelEnv(action=mode), 8, 300)
-    assert not np.array_equal(a[0][:50], other[0][:50])
-
-
-def test_a_used_env_runs_the_same_when_seeded_again():
-    env = SoilWheelEnv()
-    first = run(env, 3, 150)
-    run(env, 4, 70)
-    again = run(env, 3, 150)
-    np.testing.assert_array_equal(first[0], again[0])
-
-
-def test_reset_without_a_seed_goes_on():
-    """Further episodes differ from each other, and follow from the first seed."""
+@BOTH
+def test_a_seed_is_a_course_and_its_noise(make, mode):
+    """In a new environment and in a used one; resets without a seed go on from the last one."""
+    used = make(action=mode)
+    first, again = run(used, 7, 150), run(make(action=mode), 7, 150)
+    run(used, 4, 70)
+    for other in (again, run(used, 7, 150)):
+        np.testing.assert_array_equal(first[0], other[0])
+        np.testing.assert_array_equal(first[1], other[1])
+        assert first[2] == other[2]
+    other = run(make(action=mode), 8, 150)[0]
+    assert not np.array_equal(first[0][:10], other[:10])
     runs = []
     for _ in range(2):
-        env = SoilWheelEnv()
+        env = make(action=mode)
         runs.append([env.reset(seed=5)[0], env.reset()[0], env.reset()[0]])
     np.testing.assert_array_equal(runs[0], runs[1])
     assert len({tuple(row) for row in runs[0]}) == 3
-    a, b = SoilWheelEnv(), SoilWheelEnv()
-    assert not np.array_equal(a.reset()[0], b.reset()[0])
+    assert not np.array_equal(make().reset()[0], make().reset()[0])
 
 
-def test_returned_arrays_are_not_overwritten():
-    env = SoilWheelEnv()
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["copy", "pickle"])
+@pytest.mark.parametrize("render_mode", [None, "rgb_array"])
+@BOTH
+def test_a_copy_goes_on_as_the_original(make, render_mode, copied):
+    env = make(render_mode=render_mode, course={"length": 2.0})
+    run(env, 3, 5)
+    if render_mode is not None:
+        env.render()
+    other, untouched = copied(env), copied(env)
+    for _ in range(30):
+        a, b = (e.step(np.full(e.action_space.shape, 0.45)) for e in (env, other))
+        np.testing.assert_array_equal(a[0], b[0])
+        assert a[4] == b[4]
+        if a[2]:
+            break
+    np.testing.assert_array_equal(env.reset()[0], other.reset()[0])
+    if render_mode is not None:
+        assert untouched.render().dtype == np.uint8  # before it was stepped
+    for e in (env, other, untouched):
+        e.close()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["copy", "pickle"])
+@pytest.mark.parametrize("make", [SoilWheelVectorEnv, SoilRoverVectorEnv], ids=["wheel", "rover"])
+def test_a_copy_of_a_vector_env_goes_on_as_the_original(make, copied):
+    env = make(40, threads=2, info="full", course={"length": 2.0})
+    env.reset(seed=3)
+    a = np.full(env.action_space.shape, 0.45)
+    env.step(a)
+    other = copied(env)
+    for _ in range(40):
+        (x, *_, found), (y, *_, of_copy) = env.step(a), other.step(a)
+        np.testing.assert_array_equal(x, y)
+        np.testing.assert_array_equal(found["state"]["x"], of_copy["state"]["x"])
+
+
+@BOTH
+def test_returned_arrays_are_not_overwritten(make):
+    env = make()
     first, info = env.reset(seed=0)
     kept, kept_info = first.copy(), repr(info)
-    second = env.step(act(0.5))[0]
+    second = env.step(np.full(env.action_space.shape, 0.5))[0]
     kept_second = second.copy()
-    env.step(act(0.9))
+    env.step(np.full(env.action_space.shape, 0.9))
     np.testing.assert_array_equal(first, kept)
     np.testing.assert_array_equal(second, kept_second)
     assert repr(info) == kept_info
@@ -103,16 +133,19 @@ def test_returned_arrays_are_not_overwritten():
 
 
 @pytest.mark.parametrize("bad", [
-    0.5, [], [0.1, 0.2], [[0.1]], [math.nan], [math.inf], [-math.inf], np.zeros((1, 1), np.float32),
+    0.5, [], [0.1] * 4, [[0.1]], ["x", "y"], lambda n: [math.nan] + [0.0] * (n - 1),
+    lambda n: [0.0] * (n - 1) + [math.inf], lambda n: np.zeros((1, n), np.float32),
 ])  # fmt: skip
-def test_bad_actions_are_named_and_change_nothing(bad):
-    env, untouched = SoilWheelEnv(), SoilWheelEnv()
+@BOTH
+def test_bad_actions_are_named_and_change_nothing(make, bad):
+    env, untouched = make(), make()
     for e in (env, untouched):
         e.reset(seed=0)
-    with pytest.raises(ValueError, match="action") as raised:
-        env.step(bad)
-    assert "\n" not in str(raised.value) and "expected" in str(raised.value)
-    np.testing.assert_array_equal(env.step(act(0.4))[0], untouched.step(act(0.4))[0])
+    motors = env.action_space.shape[0]
+    with pytest.raises(ValueError, match="action.*expected") as raised:
+        env.step(bad(motors) if callable(bad) else bad)
+    assert "\n" not in str(raised.value)
+    np.testing.assert_array_equal(env.step([0.4] * motors)[0], untouched.step([0.4] * motors)[0])
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -139,15 +172,19 @@ def test_actions_matter_and_mean_what_they_say(mode):
         assert info["state"]["wheel_speed"] == pytest.approx(0.5 * wheel.no_load_speed, rel=0.1)
 
 
-def test_order_is_enforced():
-    env = SoilWheelEnv(control={"time_limit": 1.0})
+@BOTH
+def test_order_is_enforced(make):
+    env = make(control={"time_limit": 1.0})
+    action = np.full(env.action_space.shape, 0.1)
     with pytest.raises(gymnasium.error.ResetNeeded):
-        env.step(act(0.1))
-    assert run(env, 0, 10)[3]
+        env.step(action)
+    assert run(env, 0, 10)[2][-1]["cause"] == "TIME_LIMIT"
     with pytest.raises(gymnasium.error.ResetNeeded):
-        env.step(act(0.1))
-    env.reset()
-    env.step(act(0.1))
+        env.step(action)
+    with pytest.raises(ValueError, match="options.*'x'"):
+        env.reset(options={"x": 1})
+    env.reset(options={})
+    env.step(action)
 
 
 # --- commanded halts --------------------------------------------------------------------------------------------------
@@ -226,7 +263,7 @@ def test_bad_arguments_are_named(arguments, message):
     assert message in str(raised.value) and "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("make", [SoilWheelEnv, SoilWheelVectorEnv])
+@ALL
 def test_an_unknown_keyword_is_the_error_of_python_too(make):
     """TorchRL's GymEnv tries `frameskip=...` and goes on without where such a TypeError comes back."""
     with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'") as raised:
@@ -266,12 +303,6 @@ def test_yaml_file_as_scenario(tmp_path):
     path.write_text("wheel: planetary_rover\nsoils: {lete_sand: 1}\ncours: {}\n")
     with pytest.raises(ParameterError, match="mine.yaml.*'cours'.*'course'"):
         SoilWheelEnv(path)
-
-
-def test_reset_options_are_refused():
-    with pytest.raises(ValueError, match="options.*'x'"):
-        SoilWheelEnv().reset(options={"x": 1})
-    SoilWheelEnv().reset(options={})
 
 
 # --- info -------------------------------------------------------------------------------------------------------------
@@ -390,11 +421,11 @@ def test_traversability_never_uses_the_true_soil(monkeypatch):
 
 def test_extreme_estimates_do_not_stop_the_episode():
     """The box of the identifier's unknowns is wider than anything drawn: each corner must still give a warning."""
-    from soil_env.paper.safeguarded import LOWER, UPPER
-
+    lower = math.radians(1.0), math.log(2e-4), math.log(1e3)
+    upper = math.radians(89.5), math.log(0.3), math.log(1e13)
     env = SoilWheelEnv()
     env.reset(seed=0)
-    for corner in np.array(np.meshgrid(*zip(LOWER, UPPER, strict=True))).T.reshape(-1, 3):
+    for corner in np.array(np.meshgrid(*zip(lower, upper, strict=True))).T.reshape(-1, 3):
         env.simulation.worlds.ids.estimate[0] = [*corner, 2e5 * (corner[0] > 1.0), 3.0 if corner[1] > -3.0 else -3.0]
         env.infos.renew(env.simulation.worlds, np.ones(1, dtype=bool))
         assert all(

@@ -191,7 +191,7 @@ def test_scenario_round_trip(name):
 
 
 def test_own_soils_stand_beside_the_presets_and_before_them():
-    from soil_env.simulation.courses import course_numbers
+    from soil_env.simulation.world.courses import course_numbers
 
     beach, sand = Soil(**SOIL_S), Soil(**SOIL_S | {"cohesion": 900})
     scenario = load_scenario(

@@ -1,9 +1,7 @@
-"""Copies, processes and threads: an environment is the same wherever it is stepped, and does not outlive its close."""
+"""Processes and threads: an environment is the same wherever it is stepped, and does not outlive its close."""
 
-import copy
 import multiprocessing
 import os
-import pickle
 import subprocess
 import sys
 import threading
@@ -20,49 +18,6 @@ ACTION = np.array([0.45], dtype=np.float32)
 METHODS = [
     m if m == "fork" else pytest.param(m, marks=pytest.mark.slow) for m in multiprocessing.get_all_start_methods()
 ]
-
-
-def rollout(env, steps=40):
-    """Observations of a run with resets, from the present state on."""
-    rows = []
-    for _ in range(steps):
-        observation, _, terminated, truncated, _ = env.step(ACTION)
-        rows.append(observation)
-        if terminated or truncated:
-            rows.append(env.reset()[0])
-    return np.array(rows)
-
-
-# --- copies -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("make", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["deepcopy", "pickle"])
-@pytest.mark.parametrize("render_mode", [None, "rgb_array"])
-def test_a_copy_goes_on_as_the_original(make, render_mode):
-    env = SoilWheelEnv(render_mode=render_mode, **SHORT)
-    env.reset(seed=3)
-    rollout(env, 5)
-    if render_mode is not None:
-        env.render()
-    other = make(env)
-    untouched = make(env)
-    np.testing.assert_array_equal(rollout(env), rollout(other))
-    np.testing.assert_array_equal(env.reset()[0], other.reset()[0])
-    if render_mode is not None:
-        assert untouched.render().dtype == np.uint8  # before it was stepped
-    for e in (env, other, untouched):
-        e.close()
-
-
-@pytest.mark.parametrize("make", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["deepcopy", "pickle"])
-def test_a_copy_of_a_vector_env_goes_on_as_the_original(make):
-    env = SoilWheelVectorEnv(40, threads=2, **SHORT)
-    env.reset(seed=3)
-    a = np.full((40, 1), 0.45)
-    env.step(a)
-    other = make(env)
-    for _ in range(60):
-        np.testing.assert_array_equal(env.step(a)[0], other.step(a)[0])
 
 
 # --- processes --------------------------------------------------------------------------------------------------------

@@ -13,9 +13,11 @@ import multiprocessing
 import os
 import sys
 import time
+from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
@@ -26,9 +28,8 @@ else:
     import fcntl
 
 #: Folders, with the folders in them, and files whose sources and constants compiled code is made of.
-_ROOMS = ("_numba", "terramechanics", "simulation", "identification")
-_FILES = ("parameters.py", "slip.py", "soil_parameters.py", "vehicle.py")
-_LOCK = "soil_env.lock"
+_ROOMS = ("_numba", "terramechanics", "simulation", "identification", "driving")
+_FILES = ("parameters.py", "readings.py", "slip.py", "soil_parameters.py", "vehicle.py")
 _POLL = 0.1  # s between two attempts at the lock
 _TAKEN = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
 
@@ -101,10 +102,10 @@ def keep(dispatcher):
     return dispatcher
 
 
-def _kept(dispatcher) -> bool:
-    """Whether the cache holds compiled code of the function as it is now."""
+def is_kept(dispatcher, signature: tuple) -> bool:
+    """True if the cache holds compiled code of the function as it is now, for arguments of these types."""
     index = getattr(dispatcher._cache, "_cache_file", None)
-    return index is not None and bool(index._load_index())
+    return index is not None and any(key[0] == signature for key in index._load_index())
 
 
 # --- who compiles -----------------------------------------------------------------------------------------------------
@@ -122,16 +123,32 @@ class _Once:
         dispatcher = self._dispatcher
         compiled = type(dispatcher).compile
         with global_compiler_lock:
-            if _Once._depth or signature in dispatcher.overloads or _kept(dispatcher):
+            _ASIDE.pop((dispatcher, signature), _nothing)()
+            if _Once._depth or signature in dispatcher.overloads or is_kept(dispatcher, signature):
                 return compiled(dispatcher, signature)
-            with _alone(getattr(dispatcher._cache, "_cache_path", None)):
-                if not _kept(dispatcher):
+            with _alone(_lock_of(dispatcher)):
+                if not is_kept(dispatcher, signature):
                     _tell(_announcement())
                 _Once._depth += 1
                 try:
                     return compiled(dispatcher, signature)
                 finally:
                     _Once._depth -= 1
+
+
+#: Calls that wait for another process, by the dispatcher and the signature that it compiles.
+_ASIDE: dict[tuple, Callable[[], Any]] = {}
+
+
+def await_code_of(dispatcher, signature: tuple, wait: Callable[[], Any]) -> None:
+    """Call `wait` before this process compiles a function for these types: another process is at it."""
+    _ASIDE[dispatcher, signature] = wait
+
+
+def _lock_of(dispatcher) -> Path | None:
+    """The lock file beside the code of a function; None where none is kept."""
+    store = getattr(dispatcher._cache, "_impl", None)
+    return None if store is None else Path(dispatcher._cache._cache_path) / f"{store.filename_base}.lock"
 
 
 def _take(file) -> None:
@@ -151,10 +168,10 @@ def _release(file) -> None:
 
 
 @contextmanager
-def _alone(folder: str | None):
-    """Wait until no other process compiles into a folder; without a folder, or on a disk without locks, go on."""
+def _alone(lock: Path | None):
+    """Wait until no other process compiles the same function; without a cache, or on a disk without locks, go on."""
     try:
-        file = None if folder is None else open(Path(folder) / _LOCK, "ab")  # noqa: SIM115
+        file = None if lock is None else open(lock, "ab")  # noqa: SIM115
     except OSError:
         file = None
     if file is None:

@@ -1,8 +1,8 @@
-"""How functions are compiled: parts, and roots, which are kept on the disk (`cache`).
+"""Decorators of compiled functions: `compiled_part`, `compiled_inline`, and `compiled_root`, kept on disk (`cache`).
 
 A simulation step is some 150 small functions. Numba by itself optimises each of them together with everything it calls,
-and emits machine code for each, although only a few are ever called from Python. Here a `part` is only translated; its
-callers link it, and a `root`, a function that Python calls, optimises the whole tree once. Called from Python, as in a
+and emits machine code for each, although only a few are ever called from Python. Here a part is only translated; its
+callers link it, and a root, a function that Python calls, optimises the whole tree once. Called from Python, as in a
 test or a notebook, a part compiles a root of its own.
 
 Compiled code is kept beside the sources (or where NUMBA_CACHE_DIR says) and is valid for as long as none of the
@@ -16,11 +16,19 @@ allocate does not compile. Scratch memory is on the stack (`lanes.scratch`, `row
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import importlib
+import multiprocessing
+import os
+import pickle
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from functools import update_wrapper
+from pathlib import Path
 from typing import Any, TypeAlias, overload
 
 import numpy as np
@@ -28,10 +36,10 @@ from numba import config, njit, typeof, types
 from numba.extending import intrinsic, typeof_impl
 from numba.np.arrayobj import make_array
 
-from soil_env._numba.cache import keep
+from soil_env._numba.cache import CACHE, await_code_of, is_kept, keep
 from soil_env._numba.pipeline import ALLOCATING, PART, ROOT
 
-#: Whether functions are compiled at all.
+#: True if functions are compiled at all.
 COMPILED = not config.DISABLE_JIT
 
 # --- parts and roots --------------------------------------------------------------------------------------------------
@@ -110,29 +118,29 @@ def _named(module: str, name: str):
     return getattr(importlib.import_module(module), name)
 
 
-def part(function: Callable[..., Any]) -> Compiled:
-    """A function of compiled code that its callers call."""
+def compiled_part(function: Callable[..., Any]) -> Compiled:
+    """Decorate a function of compiled code that its callers call."""
     return Part(function, False) if COMPILED else function
 
 
-def inlined(function: Callable[..., Any]) -> Compiled:
-    """A function of compiled code that is put into its callers, so that its values may stay in registers."""
+def compiled_inline(function: Callable[..., Any]) -> Compiled:
+    """Decorate a function of compiled code that is put into its callers, so that values stay in registers."""
     return Part(function, True) if COMPILED else function
 
 
 def uncompiled(function: Compiled) -> Compiled:
-    """The Python function of a part, for one call that is not worth compiling; it must call no other part."""
+    """Return the Python function of a part, for a call that is not worth compiling; it must call no other part."""
     return getattr(function, "py_func", function)
 
 
 @overload
-def root(function: Callable[..., Any]) -> Compiled: ...
+def compiled_root(function: Callable[..., Any]) -> Compiled: ...
 @overload
-def root(*, nogil: bool = ..., allocates: bool = ...) -> Callable[[Callable[..., Any]], Compiled]: ...
-def root(function: Any = None, *, nogil: bool = False, allocates: bool = False) -> Any:
-    """A compiled function that Python calls. `nogil`: without the interpreter's lock; `allocates`: may make arrays."""
+def compiled_root(*, nogil: bool = ..., allocates: bool = ...) -> Callable[[Callable[..., Any]], Compiled]: ...
+def compiled_root(function: Any = None, *, nogil: bool = False, allocates: bool = False) -> Any:
+    """Decorate a compiled function that Python calls. `nogil`: it holds no lock; `allocates`: it may make arrays."""
     if function is None:
-        return lambda f: root(f, nogil=nogil, allocates=allocates)
+        return lambda f: compiled_root(f, nogil=nogil, allocates=allocates)
     if not COMPILED:
         return np.errstate(all="ignore")(function)  # as compiled code, which divides by zero without a warning
     pipeline = ALLOCATING if allocates else ROOT
@@ -168,6 +176,36 @@ class FastCall:
 
 def _fast_call(module: str, name: str) -> FastCall:
     return FastCall(_named(module, name))
+
+
+# --- two roots at once ------------------------------------------------------------------------------------------------
+
+
+def compile_aside(function, arguments: tuple) -> None:
+    """Start a process that compiles a root for such arguments, if the cache does not hold it yet.
+
+    Meanwhile this process compiles what it needs first; a call of the root waits for the other process and loads its
+    code. Without a cache, with one processor, and in workers of `multiprocessing` it does nothing.
+    """
+    if not COMPILED or not CACHE or multiprocessing.parent_process() is not None or (os.cpu_count() or 1) < 2:
+        return
+    signature = tuple(typeof(a) for a in arguments)
+    if signature in function.overloads or is_kept(function, signature):
+        return
+    path = [str(Path(__file__).resolve().parents[2]), *sys.path]
+    order = pickle.dumps((function.__module__, function.__name__)) + pickle.dumps(signature)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path)}
+    try:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "soil_env._numba.aside"],
+            env=environment, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+    except OSError:
+        return
+    with contextlib.suppress(OSError), child.stdin as orders:
+        orders.write(order)
+    atexit.register(child.kill)
+    await_code_of(function, signature, child.wait)
 
 
 @intrinsic

@@ -14,7 +14,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from soil_env._numba.compiling import COMPILED, inlined
+from soil_env._numba.compiling import COMPILED, compiled_inline
 from soil_env._numba.lanes import COUNT, INTEGERS, VECTOR, call, lanes, numbers, spread
 
 # --- lanes as Python objects, while code is emitted -------------------------------------------------------------------
@@ -275,45 +275,45 @@ if not COMPILED:
     )
 
 
-@inlined
+@compiled_inline
 def smaller(a, b):
     """The smaller of two, each a float or lanes."""
     return where_less(b, a, b, a)
 
 
-@inlined
+@compiled_inline
 def larger(a, b):
     """The larger of two, each a float or lanes."""
     return where_less(a, b, b, a)
 
 
-@inlined
+@compiled_inline
 def chosen(mask, x, y):
     """x where `mask` is 1, y where it is 0."""
     return where_less(0.5, mask, x, y)
 
 
-@inlined
+@compiled_inline
 def below(a, b):
     """1 where a < b, else 0."""
     return where_less(a, b, 1.0, 0.0)
 
 
-@inlined
+@compiled_inline
 def smooth_step(t):
     """(w, dw/dt): cubic from 0 at t = 0 to 1 at t = 1, constant and level beyond."""
     t = smaller(larger(t, 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t)
 
 
-@inlined
+@compiled_inline
 def sine_of(angle):
     """Sine of an angle [rad] in lanes, |angle| <= pi."""
     sin_half, cos_half = half_sin_cos(angle)
     return 2.0 * sin_half * cos_half
 
 
-@inlined
+@compiled_inline
 def tanh(x):
     """Hyperbolic tangent, of a float or of lanes."""
     return 1.0 - 2.0 / (exp(2.0 * x) + 1.0)

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import half_sin_cos, log, sqrt
 from soil_env._numba.lanes import lane, made_of
 
@@ -27,7 +27,7 @@ def seed_stream(rng: np.random.Generator) -> np.uint64:
     return rng.integers(0, 2**64, dtype=np.uint64)
 
 
-@inlined
+@compiled_inline
 def word(streams, k):
     """Next 64 bits of stream k; `streams` is uint64 [wheels]. Another stream may start from them."""
     streams[k] += _GAMMA
@@ -37,19 +37,19 @@ def word(streams, k):
     return z ^ (z >> _S31)
 
 
-@inlined
+@compiled_inline
 def uniform(streams, k):
     """Next number in [0, 1) of stream k."""
     return float(word(streams, k) >> _S11) * _TO_UNIT
 
 
-@inlined
+@compiled_inline
 def between(streams, k, low, high):
     """Next number of stream k, uniform in [low, high)."""
     return low + (high - low) * uniform(streams, k)
 
 
-@part
+@compiled_part
 def normal_pair(streams, k):
     """Two independent standard normal numbers of stream k (Box & Muller 1958)."""
     radius = math.sqrt(-2.0 * math.log(1.0 - uniform(streams, k)))
@@ -57,7 +57,7 @@ def normal_pair(streams, k):
     return radius * math.cos(angle), radius * math.sin(angle)
 
 
-@inlined
+@compiled_inline
 def _normals(u, v):
     """Standard normal numbers in lanes, two of each lane, from uniform ones, as `normal_pair`."""
     radius = sqrt(-2.0 * log(1.0 - u))
@@ -65,7 +65,7 @@ def _normals(u, v):
     return radius * (2.0 * sin_half * sin_half - 1.0), radius * (-2.0 * sin_half * cos_half)
 
 
-@inlined
+@compiled_inline
 def four_normals(streams, k):
     """Four independent standard normal numbers of stream k: two `normal_pair` at once."""
     a, b, c, d = uniform(streams, k), uniform(streams, k), uniform(streams, k), uniform(streams, k)
@@ -73,7 +73,7 @@ def four_normals(streams, k):
     return lane(x, 0), lane(y, 0), lane(x, 1), lane(y, 1)
 
 
-@inlined
+@compiled_inline
 def ten_normals(streams, k):
     """Ten independent standard normal numbers of stream k: five `normal_pair` at once."""
     a, b, c, d = uniform(streams, k), uniform(streams, k), uniform(streams, k), uniform(streams, k)

@@ -23,7 +23,7 @@ from soil_env.discrepancy.fits import Choice, Fit, Sizes
 from soil_env.identification.table.form_error import LAW_LENGTHS, SIZES, marginals, mixed, size_prior
 from soil_env.identification.table.priors import Unknown
 from soil_env.identification.table.problem import finite
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to 30 % of it.
 EFFECT_SIZES, EFFECT_PRIOR = (0.03, 0.12, 0.3), (0.35, 0.5, 0.15)

@@ -23,7 +23,7 @@ from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC, WHEEL
 from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.search import Finding
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import rows_of
 
 MOST = 4  # tests proposed

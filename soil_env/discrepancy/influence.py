@@ -15,7 +15,7 @@ from soil_env.discrepancy.calibrate import Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.noise import NoiseEstimate
 from soil_env.discrepancy.search import Finding, search
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 
 FEW = 20  # rows for each one that may stand alone; in a smaller table most of them do
 

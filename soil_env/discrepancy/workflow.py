@@ -25,7 +25,7 @@ from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
 from soil_env.parameters import Soil
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.validity import seen

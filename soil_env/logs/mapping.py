@@ -11,9 +11,19 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, read_yaml, to_dict, unknown_key
-from soil_env.measurement.setup import LARGEST_WHEEL, setup_of
-from soil_env.parameters import Belief, Noise, Wheel, refuse_idle_prior, wheels
+from soil_env._io.loading import (
+    Checked,
+    FieldError,
+    ParameterError,
+    load,
+    merge,
+    quantity,
+    read_yaml,
+    to_dict,
+    unknown_key,
+)
+from soil_env.measurement.setup import setup_of
+from soil_env.parameters import LARGEST_WHEEL, Belief, Noise, Wheel, refuse_idle_prior, wheels
 
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6}
@@ -86,36 +96,33 @@ class Channels:
 
     def __post_init__(self) -> None:
         for name, source in self.sources().items():
-            try:
-                _check_source(name, source)
-            except ParameterError as error:
-                raise ParameterError(f"Channels: {error}") from None
+            _check_source(self, name, source)
         if self.wheel_speed is None or (self.speed is None and self.slip is None):
-            raise ParameterError("Channels: expected wheel_speed, and speed or slip; without them no slip is known")
+            raise ParameterError("expected wheel_speed, and speed or slip; without them no slip is known")
         if self.wheel_speed.constant is not None:
-            raise ParameterError("Channels: wheel_speed: expected readings, which make the time axis; no constant")
+            raise FieldError(self, "wheel_speed", ": expected readings, which make the time axis; no constant")
 
     def sources(self) -> dict[str, Source]:
         """The sources by the name of the reading."""
         return {name: s for name in QUANTITIES if (s := getattr(self, name)) is not None}
 
 
-def _check_source(name: str, s: Source) -> None:
-    """Raise `ParameterError` for a source whose fields do not go together."""
+def _check_source(channels: Channels, name: str, s: Source) -> None:
+    """Raise `FieldError` for a source whose fields do not go together."""
     kinds = bool(s.topic or s.field) + bool(s.column) + (s.constant is not None)
     if kinds != 1 or bool(s.topic) != bool(s.field):
-        raise ParameterError(f"{name}: expected topic and field, or column, or constant")
+        raise FieldError(channels, name, ": expected topic and field, or column, or constant")
     if s.unit is not None and s.unit not in UNITS[name]:
         near = str(unknown_key(s.unit, UNITS[name], "")).partition(repr(s.unit))[2]
-        raise ParameterError(f"{name}.unit = {s.unit!r}: expected a unit that is known{near}")
+        raise FieldError(channels, f"{name}.unit", f" = {s.unit!r}: expected a unit that is known{near}")
     if abs(s.sign) != 1.0:
-        raise ParameterError(f"{name}.sign = {s.sign:g}: expected 1 or -1")
+        raise FieldError(channels, f"{name}.sign", f" = {s.sign:g}: expected 1 or -1")
     if (s.unit == "A") != (s.motor_constant is not None):
-        raise ParameterError(f"{name}: expected motor_constant [N m/A] with unit A, and only there")
+        raise FieldError(channels, name, ": expected motor_constant [N m/A] with unit A, and only there")
     if s.gear != 1.0 and name not in _GEARED:
-        raise ParameterError(f"{name}.gear: expected only with {', '.join(_GEARED)}")
+        raise FieldError(channels, f"{name}.gear", f": expected only with {', '.join(_GEARED)}")
     if s.efficiency != 1.0 and "torque" not in name:
-        raise ParameterError(f"{name}.efficiency: expected only with torque or motor_torque")
+        raise FieldError(channels, f"{name}.efficiency", ": expected only with torque or motor_torque")
 
 
 def factor(name: str, source: Source) -> float:

@@ -21,7 +21,6 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError, nearest
 from soil_env.measurement.setup import (
-    LARGEST_WHEEL,
     REQUIRED,
     NoiseLevels,
     Prior,
@@ -30,10 +29,10 @@ from soil_env.measurement.setup import (
     SoilPriors,
     read_setup,
 )
+from soil_env.parameters import LARGEST_WHEEL
 from soil_env.slip import slips_of_radius
 
 __all__ = [
-    "LARGEST_WHEEL",
     "REQUIRED",
     "NoiseLevels",
     "Prior",
@@ -96,6 +95,11 @@ class Table:
 
     def __len__(self) -> int:
         return self.slip.size
+
+    def conditions(self) -> dict[str, np.ndarray]:
+        """Conditions [N] of the rows by column, as `WheelSoilModel.predict` takes them."""
+        names = (*REQUIRED, "speed", "grade_deg", "wheel_radius", "wheel_width", "grouser_height")
+        return {name: getattr(self, name) for name in names} | {"pass": self.passes}
 
     def only(self, rows: np.ndarray) -> Table:
         """The table with these rows only: indices, or [N] bool."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env.terramechanics.contact import forces, shear_forces
 
 
@@ -19,13 +19,13 @@ class Channels(NamedTuple):
     by_S: tuple[Any, ...]
 
 
-@inlined
+@compiled_inline
 def _in_order(f):
     """(drawbar pull, load, torque) of `Forces`."""
     return f.drawbar_pull, f.load, f.torque
 
 
-@inlined
+@compiled_inline
 def channels(q, k, S, tan_phi, K, c, r, b, paper_resistance):
     """`Channels` from `ArcIntegrals` q and their `ArcRates` k by K.
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soil_env._numba.compiling import part, root
+from soil_env._numba.compiling import compiled_part, compiled_root
 from soil_env.paper.channels import channels
 from soil_env.paper.printed import WONG_REECE_PEAK, WONG_REECE_RADIUS, printed
 from soil_env.slip import motion_from_slip
@@ -53,7 +53,7 @@ class Linear(NamedTuple):
     by_S: float
 
 
-@part
+@compiled_part
 def at_point(x, slip, sinkage, e):
     """`Linear` at x = (phi [rad], K [m], S) for any phi, K > 0 and any S.
 
@@ -83,7 +83,7 @@ def at_point(x, slip, sinkage, e):
     )
 
 
-@root
+@compiled_root
 def _forces(x, slip, sinkage, e, out):
     for p in range(x.shape[0]):
         y = at_point(x[p], slip[p], sinkage[p], e)
@@ -114,7 +114,7 @@ def measured_points() -> Points:
     return Points(*np.array([(p.slip, p.sinkage, p.drawbar_pull) for p in _P.measured]).T.copy())
 
 
-@root(allocates=True)
+@compiled_root(allocates=True)
 def _newton_raphson(path, slip, sinkage, pull, e, tolerance):
     """Iterates from path[0] = (phi [rad], K, S) into `path`; their number, negative where it did not converge.
 
@@ -145,18 +145,3 @@ def newton_raphson(points: Points, guess: ArrayLike, e: Equations) -> np.ndarray
     path[0] = math.radians(guess[0]), guess[1], guess[2]
     count = _newton_raphson(path, *points, e, _TOLERANCE)
     return path[count] * (180.0 / math.pi, 1.0, 1.0) if count > 0 else np.full(3, np.nan)
-
-
-def roots(points: Points, e: Equations, K: ArrayLike) -> np.ndarray:
-    """Shear moduli [m] between which a solution lies, from a scan over K [M].
-
-    At a given K the three equations are linear in S and S tan(phi); they have a solution where their determinant is 0.
-    """
-    signs = np.empty(len(K))
-    for k, value in enumerate(K):
-        by_cohesion, level, friction = (
-            forces((phi, value, S), *points[:2], e)[:, 0] for phi, S in ((0.0, 0.0), (0.0, 1e6), (45.0, 1e6))
-        )
-        columns = level - by_cohesion, friction - level, points.pull - by_cohesion
-        signs[k] = np.sign(np.linalg.det(np.stack([c / np.abs(c).max() for c in columns])))
-    return np.sqrt(K[1:] * K[:-1])[signs[1:] != signs[:-1]]

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import compiled_root
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import GRAINS, GREY, INK, RIM, WHITE, Box, Canvas, soil_colour
 from soil_env.rendering.charts import nice, ticks
-from soil_env.simulation.terrain import CELL, CELLS_BEHIND, Courses, ground_at
+from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND, Courses, ground_at
 
 #: Box of the strip of the whole course: left, top, width, height
 COURSE = (32, 448, 512, 66)
@@ -31,7 +31,7 @@ class Profile(NamedTuple):
         return np.interp(x, self.x, self.across), np.interp(x, self.x, self.height)
 
 
-@root(allocates=True)
+@compiled_root(allocates=True)
 def _along(courses, k, x, border):
     """(grade [rad], phi [deg]) of course k at each x [m]."""
     grade, friction, patch = np.empty(x.size), np.empty(x.size), 0

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soil_env.driving.rovers import RoverSimulation
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import (
     AMBER,
@@ -44,10 +45,9 @@ from soil_env.rendering.ground import (
 from soil_env.rendering.stresses import Stresses, contact_stresses
 from soil_env.rendering.view import CourseView
 from soil_env.rendering.wheels import draw_cause, draw_stress_key, draw_stresses, draw_wheel, hub_of
-from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
-from soil_env.simulation.terrain import ground_at
+from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.vehicle import RoverScenario, Vehicle
 
@@ -134,7 +134,8 @@ class RoverRenderer(CourseView):
                 w = worlds.rovers.wheels[row]
                 soil, _, _ = ground_at(worlds.courses, k, w["x"], worlds.rovers.counts.patch[row], world.border)
                 now += [w["slip"], w["sinkage"] / world.wheel.radius, w["load"] / simulation.numbers.task.weight]
-                now += [worlds.known.estimate[row, 0], math.atan(soil.tan_phi)]
+                friction = math.nan if worlds.known is None else worlds.known.estimate[row, 0]
+                now += [friction, math.atan(soil.tan_phi)]
             self._history.append(tuple(now))
 
     def _paint(self, canvas: Canvas, simulation: RoverSimulation, k: int) -> None:
@@ -146,10 +147,12 @@ class RoverRenderer(CourseView):
         colours = [_COLOURS[name] for name in self._axles]
         _draw_scene(canvas, simulation, k, profile, bounds, self._angles, [dark for dark, _ in colours])
         _draw_readings(canvas, simulation, k)
-        status = [self._status(simulation.worlds.known.status[row]) for row in simulation.wheels[k].tolist()]
+        rows, known = simulation.wheels[k].tolist(), simulation.worlds.known
+        identified = self._identified and known is not None
+        status = [self._status(known.status[row]) if identified else "none" for row in rows]
         _draw_table(canvas, simulation, k, self._axles, bounds, status)
         draw_course(canvas, profile, numbers.task.length, x, bounds)
-        draw_axle_charts(canvas, np.array(self._history).reshape(-1, 1 + 5 * len(colours)).T, colours, self._identified)
+        draw_axle_charts(canvas, np.array(self._history).reshape(-1, 1 + 5 * len(colours)).T, colours, identified)
 
 
 def _draw_scene(c: Canvas, simulation, j: int, profile: Profile, bounds, angles, colours) -> None:

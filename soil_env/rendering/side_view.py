@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import DESIGN, GREY, GRID, SKY, Canvas, soil_colour
 from soil_env.rendering.charts import draw_charts
@@ -27,8 +28,7 @@ from soil_env.rendering.stresses import Stresses, contact_stresses
 from soil_env.rendering.view import CourseView
 from soil_env.rendering.wheels import draw_cause, draw_stress_key, draw_stresses, draw_wheel, hub_of
 from soil_env.simulation.task import Cause
-from soil_env.simulation.terrain import ground_at
-from soil_env.simulation.worlds import Simulation
+from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import sinkage_coefficient_at
 from soil_env.terramechanics.reaction import REST_SPEED
 
@@ -67,19 +67,22 @@ class Renderer(CourseView):
         self._angle += float(w["wheel_speed"]) * self._step
         if w["steps"] % (self._every * self.scenario.control.held) == 0:
             soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], world.border)
-            same = sinkage_coefficient_at(soil, simulation.numbers.identifier.exponent, w["bearing_sinkage"])
+            same = sinkage_coefficient_at(soil, self.scenario.belief.sinkage_exponent, w["bearing_sinkage"])
             truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
             now = w["steps"] * world.period, w["slip"], w["sinkage"] / world.wheel.radius
-            self._history.append((*now, *ids.estimate[k, :3], *ids.sd[k, :3], *truth))
+            known = (math.nan,) * 6 if ids is None else (*ids.estimate[k, :3], *ids.sd[k, :3])
+            self._history.append((*now, *known, *truth))
 
     def _paint(self, canvas: Canvas, simulation: Simulation, k: int) -> None:
         margin, length = _VIEW * simulation.numbers.world.wheel.radius, simulation.numbers.task.length
         profile = self._ground(simulation, k, margin, length + margin, True)
         bounds = friction_range(self.scenario, simulation)
         _draw_scene(canvas, simulation, k, profile, bounds, self._angle)
-        _draw_readings(canvas, simulation, k, bounds, self._status(simulation.worlds.ids.status[k]))
+        ids = simulation.worlds.ids
+        identified = self._identified and ids is not None
+        _draw_readings(canvas, simulation, k, bounds, self._status(ids.status[k]) if identified else "none")
         draw_course(canvas, profile, length, [simulation.worlds.state.x[k]], bounds)
-        draw_charts(canvas, np.array(self._history).reshape(-1, 12).T, self._identified)
+        draw_charts(canvas, np.array(self._history).reshape(-1, 12).T, identified)
 
 
 def _draw_scene(c: Canvas, simulation, k: int, profile: Profile, bounds, angle: float) -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import fma, half_sin_cos, larger, log, power, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, over_eight, summed, to_array, turns
 from soil_env._numba.rows import Rows, rows, scratch_rows
@@ -56,7 +56,7 @@ class ArcFrame(NamedTuple):
     p_sin: float
 
 
-@inlined
+@compiled_inline
 def store_nodes(arc, n, nodes, at):
     """What the quadrature nodes of an `Arc` need whatever the motion and K, into columns at.. of `Nodes`; `ArcFrame`.
 
@@ -95,7 +95,7 @@ def store_nodes(arc, n, nodes, at):
     )
 
 
-@inlined
+@compiled_inline
 def _levers(frame, nodes, i, k, r):
     """dj/d(rim) and dj/d(travel) [m] at the front node, then at the rear node: Eq. (10) split by the motion."""
     depth = _depth(frame.theta1, k)
@@ -108,7 +108,7 @@ def _levers(frame, nodes, i, k, r):
     )
 
 
-@inlined
+@compiled_inline
 def _sums(frame, nodes, at, in_front, behind):
     """Six sums over an arc of values at its nodes: with the stress times cos, sin and 1, and without the stress.
 
@@ -132,13 +132,13 @@ def _sums(frame, nodes, at, in_front, behind):
     )  # fmt: skip
 
 
-@inlined
+@compiled_inline
 def _integrals(frame, e):
     """`ArcIntegrals` from the six sums `e` of the mobilised share."""
     return ArcIntegrals(frame.p_cos, frame.p_sin, e.pe_cos, e.pe_sin, e.pe, e.e_cos, e.e_sin, e.e)
 
 
-@inlined
+@compiled_inline
 def _shear(frame, nodes, at, rim, travel, K, r, law, shear):
     """Mobilised share at the nodes of `store_nodes` and its derivatives, x by `rim` and y by `travel`, into `shear`."""
     for k in range(turns(frame.theta1)):
@@ -154,14 +154,14 @@ def _shear(frame, nodes, at, rim, travel, K, r, law, shear):
         to_array(g2 * z2, shear.y_rear, i)
 
 
-@inlined
+@compiled_inline
 def _shear_sums(frame, nodes, at, shear):
     e = _sums(frame, nodes, at, shear.e_front, shear.e_rear)
     by_rim = _sums(frame, nodes, at, shear.x_front, shear.x_rear)
     return _integrals(frame, e), by_rim, _sums(frame, nodes, at, shear.y_front, shear.y_rear)
 
 
-@inlined
+@compiled_inline
 def shear_integrals(frame, nodes, at, rim, travel, K, r, law):
     """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of the nodes of `store_nodes` at one motion."""
     shear = _shear_at_nodes()
@@ -169,7 +169,7 @@ def shear_integrals(frame, nodes, at, rim, travel, K, r, law):
     return _shear_sums(frame, nodes, at, shear)
 
 
-@inlined
+@compiled_inline
 def smooth_integrals(frame, nodes, rim, travel, K, n, r, law):
     """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`, derivative of ArcIntegrals by the entry angle [1/rad],
     by the sinkage exponent) of an arc of `smooth_arc`, from the first column of nodes on."""
@@ -182,7 +182,7 @@ def smooth_integrals(frame, nodes, rim, travel, K, n, r, law):
     return q, by_rim, by_travel, by_angle, _by_exponent(frame, nodes, cos1, r, shear)
 
 
-@inlined
+@compiled_inline
 def _by_entry_angle(frame, nodes, q, sin1, cos1, rim, travel, n, shear):
     """All angles of `smooth_arc` are in proportion to the entry angle, those of the nodes too."""
     o, pattern, front = fill(0.0), frame.theta1, frame.front
@@ -219,7 +219,7 @@ def _by_entry_angle(frame, nodes, q, sin1, cos1, rim, travel, n, shear):
     )
 
 
-@inlined
+@compiled_inline
 def _by_exponent(frame, nodes, cos1, r, shear):
     """The stress at each node changes by sigma ln(depth)."""
     o, pattern, front = fill(0.0), frame.theta1, frame.front
@@ -240,7 +240,7 @@ def _by_exponent(frame, nodes, cos1, r, shear):
     )  # fmt: skip
 
 
-@inlined
+@compiled_inline
 def integrals_at_nodes(frame, nodes, at, rim, travel, K, r, law):
     """`ArcIntegrals` of the nodes of `store_nodes` at one motion, without derivatives."""
     shear = _shear_at_nodes()
@@ -251,7 +251,7 @@ def integrals_at_nodes(frame, nodes, at, rim, travel, K, r, law):
     return _integrals(frame, _sums(frame, nodes, at, shear.e_front, shear.e_rear))
 
 
-@inlined
+@compiled_inline
 def integrals_alone(arc, rim, travel, K, n, law):
     """`ArcIntegrals` of one wheel's `Arc`, without derivatives."""
     nodes = _one_arc()
@@ -259,7 +259,7 @@ def integrals_alone(arc, rim, travel, K, n, law):
     return integrals_at_nodes(frame, nodes, 0, rim, travel, K, arc.radius, law)
 
 
-@inlined
+@compiled_inline
 def shear_integrals_by_modulus(frame, nodes, at, rim, travel, K, r, law):
     """(ArcIntegrals, ArcRates by K [1/m]) of the nodes of `store_nodes`: de/dK = -(j/K) de/dj (Janosi's law)."""
     shear, rate = _shear_at_nodes(), -1.0 / K
@@ -277,7 +277,7 @@ def shear_integrals_by_modulus(frame, nodes, at, rim, travel, K, r, law):
     return _integrals(frame, e), _sums(frame, nodes, at, shear.x_front, shear.x_rear)
 
 
-@inlined
+@compiled_inline
 def integrals_of(arc, rim, travel, K, n, law):
     """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of one wheel's `Arc`, by the rule of `store_nodes`."""
     nodes = _one_arc()
@@ -285,18 +285,18 @@ def integrals_of(arc, rim, travel, K, n, law):
     return shear_integrals(frame, nodes, 0, rim, travel, K, arc.radius, law)
 
 
-@part
+@compiled_part
 def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
     """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
 
     Rule and nodes: `store_nodes`. Relative error about 1e-5 when driving; when braking j changes sign within the arc
-    and it reaches 5.5e-3 of the load for K/r of 0.02 to 0.05 (`python -m benchmarks.accuracy`). The derivative by K
+    and it reaches 5.5e-3 of the load for K/r of 0.02 to 0.05 (docs/results/README.md). The derivative by K
     needs no further integrals: see `shear_modulus_rates`.
     """
     return integrals_of(Arc(theta1, theta2, thetam, theta1, r), rim, travel, K, n, law)
 
 
-@part
+@compiled_part
 def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
     """`arc_integrals` by the paper's rule: composite Simpson with 2m subintervals in each zone, Eqs. (14)-(15)."""
     sin1, cos1 = math.sin(theta1), math.cos(theta1)
@@ -320,7 +320,7 @@ def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
     return ArcIntegrals(p_cos, p_sin, s.pe_cos, s.pe_sin, s.pe, s.e_cos, s.e_sin, s.e), by_rim, by_travel
 
 
-@inlined
+@compiled_inline
 def _with_node(t, value, p, w, wc, ws):
     """The six sums `t` with one more node."""
     return ArcRates(
@@ -333,7 +333,7 @@ def _with_node(t, value, p, w, wc, ws):
     )
 
 
-@inlined
+@compiled_inline
 def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
     """`ArcRates` by K [1/m]: de/dK = -(j/K) de/dj with j linear in (rim, travel)."""
     x, y = -rim / K, -travel / K

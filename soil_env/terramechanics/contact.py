@@ -24,7 +24,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import (
     asin_root,
     copysign,
@@ -99,20 +99,20 @@ class Arc(NamedTuple):
 # --- motion -----------------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def entry_angle(sinkage, r):
     """Entry angle theta1 [rad] of a wheel of radius r [m] at the given sinkage [m]: z0 = r (1 - cos theta1)."""
     return 2.0 * asin_root((0.5 / r) * sinkage)
 
 
-@inlined
+@compiled_inline
 def smooth_arc(sinkage, r):
     """`Arc` of the source paper: theta2 = 0 and the peak midway, Eq. (9)."""
     theta1 = entry_angle(sinkage, r)
     return Arc(theta1, 0.0 * theta1, 0.5 * theta1, theta1, r)
 
 
-@inlined
+@compiled_inline
 def smoothed_sign(speed, floor):
     """(sign of a speed in (-1, 1), its derivative [s/m]): smooth through rest over about `floor` [m/s]."""
     square = speed * speed + floor * floor
@@ -120,7 +120,7 @@ def smoothed_sign(speed, floor):
     return speed / length, (floor * floor) / (square * length)
 
 
-@inlined
+@compiled_inline
 def motion_from_speeds(rim_speed, travel_speed, floor):
     """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and reversal.
 
@@ -134,7 +134,7 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
 # --- stresses ---------------------------------------------------------------------------------------------------------
 
 
-@part
+@compiled_part
 def relative_stress(theta, cos1, n, r):
     """Normal stress for S = 1 at an angle of the front zone, Eq. (7): its depth [m] below the entry point, to the n.
 
@@ -144,7 +144,7 @@ def relative_stress(theta, cos1, n, r):
     return depth**n if depth > 0.0 else (1.0 if n == 0.0 else 0.0)
 
 
-@part
+@compiled_part
 def mirror_angle(theta, theta1, theta2, thetam):
     """Angle in the front zone with the same normal stress as `theta`, Eq. (8) for the rear zone, itself in front."""
     if theta >= thetam:
@@ -152,14 +152,14 @@ def mirror_angle(theta, theta1, theta2, thetam):
     return theta1 - (theta - theta2) / (thetam - theta2) * (theta1 - thetam)
 
 
-@inlined
+@compiled_inline
 def janosi_hanamoto(ratio):
     """(1 - e^-ratio, e^-ratio): share of the shear strength at a displacement of `ratio` K, Eq. (10), and the rest."""
     rest = exp(-1.0 * ratio)
     return 1.0 - rest, rest
 
 
-@inlined
+@compiled_inline
 def mobilised(j, K, law):
     """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq. (10) and `ShearLaw`."""
     distance, rate = abs(j), 1.0 / K
@@ -176,7 +176,7 @@ def mobilised(j, K, law):
     return copysign(free, j) * share, rate * decay * share - free * slope
 
 
-@part
+@compiled_part
 def shear_displacement(theta, theta1, sin1, rim, travel, r):
     """(j, dj/d(rim), dj/d(travel)) [m] of Eq. (10) at one angle; sin1 = sin(theta1)."""
     by_rim, by_travel = r * (theta1 - theta), -r * (sin1 - math.sin(theta))
@@ -186,7 +186,7 @@ def shear_displacement(theta, theta1, sin1, rim, travel, r):
 # --- forces -----------------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def shear_forces(q, st, c, r, b, direction):
     """`Forces` of the shear stress alone, st = S tan(phi), from `ArcIntegrals`; from `ArcRates`, their derivatives."""
     rb = r * b
@@ -197,7 +197,7 @@ def shear_forces(q, st, c, r, b, direction):
     )
 
 
-@inlined
+@compiled_inline
 def forces(integrals, S, tan_phi, c, r, b, direction):
     """`Forces` from `ArcIntegrals`: Eqs. (1)-(3) with the exact resistance integral of Eq. (11) ("consistent").
 
@@ -213,19 +213,19 @@ def forces(integrals, S, tan_phi, c, r, b, direction):
     )
 
 
-@part
+@compiled_part
 def compaction_resistance(sinkage, S, n, b):
     """Resistance [N] of Eq. (12), b S z0^(n+1) / (n+1): equal to Eq. (11) only without the rear branch (8)."""
     return b * S * sinkage ** (n + 1.0) / (n + 1.0)
 
 
-@inlined
+@compiled_inline
 def bearing_share(integrals, tan_phi, direction):
     """Load borne by the normal stress and by the friction in proportion to it, over S r b [m^n]; Eq. (1)."""
     return integrals.p_cos + direction * tan_phi * integrals.pe_sin
 
 
-@inlined
+@compiled_inline
 def mobilised_sinkage_coefficient(integrals, load, tan_phi, c, r, b, direction):
     """Sinkage coefficient s [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least 0.
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import smooth_step
 from soil_env.parameters import SoilState
 
 
-@inlined
+@compiled_inline
 def row_soil(s):
     """`SoilState` of a row of an array of soils [n, 7]."""
     return SoilState(s[0], s[1], s[2], s[3], s[4], s[5], s[6])
 
 
-@inlined
+@compiled_inline
 def blend(a, b, w):
     """Soil between two soils, share w of the second: moduli geometrically, everything else linearly."""
     v = 1.0 - w
@@ -28,7 +28,7 @@ def blend(a, b, w):
     )
 
 
-@inlined
+@compiled_inline
 def share_of_next(distance):
     """(share of the next soil on a border, its derivative) at a distance from its middle, in lengths of the border.
 

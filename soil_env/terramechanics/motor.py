@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import larger, smaller, where_less
 
 
-@inlined
+@compiled_inline
 def full_voltage(at_rest, wheel_speed, size):
     """Torque [N m] at full voltage, which is `at_rest` (+-T_stall) without speed: +-T_stall - T_stall w/w_0."""
     return at_rest - size.stall_torque / size.no_load_speed * wheel_speed
 
 
-@inlined
+@compiled_inline
 def motor(command, by_speed, wheel_speed, size):
     """(torque, d torque/dw, available): motor torque [N m] for a command in [-1, 1].
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, part, uncompiled
+from soil_env._numba.compiling import compiled_inline, compiled_part, uncompiled
 from soil_env._numba.elementary import larger, sqrt, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
@@ -27,23 +27,18 @@ from soil_env.terramechanics.contact import (
     smooth_arc,
     smoothed_sign,
 )
-from soil_env.terramechanics.effects import (
-    NO_EFFECTS,
-    Effects,
+from soil_env.terramechanics.effects import NO_EFFECTS, Effects, drive_friction, soil_in_contact, soil_resistance
+from soil_env.terramechanics.effects.grousers import (
     at_shear_radius,
     blade_thrust,
     blades_at,
-    bulldozing_resistance,
-    drive_friction,
-    excavated_depth,
-    shear_law,
-    shear_length_ratio,
+    contact_radius,
     shear_radius_ratio,
-    slip_sinkage_ratio,
-    soil_in_contact,
 )
+from soil_env.terramechanics.effects.shear_softening import shear_law, shear_length_ratio
+from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 from soil_env.terramechanics.residual import ResidualLaw, dimensionless_groups, residual_at
-from soil_env.terramechanics.steady import Rim, arc_of, contact_radius
+from soil_env.terramechanics.steady import Rim, arc_of
 
 REST_SPEED = 0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
 
@@ -63,7 +58,7 @@ class Reaction(NamedTuple):
     sinkage_coefficient_u: float
 
 
-@inlined
+@compiled_inline
 def reaction_from(integrals, motion, speed, rim_speed, load, tan_phi, c, r, b):
     """`Reaction` to a wheel that carries `load`: Eqs. (1)-(3) with (1) solved for S, from its arc's integrals."""
     q, by_rim, by_travel = integrals
@@ -100,7 +95,7 @@ def reaction_from(integrals, motion, speed, rim_speed, load, tan_phi, c, r, b):
     )
 
 
-@part
+@compiled_part
 def reaction(speed, rim_speed, sinkage, load, soil, r, b):
     """`Reaction` of the base model to one wheel at a given sinkage [m] that carries `load` [N]."""
     motion = motion_from_speeds(rim_speed, speed, REST_SPEED)
@@ -153,7 +148,7 @@ class Ground(NamedTuple):
     torque: float  # [N m] of the residual law
 
 
-@inlined
+@compiled_inline
 def ground_under(sinkage, speed, rim_speed, weight, soil, sin_grade, passes, wheel):
     """`Ground` under a wheel (`Interaction`) of this weight [N] on undisturbed `soil`."""
     none = alike(0.0, sinkage)
@@ -175,7 +170,7 @@ def ground_under(sinkage, speed, rim_speed, weight, soil, sin_grade, passes, whe
         at_shear_radius(soil, q, soil.shear_modulus * shear_length_ratio(fx) / q),
         arc,
         excavated_depth(slip, fx) / dug,
-        bulldozing_resistance(sinkage, soil, wheel.unit_weight, b, fx),
+        soil_resistance(sinkage, soil, wheel.unit_weight, b, fx),
         blade_thrust(arc.theta1, sinkage, soil, wheel.unit_weight, b, h, fx),
         pull,
         torque,
@@ -190,7 +185,7 @@ class Added(NamedTuple):
     by_u: float
 
 
-@inlined
+@compiled_inline
 def _blades(thrust, speed, rim_speed):
     """`Added` thrust [N] of the lugs along the rim."""
     slip, by_u, by_v = signed_slip(rim_speed, speed, REST_SPEED)
@@ -198,14 +193,14 @@ def _blades(thrust, speed, rim_speed):
     return Added(force, slope * by_v, slope * by_u)
 
 
-@inlined
+@compiled_inline
 def _drive_friction(torque, rim_speed, r, fx):
     """`Added` torque [N m] of `drive_friction` for an `Added` torque at the axle."""
     friction, by_torque, by_wheel_speed = drive_friction(torque.value, rim_speed / r, REST_SPEED / r, fx)
     return Added(friction, by_torque * torque.by_v, by_torque * torque.by_u + by_wheel_speed / r)
 
 
-@inlined
+@compiled_inline
 def at_the_axle(f, bulldozing, blades, pull, torque, speed, rim_speed, wheel):
     """`Reaction` `f` at the shear radius as one at the axle, with what `Ground` and the drivetrain add."""
     q, p = wheel.shear_ratio, wheel.rim_ratio
@@ -232,7 +227,7 @@ def at_the_axle(f, bulldozing, blades, pull, torque, speed, rim_speed, wheel):
     )
 
 
-@inlined
+@compiled_inline
 def moved(f, dv, du):
     """`Reaction` `f` to first order after a change of V and of u; its derivatives stay."""
     return Reaction(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import asin_root
 from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip
@@ -26,19 +26,16 @@ from soil_env.terramechanics.contact import (
 from soil_env.terramechanics.effects import (
     NO_EFFECTS,
     arc_ends,
-    at_shear_radius,
-    blade_force,
-    bulldozing_resistance,
     drive_torque,
-    excavated_depth,
-    shear_law,
-    shear_length_ratio,
-    shear_radius_ratio,
-    sliding_speed,
-    slip_sinkage_ratio,
     soil_in_contact,
-    true_slip,
+    soil_resistance,
 )
+from soil_env.terramechanics.effects.grade import weight_on_slope
+from soil_env.terramechanics.effects.grousers import at_shear_radius, blade_force, contact_radius, shear_radius_ratio
+from soil_env.terramechanics.effects.shear_rate import sliding_speed
+from soil_env.terramechanics.effects.shear_softening import shear_law, shear_length_ratio
+from soil_env.terramechanics.effects.slip_bias import true_slip
+from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 
 _SECANT = 1e-7  # [ln m]^2 product of the last two steps at which the secant ends: the size of its error
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
@@ -72,13 +69,7 @@ class Conditions(NamedTuple):
 LEVEL = Conditions(0.0, 1.0, 0.0)
 
 
-@inlined
-def contact_radius(fx, wheel):
-    """Radius [m] that carries the normal stress: of the rim, or part of the way to the tips of the lugs."""
-    return wheel.radius + fx.grousers_radius_share * wheel.grouser_height
-
-
-@inlined
+@compiled_inline
 def arc_of(sinkage, slip, fx, wheel):
     """`Arc` of a wheel at a given sinkage [m] and slip, with the effects that shape it.
 
@@ -94,7 +85,7 @@ def arc_of(sinkage, slip, fx, wheel):
     return Arc(theta1, theta2, thetam, 2.0 * asin_root(rise), r)
 
 
-@inlined
+@compiled_inline
 def sheared(rim, soil, fx, wheel):
     """(rim, K) as the soil between the lug tips sees them: `rim` of motion and shear deformation modulus [m].
 
@@ -110,7 +101,7 @@ def sheared(rim, soil, fx, wheel):
     return rim, K / q
 
 
-@part
+@compiled_part
 def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
     """`Forces` of a smooth wheel at a given sinkage [m] with sinkage coefficient S, contact up to the lowest point."""
     arc = smooth_arc(sinkage, r)
@@ -118,7 +109,7 @@ def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
     return forces(q, S, soil.tan_phi, soil.cohesion, r, b, direction)
 
 
-@part
+@compiled_part
 def steady_state(slip, load, soil, r, b):
     """`steady_with` of the base model on level, fresh soil, with the digging of `soil`."""
     return steady_with(slip, load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, 0.0)
@@ -137,14 +128,14 @@ class _Balance(NamedTuple):
     law: ShearLaw
 
 
-@inlined
+@compiled_inline
 def _balance(slip, load, soil, wheel, conditions, fx):
     """(`_Balance`, soil in contact, sinkage that is seen over that which is felt)."""
     sine = conditions.sin_grade
     ground = soil_in_contact(
         soil, fx, slip, conditions.speed, sliding_speed(slip, conditions.speed), conditions.passes, sine
     )
-    normal = load * (1.0 - fx.grade_share * (1.0 - math.sqrt(1.0 - sine * sine)))
+    normal, _ = weight_on_slope(load, sine, fx)
     rim, travel = motion_from_slip(slip)
     rim, K = sheared(rim, ground, fx, wheel)
     q = shear_radius_ratio(contact_radius(fx, wheel), wheel.grouser_height, fx)
@@ -156,7 +147,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     return _Balance(slip, rim, travel, normal, under, strength, lift, shear_law(fx)), ground, apparent
 
 
-@inlined
+@compiled_inline
 def _misfit(x, p, wheel, fx):
     """(ln of the mobilised over the available sinkage coefficient at the sinkage e^x [m], `Forces` there)."""
     z, soil, b = math.exp(x), p.soil, wheel.width
@@ -171,7 +162,7 @@ def _misfit(x, p, wheel, fx):
     return f, forces(q, math.exp(available), soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
 
 
-@inlined
+@compiled_inline
 def _first_guess(p, wheel, guess):
     """ln of the sinkage [m] to start from: of `guess` where there is one, else of a flat plate, sqrt(2 r z) long."""
     if guess > 0.0:
@@ -181,7 +172,7 @@ def _first_guess(p, wheel, guess):
     return math.log(math.exp(min(x, math.log(DEEPEST * wheel.radius))) + max(p.lift, 0.0))
 
 
-@part
+@compiled_part
 def _solve_balance(p, wheel, fx, guess):
     """(ln of the sinkage, `Forces` there, whether the soil carries the load): bracketed secant on `_misfit`."""
     deepest = math.log(DEEPEST * wheel.radius)
@@ -216,7 +207,7 @@ def _solve_balance(p, wheel, fx, guess):
     return x_old, w_old, supported
 
 
-@inlined
+@compiled_inline
 def _along(before, now, share):
     """`Forces` extrapolated beyond `now` by a share of the last change; the load stays."""
     return Forces(
@@ -226,7 +217,7 @@ def _along(before, now, share):
     )
 
 
-@part
+@compiled_part
 def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     """`Steady` sinkage, drawbar pull and torque as they are measured at a measured slip and weight `load` [N].
 
@@ -243,8 +234,8 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     if fx.grousers_blades != 0.0:
         theta1 = entry_angle(z, outer)
         blade = blade_force(theta1, z, i, ground, unit_weight, b, wheel.grouser_height, fx)
-    pull = w.drawbar_pull + blade - bulldozing_resistance(z, ground, unit_weight, b, fx)
-    pull -= fx.grade_share * load * conditions.sin_grade
+    pull = w.drawbar_pull + blade - soil_resistance(z, ground, unit_weight, b, fx)
+    pull -= weight_on_slope(load, conditions.sin_grade, fx)[1]
     q = shear_radius_ratio(outer, wheel.grouser_height, fx)
     torque = q * w.torque + blade * (r + 0.5 * wheel.grouser_height)
     speed = max(conditions.speed, 1e-9)  # a wheel whose speed is not known turns all the same
@@ -253,7 +244,7 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     return Steady(min(apparent * z, DEEPEST * r) + fx.sinkage_offset_offset, pull, torque, supported)
 
 
-@part
+@compiled_part
 def predict_rows(slip, load, wheels, conditions, soil, unit_weight, fx, guess, out):
     """`steady_with` of every row into `out` [N, 3] (sinkage, drawbar pull, torque), from `guess` [N], which it renews.
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import part, root
+from soil_env._numba.compiling import compiled_part, compiled_root
 from soil_env.terramechanics.effects import NO_EFFECTS, digging, slip_sinkage_ratio
 from soil_env.terramechanics.ground import row_soil
 from soil_env.terramechanics.model import DEEPEST, LEVEL, Rim, steady_with
@@ -29,13 +29,13 @@ class Best(NamedTuple):
     sinkage: float  # [m]
 
 
-@part
+@compiled_part
 def best_working_point(load, soil, r, b, torque_available):
     """`best_working_point_with` of the base model on level, fresh soil, with the digging of `soil`."""
     return best_working_point_with(load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, torque_available)
 
 
-@part
+@compiled_part
 def best_working_point_with(load, soil, wheel, conditions, unit_weight, fx, torque_available):
     """`Best` of `model.steady_with` over the slips of `SLIPS`: up from the middle of them, then down from there.
 
@@ -71,7 +71,7 @@ def best_working_point_with(load, soil, wheel, conditions, unit_weight, fx, torq
     return best
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def best_points(rows, soils, load, r, b, torque, slip, pull):
     """Write slip [-] and drawbar pull [N] of the best working point of the wheels `rows` into `slip` and `pull` [n].
 

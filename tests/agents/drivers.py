@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soil_env.task import layout
+from soil_env.simulation.task import layout
 
 
 class Half:

@@ -9,9 +9,9 @@ from agents.controllers import CONTROLLERS, checked_settings, make_controller
 from agents.evaluate import drive as evaluation_drive, run_courses
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation.task import Cause, layout
-from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
 

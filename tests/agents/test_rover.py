@@ -1,22 +1,19 @@
 """Controllers of rovers, drives over held-out courses, their comparison, and the commands that train and compare."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 
-from agents import rover_study, train, training
+from agents import train, training
+from agents.agent import load_agent
 from agents.config import TrainConfig
-from agents.evaluate.driving import ControllerError
-from agents.ppo import load_agent
-from agents.rover import comparing
-from agents.rover.controllers import ROVER_CONTROLLERS, VelocitySync, make_rover_controller
-from agents.rover.driving import ROVER_METRICS, RoverRuns, run_courses
+from agents.controllers.rover import ROVER_CONTROLLERS, VelocitySync, make_rover_controller
+from agents.evaluate import Runs, comparing, run_courses
+from agents.evaluate.driving import METRICS, OF_ROVERS, ControllerError
 from agents.sb3 import SoilRoverVecEnv
 from soil_env import ParameterError
-from soil_env._io.loading import config_dir, read_yaml
 from soil_env.parameters import load_scenario
 from soil_env.rover_vector_env import SoilRoverVectorEnv
 from soil_env.simulation.rover.task import rover_layout
@@ -45,7 +42,7 @@ def test_every_controller_drives_every_rover(name):
         scenario = load_rover(rover, SHORT)
         runs = run_courses(make_rover_controller(name, scenario), scenario, 7, 4)
         assert np.all(runs.distance > 0.05) and np.all(runs.energy > 0.0)
-        assert np.all(np.isfinite([runs.metric(m) for m in ROVER_METRICS]))
+        assert np.all(np.isfinite([runs.metric(m) for m in runs.names]))
 
 
 @pytest.mark.parametrize("name", ["equal_speed", "soft_start"])
@@ -107,8 +104,9 @@ def test_best_slip_reads_the_soil_under_each_wheel(scenario):
 def test_the_same_courses_for_all_however_they_are_cut(scenario):
     controller = make_rover_controller("soft_start", scenario)
     whole = run_courses(controller, scenario, 5, 10)
-    parts = RoverRuns.join([run_courses(controller, scenario, 5, 4), run_courses(controller, scenario, 5, 6, first=4)])
-    for name in ROVER_METRICS:
+    parts = Runs.join([run_courses(controller, scenario, 5, 4), run_courses(controller, scenario, 5, 6, first=4)])
+    assert whole.names == [*METRICS, *OF_ROVERS]
+    for name in whole.names:
         assert np.array_equal(whole.metric(name), parts.metric(name))
 
 
@@ -132,7 +130,7 @@ class Wrong:
 
 
 @pytest.mark.parametrize(
-    ("action", "message"), [([0.1], "shape"), ([0.1, np.nan, 0.1], "expected numbers"), ([0.1] * 4, "shape")]
+    ("action", "message"), [([0.1], "shape"), ([0.1, np.nan, 0.1], "expected a finite number"), ([0.1] * 4, "shape")]
 )
 def test_a_wrong_action_is_refused(action, message, scenario):
     with pytest.raises(ControllerError, match=message):
@@ -182,7 +180,7 @@ def test_train_writes_the_comparison(run_folder):
     result = json.loads((run_folder / "comparison.json").read_text())
     assert set(result["controllers"]) == {*ROVER_CONTROLLERS, "ppo_identified"}
     for metrics in result["controllers"].values():
-        assert set(metrics) == set(ROVER_METRICS)
+        assert set(metrics) == {*METRICS, *OF_ROVERS}
         assert all(m["low"] <= m["value"] <= m["high"] for m in metrics.values())
     assert (run_folder / "comparison.png").stat().st_size > 1000
     assert train.main(["--resume", str(run_folder)]) == 0
@@ -229,34 +227,7 @@ def test_a_critic_is_refused(tmp_path, capsys):
 
 def test_the_columns_are_explained_beside_the_table(run_folder):
     _, said = comparing.table(json.loads((run_folder / "comparison.json").read_text()))
-    assert "wheel force [%]: largest |torque|/radius of a wheel over its share of the weight" in said
-
-
-def test_study_counts_seeds_as_members(scenario):
-    controller = make_rover_controller("soft_start", scenario)
-    once = run_courses(controller, scenario, 5, 8)
-    other = replace(once, cause=np.roll(once.cause, 3))
-    result = comparing.comparison(scenario, 5, {"ppo_blind": [once, other], "soft_start": [once]}, 0, {})
-    assert result["members"] == {"ppo_blind": 2, "soft_start": 1}
-    assert result["paired"]["ppo_blind"]["soft_start"]["finished"]["value"] == pytest.approx(0.0)
-    assert "| ppo_blind (2 seeds) |" in rover_study.page(result)
-
-
-def test_study_has_a_training_for_each_agent_and_seed(tmp_path):
-    trainings = rover_study.configs("field_rover", tmp_path, 2, 1000)
-    assert {name: [c.seed for c in own] for name, own in trainings.items()} == dict.fromkeys(
-        ("ppo_blind", "ppo_identified", "ppo_true"), [0, 1]
-    )
-    configs = [c for own in trainings.values() for c in own]
-    assert all(isinstance(c, TrainConfig) and c.rover == "field_rover" for c in configs)
-    hyperparameters = read_yaml(config_dir() / "rover.yaml")["ppo"]
-    assert all({key: getattr(c.ppo, key) for key in hyperparameters} == hyperparameters for c in configs)
-
-
-def test_a_study_of_no_rover_is_refused(tmp_path, capsys):
-    assert rover_study.main(["--rover", "", "--out", str(tmp_path / "study")]) == 2
-    assert "rover = '': expected a name or the path of a YAML file" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
+    assert "force [%]: largest |torque|/radius of a wheel over its share of the weight" in said
 
 
 @pytest.mark.parametrize("which", [{"rover": "mars_rover"}, {}])

@@ -3,13 +3,12 @@
 import csv
 import json
 import re
-import sys
 from pathlib import Path
 
 import pytest
 
-from soil_env.discrepancy import __main__ as discrepancy, report
-from soil_env.discrepancy.__main__ import main
+from soil_env.cli import main
+from soil_env.discrepancy import report
 from tests.discrepancy.files import SETUP, table_text, write_files
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,7 +19,7 @@ TABLE = table_text({}, loads=(100, 200), slips=(0.1, 0.3, 0.5))
 def call(folder, *more, out="out"):
     """Exit status of the command on the files of a folder."""
     data, setup = folder / "data.csv", folder / "setup.yaml"
-    return main([str(data), "--setup", str(setup), "--out", str(folder / out), *more])
+    return main(["discover", str(data), "--setup", str(setup), "--out", str(folder / out), *more])
 
 
 def names(folder):
@@ -102,20 +101,6 @@ def refused(folder, capsys, message, *more, out="out"):
     assert shown.out == "" and shown.err.count("\n") == 1 and shown.err.startswith("soil_env.discrepancy: ")
     assert re.search(message, shown.err), shown.err
     assert names(folder) == before
-
-
-def test_progress_and_errors_go_by_the_name_of_the_command(capsys, monkeypatch):
-    say = discrepancy._stages()
-    monkeypatch.setattr(sys, "argv", ["/usr/bin/soil-env-discrepancy"])
-    say("reading: a table")
-    assert capsys.readouterr().err == "soil-env-discrepancy: reading\n"
-
-
-@pytest.mark.parametrize("missing", ["data.csv", "setup.yaml"])
-def test_a_missing_file_is_one_line(tmp_path, capsys, missing):
-    write_files(tmp_path, TABLE)
-    (tmp_path / missing).unlink()
-    refused(tmp_path, capsys, rf"{missing}: cannot be read \(No such file")
 
 
 @pytest.mark.parametrize(

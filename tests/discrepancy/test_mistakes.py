@@ -8,13 +8,13 @@ import re
 import numpy as np
 import pytest
 
-from benchmarks.sound_tables import MISTAKES, check_first, sound_tables
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import calibrate, mistakes
 from soil_env.discrepancy.data import prepare
 from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.table import Prior, Setup, SetupWheel, SoilPriors, read_setup, read_table
 from tests.discrepancy.files import SETUP, table_text, write_files
+from tests.discrepancy.sound_tables import MISTAKES, check_first, sound_tables
 
 WEAK = SETUP.replace("{value: 3700, sd: 700}", "{value: 3500, sd: 100}")
 
@@ -143,11 +143,11 @@ def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
 
 
 def test_doubts_come_first_everywhere(tmp_path, capsys):
-    from soil_env.discrepancy.__main__ import main
+    from soil_env.cli import main
 
     data, setup = write_files(tmp_path, changed(table_text({}, loads=(100, 200)), "torque", 1 / 9.81))
     out = tmp_path / "out"
-    assert main([str(data), "--setup", str(setup), "--out", str(out)]) == 0
+    assert main(["discover", str(data), "--setup", str(setup), "--out", str(out)]) == 0
     shown = capsys.readouterr().out
     assert shown.index("With torque as") < re.search(r"\b(unlisted|named|ambiguous|none)\b", shown).start()
     report = json.loads((out / "report.json").read_text())

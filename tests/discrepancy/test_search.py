@@ -13,7 +13,7 @@ from soil_env.discrepancy.noise import NoiseEstimate
 from soil_env.discrepancy.search import ODDS, Finding, Hypothesis, candidates, search
 from soil_env.measurement.table import read_setup, read_table
 from soil_env.parameters import Soil
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from tests.discrepancy.files import SETUP, write_files
 from tests.discrepancy.tables import NOISE as NOISE_SD, problem, table

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import compiled_root
 from soil_env._numba.lanes import COUNT
+from soil_env.driving.wheels import Simulation
 from soil_env.identification.online.border import (
     begin,
     cross_here,
@@ -35,7 +36,6 @@ from soil_env.identification.online.curve import (
 from soil_env.identification.online.filter_bank import CANDIDATES, filter_numbers, new_banks, restart
 from soil_env.identification.online.soil_nodes import GAUSSIAN, LOG_WEIGHT, NODE_ROWS, OLD, SAME_SOIL, STAYS
 from soil_env.parameters import Belief, load_scenario
-from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.ground import share_of_next
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())
@@ -44,7 +44,7 @@ LENGTH, NOISE = NUMBERS.border, NUMBERS.noise[7]
 STEP = 0.02  # m from reading to reading
 
 
-@root
+@compiled_root
 def _note(banks, x, pitch, looks, numbers):
     banks.point.place[0] = x
     note_grade(banks, 0, pitch, numbers)
@@ -54,17 +54,17 @@ def _note(banks, x, pitch, looks, numbers):
         cross_where_the_grade_changes(banks, 0, numbers)
 
 
-@root
+@compiled_root
 def _cross_here(banks, numbers):
     cross_here(banks, 0, numbers)
 
 
-@root
+@compiled_root
 def _end(banks, numbers):
     end(banks, 0, numbers)
 
 
-@root
+@compiled_root
 def _share_here(banks, x, spread, numbers, out):
     out[0], out[1] = share_here(banks, 0, x, spread, numbers)
 
@@ -170,7 +170,7 @@ def test_the_odds_and_the_place_are_those_of_bayesian_regression(seed):
     assert crossed > 10 and abs(wheel.p.border[0] - 0.25) < 0.02
 
 
-@root
+@compiled_root
 def _look(banks, numbers):
     cross_where_the_grade_changes(banks, 0, numbers)
 

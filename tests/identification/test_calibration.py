@@ -7,21 +7,21 @@ import pytest
 
 from agents.controllers import make_controller
 from agents.evaluate import drive
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import compiled_root
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import IDLE, STEP
 from soil_env.identification import Status
 from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import load_scenario, scenario_names
-from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.simulation.task import Cause
-from soil_env.simulation.terrain import ground_at
-from soil_env.simulation.worlds import IDLE, STEP
+from soil_env.simulation.world.terrain import ground_at
 from soil_env.vehicle import load_rover, rover_names
 
 SEED, COURSES = 5, 40
 SECONDS = 20.0  # of a smoke test
 
 
-@root
+@compiled_root
 def _truth(state, counts, courses, border, exponent, bearing_ln, out):
     """(phi, ln K, ln S at `exponent`) of the ground under each wheel into `out` [n, 3]."""
     for k in range(len(out)):

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from soil_env.driving.wheels import Simulation
 from soil_env.identification.online import class_memory as memory
 from soil_env.identification.online.identifier import forget, identifier_numbers, new_identifiers
 from soil_env.parameters import SoilState, load_scenario
-from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.traversability import best_working_point
 
 SCENARIO = load_scenario("two_lines")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from soil_env._numba.compiling import inlined, root
+from soil_env._numba.compiling import compiled_inline, compiled_root
 from soil_env._numba.lanes import COUNT, from_array, to_array
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
 from soil_env.parameters import soils
@@ -17,7 +17,7 @@ TANGENT, COHESION, EXPONENT, LN_K, SINKAGE, SLIP = range(6)
 VALUE = Slopes._fields.index("value")
 
 
-@inlined
+@compiled_inline
 def _store(slopes, out, row):
     to_array(slopes.value, out, row * COUNT)
     to_array(slopes.by_tangent, out, (row + 1) * COUNT)
@@ -28,7 +28,7 @@ def _store(slopes, out, row):
     to_array(slopes.by_slip, out, (row + 6) * COUNT)
 
 
-@root
+@compiled_root
 def _reaction(x, load, r, b, out):
     soil = GroundSoil(from_array(x, 0), from_array(x, COUNT), from_array(x, 2 * COUNT), from_array(x, 3 * COUNT))
     found = reaction(soil, from_array(x, 4 * COUNT), from_array(x, 5 * COUNT), load, r, b)

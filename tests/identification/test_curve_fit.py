@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import compiled_root
 from soil_env._numba.lanes import COUNT, fill, to_array
 from soil_env.identification.online.contact_slopes import Slopes
 from soil_env.identification.online.curve import (
@@ -57,7 +57,7 @@ SAND = soils()["lunar_nominal"].state(B)
 TRUTH = np.array([SAND.tan_phi, SAND.cohesion, SAND.sinkage_exponent, math.log(SAND.shear_modulus)])
 
 
-@root
+@compiled_root
 def _feed(banks, points, border, numbers):
     misfit = 0.0
     for t in range(len(points)):
@@ -70,12 +70,12 @@ def _feed(banks, points, border, numbers):
     return misfit
 
 
-@root
+@compiled_root
 def _fit_again(banks, numbers):
     return fit(banks, 0, 0, -1, numbers)
 
 
-@root
+@compiled_root
 def _share(x, spread, place, length, out):
     share, slope = share_on_border(fill(x), spread, fill(place), length)
     to_array(share, out, 0)

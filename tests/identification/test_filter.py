@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
+from soil_env.driving.wheels import Simulation
 from soil_env.identification import Status
 from soil_env.identification.online import identifier
 from soil_env.identification.online.curve import (
@@ -23,7 +24,6 @@ from soil_env.identification.online.curve import (
 from soil_env.identification.online.identifier import HELD, RENEWED, SensorReading
 from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import Belief, load_scenario
-from soil_env.simulation.worlds import Simulation
 from tests.identification.observing import observe
 
 SCENARIO = load_scenario("mixed")

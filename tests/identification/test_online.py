@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import compiled_root
 from soil_env._numba.rows import Rows
+from soil_env.driving.wheels import Simulation
 from soil_env.identification import Status
 from soil_env.identification.online import identifier
 from soil_env.identification.online.filter_estimate import publish
 from soil_env.identification.online.identifier import FARTHEST
 from soil_env.online import OnlineIdentifier
 from soil_env.parameters import Belief, ParameterError, SoilSpread, load_scenario, soils, wheels
-from soil_env.simulation.dynamics import STEP, advance
-from soil_env.simulation.sensors import sense
-from soil_env.simulation.worlds import Simulation
+from soil_env.simulation.world.dynamics import STEP, advance
+from soil_env.simulation.world.sensors import sense
 from tests.identification.observing import observe
 
 SAND = soils()["lunar_nominal"].state(0.15)
@@ -134,7 +134,7 @@ def test_driving_with_varied_slip_finds_the_soil():
     """On twelve drives friction and K are right, far better known than before, and noise is no misfit of the laws."""
     for seed in range(12):
         sim, truth = driven(seed, 200, excited)
-        ids, prior = sim.worlds.ids, 1.0 / np.sqrt(sim.numbers.identifier.precision)
+        ids, prior = sim.worlds.ids, 1.0 / np.sqrt(sim.belief.identifier.precision)
         assert near(ids, truth), seed
         assert ids.status[0] in (Status.CONVERGED, Status.NOT_EXCITED), seed
         assert np.all(ids.sd[0, :3] < [0.9 * prior[0], 0.35 * prior[1], 0.5 * prior[2]]), seed
@@ -178,7 +178,7 @@ def test_a_change_of_the_sinkage_coefficient_alone_is_noticed():
     assert 5.3 < state.x[0] < 5.6 and ids.borders[0] >= 1
 
 
-@root
+@compiled_root
 def _published(ids, numbers, anew):
     publish(ids.banks, 0, numbers.filter, ids.estimate[0], ids.sd[0], ids.covariance[0], ids.best_pull[0], anew)
 
@@ -189,7 +189,7 @@ def test_the_best_pull_follows_the_ground_between_the_points_on_a_border():
         Simulation(1, load_scenario("mixed", {"control": {"action": "wheel_speed"}}), "identified", threads=1),
         [],
     )
-    ids, numbers = sim.worlds.ids, sim.numbers.identifier
+    ids, numbers = sim.worlds.ids, sim.belief.identifier
     for seed in range(8):
         sim.seed(0, np.random.default_rng(seed))
         sim.restart(0)
@@ -242,7 +242,7 @@ def test_intervals_are_not_wide_on_one_soil(errors_of_one_library):
 def test_an_estimate_that_is_no_soil_is_forgotten():
     """Ln K beyond all bounds: the identifier begins anew, as if nothing had been read."""
     sim, _ = driven(0, 100, excited)
-    ids, numbers = sim.worlds.ids, sim.numbers.identifier
+    ids, numbers = sim.worlds.ids, sim.belief.identifier
     ids.banks.sinkage[0, 8:16] = 3.0 * FARTHEST  # ln of the pressure, of all filters
     for k in range(12):
         sim.step(0, excited(k))
@@ -267,7 +267,7 @@ def test_without_identification_a_wheel_drives_as_with_it():
     np.testing.assert_array_equal(a.observation, b.observation)
     np.testing.assert_array_equal(a.state["x"], b.state["x"])
     assert a.ids.status[0] != Status.NO_DATA.value == b.ids.status[0]
-    np.testing.assert_array_equal(b.ids.estimate[0], runs["none"].numbers.identifier.prior)
+    np.testing.assert_array_equal(b.ids.estimate[0], runs["none"].belief.identifier.prior)
 
 
 def test_what_asks_for_an_estimate_is_refused_without_identification():

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from soil_env._io.loading import to_dict
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import compiled_root
 from soil_env._numba.random_streams import seed_stream
 from soil_env.identification.online.soil_prior import (
     PRESSURE,
@@ -23,7 +23,7 @@ from soil_env.identification.online.soil_prior import (
 )
 from soil_env.logs.mapping import read_map
 from soil_env.parameters import Belief, ParameterError, load_scenario, scenario_names
-from soil_env.simulation.courses import course_numbers, draw_soil
+from soil_env.simulation.world.courses import course_numbers, draw_soil
 from soil_env.vehicle import load_rover, rover_names
 from tests.logs.bags import write_map
 
@@ -54,7 +54,7 @@ def test_moments_are_those_of_draws_of_the_mixture():
 def test_the_library_is_what_the_world_draws():
     """Moments of the mixture against 4000 soils as `courses.draw_soil` draws them, of all patches, passable or not."""
 
-    @root
+    @compiled_root
     def drawn(streams, numbers, out):
         for k in range(len(out)):
             soil = draw_soil(streams, 0, numbers)

@@ -15,10 +15,10 @@ from scipy.optimize import brentq
 from scipy.stats import linregress, t
 
 from soil_env._io.loading import ParameterError
-from soil_env.identification.__main__ import text_of
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import BROAD
 from soil_env.identification.table.problem import TableProblem
+from soil_env.identification.table.report import text_of
 from soil_env.identification.table.unknown_noise import Scatter
 from soil_env.measurement.table import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_table
 from tests.terramechanics import reference

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
+from soil_env.cli import main
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import soil_unknowns
 from soil_env.logs import read_map, replay, steady_windows
-from soil_env.logs.__main__ import main
 from soil_env.logs.align import Aligned, Channel
 from soil_env.logs.grounds import advice, commands, files, grounds, setup_text
 from soil_env.logs.replay import COLUMNS, ESTIMATED, _grounds, _impassable, findings
@@ -296,7 +296,7 @@ def test_a_ground_with_one_slip_has_no_table(without_digging):
 def test_command(tmp_path, capsys):
     bag = write_json_mcap(tmp_path / "drive.mcap")
     (tmp_path / "out").mkdir()
-    assert main([str(bag), "--map", str(write_map(tmp_path)), "--out", str(tmp_path / "out")]) == 0
+    assert main(["logs", str(bag), "--map", str(write_map(tmp_path)), "--out", str(tmp_path / "out")]) == 0
     written = {p.name for p in (tmp_path / "out").iterdir()}
     assert {name for name in written if not name.startswith("ground")} == {
         "report.html", "log.json", "estimates.csv", "estimates.png", "readings.png", "steady.csv", "setup.yaml",
@@ -312,7 +312,7 @@ def test_command(tmp_path, capsys):
     bag = write_json_mcap(tmp_path / "short.mcap", steps=8)
     for name in ("ground1.csv", "ground1.yaml", "mine.csv"):
         (tmp_path / "out" / name).write_text("")
-    assert main([str(bag), "--map", str(tmp_path / "map.yaml"), "--out", str(tmp_path / "out")]) == 0
+    assert main(["logs", str(bag), "--map", str(tmp_path / "map.yaml"), "--out", str(tmp_path / "out")]) == 0
     left = {p.name for p in (tmp_path / "out").iterdir()}  # nothing of the other log
     assert left == {"mine.csv", "report.html", "log.json", "estimates.csv", "estimates.png", "readings.png"}
 
@@ -320,7 +320,7 @@ def test_command(tmp_path, capsys):
 def test_command_refuses_in_one_line(tmp_path, capsys):
     bag = write_json_mcap(tmp_path / "drive.mcap", steps=5)
     changed = {"speed": {"topic": "/odom", "field": "twist.y"}}
-    assert main([str(bag), "--map", str(write_map(tmp_path, changed)), "--out", str(tmp_path / "out")]) == 2
+    assert main(["logs", str(bag), "--map", str(write_map(tmp_path, changed)), "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "twist.y" in said and "/odom" in said
     assert not (tmp_path / "out").exists()

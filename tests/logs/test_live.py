@@ -1,4 +1,4 @@
-"""The node of docs/logs.md against a stand-in for rclpy; the example behind stdin."""
+"""The node of docs/guide/online.md against a stand-in for rclpy; the example behind stdin."""
 
 import io
 import json

@@ -9,7 +9,7 @@ import pytest
 from numba import config, types
 
 from soil_env._numba import cache
-from soil_env._numba.compiling import root
+from soil_env._numba.compiling import compiled_root
 
 
 def tripled(x):
@@ -25,8 +25,8 @@ def test_the_cache_is_valid_for_the_sources_that_the_code_is_made_of(tmp_path, m
     """Of all compiled rooms of the package, folders in them too, and of the file of the function itself."""
     if not cache.CACHE:
         pytest.skip("no folder for compiled code")
-    first = stamp(root(tripled))
-    assert stamp(root(tripled)) == first
+    first = stamp(compiled_root(tripled))
+    assert stamp(compiled_root(tripled)) == first
     package = tmp_path / "soil_env"
     for room in cache._ROOMS:
         (package / room / "rover").mkdir(parents=True)
@@ -43,19 +43,19 @@ def test_the_cache_is_valid_for_the_sources_that_the_code_is_made_of(tmp_path, m
         if source is not None:
             (package / source).write_text("x = 2\n")
         cache._sources.cache_clear()
-        stamps.add(stamp(root(tripled)))
+        stamps.add(stamp(compiled_root(tripled)))
     assert len(stamps) == len(edited) and first not in stamps
     (package / "_numba" / "notes.txt").write_text("no source")
     cache._sources.cache_clear()
-    assert stamp(root(tripled)) in stamps
+    assert stamp(compiled_root(tripled)) in stamps
     monkeypatch.undo()
     cache._sources.cache_clear()
-    assert stamp(root(tripled)) == first
+    assert stamp(compiled_root(tripled)) == first
 
 
 # --- several processes ------------------------------------------------------------------------------------------------
 
-MODULE = "from soil_env._numba.compiling import root\n\n\n@root\ndef f(x):\n    return x + 1.0\n"
+MODULE = "from soil_env._numba.compiling import compiled_root\n\n\n@compiled_root\ndef f(x):\n    return x + 1.0\n"
 #: Prints the result, how often compiled code was loaded, and how often it was not there.
 CALL = "from {0} import f; print(f(1.0), sum(f.stats.cache_hits.values()), sum(f.stats.cache_misses.values()))"
 
@@ -82,7 +82,7 @@ def test_a_process_waits_for_another_that_compiles_the_same(tmp_path, monkeypatc
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "kernel_of_a_test", raising=False)
     f = importlib.import_module("kernel_of_a_test").f
-    with cache._alone(f._cache._cache_path):
+    with cache._alone(cache._lock_of(f)):
         other = call(folder)
         assert other.stderr.readline()  # that it waits
         type(f).compile(f, (types.float64,))
@@ -115,7 +115,7 @@ def test_code_that_cannot_be_saved_is_one_line_and_runs(tmp_path, monkeypatch, c
     monkeypatch.setattr(cache, "_told", set())
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
     monkeypatch.delenv("PYTEST_CURRENT_TEST")
-    assert root(tripled)(2.0) == 6.0
+    assert compiled_root(tripled)(2.0) == 6.0
     assert sum("No space left" in line for line in capsys.readouterr().err.splitlines()) == 1
 
 

@@ -14,7 +14,7 @@ from numba import njit
 from numba.core.errors import NumbaError
 
 from soil_env._numba import compiling
-from soil_env._numba.compiling import FastCall, inlined, part, root, take
+from soil_env._numba.compiling import FastCall, compiled_inline, compiled_part, compiled_root, take
 
 
 class Pair(NamedTuple):
@@ -22,25 +22,25 @@ class Pair(NamedTuple):
     second: float
 
 
-@part
+@compiled_part
 def squared(x):
     """x^2."""
     return x * x
 
 
-@inlined
+@compiled_inline
 def swapped(pair):
     """The other way round."""
     return Pair(pair.second, squared(pair.first))
 
 
-@part
+@compiled_part
 def twice(f, pair):
     """`f` of `f` of a pair; `f` is a part."""
     return f(f(pair))
 
 
-@root
+@compiled_root
 def summed(values, pair):
     """Sum of squares and of a pair, swapped twice."""
     total = 0.0
@@ -68,21 +68,21 @@ def test_a_part_is_called_from_python_like_a_function():
 
 def test_a_part_called_by_plain_njit_says_so():
     """Its own parts would be missing there."""
-    with pytest.raises(TypeError, match="squared: a `part` called by a function of numba's own `njit`"):
+    with pytest.raises(TypeError, match="squared: a part called by a function of numba's own `njit`"):
         njit(lambda x: squared(x))(2.0)
 
 
 def test_a_root_is_called_by_plain_njit_and_by_roots():
     values, pair = np.ones(3), Pair(2.0, 5.0)
     assert njit(lambda v, p: summed(v, p)[0])(values, pair) == summed(values, pair)[0]
-    assert root(lambda v, p: summed(v, p)[0] + squared(2.0))(values, pair) == summed(values, pair)[0] + 4.0
+    assert compiled_root(lambda v, p: summed(v, p)[0] + squared(2.0))(values, pair) == summed(values, pair)[0] + 4.0
 
 
 @pytest.mark.parametrize("make", [lambda n: np.empty(n)[0], lambda n: np.zeros(n).sum(), lambda n: [1.0] * n])
 def test_a_function_that_allocates_does_not_compile_unless_it_may(make):
     with pytest.raises(NumbaError):
-        root(make)(3)
-    root(allocates=True)(make)(3)
+        compiled_root(make)(3)
+    compiled_root(allocates=True)(make)(3)
 
 
 def test_what_a_root_raises_is_raised():
@@ -91,9 +91,9 @@ def test_what_a_root_raises_is_raised():
             raise ValueError("expected a number >= 0")
         return x
 
-    assert root(refuse)(1.0) == 1.0
+    assert compiled_root(refuse)(1.0) == 1.0
     with pytest.raises(ValueError, match="expected a number >= 0"):
-        root(refuse)(-1.0)
+        compiled_root(refuse)(-1.0)
 
 
 # --- calls from Python ------------------------------------------------------------------------------------------------
@@ -108,7 +108,7 @@ def test_a_fast_call_gives_the_same_and_pickles_by_name():
     assert of_a_part(3.0) == 9.0 and pickle.loads(pickle.dumps(of_a_part))(3.0) == 9.0
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def shared_out(counter, taken):
     """Count each number that `take` gives."""
     number = take(counter, 1)

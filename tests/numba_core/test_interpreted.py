@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario, soils
-from soil_env.simulation.rover.simulation import RoverSimulation
-from soil_env.simulation.worlds import Simulation
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, steady_state
 from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.vehicle import load_rover

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from soil_env._numba import elementary, lanes
-from soil_env._numba.compiling import inlined, root
+from soil_env._numba.compiling import compiled_inline, compiled_root
 
 
-@root
+@compiled_root
 def over(which, x, out):
     """Function `which` on x [8 m] into `out` [2, 8 m]."""
     for i in range(0, x.size, 8):
@@ -101,7 +101,7 @@ def test_of_two_numbers():
     np.testing.assert_allclose(of(8, x)[1], 2.0 * x - 1.0, atol=1e-15)
 
 
-@inlined
+@compiled_inline
 def law(x, y):
     """An expression in all operations that floats and lanes have in common."""
     z = elementary.fma(x, y, 1.0) / (2.0 - x) - elementary.exp(-abs(x)) * elementary.tanh(y)
@@ -110,7 +110,7 @@ def law(x, y):
     return elementary.smaller(z, 2.0) + elementary.chosen(elementary.below(x, y), z, lanes.alike(0.25, z))
 
 
-@root
+@compiled_root
 def law_in_lanes(x, y, out):
     for i in range(0, x.size, 8):
         lanes.to_array(law(lanes.from_array(x, i), lanes.from_array(y, i)), out, i)
@@ -126,7 +126,7 @@ def test_a_law_gives_the_same_of_floats_and_in_lanes():
 _nodes = lanes.over_eight([1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0])
 
 
-@inlined
+@compiled_inline
 def over_nodes(x):
     """Sum over eight nodes of node times x^node, for one x with its nodes in lanes or for eight x."""
     total = lanes.fill(0.0)
@@ -136,7 +136,7 @@ def over_nodes(x):
     return lanes.summed(total, x)
 
 
-@root
+@compiled_root
 def over_nodes_in_lanes(x, out):
     lanes.to_array(over_nodes(lanes.from_array(x, 0)), out, 0)
 
@@ -150,7 +150,7 @@ def test_one_loop_serves_one_arc_and_eight():
     np.testing.assert_allclose([over_nodes(v) for v in x], expected, rtol=1e-14)
 
 
-@root
+@compiled_root
 def flags(x):
     """Bits of the lanes that are not 0; of eight floats."""
     a = lanes.from_array(x, 0)
@@ -164,7 +164,7 @@ def test_bits_of_lanes(pattern):
     assert flags(x) == (pattern, 5.0, 28.0)
 
 
-@root
+@compiled_root
 def rearranged(x, out):
     """Sums, single lanes, first lanes, smallest of x [64] into out [2, 8]."""
     rows = (

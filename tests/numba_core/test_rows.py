@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from soil_env._numba.compiling import part, root
+from soil_env._numba.compiling import compiled_part, compiled_root
 from soil_env._numba.lanes import from_array, to_array
 from soil_env._numba.rows import Rows, copy_column, rows, scratch_rows, zero_column
 
@@ -75,12 +75,12 @@ def test_copies_have_the_numbers_and_memory_of_their_own(made):
 # --- in compiled code -------------------------------------------------------------------------------------------------
 
 
-@root
+@compiled_root
 def last_of(state, k):
     return state.x[k], state.speed[k], state.load[k]
 
 
-@root
+@compiled_root
 def doubled(state, counts, k):
     """Eight of the speeds from k on times two, and one step counted."""
     to_array(2.0 * from_array(state.speed, k), state.speed, k)
@@ -98,12 +98,12 @@ def test_compiled_code_reads_and_writes_the_same_memory():
     assert last_of(state, 2) == (2.0, -5.0, 202.0)
 
 
-@part
+@compiled_part
 def length_of(row):
     return row.size
 
 
-@root
+@compiled_root
 def sizes(state):
     return length_of(state.x), length_of(_scratch().x), length_of(_counts().steps)
 
@@ -112,7 +112,7 @@ def test_a_row_is_as_long_as_its_padding_in_compiled_code():
     assert sizes(filled()) == (16, 16, 8)
 
 
-@root
+@compiled_root
 def through_scratch(state, k, other):
     """Column k of `state` by way of scratch memory into column 0 of `other`; its column 1 to zero."""
     scratch, counts = _scratch(), _counts()

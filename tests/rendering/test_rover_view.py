@@ -6,14 +6,14 @@ import gymnasium
 import numpy as np
 import pytest
 
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.rendering import canvas, charts, rover_view as rendering
 from soil_env.rendering.rover_view import RoverRenderer, posture_of, rover_stresses
 from soil_env.rendering.side_view import Renderer
 from soil_env.rover_env import SoilRoverEnv
-from soil_env.simulation.rover.simulation import RoverSimulation
-from soil_env.simulation.terrain import cell_at
-from soil_env.simulation.worlds import Simulation
+from soil_env.simulation.world.terrain import cell_at
 from soil_env.vehicle import load_rover, rover_names
 from tests.rendering.test_side_view import dummy_display, integral, near  # noqa: F401
 
@@ -195,16 +195,16 @@ def test_every_axle_has_its_lines_in_the_charts():
     assert max(drawn) > 40
 
 
-@pytest.mark.parametrize("method", ["filter", "none"])
-def test_where_nothing_is_identified_no_estimate_is_drawn(method):
+@pytest.mark.parametrize("variant", ["identified", "blind"])
+def test_where_nothing_is_identified_no_estimate_is_drawn(variant):
     """Another prior then leaves the picture as it is."""
     pictures = []
     for prior in (30.0, 40.0):
-        belief = {"method": method, "soils": {}, "friction_angle_deg": prior}
-        simulation, view = started("lunar_micro_rover", changes={"belief": belief}, variant="blind")
+        belief = {"soils": {}, "friction_angle_deg": prior}
+        simulation, view = started("lunar_micro_rover", changes={"belief": belief}, variant=variant)
         drive(simulation, view, 20)
         pictures.append(view.draw(simulation, 0))
-    assert np.array_equal(*pictures) == (method == "none")
+    assert np.array_equal(*pictures) == (variant == "blind")
 
 
 @pytest.mark.parametrize("size", [(960, 540), (801, 500)])

@@ -8,11 +8,11 @@ import sys
 import numpy as np
 import pytest
 
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.rendering import canvas, charts, side_view as rendering
 from soil_env.rendering.side_view import Renderer, stresses_under
-from soil_env.simulation.terrain import cell_at
-from soil_env.simulation.worlds import Simulation
+from soil_env.simulation.world.terrain import cell_at
 
 SCALE = rendering.SCENE[2] / rendering._VIEW  # units of the design per wheel radius
 
@@ -190,16 +190,16 @@ def test_estimate_and_truth_are_drawn_apart():
         assert near(chart, canvas.ORANGE, 40).sum() > 60
 
 
-@pytest.mark.parametrize("method", ["filter", "none"])
-def test_where_nothing_is_identified_no_estimate_is_drawn(method):
-    """Another prior then leaves the picture as it is, although the state of the identifier holds that prior."""
+@pytest.mark.parametrize("variant", ["identified", "blind"])
+def test_where_nothing_is_identified_no_estimate_is_drawn(variant):
+    """Another prior then leaves the picture as it is."""
     pictures = []
     for prior in (30.0, 40.0):
-        belief = {"method": method, "soils": {}, "friction_angle_deg": prior, "shear_modulus": 4e-4 * prior}
-        simulation, renderer = start(changes={"belief": belief}, variant="blind")
+        belief = {"soils": {}, "friction_angle_deg": prior, "shear_modulus": 4e-4 * prior}
+        simulation, renderer = start(changes={"belief": belief}, variant=variant)
         drive(simulation, renderer, 20)
         pictures.append(renderer.draw(simulation, 0))
-    assert np.array_equal(*pictures) == (method == "none")
+    assert np.array_equal(*pictures) == (variant == "blind")
 
 
 def test_extreme_states_are_drawn():

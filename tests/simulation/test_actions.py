@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import HELD, Control, ParameterError, load_scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
-from soil_env.simulation.wheel import REVERSE
-from soil_env.simulation.worlds import Simulation
+from soil_env.simulation.world.wheel import REVERSE
 
 COLUMN = {entry.name: i for i, entry in enumerate(layout("blind"))}
 FLAT = {"course": {"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]}, "noise": {"wheel_speed": 0.0}}
@@ -120,7 +120,7 @@ def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
 def test_information_is_discounted_once_a_step():
     """Not once a control period: over a course that goes on it is worth what was known at its end."""
     sim = simulation("rim_acceleration", 5, reward={"information": 2.0, "information_discount": 0.9}, **FLAT)
-    prior = np.sqrt(1.0 / sim.numbers.identifier.precision)
+    prior = np.sqrt(1.0 / sim.belief.identifier.precision)
 
     def known():
         return float(np.log(np.maximum(prior / sim.worlds.ids.sd[0], 1.0)).sum())

@@ -5,10 +5,10 @@ import pytest
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.rows import Rows
+from soil_env.driving.cloning import clone
+from soil_env.driving.wheels import STEP, Simulation
 from soil_env.parameters import load_scenario
-from soil_env.simulation.cloning import clone
 from soil_env.simulation.task import Cause
-from soil_env.simulation.worlds import STEP, Simulation
 
 WHEELS, CLONES = 5, 11
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from soil_env.parameters import load_scenario, soils
-from soil_env.simulation import dynamics, terrain
-from soil_env.simulation.wheel import WheelState, settle, world_numbers
+from soil_env.simulation.world import dynamics, terrain
+from soil_env.simulation.world.wheel import WheelState, settle, world_numbers
 from soil_env.terramechanics import reaction
 from soil_env.terramechanics.motor import motor
 from tests.simulation.wheels import on_random_courses

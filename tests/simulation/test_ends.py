@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from soil_env.simulation import task
 from soil_env.simulation.task import Cause
+from soil_env.simulation.task.rules import judge
 from tests.simulation.test_task import simulation
 
 STUCK = {"speed": 0.0, "wheel_speed": 2.0}
@@ -21,7 +21,7 @@ def judged(state=None, steps=1, changes=None):
     causes = []
     for _ in range(steps):
         counts.steps[0] += 1
-        causes.append(Cause(task.judge(w, counts, 0, sim.numbers.task)))
+        causes.append(Cause(judge(w, counts, 0, sim.numbers.task)))
     return sim, causes
 
 
@@ -33,7 +33,7 @@ def onward(way, halted=(), changes=None):
     for k, x in enumerate(way):
         w["x"], w["best_x"] = x, max(x, w["best_x"][0])
         w["halt_left"] = 1.0 if k in halted else 0.0
-        causes.append(Cause(task.judge(w, sim.worlds.counts, 0, sim.numbers.task)))
+        causes.append(Cause(judge(w, sim.worlds.counts, 0, sim.numbers.task)))
     return causes
 
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from soil_env._numba.random_streams import seed_stream
+from soil_env.driving.wheels import Simulation
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import ParameterError, SoilState, load_scenario
-from soil_env.simulation import camera, courses as drawing, terrain
 from soil_env.simulation.task import VARIANTS, Cause, layout
-from soil_env.simulation.worlds import Simulation
+from soil_env.simulation.world import camera, courses as drawing, terrain
 from soil_env.terramechanics.ground import blend
 from soil_env.terramechanics.traversability import best_working_point
 

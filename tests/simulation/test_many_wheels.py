@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import root
 
 from soil_env.parameters import soils
-from soil_env.simulation import dynamics
+from soil_env.simulation.world import dynamics
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.reaction import REST_SPEED
 from tests.simulation.wheels import on_random_courses

@@ -9,8 +9,8 @@ from hypothesis import given, strategies as st
 
 from soil_env.env import SoilWheelEnv, observation_space
 from soil_env.parameters import Belief, ParameterError, load_scenario
-from soil_env.simulation.scaling import CENTRE_AND_SCALE, Scaling
 from soil_env.simulation.task import VARIANTS, layout
+from soil_env.simulation.task.scaling import CENTRE_AND_SCALE, Scaling
 from soil_env.vector_env import SoilWheelVectorEnv
 
 ROW = re.compile(r"^\s*\| (\S+) \| (\S+) \| ([\w, ]+) \|$", re.MULTILINE)

@@ -6,16 +6,18 @@ import re
 import numpy as np
 import pytest
 
+from soil_env.driving.estimator import Results, knowledge, show_estimate
+from soil_env.driving.wheels import Simulation
 from soil_env.env import SoilWheelEnv
 from soil_env.identification import Status
 from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import load_scenario, soils
-from soil_env.simulation import sensors, task
-from soil_env.simulation.camera import Sight
-from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
-from soil_env.simulation.worlds import Simulation
+from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
+from soil_env.simulation.task.observation import write_observation
+from soil_env.simulation.world import sensors
+from soil_env.simulation.world.camera import Sight
 
-SENSORS = len(task.layout("blind"))  # entries that every variant has
+SENSORS = len(layout("blind"))  # entries that every variant has
 NOTHING_SEEN = Sight(0, 0.0, 0.0)
 ROW = re.compile(r"^\s*\| (\d+) \| (\w+) \| (.+?) \| (\S+) \| (\S+) \|$", re.MULTILINE)
 
@@ -65,7 +67,7 @@ def documented(variant):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_layout_is_the_documented_one(variant):
-    rows, entries = documented(variant), task.layout(variant)
+    rows, entries = documented(variant), layout(variant)
     assert [(e.name, e.low, e.high) for e in entries] == [(name, low, high) for name, _, low, high in rows]
     for e, (_, unit, _, _) in zip(entries, rows, strict=True):
         assert unit == e.unit or unit.startswith((e.unit + ",", e.unit + ":", "1 while")), (e, unit)
@@ -82,7 +84,7 @@ def test_layout_is_the_documented_one(variant):
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_observation_is_neither_constant_nor_aliased(variant):
     rows = rollout(variant, changes={"control": {"action": "rim_acceleration", "repeat": 1}})
-    entries = task.layout(variant)
+    entries = layout(variant)
     assert np.all(np.isfinite(rows)) and len(rows) > 300
     for i, a in enumerate(entries):
         if a.name == "dig_recovery" and len({s.dig_recovery for s in soils().values()}) == 1:
@@ -109,11 +111,14 @@ def observed_again(sim, ground=None, estimate=None):
     courses, streams, out = worlds.courses, worlds.streams.copy(), np.zeros_like(worlds.observation[0])
     if ground is not None:
         courses = courses._replace(soils=courses.soils * ground)
-    ids = worlds.ids if estimate is None else worlds.ids._replace(estimate=worlds.ids.estimate + estimate)
     reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
-    task.write_observation(
-        out, worlds.state, worlds.counts, 0, reading, courses, ids, worlds.memory, NOTHING_SEEN, numbers
-    )  # fmt: skip
+    write_observation(out, worlds.state, worlds.counts, 0, reading, courses, NOTHING_SEEN, numbers)
+    if sim.belief is not None:
+        known = sim._estimator
+        if estimate is not None:
+            known = known._replace(ids=known.ids._replace(estimate=known.ids.estimate + estimate))
+        results = Results(out[None], worlds.terms, worlds.reward, worlds.cause)
+        show_estimate(known, sim.belief, worlds.record, results, 0, 0)
     return out
 
 
@@ -170,10 +175,9 @@ def test_readings_scatter_as_stated():
     out, rows, streams = np.zeros(SENSORS, np.float32), [], sim.worlds.streams.copy()
     for _ in range(20_000):
         reading = sensors.sense(sim.worlds.state, 0, streams, sim.numbers.task.sensors)
-        task.write_observation(
-            out, sim.worlds.state, sim.worlds.counts, 0, reading, sim.worlds.courses, sim.worlds.ids,
-            sim.worlds.memory, NOTHING_SEEN, sim.numbers.task,
-        )  # fmt: skip
+        write_observation(
+            out, sim.worlds.state, sim.worlds.counts, 0, reading, sim.worlds.courses, NOTHING_SEEN, sim.numbers.task
+        )
         rows.append(out[[*range(8), 11, 12]].copy())
     rows = np.array(rows, dtype=float)
     truth = [w["slip"], w["sinkage"] / radius, w["drawbar_pull"] / weight, w["load"] / weight,
@@ -187,24 +191,22 @@ def test_readings_scatter_as_stated():
     assert np.abs(correlation).max() < 0.04
 
 
-@pytest.mark.parametrize("variant", ["blind", "identified"])
-def test_the_observation_follows_from_readings_alone(variant):
-    """With the readings held, no number of the true state shows, but that of the halt, which is commanded."""
-    sim = simulation(variant)
+def test_the_observation_follows_from_readings_alone():
+    """With the readings held, no number of the true state shows, but that of the halt, which is commanded.
+
+    The estimator is given nothing but the record of the sensors.
+    """
+    sim = simulation("blind")
     for _ in range(30):
         sim.step(0, 0.3)
     worlds, numbers, seen = sim.worlds, sim.numbers.task, []
-    streams = worlds.streams.copy()
-    reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
+    reading = sensors.sense(worlds.state, 0, worlds.streams.copy(), numbers.sensors)
     for factor in (1.0, 1.7):
         for name in worlds.state.NAMES:
             if name not in ("last_action", "rim_command", "halt_left", "odometer"):
                 worlds.state[name] *= factor
         out = np.zeros_like(worlds.observation[0])
-        task.write_observation(
-            out, worlds.state, worlds.counts, 0, reading, worlds.courses, worlds.ids, worlds.memory, NOTHING_SEEN,
-            numbers,
-        )  # fmt: skip
+        write_observation(out, worlds.state, worlds.counts, 0, reading, worlds.courses, NOTHING_SEEN, numbers)
         seen.append(out)
     np.testing.assert_array_equal(*seen)
 
@@ -357,4 +359,4 @@ def test_information_changes_nothing_but_its_own_term():
 def test_knowledge_is_the_fall_of_the_entropy_and_bounded(shares, nats):
     ids, precision = simulation().worlds.ids, np.array([4.0, 1.0, 0.01])
     ids.sd[0, :3] = np.array(shares) / np.sqrt(precision)
-    assert task.knowledge(ids, 0, precision) == pytest.approx(nats, abs=1e-12)
+    assert knowledge(ids, 0, precision) == pytest.approx(nats, abs=1e-12)

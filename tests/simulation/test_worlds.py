@@ -8,16 +8,16 @@ import yaml
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.random_streams import seed_stream
+from soil_env.driving.wheels import Simulation
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import Soil, SoilState, load_scenario, soils
-from soil_env.simulation import courses as drawing, dynamics, terrain
-from soil_env.simulation.sensors import sense
-from soil_env.simulation.task import VARIANTS, task_numbers
-from soil_env.simulation.terrain import rut_factor
-from soil_env.simulation.wheel import WheelState
-from soil_env.simulation.worlds import Simulation
-from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.effects import acting, pack_effects
+from soil_env.simulation.task import VARIANTS
+from soil_env.simulation.task.rules import task_numbers
+from soil_env.simulation.world import courses as drawing, dynamics, terrain
+from soil_env.simulation.world.sensors import sense
+from soil_env.simulation.world.terrain import rut_factor
+from soil_env.simulation.world.wheel import WheelState
+from soil_env.terramechanics.effects import CATALOGUE, acting, pack_effects
 from soil_env.terramechanics.model import Conditions, Rim, WheelSoilModel, steady_with
 from soil_env.terramechanics.reaction import ground_under
 from soil_env.terramechanics.residual import ResidualTerm

@@ -8,8 +8,8 @@ import numpy as np
 
 from soil_env._numba.random_streams import seed_stream
 from soil_env.parameters import load_scenario
-from soil_env.simulation import courses as drawing, dynamics, terrain
-from soil_env.simulation.wheel import WheelCounts, WheelState, WorldNumbers, settle, world_numbers
+from soil_env.simulation.world import courses as drawing, dynamics, terrain
+from soil_env.simulation.world.wheel import WheelCounts, WheelState, WorldNumbers, settle, world_numbers
 
 IDLE = 2  # anything but `dynamics.STEP`
 

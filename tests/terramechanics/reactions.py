@@ -1,6 +1,6 @@
 """Reaction to one wheel, or to eight in lanes, put together for tests as a substep of the simulation does it."""
 
-from soil_env._numba.compiling import inlined, root
+from soil_env._numba.compiling import compiled_inline, compiled_root
 from soil_env._numba.lanes import from_array, to_array
 from soil_env._numba.rows import scratch_rows
 from soil_env.parameters import SoilState
@@ -19,7 +19,7 @@ from soil_env.terramechanics.reaction import REST_SPEED, at_the_axle, ground_und
 _nodes = scratch_rows(Nodes, NODE_COLUMNS)
 
 
-@root
+@compiled_root
 def react(ground, v, u, load, wheel):
     """`Reaction` at the axle of a wheel on its `Ground`, at travel speed v and rim speed u [m/s], carrying `load`."""
     rim, soil = wheel.rim_ratio * u, ground.soil
@@ -31,7 +31,7 @@ def react(ground, v, u, load, wheel):
     return at_the_axle(f, ground.bulldozing, ground.blades, ground.pull, ground.torque, v, u, wheel)
 
 
-@inlined
+@compiled_inline
 def grounds(x, wheel):
     """`Ground` under eight wheels; rows of x [13, 8]: as the arguments of `ground_under`, those of `SoilState` last."""
     soil = SoilState(
@@ -44,7 +44,7 @@ def grounds(x, wheel):
     )  # fmt: skip
 
 
-@root
+@compiled_root
 def ground_in_lanes(x, wheel, out):
     """Soil, arc and added forces of `grounds` as the rows of out [16, 8]."""
     g = grounds(x, wheel)
@@ -58,7 +58,7 @@ def ground_in_lanes(x, wheel, out):
         to_array(added[i], out, 88 + 8 * i)
 
 
-@root
+@compiled_root
 def react_in_lanes(x, speeds, wheel, out):
     """`Reaction` at the axle of eight wheels on `grounds` as the rows of out [10, 8]; of `speeds`: v, u, load."""
     ground, nodes = grounds(x, wheel), _nodes()

@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
@@ -69,14 +68,6 @@ def test_groups_are_held_inside_their_range(x, held):
     assert value([term], (x, *POINT[1:]))[2] == pytest.approx(2.0 * held)
 
 
-def test_a_range_belongs_to_its_own_term():
-    terms = [
-        ResidualTerm("torque", 1.0, {"slip": 1.0}, {"slip": [0.0, 0.1]}),
-        ResidualTerm("torque", 1.0, {"slip": 1.0}),
-    ]
-    assert value(terms)[2] == pytest.approx(0.1 + 0.3)
-
-
 def test_downhill_and_rest():
     """Whole powers keep the sign of a grade; where a power has no value, the term is 0, never inf or nan."""
     downhill = (*POINT[:6], -0.1)
@@ -100,13 +91,6 @@ def test_a_term_survives_yaml_and_packing(coefficient, powers, channel):
     assert law.channel.tolist() == [CHANNELS.index(channel)] and law.coefficient.tolist() == [coefficient]
     expected = coefficient * math.prod(POINT[GROUPS.index(name)] ** p for name, p in powers.items())
     assert residual_at(law, POINT)[CHANNELS.index(channel)] == pytest.approx(expected)
-
-
-def test_no_terms_add_nothing():
-    law = residual_law([])
-    assert law.powers.shape == (0, len(GROUPS))
-    assert residual_at(law, POINT) == (0.0, 0.0, 0.0)
-    assert residual_law([ResidualTerm("torque", 1.0)]).high.tolist() == [[np.inf] * len(GROUPS)]
 
 
 @pytest.mark.parametrize(

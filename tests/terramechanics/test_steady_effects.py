@@ -8,8 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from soil_env.parameters import SoilState
 from soil_env.terramechanics import model
-from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.effects import NO_EFFECTS, pack_effects, true_slip
+from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, pack_effects, true_slip
 from soil_env.terramechanics.model import Conditions, Rim, predict_rows, steady_with
 from tests.terramechanics import reference
 

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, larger, log, smaller
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
 from soil_env.identification.online.contact_slopes import GroundSoil, reaction
@@ -31,7 +31,7 @@ _rows = scratch(8 * COUNT)
 _STEP = 0.03  # of finite differences, of the sd of the prior
 
 
-@inlined
+@compiled_inline
 def _newton(x, soil, y, gain, ln_bearing, load, numbers):
     """(ln z after a step, `Reaction` at x, slope of the condition by ln z, ln of ratio z_b, share of digging)."""
     slip, r = from_array(numbers.slips, 0), numbers.radius
@@ -45,7 +45,7 @@ def _newton(x, soil, y, gain, ln_bearing, load, numbers):
     return larger(smaller(after, math.log(_DEEPEST * r)), math.log(_LEAST * r)), found, slope, deep, 1.0 - 1.0 / ratio
 
 
-@part
+@compiled_part
 def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, along, numbers):
     """(best drawbar pull [of load], its variance, its derivative `along` [6]) of a soil.
 

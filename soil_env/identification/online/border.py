@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, larger, log
 from soil_env._numba.lanes import COUNT, fill, from_array, smallest, to_array, total
 from soil_env.identification.online.curve_fit import drop_border, fit_behind_border
@@ -37,7 +37,7 @@ _FOUND = 1.0 / 6.0  # [border lengths] ahead of its middle at which forces show 
 _UNSURE = 0.08  # [border lengths] sd of a border's place beyond which readings on it do not count behind it
 
 
-@inlined
+@compiled_inline
 def search(banks, k, numbers):
     """Begin to look for a border, ahead of where the wheel is."""
     banks.point.nearest[k] = banks.point.place[k] - 0.5 * numbers.border + numbers.offsets[1]
@@ -45,14 +45,14 @@ def search(banks, k, numbers):
         banks.candidates[k, i] = 0.0
 
 
-@inlined
+@compiled_inline
 def _share(x, place, length):
     """(share of the new soil at x, its derivative by the place of the border)."""
     w, rate = share_of_next((x - place) * (1.0 / length))
     return w, (-1.0 / length) * rate
 
 
-@inlined
+@compiled_inline
 def share_here(banks, k, x, spread, numbers):
     """(share of the new soil, its derivative by the place) of wheel k at x +- spread [m]; 1 away from borders."""
     if banks.point.crossing[k] == 0.0:
@@ -63,13 +63,13 @@ def share_here(banks, k, x, spread, numbers):
     return 0.5 * (low + high), 0.5 * (by_low + by_high)
 
 
-@inlined
+@compiled_inline
 def _variance_of_pitch(p, k, numbers):
     """Variance [rad2] of a reading less the grade of this soil so far."""
     return numbers.noise[7] * numbers.noise[7] * (1.0 + 1.0 / max(min(p.grades[k], _KEPT), 1.0))
 
 
-@part
+@compiled_part
 def note_grade(banks, k, pitch, numbers):
     """Take a reading of the pitch [rad]."""
     p, found, x = banks.point, banks.candidates[k], banks.point.place[k]
@@ -91,7 +91,7 @@ def note_grade(banks, k, pitch, numbers):
     p.grade[k] += y / min(p.grades[k], _KEPT)
 
 
-@inlined
+@compiled_inline
 def _add_pitch(banks, k, y, numbers):
     """Add a pitch that is y [rad] above the grade of this soil to A and B of all places."""
     p, found = banks.point, banks.candidates[k]
@@ -101,14 +101,14 @@ def _add_pitch(banks, k, y, numbers):
         to_array(from_array(found, CANDIDATES + i) + y * w, found, CANDIDATES + i)
 
 
-@inlined
+@compiled_inline
 def _likelihoods(found, i, v, ratio):
     """ln likelihood ratios of the candidates i ... i + 7; `ratio` = v/t^2."""
     a, b = from_array(found, i), from_array(found, CANDIDATES + i)
     return b * b / (2.0 * v * (a + ratio)) - 0.5 * log(1.0 + a * (1.0 / ratio))
 
 
-@part
+@compiled_part
 def _locate(banks, k, numbers):
     """(ln of the evidence of a border over none, mean [m] and variance [m2] of its place, rise of the grade [rad], mean
     and mean square of the share of its new soil here)."""
@@ -132,7 +132,7 @@ def _locate(banks, k, numbers):
     return highest + math.log(weight), p.nearest[k] + place, variance, rise, here, here_square
 
 
-@part
+@compiled_part
 def cross_where_the_grade_changes(banks, k, numbers):
     """`begin` at the border that the grade shows, if it shows one."""
     odds, place, variance, rise, share, square = _locate(banks, k, numbers)
@@ -144,7 +144,7 @@ def cross_where_the_grade_changes(banks, k, numbers):
         banks.point.next_share[k], banks.point.next_square[k] = likely * share, likely * square
 
 
-@inlined
+@compiled_inline
 def follow_border(banks, k, numbers):
     """Renew place and rise of the border under wheel k, unless its place is fixed."""
     p = banks.point
@@ -152,7 +152,7 @@ def follow_border(banks, k, numbers):
         _, p.border[k], p.border_variance[k], p.rise[k], _, _ = _locate(banks, k, numbers)
 
 
-@inlined
+@compiled_inline
 def cross_here(banks, k, numbers):
     """`begin` where the forces show a border."""
     ahead, misfit = _FOUND * numbers.border, banks.point.misfit[k]
@@ -160,7 +160,7 @@ def cross_here(banks, k, numbers):
     banks.point.misfit[k], banks.point.by_forces[k] = misfit, 1.0  # the misfit until the next point
 
 
-@part
+@compiled_part
 def begin(banks, k, numbers, place, place_variance, rise):
     """Come to a border at `place` [m] with this `rise` of the grade [rad].
 
@@ -176,14 +176,14 @@ def begin(banks, k, numbers, place, place_variance, rise):
     begin_next_sinkage(banks, k, numbers)
 
 
-@inlined
+@compiled_inline
 def begin_known_border(banks, k, numbers, place, place_variance):
     """`begin` at a place that the grade does not move; the contradictions of the laws so far came from the border."""
     begin(banks, k, numbers, place, place_variance, 0.0)
     banks.point.fixed[k], banks.point.form_error[k], banks.point.flagged[k] = 1.0, numbers.model_error, 0.0
 
 
-@inlined
+@compiled_inline
 def end(banks, k, numbers):
     """Leave a border behind: the old soil counts for the readings on the border only, if they count at all."""
     p = banks.point

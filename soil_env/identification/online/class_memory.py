@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import Scenario
 
@@ -67,7 +67,7 @@ def new_memory(wheels: int, classes: int) -> ClassMemory:
     )
 
 
-@part
+@compiled_part
 def forget_classes(memory, k, numbers):
     """Set the memory of wheel k to the prior."""
     memory.patch[k] = -1
@@ -77,7 +77,7 @@ def forget_classes(memory, k, numbers):
             memory.estimate[k, c, i], memory.sd[k, c, i] = numbers.prior[i], numbers.precision[i] ** -0.5
 
 
-@part
+@compiled_part
 def remember(memory, k, c, patch, ids, numbers):
     """Renew class c by the estimate that identifier k has on a `patch`; it replaces an earlier one from there."""
     mean, precision = memory.mean[k], memory.precision[k]
@@ -102,7 +102,7 @@ def remember(memory, k, c, patch, ids, numbers):
             memory.sd[k, c, i] = (max(apart, 1.0) / total) ** 0.5
 
 
-@inlined
+@compiled_inline
 def clear_of_borders(since, left, numbers):
     """True if an estimate made `since` [m] the last border and `left` [m] before the next is of one soil."""
     return since > (0.5 + _FOUND) * numbers.border and left > 0.5 * numbers.border

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import exp, half_sin_cos, larger, log
 from soil_env._numba.rows import scratch_rows
 from soil_env.slip import motion_from_slip, travel_rate
@@ -61,14 +61,14 @@ class Reaction(NamedTuple):
     ln_s: Slopes  # ln of the mobilised sinkage coefficient
 
 
-@inlined
+@compiled_inline
 def _slope(partial, of_s, s):
     """(d pull, d torque, d ln s) from the `Forces` that change at a given s, which the load then moves."""
     ds = -partial.load / of_s.load
     return partial.drawbar_pull + ds * of_s.drawbar_pull, partial.torque + ds * of_s.torque, ds / s
 
 
-@inlined
+@compiled_inline
 def reaction(soil, sinkage, slip, load, r, b):
     """`Reaction` of eight soils at sinkages [m] and slips under a load [N]; wheel of radius r and width b [m]."""
     c, n, tan_phi, K, nodes = soil.cohesion, soil.exponent, soil.tangent, exp(soil.ln_K), _nodes()

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.lanes import scratch
 
 BINS = 8  # of a curve
@@ -31,7 +31,7 @@ _new = scratch(FIELDS)
 new_point = _new  # scratch for a point that is not in a curve yet
 
 
-@inlined
+@compiled_inline
 def _weighted(bins, a, b, value, weight):
     """The mean of a quantity over two bins, into the first."""
     w = bins[a + weight] + bins[b + weight]
@@ -40,7 +40,7 @@ def _weighted(bins, a, b, value, weight):
     bins[a + weight] = w
 
 
-@inlined
+@compiled_inline
 def _merge(bins, a, b):
     """Average bin b into bin a; both are offsets."""
     _weighted(bins, a, b, SLIP, SLIP_WEIGHT)
@@ -58,7 +58,7 @@ def _merge(bins, a, b):
     bins[a + PLACE], bins[a + SPREAD], bins[a + READINGS] = middle, math.sqrt(square), m + n
 
 
-@inlined
+@compiled_inline
 def _unlike(bins, a, b, border):
     """Squared distance of two bins; those on a border differ by their places."""
     if bins[a + ON_BORDER] > 0.0:
@@ -70,7 +70,7 @@ def _unlike(bins, a, b, border):
     return slip * slip + sinkage * sinkage
 
 
-@part
+@compiled_part
 def add(bins, count, point, border):
     """Add a point [FIELDS] to a curve of `count` bins: (bins then, the bin that changed, the bin that the last one took
     the place of, or -1)."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, fma, larger, log, smaller, sqrt, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
 from soil_env.identification.online.contact_slopes import GroundSoil, reaction
@@ -80,7 +80,7 @@ _matrix, _matrix2, _vector = scratch(TRIANGLE * COUNT), scratch(TRIANGLE * COUNT
 # --- linearised bins --------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def share_on_border(x, spread, place, length):
     """(share of the new soil, its derivative by the place of the border) of a wheel at x +- spread [m]; lanes."""
     low, by_low = share_of_next((x - spread - place) * (1.0 / length))
@@ -88,7 +88,7 @@ def share_on_border(x, spread, place, length):
     return smaller(larger(0.5 * (low + high), _LEAST_SHARE), 1.0 - _LEAST_SHARE), (-0.5 / length) * (by_low + by_high)
 
 
-@inlined
+@compiled_inline
 def quadratic_form(c, g, a, b):
     """a' C b of `Slopes` a, b with the lower triangle of C from c[g] on."""
     a0, a1, a2, a3 = a.by_tangent, a.by_cohesion, a.by_exponent, a.by_ln_K
@@ -99,7 +99,7 @@ def quadratic_form(c, g, a, b):
     return v + a3 * (c[g + 6] * b0 + c[g + 7] * b1 + c[g + 8] * b2 + c[g + 9] * b3)
 
 
-@part
+@compiled_part
 def linearise(banks, k, b, numbers):
     """Linearise bin b of wheel k at the unknowns of its nodes."""
     nodes, bins, at = banks.nodes[k], banks.bins[k], b * FIELDS
@@ -134,7 +134,7 @@ def linearise(banks, k, b, numbers):
     to_array(tt, fits, f + (BESIDE + 2) * COUNT)
 
 
-@inlined
+@compiled_inline
 def _store(nodes, fits, f, q, w, by_place, away, slip):
     """A quantity at a bin as an affine function of the unknowns and the slip."""
     change = q.by_tangent * away.tangent + q.by_cohesion * away.cohesion + q.by_exponent * away.exponent
@@ -149,7 +149,7 @@ def _store(nodes, fits, f, q, w, by_place, away, slip):
     to_array(constant, fits, f)
 
 
-@inlined
+@compiled_inline
 def begin_bin(banks, k, b, slip):
     """Linearise bin b at this slip from now on."""
     to_array(fill(slip), banks.fits[k], (b * FIT_ROWS + NEXT_SLIP) * COUNT)
@@ -158,7 +158,7 @@ def begin_bin(banks, k, b, slip):
 # --- least squares ----------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def _residual(nodes, fits, f, q, value, slip):
     """Residual of pull or torque (rows from q on) at a slip under the linearised bin."""
     e = value - from_array(fits, f + q * COUNT) - from_array(fits, f + (q + BY_SLIP) * COUNT) * slip
@@ -167,7 +167,7 @@ def _residual(nodes, fits, f, q, value, slip):
     return e
 
 
-@part
+@compiled_part
 def solve(banks, k, numbers):
     """One Gauss-Newton step of all nodes on the linearised bins; the largest squared length of the step of a likely
     one in standard deviations.
@@ -204,7 +204,7 @@ def solve(banks, k, numbers):
     return _step(banks, k, A, g, cost, _OF_VOLUME * log(volumes), numbers)
 
 
-@inlined
+@compiled_inline
 def _add_bin(nodes, bins, at, fits, f, A, g, form_error, numbers):
     """Add a bin to normal matrix and gradient: (its chi-squared, determinant of its covariance over the sensors')."""
     slip, of_slip, error = bins[at + SLIP], 1.0 / bins[at + SLIP_WEIGHT], form_error * bins[at + LOAD]
@@ -234,7 +234,7 @@ def _add_bin(nodes, bins, at, fits, f, A, g, form_error, numbers):
     return fp * p + ft * t, (pp * tt - pt * pt) * (1.0 / (of_pull * of_torque))
 
 
-@inlined
+@compiled_inline
 def _factor(A, L):
     """Cholesky factor of A [4 x 4], packed, with the reciprocals of its diagonal; (ln det A)."""
     log_det = fill(0.0)
@@ -253,7 +253,7 @@ def _factor(A, L):
     return log_det
 
 
-@inlined
+@compiled_inline
 def _inverse(L, out, at):
     """Inverse of A from its factor, the lower triangle, into rows from `at` on."""
     M = _matrix2()
@@ -274,7 +274,7 @@ def _inverse(L, out, at):
             to_array(v, out, (at + below_diagonal(i, j)) * COUNT)
 
 
-@inlined
+@compiled_inline
 def _step(banks, k, A, g, cost, volume, numbers):
     """Take the step A^-1 g of all nodes within the limits, and renew their covariances and weights; as `solve`."""
     nodes, L, step = banks.nodes[k], _matrix2(), _vector()
@@ -309,13 +309,13 @@ def _step(banks, k, A, g, cost, volume, numbers):
     return -smallest(where_less(weight, _UNLIKELY, 0.0 * gain, -1.0 * gain))
 
 
-@inlined
+@compiled_inline
 def _within(share, step, longest):
     """The largest share of a step, at most `share`, that is not longer than `longest`."""
     return smaller(share, longest / larger(abs(step), 1e-12))
 
 
-@inlined
+@compiled_inline
 def _above(share, room, step):
     """The largest share of a step that uses up nine tenths of `room` at most."""
     room = larger(room, 0.0)
@@ -325,13 +325,13 @@ def _above(share, room, step):
 # --- renewal ----------------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def _linearise_all(banks, k, numbers):
     for b in range(int(banks.point.bins[k])):
         linearise(banks, k, b, numbers)
 
 
-@part
+@compiled_part
 def fit(banks, k, changed, replaced, numbers):
     """Renew what is known of the soil of wheel k after bins `changed` and `replaced` (or -1) have become others; the
     least chi-squared.
@@ -359,7 +359,7 @@ def fit(banks, k, changed, replaced, numbers):
     return misfit
 
 
-@inlined
+@compiled_inline
 def fit_anew(banks, k, numbers):
     """Fit nodes that have moved; the least chi-squared."""
     set_priors(banks, k)
@@ -368,7 +368,7 @@ def fit_anew(banks, k, numbers):
     return gather(banks, k)
 
 
-@part
+@compiled_part
 def fit_behind_border(banks, k, numbers):
     """Fit the nodes, which have all moved, until they stay where they are."""
     set_priors(banks, k)
@@ -379,7 +379,7 @@ def fit_behind_border(banks, k, numbers):
     gather(banks, k)
 
 
-@part
+@compiled_part
 def drop_border(banks, k):
     """Drop the bins on a border from the curve of wheel k, and begin its fit from the prior on."""
     p, bins, fits, kept = banks.point, banks.bins[k], banks.fits[k], 0

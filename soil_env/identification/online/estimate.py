@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, uncompiled
+from soil_env._numba.compiling import compiled_inline, uncompiled
 from soil_env.parameters import Belief, Scenario, SoilState
 
 STIFFEST = 1e13  # largest sinkage coefficient that an estimate may stand for, whatever its exponent
@@ -16,7 +16,7 @@ MOST_DIGGING = 20.0  # largest gain of digging that an estimate may stand for
 LEAST_LOAD = 0.05  # share of the weight below which a measured load counts as this share
 
 
-@inlined
+@compiled_inline
 def soil_of_estimate(x, dig_gain, exponent, dig_recovery):
     """`SoilState` of the estimate x [5] of (phi [rad], ln K, ln S, cohesion, ln(gain of digging / `dig_gain`)).
 

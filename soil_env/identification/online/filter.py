@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, smaller
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
 from soil_env._numba.rows import zero_column
@@ -89,7 +89,7 @@ _slopes = scratch(3 * _FIELDS * COUNT)
 # --- readings to points -----------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def _advance_clocks(p, k, reading, numbers):
     """Integrals over the last period, of the readings' mean over it."""
     u, i = reading.rim_speed, min(max(reading.slip, -0.9), 0.98)
@@ -106,7 +106,7 @@ def _advance_clocks(p, k, reading, numbers):
     p.last_speed[k], p.last_rim[k] = v, u
 
 
-@inlined
+@compiled_inline
 def _slip_of_speeds(r, noise):
     """(slip, its sd) by travel and rim speed."""
     travel = r.speed / r.rim_speed
@@ -117,7 +117,7 @@ def _slip_of_speeds(r, noise):
     return slip, rate * math.hypot(noise[5], min(travel, 2.0) * noise[6]) / r.rim_speed
 
 
-@inlined
+@compiled_inline
 def _collect(o, p, k, r, turned, numbers):
     """Add a reading to the open point; `turned`: change of the rim speed [m/s] in its period."""
     sd = numbers.noise
@@ -153,14 +153,14 @@ def _collect(o, p, k, r, turned, numbers):
     o.readings[k] += 1.0
 
 
-@inlined
+@compiled_inline
 def _is_finite(r):
     """True if all readings are numbers of a plausible size."""
     total = r.slip + r.sinkage + r.drawbar_pull + r.load + r.torque + r.speed
     return abs(total + r.rim_speed + r.pitch + r.motor_torque + r.acceleration) < 1e12
 
 
-@inlined
+@compiled_inline
 def _is_steady(p, k, r, turned, numbers):
     """True if the wheel drives on the ground without spinning, locking or changing its speed much."""
     drives = r.rim_speed >= SLOWEST and _LOCKED <= r.slip <= _SPINNING
@@ -168,7 +168,7 @@ def _is_steady(p, k, r, turned, numbers):
     return drives and touches and turned <= _THROWN * numbers.gravity * numbers.period
 
 
-@inlined
+@compiled_inline
 def _ends_point(o, k, r, on_border, numbers):
     """True if a reading is too unlike the open point to join it, or the point is long enough."""
     faster = abs(r.rim_speed - o.first_rim[k]) > _RIM_RANGE * max(o.first_rim[k], 2.5 * SLOWEST)
@@ -177,7 +177,7 @@ def _ends_point(o, k, r, on_border, numbers):
     return faster or slips or o.readings[k] >= most * _READINGS or o.length[k] > most * _LENGTH * numbers.radius
 
 
-@inlined
+@compiled_inline
 def take(banks, k, reading, numbers):
     """Take one set of readings; True if it completed a point, with which bank k was renewed."""
     o, p, done = banks.open, banks.point, False
@@ -224,7 +224,7 @@ class Point(NamedTuple):
     time: float  # [s]
 
 
-@inlined
+@compiled_inline
 def _close(o, p, k, numbers):
     """The open point of bank k as `Point`; the next is empty."""
     n = o.readings[k]
@@ -244,7 +244,7 @@ def _close(o, p, k, numbers):
     return point
 
 
-@inlined
+@compiled_inline
 def _weigh(p, k, point, numbers):
     """Renew the mass on wheel k by a point; the load on it [N]."""
     gravity = numbers.gravity * point.cos_pitch
@@ -259,13 +259,13 @@ def _weigh(p, k, point, numbers):
     return p.mass[k] * gravity
 
 
-@inlined
+@compiled_inline
 def _short(numbers):
     """Points of a soil up to which contradictions are of the laws."""
     return _SHORT if numbers.grade_change > 0.0 else _SHORTER
 
 
-@inlined
+@compiled_inline
 def _doubt_soil_or_laws(banks, k, numbers):
     """Begin another soil, or a form error of the laws, where the last points contradict the soil so far."""
     p = banks.point
@@ -278,7 +278,7 @@ def _doubt_soil_or_laws(banks, k, numbers):
         p.form_error[k] = max(_GROWS * p.form_error[k], 2.0 * numbers.model_error)
 
 
-@inlined
+@compiled_inline
 def _complete(banks, k, numbers):
     """Close the open point, begin or end a border with it, and renew bank k by it."""
     p, first = banks.point, banks.open.first_place[k]
@@ -303,7 +303,7 @@ def _complete(banks, k, numbers):
 # --- renewal by a point -----------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def ground_of(banks, k, share):
     """`GroundSoil`, as means, where the new soil has this share."""
     known, w, v = banks.known[k], share, 1.0 - share
@@ -315,14 +315,14 @@ def ground_of(banks, k, share):
     )  # fmt: skip
 
 
-@inlined
+@compiled_inline
 def _store(slopes, into, row):
     """Store `Slopes` in lanes, a row a field."""
     for i in range(_FIELDS):
         to_array(slopes[i], into, (row + i) * COUNT)
 
 
-@inlined
+@compiled_inline
 def _one(rows, row, lane):
     """`Slopes` of one lane."""
     i = row * COUNT + lane
@@ -335,7 +335,7 @@ def _one(rows, row, lane):
 _HERE = 3  # the lane at the slip of the point
 
 
-@inlined
+@compiled_inline
 def _slips(point):
     """Slips at which the forces of a point are predicted, a value a lane; that of the point is in lane `_HERE`."""
     lanes = _lane_numbers()
@@ -348,7 +348,7 @@ def _slips(point):
 _lane_numbers = scratch(COUNT)
 
 
-@inlined
+@compiled_inline
 def _key(rows, point, load, numbers):
     """Most likely slip by slip, pull and torque of a point together, under the soil so far."""
     error = _KEY_ERROR * load
@@ -371,7 +371,7 @@ def _key(rows, point, load, numbers):
     return lanes[best]
 
 
-@inlined
+@compiled_inline
 def _surprise(banks, k, rows, point, load, moved, variance, numbers):
     """Chi-squared of pull and torque under the soil so far; the sinkage has `moved` [m] and has this variance."""
     p, t = _one(rows, _PULL, _HERE), _one(rows, _TORQUE, _HERE)
@@ -387,7 +387,7 @@ def _surprise(banks, k, rows, point, load, moved, variance, numbers):
     return (tt * a * a - 2.0 * pt * a * b + pp * b * b) / (pp * tt - pt * pt)
 
 
-@inlined
+@compiled_inline
 def _predict_forces(banks, k, soil, depth, point, load, rows, numbers):
     """`Slopes` of pull, torque and ln s at the slips of a point into `rows`; those by the soil into the bank."""
     p = banks.point
@@ -402,7 +402,7 @@ def _predict_forces(banks, k, soil, depth, point, load, rows, numbers):
     return of_s
 
 
-@inlined
+@compiled_inline
 def _add_to_curve(banks, k, point, load, sinkage, variance, key, on_border, numbers):
     """Add a point to the traction curve: (bin that changed, bin that another took the place of, or -1)."""
     p, new = banks.point, new_point()
@@ -419,7 +419,7 @@ def _add_to_curve(banks, k, point, load, sinkage, variance, key, on_border, numb
     return changed, replaced
 
 
-@part
+@compiled_part
 def _renew(banks, k, point, load, numbers):
     """Renew soil and sinkage of wheel k by a point."""
     p, s, rows, least = banks.point, banks.sinkage[k], _slopes(), 2e-3 * numbers.radius
@@ -442,7 +442,7 @@ def _renew(banks, k, point, load, numbers):
     _adapt(p, k, fit(banks, k, changed, replaced, numbers), numbers)
 
 
-@inlined
+@compiled_inline
 def _adapt(p, k, misfit, numbers):
     """Renew the form error by the least chi-squared of a fit."""
     if p.bins[k] < 3.0 or p.crossing[k] > 0.0 or p.misfit[k] > _EXPECTED:  # it may be another soil

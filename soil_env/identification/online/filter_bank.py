@@ -7,17 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.lanes import COUNT, fetch
 from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.identification.online.best_pull import SLIPS
 from soil_env.identification.online.curve import BINS, FIELDS
 from soil_env.identification.online.curve_fit import FIT_ROWS
-from soil_env.identification.online.readings import sensor_noise
 from soil_env.identification.online.sinkage_filter import SINKAGE_ROWS, new_soil
 from soil_env.identification.online.soil_nodes import GAUSSIAN, NODE_ROWS, PRIOR_SIZE, begin_soil
 from soil_env.identification.online.soil_prior import SoilPrior, depth_of, soil_prior
 from soil_env.parameters import Scenario
+from soil_env.readings import sensor_noise
 
 CANDIDATES = 2 * COUNT  # places of a border that are tested at a time
 #: Sums over the readings of the point that is still open; a weighted sum beside its weights.
@@ -119,7 +119,7 @@ def new_banks(wheels: int) -> FilterBanks:
     return FilterBanks(OpenPoint(wheels), FilterPoint(wheels), *(np.zeros((wheels, size)) for size in sizes))
 
 
-@inlined
+@compiled_inline
 def fetch_bank(banks, k):
     """Bring the memory that a point needs into the cache: with many wheels it is elsewhere."""
     for i in range(0, NODE_ROWS * COUNT, COUNT):
@@ -130,7 +130,7 @@ def fetch_bank(banks, k):
         fetch(banks.sinkage[k], i)
 
 
-@part
+@compiled_part
 def restart(banks, k, numbers):
     """Set bank k back to its prior: nothing known of mass and sinkage either."""
     zero_column(banks.open, k)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, log
 from soil_env._numba.lanes import COUNT, from_array, scratch, total
 from soil_env.identification.online.best_pull import best_pull
@@ -28,7 +28,7 @@ OF_PULL, _AWAY, _DOUBTED, _MOST, _CONTRADICTED = 0.83, 2.0, 6.0, 12.0, 1.7
 _OF_PRESSURE, _OF_GAIN = (0.03, 0.65), (0.2, 1.5)
 
 
-@part
+@compiled_part
 def _of_forces(banks, k, share, by_place, prior, out):
     """Gaussian [GAUSSIAN] of the ground under the wheel by the forces: a blend of two soils on a border.
 
@@ -59,7 +59,7 @@ def _of_forces(banks, k, share, by_place, prior, out):
             out[n] = w * w * known[n] + v * v * known[OLD + n] + spread * apart * (known[j] - known[OLD + j])
 
 
-@inlined
+@compiled_inline
 def _publish_forces(g, slopes, of_load, along, estimate, covariance):
     """Mean and covariance of (phi, ln K, c) from the Gaussian `g` by the forces; variance of ln(s z^n) by them.
 
@@ -86,7 +86,7 @@ def _publish_forces(g, slopes, of_load, along, estimate, covariance):
     return variance
 
 
-@inlined
+@compiled_inline
 def _with_next_soil(found, prior, m, q):
     """`_of_sinkage` of ground that is of a next soil by a share of mean m and mean square q."""
     y, gain, yy, yg, gg = found
@@ -99,7 +99,7 @@ def _with_next_soil(found, prior, m, q):
     return y, gain, yy, yg, gg
 
 
-@inlined
+@compiled_inline
 def _widen(doubt, widths, covariance, sd):
     """Scale the lower triangle of the covariance by `doubt` and `widths` [5], mirror it, and fill `sd` [5]."""
     for i in range(PUBLISHED):
@@ -109,7 +109,7 @@ def _widen(doubt, widths, covariance, sd):
         sd[i] = math.sqrt(max(covariance[i, i], _LEAST_VARIANCE))
 
 
-@part
+@compiled_part
 def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
     """Estimate of the ground under the wheel: mean [5], sd [5] and covariance [5, 5] of (phi, ln K, ln S, c, ln g).
 
@@ -150,7 +150,7 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
         p.pull_share[k] = share
 
 
-@inlined
+@compiled_inline
 def _across(banks, k, share, out):
     """`out` [6]: change of (tan phi, c, n, ln K, y, ln gain) from the old soil to the new one; 0 away from borders."""
     known, s = banks.known[k], banks.sinkage[k]
@@ -163,7 +163,7 @@ def _across(banks, k, share, out):
             out[i] = 0.0
 
 
-@part
+@compiled_part
 def _of_sinkage(s, share, place):
     """(mean of y, of the ln of the gain; their variances and covariance: yy, yg, gg) of the ground."""
     w, own = share, weights(s)

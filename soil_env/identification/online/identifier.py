@@ -7,15 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part, root
+from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root
 from soil_env.identification.online.best_pull import prior_pull
 from soil_env.identification.online.filter import CONTRADICTION_OF_POINTS, take
 from soil_env.identification.online.filter_bank import FilterBanks, FilterNumbers, filter_numbers, new_banks, restart
 from soil_env.identification.online.filter_estimate import OF_PULL, PUBLISHED as SIZE, publish
-from soil_env.identification.online.readings import SensorReading
 from soil_env.identification.online.soil_prior import depth_of, prior_of_belief, published_prior
 from soil_env.identification.online.status import Status
 from soil_env.parameters import Scenario
+from soil_env.readings import SensorReading
 
 #: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to other ground; a
 #: point was completed.
@@ -92,7 +92,7 @@ def new_identifiers(wheels: int) -> Identifiers:
     )
 
 
-@part
+@compiled_part
 def forget(ids, k, numbers):
     """Set identifier k back to its prior."""
     ids.borders[k] = 0
@@ -106,7 +106,7 @@ def forget(ids, k, numbers):
     restart(ids.banks, k, numbers.filter)
 
 
-@inlined
+@compiled_inline
 def observe(ids, k, reading, numbers):
     """Take one set of readings: `HELD`, `MOVED` or `RENEWED`."""
     if numbers.off:
@@ -139,7 +139,7 @@ def observe(ids, k, reading, numbers):
     return RENEWED if done else MOVED
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def observe_rows(
     ids: Identifiers,
     wheels: np.ndarray,

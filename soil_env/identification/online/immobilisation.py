@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import FastCall, inlined, root
+from soil_env._numba.compiling import FastCall, compiled_inline, compiled_root
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.motor import full_voltage
 
@@ -129,7 +129,7 @@ def warning_numbers(scenario: Scenario) -> WarningNumbers:
     )  # fmt: skip
 
 
-@inlined
+@compiled_inline
 def _channels(reading, numbers):
     """`Channels` of one set of readings."""
     load = max(reading.load, _LEAST_LOAD * numbers.weight)
@@ -150,7 +150,7 @@ def _channels(reading, numbers):
     )
 
 
-@inlined
+@compiled_inline
 def begin(recent, k, reading, numbers):
     """Start the averages of wheel k, at rest at the start of a course, with its first readings."""
     values = _channels(reading, numbers)
@@ -160,7 +160,7 @@ def begin(recent, k, reading, numbers):
     recent[k, _AVERAGES] = 0.0
 
 
-@inlined
+@compiled_inline
 def follow(recent, k, reading, halted, numbers):
     """Take the readings of a control period of wheel k into its averages, which stand still in halts."""
     if halted:
@@ -175,7 +175,7 @@ def follow(recent, k, reading, halted, numbers):
     recent[k, _AVERAGES] += numbers.period
 
 
-@inlined
+@compiled_inline
 def see(recent, k, view, numbers):
     """Store the `View` of a control period of wheel k."""
     out, sine = recent[k, _SEEN:], recent[k, _PITCH]
@@ -192,7 +192,7 @@ def see(recent, k, view, numbers):
     out[11] = seen * min(view.beside_count, _OFTEN)
 
 
-@inlined
+@compiled_inline
 def _write_inputs(recent, x, sd, numbers, out):
     """Write `INPUTS` of a wheel: `recent` [MEMORY], its estimate and sd [5] of (phi, ln K, ln S, c, ln of the gain)."""
     for i in range(_AVERAGES):
@@ -209,7 +209,7 @@ def _write_inputs(recent, x, sd, numbers, out):
         soil[i - _SEEN + len(_SOIL)] = recent[i]
 
 
-@inlined
+@compiled_inline
 def _layer(x, weights, bias, out):
     """`out` = x weights + bias."""
     for j in range(out.size):
@@ -219,13 +219,13 @@ def _layer(x, weights, bias, out):
             out[j] += x[i] * weights[i, j]
 
 
-@inlined
+@compiled_inline
 def _squash(x):
     for i in range(x.size):
         x[i] = math.tanh(x[i])
 
 
-@root(nogil=True)
+@compiled_root(nogil=True)
 def _assess(rows, recent, estimate, sd, numbers, net, inputs, hidden, out):
     """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n]; `hidden` [inputs + both layers]."""
     a, b = net.mean.size, net.mean.size + net.first_bias.size

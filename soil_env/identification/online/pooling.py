@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.lanes import COUNT, scratch
 from soil_env.identification.online.identifier import HELD, RENEWED
 from soil_env.identification.online.status import Status
@@ -57,7 +57,7 @@ _gain, _prior, _rest = scratch(BELIEF), scratch(BELIEF), scratch(BELIEF)
 _posterior, _product = scratch(UNKNOWNS * UNKNOWNS), scratch(UNKNOWNS)
 
 
-@inlined
+@compiled_inline
 def _soil_at(pools, first, x):
     """From where to where [m] the ground is of the soil at x [m], by the borders that wheel `first` has found."""
     low = AT_START
@@ -68,7 +68,7 @@ def _soil_at(pools, first, x):
     return low, _FAR
 
 
-@inlined
+@compiled_inline
 def _find(pools, o, k, soil, numbers, belief):
     """Store the belief of wheel o on the soil from soil[0] to soil[1] [m], of its newest stretch there; True if any."""
     low, high = soil[0] - numbers.border, soil[1] + numbers.border
@@ -85,26 +85,26 @@ def _find(pools, o, k, soil, numbers, belief):
     return False
 
 
-@inlined
+@compiled_inline
 def _at(i, j):
     """Offset of element (i, j) of the matrix of a belief, or of information [12]."""
     return SHARED * (i + 1) + j
 
 
-@inlined
+@compiled_inline
 def _cofactor(belief, i, j):
     """Cofactor (i, j) of the matrix [3, 3] of a belief."""
     r, s, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
     return belief[_at(r, c)] * belief[_at(s, d)] - belief[_at(r, d)] * belief[_at(s, c)]
 
 
-@inlined
+@compiled_inline
 def _determinant(belief):
     first, second = belief[3] * _cofactor(belief, 0, 0), belief[4] * _cofactor(belief, 0, 1)
     return first + second + belief[5] * _cofactor(belief, 0, 2)
 
 
-@inlined
+@compiled_inline
 def _information(belief, out):
     """Inverse of the covariance of a belief, and that times its mean, into out [12]; False if singular."""
     det = _determinant(belief)
@@ -118,7 +118,7 @@ def _information(belief, out):
     return True
 
 
-@inlined
+@compiled_inline
 def _read(mean, P, first, column1, column2, value, precision):
     """Kalman update of mean [5] and P [25] by a reading of shared unknown `first` and, times columns, of the next."""
     if precision * P[(UNKNOWNS + 1) * WHICH[first]] < _LEAST:
@@ -136,7 +136,7 @@ def _read(mean, P, first, column1, column2, value, precision):
             P[UNKNOWNS * m + n] -= v[m] * v[n] / expected
 
 
-@inlined
+@compiled_inline
 def _is_positive(g, prior, share, rest):
     """True if information g [12] less a share of the prior's is positive definite; `rest` [12] is scratch."""
     for i in range(SHARED, BELIEF):
@@ -144,7 +144,7 @@ def _is_positive(g, prior, share, rest):
     return rest[3] > 0.0 and _cofactor(rest, 2, 2) > 0.0 and _determinant(rest) > 0.0
 
 
-@inlined
+@compiled_inline
 def _remove_prior(g, prior):
     """Subtract the prior's information from g [12] in place.
 
@@ -159,7 +159,7 @@ def _remove_prior(g, prior):
         g[i] -= share * prior[i]
 
 
-@inlined
+@compiled_inline
 def _absorb(mean, P, g):
     """Take information g [12] into mean [5] and P [25]; g is L D L', each column of L a reading of variance 1/D.
 
@@ -179,7 +179,7 @@ def _absorb(mean, P, g):
                     g[SHARED * (j + 1) + m] -= share * g[row + m]
 
 
-@inlined
+@compiled_inline
 def _known_by(pools, o, k, first, numbers, ground):
     """Store the belief of wheel o on the ground under wheel k into `ground`.
 
@@ -205,7 +205,7 @@ def _known_by(pools, o, k, first, numbers, ground):
     return _find(pools, o, k, here, numbers, ground), 1.0
 
 
-@inlined
+@compiled_inline
 def _disagreement(mean, P, belief, both):
     """Chi-squared over its three degrees of freedom between an estimate and another one's belief (Birge ratio)."""
     for i in range(SHARED):
@@ -219,7 +219,7 @@ def _disagreement(mean, P, belief, both):
     return (d0 * inverse[0] + d1 * inverse[1] + d2 * inverse[2]) / SHARED
 
 
-@part
+@compiled_part
 def pool(pools, ids, k, first, axles, numbers):
     """Renew what is pooled of the ground under wheel k of a rover whose front wheel is in row `first`."""
     take_own(pools, ids, k)
@@ -257,7 +257,7 @@ def pool(pools, ids, k, first, axles, numbers):
         pools.status[k] = _CONVERGED if learnt <= _LEARNT else _NOT_EXCITED
 
 
-@inlined
+@compiled_inline
 def share(pools, ids, first, axles, outcome, numbers, identifier):
     """Exchange the knowledge of the wheels of a rover, after a set of readings and `note` of each.
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, fma, larger, log, smaller, sqrt, tanh
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
 
@@ -59,13 +59,13 @@ class Motion(NamedTuple):
     variance: float  # [m2] of that
 
 
-@inlined
+@compiled_inline
 def cell(i, j):
     """Offset of element (i, j) of the covariance."""
     return (COVARIANCE + (i * (i + 1) // 2 + j if i >= j else j * (j + 1) // 2 + i)) * COUNT
 
 
-@inlined
+@compiled_inline
 def new_soil(banks, k, numbers):
     """Set pressure and gain of the filters of wheel k to their prior; they are correlated with nothing else."""
     s, prior = banks.sinkage[k], numbers.prior
@@ -87,26 +87,26 @@ def new_soil(banks, k, numbers):
     to_array(w - math.log(total(exp(w))), s, LOG_WEIGHT * COUNT)
 
 
-@inlined
+@compiled_inline
 def weights(s):
     """Weights of the filters."""
     return exp(from_array(s, LOG_WEIGHT * COUNT))
 
 
-@inlined
+@compiled_inline
 def mean(s, i):
     """Mean of a state over all filters."""
     return total(weights(s) * from_array(s, i * COUNT))
 
 
-@inlined
+@compiled_inline
 def spread(s, i, j):
     """Covariance of two states over all filters."""
     away = from_array(s, i * COUNT) - mean(s, i)
     return total(weights(s) * (from_array(s, cell(i, j)) + away * (from_array(s, j * COUNT) - mean(s, j))))
 
 
-@part
+@compiled_part
 def begin_next_sinkage(banks, k, numbers):
     """The soil so far becomes the old one, and a new one begins, with the prior of its sinkage."""
     s = banks.sinkage[k]
@@ -125,7 +125,7 @@ def begin_next_sinkage(banks, k, numbers):
     to_array(fill(gg), s, cell(OLD_GAIN, OLD_GAIN))
 
 
-@part
+@compiled_part
 def keep_old_sinkage(banks, k):
     """The soil behind the border is the old one."""
     s = banks.sinkage[k]
@@ -137,14 +137,14 @@ def keep_old_sinkage(banks, k):
     to_array(fill(-math.log(COUNT)), s, LOG_WEIGHT * COUNT)
 
 
-@inlined
+@compiled_inline
 def pressure_here(s, ground):
     """State y of the ground under the wheel, a value a lane."""
     new, old = from_array(s, PRESSURE * COUNT), from_array(s, OLD_PRESSURE * COUNT)
     return ground.share * new + (1.0 - ground.share) * old if ground.share < 1.0 else new
 
 
-@inlined
+@compiled_inline
 def ln_bearing(s, ground, depth):
     """ln of the bearing sinkage [m] at which undisturbed soil has the pressure mobilised now, a value a lane."""
     n, deeper = ground.exponent, log(from_array(s, DEPTH * COUNT)) - math.log(ground.depth)
@@ -152,14 +152,14 @@ def ln_bearing(s, ground, depth):
     return math.log(depth) + (pressure - pressure_here(s, ground)) * (1.0 / n)
 
 
-@inlined
+@compiled_inline
 def _normal_share(x):
     """(P, p): distribution and density of the standard normal; P to 2e-4 (Page 1977, Applied Statistics 26:75-76)."""
     share = 0.5 + 0.5 * tanh(0.7988 * (x + 0.04417 * x * x * x))
     return share, 0.3989422804014327 * exp(-0.5 * smaller(x * x, 1400.0))
 
 
-@inlined
+@compiled_inline
 def _lacking(lag, scatter):
     """Mean and variance of max(lag, 0), and the probability of lag > 0, of a normal `lag` with sd `scatter`."""
     likely, density = _normal_share(lag / scatter)
@@ -168,7 +168,7 @@ def _lacking(lag, scatter):
     return lacking, square, likely
 
 
-@inlined
+@compiled_inline
 def _covariance_with(s, slopes, size, out):
     """Covariance of the states with a quantity that has these slopes by them, into `out`; its variance."""
     variance = fill(0.0)
@@ -181,7 +181,7 @@ def _covariance_with(s, slopes, size, out):
     return variance
 
 
-@inlined
+@compiled_inline
 def _read_sinkage(s, of_depth, e, expected, size, r):
     """Kalman update by a reading `e` above its prediction; `of_depth`: covariance of the states with the sinkage."""
     for i in range(size):
@@ -196,7 +196,7 @@ def _read_sinkage(s, of_depth, e, expected, size, r):
     to_array(smaller(larger(from_array(s, GAIN * COUNT), -_LARGEST_GAIN), _LARGEST_GAIN), s, GAIN * COUNT)
 
 
-@inlined
+@compiled_inline
 def _follow(s, ground, motion, last_bearing, size, numbers):
     """Time update of the sinkage, and its update by the reading: (innovation, its variance), a value a lane."""
     slopes, of_bearing, of_depth, r = _row(), _row2(), _row3(), numbers.radius
@@ -257,7 +257,7 @@ def _follow(s, ground, motion, last_bearing, size, numbers):
     return e, expected
 
 
-@part
+@compiled_part
 def follow(banks, k, ground, motion, numbers):
     """Follow the sinkage of wheel k from the last point to this one; chi-squared of its reading."""
     s, last = banks.sinkage[k], banks.point.bearing[k]
@@ -277,7 +277,7 @@ def follow(banks, k, ground, motion, numbers):
     return surprise
 
 
-@inlined
+@compiled_inline
 def start(banks, k, sinkage, variance):
     """A first sinkage [m] with its variance [m2]."""
     s = banks.sinkage[k]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
 from soil_env.identification.online.sinkage_filter import DEPTH, GAIN, PRESSURE, mean, spread
@@ -44,7 +44,7 @@ _rows, _gaussian = scratch(5 * COUNT), scratch(GAUSSIAN)
 _of_sinkage = scratch(8)
 
 
-@inlined
+@compiled_inline
 def below_diagonal(i, j):
     """Place of element (i, j), i >= j, in a lower triangle."""
     return i * (i + 1) // 2 + j
@@ -53,7 +53,7 @@ def below_diagonal(i, j):
 # --- prior ------------------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def _conditional(gaussian, g, prior):
     """A Gaussian [GAUSSIAN] from offset g on, into a conditional `prior` [PRIOR_SIZE] given ln K."""
     c = g + SOIL
@@ -77,7 +77,7 @@ def _conditional(gaussian, g, prior):
     prior[PRIOR_LOG] = -math.log(det)
 
 
-@inlined
+@compiled_inline
 def renew_prior(banks, k, numbers):
     """The prior of the soil of wheel k, given the Gaussian of its sinkage filter."""
     prior, s, g, covariance = numbers.prior, banks.sinkage[k], _gaussian(), numbers.prior.sinkage_covariance
@@ -95,7 +95,7 @@ def renew_prior(banks, k, numbers):
     _conditional(g, 0, banks.prior[k])
 
 
-@inlined
+@compiled_inline
 def set_priors(banks, k):
     """The prior of each node, given its ln K; that of the node of a soil that stays the same is the old soil."""
     nodes, prior = banks.nodes[k], banks.prior[k]
@@ -120,13 +120,13 @@ def set_priors(banks, k):
 # --- a new soil -------------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def _place_nodes(nodes, centre, half, count):
     for j in range(count):
         nodes[LN_K * COUNT + j] = centre + half * (2.0 * j / (count - 1) - 1.0)
 
 
-@inlined
+@compiled_inline
 def _begin(banks, k, count):
     """Nothing is known of a soil but its prior: `count` nodes."""
     nodes, prior = banks.nodes[k], banks.prior[k]
@@ -140,7 +140,7 @@ def _begin(banks, k, count):
         nodes[SAME_SOIL * COUNT + j] = nodes[LOG_WEIGHT * COUNT + j] = 0.0
 
 
-@part
+@compiled_part
 def begin_soil(banks, k, numbers):
     """Set what is known of the soil of wheel k to its prior."""
     for i in range(GAUSSIAN):
@@ -149,7 +149,7 @@ def begin_soil(banks, k, numbers):
     _begin(banks, k, COUNT)
 
 
-@part
+@compiled_part
 def begin_next_soil(banks, k, numbers):
     """Begin a new soil, which is the same with some probability; the soil so far becomes the old one."""
     nodes, known, old = banks.nodes[k], banks.known[k], banks.old_prior[k]
@@ -168,7 +168,7 @@ def begin_next_soil(banks, k, numbers):
         known[i] = numbers.prior.forces[i]
 
 
-@part
+@compiled_part
 def leave_old_soil(banks, k):
     """Behind a border: spread all nodes over the new soil; True if that is the old one."""
     nodes, prior, p = banks.nodes[k], banks.prior[k], LN_K * COUNT
@@ -187,7 +187,7 @@ def leave_old_soil(banks, k):
     return False
 
 
-@inlined
+@compiled_inline
 def begin_again(banks, k):
     """Nodes at their prior, fitted to the bins so far."""
     p = banks.point
@@ -199,13 +199,13 @@ def begin_again(banks, k):
 # --- posterior --------------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def _row(i):
     """Row of `nodes` of unknown i of a soil."""
     return LN_K if i == 3 else i
 
 
-@part
+@compiled_part
 def gather(banks, k):
     """Mean and covariance of (tan phi, cohesion, exponent, ln K) over all nodes into `known`; the least chi-squared."""
     nodes, known = banks.nodes[k], banks.known[k]
@@ -231,7 +231,7 @@ def gather(banks, k):
     return smallest(from_array(nodes, COST * COUNT))
 
 
-@part
+@compiled_part
 def spread_anew(banks, k):
     """Spread the nodes over what is known of ln K now, if they lie too close or too far apart: True if they moved."""
     nodes, known, p = banks.nodes[k], banks.known[k], LN_K * COUNT
@@ -246,7 +246,7 @@ def spread_anew(banks, k):
     return True
 
 
-@inlined
+@compiled_inline
 def _respread(nodes, centre, half, before):
     """All nodes, at centre +- half, with unknowns between those of the `before` first nodes so far."""
     old = _rows()
@@ -265,7 +265,7 @@ def _respread(nodes, centre, half, before):
         nodes[SAME_SOIL * COUNT + j] = 0.0
 
 
-@inlined
+@compiled_inline
 def fit_is_sound(banks, k):
     """True if all that is known of the soil is finite."""
     known, all_ = banks.known[k], total(from_array(banks.sinkage[k], DEPTH * COUNT))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.online.border import begin_known_border
 from soil_env.identification.online.identifier import RENEWED, IdentifierNumbers, identifier_numbers
@@ -94,14 +94,14 @@ def pool_numbers(scenario: Scenario) -> PoolNumbers:
     return PoolNumbers(prior, sd, scenario.belief.border, RUT_DRIFT, ERROR_OF_MODEL)
 
 
-@part
+@compiled_part
 def forget_stretches(pools, ids, k):
     """Set wheel k, whose identifier has just been reset, back to the prior."""
     pools.start[k], pools.crossing[k], pools.points[k], pools.left[k] = AT_START, 0.0, 0.0, 0
     take_own(pools, ids, k)
 
 
-@inlined
+@compiled_inline
 def take_own(pools, ids, k):
     """Set the pooled estimate of wheel k to that of its own filter."""
     for i in range(UNKNOWNS):
@@ -110,7 +110,7 @@ def take_own(pools, ids, k):
     pools.status[k] = ids.status[k]
 
 
-@inlined
+@compiled_inline
 def _believe(ids, k, belief):
     """The newest posterior of wheel k into a belief [12]."""
     for i in range(SHARED):
@@ -119,14 +119,14 @@ def _believe(ids, k, belief):
             belief[SHARED * (i + 1) + j] = ids.covariance[k, WHICH[i], WHICH[j]]
 
 
-@inlined
+@compiled_inline
 def copy_belief(source, target):
     """A belief [12] into another."""
     for i in range(BELIEF):
         target[i] = source[i]
 
 
-@inlined
+@compiled_inline
 def _leave(pools, k, end):
     """Store the stretch that wheel k leaves at `end` [m]."""
     if pools.left[k] == STRETCHES:
@@ -144,7 +144,7 @@ def _leave(pools, k, end):
     pools.left[k] = s + 1
 
 
-@part
+@compiled_part
 def note(pools, ids, k, x, outcome, in_rut, numbers):
     """Follow the filter of wheel k at x [m] over stretches and borders; `outcome` of its `observe`.
 
@@ -171,7 +171,7 @@ def note(pools, ids, k, x, outcome, in_rut, numbers):
     pools.crossing[k] = p.crossing[k]
 
 
-@inlined
+@compiled_inline
 def hand_over_border(pools, ids, k, first, numbers, identifier):
     """Begin with the new soil where wheel `first` has found a border that wheel k behind it has come to."""
     length, p, x = numbers.border, ids.banks.point, pools.place[k]
@@ -185,7 +185,7 @@ def hand_over_border(pools, ids, k, first, numbers, identifier):
             return
 
 
-@inlined
+@compiled_inline
 def _loosen(ids, k, numbers):
     """Widen ln S: the floor of a rut has another sinkage coefficient from place to place."""
     for i in range(cell(PRESSURE, PRESSURE), cell(PRESSURE, PRESSURE) + COUNT):

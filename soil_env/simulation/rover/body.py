@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import asin_root, larger, smaller, sqrt, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import Rows, rows
@@ -91,7 +91,7 @@ def suspension_of(scenario: RoverScenario) -> Suspension:
     )  # fmt: skip
 
 
-@inlined
+@compiled_inline
 def _between(together, moment, arm, other_arm, least):
     """Loads at two arms [m] that bear `together` [N] and balance a moment [N m], each at least `least`."""
     one = (-1.0 * moment - other_arm * together) * (1.0 / (arm - other_arm))
@@ -99,13 +99,13 @@ def _between(together, moment, arm, other_arm, least):
     return one, together - one
 
 
-@inlined
+@compiled_inline
 def _moment(forces, k, height):
     """Moment [N m], front up, of pull and torque of the wheels in columns k on about a point so high above the axle."""
     return from_array(forces.torque, k) + height * from_array(forces.drawbar_pull, k)
 
 
-@inlined
+@compiled_inline
 def bear(forces, weight, s, loads):
     """Loads [N] of the axles of eight rovers into `loads`, eight a axle, in equilibrium with the torques and drawbar
     pulls of `forces`; `weight` [N] is normal to the body."""
@@ -130,12 +130,12 @@ def bear(forces, weight, s, loads):
     to_array(rear, loads, (b + 1) * COUNT)
 
 
-@inlined
+@compiled_inline
 def _axle_height(wheels, axles, k):
     return from_array(axles.height, k) - from_array(axles.floor, k) - from_array(wheels.sinkage, k)
 
 
-@inlined
+@compiled_inline
 def rise_of_body(wheels, axles, first, s):
     """Sine of the pitch of eight rovers' bodies, from where their wheels stand."""
     front = _axle_height(wheels, axles, first)
@@ -153,7 +153,7 @@ def rise_of_body(wheels, axles, first, s):
     return smaller(larger((front - rear) * (1.0 / length), -0.9), 0.9)
 
 
-@inlined
+@compiled_inline
 def angle_of(sine):
     """Angle [rad] of a sine, in lanes."""
     half = asin_root(0.5 - 0.5 * sqrt(1.0 - sine * sine))

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, sine_of
 from soil_env._numba.lanes import COUNT, from_array, scratch, to_array
 from soil_env._numba.rows import Rows, scratch_rows
-from soil_env.simulation.dynamics import (
+from soil_env.simulation.rover.body import angle_of, rise_of_body
+from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds, weight_of
+from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
+from soil_env.simulation.world.dynamics import (
     FINEST,
     MOST_STEPS,
     STEP,
@@ -24,10 +27,7 @@ from soil_env.simulation.dynamics import (
     stage_of,
     steps_for,
 )
-from soil_env.simulation.rover.body import angle_of, rise_of_body
-from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds, weight_of
-from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
-from soil_env.simulation.stage import (
+from soil_env.simulation.world.stage import (
     GAMMA,
     Period,
     Substep,
@@ -38,7 +38,7 @@ from soil_env.simulation.stage import (
     new_newton,
     new_nodes,
 )
-from soil_env.simulation.wheel import finish, wheel_of
+from soil_env.simulation.world.wheel import finish, wheel_of
 from soil_env.slip import slip_ratio
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.vehicle import MOST_AXLES
@@ -56,7 +56,7 @@ class Rovers(NamedTuple):
     axles: Rows  # AxleState
 
 
-@inlined
+@compiled_inline
 def _climb(wheels, axles, ruts, k, before, grade):
     """Height of the ground and depth of the rut under eight wheels that have moved from `before` [m] on."""
     rise = (from_array(wheels.x, k) - before) * sine_of(grade)
@@ -65,19 +65,19 @@ def _climb(wheels, axles, ruts, k, before, grade):
         axles.floor[i] = floor_at(ruts, i, wheels.x[i])
 
 
-@inlined
+@compiled_inline
 def take_pitch(rovers, j, s):
     """Pitch of the bodies of the eight rovers of which j is one, from where their wheels stand."""
     block = j // COUNT * COUNT
     to_array(angle_of(rise_of_body(rovers.wheels, rovers.axles, block * s.axles, s)), rovers.body.pitch, block)
 
 
-@part
-def _drive(rovers, block, period, courses, ruts, world, s, left, longest, anyhow):
+@compiled_part
+def _drive(rovers, block, period, courses, ruts, world, s, left, longest, force):
     """Steps of at most `longest` seconds for `left` seconds, of those of eight rovers that are alive in `period`.
 
     A rover for which Newton's method fails stays as it was before that stage, with the rest of its time in
-    `period.left`; with `anyhow` = 1 it goes on.
+    `period.left`; with `force` = 1 it goes on.
     """
     body, wheels, axles, counts = rovers.body, rovers.wheels, rovers.axles, rovers.counts
     sub, trial = Substep(new_footing(), new_equations(), new_nodes(), new_newton()), new_newton()
@@ -95,7 +95,7 @@ def _drive(rovers, block, period, courses, ruts, world, s, left, longest, anyhow
             for a in range(s.axles):
                 i = a * COUNT
                 before = from_array(wheels.x, first + i)
-                move(wheels, first, i, period, sub, world, stage, anyhow)
+                move(wheels, first, i, period, sub, world, stage, force)
                 _climb(wheels, axles, ruts, first + i, before, from_array(sub.footing.grade, i))
             take_pitch(rovers, block, s)
             for i in range(s.axles * COUNT):
@@ -107,7 +107,7 @@ def _drive(rovers, block, period, courses, ruts, world, s, left, longest, anyhow
         left -= h
 
 
-@part
+@compiled_part
 def _drive_alone(rovers, block, lane, period, courses, ruts, world, s):
     """The rest of the control period of one rover of a block, by steps halved while Newton's method fails."""
     longest, end = world.period / (world.substeps * period.steps[lane]), s.axles * COUNT
@@ -127,7 +127,7 @@ def _drive_alone(rovers, block, lane, period, courses, ruts, world, s):
         period.left[i] = 0.0
 
 
-@inlined
+@compiled_inline
 def _choose_steps(rovers, block, period, world, s):
     """Steps that eight rovers take in this control period where others take one (`newton.change_ahead`)."""
     wheels, body, first = rovers.wheels, rovers.body, block * s.axles
@@ -144,7 +144,7 @@ def _choose_steps(rovers, block, period, world, s):
         to_array(steps, period.steps, a * COUNT)
 
 
-@part
+@compiled_part
 def advance(rovers, block, what, commands, courses, ruts, streams, world, s):
     """One control period of those of the rovers `block` ... `block` + 7 with what[j] = STEP.
 
@@ -177,7 +177,7 @@ def advance(rovers, block, what, commands, courses, ruts, streams, world, s):
             _as_a_whole(rovers, block + lane, period, lane, streams, world, s)
 
 
-@inlined
+@compiled_inline
 def _as_a_whole(rovers, j, period, lane, streams, world, s):
     """The end of a control period of rover j, in a lane of its block."""
     body, wheels = rovers.body, rovers.wheels

@@ -8,48 +8,50 @@ that is linear in the axles. Stages and reaction are those of `simulation.stage`
 
 from __future__ import annotations
 
-from soil_env._numba.compiling import inlined, part
+from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import below, chosen, larger, sine_of, sqrt
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
-from soil_env.simulation.newton import HUGE, PASSES, TOLERANCE, compare, near_enough
+from soil_env._numba.records import keep_where
 from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear
-from soil_env.simulation.stage import (
+from soil_env.simulation.world.newton import HUGE, PASSES, TOLERANCE, compare, near_enough
+from soil_env.simulation.world.stage import (
     SHORT,
     behind,
-    chosen_reaction,
+    choose_reaction,
     foreseen_rim,
     load_reaction,
     reaction_at,
+    same_reaction,
     stand,
     store_reaction,
 )
 from soil_env.terramechanics.motor import motor
-from soil_env.terramechanics.reaction import REST_SPEED, Reaction
+from soil_env.terramechanics.reaction import REST_SPEED
 
 _LEAST_PIVOT = 1e-12
 _TURNS = 4  # solutions of a stage at most, each with the loads of the one before; the last is kept
 
 
-@inlined
+@compiled_inline
 def _apart(x):
     """`x` away from 0, where it is divided by."""
     return chosen(below(_LEAST_PIVOT, abs(x)), x, _LEAST_PIVOT)
 
 
-@inlined
+@compiled_inline
 def _eliminate(pull_by_u, torque_by_v, net_by_u, f2, cu):
     """What the equation of an axle's rotation adds to that of travel: (slope, residual), of V and times h/M."""
     pivot = _apart(1.0 + cu * net_by_u)
     return pull_by_u * cu * torque_by_v / pivot, pull_by_u * f2 / pivot
 
 
-@inlined
+@compiled_inline
 def _turned(dv, torque_by_v, net_by_u, f2, cu):
     """Change of the rim speed of an axle with a change `dv` of travel."""
     return -(f2 + cu * torque_by_v * dv) / _apart(1.0 + cu * net_by_u)
 
 
-@inlined
+@compiled_inline
 def foresee(wheels, first, period, world, s, h, mass, lead, changes):
     """Change of V [m/s] of eight rovers in h seconds by the reaction of the last stage to first order, and those of the
     rim speeds into `changes`, eight an axle; the stage begins at speeds as `newton.behind` says."""
@@ -75,14 +77,14 @@ def foresee(wheels, first, period, world, s, h, mass, lead, changes):
     return dv
 
 
-@inlined
+@compiled_inline
 def weight_of(body, block, world):
     """Weight [N] of one side of eight rovers, normal to their bodies."""
     sine = sine_of(from_array(body.pitch, block))
     return world.wheel.gravity * from_array(body.mass, block) * sqrt(1.0 - sine * sine)
 
 
-@inlined
+@compiled_inline
 def _bear_ahead(wheels, first, sub, short, dv, weight, s):
     """Loads by the forces of the last stage and, where that is a `short` way, how they change to first order with `dv`
     and the changes of the rim speeds that are in `try_u`."""
@@ -97,7 +99,7 @@ def _bear_ahead(wheels, first, sub, short, dv, weight, s):
     bear(n, weight, s, e.load)
 
 
-@inlined
+@compiled_inline
 def set_up(wheels, body, block, first, period, sub, world, s, h, lead, duration):
     """The equations of a stage of eight rovers, and where Newton's method starts."""
     e, mass = sub.equations, from_array(body.mass, block)
@@ -127,7 +129,7 @@ def set_up(wheels, body, block, first, period, sub, world, s, h, lead, duration)
 # --- the iteration ----------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled_inline
 def _evaluate(sub, trial, cu, world, s):
     """The reaction to the speeds to try, into `trial`; the largest residual [m/s]."""
     e, along, largest = sub.equations, fill(0.0), fill(0.0)
@@ -151,21 +153,21 @@ def _evaluate(sub, trial, cu, world, s):
     return larger(largest, abs(residual))
 
 
-@inlined
+@compiled_inline
 def _keep_better(sub, trial, better, s):
-    """Take over what was tried in lanes where it is better."""
+    """Take over speeds, residuals and reaction of the trial in lanes where it is better."""
     n = sub.newton
-    to_array(chosen(better, from_array(sub.equations.try_v, 0), from_array(n.v, 0)), n.v, 0)
-    to_array(chosen(better, from_array(trial.f1, 0), from_array(n.f1, 0)), n.f1, 0)
+    keep_where(better, from_array(sub.equations.try_v, 0), n.v, 0)
+    keep_where(better, from_array(trial.f1, 0), n.f1, 0)
     for a in range(s.axles):
         i = a * COUNT
-        to_array(chosen(better, from_array(trial.u, i), from_array(n.u, i)), n.u, i)
-        to_array(chosen(better, from_array(trial.f2, i), from_array(n.f2, i)), n.f2, i)
-        to_array(chosen(better, from_array(trial.motor_slope, i), from_array(n.motor_slope, i)), n.motor_slope, i)
-        store_reaction(chosen_reaction(better, load_reaction(trial, i), load_reaction(n, i)), n, i)
+        keep_where(better, from_array(trial.u, i), n.u, i)
+        keep_where(better, from_array(trial.f2, i), n.f2, i)
+        keep_where(better, from_array(trial.motor_slope, i), n.motor_slope, i)
+        store_reaction(choose_reaction(better, load_reaction(trial, i), load_reaction(n, i)), n, i)
 
 
-@inlined
+@compiled_inline
 def _try_next(sub, share, cu, world, s):
     """The speeds to try next: a share of the step of Newton's method from the best so far."""
     e, n, r = sub.equations, sub.newton, world.wheel.radius
@@ -188,7 +190,7 @@ def _try_next(sub, share, cu, world, s):
         to_array(from_array(n.u, i) + share * du, e.try_u, i)
 
 
-@inlined
+@compiled_inline
 def _begin(sub, s):
     """State of the iteration at its start."""
     n, zero = sub.newton, fill(0.0)
@@ -196,13 +198,13 @@ def _begin(sub, s):
         i = a * COUNT
         to_array(from_array(sub.equations.speed0, i), n.v, i)
         to_array(from_array(sub.equations.rim0, i), n.u, i)
-        store_reaction(Reaction(zero, zero, zero, zero, zero, zero, zero, zero, zero, zero), n, i)
+        store_reaction(same_reaction(zero), n, i)
         to_array(zero, n.f2, i)
         to_array(zero, n.motor_slope, i)
     to_array(zero, n.f1, 0)
 
 
-@inlined
+@compiled_inline
 def _largest_change(sub, s):
     """Of all speeds of eight rovers since the start of the stage [m/s]."""
     e, n = sub.equations, sub.newton
@@ -212,20 +214,20 @@ def _largest_change(sub, s):
     return change
 
 
-@part
+@compiled_part
 def _iterate(sub, trial, alive, world, s, h):
-    """Newton's method for those of eight rovers that are `alive`, at the loads as they are; who has converged.
+    """Newton's method for those of eight rovers that are `alive`, at the present loads; 1 where it has converged.
 
-    As in `simulation.newton`, a step that does not reduce the largest residual is shortened. Rovers that have ended
-    stay as they are while others go on.
+    As in `world.newton`, a step that does not reduce the largest residual is shortened. Rovers that have ended stay as
+    they are while others go on.
     """
     cu = h * world.wheel.radius / world.inertia
     going, converged = alive, fill(0.0)
     norm, share, tries = fill(HUGE), fill(1.0), fill(0.0)
     for _ in range(PASSES):
         reached = _evaluate(sub, trial, cu, world, s)
-        better, failed, share, tries = compare(reached, norm, share, tries)
-        better, failed = going * better, going * failed
+        found = compare(reached, norm, share, tries)
+        better, failed, share, tries = going * found.better, going * found.failed, found.share, found.tries
         _keep_better(sub, trial, better, s)
         norm = chosen(better, reached, norm)
         there = going * better * below(norm, TOLERANCE)
@@ -238,7 +240,7 @@ def _iterate(sub, trial, alive, world, s, h):
     return converged
 
 
-@inlined
+@compiled_inline
 def _bear_anew(sub, trial, weight, alive, s):
     """Loads by the forces that were found, and the speeds to begin with again, where a load has changed: 1 there."""
     e, n = sub.equations, sub.newton
@@ -256,7 +258,7 @@ def _bear_anew(sub, trial, weight, alive, s):
     return changed
 
 
-@part
+@compiled_part
 def solve_speeds(sub, trial, period, weight, world, s, h):
     """The speeds and reactions at the end of a stage of eight rovers, into `sub.newton`, with `converged` for each.
 

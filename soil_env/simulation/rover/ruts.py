@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined
+from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.lanes import COUNT
-from soil_env.simulation.terrain import between_cells
+from soil_env.simulation.world.terrain import between_cells
 
 COMPACTION_OF_RUT = 5.0
 
@@ -37,7 +37,7 @@ def new_ruts(wheels: int, cells: int) -> Ruts:
     return Ruts(*(np.full((wheels, cells), value, dtype=np.float32) for value in (1.0, 0.0, 0.0)))
 
 
-@inlined
+@compiled_inline
 def clear_ruts(ruts, k):
     """Undisturbed ground for wheel k."""
     for cell in range(ruts.rut.shape[1]):
@@ -45,13 +45,13 @@ def clear_ruts(ruts, k):
         ruts.rut[k, cell] = ruts.floor[k, cell] = 0.0
 
 
-@inlined
+@compiled_inline
 def floor_at(ruts, k, x):
     """Depth [m] of the rut of the wheels ahead of wheel k at x [m]."""
     return between_cells(ruts.floor, k, x)
 
 
-@inlined
+@compiled_inline
 def pass_on(ruts, k, behind, cell, after):
     """Copy the rut of wheel k to the `behind` wheels that follow it, in the cells from `cell` to before `after`."""
     while cell != after:

@@ -1,4 +1,4 @@
-"""What a rover's agent observes: readings of the body and of each axle, and what is known of the soil under each.
+"""Observation of a rover: readings of the body and of each axle, and what is known of the soil under each.
 
 Reward, causes of an end, halts and odometry are those of `simulation.task` for the rover as a whole, whose state has
 the same names (`body.BodyState`). A wheel that is stuck is no end as long as the rover gets on.
@@ -11,23 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import inlined
-from soil_env.identification import Status
-from soil_env.simulation.task import (
-    AXLES,
-    ObservedNumber,
-    TaskNumbers,
-    layout,
-    task_numbers,
-    write_estimate,
-    write_soil,
-)
-from soil_env.simulation.terrain import ground_at
-from soil_env.simulation.wheel import wheel_of
+from soil_env._numba.compiling import compiled_inline
+from soil_env.simulation.task import AXLES, ObservedNumber, layout
+from soil_env.simulation.task.observation import write_soil
+from soil_env.simulation.task.rules import TaskNumbers, task_numbers
+from soil_env.simulation.world.terrain import ground_at
+from soil_env.simulation.world.wheel import wheel_of
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
-_CONVERGED = Status.CONVERGED.value
 _OF_BODY = ("speed", "pitch", "acceleration", "odometry", "halted")
 _OF_AXLE = (
     "slip", "sinkage", "drawbar_pull", "load", "torque", "rim_speed", "motor_torque", "last_action", "rim_command",
@@ -64,7 +56,7 @@ class BodyReading(NamedTuple):
     acceleration: float  # [m/s2] of an accelerometer along the course: that of travel, and of gravity
 
 
-@inlined
+@compiled_inline
 def write_body(out, body, j, reading, task):
     """Fill the first entries of `out` with the readings of rover j as a whole."""
     out[0] = reading.speed / task.top_speed
@@ -74,7 +66,7 @@ def write_body(out, body, j, reading, task):
     out[4] = 1.0 if body.halt_left[j] > 0.0 else 0.0
 
 
-@inlined
+@compiled_inline
 def write_axle(out, wheels, k, axle, reading, task):
     """Fill the entries of an axle with the readings of its wheel k."""
     o = out[5 + 9 * axle :]
@@ -85,21 +77,16 @@ def write_axle(out, wheels, k, axle, reading, task):
     o[6], o[7], o[8] = reading.motor_torque / twist, wheels.last_action[k], wheels.rim_command[k]
 
 
-@inlined
-def write_soils(out, j, axles, wheels, counts, courses, known, task):
-    """Fill what the variant knows of the soil under each axle of rover j, and cut all to the bounds of the layout.
+@compiled_inline
+def first_soil(axles):
+    """Index of the first entry of the observation of so many axles that is no reading."""
+    return 5 + 9 * axles
 
-    `known`: estimate [wheels, 5], sd [wheels, 5], best_pull [wheels, 2] and status [wheels] of the soil under each
-    wheel.
-    """
-    first = 5 + 9 * axles
+
+@compiled_inline
+def write_true_soils(out, j, axles, wheels, counts, courses, task):
+    """Fill the true soil under each axle of rover j."""
     for axle in range(axles):
         k = wheel_of(j, axle, axles)
-        if task.variant == 1:
-            o, converged = out[first + 13 * axle :], known.status[k] == _CONVERGED
-            write_estimate(o, known.estimate[k], known.sd[k], known.best_pull[k], converged, task)
-        elif task.variant == 2:
-            soil, _, _ = ground_at(courses, j, wheels.x[k], counts.patch[k], task.border)
-            write_soil(out[first + 7 * axle :], soil)
-    for i in range(out.size):
-        out[i] = min(max(out[i], task.low[i]), task.high[i])
+        soil, _, _ = ground_at(courses, j, wheels.x[k], counts.patch[k], task.border)
+        write_soil(out[first_soil(axles) + 7 * axle :], soil)

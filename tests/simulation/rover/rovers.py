@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soil_env.driving.rovers import RoverSimulation
 from soil_env.parameters import to_dict
-from soil_env.simulation.rover.simulation import RoverSimulation
 from soil_env.vehicle import RoverScenario, load_rover
 
 _STILL = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import IDLE, STEP
 from soil_env.simulation.rover.body import LEAST_LOAD
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, new_ruts, pass_on
-from soil_env.simulation.rover.simulation import RoverSimulation
-from soil_env.simulation.terrain import CELL, CELLS_BEHIND
-from soil_env.simulation.wheel import axle_of, course_of, wheel_of
-from soil_env.simulation.worlds import IDLE, STEP
+from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
+from soil_env.simulation.world.wheel import axle_of, course_of, wheel_of
 from soil_env.terramechanics.steady import steady_state
 from soil_env.vehicle import load_rover, rover_names
 from tests.simulation.rover.rovers import begun, driven, now, uniform

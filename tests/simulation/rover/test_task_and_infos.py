@@ -9,13 +9,11 @@ import pytest
 from soil_env.identification import Status
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.task import axle_names, rover_layout
-from soil_env.simulation.scaling import CENTRE_AND_SCALE
 from soil_env.simulation.task import VARIANTS
+from soil_env.simulation.task.scaling import CENTRE_AND_SCALE
 from soil_env.vehicle import rover_names
 
 ROW = re.compile(r"^\s*\| (\d+) \| (\w+) \| (.+?) \| (\S+) \| (\S+) \|$", re.MULTILINE)
-FIRST = re.compile(r"front, middle and rear ones' begin with (\d+), (\d+)\s+and (\d+), and (\d+) is the last")
-FIRST_TRUE = re.compile(r"with three they begin with (\d+), (\d+) and (\d+), and (\d+) is the last")
 
 
 def documented(variant, axles):
@@ -48,24 +46,6 @@ def test_layout_is_the_documented_one(variant, axles):
     assert env.observation_names == tuple(e.name for e in entries)
     np.testing.assert_array_equal(env.observation_space.low, np.float32([e.low for e in entries]))
     np.testing.assert_array_equal(env.observation_space.high, np.float32([e.high for e in entries]))
-
-
-def test_places_of_the_axles_are_the_documented_ones():
-    doc = SoilRoverEnv.__doc__
-    names = {(v, n): [e.name for e in rover_layout(v, n)] for v in VARIANTS for n in (2, 3)}
-    for variant, pattern in (("identified", FIRST), ("true_soil", FIRST_TRUE)):
-        of = names[variant, 3]
-        starts = [of.index(f"{axle}_friction_angle") for axle in axle_names(3)]
-        assert [int(n) for n in pattern.search(doc).groups()] == [*starts, len(of) - 1]
-    two, three = names["blind", 2], names["blind", 3]
-    assert "the rear one follow as 14 to 22, `rear_slip` to `rear_rim_command`" in doc
-    assert (two.index("rear_slip"), two.index("rear_rim_command"), len(two)) == (14, 22, 23)
-    assert "those of the rear one are 23 to 31" in doc and "23 entries with two axles and 32 with three" in doc
-    assert (three.index("rear_slip"), three.index("rear_rim_command"), len(three)) == (23, 31, 32)
-    assert "with two axles the rear one's are 36 to 48" in doc
-    assert (names["identified", 2].index("rear_friction_angle"), len(names["identified", 2])) == (36, 49)
-    assert "With two axles the rear one's are 30 to 36" in doc
-    assert (names["true_soil", 2].index("rear_friction_angle"), len(names["true_soil", 2])) == (30, 37)
 
 
 # --- on the way -------------------------------------------------------------------------------------------------------
@@ -191,7 +171,7 @@ def test_the_information_term_is_the_mean_over_the_axles():
     env.reset(seed=0)
     paid = sum(env.step([0.4, 0.5, 0.6])[4]["reward_terms"]["information"] for _ in range(25))
     w = env.simulation.worlds
-    precision = env.simulation.numbers.identifier.precision
+    precision = env.simulation.belief.identifier.precision
     sd = w.known.sd[env.simulation.wheels[0]][:, : precision.size]
     known = -np.log(np.clip(sd * np.sqrt(precision), 1e-6, 1.0)).sum(axis=1)
     assert paid == pytest.approx(known.mean(), abs=1e-9) and paid > 0.5

@@ -1,0 +1,192 @@
+"""Info of the environments of a wheel, in the same words for one wheel and for many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError
+from soil_env._numba.compiling import FastCall
+from soil_env.driving.wheels import Worlds
+from soil_env.identification import Status
+from soil_env.identification.online.estimate import LEAST_LOAD, published, traversability
+from soil_env.identification.online.immobilisation import HORIZONS, ImmobilisationWarning
+from soil_env.parameters import Scenario
+from soil_env.simulation.task import REWARD_TERMS, Cause, layout
+from soil_env.simulation.world.wheel import WheelState
+from soil_env.terramechanics.traversability import best_working_point
+
+#: Values of the keyword `info`: all groups nested; those that need no estimate; all as flat numbers; what costs next to
+#: nothing; nothing. "full" and "numeric" ask for an estimate of the soil.
+INFOS = ("full", "state", "numeric", "short", "none")
+IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
+STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # by its number
+_TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
+STATUS = {status.value: status.name for status in Status}
+_STATE = ("x", "speed", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
+_ROWS = [WheelState.NAMES.index(name) for name in _STATE]
+_WARNING = ("best_slip", "drawbar_margin", "drawbar_margin_sd", "torque_required", "torque_available", "passable")
+_FORESEEN = tuple(f"immobilised_within_{horizon:g}_s" for horizon in HORIZONS)
+_SEEN = [[e.name for e in layout("blind")].index(name) for name in ("load", "pitch")]
+
+
+def checked(kind: object, observation: str = "identified") -> str:
+    """`kind` if it is one of `INFOS`, "full" or "state" for None; ParameterError otherwise."""
+    if kind is None:
+        return "full" if observation == "identified" else "state"
+    if kind not in INFOS:
+        raise ParameterError(f"info = {kind!r}: expected one of {', '.join(map(repr, INFOS))}")
+    return str(kind)
+
+
+def asks(kind: str) -> bool:
+    """True if this kind of info asks for an estimate of the soil."""
+    return kind in ("full", "numeric")
+
+
+def flat(nested: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of a full info without nesting: `reward_NAME`, `estimate_NAME`, and all other names as they are."""
+    out: dict[str, Any] = {}
+    prefixes = {"reward_terms": "reward_", "estimate": "estimate_"}
+    for key, value in nested.items():
+        if isinstance(value, Mapping):
+            out |= {prefixes.get(key, "") + name: number for name, number in value.items()}
+        else:
+            out[key] = value
+    if isinstance(out["cause"], str):
+        out["cause"], out["estimate_status"] = Cause[out["cause"]].value, Status[out["estimate_status"]].value
+    return out
+
+
+def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
+    """Numbers of numpy for those of Python, for readers that ask for a dtype.
+
+    True is 1: the vector environments of gymnasium would gather `np.bool_` as objects.
+    """
+    out = dict(zip(info, np.array(list(info.values())), strict=True))
+    return out | {name: np.int64(info[name]) for name in ("cause", "immobilised", "estimate_status", "passable")}
+
+
+class Infos:
+    """Infos of the wheels of one `Worlds`.
+
+    `traversability` is that of the last change of the estimate: see `renew`; its probabilities of immobilisation are of
+    now.
+    """
+
+    def __init__(self, scenario: Scenario, kind: str, wheels: int) -> None:
+        self.scenario: Scenario = scenario
+        self.kind: str = checked(kind)
+        self._best: Callable[..., Any] = FastCall(best_working_point)
+        self._foresight = ImmobilisationWarning(scenario)
+        self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate last changed
+        self._stale = np.ones(wheels, dtype=np.bool_)
+        self._warnings = np.zeros((wheels, len(_WARNING)))
+
+    def renew(self, worlds: Worlds, which: np.ndarray) -> None:
+        """Estimates of the wheels `which` [wheels] bool are new: their traversability is that of what they see now."""
+        self._seen[which] = worlds.observation[which][:, _SEEN]
+        self._stale |= which
+
+    # --- one wheel ----------------------------------------------------------------------------------------------------
+
+    def one(self, worlds: Worlds, k: int) -> dict[str, Any]:
+        """Info of wheel k."""
+        cause = Cause(worlds.cause.item(k))
+        if self.kind == "none":
+            return {}
+        if self.kind == "short":
+            return {
+                "cause": worlds.cause[k],
+                "immobilised": np.int64(cause in IMMOBILISED),
+                "x": worlds.state.x[k],
+                **dict(zip(_TERMS, worlds.terms[k].copy(), strict=True)),
+            }
+        state = worlds.state.data[:, k].tolist()
+        info = {
+            "cause": cause.name,
+            "immobilised": cause in IMMOBILISED,
+            "reward_terms": dict(zip(REWARD_TERMS, worlds.terms[k].tolist(), strict=True)),
+        }
+        if asks(self.kind):
+            ids, gain = worlds.ids, self.scenario.belief.dig_gain
+            known = published(ids.estimate[k].tolist(), ids.sd[k].tolist(), ids.best_pull[k].tolist(), gain)
+            info["estimate"] = known | {"status": STATUS[ids.status.item(k)]}
+            warning = dict(zip(_WARNING, self._warning(worlds, k).tolist(), strict=True))
+            foreseen = self._foreseen(worlds, np.array([k], dtype=np.intp))[0].tolist()
+            info["traversability"] = warning | {"passable": warning["passable"] > 0.0}
+            info["traversability"] |= dict(zip(_FORESEEN, foreseen, strict=True))
+        info["state"] = {name: state[row] for name, row in zip(_STATE, _ROWS, strict=True)}
+        return info if self.kind != "numeric" else _numbers(flat(info))
+
+    def _foreseen(self, worlds: Worlds, rows: np.ndarray) -> np.ndarray:
+        """Probabilities [n, 2] of immobilisation within `HORIZONS` of the wheels `rows` [n]."""
+        return self._foresight.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
+
+    def _warning(self, worlds: Worlds, k: int) -> np.ndarray:
+        """Traversability (paper, Section 6) of the ground as identified, at the measured load and pitch; `_WARNING`."""
+        if self._stale[k]:
+            self._stale[k] = False
+            load, pitch = self._seen[k].tolist()
+            load = max(load, LEAST_LOAD) * self.scenario.weight
+            ids = worlds.ids
+            self._warnings[k] = traversability(
+                ids.estimate[k], ids.best_pull[k], load, pitch, self.scenario, self._best
+            )
+        return self._warnings[k]
+
+    # --- many wheels --------------------------------------------------------------------------------------------------
+
+    def many(self, worlds: Worlds) -> dict[str, Any]:
+        """Info of all wheels, arrays [wheels]; `cause` and `status` are numbers."""
+        if self.kind == "none":
+            return {}
+        terms = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
+        info = {"cause": worlds.cause.copy(), "immobilised": STUCK[worlds.cause]}
+        if self.kind == "short":
+            return info | {"x": worlds.state["x"].copy()} | dict(zip(_TERMS, terms.values(), strict=True))
+        full = info | {"reward_terms": terms}
+        full |= self._groups(worlds, np.ones(worlds.cause.size, dtype=np.bool_), asks(self.kind))
+        return full if self.kind != "numeric" else flat(full)
+
+    def final(self, worlds: Worlds, ended: np.ndarray) -> dict[str, Any]:
+        """Info of the wheels that have `ended` [wheels] bool before they are reset, 0 for all others.
+
+        It is that of `kind`, with the groups of "full" if something is identified, else of "state".
+        """
+        info = self.many(worlds)
+        info["reward_terms"] = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
+        identified = worlds.recent is not None and len(worlds.recent) > 0
+        info |= {"x": worlds.state["x"].copy()} | self._groups(worlds, ended, identified)
+        return masked(info, ended)
+
+    def _groups(self, worlds: Worlds, which: np.ndarray, identified: bool) -> dict[str, dict[str, np.ndarray]]:
+        """estimate and traversability, if `identified`, and state, arrays [wheels]; traversability only of `which`."""
+        groups = {"state": {name: worlds.state[name].copy() for name in _STATE}}
+        if not identified:
+            return groups
+        for k in np.flatnonzero(which & self._stale):
+            self._warning(worlds, int(k))
+        warning = dict(zip(_WARNING, self._warnings.T.copy(), strict=True))
+        warning["passable"] = warning["passable"] > 0.0
+        foreseen, rows = np.zeros((which.size, len(HORIZONS))), np.flatnonzero(which)
+        foreseen[rows] = self._foreseen(worlds, rows)
+        warning |= dict(zip(_FORESEEN, foreseen.T.copy(), strict=True))
+        return {"estimate": estimates(worlds.ids, self.scenario), "traversability": warning, **groups}
+
+
+def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
+    """What is identified of the soil under each wheel, arrays [wheels], by those of `known`."""
+    told = published(known.estimate.T.copy(), known.sd.T.copy(), known.best_pull.T.copy(), scenario.belief.dig_gain, np)
+    return told | {"status": known.status.copy()}
+
+
+def masked(info: dict[str, Any], which: np.ndarray) -> dict[str, Any]:
+    """Arrays with 0 where `which` is not, and beside each key `_key` with `which`, as vector environments have it."""
+    out: dict[str, Any] = {}
+    for key, value in info.items():
+        out[key] = masked(value, which) if isinstance(value, dict) else np.where(which, value, value.dtype.type(0))
+        out[f"_{key}"] = which.copy()
+    return out

@@ -1,0 +1,98 @@
+"""Info of the environments of a rover, for one rover and for many."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from soil_env.driving.infos import IMMOBILISED, STATUS, STUCK, asks, estimates, masked
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.identification import Status
+from soil_env.simulation.rover.task import axle_names
+from soil_env.simulation.task import REWARD_TERMS, Cause
+
+_OF_BODY = ("x", "speed", "pitch", "slip", "sinkage", "drawbar_pull", "motor_work")
+_OF_WHEEL = ("x", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
+
+
+class RoverInfos:
+    """Infos of the rovers of one `RoverSimulation`, of a `kind` of `infos.INFOS`."""
+
+    def __init__(self, simulation: RoverSimulation, kind: str) -> None:
+        self.kind: str = kind
+        self._simulation = simulation
+        self._axles = axle_names(simulation.scenario.axles)
+
+    def one(self, j: int) -> dict[str, Any]:
+        """Info of rover j."""
+        if self.kind == "none":
+            return {}
+        w = self._simulation.worlds
+        cause, terms = Cause(w.cause.item(j)), w.terms[j].tolist()
+        if self.kind == "short":
+            short = {"cause": w.cause[j], "immobilised": np.int64(cause in IMMOBILISED), "x": w.rovers.body["x"][j]}
+            return short | {f"reward_{n}": np.float64(v) for n, v in zip(REWARD_TERMS, terms, strict=True)}
+        full = {
+            "cause": cause.name,
+            "immobilised": cause in IMMOBILISED,
+            "reward_terms": dict(zip(REWARD_TERMS, terms, strict=True)),
+            "state": {name: w.rovers.body[name].item(j) for name in _OF_BODY},
+        }
+        identified = self._estimates()
+        for axle, k in zip(self._axles, self._simulation.wheels[j].tolist(), strict=True):
+            full[axle] = {"state": {name: w.rovers.wheels[name].item(k) for name in _OF_WHEEL}}
+            if identified:
+                known = {name: values.item(k) for name, values in identified.items()}
+                full[axle]["estimate"] = known | {"status": STATUS[int(known["status"])]}
+        return full if self.kind != "numeric" else _numeric(full)
+
+    def _estimates(self) -> dict[str, np.ndarray]:
+        """Estimates of the soil under each wheel, arrays [wheels]; empty if this kind of info does not ask for them."""
+        w = self._simulation.worlds
+        return estimates(w.known, self._simulation.scenario) if asks(self.kind) and w.known is not None else {}
+
+    def many(self) -> dict[str, Any]:
+        """Info of all rovers, arrays [rovers]; causes and statuses are numbers."""
+        if self.kind == "none":
+            return {}
+        w = self._simulation.worlds
+        terms = {name: w.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
+        info: dict[str, Any] = {"cause": w.cause.copy(), "immobilised": STUCK[w.cause]}
+        if self.kind == "short":
+            return info | {"x": w.rovers.body["x"].copy()} | {f"reward_{n}": v for n, v in terms.items()}
+        info["reward_terms"] = terms
+        info["state"] = {name: w.rovers.body[name].copy() for name in _OF_BODY}
+        known = self._estimates()
+        for axle, rows in zip(self._axles, self._simulation.wheels.T, strict=True):
+            info[axle] = {"state": {name: w.rovers.wheels[name][rows] for name in _OF_WHEEL}}
+            if known:
+                info[axle]["estimate"] = {name: values[rows] for name, values in known.items()}
+        return info if self.kind != "numeric" else _flat(info)
+
+    def final(self, ended: np.ndarray) -> dict[str, Any]:
+        """Info of the rovers that have `ended` [rovers], 0 for all others, and beside each key `_key` with them."""
+        return masked(self.many(), ended)
+
+
+def _flat(info: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """All numbers without nesting: `reward_NAME`, `NAME` of the body, `AXLE_NAME`, `AXLE_estimate_NAME`."""
+    out: dict[str, Any] = {}
+    for key, value in info.items():
+        if isinstance(value, Mapping):
+            inner = {"reward_terms": "reward_", "state": "", "estimate": "estimate_"}.get(key, f"{key}_")
+            out |= _flat(value, prefix + inner)
+        else:
+            out[prefix + key] = value
+    return out
+
+
+def _numeric(full: Mapping[str, Any]) -> dict[str, np.number]:
+    """Numbers only, as numpy's."""
+    out = _flat(full)
+    out["cause"] = Cause[out["cause"]].value
+    for name in out:
+        if name.endswith("status"):
+            out[name] = Status[out[name]].value
+    return {name: np.int64(v) if isinstance(v, (bool, int)) else np.float64(v) for name, v in out.items()}

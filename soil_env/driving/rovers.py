@@ -1,0 +1,96 @@
+"""Many rovers under one scenario, stepped by compiled calls: the core of the rover's environments."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from soil_env._numba.lanes import COUNT
+from soil_env.driving.core import Vehicles, asks_for_estimates
+from soil_env.driving.rover_estimator import (
+    RoverEstimatorNumbers,
+    estimate_rovers,
+    new_rover_estimator,
+    rover_estimator_numbers,
+)
+from soil_env.identification.online.identifier import Identifiers
+from soil_env.identification.online.stretches import Pools
+from soil_env.simulation.rover.dynamics import Rovers
+from soil_env.simulation.rover.rovers import (
+    RoverNumbers,
+    RoverRecord,
+    lay_rovers,
+    new_rover_worlds,
+    rover_numbers,
+    step_rovers,
+)
+from soil_env.simulation.rover.ruts import Ruts
+from soil_env.simulation.world.terrain import Courses
+from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.vehicle import RoverScenario
+
+
+class RoverWorlds(NamedTuple):
+    """Arrays of many rovers: those of `rovers.RoverWorlds`, then those of the estimator, None without one."""
+
+    rovers: Rovers
+    courses: Courses
+    ruts: Ruts
+    streams: np.ndarray  # [rovers] uint64
+    wheel_streams: np.ndarray  # [wheels] uint64
+    record: RoverRecord
+    observation: np.ndarray  # [rovers, D] float32
+    terms: np.ndarray  # [rovers, 4] reward terms
+    reward: np.ndarray  # [rovers]
+    cause: np.ndarray  # [rovers] `Cause`
+    going: np.ndarray  # [rovers] int8
+    ids: Identifiers | None  # one a wheel
+    known: Pools | None  # what all wheels of a rover have identified of the soil under each
+
+
+class RoverSimulation(Vehicles):
+    """`rovers` rovers under one scenario with one observation variant.
+
+    `estimates`: identify the soil; None: if the observation or the reward asks for it.
+    """
+
+    worlds: RoverWorlds
+    belief: RoverEstimatorNumbers | None
+    _vehicle = "rover"
+
+    def __init__(
+        self,
+        rovers: int,
+        scenario: RoverScenario,
+        variant: str,
+        threads: int | None = None,
+        model: WheelSoilModel | None = None,
+        estimates: bool | None = None,
+    ) -> None:
+        super().__init__(rovers, scenario, threads, COUNT)
+        self.numbers: RoverNumbers = rover_numbers(scenario, variant, model)
+        task, axles = self.numbers.task, np.arange(scenario.axles)
+        #: [rovers, axles] the row of each wheel in the arrays of wheels
+        self.wheels: np.ndarray = (np.arange(rovers)[:, None] // COUNT * scenario.axles + axles) * COUNT
+        self.wheels += np.arange(rovers)[:, None] % COUNT
+        estimates = asks_for_estimates(scenario, variant) if estimates is None else estimates
+        world = new_rover_worlds(rovers, scenario, task, estimates)
+        wheels, estimator, belief = world.wheel_streams.size, None, None
+        if estimates:
+            estimator, belief = new_rover_estimator(wheels), rover_estimator_numbers(scenario, task)
+        self.worlds = RoverWorlds(*world, *(estimator or (None, None)))
+        trial = new_rover_worlds(1, scenario, task, False)
+        self._ahead = self.numbers.drawn.ahead + scenario.vehicle.base
+        self._begin(lay_rovers, step_rovers, world, trial, wheels, estimate_rovers, estimator, belief)
+
+    def _rows_of(self, k: Any) -> np.ndarray:
+        """Rows of the wheels of rover k."""
+        return self.wheels[k]
+
+    def _x(self) -> np.ndarray:
+        return self._world.rovers.body["x"]
+
+    def _first(self, k: int) -> int:
+        """Block of rover k."""
+        return 0 if self.count <= COUNT else k // COUNT

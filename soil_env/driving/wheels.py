@@ -1,0 +1,100 @@
+"""Many wheels under one scenario, stepped by compiled calls: the core of the single and the vector environment."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._numba.rows import Rows
+from soil_env.driving.core import Vehicles, asks_for_estimates, processors
+from soil_env.driving.estimator import EstimatorNumbers, estimate_wheels, estimator_numbers, new_estimator
+from soil_env.identification.online.class_memory import ClassMemory
+from soil_env.identification.online.identifier import Identifiers
+from soil_env.parameters import Scenario
+from soil_env.simulation.task import VARIANTS, truth
+from soil_env.simulation.task.rules import task_numbers
+from soil_env.simulation.wheels import (
+    IDLE,
+    LEAST,
+    RESTART,
+    STEP,
+    Record,
+    WheelNumbers,
+    lay_wheels,
+    new_wheel_worlds,
+    step_wheels,
+    write_true_soils,
+)
+from soil_env.simulation.world.courses import course_numbers
+from soil_env.simulation.world.terrain import Courses
+from soil_env.simulation.world.wheel import world_numbers
+from soil_env.terramechanics.model import WheelSoilModel
+
+__all__ = ["IDLE", "RESTART", "STEP", "Simulation", "Worlds", "processors"]
+
+
+class Worlds(NamedTuple):
+    """Arrays of many wheels, one row a wheel: those of `WheelWorlds`, then those of the estimator, None without one."""
+
+    state: Rows  # WheelState
+    counts: Rows  # WheelCounts
+    courses: Courses
+    streams: np.ndarray  # [wheels] uint64
+    record: Record
+    observation: np.ndarray  # [wheels, D] float32
+    terms: np.ndarray  # [wheels, 4] reward terms
+    reward: np.ndarray  # [wheels]
+    cause: np.ndarray  # [wheels] `Cause`
+    going: np.ndarray  # [wheels] int8
+    ids: Identifiers | None
+    memory: ClassMemory | None
+    changed: np.ndarray | None  # [wheels] True if the last step changed the estimate
+    recent: np.ndarray | None  # [wheels, MEMORY] averages of the sensors for warnings
+
+
+class Simulation(Vehicles):
+    """`wheels` wheels under one scenario with one observation variant.
+
+    `estimates`: identify the soil; None: if the observation or the reward asks for it. `warnings`: identify, and keep
+    `worlds.recent` for `identification.online.immobilisation`.
+    """
+
+    worlds: Worlds
+    belief: EstimatorNumbers | None
+
+    def __init__(
+        self,
+        wheels: int,
+        scenario: Scenario,
+        variant: str,
+        threads: int | None = None,
+        model: WheelSoilModel | None = None,
+        warnings: bool = False,
+        estimates: bool | None = None,
+    ) -> None:
+        super().__init__(wheels, scenario, threads, LEAST)
+        task = task_numbers(scenario, variant, model)
+        drawn = course_numbers(scenario, model).drawn
+        self.numbers: WheelNumbers = WheelNumbers(world_numbers(scenario, model), drawn, task)
+        estimates = asks_for_estimates(scenario, variant) if estimates is None else estimates
+        estimator = belief = None
+        if estimates or warnings:
+            estimator, belief = new_estimator(wheels, scenario, warnings), estimator_numbers(scenario, task)
+        world = new_wheel_worlds(wheels, scenario, task, estimator is not None)
+        self.worlds = Worlds(*world, *(estimator or (None,) * 4))
+        trial = new_wheel_worlds(1, scenario, task, False)
+        self._ahead = drawn.ahead
+        self._begin(lay_wheels, step_wheels, world, trial, wheels, estimate_wheels, estimator, belief)
+
+    def wheel(self, k: int) -> dict[str, float]:
+        """State and counts of wheel k by name, as they are now."""
+        return self.worlds.state[k] | self.worlds.counts[k]
+
+    def true_soils(self) -> np.ndarray:
+        """Entries of `true_soil` that `blind` does not have, of each wheel [wheels, D] float32."""
+        entries = truth(self.scenario.course)
+        out = np.empty((self.count, len(entries)), dtype=np.float32)
+        task = self.numbers.task._replace(variant=VARIANTS.index("true_soil"))
+        write_true_soils(self._world, self.numbers._replace(task=task), out)
+        return np.clip(out, [e.low for e in entries], [e.high for e in entries], dtype=np.float32)

@@ -1,0 +1,112 @@
+"""Layout of the observation, number by number.
+
+All variants begin with the same entries. Forces, speeds and sinkage are relative to the wheel's weight, top rim speed
+and radius, so that they are of order one for any wheel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from soil_env._io.loading import ParameterError, unknown_value
+from soil_env.parameters import CourseSpec
+
+VARIANTS = ("blind", "identified", "true_soil")
+
+
+@dataclass(frozen=True)
+class ObservedNumber:
+    """One number of the observation."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+
+
+_BLIND = (
+    ObservedNumber("slip", "-", -1.0, 1.0),
+    ObservedNumber("sinkage", "of radius", -1.0, 3.0),
+    ObservedNumber("drawbar_pull", "of weight", -10.0, 10.0),
+    ObservedNumber("load", "of weight", -10.0, 10.0),
+    ObservedNumber("torque", "of weight x radius", -10.0, 10.0),
+    ObservedNumber("speed", "of top rim speed", -5.0, 5.0),
+    ObservedNumber("rim_speed", "of top rim speed", -5.0, 5.0),
+    ObservedNumber("pitch", "rad, uphill positive", -1.6, 1.6),
+    ObservedNumber("last_action", "-", -1.0, 1.0),
+    ObservedNumber("odometry", "of course length", -5.0, 5.0),
+    ObservedNumber("halted", "0 or 1", 0.0, 1.0),
+    ObservedNumber("motor_torque", "of weight x radius", -10.0, 10.0),
+    ObservedNumber("acceleration", "of gravity", -10.0, 10.0),
+    ObservedNumber("rim_command", "of top rim speed", -1.0, 1.0),
+)
+_IDENTIFIED = (
+    ObservedNumber("friction_angle", "rad", 0.0, 1.6),
+    ObservedNumber("log10_shear_modulus", "log10 m", -5.0, 1.0),
+    ObservedNumber("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0),
+    ObservedNumber("friction_angle_sd", "rad", 0.0, 2.0),
+    ObservedNumber("shear_modulus_sd", "relative", 0.0, 20.0),
+    ObservedNumber("sinkage_coefficient_sd", "relative", 0.0, 20.0),
+    ObservedNumber("estimate_valid", "0 or 1", 0.0, 1.0),
+    ObservedNumber("cohesion", "kPa", 0.0, 1000.0),
+    ObservedNumber("dig_gain", "-", 0.0, 100.0),
+    ObservedNumber("cohesion_sd", "kPa", 0.0, 1000.0),
+    ObservedNumber("dig_gain_sd", "relative", 0.0, 20.0),
+    ObservedNumber("best_pull", "of load", -1.0, 2.0),
+    ObservedNumber("best_pull_sd", "of load", 0.0, 2.0),
+)
+_TRUE = (
+    ObservedNumber("friction_angle", "rad", 0.0, 1.6),
+    ObservedNumber("log10_shear_modulus", "log10 m", -5.0, 1.0),
+    ObservedNumber("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0),
+    ObservedNumber("cohesion", "kPa", 0.0, 1000.0),
+    ObservedNumber("sinkage_exponent", "-", 0.0, 4.0),
+    ObservedNumber("dig_gain", "-", 0.0, 100.0),
+    ObservedNumber("dig_recovery", "-", 0.0, 10.0),
+)
+
+
+_AHEAD = {  # of the soil of a line ahead
+    "blind": (),
+    "identified": (
+        ObservedNumber("met", "0 or 1", 0.0, 1.0),
+        *(e for e in _IDENTIFIED if e.name not in ("estimate_valid", "best_pull", "best_pull_sd")),
+        ObservedNumber("margin", "of load", -2.0, 2.0),
+        ObservedNumber("margin_sd", "of load", 0.0, 2.0),
+    ),
+    "true_soil": (*_TRUE, ObservedNumber("margin", "of load", -2.0, 2.0)),
+}
+LINES = ("ahead", "beside")
+AXLES = ("front", "middle", "rear")  # of a rover, which has its own entries for each (`rover.task`)
+
+
+def _seen(classes: int, lines: int) -> list[ObservedNumber]:
+    """Entries of the camera for so many terrain classes and lines."""
+    entries = [ObservedNumber("border_distance", "m", 0.0, 100.0)]
+    entries += [ObservedNumber(f"here_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)]
+    for line in LINES[:lines]:
+        entries.append(ObservedNumber(f"{line}_grade", "rad, uphill positive", -1.6, 1.6))
+        entries += [ObservedNumber(f"{line}_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)]
+    return entries + [ObservedNumber("choice", "0 or 1", 0.0, 1.0)] * (lines > 1)
+
+
+def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumber, ...]:
+    """Entries of an observation variant; the first ones are those of `blind` in every variant.
+
+    On a `course` with terrain classes the entries of the camera follow, then those of the soils of the lines ahead.
+    """
+    if not isinstance(variant, str):
+        raise ParameterError(f"observation = {variant!r}: expected one of {', '.join(VARIANTS)}")
+    if variant not in VARIANTS:
+        raise unknown_value(variant, VARIANTS, "observation")
+    entries = _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": _TRUE}[variant]
+    if course is None or course.classes == 0:
+        return entries
+    ahead = [replace(e, name=f"{line}_{e.name}") for line in LINES[: course.lines] for e in _AHEAD[variant]]
+    return (*entries, *_seen(course.classes, course.lines), *ahead)
+
+
+def truth(course: CourseSpec) -> tuple[ObservedNumber, ...]:
+    """Entries of `true_soil` that `blind` does not have."""
+    blind = {entry.name for entry in layout("blind", course)}
+    return tuple(entry for entry in layout("true_soil", course) if entry.name not in blind)

@@ -1,0 +1,160 @@
+"""Rules of the task: numbers of the scenario, causes of an episode's end, reward."""
+
+from __future__ import annotations
+
+import enum
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError
+from soil_env._numba.compiling import compiled_inline
+from soil_env.parameters import Scenario
+from soil_env.simulation.task.layout import VARIANTS, layout
+from soil_env.simulation.world.camera import CameraNumbers, camera_numbers
+from soil_env.simulation.world.sensors import SensorNumbers, sensor_numbers
+from soil_env.simulation.world.terrain import BEHIND
+from soil_env.terramechanics.model import WheelSoilModel
+
+REWARD_TERMS = ("progress", "energy", "immobilisation", "information")
+
+
+class Cause(enum.IntEnum):
+    """Cause of an episode's end. `ENTRAPPED`, `STALLED` and `BOGGED` are the three ways to be immobilised."""
+
+    RUNNING = 0
+    FINISHED = 1  # reached the end of the course
+    ENTRAPPED = 2  # no progress, though the wheel turns
+    STALLED = 3  # no progress, and the wheel hardly turns: too little torque, given or commanded
+    BOGGED = 4  # sinkage over the limit
+    TIME_LIMIT = 5  # neither finished nor immobilised in time
+
+
+_FINISHED, _ENTRAPPED, _STALLED, _BOGGED = (
+    c.value for c in (Cause.FINISHED, Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
+)
+_TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
+
+
+class TaskNumbers(NamedTuple):
+    """Numbers of a `Scenario` that define the task."""
+
+    variant: int  # index in VARIANTS
+    weight: float  # [N] without payload
+    gravity: float
+    radius: float
+    top_speed: float  # rim speed without load [m/s]
+    length: float
+    border: float
+    period: float
+    periods: int  # until the time limit
+    repeat: int  # control periods that an action lasts
+    sensors: SensorNumbers
+    low: np.ndarray  # [D] float32 bounds of the observation
+    high: np.ndarray
+    no_progress_distance: float
+    no_progress_time: float
+    stalled_rim_speed: float
+    bogged_sinkage: float  # [m]
+    reward_progress: float
+    reward_energy: float
+    reward_immobilisation: float
+    reward_information: float
+    information_discount: float
+    dig_gain: float  # of the belief
+    camera: CameraNumbers
+    seen: int  # index of the first entry of the camera
+
+
+def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None = None) -> TaskNumbers:
+    """Pack the task of a scenario; `model` gives the effects that are on in this world."""
+    if variant == "identified" and scenario.belief.method == "none":
+        raise ParameterError("belief.method = 'none': expected 'filter' for observation 'identified'")
+    entries = layout(variant, scenario.course)
+    lim, w = scenario.limits, scenario.wheel
+    return TaskNumbers(
+        variant=VARIANTS.index(variant),
+        weight=scenario.weight,
+        gravity=scenario.gravity,
+        radius=w.radius,
+        top_speed=w.radius * w.no_load_speed,
+        length=scenario.course.length,
+        border=scenario.course.border,
+        period=scenario.control.period,
+        periods=scenario.periods,
+        repeat=scenario.control.held,
+        sensors=sensor_numbers(scenario, model),
+        low=np.array([e.low for e in entries], dtype=np.float32),
+        high=np.array([e.high for e in entries], dtype=np.float32),
+        no_progress_distance=lim.no_progress_distance,
+        no_progress_time=lim.no_progress_time,
+        stalled_rim_speed=lim.stalled_rim_speed,
+        bogged_sinkage=lim.bogged_sinkage * w.radius,
+        reward_progress=scenario.reward.progress,
+        reward_energy=scenario.reward.energy,
+        reward_immobilisation=scenario.reward.immobilisation,
+        reward_information=scenario.reward.information,
+        information_discount=scenario.reward.information_discount,
+        dig_gain=scenario.belief.dig_gain,
+        camera=camera_numbers(scenario),
+        seen=len(layout(variant)),
+    )
+
+
+@compiled_inline
+def judge(state, counts, k, task):
+    """`Cause` of wheel k after a control period; advances its clocks, which stand still in halts.
+
+    A wheel is immobilised if it has not got `no_progress_distance` further than ever before for `no_progress_time`,
+    has left the course backwards, or has sunk deeper than `bogged_sinkage` [m].
+    """
+    out_of_time = counts.steps[k] >= task.periods
+    if state.halt_left[k] > 0.0:
+        return _TIME_LIMIT if out_of_time else _RUNNING
+    if state.best_x[k] >= state.mark_x[k] + task.no_progress_distance:
+        state.mark_x[k] = state.best_x[k]
+        state.idle_time[k] = state.stalled_time[k] = 0.0
+    else:
+        state.idle_time[k] += task.period
+        stalled = abs(state.wheel_speed[k]) * task.radius < task.stalled_rim_speed
+        state.stalled_time[k] += task.period if stalled else 0.0
+    if state.x[k] >= task.length:
+        return _FINISHED
+    if state.sinkage[k] > task.bogged_sinkage:
+        return _BOGGED
+    if state.idle_time[k] >= task.no_progress_time - 1e-9 or state.x[k] < -BEHIND:
+        return _STALLED if state.stalled_time[k] > 0.5 * state.idle_time[k] else _ENTRAPPED
+    if out_of_time:
+        return _TIME_LIMIT
+    return _RUNNING
+
+
+@compiled_inline
+def reward_terms(state, k, cause, task, terms):
+    """Add the last control period of wheel k to the first three of `terms` [4] (see REWARD_TERMS).
+
+    progress: weight x distance travelled / course length; energy: -weight x motor work (no recuperation) / (weight of
+    the loaded wheel x course length); immobilisation: -weight once, when the course ends unfinished.
+    """
+    terms[0] += task.reward_progress * state.travel[k] / task.length
+    work = max(state.motor_work[k], 0.0)
+    terms[1] -= task.reward_energy * work / (state.mass[k] * task.gravity * task.length)
+    terms[2] -= task.reward_immobilisation if cause != _RUNNING and cause != _FINISHED else 0.0
+
+
+@compiled_inline
+def information_term(cause, before, after, task):
+    """Reward for knowledge [nat] of a control period: weight x (discount x `after` - `before`).
+
+    Nothing counts as known after the end. This is shaping by a potential, which leaves the best policy as it is (Ng,
+    Harada & Russell 1999, ICML; its end: Grzes 2017, AAMAS). Of a step of several periods the first has `before` and
+    the last has `after`, which are 0 in the others.
+    """
+    kept = task.information_discount * after if cause == _RUNNING else 0.0
+    return task.reward_information * (kept - before)
+
+
+@compiled_inline
+def total_of(terms):
+    """Sum of the reward terms [4]."""
+    return terms[0] + terms[1] + terms[2] + terms[3]

@@ -1,0 +1,264 @@
+"""Compiled functions of many wheels: `lay_wheels` draws courses and places wheels at rest, `step_wheels` drives.
+
+Nothing is identified here. The two are compiled by themselves, side by side if there is a second processor.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root, take
+from soil_env._numba.lanes import COUNT
+from soil_env._numba.records import row_record
+from soil_env._numba.rows import Rows
+from soil_env.parameters import Scenario
+from soil_env.readings import SensorReading
+from soil_env.simulation.task.observation import write_observation, write_truth
+from soil_env.simulation.task.rules import REWARD_TERMS, Cause, TaskNumbers, judge, reward_terms, total_of
+from soil_env.simulation.world.camera import Image, Sight, image_of, look
+from soil_env.simulation.world.courses import (
+    CourseDistribution,
+    CourseNumbers,
+    draw_course,
+    extend_course,
+    start_course,
+)
+from soil_env.simulation.world.dynamics import MANY, advance
+from soil_env.simulation.world.sensors import roll_odometer, sense, start_odometry
+from soil_env.simulation.world.terrain import Courses, new_courses
+from soil_env.simulation.world.wheel import WheelCounts, WheelState, WorldNumbers, settle
+
+_RESTARTS = 100  # attempts at a course in the middle of a run, where nobody can change the scenario
+LEAST = 32  # wheels that a thread takes at a time, at least; at most MANY
+#: Orders for a wheel: a step (the control periods of an action), a new course, nothing.
+STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
+#: Orders for a course: a whole one drawn as a trial (`reward` is then the mass on the wheel, or -1 if no passable one
+#: was found), the rest of it drawn, the ground ahead drawn.
+TRY, COMPLETE, AHEAD = np.int8(3), np.int8(4), np.int8(5)
+RUNNING = Cause.RUNNING.value
+load_reading, store_reading = row_record(SensorReading)
+load_image, _store_image = row_record(Image)
+
+
+class Record(NamedTuple):
+    """Sensor record of the last step, for what runs on board; no rows if nothing does.
+
+    After a restart it holds one set of readings.
+    """
+
+    periods: np.ndarray  # [wheels] control periods of the last step
+    readings: np.ndarray  # [wheels, repeat, 10] `SensorReading`
+    halted: np.ndarray  # [wheels, repeat] True in a commanded halt
+    images: np.ndarray  # [wheels, repeat, 12] `Image`; no rows without a camera
+
+
+def new_record(wheels: int, scenario: Scenario, images: bool) -> Record:
+    """Empty record of so many wheels; `images`: with those of a camera."""
+    repeat = scenario.control.held
+    return Record(
+        np.zeros(wheels, dtype=np.int64),
+        np.zeros((wheels, repeat, len(SensorReading._fields))),
+        np.zeros((wheels, repeat), dtype=np.bool_),
+        np.zeros((wheels if images else 0, repeat, len(Image._fields))),
+    )
+
+
+class WheelWorlds(NamedTuple):
+    """Arrays that the compiled step reads and writes, one row a wheel."""
+
+    state: Rows  # WheelState
+    counts: Rows  # WheelCounts
+    courses: Courses
+    streams: np.ndarray  # [wheels] uint64
+    record: Record
+    observation: np.ndarray  # [wheels, D] float32
+    terms: np.ndarray  # [wheels, 4] reward terms
+    reward: np.ndarray  # [wheels]
+    cause: np.ndarray  # [wheels] `Cause`
+    going: np.ndarray  # [wheels] int8, scratch of a step: STEP while the wheel drives
+
+
+class WheelNumbers(NamedTuple):
+    """Numbers of the scenario that the compiled step needs."""
+
+    world: WorldNumbers
+    drawn: CourseDistribution
+    task: TaskNumbers
+
+
+def new_wheel_worlds(wheels: int, scenario: Scenario, task: TaskNumbers, recorded: bool) -> WheelWorlds:
+    """Worlds for so many wheels, to be restarted; `recorded`: keep the sensor record of each step."""
+    return WheelWorlds(
+        WheelState(wheels),
+        WheelCounts(wheels),
+        new_courses(wheels, scenario),
+        np.zeros(wheels, dtype=np.uint64),
+        new_record(wheels if recorded else 0, scenario, recorded and scenario.course.classes > 0),
+        np.zeros((wheels, task.low.size), dtype=np.float32),
+        np.zeros((wheels, len(REWARD_TERMS))),
+        np.zeros(wheels),
+        np.zeros(wheels, dtype=np.int64),
+        np.full(wheels, IDLE),
+    )
+
+
+@compiled_inline
+def clear_reward(worlds, k):
+    """Set the sums of a step of wheel k to zero."""
+    worlds.reward[k] = 0.0
+    for i in range(worlds.terms.shape[1]):
+        worlds.terms[k, i] = 0.0
+
+
+# --- courses ----------------------------------------------------------------------------------------------------------
+
+
+@compiled_inline
+def start_passable(k, courses, streams, numbers):
+    """Start a new course k; the mass [kg] on the wheel with payload."""
+    mass, attempts = -1.0, 0
+    while mass < 0.0 and attempts < _RESTARTS:
+        mass = start_course(k, courses, streams, numbers)
+        attempts += 1
+    if mass < 0.0:
+        raise RuntimeError("no passable course found: the soils are too weak for this vehicle")
+    return mass
+
+
+@compiled_root(nogil=True)
+def lay_wheels(worlds, numbers, rows, order, counter):
+    """Follow an `order` for the courses `rows` [n]; `counter`: [next of them, threads at work].
+
+    RESTART starts a new course and puts the wheel at rest at its start.
+    """
+    courses, streams = worlds.courses, worlds.streams
+    course = CourseNumbers(numbers.drawn, numbers.world.wheel)
+    i = take(counter, 1)
+    while i < rows.size:
+        k = rows[i]
+        if order == RESTART:
+            mass = start_passable(k, courses, streams, course)
+            settle(worlds.state, worlds.counts, k, mass, courses, streams, numbers.world)
+        elif order == TRY:
+            worlds.reward[k] = draw_course(k, courses, streams, course)
+        else:
+            x = np.inf if order == COMPLETE else worlds.state.x[k] + course.drawn.ahead
+            extend_course(k, courses, worlds.state.mass[k], x, course)
+        i = take(counter, 1)
+
+
+# --- driving ----------------------------------------------------------------------------------------------------------
+
+
+@compiled_part
+def _restart(worlds, numbers, k):
+    """Observe wheel k at the start of its course."""
+    worlds.cause[k] = RUNNING
+    clear_reward(worlds, k)
+    start_odometry(worlds.state, k, worlds.streams, numbers.task.sensors)
+    reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
+    sight = _look(worlds, numbers, k)
+    _record(worlds, numbers, k, 0, reading, sight)
+    _observation(worlds, numbers, k, reading, sight)
+
+
+@compiled_inline
+def _look(worlds, numbers, k):
+    """`Sight` of the camera, if there is one."""
+    if numbers.task.camera.classes == 0:
+        return Sight(0, 0.0, 0.0)
+    return look(worlds.state, worlds.counts, k, worlds.courses, worlds.streams, numbers.task.camera)
+
+
+@compiled_inline
+def _record(worlds, numbers, k, period, reading, sight):
+    """Keep readings and image of wheel k in a control period, if anything on board asks for them."""
+    record = worlds.record
+    if record.periods.size == 0:
+        return
+    record.periods[k] = period + 1
+    store_reading(reading, record.readings[k, period])
+    record.halted[k, period] = worlds.state.halt_left[k] > 0.0
+    if numbers.task.camera.classes > 0:
+        image = image_of(worlds.state, k, worlds.courses, sight, numbers.task.camera)
+        _store_image(image, record.images[k, period])
+
+
+@compiled_part
+def _observation(worlds, numbers, k, reading, sight):
+    write_observation(
+        worlds.observation[k], worlds.state, worlds.counts, k, reading, worlds.courses, sight, numbers.task
+    )
+
+
+@compiled_inline
+def _after_period(worlds, numbers, k, period):
+    """End of a control period of wheel k: sense, judge, reward, observe."""
+    reading = sense(worlds.state, k, worlds.streams, numbers.task.sensors)
+    roll_odometer(worlds.state, k, reading.speed, numbers.task.sensors)
+    sight = _look(worlds, numbers, k)
+    _record(worlds, numbers, k, period, reading, sight)
+    cause = judge(worlds.state, worlds.counts, k, numbers.task)
+    worlds.cause[k] = cause
+    terms = worlds.terms[k]
+    reward_terms(worlds.state, k, cause, numbers.task, terms)
+    if period == numbers.task.repeat - 1 or cause != RUNNING:
+        worlds.reward[k] = total_of(terms)
+        _observation(worlds, numbers, k, reading, sight)
+
+
+@compiled_inline
+def _step(worlds, numbers, commands, start, count, steps):
+    """Step the `steps` wheels of start ... start + count - 1 that are `going`, until their episodes end."""
+    for period in range(numbers.task.repeat):
+        if steps == 0:
+            return
+        advance(
+            worlds.state, worlds.counts, start, count, worlds.going, commands, worlds.courses, worlds.streams,
+            numbers.world,
+        )  # fmt: skip
+        for k in range(start, start + count):
+            if worlds.going[k] == STEP:
+                _after_period(worlds, numbers, k, period)
+                if worlds.cause[k] != RUNNING:
+                    worlds.going[k] = IDLE
+                    steps -= 1
+
+
+@compiled_inline
+def portion_of(counter, wheels):
+    """Wheels to take next: many at first, and fewer towards the end, so that the threads end together."""
+    share = (wheels - counter[0]) // (2 * counter[1]) // COUNT * COUNT
+    return MANY if counter[1] == 1 else min(max(share, LEAST), MANY)
+
+
+@compiled_root(nogil=True)
+def step_wheels(worlds, numbers, commands, what, counter):
+    """Step or observe wheels as `what` [wheels] says, chunk by chunk; `counter`: [next wheel, threads at work].
+
+    The ground ahead is there (`lay_wheels`).
+    """
+    wheels = what.size
+    portion = portion_of(counter, wheels)
+    start = take(counter, portion)
+    while start < wheels:
+        count, steps = min(portion, wheels - start), 0
+        for k in range(start, start + count):
+            worlds.going[k] = STEP if what[k] == STEP else IDLE
+            if what[k] == STEP:
+                clear_reward(worlds, k)
+                steps += 1
+            elif what[k] == RESTART:
+                _restart(worlds, numbers, k)
+        _step(worlds, numbers, commands, start, count, steps)
+        portion = portion_of(counter, wheels)
+        start = take(counter, portion)
+
+
+@compiled_root(nogil=True)
+def write_true_soils(worlds, numbers, out):
+    """Fill `out` [wheels, D] with the entries of `task.truth`; `numbers` are those of the variant `true_soil`."""
+    for k in range(len(out)):
+        write_truth(out[k], worlds.state, worlds.counts, k, worlds.courses, numbers.task)

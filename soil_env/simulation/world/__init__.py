@@ -1,0 +1,1 @@
+"""World: courses, wheels in motion, sensors, camera."""
