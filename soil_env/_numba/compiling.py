@@ -210,7 +210,7 @@ def compile_aside(function, arguments: tuple) -> None:
     _CHILDREN.append(child)
     atexit.register(child.kill)
     with contextlib.suppress(OSError), child.stdin as orders:
-        orders.write(pickle.dumps((function.__module__, function.__name__)) + pickle.dumps(signature))
+        orders.write(pickle.dumps((function.__module__, function.__name__, signature)))
     await_code_of(function, signature, child.wait)
 
 
